@@ -22,7 +22,7 @@ from softcal_jax.configurations import (
     configuration_arrays,
 )
 from softcal_jax.equilibrium import Model, build_model, solve_from_rest
-from softcal_jax.export import write_inp
+from softcal_jax.exchange.inp import write_inp
 from softcal_jax.materials import (
     AbstractLaw,
     Corotational,

@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks._icesl import STEPS, N, Slicer
 from benchmarks._problem import Figure
 from softcal_jax.equilibrium import build_model
-from softcal_jax.export import IceslResult, write_icesl
+from softcal_jax.exchange.icesl import Design, IceslResult, export_icesl
 from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
 from softcal_jax.materials import (
     Corotational,
@@ -137,12 +137,9 @@ def write(field: Field, folder: Path) -> IceslResult:
         )
     )
     z = space.start()
-    return write_icesl(
+    return export_icesl(
+        Design(space.model_at(model, z), space, z),
         folder,
-        space.model_at(model, z),
-        published_foam(),
-        space=space,
-        z=z,
         angle_marks="soft" if field.marks == "soft" else "stiff",
         angle_offset=field.offset,
         clockwise=field.clockwise,

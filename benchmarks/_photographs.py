@@ -16,8 +16,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
 
-from softcal_jax.camera import BOARD_IDS, board_corners, tag_cells, tag_corners
-from softcal_jax.camera._adjustment import Placement
+from softcal_jax.exchange.camera import BOARD_IDS, board_corners, tag_cells, tag_corners
+from softcal_jax.exchange.camera._adjustment import Placement
 
 WHITE, BLACK, TABLE = 0.8, 0.04, 0.35
 """Light of paper, ink and background [-]."""

@@ -30,14 +30,17 @@ from softcal_jax.equilibrium import (
     build_model,
     solve_from_rest,
 )
+from softcal_jax.exchange.sofa import PluginElasticity
+from softcal_jax.exchange.sofa._component import SofaRelease, component_of
+from softcal_jax.exchange.sofa._configurations import (
+    scene_configurations,
+    vertex_masses,
+)
+from softcal_jax.exchange.sofa._units import scale_of
+from softcal_jax.exchange.sofa._write import Scene, write_scene
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.materials import AbstractLaw, SofaCorotational, StVenantKirchhoff
 from softcal_jax.mesh import TetMesh, beam
-from softcal_jax.sofa import PluginElasticity
-from softcal_jax.sofa._component import SofaRelease, component_of
-from softcal_jax.sofa._configurations import scene_configurations, vertex_masses
-from softcal_jax.sofa._units import scale_of
-from softcal_jax.sofa._write import Scene, write_scene
 
 LENGTH, SIDE, DENSITY = 0.1, 0.02, 1070.0
 MESH = beam(LENGTH, SIDE, SIDE, (6, 2, 2))

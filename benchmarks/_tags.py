@@ -34,9 +34,9 @@ from benchmarks._photographs import (
 )
 from benchmarks._problem import Figure
 from softcal_jax._machine import available_cores
-from softcal_jax.camera import TagPose, tag_pose
-from softcal_jax.camera._adjustment import Placement
-from softcal_jax.camera._sheet import opencv
+from softcal_jax.exchange.camera import TagPose, tag_pose
+from softcal_jax.exchange.camera._adjustment import Placement
+from softcal_jax.exchange.camera._sheet import opencv
 from softcal_jax.plotting import rendering_problem
 from softcal_jax.sweeps._worker import threads_of_children
 

@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     )
     from softcal_jax.control import solve_inverse
     from softcal_jax.equilibrium import build_model, solve_equilibrium
+    from softcal_jax.exchange.icesl import export_icesl
+    from softcal_jax.exchange.inp import export_inp
+    from softcal_jax.exchange.sofa import export_sofa
     from softcal_jax.fields import (
         ControlPointParameters,
         ControlPoints,
@@ -53,12 +56,9 @@ if TYPE_CHECKING:
     from softcal_jax.mesh import beam, read_mesh, select_nodes
     from softcal_jax.project import load_project
     from softcal_jax.report import (
-        export_icesl,
-        export_inp,
         load_result,
         write_results,
     )
-    from softcal_jax.sofa import export_sofa
 
 __version__ = version("softcal-jax")
 
@@ -91,9 +91,9 @@ _HOMES = {
     "build_model": "softcal_jax.equilibrium",
     "calibrate": "softcal_jax.calibration",
     "compare_laws": "softcal_jax.layouts",
-    "export_icesl": "softcal_jax.report",
-    "export_inp": "softcal_jax.report",
-    "export_sofa": "softcal_jax.sofa",
+    "export_icesl": "softcal_jax.exchange.icesl",
+    "export_inp": "softcal_jax.exchange.inp",
+    "export_sofa": "softcal_jax.exchange.sofa",
     "identify": "softcal_jax.identifiability",
     "load_project": "softcal_jax.project",
     "load_result": "softcal_jax.report",

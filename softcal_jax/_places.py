@@ -12,6 +12,22 @@ def cause(error: OSError) -> str:
     return error.strerror or str(error)
 
 
+@contextmanager
+def with_remedy(refused: str, remedy: str) -> Iterator[None]:
+    """Turn errors of the system, which have a number, into errors that say what to do.
+
+    Args:
+        refused: What cannot be written.
+        remedy: What to do.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None:  # raised with a text of its own
+            raise
+        raise OSError(f"{refused} ({cause(error)}): {remedy}.") from error
+
+
 def partial_of(path: Path) -> Path:
     """Return where a file is written before it takes the place of an older one."""
     return path.with_name(path.name + ".partial")
@@ -31,7 +47,7 @@ def only_writer(path: Path, program: str) -> Iterator[None]:
         BlockingIOError: If another one of these programs is writing the file.
         OSError: If the place cannot be written; the text says why.
     """
-    with _told(path):
+    with with_remedy(f"{path} cannot be written", "give another file"):
         if path.is_dir():
             raise IsADirectoryError(f"{path} is a folder; name a file in it.")
         if not path.parent.is_dir():
@@ -101,16 +117,3 @@ def _try(path: Path) -> None:
         trial.write_bytes(bytes(512))
     finally:
         trial.unlink(missing_ok=True)
-
-
-@contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """Turn errors of the system into errors that say what to do."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno is None:  # one of the texts above
-            raise
-        raise OSError(
-            f"{path} cannot be written ({cause(error)}): give another file."
-        ) from error

@@ -15,7 +15,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softcal_jax.calibration import simulated_measurements
-from softcal_jax.mesh import TetMesh, mesh_cad, to_linear, write_mesh
+from softcal_jax.exchange.cad import mesh_cad
+from softcal_jax.mesh import TetMesh, to_linear, write_mesh
 from softcal_jax.project import load_project
 from softcal_jax.robots import (
     parallel_robot,

@@ -47,7 +47,7 @@ def test_another_mesh_file(block, capsys):
 
 
 def test_a_cad_model(tmp_path, capsys):
-    models = pytest.importorskip("mesh.cad_models")
+    models = pytest.importorskip("exchange.cad.cad_models")
     step, out = models.write_finger(tmp_path / "finger.step"), tmp_path / "finger.msh"
     command = ["mesh", str(step), "-o", str(out)]
     assert main([*command, "--size", "5 mm"]) == 0

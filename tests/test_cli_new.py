@@ -8,9 +8,9 @@ from wording import says
 
 from softcal_jax.calibration import simulated_measurements
 from softcal_jax.cli import main
+from softcal_jax.exchange.proposal import propose_project
 from softcal_jax.mesh import beam, node_indices, write_mesh
 from softcal_jax.project import ProjectWarning, guesses_left, load_project
-from softcal_jax.proposal import propose_project
 from softcal_jax.robots import READY_MADE, ready_made_path
 
 PLACES = {"tip": (60.0, 10.0, 10.0), "top": (60.0, 10.0, 21.0), "foot": (5.0, 0.0, 5.0)}
@@ -176,7 +176,7 @@ def test_groups_are_known_by_their_names(tmp_path):
     """A clamp, and a chamber that is the wall of a cavity."""
     arm = ready_made_path("pneumatic-arm").with_name("arm.msh")
     table = write_rows(tmp_path / "poses.csv", poses=("0 kPa", "12 kPa"))
-    found = propose_project(arm, tmp_path / "mine", recordings=[table]).findings
+    found = propose_project(arm, tmp_path / "mine", recordings=[table])
     assert found.held.group == "clamp"
     assert found.chambers == {"chamber": False}
     project = loaded(tmp_path / "mine")
@@ -204,7 +204,7 @@ def test_a_chamber_by_its_name_alone_is_none(tmp_path):
     made = beam(0.06, 0.02, 0.02, (6, 2, 2))
     made = made.with_surface_group("air chamber", made.surface_groups["z_max"])
     write_mesh(made, tmp_path / "body.msh", length_unit="mm")
-    found = propose_project(tmp_path / "body.msh", tmp_path / "mine").findings
+    found = propose_project(tmp_path / "body.msh", tmp_path / "mine")
     assert found.chambers == {}
 
 
@@ -248,8 +248,8 @@ def test_units_are_guessed_by_size(tmp_path):
     found = propose_project(
         tmp_path / "body.msh", tmp_path / "mine", recordings=[table]
     )
-    assert found.findings.body.unit == "m"
-    assert found.findings.recorded.unit == "cm"
+    assert found.body.unit == "m"
+    assert found.recorded.unit == "cm"
     project = loaded(tmp_path / "mine")
     np.testing.assert_allclose(project.model.mesh.size, made.size)
     np.testing.assert_allclose(
@@ -265,8 +265,8 @@ def test_recordings_over_time_hold_a_pose_each(tmp_path, body):
         write_recording(tmp_path / f"{name}.c3d", path)
     files = [tmp_path / "10 N.c3d", tmp_path / "20 N.c3d"]
     made = propose_project(body, tmp_path / "mine", recordings=files)
-    recorded = made.findings.recorded
-    assert [pose.name for pose in made.findings.poses] == ["rest", "10 N", "20 N"]
+    recorded = made.recorded
+    assert [pose.name for pose in made.poses] == ["rest", "10 N", "20 N"]
     assert recorded.stillest(1) == ["base"]
     project = loaded(tmp_path / "mine")
     project.check_calibration()
@@ -284,16 +284,14 @@ def test_rows_are_told_apart_by_the_fewest_columns(tmp_path, body):
         for phase in ("rest", "loaded"):
             lines.append(f"{run},{phase},tip,60,10,{10 if phase == 'rest' else 9}")
     (tmp_path / "poses.csv").write_text("\n".join(lines))
-    made = propose_project(
-        body, tmp_path / "mine", recordings=[tmp_path / "poses.csv"]
-    ).findings
+    made = propose_project(body, tmp_path / "mine", recordings=[tmp_path / "poses.csv"])
     names = ["1 rest", "1 loaded", "2 rest", "2 loaded"]
     assert [pose.name for pose in made.poses] == names
     assert made.poses[1].select == '{ run = "1", phase = "loaded" }'
 
 
 def test_a_cad_model(tmp_path):
-    models = pytest.importorskip("mesh.cad_models")
+    models = pytest.importorskip("exchange.cad.cad_models")
     step = models.write_finger(tmp_path / "finger.step")
     assert new(tmp_path / "mine", "--model", step, "--size", "5 mm") == 0
     project = loaded(tmp_path / "mine")

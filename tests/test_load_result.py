@@ -289,7 +289,7 @@ def test_a_loaded_modulus_as_foam(folder, calibrated, capsys, monkeypatch):
     np.testing.assert_allclose(settings["infill_percentage"], 100 * density, rtol=0.02)
     np.testing.assert_allclose(settings["kgon_x_shrink"], 1.0, rtol=1e-6)
     assert main(["export", "icesl", "out", "-o", "print"]) == 2
-    assert "print exists already" in capsys.readouterr().err
+    assert "the folder print is not empty" in capsys.readouterr().err
 
 
 def test_a_project_file_as_foam(folder, capsys, monkeypatch):

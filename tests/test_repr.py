@@ -29,8 +29,8 @@ NO_RECORDS = {"OUTCOMES", "RESULTS", "Readable", "Unstated"}
 
 def public_classes():
     """What the package and its packages list in `__all__`, without exceptions."""
-    names = [f"softcal_jax.{m.name}" for m in pkgutil.iter_modules(sc.__path__)]
-    packages = [n for n in names if not n.split(".")[1].startswith("_")]
+    modules = pkgutil.walk_packages(sc.__path__, "softcal_jax.")
+    packages = [m.name for m in modules if m.ispkg]
     found = {}
     for module in map(importlib.import_module, ["softcal_jax", *packages]):
         for name in getattr(module, "__all__", ()):

@@ -156,13 +156,14 @@ def stated_licence(own: Distribution) -> str:
 
 def packages() -> list[str]:
     """Return the packages below `softcal_jax`, without the command line."""
-    below = pkgutil.iter_modules(softcal_jax.__path__, "softcal_jax.")
+    below = pkgutil.walk_packages(softcal_jax.__path__, "softcal_jax.")
     return [m.name for m in below if m.ispkg and m.name != "softcal_jax.cli"]
 
 
 def home_of(name: str) -> str:
     """Return the package in which a name of `softcal_jax` is documented."""
-    found = [p for p in packages() if name in importlib.import_module(p).__all__]
+    listed = {p: getattr(importlib.import_module(p), "__all__", ()) for p in packages()}
+    found = [package for package, names in listed.items() if name in names]
     return found[0] if found else "softcal_jax"
 
 

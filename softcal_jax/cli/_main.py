@@ -5,7 +5,7 @@ import atexit
 import gc
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext, redirect_stdout
 from importlib.metadata import version
 from pathlib import Path
@@ -36,6 +36,7 @@ from softcal_jax.cli._shared import (
 )
 from softcal_jax.cli._sweep import add_sweep
 from softcal_jax.cli._tags import add_tags
+from softcal_jax.exchange.exporters import AbstractExporter, exporters
 
 _ABOUT = """\
 Calibrate the finite-element model of a soft robot from a few measured poses."""
@@ -93,8 +94,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     if words[:2] == ["sweep", "show"]:  # one command for the parser
         words[:2] = ["sweep show"]
-    args = _parser().parse_args(words)
     silence()
+    asked = words[:1] == ["export"] or "--print-completion" in words
+    args = _parser(exporters() if asked else {}).parse_args(words)
     display = Display(
         begin,
         quiet=getattr(args, "quiet", False),
@@ -127,7 +129,8 @@ def _collect_rarely() -> None:
     atexit.register(gc.freeze)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(formats: Mapping[str, AbstractExporter]) -> argparse.ArgumentParser:
+    """Build the parser, with the formats of `softcal export`."""
     raw = lambda prog: argparse.RawDescriptionHelpFormatter(prog, max_help_position=26)
     parser = PlainParser(
         "softcal", description=_ABOUT, epilog=_EXAMPLES, formatter_class=raw
@@ -211,7 +214,7 @@ ranked by what measuring them as well would add.""",
     add_mesh(commands, raw)
     add_compare(commands, raw)
     add_inverse(commands, raw)
-    add_export(commands, raw)
+    add_export(commands, raw, formats)
     add_sweep(commands, raw)
     add_tags(commands, raw)
     return parser

@@ -14,8 +14,8 @@ from softcal_jax.cli._shared import (
     add_path,
     bad_input,
     check_new,
-    quantity,
 )
+from softcal_jax.exchange.exporters import quantity
 
 if TYPE_CHECKING:
     from softcal_jax.mesh import TetMesh
@@ -63,10 +63,7 @@ def mesh(args: argparse.Namespace, show: Display) -> int:
     show.lap("import")
     show.now(f"meshing {args.model.name}")
     with bad_input():
-        try:
-            made = _made(args)
-        except ImportError as error:
-            raise ValueError(str(error)) from error
+        made = _made(args)
         show.lap("mesh")
         write_mesh(made, args.output, length_unit=_UNIT)
         if not args.no_pictures:
@@ -94,7 +91,8 @@ def mesh(args: argparse.Namespace, show: Display) -> int:
 
 def _made(args: argparse.Namespace) -> "TetMesh":
     """Make or read the mesh."""
-    from softcal_jax.mesh import CAD_FORMATS, mesh_cad, read_mesh
+    from softcal_jax.exchange.cad import CAD_FORMATS, mesh_cad
+    from softcal_jax.mesh import read_mesh
     from softcal_jax.project import load_mesh
 
     suffix = args.model.suffix.lower()

@@ -12,12 +12,12 @@ from softcal_jax.cli._shared import (
     add_output,
     add_path,
     bad_input,
-    quantity,
     start_computing,
 )
+from softcal_jax.exchange.exporters import quantity
 
 if TYPE_CHECKING:
-    from softcal_jax.proposal import Findings
+    from softcal_jax.exchange.proposal import Findings
 
 _NEW = """\
 examples:
@@ -61,7 +61,7 @@ def new(args: argparse.Namespace, show: Display) -> int:
 
 def _ready_made(args: argparse.Namespace, show: Display) -> bool:
     """Copy a ready-made robot, and say what it is; its readings are there."""
-    from softcal_jax.proposal import write_ready_made
+    from softcal_jax.exchange.proposal import write_ready_made
 
     options = ("markers", "size", "length_unit")
     for option in options:
@@ -79,32 +79,29 @@ def _ready_made(args: argparse.Namespace, show: Display) -> bool:
 
 def _proposed(args: argparse.Namespace, show: Display) -> bool:
     """Write a project for a model; returns whether it has readings to calibrate to."""
+    from softcal_jax.exchange.proposal import propose_project
     from softcal_jax.project import CHANGE, guesses_left
-    from softcal_jax.proposal import propose_project
 
     start_computing(show)
     show.now(f"reading {args.model.name}")
     size = None if args.size is None else quantity("--size", args.size, "m")
-    try:
-        made = propose_project(
-            args.model,
-            args.folder,
-            recordings=args.markers,
-            size=size,
-            length_unit=args.length_unit,
-        )
-    except ImportError as error:
-        raise ValueError(str(error)) from error
+    findings = propose_project(
+        args.model,
+        args.folder,
+        recordings=args.markers,
+        size=size,
+        length_unit=args.length_unit,
+    )
     files = sorted(path.name for path in args.folder.iterdir())
     show.line(f"Wrote {', '.join(files)} to {args.folder}.")
-    for line in _found(made.findings):
+    for line in _found(findings):
         show.line(line)
-    many = len(guesses_left(made.path))
+    many = len(guesses_left(args.folder / "project.toml"))
     show.line(
         f'{many} lines hold a guess, with a remark "{CHANGE}..." that says what is to '
         "be changed or confirmed. `softcal check` lists them."
     )
-    return made.findings.recorded is not None and not made.findings.own_frame
+    return findings.recorded is not None and not findings.own_frame
 
 
 def _found(found: "Findings") -> Iterator[str]:

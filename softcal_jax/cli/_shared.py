@@ -122,16 +122,6 @@ def check_new(*paths: Path, force: bool) -> None:
         )
 
 
-def quantity(option: str, text: str, unit: str) -> float:
-    """Parse the value of an option into the SI unit; the error names the option."""
-    from softcal_jax.project import parse_in_si
-
-    try:
-        return parse_in_si(text, unit)
-    except ValueError as error:
-        raise ValueError(f"{option}: {error}") from error
-
-
 def start_computing(show: Display) -> None:
     """Choose the precision, and the folder of compiled programs.
 
@@ -179,8 +169,8 @@ def no_equilibrium(written: str) -> Iterator[None]:
 
 @contextmanager
 def bad_input() -> Iterator[None]:
-    """End the command if its input is wrong."""
+    """End the command if its input is wrong, or needs a package that is not here."""
     try:
         yield
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:
         raise Stop(BAD_INPUT, f"error: {error}") from error

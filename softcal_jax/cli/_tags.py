@@ -4,16 +4,14 @@ import argparse
 from collections.abc import Callable
 
 from softcal_jax.cli._shared import (
-    BAD_INPUT,
     OK,
     Display,
-    Stop,
     add_output,
     add_path,
     bad_input,
     check_new,
-    quantity,
 )
+from softcal_jax.exchange.exporters import quantity
 
 _ABOUT = """\
 Draws tags, and a board on the last page, to scale. Glue one tag on a rigid part of the
@@ -37,16 +35,13 @@ exit codes: 0 written, 2 bad input
 
 def tags(args: argparse.Namespace, show: Display) -> int:
     """Write a PDF with tags and a board."""
-    from softcal_jax.camera import write_tags
+    from softcal_jax.exchange.camera import write_tags
 
     check_new(args.output, force=args.force)
     with bad_input():
         size = quantity("--size", args.size, "m")
         options = {"count": args.count, "first": args.first, "paper": args.paper}
-        try:
-            n = write_tags(args.output, size=size, **options)
-        except ImportError as error:
-            raise Stop(BAD_INPUT, f"error: {error}") from error
+        n = write_tags(args.output, size=size, **options)
     last = args.first + args.count - 1
     about = {"tags": [*range(args.first, last + 1)], "pages": n}
     show.document({"file": str(args.output), **about})

@@ -13,15 +13,11 @@ from softcal_jax.export._csv import (
     write_markers_csv,
     write_robot_csv,
 )
-from softcal_jax.export._foam_file import read_foam_table, write_foam_table
 from softcal_jax.export._folder import (
     check_results_folder,
     file_stems,
     results_folder,
 )
-from softcal_jax.export._icesl import write_icesl
-from softcal_jax.export._icesl_report import IceslResult
-from softcal_jax.export._inp import write_inp
 from softcal_jax.export._inverse import inverse_dict
 from softcal_jax.export._json import (
     RESULT_FORMAT,
@@ -30,10 +26,9 @@ from softcal_jax.export._json import (
     result_dict,
     simulation_dict,
 )
-from softcal_jax.export._made import Made, made_dict
-from softcal_jax.export._plain import write_json
+from softcal_jax.export._made import Made, file_dict, made_dict, source_dict
+from softcal_jax.export._plain import plain, write_json
 from softcal_jax.export._pvd import write_pvd
-from softcal_jax.export._source import file_dict, source_dict
 from softcal_jax.export._tet_fields import (
     STANDARD_ERROR,
     fibre_directions,
@@ -48,7 +43,6 @@ from softcal_jax.export._vtu_robot import write_robot_vtu
 __all__ = [
     "RESULT_FORMAT",
     "STANDARD_ERROR",
-    "IceslResult",
     "Made",
     "Readable",
     "budget_dict",
@@ -62,8 +56,8 @@ __all__ = [
     "inverse_dict",
     "made_dict",
     "outlook_dict",
+    "plain",
     "principal_stretches",
-    "read_foam_table",
     "readable_estimate",
     "readable_unit",
     "readable_values",
@@ -74,9 +68,6 @@ __all__ = [
     "tet_fields",
     "von_mises_stress",
     "write_effectors_csv",
-    "write_foam_table",
-    "write_icesl",
-    "write_inp",
     "write_json",
     "write_markers_csv",
     "write_pvd",

@@ -6,10 +6,10 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 
-from softcal_jax._places import cause
+from softcal_jax._places import with_remedy
 
 INDEX_FILES = (
     "result.json",
@@ -65,7 +65,7 @@ def check_results_folder(directory: str | Path, *, force: bool = False) -> None:
         OSError: If nothing can be written there; the text says why.
     """
     directory = Path(directory)
-    with _told(directory):
+    with _with_remedy(directory):
         _check_contents(directory, force=force)
         with _partial_folder(directory.resolve()):
             if directory.exists():
@@ -110,25 +110,16 @@ def results_folder(directory: str | Path, *, force: bool = False) -> Iterator[Pa
         OSError: If the files cannot be written; the text says why.
     """
     directory = Path(directory).resolve()
-    with _told(directory):
+    with _with_remedy(directory):
         _check_contents(directory, force=force)
         with _partial_folder(directory) as partial:
             yield partial
             _move_into_place(partial, directory)
 
 
-@contextmanager
-def _told(directory: Path) -> Iterator[None]:
-    """Turn errors of the system into errors that say what to do."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno is None:  # raised with a text of its own
-            raise
-        raise OSError(
-            f"no results can be written to {directory} ({cause(error)}): choose "
-            "another folder."
-        ) from error
+def _with_remedy(directory: Path) -> AbstractContextManager[None]:
+    refused = f"no results can be written to {directory}"
+    return with_remedy(refused, "choose another folder")
 
 
 @contextmanager

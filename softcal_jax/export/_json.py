@@ -20,9 +20,8 @@ from softcal_jax.calibration import (
 from softcal_jax.configurations import EffectorRecord
 from softcal_jax.equilibrium import Model, RobotState
 from softcal_jax.export._budget import budget_dict
-from softcal_jax.export._made import Made, made_dict
+from softcal_jax.export._made import Made, made_dict, source_dict
 from softcal_jax.export._plain import pick, plain, versions
-from softcal_jax.export._source import source_dict
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 
 RESULT_FORMAT = "softcal_jax.result/2"

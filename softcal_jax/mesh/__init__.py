@@ -4,21 +4,23 @@ Everything here runs on the host in NumPy, once, before the physics. Lengths are
 metres.
 """
 
-from softcal_jax.mesh._cad import CAD_FORMATS, mesh_cad
 from softcal_jax.mesh._checks import check_mesh
-from softcal_jax.mesh._conversion import merge, to_linear, to_quadratic
-from softcal_jax.mesh._generators import beam
+from softcal_jax.mesh._conversion import check_order, merge, to_linear, to_quadratic
+from softcal_jax.mesh._generators import beam, oriented
 from softcal_jax.mesh._location import MaterialPoints, locate
-from softcal_jax.mesh._meshio import MeshWarning
+from softcal_jax.mesh._meshio import MeshWarning, ParserError, parse_mesh_file
 from softcal_jax.mesh._reading import mesh_files, read_mesh, read_tet_data
 from softcal_jax.mesh._refinement import Refinement, finer, refine
 from softcal_jax.mesh._regions import Annulus, Box, Cylinder, Plane, Sphere
 from softcal_jax.mesh._selection import node_indices, select_faces, select_nodes
 from softcal_jax.mesh._surfaces import (
     CAD_FACE,
+    SHARP,
+    matching_faces,
     select_cavity,
     select_face,
     select_reachable,
+    surface_parts,
 )
 from softcal_jax.mesh._tessellation import PARTS, Tessellation, tessellate
 from softcal_jax.mesh._tet_mesh import TetMesh
@@ -31,14 +33,13 @@ from softcal_jax.mesh._topology import (
     volumes,
 )
 from softcal_jax.mesh._tripod import tripod
-from softcal_jax.mesh._unit_guess import guess_length_unit
 from softcal_jax.mesh._voxels import Filling, Grid, fill
 from softcal_jax.mesh._writing import write_mesh
 
 __all__ = [
     "CAD_FACE",
-    "CAD_FORMATS",
     "PARTS",
+    "SHARP",
     "Annulus",
     "Box",
     "Cylinder",
@@ -46,6 +47,7 @@ __all__ = [
     "Grid",
     "MaterialPoints",
     "MeshWarning",
+    "ParserError",
     "Plane",
     "Refinement",
     "Sphere",
@@ -55,15 +57,17 @@ __all__ = [
     "boundary_faces",
     "boundary_tets",
     "check_mesh",
+    "check_order",
     "face_shares",
     "fill",
     "finer",
-    "guess_length_unit",
     "locate",
+    "matching_faces",
     "merge",
-    "mesh_cad",
     "mesh_files",
     "node_indices",
+    "oriented",
+    "parse_mesh_file",
     "read_mesh",
     "read_tet_data",
     "refine",
@@ -72,6 +76,7 @@ __all__ = [
     "select_faces",
     "select_nodes",
     "select_reachable",
+    "surface_parts",
     "surface_shares",
     "tessellate",
     "tet_faces",

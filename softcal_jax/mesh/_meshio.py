@@ -53,7 +53,7 @@ def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
         check_inp(path)
 
     try:
-        raw, said = parse(path, FORMATS[suffix])
+        raw, said = parse_mesh_file(path, FORMATS[suffix])
     except ModuleNotFoundError as error:
         raise ValueError(
             f"reading {path} needs the package {error.name!r}: "
@@ -71,7 +71,7 @@ def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
     return raw
 
 
-def parse(path: Path, kind: str) -> tuple[meshio.Mesh, str]:
+def parse_mesh_file(path: Path, kind: str) -> tuple[meshio.Mesh, str]:
     """Read a file in one of meshio's formats; return also what it complains of.
 
     Raises:

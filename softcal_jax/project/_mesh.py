@@ -7,8 +7,8 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.exchange.cad import CAD_FORMATS, mesh_cad
 from softcal_jax.mesh import (
-    CAD_FORMATS,
     Annulus,
     Box,
     Cylinder,
@@ -16,7 +16,6 @@ from softcal_jax.mesh import (
     Sphere,
     TetMesh,
     beam,
-    mesh_cad,
     mesh_files,
     read_mesh,
     read_tet_data,

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import Pose
-from softcal_jax.camera import TagPose, find_photos, tag_pose
+from softcal_jax.exchange.camera import TagPose, find_photos, tag_pose
 from softcal_jax.project._sensors import FrameTable, MeasuredMotion, OrientationTable
 from softcal_jax.project._table import Integer, Names, PositiveLength, Table
 

@@ -1,7 +1,6 @@
-"""Results written, loaded and exported: files, a page, and tables for the terminal."""
+"""Results written and loaded: files, a page, and tables for the terminal."""
 
 from softcal_jax.report._calibration import held_out_sentences, model_words
-from softcal_jax.report._export import export_icesl, export_inp
 from softcal_jax.report._inverse_page import write_inverse
 from softcal_jax.report._load import (
     LoadedResult,
@@ -29,8 +28,6 @@ __all__ = [
     "ResultWarning",
     "check_sweep_page",
     "control_point_sets",
-    "export_icesl",
-    "export_inp",
     "held_out_sentences",
     "inverse_table",
     "load_result",

@@ -5,8 +5,8 @@ import pytest
 
 from benchmarks import _cad_to_result, _calculix, _tags, exchange
 from benchmarks._problem import Options
-from softcal_jax.camera import TagPose
-from softcal_jax.camera._adjustment import Placement
+from softcal_jax.exchange.camera import TagPose
+from softcal_jax.exchange.camera._adjustment import Placement
 
 
 def run(folder, **counts):

@@ -1,0 +1,41 @@
+"""What several formats cannot hold of a robot."""
+
+import numpy as np
+
+from softcal_jax.actuators import free_rim_nodes
+from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.equilibrium import Model
+
+
+def check_no_bodies(model: Model, format: str) -> None:
+    """Raise ValueError if a robot has rigid bodies, whose nodes turn together."""
+    names = model.mechanism.bodies.names
+    if names:
+        raise ValueError(
+            f"the robot has rigid bodies ({', '.join(names)}), which are not written "
+            f"to {format}: their nodes turn together, which it has to say by "
+            "constraints of its own. A body that is held: name its nodes in `supports` "
+            "instead. A plate that only carries markers: leave it out, give [markers] "
+            "`max_distance` and `base_radius`, and calibrate again."
+        )
+
+
+def check_rim(
+    model: Model, configuration: ConfigurationArrays, actuator: int, format: str
+) -> None:
+    """Raise ValueError if a lid presses on a rim that is not held.
+
+    Args:
+        model: The model.
+        configuration: What holds it.
+        actuator: Index of the chamber.
+        format: What has no lids.
+    """
+    actuators, fixed = model.mechanism.actuators, np.asarray(configuration.fixed)
+    free = free_rim_nodes(actuators.groups, actuator, fixed)
+    if free:
+        raise ValueError(
+            f"the chamber {actuators.names[actuator]!r}: the pressure on what seals it "
+            f"acts on the rim of its opening, of which {free} nodes are not held, and "
+            f"{format} has no lid. Hold the rim, or close the cavity in the mesh."
+        )

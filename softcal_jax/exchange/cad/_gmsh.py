@@ -1,0 +1,212 @@
+"""Gmsh, which fills CAD models with tets: loaded, started and ended here alone."""
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from math import sqrt
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from softcal_jax._limits import TETS
+from softcal_jax._text import escaped
+from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.exchange.cad._stl import Triangles
+from softcal_jax.mesh import SHARP
+
+_TRIANGLE, _TET = 2, 4
+"""Gmsh's numbers of the types of linear elements."""
+
+_PER_TURN = 12
+"""Edges around a full turn of a curved face: chords 3 % of its radius inside it."""
+
+_FINEST = 0.25
+"""Shortest edges at curved faces, over the size: small fillets are not followed."""
+
+_USUAL = 30.0
+"""Diagonal of a model over the size, where none is given."""
+
+_REGULAR = 1.0 / (6.0 * sqrt(2.0))
+"""Volume of the regular tet over the cube of its edge [-]."""
+
+
+class GmshError(ValueError):
+    """Gmsh does not fill a model; the text is what it says."""
+
+
+class Filled(NamedTuple):
+    """A volume filled with linear tets, in the length unit of the model.
+
+    Attributes:
+        points: Positions of the nodes.
+        tets: Nodes of the tets.
+        faces: Corners of the triangles on each face of the model that bounds the body.
+        solids: Indices of the tets of each solid.
+        volume: Volume of the model; nan if that is unknown.
+    """
+
+    points: Float[HostArray, "n_nodes 3"]
+    tets: Int[HostArray, "n_tets 4"]
+    faces: list[Int[HostArray, "_ 3"]]
+    solids: list[Int[HostArray, " _"]]
+    volume: float
+
+
+@contextmanager
+def _gmsh_model() -> Iterator[Any]:
+    """Start gmsh silently with an empty model, and end it in any case.
+
+    Ctrl-C and SIGTERM stay with Python. One thread makes the same mesh each time.
+
+    Raises:
+        ImportError: If gmsh is not installed, or lacks a library of the system.
+        RuntimeError: If the program uses gmsh already.
+        GmshError: If gmsh raises inside the block.
+    """
+    gmsh = _load()
+    if gmsh.isInitialized():
+        raise RuntimeError(
+            "this program uses gmsh already, and gmsh has one state for all of it: end "
+            "that with gmsh.finalize() first."
+        )
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    try:
+        _restore_handlers()
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.option.setNumber("General.NumThreads", 1)
+        try:
+            yield gmsh
+        except (ValueError, OSError):
+            raise
+        except Exception as error:  # gmsh raises this class itself
+            said = escaped(" ".join(str(error).split()))
+            raise GmshError(f"{said or 'it does not say why'}.") from error
+    finally:
+        gmsh.finalize()
+
+
+def _restore_handlers() -> None:
+    """Give signals back to the handlers that Python knows.
+
+    Gmsh sets SIGTERM to its default in C, where Python does not see it: what the
+    program does after that would be killed rather than ended.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return  # only the main thread may choose
+    for number in (signal.SIGINT, signal.SIGTERM):
+        handler = signal.getsignal(number)
+        if handler is not None:
+            signal.signal(number, handler)
+
+
+def _load() -> Any:
+    try:
+        import gmsh  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise ImportError(
+            "making a mesh of a CAD model needs gmsh: pip install 'softcal-jax[cad]'."
+        ) from error
+    except OSError as error:
+        raise ImportError(
+            f"gmsh is installed, but cannot be loaded ({error}). On Debian or Ubuntu: "
+            "sudo apt install libgl1 libglu1-mesa libxcursor1 libxft2 libxinerama1"
+        ) from error
+    return gmsh
+
+
+def fill_step(path: Path, size: float | None) -> Filled:
+    """Fill the solids of a STEP file; the size and the result are in mm.
+
+    Raises:
+        ValueError: If gmsh cannot read or fill it, it has no solid, or the size makes
+            too many tets.
+    """
+    with _gmsh_model() as gmsh:
+        gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
+        shape = gmsh.model.occ
+        shape.importShapes(str(path))
+        shape.synchronize()
+        solids = gmsh.model.getEntities(3)
+        if not solids:
+            raise ValueError(
+                "it has no solid, only surfaces or curves, and what lies inside them is"
+                " not known. Export the body as a solid."
+            )
+        if len(solids) > 1:  # so that they share faces where they touch
+            shape.fragment(solids, [])
+            shape.synchronize()
+        volume = sum(shape.getMass(3, t) for _, t in gmsh.model.getEntities(3))
+        return _filled(gmsh, volume, size)
+
+
+def fill_stl(path: Path, triangles: Triangles, size: float) -> Filled:
+    """Fill the inside of an STL surface; lengths are in the unit of the file.
+
+    Raises:
+        GmshError: If the surface is not closed, or gmsh cannot fill it.
+        ValueError: If the size makes too many tets.
+    """
+    if n := triangles.n_open_edges:
+        raise GmshError(f"it is not closed, {n} edges do not join two triangles.")
+    with _gmsh_model() as gmsh:
+        gmsh.merge(str(path))
+        gmsh.model.mesh.classifySurfaces(SHARP, True, True, np.pi)
+        gmsh.model.mesh.createGeometry()
+        surfaces = [tag for _, tag in gmsh.model.getEntities(2)]
+        loop = gmsh.model.geo.addSurfaceLoop(surfaces)
+        gmsh.model.geo.addVolume([loop])
+        gmsh.model.geo.synchronize()
+        filled = _filled(gmsh, abs(triangles.volume), size)
+    # Gmsh cuts round surfaces in patches, which are no faces of the body, and triangles
+    # may be turned either way, so that what they enclose is not known.
+    return filled._replace(faces=[], volume=np.nan)
+
+
+def usual_size(extent: Float[HostArray, "3"]) -> float:
+    """Choose edges of tets for a model of an extent."""
+    return float(np.linalg.norm(extent)) / _USUAL
+
+
+def check_number(volume: float, size: float) -> None:
+    """Raise before gmsh spends hours on too many tets."""
+    TETS.check(f"edges of {size:g} are too short", volume / (_REGULAR * size**3))
+
+
+def _filled(gmsh: Any, volume: float, size: float | None) -> Filled:
+    """Fill the volumes of the model, and collect its tets and outer faces."""
+    if size is None:
+        low_high = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
+        size = usual_size(np.ptp(low_high, axis=0))
+    check_number(volume, size)
+    gmsh.option.setNumber("Mesh.MeshSizeMax", size)
+    gmsh.option.setNumber("Mesh.MeshSizeMin", _FINEST * size)
+    gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", _PER_TURN)
+    gmsh.model.mesh.generate(3)
+    tags, coordinates, _ = gmsh.model.mesh.getNodes()
+    nodes_of = lambda kind, tag: gmsh.model.mesh.getElementsByType(kind, tag)[1]
+    own = [nodes_of(_TET, tag).astype(int) for _, tag in gmsh.model.getEntities(3)]
+    tets = np.concatenate(own).reshape(-1, 4)
+    if not len(tets):
+        raise GmshError("it made no tets.")
+    outer = [
+        tag
+        for _, tag in gmsh.model.getEntities(2)
+        if len(gmsh.model.getAdjacencies(2, tag)[0]) == 1
+    ]
+    triangles = [nodes_of(_TRIANGLE, tag).astype(int).reshape(-1, 3) for tag in outer]
+    used, tets = np.unique(tets, return_inverse=True)
+    index = np.full(int(tags.max()) + 1, -1)
+    index[used] = np.arange(len(used))
+    places = np.empty((len(index), 3))
+    places[tags.astype(int)] = coordinates.reshape(-1, 3)
+    ends = np.cumsum([0, *(len(nodes) // 4 for nodes in own)])
+    return Filled(
+        points=places[used],
+        tets=tets.reshape(-1, 4),
+        faces=[index[corners] for corners in triangles],
+        solids=[np.arange(a, b) for a, b in pairwise(ends)],
+        volume=volume,
+    )

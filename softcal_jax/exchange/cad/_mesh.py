@@ -1,0 +1,173 @@
+"""Meshes of CAD models: solids of a STEP file, or the inside of an STL surface."""
+
+import math
+import os
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from softcal_jax._files import check_file
+from softcal_jax._names import METRES, unknown_name
+from softcal_jax.exchange.cad._gmsh import (
+    Filled,
+    GmshError,
+    check_number,
+    fill_step,
+    fill_stl,
+    usual_size,
+)
+from softcal_jax.exchange.cad._stl import read_stl
+from softcal_jax.exchange.cad._wild import ENVELOPE, fill_wild
+from softcal_jax.mesh import (
+    MeshWarning,
+    TetMesh,
+    check_mesh,
+    check_order,
+    matching_faces,
+    oriented,
+    surface_parts,
+    to_quadratic,
+    volumes,
+)
+
+_STEP, _STL = (".step", ".stp"), (".stl",)
+CAD_FORMATS = (*_STEP, *_STL)
+"""Extensions of CAD models."""
+
+_LOST = 0.02
+"""Share of the volume that flat faces may cut off without a warning [-]."""
+
+
+def mesh_cad(
+    path: str | os.PathLike[str],
+    *,
+    size: float | None = None,
+    length_unit: str | None = None,
+    order: int = 2,
+) -> TetMesh:
+    """Fill a CAD model with tets by gmsh, and name its faces and solids.
+
+    STEP files (.step, .stp) hold solids. Their faces become the surface groups
+    "face 1", "face 2" and so on, where they bound the body; solids the tet groups
+    "solid 1" and so on, joined where they touch. STL files (.stl) hold triangles; the
+    mesh gets new ones, and its faces are what edges of more than 40 degrees divide.
+    Where gmsh refuses an STL surface (holes, crossings), fTetWild fills it, if the
+    package pytetwild is installed: its surface is within a thousandth of the model's
+    size, and a warning says so.
+
+    Round faces get 12 edges a turn or more, down to a quarter of the size. All edges
+    are straight, those of quadratic tets too.
+
+    Args:
+        path: The file.
+        size: Longest edges of the tets that gmsh aims at [m]; None for a thirtieth of
+            the diagonal of the model.
+        length_unit: Unit of an STL file, which does not state it: "m", "cm", "mm",
+            "um" or "inch". None for a STEP file, which does.
+        order: 2 for quadratic tets, 1 for linear ones.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ImportError: If gmsh is not installed.
+        ValueError: If the file cannot be read or filled, has no solid, the size is not
+            positive or makes too many tets, or the unit is missing or stated twice.
+
+    Warns:
+        MeshWarning: If fTetWild had to fill the surface, or flat faces change the
+            volume by more than 2 %.
+    """
+    path = Path(path)
+    check_order(order)
+    if size is not None and not (math.isfinite(size) and size > 0.0):
+        raise ValueError(f"size must be positive and finite [m], got {size}.")
+    unit = _unit(path, length_unit)
+    check_file(path, "CAD model")
+    metres, notes = METRES[unit], []
+    own = None if size is None else size / metres
+    try:
+        if path.suffix.lower() in _STEP:
+            filled = fill_step(path, own)
+        else:
+            filled = _fill_surface(path, own, notes)
+        mesh = _named(filled, metres)
+        check_mesh(mesh)
+    except (ValueError, ImportError) as error:
+        raise type(error)(f"{path}: {error}") from error
+    share = volumes(mesh).sum() / (filled.volume * metres**3) - 1.0
+    if abs(share) > _LOST:
+        notes.append(
+            f"the mesh has {100 * abs(share):.1f} % {'more' if share > 0 else 'less'} "
+            "volume than the model, since its faces are flat; a smaller size follows "
+            "round faces better."
+        )
+    for note in notes:
+        warnings.warn(f"{path}: {note}", MeshWarning, stacklevel=2)
+    return mesh if order == 1 else to_quadratic(mesh)
+
+
+def _unit(path: Path, length_unit: str | None) -> str:
+    """Return the unit in which the model is meshed."""
+    suffix = path.suffix.lower()
+    if suffix not in CAD_FORMATS:
+        raise ValueError(
+            f"CAD model {path} has the extension {suffix!r}; expected one of "
+            f"{', '.join(CAD_FORMATS)}."
+        )
+    if suffix in _STEP:
+        if length_unit is not None:
+            raise ValueError(
+                f"{path}: got the length unit {length_unit!r}, but a STEP file states "
+                "its own. Leave it out."
+            )
+        return "mm"
+    if length_unit is None:
+        raise ValueError(
+            f"{path}: an STL file does not state its unit; expected a length unit, one "
+            f"of {', '.join(METRES)}."
+        )
+    if length_unit not in METRES:
+        raise unknown_name("length unit", length_unit, METRES)
+    return length_unit
+
+
+def _fill_surface(path: Path, size: float | None, notes: list[str]) -> Filled:
+    """Fill an STL surface, by fTetWild where gmsh refuses it."""
+    triangles = read_stl(path)
+    size = size or usual_size(np.ptp(triangles.points, axis=0))
+    check_number(abs(triangles.volume), size)
+    try:
+        return fill_stl(path, triangles, size)
+    except GmshError as error:
+        said = str(error)
+    try:
+        filled = fill_wild(triangles, size)
+    except ImportError as error:
+        raise ValueError(
+            f"gmsh cannot fill this surface: {said} Mend it (holes, crossings, repeated"
+            " triangles), export a STEP file, or let fTetWild fill it as it is: pip "
+            "install pytetwild."
+        ) from error
+    notes.append(
+        f"gmsh cannot fill this surface: {said} So fTetWild filled it; its surface is "
+        f"off by up to {1e3 * ENVELOPE:g} thousandth of the size of the model. Outside "
+        "is for it where triangles are turned to: look at the picture that `softcal "
+        "mesh` draws."
+    )
+    return filled
+
+
+def _named(filled: Filled, metres: float) -> TetMesh:
+    """Build the mesh [m], with its faces and solids as groups."""
+    points = metres * filled.points
+    mesh = TetMesh(points, oriented(filled.tets, points[filled.tets]))
+    if filled.faces:
+        faces = matching_faces(mesh, filled.faces)
+    else:
+        faces = surface_parts(mesh)
+    for k, own in enumerate(filter(len, faces)):
+        mesh = mesh.with_surface_group(f"face {k + 1}", own)
+    if len(filled.solids) > 1:
+        for k, tets in enumerate(filled.solids):
+            mesh = mesh.with_tet_group(f"solid {k + 1}", tets)
+    return mesh

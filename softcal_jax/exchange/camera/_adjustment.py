@@ -1,0 +1,242 @@
+"""Bundle adjustment: camera, its poses, and targets on the photographs, all at once.
+
+Least squares of the reprojection errors of all corners (Triggs et al., "Bundle
+adjustment - a modern synthesis", 1999), with the lens of Brown (1971) as OpenCV has it.
+The covariance is that of the linearised problem, with the noise of a corner from the
+errors that are left.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from softcal_jax._module import one_line
+from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.exchange.camera._sheet import opencv
+
+_N_CAMERA = 8
+_ROUNDS = 4
+"""Rounds of adjustment, each with the noise that the one before found."""
+
+_FIRST_NOISE = 0.1
+"""Noise of a corner to begin with [px]."""
+
+_LEAST_NOISE = 1e-4
+"""Least noise of a corner, where everything fits to rounding [px]."""
+
+
+class CameraModel(NamedTuple):
+    """A camera with square pixels, and what is known of it.
+
+    Attributes:
+        values: Focal length f, principal point cx, cy [px], and the distortion k1, k2,
+            p1, p2, k3 [-].
+        covariance: Their covariance.
+    """
+
+    values: Float[HostArray, "8"]
+    covariance: Float[HostArray, "8 8"]
+
+    __repr__ = one_line
+
+    @classmethod
+    def unknown(cls, size: tuple[int, int], focal: float) -> "CameraModel":
+        """Return what is known of any phone from the size of its photographs.
+
+        Args:
+            size: Width and height [px].
+            focal: Where the focal length begins [px].
+        """
+        longest = max(size)
+        # Principal points lie within some percent of the middle, and the software of
+        # phones leaves a few percent of distortion at the corners.
+        std = [0.5 * focal, 0.02 * longest, 0.02 * longest]
+        std += [0.1, 0.1, 2e-3, 2e-3, 0.1]
+        middle = 0.5 * (np.array(size) - 1.0)
+        return cls(np.array([focal, *middle, 0, 0, 0, 0, 0]), np.diag(np.square(std)))
+
+    @property
+    def matrix(self) -> Float[HostArray, "3 3"]:
+        """The matrix of the camera [px]."""
+        f, cx, cy = self.values[:3]
+        return np.array([[f, 0.0, cx], [0.0, f, cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def distortion(self) -> Float[HostArray, "5"]:
+        """k1, k2, p1, p2, k3 [-]."""
+        return self.values[3:]
+
+
+class Placement(NamedTuple):
+    """A rigid motion x -> R x + p.
+
+    Attributes:
+        R: Rotation [-].
+        p: Translation [m].
+    """
+
+    R: Float[HostArray, "3 3"]
+    p: Float[HostArray, "3"]
+
+    def __matmul__(self, other: "Placement") -> "Placement":
+        """Return this motion after another one."""
+        return Placement(self.R @ other.R, self.R @ other.p + self.p)
+
+    @property
+    def inverse(self) -> "Placement":
+        """The motion back."""
+        return Placement(self.R.T, -self.R.T @ self.p)
+
+    def moved(self, step: Float[HostArray, "6"]) -> "Placement":
+        """Return p + step[:3] and exp(step[3:]) R."""
+        return Placement(
+            Rotation.from_rotvec(step[3:]).as_matrix() @ self.R, self.p + step[:3]
+        )
+
+
+class Observations(NamedTuple):
+    """Corners on photographs.
+
+    Target 0 is on all of them; the others are rigidly placed in its frame.
+
+    Attributes:
+        photo: Photograph of each corner.
+        target: Its target.
+        points: Corners in the frames of their targets [m].
+        pixels: Where they are on the photographs [px].
+    """
+
+    photo: Int[HostArray, " n"]
+    target: Int[HostArray, " n"]
+    points: Float[HostArray, "n 3"]
+    pixels: Float[HostArray, "n 2"]
+
+
+class Adjustment(NamedTuple):
+    """Result of a bundle adjustment.
+
+    Attributes:
+        camera: The camera.
+        poses: Pose of target 0 in the frame of the camera, for each photograph.
+        targets: Poses of the other targets in the frame of target 0.
+        covariance: Covariance of p and of rotation vectors of the other targets, in the
+            axes of target 0, six rows each [m, rad].
+        noise: Standard deviation of a coordinate of a corner [px].
+        rms: Root mean square of the reprojection errors of each photograph [px].
+    """
+
+    camera: CameraModel
+    poses: tuple[Placement, ...]
+    targets: tuple[Placement, ...]
+    covariance: Float[HostArray, "n n"]
+    noise: float
+    rms: Float[HostArray, " n_photos"]
+
+
+def adjust(
+    seen: Observations,
+    camera: CameraModel,
+    poses: Sequence[Placement],
+    targets: Sequence[Placement],
+) -> Adjustment:
+    """Fit camera, poses and targets to what was seen.
+
+    Args:
+        seen: The corners.
+        camera: What is known of the camera, also to begin with.
+        poses: Poses of target 0 to begin with.
+        targets: Poses of the other targets to begin with.
+
+    Raises:
+        ValueError: If the corners are too few for an estimate of their noise.
+    """
+    # Here, so that commands which do not need it do not wait for it.
+    from scipy.optimize import least_squares
+
+    values, placements, noise = camera.values, (*poses, *targets), _FIRST_NOISE
+    n_photos, n_pixels = len(poses), seen.pixels.size
+    std = np.sqrt(np.diag(camera.covariance))
+    root = np.linalg.cholesky(camera.covariance)
+
+    def after(x: Float[HostArray, " n"]) -> tuple:
+        """Take steps: of the camera in standard deviations, then six a placement."""
+        pairs = zip(placements, x[_N_CAMERA:].reshape(-1, 6), strict=True)
+        return values + std * x[:_N_CAMERA], tuple(own.moved(d) for own, d in pairs)
+
+    def residuals(x: Float[HostArray, " n"]) -> Float[HostArray, " m"]:
+        """Return errors of corners, then of the camera, in standard deviations."""
+        new_values, new_placements = after(x)
+        pixels = projected(seen, new_values, new_placements, n_photos)
+        off = np.linalg.solve(root, new_values - camera.values)
+        return np.concatenate([((pixels - seen.pixels) / noise).ravel(), off])
+
+    inverse, freedom, errors = np.empty(0), np.nan, np.empty(0)
+    for _ in range(_ROUNDS):
+        start = np.zeros(_N_CAMERA + 6 * len(placements))
+        fit = least_squares(residuals, start, method="lm", xtol=1e-12)
+        inverse, freedom = _inverse_normal(fit.jac, n_pixels)
+        errors = noise * fit.fun[:n_pixels]
+        values, placements = after(fit.x)
+        noise = max(float(np.sqrt(errors @ errors / freedom)), _LEAST_NOISE)
+    # The variance of Student's distribution, for a noise that is itself estimated.
+    H = freedom / (freedom - 2.0) * inverse
+    first = _N_CAMERA + 6 * n_photos
+    squares = np.square(errors.reshape(-1, 2)).sum(axis=1)
+    count = np.bincount(seen.photo, minlength=n_photos)
+    return Adjustment(
+        camera=CameraModel(values, H[:_N_CAMERA, :_N_CAMERA] * np.outer(std, std)),
+        poses=placements[:n_photos],
+        targets=placements[n_photos:],
+        covariance=H[first:, first:],
+        noise=noise,
+        rms=np.sqrt(np.bincount(seen.photo, squares, n_photos) / count),
+    )
+
+
+def _inverse_normal(
+    J: Float[HostArray, "m n"], n_pixels: int
+) -> tuple[Float[HostArray, "n n"], float]:
+    """Return (J^T J)^-1, and how many of the errors of corners are free.
+
+    That is their number less what they determine; the rest of the unknowns is
+    determined by what was known of the camera.
+    """
+    # Metres and radians differ in size, so that the columns are scaled first.
+    scale = np.linalg.norm(J, axis=0)
+    J = J / scale
+    H = np.linalg.inv(J.T @ J)
+    seen = J[:n_pixels]
+    freedom = n_pixels - float(np.sum((seen @ H) * seen))
+    if not freedom > 2.0:
+        raise ValueError(
+            f"{n_pixels // 2} corners are too few to tell their noise; take more "
+            "photographs."
+        )
+    return H / np.outer(scale, scale), freedom
+
+
+def projected(
+    seen: Observations,
+    camera: Float[HostArray, "8"],
+    placements: Sequence[Placement],
+    n_photos: int,
+) -> Float[HostArray, "n 2"]:
+    """Project the corners onto the photographs [px].
+
+    Args:
+        seen: Which corners.
+        camera: Values of the camera.
+        placements: Poses of target 0 in the camera, then those of the others in it.
+        n_photos: How many of them are of target 0.
+    """
+    still = Placement(np.eye(3), np.zeros(3))
+    targets = [still, *placements[n_photos:]]
+    R, p = (np.stack(part) for part in zip(*targets, strict=True))
+    x = np.einsum("nij,nj->ni", R[seen.target], seen.points) + p[seen.target]
+    R, p = (np.stack(part) for part in zip(*placements[:n_photos], strict=True))
+    x = np.einsum("nij,nj->ni", R[seen.photo], x) + p[seen.photo]
+    zero, K = np.zeros(3), CameraModel(camera, np.eye(_N_CAMERA)).matrix
+    pixels, _ = opencv().projectPoints(x[:, None], zero, zero, K, camera[3:])
+    return pixels.reshape(-1, 2)

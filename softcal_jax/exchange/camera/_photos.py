@@ -1,0 +1,337 @@
+"""The pose of a tag in the frame of another one, from photographs of both."""
+
+import glob
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from softcal_jax._module import Module
+from softcal_jax._names import listed
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.exchange.camera._adjustment import (
+    Adjustment,
+    CameraModel,
+    Observations,
+    Placement,
+    adjust,
+)
+from softcal_jax.exchange.camera._detection import SMALLEST, Photo, height, read_photo
+from softcal_jax.exchange.camera._sheet import (
+    BOARD_IDS,
+    board_corners,
+    check_tag,
+    opencv,
+    tag_corners,
+)
+
+_FOCAL_LENGTHS = (0.6, 0.8, 1.0, 1.3)
+"""Focal lengths to begin with, in the longer side of a photograph [-].
+
+Those of the main cameras of phones are 0.65 to 0.8.
+"""
+
+_OUTLIER, _MOST_OFF = 3.0, 0.3
+"""Factor and pixels by which a photograph's errors exceed the median of all if it does
+not fit the others."""
+
+_FIRST_OUTLIER, _FIRST_OFF = 6.0, 3.0
+"""Likewise before the adjustment, which a photograph that is far off would spoil."""
+
+_LEAST_ON_BOARD = 4
+"""Least tags of the board that a photograph of it must show."""
+
+
+class TagPose(Module):
+    """Pose of a tag in the frame of the base tag.
+
+    Attributes:
+        position: Middle of the tag [m].
+        rotation: Its axes as columns [-].
+        covariance: Covariance of the position and of a rotation vector r, in the axes
+            of the base tag: the true axes are exp(r) times these [m, rad].
+        noise: Standard deviation of a coordinate of a corner [px].
+        rms: Root mean square of the reprojection errors of each photograph [px].
+        focal: Focal length [px].
+    """
+
+    position: Float[HostArray, "3"]
+    rotation: Float[HostArray, "3 3"]
+    covariance: Float[HostArray, "6 6"]
+    noise: float
+    rms: Float[HostArray, " n_photos"]
+    focal: float
+
+
+class _Target(NamedTuple):
+    """What is looked for on photographs: corners by the number of their tag [m]."""
+
+    name: str
+    corners: dict[int, Float[HostArray, "4 3"]]
+
+    def on(
+        self, photo: Photo
+    ) -> tuple[Float[HostArray, "n 3"], Float[HostArray, "n 2"]]:
+        """Return its corners that a photograph shows [m], and where [px]."""
+        there = [number for number in self.corners if number in photo.corners]
+        points = [self.corners[number] for number in there]
+        pixels = [photo.corners[number] for number in there]
+        empty = np.zeros((0, 3)), np.zeros((0, 2))
+        return (np.concatenate(points), np.concatenate(pixels)) if there else empty
+
+
+def find_photos(
+    patterns: str | Sequence[str], folder: str | os.PathLike[str] = "."
+) -> tuple[Path, ...]:
+    """List files by patterns like "pose1/*.jpg", each once.
+
+    Raises:
+        FileNotFoundError: If no file fits a pattern.
+    """
+    patterns = [patterns] if isinstance(patterns, str) else patterns
+    found: dict[Path, None] = {}
+    for pattern in patterns:
+        names = sorted(glob.glob(pattern, root_dir=folder))
+        if not names:
+            where = "the current folder" if Path(folder) == Path() else folder
+            raise FileNotFoundError(f"no photograph in {where} fits {pattern!r}.")
+        found |= dict.fromkeys(Path(folder) / name for name in names)
+    return tuple(found)
+
+
+def tag_pose(
+    photos: Sequence[str | os.PathLike[str]],
+    *,
+    tag: int,
+    base_tag: int,
+    size: float,
+    base_size: float | None = None,
+    board: Sequence[str | os.PathLike[str]] = (),
+) -> TagPose:
+    """Find the pose of a tag in the frame of a base tag, from photographs of both.
+
+    All photographs are of one pose of the robot, by one camera with fixed zoom, from
+    different directions: tilts of tags that are seen from the front only are hardly
+    visible. Camera, its positions and the pose are fitted together. What the camera is
+    comes from photographs of the printed board, if there are any, and else from those
+    of the tags.
+
+    Args:
+        photos: The photographs.
+        tag: Number of the tag on the robot.
+        base_tag: Number of the tag on its base.
+        size: Side of the black square of the tag [m].
+        base_size: That of the base tag; by default the same [m].
+        board: Photographs of the board by the same camera.
+
+    Raises:
+        FileNotFoundError: If a photograph is missing.
+        ImportError: If OpenCV is not installed.
+        ValueError: If a photograph does not show what it should, or has another size
+            than the others, or does not fit them.
+    """
+    base_size = size if base_size is None else base_size
+    for number, side in ((tag, size), (base_tag, base_size)):
+        check_tag(number)
+        if not 0.0 < side < np.inf:
+            raise ValueError(
+                f"the size of tag {number} is {side:g}; expected a length."
+            )
+    if tag == base_tag:
+        raise ValueError(f"tag and base_tag are both {tag}; use two tags.")
+    if not photos:
+        raise ValueError("there are no photographs.")
+    shown = [read_photo(Path(path)) for path in photos]
+    boards = [read_photo(Path(path)) for path in board]
+    _check_sizes([*shown, *boards])
+    base = _Target(f"tag {base_tag}", {base_tag: tag_corners(base_size)})
+    own = _Target(f"tag {tag}", {tag: tag_corners(size)})
+    _check_shown(shown, (tag, base_tag))
+    cameras = [
+        CameraModel.unknown(shown[0].size, f * max(shown[0].size))
+        for f in _FOCAL_LENGTHS
+    ]
+    if boards:
+        cameras = [_camera_of(boards, cameras)]
+    found = _fitted(shown, [base, own], cameras)
+    (placed,) = found.targets
+    return TagPose(
+        position=placed.p,
+        rotation=placed.R,
+        covariance=found.covariance,
+        noise=found.noise,
+        rms=found.rms,
+        focal=float(found.camera.values[0]),
+    )
+
+
+def _camera_of(boards: Sequence[Photo], cameras: Sequence[CameraModel]) -> CameraModel:
+    """Calibrate the camera from photographs of the board."""
+    board = _Target("the board", {n: board_corners(n) for n in BOARD_IDS})
+    for photo in boards:
+        n = len(board.on(photo)[0]) // 4
+        if n < _LEAST_ON_BOARD:
+            raise ValueError(
+                f"photograph {photo.path} shows {n} tags of the board; expected "
+                f"{_LEAST_ON_BOARD} or more: have it fill the picture."
+            )
+    return _fitted(boards, [board], cameras).camera
+
+
+def _check_sizes(photos: Sequence[Photo]) -> None:
+    first = photos[0]
+    for photo in photos[1:]:
+        if photo.size != first.size:
+            sizes = [f"{w} x {h} px" for w, h in (photo.size, first.size)]
+            raise ValueError(
+                f"photograph {photo.path} has {sizes[0]}, and {first.path} {sizes[1]}: "
+                "all are to be by one camera, without crop or zoom."
+            )
+
+
+def _check_shown(photos: Sequence[Photo], numbers: Sequence[int]) -> None:
+    """Raise ValueError, on all of them, unless photographs show tags large enough."""
+    absent, small = [], []
+    for photo in photos:
+        for number in numbers:
+            if number not in photo.corners:
+                seen = listed([str(n) for n in sorted(photo.corners)]) or "none"
+                absent.append(
+                    f"photograph {photo.path} does not show tag {number}; tags there: "
+                    f"{seen}."
+                )
+            elif (low := height(photo.corners[number])) < SMALLEST:
+                small.append(
+                    f"tag {number} is only {low:.0f} px high on photograph "
+                    f"{photo.path}; expected {SMALLEST:.0f} or more."
+                )
+    if absent:
+        absent.append(
+            "Leave out what does not, or take it anew: sharp, with the white rim of "
+            "the tag."
+        )
+    if small:
+        small.append("Go nearer, less aslant, or print it larger.")
+    if absent or small:
+        raise ValueError(" ".join([*absent, *small]))
+
+
+def _fitted(
+    photos: Sequence[Photo],
+    targets: Sequence[_Target],
+    cameras: Sequence[CameraModel],
+) -> Adjustment:
+    """Fit targets that all photographs show, from the best of some beginnings."""
+    photo, target, points, pixels = [], [], [], []
+    for i, own in enumerate(photos):
+        for j, one in enumerate(targets):
+            corners, places = one.on(own)
+            photo.append(np.full(len(corners), i))
+            target.append(np.full(len(corners), j))
+            points.append(corners)
+            pixels.append(places)
+    seen = Observations(*map(np.concatenate, (photo, target, points, pixels)))
+    starts = [start for camera in cameras for start in _starts(seen, camera, targets)]
+    best = min(starts, key=lambda start: float(np.median(start.rms)))
+    _check_alike(photos, best.rms, factor=_FIRST_OUTLIER, off=_FIRST_OFF)
+    found = adjust(seen, best.camera, best.poses, best.targets)
+    _check_alike(photos, found.rms, factor=_OUTLIER, off=_MOST_OFF)
+    return found
+
+
+def _check_alike(
+    photos: Sequence[Photo],
+    rms: Float[HostArray, " n_photos"],
+    *,
+    factor: float,
+    off: float,
+) -> None:
+    """Raise ValueError if a photograph fits much worse than the others."""
+    usual, worst = float(np.median(rms)), int(np.argmax(rms))
+    if rms[worst] > max(factor * usual, usual + off):
+        raise ValueError(
+            f"photograph {photos[worst].path} does not fit the others: its corners are "
+            f"{rms[worst]:.2g} px off, half of the others less than {usual:.2g}. Leave "
+            "it out; the robot moved, or it is blurred."
+        )
+
+
+class _Start(NamedTuple):
+    """Where an adjustment may begin, and its errors on each photograph [px]."""
+
+    rms: Float[HostArray, " n_photos"]
+    camera: CameraModel
+    poses: tuple[Placement, ...]
+    targets: tuple[Placement, ...]
+
+
+def _starts(
+    seen: Observations, camera: CameraModel, targets: Sequence[_Target]
+) -> Iterator[_Start]:
+    """Yield beginnings: a planar target on a photograph has two poses that fit.
+
+    Each pose of the other target in the frame of the first one that a photograph allows
+    is tried on all photographs.
+    """
+    photos = range(int(seen.photo.max()) + 1)
+    of = lambda i, j: (seen.photo == i) & (seen.target == j)
+    planar = lambda rows: _planar_poses(seen.points[rows], seen.pixels[rows], camera)
+    bases = [planar(of(i, 0)) for i in photos]
+    placed: list[tuple[Placement, ...]] = [()]
+    if len(targets) > 1:
+        placed = [
+            (base.inverse @ own,)
+            for i in photos
+            for base in bases[i]
+            for own in planar(of(i, 1))
+        ]
+    for others in placed:
+        poses, errors = [], []
+        for i in photos:
+            rows = seen.photo == i
+            points = seen.points[rows].copy()
+            for other in others:
+                moved = seen.target[rows] == 1
+                points[moved] = points[moved] @ other.R.T + other.p
+            pose, error = _best_pose(points, seen.pixels[rows], camera, bases[i])
+            poses.append(pose)
+            errors.append(error)
+        yield _Start(np.sqrt(errors), camera, tuple(poses), others)
+
+
+def _planar_poses(
+    points: Float[HostArray, "n 3"],
+    pixels: Float[HostArray, "n 2"],
+    camera: CameraModel,
+) -> list[Placement]:
+    """Return the two poses of a planar target, by Collins and Bartoli (IJCV 2014)."""
+    cv2 = opencv()
+    lens = camera.matrix, camera.distortion
+    _, turns, shifts, _ = cv2.solvePnPGeneric(
+        points, pixels, *lens, flags=cv2.SOLVEPNP_IPPE
+    )
+    return [
+        Placement(cv2.Rodrigues(r)[0], np.ravel(p))
+        for r, p in zip(turns, shifts, strict=True)
+    ]
+
+
+def _best_pose(
+    points: Float[HostArray, "n 3"],
+    pixels: Float[HostArray, "n 2"],
+    camera: CameraModel,
+    starts: Sequence[Placement],
+) -> tuple[Placement, float]:
+    """Fit the pose of some points, and return its mean square error [px2]."""
+    cv2 = opencv()
+    lens = camera.matrix, camera.distortion
+    found = []
+    for start in starts:
+        turn, shift = cv2.Rodrigues(start.R)[0], start.p.reshape(3, 1).copy()
+        turn, shift = cv2.solvePnPRefineLM(points, pixels, *lens, turn, shift)
+        places, _ = cv2.projectPoints(points, turn, shift, *lens)
+        error = float(np.mean(np.square(places.reshape(-1, 2) - pixels)))
+        found.append((Placement(cv2.Rodrigues(turn)[0], np.ravel(shift)), error))
+    return min(found, key=lambda pair: pair[1])

@@ -1,0 +1,29 @@
+"""What `softcal export NAME` writes, and the interface by which a package adds to it.
+
+A package of anyone adds a format by a class and an entry point in its pyproject.toml::
+
+    [project.entry-points."softcal_jax.exporters"]
+    febio = "my_package:FebioExporter"
+
+Nothing here imports JAX before something is written, so that commands begin at once.
+"""
+
+from softcal_jax.exchange.exporters._exporter import (
+    AbstractExporter,
+    AbstractProgress,
+    quantity,
+)
+from softcal_jax.exchange.exporters._registry import (
+    GROUP,
+    ExporterWarning,
+    exporters,
+)
+
+__all__ = [
+    "GROUP",
+    "AbstractExporter",
+    "AbstractProgress",
+    "ExporterWarning",
+    "exporters",
+    "quantity",
+]

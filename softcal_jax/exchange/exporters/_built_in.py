@@ -1,0 +1,190 @@
+"""The formats of this package; what writes one is imported when it is asked for."""
+
+import argparse
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import shtab
+
+from softcal_jax.exchange.exporters._exporter import (
+    AbstractExporter,
+    AbstractProgress,
+    quantity,
+)
+
+
+class InpExporter(AbstractExporter):
+    """An input file of CalculiX or Abaqus."""
+
+    writes = "an input file of CalculiX or Abaqus"
+    description = (
+        "Writes the calibrated model in one configuration as an input file of CalculiX "
+        "or Abaqus: mesh, law, supports, loads and pressures, in SI."
+    )
+    cannot_hold = (
+        "rigid bodies, cables, motors, imposed displacements of actuators, and laws "
+        "that both programs lack"
+    )
+    output = "FILE.inp", "the file"
+
+    def add_options(self, command: argparse.ArgumentParser) -> None:
+        """Add the choice of a configuration."""
+        which = "the configuration (may be left out if there is one)"
+        command.add_argument("--configuration", metavar="NAME", help=which)
+
+    def write(
+        self,
+        source: Any,
+        output: Path,
+        options: argparse.Namespace,
+        progress: AbstractProgress,
+    ) -> Sequence[str]:
+        """Write the file; see `export_inp`."""
+        from softcal_jax.exchange.inp import export_inp
+
+        del progress
+        return export_inp(source, output, configuration=options.configuration)
+
+
+class IceslExporter(AbstractExporter):
+    """Graded foam for the slicer IceSL."""
+
+    writes = "graded foam for the slicer IceSL"
+    description = (
+        "Writes the part as STL and a script for IceSL with density, angle and "
+        "anisotropy of a foam that has the calibrated moduli E_t, E_l and the fibre. "
+        "What the foam does not reach is listed with its place. RESULTS may be a "
+        "project file, of which the start values are taken."
+    )
+    cannot_hold = "laws that have no Young's moduli"
+    output = "DIR", "the folder"
+    takes_projects = True
+
+    def add_options(self, command: argparse.ArgumentParser) -> None:
+        """Add the options of a printed foam."""
+        add = command.add_argument
+        add(
+            "--infill",
+            choices=["polyfoam", "phasor"],
+            default="polyfoam",
+            help="foam with a soft axis (default), or with a stiff one, which needs "
+            "--table",
+        )
+        text = "moduli of the foam: columns density, shrink or iso, E_soft_kPa, "
+        text += "E_stiff_kPa (default: as published, of TPU)"
+        table = add("--table", metavar="FILE.csv", type=Path, help=text)
+        table.complete = shtab.FILE  # pyright: ignore[reportAttributeAccessIssue]
+        text = "Young's modulus of the solid, for the published table (default: 12 MPa)"
+        add("--solid-modulus", metavar="MODULUS", help=text)
+        text = "axes of the mesh along x and y of the print bed"
+        text += " (default: those of theta)"
+        add("--plane", choices=["xy", "xz", "yz"], help=text)
+        add("--region", metavar="NAME", help="tet group that is printed (default: all)")
+        text = "axis of the foam that the angle marks (default: soft; stiff for phasor)"
+        add("--angle-marks", choices=["soft", "stiff"], help=text)
+        text = 'added to every angle, like "90 deg"'
+        add("--angle-offset", metavar="ANGLE", default="0 deg", help=text)
+        text = "the slicer counts angles clockwise"
+        add("--clockwise", action="store_true", help=text)
+
+    def write(
+        self,
+        source: Any,
+        output: Path,
+        options: argparse.Namespace,
+        progress: AbstractProgress,
+    ) -> Sequence[str]:
+        """Write script, part and table; see `export_icesl`."""
+        from softcal_jax.exchange.icesl import export_icesl
+        from softcal_jax.materials import published_foam
+
+        del progress
+        table = options.table
+        if options.solid_modulus is not None:
+            if table is not None:
+                raise ValueError(
+                    "--solid-modulus scales the published table; a table of your own, "
+                    "--table, has the moduli of your foam already. Give one of the two."
+                )
+            modulus = quantity("--solid-modulus", options.solid_modulus, "Pa")
+            table = published_foam(modulus)
+        written = export_icesl(
+            source,
+            output,
+            infill=options.infill.capitalize(),
+            table=table,
+            plane=options.plane,
+            region=options.region,
+            angle_marks=options.angle_marks,
+            angle_offset=quantity("--angle-offset", options.angle_offset, "rad"),
+            clockwise=options.clockwise,
+            force=options.force,
+        )
+        return written.notes
+
+
+class SofaExporter(AbstractExporter):
+    """A scene of SOFA, for which the model is calibrated again."""
+
+    writes = "a scene of SOFA, calibrated again for it"
+    description = (
+        "Fits the model once more to the same measurements, with the linear mesh and "
+        "the law that SOFA will run, and writes a static scene for SofaPython3 with "
+        "these values, and how to run it. Says what both models predict."
+    )
+    cannot_hold = (
+        "rigid bodies, cables with friction, motors, elastic supports that are moved, "
+        "and laws that SOFA lacks"
+    )
+    output = "DIR", "folder for the scene"
+    next_step = "README.md there says how to run it"
+
+    def add_options(self, command: argparse.ArgumentParser) -> None:
+        """Add release, units, law and rotation."""
+        choices = {
+            "--release": (["v26.06", "v25.12"], "release of SOFA"),
+            "--units": (["mm-kg-s", "SI"], "unit system of the scene"),
+            "--law": (
+                ["same", "corotational"],
+                "counterpart of the calibrated law, or SOFA's corotational tets for "
+                "laws with E and nu",
+            ),
+            "--rotation": (
+                ["edge", "procrustes", "large"],
+                "rotation of corotational tets: edge and large are the methods polar "
+                "and large of TetrahedronFEMForceField, procrustes is that of "
+                "CorotationalFEMForceField, from v26.06 on",
+            ),
+        }
+        for option, (known, text) in choices.items():
+            text = f"{text} (default: {known[0]})"
+            command.add_argument(option, choices=known, default=known[0], help=text)
+
+    def write(
+        self,
+        source: Any,
+        output: Path,
+        options: argparse.Namespace,
+        progress: AbstractProgress,
+    ) -> Sequence[str]:
+        """Calibrate the model for SOFA, and write the scene; see `export_sofa`."""
+        from softcal_jax.exchange.sofa import export_sofa
+
+        scene = export_sofa(
+            source,
+            output,
+            release=options.release,
+            units=options.units,
+            law=options.law,
+            rotation=options.rotation,
+            force=options.force,
+            began=partial(progress.begins, "calibrating the model of SOFA"),
+            progress=progress.step,
+        )
+        progress.computed(str(scene))
+        return ()
+
+
+BUILT_IN = {"inp": InpExporter, "sofa": SofaExporter, "icesl": IceslExporter}

@@ -1,0 +1,215 @@
+"""Moduli and fibre of a body in the voxels of a slicer, on its print bed."""
+
+from typing import Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._module import one_line
+from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax.elements import TET_EDGES
+from softcal_jax.equilibrium import Model
+from softcal_jax.fields import ParameterSpace
+from softcal_jax.materials import AbstractLaw, PointValues, is_point_values
+from softcal_jax.mesh import Grid, TetMesh, fill
+
+N_VOXELS = 64
+"""Voxels along each axis of a texture; IceSL takes no other number."""
+
+PrintPlane = Literal["xy", "xz", "yz"]
+
+_BEDS: dict[PrintPlane, list[list[float]]] = {
+    "xy": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "xz": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+    "yz": [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
+}
+"""Rotations that lay the print plane on the bed: rows are bed x, y and z.
+
+Both axes of the plane keep their order, so angles count the same way on the bed.
+"""
+
+_SPECK = np.array([(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)], float)
+"""A tet around the origin [-]."""
+
+
+class Design(NamedTuple):
+    """A field of moduli that is printed.
+
+    Attributes:
+        model: The model at rest, with its parameters set.
+        space: Its parameters: fields with control points are evaluated at the voxels.
+        z: Their scaled values [-].
+        title: First line of the script.
+    """
+
+    model: Model
+    space: ParameterSpace | None = None
+    z: Float[Array, " n_p"] | None = None
+    title: str = "robot"
+
+    __repr__ = one_line
+
+
+class PrintedPart(NamedTuple):
+    """A body, or a region of it, as it lies on the bed.
+
+    Attributes:
+        mesh: Its tets [m], with straight sides linear ones; no groups.
+        tets: Their indices in the mesh of the model.
+        rotation: Rotation from the mesh of the model to the bed [-].
+        shift: Translation after it [m]; the part stands in the corner of the axes.
+    """
+
+    mesh: TetMesh
+    tets: Int[HostArray, " n_part"]
+    rotation: Float[HostArray, "3 3"]
+    shift: Float[HostArray, "3"]
+
+    def in_model(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, "n 3"]:
+        """Return places of the bed in the frame of the model [m]."""
+        return (points - self.shift) @ self.rotation
+
+
+def part_on_bed(mesh: TetMesh, *, plane: PrintPlane, region: str | None) -> PrintedPart:
+    """Lay a body on the bed.
+
+    Args:
+        mesh: The mesh of the model [m].
+        plane: Axes of the mesh that lie along x and y of the bed.
+        region: Tet group that is printed; everything by default.
+
+    Raises:
+        ValueError: If the plane or the region is unknown.
+    """
+    if plane not in _BEDS:
+        raise ValueError(
+            f'the print plane must be "xy", "xz" or "yz", got {plane!r}: the axes of '
+            "the mesh that lie along x and y of the print bed."
+        )
+    n = mesh.n_tets
+    tets = np.arange(n) if region is None else np.asarray(mesh.tets_of(region))
+    nodes = mesh.tets[tets]
+    rotation = np.array(_BEDS[plane], float)
+    used, index = np.unique(nodes, return_inverse=True)
+    points = mesh.points[used] @ rotation.T
+    shift = -points.min(axis=0)
+    X, cells = points + shift, index.reshape(nodes.shape)
+    if _is_straight(X[cells], mesh.size):
+        corners, index = np.unique(cells[:, :4], return_inverse=True)
+        X, cells = X[corners], index.reshape(-1, 4)
+    return PrintedPart(TetMesh(X, cells), tets, rotation, shift)
+
+
+def _is_straight(X: Float[HostArray, "n n_en 3"], size: float) -> bool:
+    """Whether every mid node lies amid its edge."""
+    middle = X[:, np.array(TET_EDGES)].mean(axis=2)[:, : X.shape[1] - 4]
+    return bool(np.allclose(X[:, 4:], middle, rtol=0.0, atol=1e-9 * size))
+
+
+class Samples(NamedTuple):
+    """The voxels that a part fills, and the material in them.
+
+    Attributes:
+        grid: All voxels, on the bed.
+        voxels: Indices of those that the part fills, wholly or in part.
+        places: Where the material was taken, in the frame of the model: at the centre
+            of the voxel, or elsewhere in it if that lies outside of the part [m].
+        E_t: Modulus across the fibre [Pa].
+        E_l: Modulus along it [Pa].
+        fibre: Unit vectors along it, on the bed [-]; None for an isotropic law.
+    """
+
+    grid: Grid
+    voxels: Int[HostArray, "n 3"]
+    places: Float[HostArray, "n 3"]
+    E_t: Float[HostArray, " n"]
+    E_l: Float[HostArray, " n"]
+    fibre: Float[HostArray, "n 3"] | None
+
+
+def sample(design: Design, part: PrintedPart) -> Samples:
+    """Take moduli and fibre of a model at the centres of the voxels that a part fills.
+
+    Fields with control points are evaluated there; others have the value of the tet.
+
+    Raises:
+        ValueError: If the law has no such moduli.
+    """
+    grid = Grid.around(part.mesh.points, N_VOXELS)
+    filled = fill(part.mesh, grid)
+    places = part.in_model(filled.places)
+    law = _law_at(design, places, part.tets[filled.tets])
+    E_t, E_l, fibre = _axis_moduli(law, len(places))
+    if fibre is not None:
+        fibre = fibre @ part.rotation.T
+    return Samples(grid, filled.voxels, places, E_t, E_l, fibre)
+
+
+def _law_at(
+    design: Design, places: Float[HostArray, "n 3"], tets: Int[HostArray, " n"]
+) -> AbstractLaw:
+    """Return the law with one value per place, as if each were a tet of its own."""
+    model, mesh, n = design.model, design.model.mesh, len(places)
+    groups = {name: np.asarray(group) for name, group in mesh.tet_groups.items()}
+    # And one place of every group, since none may be empty: parameters name them.
+    extra = np.array([group[0] for group in groups.values()], int)
+    tets = np.concatenate([tets, extra])
+    places = np.concatenate([places, mesh.centroids[extra]])
+    corners = places[:, None] + 1e-6 * mesh.size * _SPECK
+    specks = TetMesh(
+        corners.reshape(-1, 3),
+        np.arange(4 * len(places)).reshape(-1, 4),
+        tet_groups={
+            name: np.flatnonzero(np.isin(tets, group)) for name, group in groups.items()
+        },
+    )
+
+    def there(leaf: Any) -> Any:
+        # On the host, where each number of places compiles no program.
+        if is_point_values(leaf):
+            values = np.asarray(leaf.values)[tets].mean(axis=1, keepdims=True)
+            return PointValues(jnp.asarray(values))
+        return jnp.asarray(np.asarray(leaf)[tets]) if jnp.ndim(leaf) else leaf
+
+    law = jax.tree.map(there, model.law, is_leaf=is_point_values)
+    here = eqx.tree_at(
+        lambda m: (m.mesh, m.law, m.density), model, (specks, law, there(model.density))
+    )
+    if design.space is not None and design.z is not None:
+        here = design.space.model_at(here, design.z)
+
+    def by_place(leaf: Any) -> Any:
+        values = np.asarray(leaf.values[:, 0] if is_point_values(leaf) else leaf)
+        return jnp.asarray(values[:n] if values.ndim else values)
+
+    return jax.tree.map(by_place, here.law, is_leaf=is_point_values)
+
+
+def _axis_moduli(
+    law: AbstractLaw, n: int
+) -> tuple[
+    Float[HostArray, " n"], Float[HostArray, " n"], Float[HostArray, "n 3"] | None
+]:
+    """Return E_t and E_l [Pa] and the fibre of a law with one value per place."""
+    own: Any = getattr(law, "elasticity", law)
+    each = lambda value: np.broadcast_to(np.asarray(value, float), (n,))
+    if all(hasattr(own, name) for name in ("E_t", "E_l", "fibre")):
+        fibre = np.asarray(own.fibre.direction(), float)
+        along = np.broadcast_to(fibre.reshape(3, -1).T, (n, 3))
+        return each(own.E_t), each(own.E_l), along
+    if hasattr(own, "E"):
+        return each(own.E), each(own.E), None
+    raise ValueError(
+        f"the law {type(own).__name__} has neither Young's moduli E_t and E_l about a "
+        "fibre nor one E, so no foam can be chosen for it: calibrate a transversely "
+        "isotropic law, like Corotational(ReducedTransverseIsotropic(...))."
+    )
+
+
+def print_plane(model: Model) -> PrintPlane:
+    """Return the plane in which the angle of the model's fibre counts; "xy" if none."""
+    own = getattr(model.law, "elasticity", model.law)
+    fibre = getattr(own, "fibre", None)
+    return "xy" if fibre is None or fibre.frame is not None else fibre.plane

@@ -1,0 +1,194 @@
+"""What is told of a part for IceSL: what its numbers mean, and what it lacks."""
+
+from itertools import compress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from softcal_jax._module import Module
+from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import readable, readable_values
+from softcal_jax.exchange.icesl._fields import N_VOXELS, PrintedPart, Samples
+from softcal_jax.exchange.icesl._settings import (
+    ACROSS,
+    BEYOND,
+    RTOL,
+    TILTED,
+    Chosen,
+    Convention,
+    Setting,
+)
+from softcal_jax.export import plain
+from softcal_jax.materials import FoamTable
+
+TABLE, UNREACHABLE = "foam.csv", "unreachable.csv"
+
+
+class IceslResult(Module):
+    """What was written for IceSL.
+
+    Attributes:
+        directory: Folder of the files.
+        infill: "Polyfoam" or "Phasor".
+        settings: Density, angles and anisotropy, as the script has them.
+        n_voxels: Voxels that the part fills.
+        n_beyond: Those whose moduli the foam does not reach; it gets the nearest.
+        n_tilted: Those whose fibre leaves the print plane, which the infill cannot.
+        n_across: Those that are right in the print plane only, because the part has
+            there the other kind of axis than the foam.
+        worst: Largest relative distance of a modulus from the one asked for [-].
+        rounding: Largest relative error of a modulus by the 8 bits of a texture, where
+            the foam reaches what was asked for [-].
+        notes: What to know before printing, in sentences.
+    """
+
+    directory: Path
+    infill: str
+    settings: tuple[Setting, ...]
+    n_voxels: int
+    n_beyond: int
+    n_tilted: int
+    n_across: int
+    worst: float
+    rounding: float
+    notes: tuple[str, ...]
+
+
+def meaning(table: FoamTable, convention: Convention, plane: str) -> tuple[str, ...]:
+    """Say what the numbers in a script mean."""
+    turn = "clockwise" if convention.clockwise else "counter-clockwise"
+    offset = readable(convention.offset, "rad") if convention.offset else ""
+    more = f", plus {offset}" if offset else ""
+    return (
+        f"Moduli of the foam: {table.source}.",
+        f"Angles mark the {convention.marks} axis of the foam and count {turn} from x "
+        f"of the bed{more}; x and y of the bed are {plane[0]} and {plane[1]} of the "
+        "model.",
+        "Density is taken for the infill percentage. Poisson's ratios and shear moduli "
+        "are what the foam has.",
+    )
+
+
+def print_notes(samples: Samples, chosen: Chosen, table: FoamTable) -> tuple[str, ...]:
+    """Say what the print will not have."""
+    n = len(samples.voxels)
+    share = lambda where: f"{100.0 * where.sum() / n:.3g} % of the part"
+    notes = []
+    if chosen.beyond.any():
+        worst = int(np.argmax(chosen.foam.error))
+        x, asked, given = (
+            readable_values(values, unit)
+            for values, unit in (
+                (samples.places[worst].tolist(), "m"),
+                ([float(samples.E_t[worst]), float(samples.E_l[worst])], "Pa"),
+                (_given(samples, chosen)[worst].tolist(), "Pa"),
+            )
+        )
+        notes.append(
+            f"{share(chosen.beyond)} has moduli that the foam does not reach within "
+            f"{100.0 * RTOL:g} %, and gets the nearest: at {x} (E_t, E_l) = {asked} is "
+            f"farthest off and becomes {given}. {UNREACHABLE} lists every voxel."
+        )
+    if chosen.tilted.any():
+        remedy = "" if table.infill == "Phasor" else " Phasor can be inclined."
+        notes.append(
+            f"{share(chosen.tilted)} has a fibre that leaves the print plane, and gets "
+            f"its projection.{remedy} {UNREACHABLE} lists every voxel."
+        )
+    if chosen.across.any():
+        other = "E_l > E_t" if table.axis == "soft" else "E_l < E_t"
+        plane = "stiff" if table.axis == "soft" else "soft"
+        notes.append(
+            f"{share(chosen.across)} has {other}, and {table.infill} has a "
+            f"{table.axis} axis and is {plane} across it: the print is right in its "
+            f"plane, but {plane} along the bed's z too. {UNREACHABLE} lists every "
+            "voxel."
+        )
+    if chosen.rounding > RTOL:
+        notes.append(
+            "The 8 bits of the textures change a modulus by up to "
+            f"{100.0 * chosen.rounding:.2g} %."
+        )
+    if chosen.seams:
+        notes.append(
+            f"The axis turns through all directions, so the angle jumps by 180 degrees "
+            f"between {chosen.seams} pairs of neighbouring voxels, where IceSL "
+            "interpolates it the wrong way round: look at the print path there."
+        )
+    return tuple(notes)
+
+
+def _given(samples: Samples, chosen: Chosen) -> Float[HostArray, "n 2"]:
+    """Return E_t and E_l in the print plane as the foam has them [Pa]."""
+    foam, stiff_fibre = chosen.foam, samples.E_l > samples.E_t
+    E_t = np.where(stiff_fibre, foam.E_soft, foam.E_stiff)
+    E_l = np.where(stiff_fibre, foam.E_stiff, foam.E_soft)
+    return np.stack([E_t, E_l], axis=1)
+
+
+def write_unreachable(path: Path, samples: Samples, chosen: Chosen) -> None:
+    """List the voxels that do not get what was asked for, with where they are."""
+    header = "x_mm,y_mm,z_mm,i,j,k,E_t_kPa,E_l_kPa,nearest_E_t_kPa,nearest_E_l_kPa,why"
+    shape = "%.4f,%.4f,%.4f,%d,%d,%d,%.6g,%.6g,%.6g,%.6g,%s\n"
+    flags = np.stack([chosen.beyond, chosen.tilted, chosen.across], axis=1)
+    words = (BEYOND, TILTED, ACROSS)
+    listed = np.flatnonzero(chosen.unreachable)
+    columns = (
+        *(1e3 * samples.places[listed].T),
+        *samples.voxels[listed].T,
+        *(1e-3 * np.stack([samples.E_t, samples.E_l])[:, listed]),
+        *(1e-3 * _given(samples, chosen)[listed].T),
+    )
+    why = ["; ".join(compress(words, row)) for row in flags[listed].tolist()]
+    rows = zip(*(column.tolist() for column in columns), why, strict=True)
+    # A part may have a quarter of a million voxels.
+    with path.open("w", newline="", encoding="utf-8") as file:
+        file.write(f"{header}\n")
+        file.writelines(shape % row for row in rows)
+
+
+def icesl_dict(
+    result: IceslResult, part: PrintedPart, table: FoamTable, convention: Convention
+) -> dict[str, Any]:
+    """Build the content of `icesl.json`.
+
+    Keys: `format`; `infill`; `table` (`source`, `file`); `angle` (`marks`,
+    `offset_deg`, `clockwise`); `bed` (`rotation` from the frame of the model,
+    `shift_mm` after it, `size_mm` of the part); `settings` (`name`, `constant`, or
+    `lowest` and `highest` of its texture, in the unit of the slicer); `voxels` (`n`
+    along each axis, `filled`, `beyond`, `tilted`, `across`); `worst` and `rounding`,
+    see `IceslResult`; `notes`.
+    """
+    counts = {
+        key: getattr(result, f"n_{key}") for key in ("beyond", "tilted", "across")
+    }
+    return plain(
+        {
+            "format": "softcal_jax.icesl/1",
+            "infill": result.infill,
+            "table": {"source": table.source, "file": TABLE},
+            "angle": {
+                "marks": convention.marks,
+                "offset_deg": np.rad2deg(convention.offset),
+                "clockwise": convention.clockwise,
+            },
+            "bed": {
+                "rotation": part.rotation,
+                "shift_mm": 1e3 * part.shift,
+                "size_mm": 1e3 * part.mesh.points.max(axis=0),
+            },
+            "settings": [_setting_dict(own) for own in result.settings],
+            "voxels": {"n": N_VOXELS, "filled": result.n_voxels, **counts},
+            "worst": result.worst,
+            "rounding": result.rounding,
+            "notes": result.notes,
+        }
+    )
+
+
+def _setting_dict(own: Setting) -> dict[str, Any]:
+    if own.texture is None:
+        return {"name": own.name, "constant": own.constant}
+    ends = own.full / 255.0 * np.array([own.texture.min(), own.texture.max()])
+    return {"name": own.name, "lowest": ends[0], "highest": ends[1]}

@@ -1,0 +1,105 @@
+"""The script that gives IceSL a part and its infill."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from softcal_jax._text import escaped
+from softcal_jax._typing import HostArray, Int
+from softcal_jax.exchange.icesl._fields import N_VOXELS
+from softcal_jax.exchange.icesl._settings import Chosen
+
+_HEAD = """\
+-- {title}
+-- Written by softcal_jax for IceSL, in the language of its releases of 2021 to 2025.
+-- Older releases take the texture first: set_setting_value(texture, min, max, name).
+--
+{comments}
+--
+-- Before the robot, print a small bar with the same settings and bend it both ways: the
+-- documents of IceSL do not say which axis of the foam the angle marks, nor which way
+-- it counts. If the bar is stiff where it should be soft, export again with the other
+-- convention.
+
+local part = load(Path .. '{part}')
+emit(part, 0)
+local box = bbox(part)
+"""
+
+_TEXTURE = """\
+-- Textures hold steps of 1/255: two hexadecimal digits per voxel along x, one line
+-- per row of voxels along y, layer by layer along z. A quarter of a step is added, so
+-- that the same step comes out whether IceSL rounds or cuts off.
+local function texture(rows)
+  local field = tex3d_r8f({n}, {n}, {n})
+  local row = 0
+  for line in string.gmatch(rows, '%x+') do
+    local j, k = row % {n}, math.floor(row / {n})
+    for i = 0, {n} - 1 do
+      local step = tonumber(string.sub(line, 2 * i + 1, 2 * i + 2), 16)
+      field:set(i, j, k, v(math.min((step + 0.25) / 255, 1), 0, 0))
+    end
+    row = row + 1
+  end
+  return field
+end
+"""
+
+
+_LOWEST_PERCENTAGE = 20.0
+"""Density below which Polyfoam does not go unless told so [%]."""
+
+
+def script(
+    title: str, comments: Iterable[str], part: str, infill: str, chosen: Chosen
+) -> str:
+    """Write the script.
+
+    Args:
+        title: Its first line.
+        comments: Further lines, for the reader.
+        part: Name of the file of the part, beside the script.
+        infill: "Polyfoam" or "Phasor".
+        chosen: Density, angles and anisotropy.
+    """
+    head = _HEAD.format(
+        title=_one_line(title),
+        comments="\n".join(f"-- {_one_line(line)}" for line in comments),
+        part=part,
+    )
+    if any(setting.texture is not None for setting in chosen.settings):
+        head += _TEXTURE.format(n=N_VOXELS)
+    constants = {
+        "infill_type": f"'{infill}'",
+        "num_shells": "0",
+        "cover_thickness_mm": "0",
+        "print_perimeter": "false",
+    }
+    lowest = 100.0 * float(chosen.foam.density.min())
+    if infill == "Polyfoam" and lowest < _LOWEST_PERCENTAGE:
+        # Below the lowest step of the texture as well.
+        constants["pfoam_min_percentage"] = str(max(int(lowest - 0.5), 0))
+    lines = [head, *(_set(name, value) for name, value in constants.items())]
+    for setting in chosen.settings:
+        if setting.texture is None:
+            lines.append(_set(setting.name, f"{setting.constant:.9g}"))
+            continue
+        rows = _rows(setting.texture)
+        box = "box:min_corner(), box:max_corner()"
+        lines.append(_set(setting.name, f"texture([[\n{rows}]]), {box}"))
+    return "\n".join(lines) + "\n"
+
+
+def _set(name: str, value: str) -> str:
+    """Write a line that sets something of the first brush."""
+    return f"set_setting_value('{name}_0', {value})"
+
+
+def _one_line(text: str) -> str:
+    return escaped(" ".join(text.split()))
+
+
+def _rows(texture: Int[HostArray, "n n n"]) -> str:
+    """Write two hexadecimal digits per voxel, one line per row along x."""
+    rows = texture.astype(np.uint8).transpose(2, 1, 0).reshape(-1, len(texture))
+    return "".join(f"{row.tobytes().hex()}\n" for row in rows)

@@ -1,0 +1,244 @@
+"""Settings of the slicer for the material in each voxel, and what they cannot give."""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax.exchange.icesl._fields import N_VOXELS, Samples
+from softcal_jax.materials import FoamTable, FoundFoam
+
+RTOL = 0.01
+"""Relative distance of a modulus from the one asked for that is not listed [-]."""
+
+_STEPS = 255
+"""Steps of a texture, which has 8 bits."""
+
+_CONSTANT = 1e-4
+"""Spread of a setting that is written as one value [-], far below a step."""
+
+_FLAT = np.deg2rad(0.5 * 360.0 / _STEPS)
+"""Angle between fibre and print plane that a texture could not show [rad]."""
+
+BEYOND = "moduli beyond the foam table"
+TILTED = "fibre out of the print plane"
+ACROSS = "right in the print plane only"
+
+
+class Convention(NamedTuple):
+    """What an angle of the slicer means.
+
+    Attributes:
+        marks: Axis of the foam that the angle marks.
+        offset: Added to every angle [rad].
+        clockwise: Whether the slicer counts angles clockwise, seen from above.
+    """
+
+    marks: Literal["soft", "stiff"]
+    offset: float = 0.0
+    clockwise: bool = False
+
+    def setting(self, angle: Float[HostArray, " n"]) -> Float[HostArray, " n"]:
+        """Convert counter-clockwise angles from the bed's x to those of the slicer."""
+        return (-angle if self.clockwise else angle) + self.offset
+
+
+class Setting(NamedTuple):
+    """One setting of the slicer.
+
+    Attributes:
+        name: Its name.
+        full: Its value, in its own unit, where a texture is 1.
+        constant: Its value, in its own unit; None for a texture.
+        texture: Its values in steps of 1/255, by voxel; None for a constant.
+    """
+
+    name: str
+    full: float
+    constant: float | None = None
+    texture: Int[HostArray, "n n n"] | None = None
+
+    def values(self, voxels: Int[HostArray, "m 3"]) -> Float[HostArray, " m"]:
+        """Return what the slicer is given in some voxels [-], as a share of `full`."""
+        if self.texture is None:
+            assert self.constant is not None
+            return np.full(len(voxels), self.constant / self.full)
+        return self.texture[tuple(voxels.T)] / _STEPS
+
+
+class Chosen(NamedTuple):
+    """The foam for each sample.
+
+    Attributes:
+        settings: What the slicer is given.
+        foam: The foams as the table has them, before they are rounded to textures.
+        beyond: Samples whose moduli the foam does not reach.
+        tilted: Samples whose fibre leaves the print plane, which the infill cannot.
+        across: Samples whose single axis is not of the kind that the foam has.
+        rounding: Largest relative error of a modulus by the 8 bits, where the foam
+            reaches what was asked for [-].
+        seams: Pairs of neighbouring voxels between which the angle jumps by half a
+            turn, though the axis does not: IceSL interpolates there the wrong way
+            round.
+    """
+
+    settings: tuple[Setting, ...]
+    foam: FoundFoam
+    beyond: Bool[HostArray, " n"]
+    tilted: Bool[HostArray, " n"]
+    across: Bool[HostArray, " n"]
+    rounding: float
+    seams: int
+
+    @property
+    def unreachable(self) -> Bool[HostArray, " n"]:
+        """Samples that will not have the material that was asked for."""
+        return self.beyond | self.tilted | self.across
+
+
+def choose(samples: Samples, table: FoamTable, convention: Convention) -> Chosen:
+    """Choose density, anisotropy and angles for each sample.
+
+    Args:
+        samples: The material.
+        table: What the foam can be.
+        convention: What the angle means.
+    """
+    stiff_fibre = samples.E_l > samples.E_t
+    low = np.minimum(samples.E_t, samples.E_l)
+    high = np.maximum(samples.E_t, samples.E_l)
+    foam = table.find(low, high)
+    isotropic = np.log(high / low) < RTOL
+
+    fibre = samples.fibre
+    if fibre is None:
+        fibre = np.tile([1.0, 0.0, 0.0], (len(low), 1))
+    fibre = np.where(fibre[:, 2:] < 0.0, -fibre, fibre)
+    azimuth = np.arctan2(fibre[:, 1], fibre[:, 0])
+    elevation = np.arcsin(np.clip(fibre[:, 2], 0.0, 1.0))
+    # The foam's single axis is the fibre if it is of the same kind. Otherwise the foam
+    # is turned: in the print plane it has the same moduli along and across the fibre.
+    turned = stiff_fibre != (table.axis == "stiff")
+    leaves = table.infill == "Phasor" and convention.marks == table.axis
+    tilted = ~isotropic & (elevation > _FLAT) & (turned | (not leaves))
+    marked = azimuth + np.where(turned, 0.5 * np.pi, 0.0)
+    if convention.marks != table.axis:
+        marked = marked + 0.5 * np.pi
+    angle = convention.setting(marked)
+
+    as_texture = _Textures(samples)
+    around, seams = as_texture.director(angle)
+    settings = [as_texture("infill_percentage", 100.0, foam.density)]
+    if table.infill == "Polyfoam":
+        settings += [
+            around._replace(name="infill_angle"),
+            as_texture("kgon_x_shrink", 1.0, foam.anisotropy),
+        ]
+    else:
+        inclination = np.where(turned | (not leaves), 0.0, elevation) / (2.0 * np.pi)
+        settings += [
+            around._replace(name="phasor_infill_theta"),
+            as_texture("phasor_infill_phi", 360.0, inclination),
+            as_texture("phasor_infill_iso", 100.0, foam.anisotropy),
+        ]
+    beyond = foam.error > RTOL
+    return Chosen(
+        tuple(settings),
+        foam,
+        beyond,
+        tilted,
+        turned & ~isotropic,
+        _rounding(samples, table, foam, settings, ~beyond),
+        seams,
+    )
+
+
+def _rounding(
+    samples: Samples,
+    table: FoamTable,
+    foam: FoundFoam,
+    settings: list[Setting],
+    reached: Bool[HostArray, " n"],
+) -> float:
+    """Find the largest relative error of the moduli that the textures stand for."""
+    if not reached.any():
+        return 0.0
+    density, anisotropy = (settings[k].values(samples.voxels)[reached] for k in (0, -1))
+    # A zero would be no foam: the lowest density of a table may be below one step.
+    density = np.maximum(density, 0.5 / _STEPS)
+    if table.infill == "Polyfoam":
+        anisotropy = np.maximum(anisotropy, 0.5 / _STEPS)
+    given = table.moduli(density, anisotropy)
+    found = np.stack([foam.E_soft, foam.E_stiff], axis=1)[reached]
+    return float(np.abs(given / found - 1.0).max())
+
+
+class _Textures:
+    """Fills textures: voxels outside of the part repeat the nearest one inside.
+
+    IceSL interpolates between voxels, so that a voxel beyond the surface counts too.
+    """
+
+    def __init__(self, samples: Samples):
+        # Here, so that commands which do not need it do not wait for it.
+        from scipy.ndimage import distance_transform_edt
+
+        self.voxels = samples.voxels
+        free = np.ones((N_VOXELS,) * 3, bool)
+        free[tuple(self.voxels.T)] = False
+        self.nearest = np.asarray(
+            distance_transform_edt(
+                free,
+                sampling=samples.grid.size,
+                return_distances=False,
+                return_indices=True,
+            )
+        )
+
+    def __call__(
+        self, name: str, full: float, values: Float[HostArray, " n"]
+    ) -> Setting:
+        """Make a setting of values in [0, 1]: a constant if they are all the same."""
+        if np.ptp(values) < _CONSTANT:
+            middle = 0.5 * (values.min() + values.max())
+            return Setting(name, full, constant=float(full * middle))
+        steps = np.rint(_STEPS * np.clip(values, 0.0, 1.0)).astype(np.int64)
+        texture = np.zeros((N_VOXELS,) * 3, np.int64)
+        texture[tuple(self.voxels.T)] = steps
+        return Setting(name, full, texture=texture[tuple(self.nearest)])
+
+    def director(self, angle: Float[HostArray, " n"]) -> tuple[Setting, int]:
+        """Make the setting of an axis, which is the same again after half a turn.
+
+        Of the angles of an axis those in [cut, cut + 180 degrees) are taken.
+
+        Returns:
+            The setting, without a name, and the number of seams, see `Chosen`: the cut
+            is where there are fewest.
+        """
+        half = np.mod(angle, np.pi)
+        degrees = np.full((N_VOXELS,) * 3, -1)
+        degrees[tuple(self.voxels.T)] = np.minimum(np.rad2deg(half), 179.0).astype(int)
+        straddling = _straddling(degrees)
+        cut = np.deg2rad(np.argmin(straddling))
+        unwound = cut + np.mod(half - cut, np.pi)
+        setting = self("", 360.0, unwound / (2.0 * np.pi))
+        return setting, int(straddling.min())
+
+
+def _straddling(degrees: Int[HostArray, "n n n"]) -> Int[HostArray, "180"]:
+    """Count the pairs of neighbours between which lies a cut at 0, 1, ..., 179 degrees.
+
+    Args:
+        degrees: Angles of axes, in whole degrees from 0 to 179; -1 for no voxel.
+    """
+    change = np.zeros(360, int)
+    for axis in range(3):
+        before, after = (np.delete(degrees, end, axis=axis).ravel() for end in (-1, 0))
+        known = (before >= 0) & (after >= 0)
+        before, after = before[known], after[known]
+        turn = np.mod(after - before + 90, 180) - 90  # the shorter way
+        first = np.where(turn >= 0, before, after)
+        np.add.at(change, first + 1, 1)
+        np.add.at(change, first + np.abs(turn) + 1, -1)
+    return np.cumsum(change).reshape(2, 180).sum(axis=0)

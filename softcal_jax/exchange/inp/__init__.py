@@ -1,0 +1,5 @@
+"""Calibrated models as input files of CalculiX and Abaqus."""
+
+from softcal_jax.exchange.inp._write import export_inp, write_inp
+
+__all__ = ["export_inp", "write_inp"]

@@ -1,0 +1,278 @@
+"""Input files of Abaqus and CalculiX: a model in one configuration."""
+
+import os
+import re
+import textwrap
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from softcal_jax._places import partial_of
+from softcal_jax._typing import HostArray, Int
+from softcal_jax.actuators import actuator_geometry
+from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.equilibrium import Model
+from softcal_jax.exchange._refusals import check_no_bodies, check_rim
+from softcal_jax.exchange.inp._laws import inp_law
+from softcal_jax.mesh import TetMesh, tet_faces
+from softcal_jax.report import LoadedResult, load_result
+
+MANY_MATERIALS = 1000
+"""Materials of a file from which it is said that there are many."""
+
+_PER_LINE = 8
+"""Numbers in a line of data, as Abaqus wants them for constants."""
+
+
+def write_inp(
+    path: str | Path,
+    model: Model,
+    configuration: ConfigurationArrays,
+    *,
+    title: str = "softcal_jax",
+) -> tuple[str, ...]:
+    """Write a model in a configuration as an input file of CalculiX and Abaqus.
+
+    In SI. Nodes and tets keep their order, counted from 1: C3D4 or C3D10, whose order
+    of nodes is that of VTK. Tets of equal constants share a *MATERIAL. Node groups are
+    sets of the name N_GROUP. One static step with NLGEOM has the supports, elastic ones
+    as SPRING1, dead loads as *CLOAD, gravity as *DLOAD, GRAV, and pressures of chambers
+    and surfaces as *DLOAD, P, which follow the surface as here. Displacements are
+    printed in the .dat file of CalculiX at the end.
+
+    Args:
+        path: The file, ending in .inp.
+        model: The model.
+        configuration: Arrays of one configuration, without a leading axis.
+        title: Its first line.
+
+    Returns:
+        What the programs do otherwise than the model, in sentences; they are comments
+        in the file, too.
+
+    Raises:
+        ValueError: If the name does not end in .inp, or the law, rigid bodies or
+            actuators have no counterpart; the text gives the reason.
+    """
+    path = Path(path)
+    if path.suffix != ".inp":
+        raise ValueError(f"the file name must end in .inp, got {path.name!r}.")
+    check_no_bodies(model, "a .inp file")
+    notes, materials = _materials(model)
+    if model.formulation == "mean-dilatation":
+        notes.append(
+            "The tets of the model have one mean change of volume each, those of the "
+            "file one at each of four points: C3D10 is stiffer where Poisson's ratio "
+            "is nearly 0.5. In Abaqus, write C3D10H for C3D10; for CalculiX, calibrate "
+            'with formulation = "displacement" in [material], which has what it has.'
+        )
+    lines = [
+        *("*HEADING", _comment(title), "** SI: m, kg, s, N, Pa"),
+        *(line for note in notes for line in _comments(note)),
+        *_mesh(model.mesh),
+        *materials,
+        *_springs(model.mesh, configuration),
+        *("*STEP, NLGEOM, INC=1000", "*STATIC", "0.1, 1."),
+        *_supports(model.mesh, configuration),
+        *_loads(model, configuration),
+        *_pressures(model, configuration),
+        *("*NODE FILE", "U", "*EL FILE", "S, E"),
+        *("*NODE PRINT, NSET=NALL, FREQUENCY=1000", "U", "*END STEP"),
+    ]
+    partial = partial_of(path)
+    partial.write_text("\n".join([*lines, ""]), encoding="ascii", newline="\n")
+    partial.replace(path)
+    return tuple(notes)
+
+
+def export_inp(
+    result: LoadedResult | str | os.PathLike[str],
+    path: str | os.PathLike[str],
+    *,
+    configuration: str | None = None,
+) -> tuple[str, ...]:
+    """Write a calibrated model in a configuration for CalculiX or Abaqus.
+
+    The file has the law with its calibrated values where it has a counterpart, the
+    supports, loads and pressures of the configuration, and one static step; in SI. See
+    `write_inp` for its content.
+
+    Args:
+        result: The results folder, its `result.json`, or what `load_result` returned.
+        path: The file, ending in .inp.
+        configuration: Name of the configuration; may be left out where there is one.
+
+    Returns:
+        What the programs do otherwise than the model, in sentences.
+
+    Raises:
+        ResultError: If the result cannot be loaded, see `load_result`.
+        ValueError: If there is no such configuration, the name does not end in .inp,
+            or something has no counterpart; the text gives the reason.
+    """
+    loaded = result if isinstance(result, LoadedResult) else load_result(result)
+    posed, arrays = loaded.posed(configuration)
+    title = f"{loaded.project.name}: {posed.name}"
+    return write_inp(Path(path), loaded.model, arrays, title=title)
+
+
+def _comment(text: str) -> str:
+    """Write a text of users in one line that no program takes for a keyword."""
+    return " ".join(text.encode("ascii", "replace").decode().split()).lstrip("*")[:80]
+
+
+def _comments(note: str) -> list[str]:
+    """Write a note in lines that the programs skip."""
+    return textwrap.wrap(note, 100, initial_indent="** ", subsequent_indent="** ")
+
+
+def _number(value: float) -> str:
+    """Write a number in 20 characters at most, which is all that the programs read."""
+    return f"{value:.12g}"
+
+
+def _rows(values: Iterable[str], per_line: int = _PER_LINE) -> Iterator[str]:
+    """Write data in lines that go on with a comma."""
+    values = list(values)
+    for i in range(0, len(values), per_line):
+        more = "," if i + per_line < len(values) else ""
+        yield ", ".join(values[i : i + per_line]) + more
+
+
+def _members(indices: Int[HostArray, " n"]) -> Iterator[str]:
+    """Write the members of a set."""
+    return _rows((str(i + 1) for i in indices), per_line=16)
+
+
+def _mesh(mesh: TetMesh) -> Iterator[str]:
+    yield "*NODE, NSET=NALL"
+    for i, x in enumerate(mesh.points, start=1):
+        yield ", ".join((str(i), *map(_number, x)))
+    kind = "C3D4" if mesh.order == 1 else "C3D10"
+    yield f"*ELEMENT, TYPE={kind}, ELSET=EALL"
+    for i, nodes in enumerate(mesh.tets + 1, start=1):
+        yield ", ".join(map(str, (i, *nodes)))
+    taken: set[str] = set()
+    for group, nodes in mesh.node_groups.items():
+        name = stem = f"N_{re.sub(r'[^A-Z0-9_]+', '_', group.upper())[:70]}"
+        copy = 2
+        while name in taken:
+            name, copy = f"{stem}_{copy}", copy + 1
+        taken.add(name)
+        yield f"*NSET, NSET={name}"
+        yield from _members(np.asarray(nodes))
+
+
+def _materials(model: Model) -> tuple[list[str], list[str]]:
+    """Return notes, and materials with the sets of tets that have them."""
+    law = inp_law(model)
+    density = np.broadcast_to(np.asarray(model.density, float), model.n_tets)
+    table = np.column_stack([law.constants, density])
+    distinct, of_tet = np.unique(table, axis=0, return_inverse=True)
+    order = np.argsort(of_tet.ravel(), kind="stable")
+    ends = np.cumsum(np.bincount(of_tet.ravel()))
+    notes = [law.note] if law.note else []
+    if len(distinct) > MANY_MATERIALS:
+        notes.append(
+            f"{len(distinct)} materials for {model.n_tets} tets, since the fields of "
+            "the law differ from tet to tet; programs take a while to read them."
+        )
+    lines = []
+    if law.oriented:
+        lines += ["*ORIENTATION, NAME=AXES, SYSTEM=RECTANGULAR", "1, 0, 0, 0, 1, 0"]
+    axes = ", ORIENTATION=AXES" * law.oriented
+    for k, (*constants, rho) in enumerate(distinct):
+        tets = order[ends[k - 1] if k else 0 : ends[k]]
+        lines += [f"*ELSET, ELSET=E{k + 1}", *_members(tets)]
+        lines += [f"*MATERIAL, NAME=M{k + 1}", law.keyword]
+        lines += _rows(map(_number, constants))
+        lines += ["*DENSITY", _number(rho)] if rho > 0.0 else []
+        lines.append(f"*SOLID SECTION, ELSET=E{k + 1}, MATERIAL=M{k + 1}{axes}")
+    return notes, lines
+
+
+def _springs(mesh: TetMesh, c: ConfigurationArrays) -> Iterator[str]:
+    """Write elastic supports: springs from nodes to the ground, along the axes."""
+    stiffness = np.asarray(c.springs.coefficients())[: mesh.n_nodes]
+    rest = np.asarray(c.springs.rest)[: mesh.n_nodes]
+    if np.any(rest[stiffness > 0.0]):
+        raise ValueError(
+            "an elastic support is moved by an imposed displacement, which springs of "
+            "the file cannot be: make the support rigid, or its displacement zero."
+        )
+    number, sets = mesh.n_tets, 0
+    for axis in range(3):
+        values, of_node = np.unique(stiffness[:, axis], return_inverse=True)
+        for k, value in enumerate(values):
+            if value == 0.0:
+                continue
+            sets += 1
+            yield f"*ELEMENT, TYPE=SPRING1, ELSET=S{sets}"
+            for node in np.flatnonzero(of_node.ravel() == k) + 1:
+                number += 1
+                yield f"{number}, {node}"
+            yield from (f"*SPRING, ELSET=S{sets}", f"{axis + 1}", _number(value))
+
+
+def _supports(mesh: TetMesh, c: ConfigurationArrays) -> Iterator[str]:
+    fixed = np.asarray(c.fixed)[: mesh.n_nodes]
+    imposed = np.asarray(c.imposed)
+    if not fixed.any():
+        return
+    yield "*BOUNDARY"
+    for node, axis in np.argwhere(fixed):
+        value = _number(float(imposed[node, axis]))
+        yield f"{node + 1}, {axis + 1}, {axis + 1}, {value}"
+
+
+def _loads(model: Model, c: ConfigurationArrays) -> Iterator[str]:
+    """Write dead loads and gravity."""
+    force = np.asarray(c.dead_loads)[: model.mesh.n_nodes]
+    if force.any():
+        yield "*CLOAD"
+        for node, axis in np.argwhere(force):
+            yield f"{node + 1}, {axis + 1}, {_number(float(force[node, axis]))}"
+    g = np.asarray(c.acceleration)
+    size = float(np.linalg.norm(g))
+    if size > 0.0 and np.any(np.asarray(model.density) > 0.0):
+        along = ", ".join(map(_number, g / size))
+        yield from ("*DLOAD", f"EALL, GRAV, {_number(size)}, {along}")
+
+
+def _pressures(model: Model, c: ConfigurationArrays) -> Iterator[str]:
+    """Write the pressures in chambers and on surfaces, face by face.
+
+    Raises:
+        ValueError: If another actuator acts, or the volume of a chamber is imposed.
+    """
+    actuators = model.mechanism.actuators
+    forces = np.asarray(c.actuation.forces)
+    acting = forces != 0.0
+    by_displacement = np.asarray(c.actuation.by_displacement)
+    for a, (name, kind) in enumerate(
+        zip(actuators.names, actuators.kinds, strict=True)
+    ):
+        if by_displacement[a]:
+            raise ValueError(
+                f"{kind.noun} {name!r}: its displacement is imposed, and a file can "
+                "impose forces and pressures only. Impose the force that the "
+                "equilibrium has (robot.csv)."
+            )
+        if acting[a] and kind.force_unit != "Pa":
+            raise ValueError(
+                f"{kind.noun} {name!r} acts, and CalculiX has no counterpart of it: "
+                "only chambers and surface pressures are written."
+            )
+    if not acting.any():
+        return
+    walls = actuator_geometry(actuators, np.asarray(model.mechanism.points))
+    for a in np.flatnonzero(acting):
+        check_rim(model, c, int(a), "a .inp file")
+    corners = np.sort(tet_faces(model.mesh.tets)[:, :3], axis=1)
+    place = {tuple(face): i for i, face in enumerate(corners.tolist())}
+    yield "*DLOAD"
+    for face, owner in zip(np.sort(walls.faces[:, :3]), walls.face_owner, strict=True):
+        if acting[owner]:
+            tet, side = divmod(place[tuple(face.tolist())], 4)
+            yield f"{tet + 1}, P{side + 1}, {_number(float(forces[owner]))}"

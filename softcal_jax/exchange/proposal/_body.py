@@ -1,0 +1,224 @@
+"""What a model tells of a robot: its size, and which parts are held and inflated."""
+
+import warnings
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from softcal_jax._files import check_file
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.actuators import Chamber, enclosed_volumes
+from softcal_jax.configurations import build_mechanism
+from softcal_jax.exchange.cad import CAD_FORMATS, mesh_cad, read_stl
+from softcal_jax.mesh import (
+    MeshWarning,
+    Plane,
+    TetMesh,
+    locate,
+    node_indices,
+    read_mesh,
+    select_faces,
+    select_nodes,
+    volumes,
+)
+
+HELD_WORDS = ("clamp", "base", "fix", "support", "held", "mount", "anchor", "ground")
+CHAMBER_WORDS = ("chamber", "cavity", "inflat", "pressur", "lumen", "air")
+"""Parts of names by which groups are known for what they are."""
+
+HELD = "held"
+"""Name of the group that is proposed where no group of the file says what is held."""
+
+_FLAT = 1e-4
+_END = 0.02
+"""How deep a flat end and a round one are, as shares of the size of the mesh [-]."""
+
+_EMPTY = 1e-6
+"""Share of the volume of the body below which a surface encloses nothing [-]."""
+
+_ALONG = 20.0
+"""Tets along a CAD model: enough for bending, and solved in seconds."""
+
+_STATED = (".step", ".stp")
+"""CAD models that state their unit."""
+
+_METRES = 2.0
+"""Largest number that is taken for metres: no soft robot is 2 mm long, few are 2 m."""
+
+
+class Body(NamedTuple):
+    """The body of a robot, as it was read.
+
+    Attributes:
+        mesh: Its mesh, linear.
+        unit: Length unit of the file, where the file does not state it.
+        unit_guessed: Whether that is a guess.
+        size: Edges of the tets, of a CAD model, as a project file writes it.
+        drop_unused: Whether the file has nodes that no cell uses.
+    """
+
+    mesh: TetMesh
+    unit: str | None
+    unit_guessed: bool
+    size: str | None
+    drop_unused: bool
+
+
+class Held(NamedTuple):
+    """The part that is proposed to be held.
+
+    Attributes:
+        group: Name of the group.
+        plane: Point [m], axis and kind ("faces" or "nodes") of the group, where the
+            project file has to define it; None for a group of the mesh.
+        tolerance: Distance from the plane that belongs to it [m].
+        centre: Mean of its nodes [m].
+    """
+
+    group: str
+    plane: tuple[Float[HostArray, "3"], str, str] | None
+    tolerance: float
+    centre: Float[HostArray, "3"]
+
+
+def read_body(path: Path, *, size: float | None, length_unit: str | None) -> Body:
+    """Read a mesh, or fill a CAD model with tets.
+
+    Args:
+        path: A file that `read_mesh` or `mesh_cad` takes.
+        size: Edges of the tets of a CAD model; a twentieth of it by default [m].
+        length_unit: Unit of the file; guessed where it states none.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it cannot be read or filled.
+        ImportError: If a CAD model needs a package that is not installed.
+    """
+    suffix = path.suffix.lower()
+    guessed = length_unit is None and suffix not in _STATED
+    unit = _guess_unit(path) if guessed else length_unit
+    if suffix not in CAD_FORMATS:
+        mesh, drop = _read(path, str(unit))
+        return Body(mesh, unit, guessed, None, drop)
+    options = {"length_unit": unit, "order": 1}
+    if size is None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", MeshWarning)  # this one is thrown away
+            first = mesh_cad(path, **options)
+        size = float(f"{first.size / _ALONG:.1g}")
+    typed = f"{1e3 * size:.6g} mm"
+    return Body(mesh_cad(path, size=size, **options), unit, guessed, typed, False)
+
+
+def _guess_unit(path: Path) -> str:
+    """Guess whether the coordinates of a mesh or STL file are in "mm" or "m".
+
+    Programs write either of them, nearly always. A model of more than 2 units across
+    would hardly be a robot in metres, and one of fewer hardly one in millimetres.
+    """
+    if path.suffix.lower() == ".stl":
+        check_file(path, "CAD model")
+        points = read_stl(path).points
+    else:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", MeshWarning)  # said when the mesh is read
+            points = read_mesh(path, length_unit="m", unused="drop").points
+    return "mm" if np.ptp(points, axis=0).max() > _METRES else "m"
+
+
+def _read(path: Path, unit: str) -> tuple[TetMesh, bool]:
+    """Read a mesh file; with nodes that no cell uses, only where it has such."""
+    try:
+        return read_mesh(path, length_unit=unit, order=1), False
+    except ValueError as refused:
+        try:
+            return read_mesh(path, length_unit=unit, order=1, unused="drop"), True
+        except ValueError:
+            raise refused from None
+
+
+def named_like(mesh: TetMesh, words: tuple[str, ...], *, surface: bool) -> list[str]:
+    """List the groups whose names contain one of some words.
+
+    Args:
+        mesh: The mesh.
+        words: Words in small letters.
+        surface: Whether only groups of surfaces count.
+    """
+    groups = [*mesh.surface_groups] + ([] if surface else [*mesh.node_groups])
+    groups = [name for name in dict.fromkeys(groups) if name not in mesh.tet_groups]
+    return [name for name in groups if any(word in name.lower() for word in words)]
+
+
+def propose_held(mesh: TetMesh, moving: Float[HostArray, "n 3"] | None) -> Held:
+    """Propose what is held: a group by its name, or an end of the longest side.
+
+    Of both ends it is the lower one, or that which is farther from points that move.
+
+    Args:
+        mesh: The mesh.
+        moving: Points that were seen to move, if any [m].
+    """
+    named = named_like(mesh, HELD_WORDS, surface=False)
+    if named:
+        nodes = node_indices(mesh, named[0], "a support")
+        return Held(named[0], None, 0.0, mesh.points[nodes].mean(axis=0))
+    low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
+    axis = _longest(high - low)
+    end, middle = low[axis], 0.5 * (low + high)
+    if moving is not None and moving.mean(axis=0)[axis] < middle[axis]:
+        end = high[axis]
+    point = np.where(np.arange(3) == axis, end, middle)
+    normal, letter = np.eye(3)[axis], "xyz"[axis]
+    for of, share in (("faces", _FLAT), ("nodes", _END)):
+        region = Plane(point=point, normal=normal, tolerance=share * mesh.size)
+        try:
+            if of == "faces":
+                nodes = np.unique(select_faces(mesh, region))
+            else:
+                nodes = select_nodes(mesh, region)
+        except ValueError:  # no face lies in it: the end is round
+            continue
+        centre = mesh.points[nodes].mean(axis=0)
+        return Held(HELD, (point, letter, of), region.tolerance, centre)
+    raise AssertionError("the outermost node lies in its own plane")
+
+
+def _longest(extent: Float[HostArray, "3"]) -> int:
+    """Return the longest side; among nearly equal ones the upright one."""
+    near = extent > 0.9 * extent.max()
+    return 2 if near[2] else int(np.argmax(extent))
+
+
+def find_chambers(mesh: TetMesh, held: Held) -> dict[str, bool]:
+    """Find the surfaces that are called like chambers, and are walls of a cavity.
+
+    Returns:
+        Whether each has a rim that a lid has to close, by the name of its group.
+    """
+    found = {}
+    for name in named_like(mesh, CHAMBER_WORDS, surface=True):
+        faces = mesh.surface_groups[name]
+        edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        _, counts = np.unique(edges, axis=0, return_counts=True)
+        is_open = bool((counts == 1).any())
+        chamber = Chamber(name, name, seal=is_open)
+        try:
+            made = build_mechanism(mesh, [], [chamber])
+        except ValueError:  # a wall of the outside, whatever it is called
+            continue
+        (volume,) = enclosed_volumes(made.actuators.groups, made.points).values()
+        # A flat wall of the outside encloses nothing, with either sign of rounding.
+        if name != held.group and volume > _EMPTY * float(volumes(mesh).sum()):
+            found[name] = is_open
+    return found
+
+
+def far_end(mesh: TetMesh, held: Held) -> Float[HostArray, "3"]:
+    """Return the middle of the end away from what is held, on or in the mesh [m]."""
+    away = mesh.points - held.centre
+    axis = int(np.argmax(np.abs(away).max(axis=0)))
+    along = away[:, axis] * np.sign(away[np.argmax(np.abs(away[:, axis])), axis])
+    end = mesh.points[along >= along.max() - _FLAT * mesh.size]
+    return locate(mesh, end.mean(axis=0)[None], max_distance=np.inf).foot[0]

@@ -1,0 +1,317 @@
+"""The text of a proposed project file."""
+
+import textwrap
+from collections.abc import Iterator
+
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import readable_values
+from softcal_jax.configurations import STANDARD_GRAVITY
+from softcal_jax.exchange.proposal._findings import Findings
+from softcal_jax.exchange.proposal._recorded import RecordedPose, bare, quoted
+from softcal_jax.materials import LAWS
+from softcal_jax.mesh import volumes
+from softcal_jax.project import parse_in_si
+from softcal_jax.report import mesh_lines
+
+DENSITY = 1070.0
+"""That of silicone [kg/m3]."""
+
+PRESSURE = "10 kPa"
+
+_MOST_GROUPS = 40
+"""Groups of the mesh that are listed."""
+
+_NEAR = 0.01
+"""Distance of a marker from the mesh that is accepted without a word, see `Markers`."""
+
+
+def project_text(name: str, found: Findings) -> str:
+    """Write a project file, with a remark at each value that is a guess.
+
+    Args:
+        name: Name of the project.
+        found: What it is written from.
+    """
+    parts = (
+        *(_title(name, found), _mesh(found), _material(), _actuators(found)),
+        *(_markers(found), _shared(found), _configurations(found), _settings()),
+    )
+    return "\n\n".join("\n".join(part) for part in parts) + "\n"
+
+
+def _title(name: str, found: Findings) -> Iterator[str]:
+    files = {pose.file.name: None for pose in found.poses}
+    yield f"# A calibration with softcal, written by `softcal new` from {found.model}"
+    yield (
+        f"# and {', '.join(files)}." if files else "# alone, before any measurement."
+    )
+    yield """#
+# What no file tells is a guess: such a line ends in a remark CHANGE. Correct it, or
+# confirm it, and delete the remark. `softcal check` lists those that are left.
+#
+#   softcal check     project.toml                 what this file says, and a picture
+#   softcal mesh      project.toml -o groups.msh   draws the groups of the mesh
+#   softcal identify  project.toml                 would these poses tell?
+#   softcal calibrate project.toml -o results      fit, predict, write results/
+#
+# Quantities are texts with their unit, three of them share one: "(0, 15, 36) mm".
+# Plain numbers have no unit. Paths are relative to this file. Unknown keys are errors.
+"""
+    yield f"name = {quoted(name)}"
+
+
+def _mesh(found: Findings) -> Iterator[str]:
+    """Write [mesh] and [groups], with all groups of the file as comments."""
+    body, held = found.body, found.held
+    extent = np.ptp(body.mesh.points, axis=0)
+    sides = " x ".join(f"{1e3 * x:.4g}" for x in extent)
+    yield _ruler("the body")
+    yield "[mesh]"
+    yield f"file = {quoted(found.model)}"
+    if body.unit is not None:
+        guess = f" # CHANGE: a guess, by which it is {sides} mm"
+        yield f'length_unit = "{body.unit}"' + guess * body.unit_guessed
+    if body.size is not None:
+        yield f'size = "{body.size}" # edges of the tets; halve it to see what changes'
+    if body.drop_unused:
+        yield 'unused_nodes = "drop" # the file has nodes that no cell uses'
+    yield """element = "quadratic" # does not lock in bending; "linear" does
+"""
+    yield f"# {sides} mm. The mesh and its groups:"
+    lines = mesh_lines(body.mesh)
+    yield from (f"#   {line}" for line in lines[: _MOST_GROUPS + 1])
+    if len(lines) > _MOST_GROUPS + 1:
+        yield f"#   ... and {len(lines) - _MOST_GROUPS - 1} more: `softcal mesh`"
+    if held.plane is not None:
+        yield ""
+        yield from _held_group(found)
+    yield """
+# Other parts, by where they are: box (lower, upper), sphere (centre, radius), points:
+#   [groups.tip]
+#   face = { points = ["(100, 5, 5) mm"] }                  # faces of a CAD model
+#   [groups.wall]
+#   inside = { point = "(30, 8, 6) mm", stop_at = "held" }  # the wall of a cavity"""
+
+
+def _held_group(found: Findings) -> Iterator[str]:
+    """Write the group that is held, an end of the body."""
+    held = found.held
+    assert held.plane is not None
+    point, axis, of = held.plane
+    at = f"{1e3 * point['xyz'.index(axis)] + 0.0:.4g} mm"
+    told = "the end farther from the markers that move"
+    moved = found.recorded is not None and not found.own_frame
+    why = told if moved else "an end of its longest side"
+    yield f"[groups.{held.group}] # CHANGE: what is held, here {why}, {axis} = {at}"
+    yield f'plane = {{ point = {_mm(point)}, normal = "{axis}" }}'
+    if of == "faces":
+        yield 'of = "faces"'
+    yield f'tolerance = "{1e3 * held.tolerance:.3g} mm"'
+
+
+def _material() -> Iterator[str]:
+    yield _ruler("the material")
+    yield from textwrap.wrap(
+        f"Laws: {', '.join(LAWS)}.", 88, initial_indent="# ", subsequent_indent="# "
+    )
+    yield f"""[material]
+law = "neo-hookean"
+E = "200 kPa" # CHANGE: the start; silicone has 50 to 500 kPa, printed TPU 5 to 50 MPa
+nu = 0.49 # CHANGE: rubber hardly changes its volume; foam has 0.1 to 0.3
+density = "{DENSITY:g} kg/m^3" # CHANGE: that of silicone; weigh the robot
+
+# What is calibrated, between which bounds. Further ones: "nu", "density", constants of
+# a region; and [[setup]] for what is not of the material, like recording_offset = true.
+[[parameters]]
+field = "E"
+lower = "10 kPa"
+upper = "100 MPa" # both far from what is likely"""
+
+
+def _actuators(found: Findings) -> Iterator[str]:
+    """Write a chamber for each surface that is called like one."""
+    if found.chambers:
+        yield _ruler("the actuators")
+    for k, (group, is_open) in enumerate(found.chambers.items()):
+        yield "\n" * (k > 0) + f"[actuators.{bare(f'air in {group}')}]"
+        yield 'type = "chamber"'
+        named = "# CHANGE: what is inflated, here by its name"
+        yield f"surface = {quoted(group)} {named}"
+        if is_open:
+            yield "seal = true # it has a rim: a lid without material closes it"
+    if not found.chambers:
+        yield """# Actuators, a table each, driven by `actuation` of a pose:
+#   [actuators.air]
+#   type = "chamber"     # or "cable" (guides), "motor" (body), "point-force"
+#   surface = "wall"
+#   seal = true"""
+
+
+def _markers(found: Findings) -> Iterator[str]:
+    """Write where markers are at rest, each with its distance from the mesh."""
+    recorded = found.recorded
+    yield _ruler("the markers")
+    yield "# Where they stand at rest, in the frame of the mesh."
+    if recorded is None:
+        yield "# Nothing was recorded: these two are proposed, for `softcal identify`."
+    elif found.own_frame:
+        yield """# The recording has a frame of its own, off the mesh: measure where
+# these are on the robot. Here they are only somewhere on it."""
+    elif recorded.others:
+        yield f"# As recorded in {recorded.rest.name!r}, and how far off the mesh."
+    else:
+        yield "# The one pose does not tell: these are the nearest points of the mesh."
+    farthest = max(own.distance for own in found.markers)
+    yield "[markers]"
+    yield 'std = "0.5 mm" # CHANGE: how well a pose repeats'
+    if farthest > _NEAR and not found.own_frame:
+        yield f'max_distance = "{1.1e3 * farthest:.3g} mm" # from the mesh, on posts'
+    yield "\n[markers.positions]"
+    for own in found.markers:
+        line = f"{bare(own.name)} = {_mm(own.place)}"
+        off = readable_values([own.distance], "m", digits=3)
+        if recorded is None:
+            yield f"{line} # CHANGE: where you glue it, and what it is called"
+        elif found.own_frame:
+            yield f"{line} # CHANGE: where it is on the robot"
+        elif not recorded.others:
+            yield f"{line} # CHANGE: where it is at rest; recorded {off} from the mesh"
+        else:
+            yield f"{line} # {f'{off} from' if own.distance else 'in'} the mesh"
+
+
+def _shared(found: Findings) -> Iterator[str]:
+    """Write what all configurations share."""
+    held, recorded = found.held, found.recorded
+    yield _ruler("the configurations")
+    yield "# What all of them share; each may add to it or state its own."
+    yield "[shared]"
+    yield 'gravity = "(0, 0, -9.81) m/s^2" # CHANGE: down, in the frame of the mesh'
+    known = " # CHANGE: what is held, here by its name" * (held.plane is None)
+    yield f"supports = [{{ group = {quoted(held.group)} }}]{known}"
+    off = "# " * found.own_frame
+    if recorded is None:
+        return
+    if found.own_frame:
+        yield """
+# CHANGE: the recording is not used yet: its frame is not that of the mesh
+# Write where its markers are, above, take the first `#` away here and below, and name
+# three or more markers that do not move, here the three that move least: the rigid
+# motion onto their positions takes one frame to the other. Compared are motions from
+# the first pose: where a marker is glued is known worse than how far it moves."""
+    else:
+        yield ""
+    files = {pose.file for pose in found.poses}
+    yield f"{off}[shared.measured]"
+    if len(files) == 1:
+        yield f"{off}file = {quoted(recorded.rest.file.name)}"
+    if recorded.unit is not None:
+        guess = "# CHANGE: a guess, by the size of the mesh"
+        yield f'{off}length_unit = "{recorded.unit}" {guess}'
+    if recorded.others and not found.own_frame:
+        yield """# Compared are motions from this pose: where a marker is glued is known
+# worse than how far it moves."""
+    if recorded.others:
+        yield f"{off}displacement_from = {quoted(recorded.rest.name)}"
+    if found.own_frame:
+        listed = ", ".join(map(quoted, recorded.stillest(3)))
+        which = f"select = {recorded.rest.select}"
+        yield f"{off}registration = {{ markers = [{listed}], {which} }}"
+    elif recorded.over_time:
+        yield "# Where cameras move in between: registration = { markers = [...] }"
+
+
+def _configurations(found: Findings) -> Iterator[str]:
+    """Write the poses that were recorded, or two that might be."""
+    weight = float(volumes(found.body.mesh).sum()) * DENSITY * STANDARD_GRAVITY
+    force = f"{weight:.1g}"
+    load = f'loads = [{{ point = {_mm(found.tip)}, force = "(0, 0, -{force}) N" }}]'
+    if found.recorded is None:
+        yield from _unmeasured(found, load)
+        return
+    rest, others = found.recorded.rest, found.recorded.others
+    yield "[[configurations]]"
+    if others:
+        yield f"name = {quoted(rest.name)} # CHANGE: here nothing acts but gravity"
+    else:
+        yield f"name = {quoted(rest.name)}"
+        yield _driven(found, rest, load)
+    yield from _measured(found, rest)
+    for k, pose in enumerate(others):
+        yield "\n[[configurations]]"
+        yield f"name = {quoted(pose.name)}"
+        if 0 < k == len(others) - 1:
+            yield 'role = "validation" # predicted after the fit, never used in it'
+        yield _driven(found, pose, load)
+        yield from _measured(found, pose)
+
+
+def _unmeasured(found: Findings, load: str) -> Iterator[str]:
+    """Write two configurations, and how their measurements are added."""
+    yield """# Once poses are recorded, as columns pose, marker, x_mm, y_mm, z_mm:
+#   [shared.measured]
+#   file = "markers.csv"
+#   displacement_from = "hanging"
+# and in each configuration: measured.select = { pose = "hanging" }
+[[configurations]]
+name = "hanging"
+
+[[configurations]]"""
+    yield 'name = "loaded"'
+    yield _driven(found, None, load)
+
+
+def _driven(found: Findings, pose: RecordedPose | None, load: str) -> str:
+    """Write what acts in a pose: a pressure where there is a chamber, else a load."""
+    name = None if pose is None else pose.name
+    pressed = name is not None and _is_quantity(name, "Pa")
+    if not found.chambers:
+        hint = f", its name is a pressure: actuation = {{ air = {quoted(str(name))} }}"
+        return f"{load} # CHANGE: what acts in this pose{hint * pressed}"
+    actuator = bare(f"air in {next(iter(found.chambers))}")
+    if pressed:
+        return f"actuation = {{ {actuator} = {quoted(str(name))} }} # by its name"
+    guess = f'actuation = {{ {actuator} = "{PRESSURE}" }}'
+    return f"{guess} # CHANGE: what acts in this pose"
+
+
+def _is_quantity(text: str, unit: str) -> bool:
+    """Tell whether a name is a quantity of a unit, like the pressure "20 kPa"."""
+    try:
+        parse_in_si(text, unit)
+    except ValueError:
+        return False
+    return True
+
+
+def _measured(found: Findings, pose: RecordedPose) -> Iterator[str]:
+    """Write where a pose is measured, and its markers where some were not seen."""
+    recorded = found.recorded
+    assert recorded is not None
+    off = "# " * found.own_frame
+    seen = [name for name in recorded.labels if name in pose.seen]
+    if len(seen) < len(recorded.labels):
+        listed = ", ".join(map(quoted, seen))
+        yield f"markers = [{listed}] # those that were seen"
+    if len({own.file for own in found.poses}) > 1:
+        yield f"{off}measured.file = {quoted(pose.file.name)}"
+    if pose.select != "{  }":
+        check = " # CHANGE: when the robot stands still" * recorded.over_time
+        yield f"{off}measured.select = {pose.select}{check}"
+
+
+def _settings() -> Iterator[str]:
+    yield _ruler("the settings")
+    yield """[settings]
+noise = "estimated" # from the residuals; "stated" takes the `std` as it is"""
+
+
+def _ruler(title: str) -> str:
+    return f"# {'-' * (86 - len(title))} {title}"
+
+
+def _mm(place: Float[HostArray, "3"]) -> str:
+    """Write a place as a project file does."""
+    return '"(' + ", ".join(f"{round(1e3 * x, 4) + 0.0:.10g}" for x in place) + ') mm"'

@@ -1,0 +1,199 @@
+"""A project folder for a robot: a ready-made one, or one's own mesh or CAD model."""
+
+import os
+import shutil
+import tempfile
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.exchange.proposal._body import (
+    Body,
+    Held,
+    far_end,
+    find_chambers,
+    propose_held,
+    read_body,
+)
+from softcal_jax.exchange.proposal._file import project_text
+from softcal_jax.exchange.proposal._findings import Findings, MarkerPlace
+from softcal_jax.exchange.proposal._recorded import Recorded, read_recorded
+from softcal_jax.mesh import MaterialPoints, MeshWarning, TetMesh, locate, mesh_files
+from softcal_jax.project import ProjectWarning, load_project
+from softcal_jax.robots import ready_made_path
+
+PROJECT = "project.toml"
+
+_SAME_FRAME = 0.3
+"""Distance from the mesh, as a share of its size, up to which markers share its frame.
+
+Posts that carry markers are shorter; cameras stand farther away from the robot.
+"""
+
+
+def write_ready_made(name: str, folder: Path) -> tuple[str, ...]:
+    """Write the project file and the data of a ready-made robot into a new folder.
+
+    Args:
+        name: Name of the robot, see `softcal_jax.robots.READY_MADE`.
+        folder: The folder, which must not be there.
+
+    Returns:
+        Names of the files.
+
+    Raises:
+        ValueError: If there is no such robot, or the folder is there.
+        OSError: If it cannot be written.
+    """
+    source = ready_made_path(name).parent
+    files = sorted(path for path in source.iterdir() if path.is_file())
+    with _new_folder(folder) as made:
+        for file in files:
+            shutil.copyfile(file, made / file.name)
+    return tuple(file.name for file in files)
+
+
+def propose_project(
+    model: Path,
+    folder: Path,
+    *,
+    recordings: Sequence[Path] = (),
+    size: float | None = None,
+    length_unit: str | None = None,
+) -> Findings:
+    """Write a project for a mesh or CAD model, with what no file tells as guesses.
+
+    Lines that hold a guess end in a remark "# CHANGE: ..."; `load_project` warns of
+    those that are left.
+
+    Args:
+        model: A mesh file, or a STEP or STL file.
+        folder: The folder, which must not be there. Model and recordings are copied.
+        recordings: A table of markers, or recordings over time, a pose in each.
+        size: Edges of the tets of a CAD model; a twentieth of it by default [m].
+        length_unit: Unit of the model; guessed where it states none.
+
+    Returns:
+        What it was written from.
+
+    Raises:
+        FileNotFoundError: If a file is not there.
+        ValueError: If the folder is there, a file cannot be read, or no project can be
+            made of what they hold.
+        ImportError: If a file needs a package that is not installed.
+        OSError: If the folder cannot be written.
+    """
+    _check_absent(folder)
+    names = [file.name for file in (model, *recordings)]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(
+                f"two of the files are called {name}, and both are copied into "
+                f"{folder}: give one another name."
+            )
+    body = read_body(model, size=size, length_unit=length_unit)
+    recorded = None
+    if recordings:
+        recorded = read_recorded(recordings, float(np.ptp(body.mesh.points, 0).max()))
+    findings = _find(model, body, recorded)
+    with _new_folder(folder) as made:
+        for file in (model, *recordings):
+            if file is not model or findings.model == model.name:
+                shutil.copyfile(file, made / file.name)
+        text = project_text(folder.name, findings)
+        (made / PROJECT).write_text(text, encoding="utf-8")
+        with warnings.catch_warnings():  # `softcal check` says them, with a better path
+            warnings.simplefilter("ignore", MeshWarning)
+            warnings.simplefilter("ignore", ProjectWarning)
+            load_project(made / PROJECT, solve=False)
+    return findings
+
+
+def _find(model: Path, body: Body, recorded: Recorded | None) -> Findings:
+    """Put together what the files tell, and what has to be guessed."""
+    mesh, at, own_frame = body.mesh, None, False
+    if recorded is not None:
+        at = locate(mesh, recorded.positions, max_distance=np.inf)
+        own_frame = bool(at.distance.max() > _SAME_FRAME * mesh.size)
+    moving = None if recorded is None or own_frame else recorded.moving
+    held = propose_held(mesh, moving)
+    tip = far_end(mesh, held)
+    # A file that includes others would have to be copied with all of them.
+    alone = len(mesh_files(model)) == 1
+    return Findings(
+        model=model.name if alone else str(model.resolve()),
+        body=body,
+        held=held,
+        tip=tip,
+        chambers=find_chambers(mesh, held),
+        recorded=recorded,
+        own_frame=own_frame,
+        markers=_markers(body, held, tip, recorded, at, own_frame=own_frame),
+    )
+
+
+def _markers(
+    body: Body,
+    held: Held,
+    tip: Float[HostArray, "3"],
+    recorded: Recorded | None,
+    at: MaterialPoints | None,
+    *,
+    own_frame: bool,
+) -> tuple[MarkerPlace, ...]:
+    """Place markers where they were seen at rest, or at points of the mesh."""
+    mesh = body.mesh
+    if recorded is None or at is None:
+        places = {"tip": tip, "middle": _on_top(mesh, 0.5 * (tip + held.centre))}
+        return tuple(MarkerPlace(name, place, 0.0) for name, place in places.items())
+    places, off = recorded.positions, at.distance
+    if own_frame:
+        box = lambda points: 0.5 * (points.min(axis=0) + points.max(axis=0))
+        shifted = places + box(mesh.points) - box(places)
+        places = locate(mesh, shifted, max_distance=np.inf).foot
+    elif not recorded.others:
+        places = at.foot
+    return tuple(
+        MarkerPlace(name, place, float(distance))
+        for name, place, distance in zip(recorded.labels, places, off, strict=True)
+    )
+
+
+def _on_top(mesh: TetMesh, place: Float[HostArray, "3"]) -> Float[HostArray, "3"]:
+    """Return the skin beside a place within, above it or at its larger x [m].
+
+    Seen from outside the box of the mesh, as the nearest point may be on the wall of a
+    cavity, where nobody glues a marker.
+    """
+    low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
+    side = 0 if np.argmax(high - low) == 2 else 2
+    above = np.where(np.arange(3) == side, high, place)
+    return locate(mesh, above[None], max_distance=np.inf).foot[0]
+
+
+def _check_absent(folder: Path) -> None:
+    """Raise ValueError if there is something where the folder is to be."""
+    if folder.exists() or folder.is_symlink():
+        raise ValueError(
+            f"{folder} is there already, and nothing of it is overwritten. Choose "
+            "another name."
+        )
+
+
+@contextmanager
+def _new_folder(folder: Path) -> Iterator[Path]:
+    """Give a folder to write into, which gets its name only if all went well."""
+    _check_absent(folder)
+    folder.absolute().parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(
+        prefix=f".{folder.name}.", dir=folder.absolute().parent
+    ) as made:
+        inner = Path(made, folder.name)
+        inner.mkdir()
+        yield inner
+        _check_absent(folder)
+        os.rename(inner, folder)

@@ -1,0 +1,222 @@
+"""What files of markers tell: which poses they hold, and where markers were."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from softcal_jax._names import METRES
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.configurations import (
+    C3D,
+    MarkerTable,
+    is_wide_table,
+    read_markers,
+    read_recording,
+    read_table,
+)
+
+_REST = re.compile(
+    r"(?<![a-z])(rest|unloaded|zero|reference|initial|home)(?![a-z])"
+    r"|^\W*0(\.0+)?(?![\d.])",
+    re.IGNORECASE,
+)
+"""Names of poses in which nothing acts but gravity."""
+
+_WINDOW = 0.1
+"""Length of the windows at both ends of a recording over time [s]."""
+
+_UNITS = ("mm", "cm", "m")
+"""Units that are tried for a file that states none."""
+
+
+class RecordedPose(NamedTuple):
+    """A pose that was recorded.
+
+    Attributes:
+        name: Its name.
+        file: The file that it is in.
+        select: What a project file takes of the file, as TOML.
+        seen: Positions of the markers that were seen, by label, in the frame and unit
+            of the file [m].
+    """
+
+    name: str
+    file: Path
+    select: str
+    seen: dict[str, Float[HostArray, "3"]]
+
+
+class Recorded(NamedTuple):
+    """The poses of one or several files.
+
+    Attributes:
+        rest: The pose that others are compared with; that it is at rest is a guess.
+        others: The others.
+        over_time: Whether the files are recordings over time.
+        unit: Length unit, where the files state none: a guess.
+    """
+
+    rest: RecordedPose
+    others: tuple[RecordedPose, ...]
+    over_time: bool
+    unit: str | None
+
+    @property
+    def labels(self) -> list[str]:
+        """Labels of the markers that were seen at rest."""
+        return [*self.rest.seen]
+
+    @property
+    def positions(self) -> Float[HostArray, "n_markers 3"]:
+        """Positions at rest, in the frame of the file [m]."""
+        return np.array([*self.rest.seen.values()]).reshape(-1, 3)
+
+    @property
+    def moving(self) -> Float[HostArray, "n 3"] | None:
+        """Where those markers are at rest that move at least half as far as any [m]."""
+        far = self._motions
+        return self.positions[far >= 0.5 * far.max()] if far.any() else None
+
+    def stillest(self, n: int) -> list[str]:
+        """Return the labels of so many markers that move least, in their order."""
+        chosen = np.sort(np.argsort(self._motions, kind="stable")[:n])
+        return [self.labels[i] for i in chosen]
+
+    @property
+    def _motions(self) -> Float[HostArray, " n_markers"]:
+        """How far each marker moves from rest at most [m]."""
+        far = np.zeros(len(self.labels))
+        for pose in self.others:
+            for i, (name, place) in enumerate(self.rest.seen.items()):
+                if name in pose.seen:
+                    far[i] = max(far[i], np.linalg.norm(pose.seen[name] - place))
+        return far
+
+
+def read_recorded(paths: Sequence[Path], across: float) -> Recorded:
+    """Read the poses of a table of rows, or of recordings over time, a pose in each.
+
+    Args:
+        paths: A file that `read_markers` takes, or files that `read_recording` takes.
+        across: Size of the robot, by which a unit is guessed that no one states [m].
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If one cannot be read, tables of rows are several, or no marker was
+            seen in the first pose.
+        ImportError: If one is a .c3d file and ezc3d is not installed.
+    """
+    kinds = [p.suffix.lower() == C3D or is_wide_table(p) for p in paths]
+    over_time = all(kinds)
+    if len(paths) > 1 and not over_time:
+        raise ValueError(
+            f"{paths[kinds.index(False)]} is a table of rows, which holds all poses: "
+            "give it alone, or several recordings over time."
+        )
+    find = _ends if over_time else _rows
+    try:
+        poses, unit = find(paths, None), None
+    except ValueError as refused:
+        try:
+            poses = find(paths, "m")
+        except ValueError:
+            raise refused from None
+        unit = _likely_unit(poses[0], across)
+        poses = find(paths, unit)
+    rest = next((pose for pose in poses if _REST.search(pose.name)), poses[0])
+    if not rest.seen:
+        raise ValueError(
+            f"{rest.file}: no marker was seen in {rest.name!r}, with which the other "
+            "poses are compared."
+        )
+    others = tuple(pose for pose in poses if pose is not rest)
+    return Recorded(rest, others, over_time, unit)
+
+
+def _likely_unit(pose: RecordedPose, across: float) -> str:
+    """Return the unit in which markers lie as far apart as a robot of that size."""
+    places = np.array([*pose.seen.values()]).reshape(-1, 3)
+    apart = float(np.ptp(places, axis=0).max()) if len(places) > 1 else 0.0
+    apart = apart or float(np.abs(places).max(initial=0.0)) or across
+    return min(_UNITS, key=lambda unit: abs(np.log(apart * METRES[unit] / across)))
+
+
+def _rows(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
+    """Read the poses of a table of rows, by the columns that tell them apart."""
+    (path,) = paths
+    table = read_table(path, "marker", None)
+    columns = _columns(table.header, table.rows)
+    keys = dict.fromkeys(tuple(row[c] for c in columns) for row in table.rows)
+    poses = []
+    for key in keys:
+        select = dict(zip(columns, key, strict=True))
+        seen = _seen(read_markers(path, length_unit=unit, select=select))
+        listed = ", ".join(f"{bare(c)} = {quoted(v)}" for c, v in select.items())
+        poses.append(
+            RecordedPose(" ".join(key) or "pose", path, f"{{ {listed} }}", seen)
+        )
+    return poses
+
+
+def _columns(header: Sequence[str], rows: Sequence[Mapping[str, str]]) -> tuple:
+    """Choose the fewest columns, with the fewest values, that tell poses apart.
+
+    In a pose every marker has one row. Where no columns tell, none are chosen, and
+    reading says which marker is there twice.
+    """
+    of_place = {*"xyz", *(f"{axis}_{unit}" for axis in "xyz" for unit in METRES)}
+    others = [column for column in header if column not in {"marker", *of_place}]
+    found: tuple[int, tuple] | None = None
+    for n in range(min(3, len(others)) + 1):
+        for columns in combinations(others, n):
+            keys = [tuple(row[c] for c in columns) for row in rows]
+            markers = {
+                (*key, row["marker"]) for key, row in zip(keys, rows, strict=True)
+            }
+            many = len(set(keys))
+            if len(markers) == len(rows) and (found is None or many < found[0]):
+                found = many, columns
+        if found is not None:
+            return found[1]
+    return ()
+
+
+def _ends(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
+    """Take the begin of the first recording as rest, and the end of each as a pose."""
+    poses = []
+    for path in paths:
+        recording = read_recording(path, length_unit=unit)
+        # Rounded down, the end does not lie behind the last frame.
+        last = math.floor(1e4 * float(recording.times[-1])) / 1e4
+        width = min(_WINDOW, last)
+        windows = [("rest", 0.0, width), (path.stem, last - width, last)]
+        if poses:
+            windows = windows[1:]
+        elif last <= 2.0 * width or path.stem == "rest":  # nothing but rest in it
+            windows = windows[:1]
+        for name, start, stop in windows:
+            listed = ", ".join(f'"{round(time, 4):.10g} s"' for time in (start, stop))
+            seen = _seen(recording.between(round(start, 4), round(stop, 4)))
+            poses.append(RecordedPose(name, path, f"{{ between = [{listed}] }}", seen))
+    return poses
+
+
+def _seen(table: MarkerTable) -> dict[str, Float[HostArray, "3"]]:
+    pairs = zip(table.names, table.positions, strict=True)
+    return {name: place for name, place in pairs if np.isfinite(place).all()}
+
+
+def quoted(text: str) -> str:
+    """Write a text as TOML has it."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\t", "\\t")
+    return f'"{escaped}"'
+
+
+def bare(key: str) -> str:
+    """Write a key as TOML has it, in quotes where it needs them."""
+    return key if re.fullmatch("[A-Za-z0-9_-]+", key) else quoted(key)

@@ -1,0 +1,208 @@
+"""The component of SOFA that computes a law, and what it cannot do."""
+
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._module import one_line
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.exchange.sofa._plugin_elasticity import PluginElasticity
+from softcal_jax.exchange.sofa._units import Scale
+from softcal_jax.materials import (
+    AbstractElasticity,
+    AbstractLaw,
+    ClassicalCorotational,
+    Corotational,
+    Isotropic,
+    NeoHookean,
+    ReducedTransverseIsotropic,
+    SofaCorotational,
+    SofaRotation,
+    StVenantKirchhoff,
+    TransverseIsotropic,
+    is_point_values,
+    lame,
+)
+from softcal_jax.mesh import TetMesh
+
+SofaRelease = Literal["v25.12", "v26.06"]
+"""Releases of SOFA that scenes are written for."""
+
+SofaLaw = Literal["same", "corotational"]
+"""Whether SOFA gets the counterpart of the law, or its corotational one."""
+
+ELASTIC = "Sofa.Component.SolidMechanics.FEM.Elastic"
+HYPERELASTIC = "Sofa.Component.SolidMechanics.FEM.HyperElastic"
+
+_OTHER_VOLUME = (
+    "SOFA's law of that name has another term for the change of volume, k0/2 (ln J)^2"
+)
+_REASONS = {
+    "MooneyRivlin": _OTHER_VOLUME,
+    "Ogden": _OTHER_VOLUME,
+    "FibreReinforced": "SOFA has no fibres in a hyperelastic matrix of this kind",
+}
+
+
+class Component(NamedTuple):
+    """A component of a scene and its data, in the units of the scene.
+
+    Attributes:
+        component: Its class.
+        plugin: The plugin that has it.
+        data: Its data by name.
+    """
+
+    component: str
+    plugin: str
+    data: dict[str, Any]
+
+    __repr__ = one_line
+
+
+def law_for_sofa(
+    law: AbstractLaw, mesh: TetMesh, *, choice: SofaLaw, rotation: SofaRotation
+) -> AbstractLaw:
+    """Return the law that SOFA computes in place of another, on a linear mesh.
+
+    Args:
+        law: The calibrated law.
+        mesh: The linear mesh of the scene.
+        choice: "same" takes the counterpart of the law, "corotational" the isotropic
+            corotational law, for laws with the constants E and nu.
+        rotation: Rotation of the corotational tets; with fibres it is always "large",
+            that of the plugin.
+
+    Raises:
+        ValueError: If SOFA has no counterpart; the text says why, and what to do.
+    """
+    if any(is_point_values(leaf) for leaf in _constants(law)):
+        raise ValueError(
+            "the law has constants that differ within a tet, and SOFA knows one per "
+            'tet; take sampling = "centroids" for the parameters, the default.'
+        )
+    elasticity = getattr(law, "elasticity", None)
+    if isinstance(law, Corotational | ClassicalCorotational):
+        if isinstance(elasticity, Isotropic):
+            return SofaCorotational.of_mesh(mesh, elasticity, rotation)
+        if isinstance(elasticity, TransverseIsotropic | ReducedTransverseIsotropic):
+            own = PluginElasticity(elasticity)
+            return SofaCorotational.of_mesh(mesh, own, "large")
+    if choice == "corotational" and (found := _isotropic(law)) is not None:
+        return SofaCorotational.of_mesh(mesh, found, rotation)
+    of_body = isinstance(law, NeoHookean) or (
+        isinstance(law, StVenantKirchhoff) and isinstance(elasticity, Isotropic)
+    )
+    if not of_body:
+        raise ValueError(_no_counterpart(law))
+    if any(np.ndim(leaf) > 0 for leaf in _constants(law)):
+        raise ValueError(
+            f"{type(law).__name__} differs from tet to tet here, and the hyperelastic "
+            "component of SOFA takes one set of constants for the whole body; take "
+            'law="corotational" (--law corotational), whose moduli SOFA takes per tet.'
+        )
+    return law
+
+
+def _constants(law: AbstractLaw) -> list[Any]:
+    return jax.tree.leaves(law, is_leaf=is_point_values)
+
+
+def _isotropic(law: AbstractLaw) -> Isotropic | None:
+    """Return Hooke's law of the same E and nu; None for a law without these."""
+    for own in (law, getattr(law, "elasticity", None)):
+        if isinstance(own, NeoHookean | Isotropic):
+            return Isotropic(own.E, own.nu)
+    return None
+
+
+def _no_counterpart(law: AbstractLaw) -> str:
+    name = type(law).__name__
+    elasticity = getattr(law, "elasticity", None)
+    if isinstance(elasticity, AbstractElasticity):
+        name += f" with {type(elasticity).__name__}"
+        reason = (
+            "SOFA has fibres only in the corotational tets of the plugin Anisotropy: "
+            "calibrate a Corotational law"
+        )
+    else:
+        reason = _REASONS.get(name, "SOFA has no such law")
+        reason += ": calibrate a NeoHookean or a Corotational law"
+    return f"{name} has no counterpart in SOFA: {reason}, and export that."
+
+
+def component_of(
+    law: AbstractLaw, n_tets: int, release: SofaRelease, scale: Scale
+) -> Component:
+    """Write a law from `law_for_sofa` as a component of a scene.
+
+    Raises:
+        ValueError: If the release lacks it, or a constant lies where SOFA would replace
+            it by another.
+    """
+    if isinstance(law, SofaCorotational):
+        if isinstance(law.elasticity, PluginElasticity):
+            return _of_plugin(law.elasticity, n_tets, scale)
+        assert isinstance(law.elasticity, Isotropic)
+        _check_ratio(law.elasticity.nu)
+        data = {
+            "youngModulus": _listed(scale.pressure * np.asarray(law.elasticity.E)),
+            "poissonRatio": _listed(law.elasticity.nu),
+        }
+        if law.rotation == "procrustes":
+            if release == "v25.12":
+                raise ValueError(
+                    'rotation="procrustes" is that of CorotationalFEMForceField, '
+                    "which SOFA has since v26.06; take another rotation for v25.12."
+                )
+            chosen = {"template": "Vec3,Tetrahedron", "rotationMethod": "polar"}
+            return Component("CorotationalFEMForceField", ELASTIC, chosen | data)
+        method = {"edge": "polar", "large": "large"}[law.rotation]
+        return Component("TetrahedronFEMForceField", ELASTIC, {"method": method} | data)
+    constants: Any = getattr(law, "elasticity", law)
+    lam, mu = lame(constants.E, constants.nu)
+    data = {
+        "materialName": type(law).__name__,
+        "ParameterSet": [scale.pressure * float(c) for c in (mu, lam)],
+    }
+    return Component("TetrahedronHyperelasticityFEMForceField", HYPERELASTIC, data)
+
+
+def _of_plugin(elasticity: PluginElasticity, n_tets: int, scale: Scale) -> Component:
+    constants = {
+        name: np.broadcast_to(np.asarray(value), (n_tets,))
+        for name, value in elasticity.constants().items()
+    }
+    if np.any(constants["nu_tl"] == 0.0):
+        raise ValueError(
+            "nu_tl is 0, where the plugin Anisotropy divides by zero; give another one."
+        )
+    kind = np.full(n_tets, 2.0)  # transverse isotropy
+    E_t, E_l = (scale.pressure * constants[name] for name in ("E_t", "E_l"))
+    nu_t, nu_tl = constants["nu_t"], constants["nu_tl"]
+    parameters = np.stack([kind, E_l, nu_tl, E_t / (2.0 * (1.0 + nu_t))], axis=1)
+    u = jnp.broadcast_to(elasticity.fibre.direction().T, (n_tets, 3))
+    data = {
+        "elasticitySymmetry": "transverseIsotropic",
+        "youngModulus": E_t.tolist(),
+        "poissonRatio": nu_t.tolist(),
+        "anisotropyParameters": parameters.tolist(),
+        "anisotropyDirections": np.asarray(u).tolist(),
+    }
+    return Component("TetrahedronAnisotropicForceField", "Anisotropy", data)
+
+
+def _check_ratio(nu: Float[HostArray, "..."] | Any) -> None:
+    values = np.atleast_1d(np.asarray(nu))
+    bad = values[~((values >= 0.0) & (values < 0.5))]
+    if bad.size:
+        raise ValueError(
+            f"nu is {bad[0]:g}; SOFA takes a Poisson's ratio in [0, 0.5) and replaces "
+            "others by 0.45, so this law cannot be written."
+        )
+
+
+def _listed(values: Any) -> list[float]:
+    return np.atleast_1d(np.asarray(values, float)).tolist()

@@ -1,0 +1,277 @@
+"""Configurations as the numbers of a scene: supports, loads, actuators, effectors."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.actuators import (
+    CableSegments,
+    Chamber,
+    ChamberFaces,
+    ChamberLids,
+    PressureFaces,
+)
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationArrays,
+    EffectorRecord,
+    configuration_lanes,
+)
+from softcal_jax.equilibrium import Model
+from softcal_jax.exchange._refusals import check_no_bodies, check_rim
+from softcal_jax.exchange.sofa._units import Scale
+from softcal_jax.fields import ParameterSpace
+
+CONVERGED = 1e-9
+"""Residual at which Newton of SOFA stops, relative to the nodal loads [-]."""
+
+_IMPOSED = {
+    (True, True): ("displacement", "length"),
+    (True, False): ("force", "force"),
+    (False, True): ("volumeGrowth", "volume"),
+    (False, False): ("pressure", "pressure"),
+}
+"""Value type of SOFA and factor of its unit, for a cable or a wall, by displacement."""
+
+
+def check_robot(model: Model) -> None:
+    """Raise unless a scene can hold what is attached to the body.
+
+    Raises:
+        ValueError: If there are rigid bodies, or actuators without a counterpart.
+    """
+    check_no_bodies(model, "a scene of SOFA")
+    actuators = model.mechanism.actuators
+    known = (CableSegments, ChamberFaces, ChamberLids, PressureFaces)
+    for group in actuators.groups:
+        if isinstance(group, known):
+            continue
+        owner = int(np.asarray(group.owner)[0])
+        kind = actuators.kinds[owner].noun
+        if actuators.has_friction[owner]:
+            kind += " with friction"
+        raise ValueError(
+            f"the {kind} {actuators.names[owner]!r} has no counterpart in SOFA or its "
+            "plugin SoftRobots; scenes hold cables without friction, chambers and "
+            "surface pressures. Take it out of the project."
+        )
+
+
+def scene_configurations(
+    model: Model,
+    space: ParameterSpace,
+    z: Any,
+    configurations: Sequence[Configuration],
+    displacements: Sequence[Float[HostArray, "n_nodes 3"]],
+    scale: Scale,
+) -> dict[str, dict[str, Any]]:
+    """Write configurations with the fitted parameters, by their names.
+
+    Args:
+        model: The linear model.
+        space: Its parameters, which may also belong to loads and supports.
+        z: Their scaled values [-].
+        configurations: The configurations.
+        displacements: Displacements of the nodes that the model predicts in each [m].
+        scale: Units of the scene.
+
+    Raises:
+        ValueError: If one has a support that cannot be written.
+    """
+    lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
+    written = {}
+    for i, (configuration, u) in enumerate(
+        zip(configurations, displacements, strict=True)
+    ):
+        lane = jax.tree.map(lambda leaf, i=i: leaf[i], lanes.arrays)
+        _, lane = space.apply(model, lane, z)
+        written[configuration.name] = {
+            "gravity": (scale.length * np.asarray(lane.acceleration)).tolist(),
+            **_supports(model, configuration, lane, scale),
+            "forces": _forces(lane, scale),
+            **_actuators(model, lane, scale),
+            "effectors": _effectors(
+                lane, lanes.effectors[i], model.mesh.points + np.asarray(u), scale
+            ),
+            "stop at residual": _stop(model, lane, scale),
+        }
+    return written
+
+
+def vertex_masses(model: Model) -> Float[HostArray, " n_nodes"]:
+    """Compute the mass of each node, a quarter of that of each of its tets [kg]."""
+    density = np.broadcast_to(np.asarray(model.density), (model.n_tets,))
+    mass = density[:, None] * np.asarray(model.node_volumes)
+    nodes = model.mesh.tets.ravel()
+    return np.bincount(nodes, mass.ravel(), model.mesh.n_nodes)
+
+
+def _chambers(model: Model) -> list[int]:
+    """Return the indices of chambers among the actuators."""
+    kinds = model.mechanism.actuators.kinds
+    return [k for k, kind in enumerate(kinds) if kind is Chamber.kind]
+
+
+def _supports(
+    model: Model, configuration: Configuration, lane: ConfigurationArrays, scale: Scale
+) -> dict[str, Any]:
+    fixed, imposed = np.asarray(lane.fixed), np.asarray(lane.imposed)
+    rest = np.asarray(lane.springs.rest)
+    if np.any(rest):
+        raise ValueError(
+            f"configuration {configuration.name!r}: an elastic support that is moved "
+            "is not written, since SOFA's springs pull towards the rest shape. Leave "
+            "its displacement out."
+        )
+    moved = np.flatnonzero(np.any(fixed & (imposed != 0.0), axis=1))
+    by_volume = np.asarray(lane.actuation.by_displacement)
+    if moved.size and any(by_volume[_chambers(model)]):
+        raise ValueError(
+            f"configuration {configuration.name!r}: a chamber with an imposed volume "
+            "is not written beside a support that is moved, since SOFA counts its "
+            "growth from there. Impose its pressure."
+        )
+    ways = [tuple(row) for row in np.unique(fixed, axis=0).tolist() if any(row)]
+    coefficients = np.asarray(lane.springs.coefficients())
+    return {
+        "held": [
+            {
+                "directions": [int(way) for way in own],
+                "indices": np.flatnonzero((fixed == own).all(axis=1)).tolist(),
+            }
+            for own in ways
+        ],
+        "moved": {
+            "indices": moved.tolist(),
+            "displacements": (scale.length * imposed[moved]).tolist(),
+        },
+        "springs": [
+            {
+                "directions": [int(axis == k) for k in range(3)],
+                "indices": np.flatnonzero(coefficients[:, axis]).tolist(),
+                "stiffness": (
+                    scale.force
+                    / scale.length
+                    * coefficients[coefficients[:, axis] != 0.0, axis]
+                ).tolist(),
+            }
+            for axis in range(3)
+            if np.any(coefficients[:, axis])
+        ],
+    }
+
+
+def _forces(lane: ConfigurationArrays, scale: Scale) -> dict[str, Any]:
+    force = np.asarray(lane.dead_loads)
+    loaded = np.flatnonzero(np.any(force != 0.0, axis=1))
+    return {
+        "indices": loaded.tolist(),
+        "forces": (scale.force * force[loaded]).tolist(),
+    }
+
+
+def _actuators(model: Model, lane: ConfigurationArrays, scale: Scale) -> dict[str, Any]:
+    """Write cables, chambers and pressures that are imposed in a configuration."""
+    found: dict[str, Any] = {"cables": [], "chambers": []}
+    for group in model.mechanism.actuators.groups:
+        if isinstance(group, ChamberLids):
+            continue  # without material, like the opening that SOFA sees
+        owners = np.asarray(group.owner)
+        for owner in np.unique(owners).tolist():
+            by_displacement = bool(np.asarray(lane.actuation.by_displacement)[owner])
+            given = lane.actuation.value if by_displacement else lane.actuation.forces
+            value = float(np.asarray(given)[owner])
+            if value == 0.0 and not by_displacement:
+                continue  # slack, or without pressure
+            check_rim(model, lane, owner, "SOFA")
+            name = model.mechanism.actuators.names[owner]
+            mine = np.flatnonzero(owners == owner)
+            own = jax.tree.map(lambda leaf, mine=mine: np.asarray(leaf)[mine], group)
+            cable = isinstance(own, CableSegments)
+            kind, unit = _IMPOSED[cable, by_displacement]
+            where = _path(model, own, name, scale) if cable else _wall(own)
+            imposed = {"value": getattr(scale, unit) * value, "value type": kind}
+            found["cables" if cable else "chambers"].append(
+                {"name": name, **where, **imposed}
+            )
+    return found
+
+
+def _wall(faces: Any) -> dict[str, Any]:
+    """Return triangles along whose normals SOFA pushes: into the body."""
+    return {"triangles": np.asarray(faces.nodes)[:, ::-1].tolist()}
+
+
+def _path(
+    model: Model, cable: CableSegments, name: str, scale: Scale
+) -> dict[str, Any]:
+    """Return the guides of a cable on the body, and the point on the ground, if any.
+
+    SOFA knows one fixed point, from which the cable is pulled, and lists the others
+    from there.
+    """
+    rest = np.asarray(model.mechanism.points)
+    ends = np.einsum("cem,cmi->cei", cable.weights, rest[cable.nodes]) + cable.fixed
+    grounded = ~np.any(np.asarray(cable.weights) != 0.0, axis=2)
+    apart = np.any(ends[:-1, 1] != ends[1:, 0])
+    inside = np.any(grounded[1:, 0]) or np.any(grounded[:-1, 1])
+    both = grounded[0, 0] and grounded[-1, 1]
+    if apart or inside or both:
+        raise ValueError(
+            f"the cable {name!r} has more than one guide on the ground, or one between "
+            "its ends; SOFA's CableConstraint knows one fixed point, at an end. Put "
+            "the other guides on the body."
+        )
+    points = np.concatenate([ends[:1, 0], ends[:, 1]])
+    at_end = bool(grounded[-1, 1])
+    fixed = points[-1] if at_end else points[0] if grounded[0, 0] else None
+    if fixed is not None:
+        points = points[-2::-1] if at_end else points[1:]
+    return {
+        "points": (scale.length * points).tolist(),
+        "pull point": None if fixed is None else (scale.length * fixed).tolist(),
+    }
+
+
+def _effectors(
+    lane: ConfigurationArrays,
+    records: Sequence[EffectorRecord],
+    x: Float[HostArray, "n_nodes 3"],
+    scale: Scale,
+) -> list[dict[str, Any]]:
+    """Write markers and other points: their nodes, weights, and what is predicted."""
+    arrays = lane.effectors
+    nodes, weights = np.asarray(arrays.nodes), np.asarray(arrays.weights)
+    written = []
+    for record in records:
+        if record.quantity != "point":
+            continue
+        used = weights[record.index] != 0.0
+        own, share = nodes[record.index][used], weights[record.index][used]
+        seen = np.isfinite(record.measured)
+        measured = [
+            scale.length * float(value) if ok else None
+            for value, ok in zip(record.measured, seen, strict=True)
+        ]
+        written.append(
+            {
+                "name": record.name,
+                "nodes": own.tolist(),
+                "weights": share.tolist(),
+                "predicted": (scale.length * share @ x[own]).tolist(),
+                "measured": measured if seen.any() else None,
+            }
+        )
+    return written
+
+
+def _stop(model: Model, lane: ConfigurationArrays, scale: Scale) -> float:
+    """Compute the residual at which Newton may stop; 0 without a load on free nodes."""
+    weight = vertex_masses(model)[:, None] * np.asarray(lane.acceleration)[None]
+    dead = np.asarray(lane.dead_loads)[: model.mesh.n_nodes]
+    free = ~np.asarray(lane.fixed)[: model.mesh.n_nodes]
+    size = float(np.linalg.norm(np.where(free, weight + dead, 0.0)))
+    return CONVERGED * scale.force * size

@@ -1,0 +1,214 @@
+"""Export a calibrated robot as a scene of SOFA, calibrated again for it."""
+
+import math
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import get_args
+
+from softcal_jax._module import Module
+from softcal_jax._names import unknown_name
+from softcal_jax._units import readable_estimate
+from softcal_jax.calibration import CalibrationResult, HistoryEntry
+from softcal_jax.exchange.sofa._component import SofaLaw, SofaRelease, component_of
+from softcal_jax.exchange.sofa._configurations import (
+    check_robot,
+    scene_configurations,
+    vertex_masses,
+)
+from softcal_jax.exchange.sofa._recalibrate import (
+    linear_project,
+    model_of_sofa,
+    recalibrate,
+)
+from softcal_jax.exchange.sofa._units import SofaUnits, scale_of
+from softcal_jax.exchange.sofa._write import Scene, write_scene
+from softcal_jax.export import check_results_folder
+from softcal_jax.materials import SofaRotation
+from softcal_jax.report import LoadedResult, load_result
+
+_MODELS = ("calibrated model", "SOFA, same values", "SOFA, own values")
+
+
+class SofaExport(Module):
+    """What was written for SOFA.
+
+    Attributes:
+        folder: The folder of the scene.
+        release: The release that it is written for.
+        component: The component that computes the law.
+        calibrated: The calibration that was exported.
+        result: That of the model of SOFA, whose values the scene has.
+        notes: What to know of the scene, in sentences.
+    """
+
+    folder: Path
+    release: str
+    component: str
+    calibrated: LoadedResult
+    result: CalibrationResult
+    notes: tuple[str, ...]
+
+    def __str__(self) -> str:
+        """Write parameters, predictions and notes, line by line."""
+        return "\n".join([*self.lines, "", *self.notes]).strip()
+
+    @property
+    def lines(self) -> list[str]:
+        """The values of both models, and a table of what they predict."""
+        lines = []
+        for parameter in self.result.parameters:
+            before, now = (
+                readable_estimate(value, math.nan, parameter.unit)
+                for value in (self.calibrated.values[parameter.name], parameter.value)
+            )
+            bound = " (on a bound: widen it, and calibrate again)" * parameter.at_bound
+            lines.append(
+                f"{parameter.name}: {before} calibrated, {now} for SOFA{bound}"
+            )
+        return [*lines, "", *_table(self)]
+
+
+def export_sofa(
+    result: LoadedResult | str | os.PathLike[str],
+    directory: str | os.PathLike[str],
+    *,
+    release: SofaRelease = "v26.06",
+    units: SofaUnits = "mm-kg-s",
+    law: SofaLaw = "same",
+    rotation: SofaRotation = "edge",
+    force: bool = False,
+    began: Callable[[], None] | None = None,
+    progress: Callable[[HistoryEntry], None] | None = None,
+) -> SofaExport:
+    """Write a calibrated robot as a static scene of SOFA, calibrated again for it.
+
+    SOFA runs linear tets, which are too stiff, with a rotation of its own, so the
+    calibrated moduli are not the ones that it needs. The model is therefore fitted once
+    more to the same measurements, with the mesh and the law that SOFA will run, and its
+    values are written.
+
+    The folder holds `scene.py` for SofaPython3, `robot.vtk` (the linear mesh),
+    `robot.json` (all numbers, in the units of the scene), and `README.md` with the
+    command that runs it. The scene holds all configurations, follows their markers and
+    compares these with what the model predicts.
+
+    Args:
+        result: The results folder, its `result.json`, or what `load_result` returned.
+        directory: The folder; it must be new or empty, or hold an earlier scene.
+        release: Release of SOFA.
+        units: Unit system of the scene.
+        law: "same" writes the counterpart of the calibrated law; "corotational" takes
+            SOFA's corotational tets for laws with the constants E and nu.
+        rotation: Rotation of the corotational tets, see `SofaCorotational`; laws with a
+            fibre take that of the plugin Anisotropy.
+        force: Replace an earlier scene; files that a user added stay.
+        began: Called once nothing is left to refuse and the calibration begins.
+        progress: Called after each step of the calibration.
+
+    Raises:
+        ResultError: If the result cannot be loaded, see `load_result`.
+        FileExistsError: If the folder is not empty, and `force` is off or it holds
+            something else.
+        NotConvergedError: If the calibration for SOFA does not converge. Nothing is
+            written then.
+        RuntimeError: If a configuration has no equilibrium with the model of SOFA.
+        ValueError: If an option is unknown, or the law, the robot or a support has no
+            counterpart in SOFA; the text says why, and what to do.
+    """
+    scale = scale_of(units)
+    if release not in get_args(SofaRelease):
+        raise unknown_name("release", release, get_args(SofaRelease))
+    if law not in get_args(SofaLaw):
+        raise unknown_name("law", law, get_args(SofaLaw))
+    folder = Path(directory)
+    check_results_folder(folder, force=force)
+    loaded = result if isinstance(result, LoadedResult) else load_result(result)
+    project = linear_project(loaded)
+    check_robot(project.model)
+    model = model_of_sofa(project, law, rotation)
+    component_of(model.law, model.n_tets, release, scale)  # before the work is done
+    if began is not None:
+        began()
+    refitted = recalibrate(loaded, project, model, progress=progress)
+    solved = {c.name: c for c in refitted.configurations if c.converged}
+    posed = [c for c in project.configurations if c.name in solved]
+    if not posed:
+        raise RuntimeError("no configuration has an equilibrium in the model of SOFA.")
+    scene = Scene(
+        name=project.name,
+        release=release,
+        units=scale.words,
+        mesh=model.mesh,
+        length=scale.length,
+        elasticity=component_of(refitted.model.law, model.n_tets, release, scale),
+        vertex_mass=vertex_masses(refitted.model),
+        configurations=scene_configurations(
+            refitted.model,
+            refitted.space,
+            refitted.z,
+            posed,
+            [solved[c.name].displacement for c in posed],
+            scale,
+        ),
+    )
+    export = SofaExport(
+        folder=folder,
+        release=release,
+        component=scene.elasticity.component,
+        calibrated=loaded,
+        result=refitted,
+        notes=_notes(refitted, scene),
+    )
+    write_scene(folder, scene, text=export.lines, notes=export.notes, force=force)
+    return export
+
+
+def _notes(refitted: CalibrationResult, scene: Scene) -> tuple[str, ...]:
+    notes = []
+    lost = [c.name for c in refitted.configurations if not c.converged]
+    if lost:
+        notes.append(
+            "Without an equilibrium in the model of SOFA, and so left out: "
+            f"{', '.join(lost)}."
+        )
+    others = [
+        f"{effector.name} ({c.name})"
+        for c in refitted.configurations
+        for effector in c.others
+    ]
+    if others:
+        notes.append(
+            "Only points are followed; lengths, volumes and forces are not: "
+            f"{', '.join(others)}."
+        )
+    if scene.elasticity.plugin == "Anisotropy":
+        notes.append(
+            "The plugin Anisotropy takes the shear modulus along the fibre from E_t, "
+            "and its C13 is not that of the textbook: the values make up for both, and "
+            "are no material constants."
+        )
+    return tuple(notes)
+
+
+def _table(export: SofaExport) -> list[str]:
+    """Tabulate what the models predict of each configuration, as rms of distances.
+
+    Beside how far the points move: errors of the calibrated model, of that of SOFA with
+    the same values, and with values of its own.
+    """
+    mm = lambda value: f"{1e3 * value:.3g} mm" if math.isfinite(value) else "-"
+    rows = [["configuration", "role", "moved", *_MODELS]]
+    for c in export.result.configurations:
+        errors = export.calibrated.errors[c.name], c.rms_before, c.rms_after
+        rows.append([c.name, c.role, *map(mm, (c.motion, *errors))])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    columns = list(zip("<<>>>>", widths, strict=True))  # words left, numbers right
+    lines = (
+        "  ".join(
+            f"{cell:{side}{width}}"
+            for cell, (side, width) in zip(row, columns, strict=True)
+        )
+        for row in rows
+    )
+    return ["Distances of points from where they were measured, rms:", *lines]

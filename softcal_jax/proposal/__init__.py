@@ -1,6 +1,0 @@
-"""A first project file for a robot, written from its model and its recordings."""
-
-from softcal_jax.proposal._findings import Findings
-from softcal_jax.proposal._propose import Proposed, propose_project, write_ready_made
-
-__all__ = ["Findings", "Proposed", "propose_project", "write_ready_made"]

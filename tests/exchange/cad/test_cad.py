@@ -1,0 +1,237 @@
+"""Meshes of STEP models, against the dimensions of what was modelled."""
+
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from exchange.cad.cad_models import (
+    CAVITY,
+    FINGER,
+    INLET,
+    MIDDLE,
+    gmsh,
+    modelled,
+    write_finger,
+)
+
+from softcal_jax._limits import LimitError
+from softcal_jax.actuators import Chamber, actuator_arrays
+from softcal_jax.elements import TET_EDGES
+from softcal_jax.exchange.cad import mesh_cad
+from softcal_jax.mesh import (
+    MeshWarning,
+    boundary_faces,
+    face_shares,
+    select_cavity,
+    select_face,
+    volumes,
+)
+
+MM = 1e-3
+SIZE = 5 * MM
+INLET_SIDE = (0.0, 2 * MM, 2 * MM)
+CORNERS = 8
+"""Of the rim of the inlet: not twelve, for edges are at least a quarter of the size."""
+HOLE = 0.5 * CORNERS * np.sin(2 * np.pi / CORNERS) * (INLET * MM) ** 2
+
+
+@pytest.fixture(scope="module")
+def step(tmp_path_factory):
+    return write_finger(tmp_path_factory.mktemp("cad") / "finger.step")
+
+
+@pytest.fixture(scope="module")
+def mesh(step):
+    return mesh_cad(step, size=SIZE)
+
+
+def box(*sides):
+    return np.prod(sides) * MM ** len(sides)
+
+
+def area(mesh, faces):
+    return face_shares(mesh, faces).sum()
+
+
+def test_volume_and_edges(mesh):
+    channel = 0.5 * (FINGER[0] - CAVITY[0]) * MM * HOLE
+    expected = box(*FINGER) - box(*CAVITY) - channel
+    # The wall of the round inlet is cut in triangles, not in plane strips.
+    assert volumes(mesh).sum() == pytest.approx(expected, rel=3e-4)
+    edges = np.array(TET_EDGES)
+    X = mesh.points[mesh.tets]
+    ends = X[:, edges]
+    lengths = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
+    assert 0.4 * SIZE < lengths.mean() < 1.2 * SIZE
+    # Mid nodes lie in the middle of straight edges.
+    np.testing.assert_allclose(X[:, 4:], ends.mean(axis=2), rtol=0, atol=1e-15)
+
+
+def test_faces_of_the_model_are_groups(mesh):
+    """Six outside, five and one with a hole of the cavity, and the inlet's wall."""
+    names = [f"face {k + 1}" for k in range(13)]
+    assert list(mesh.surface_groups) == names
+    assert sum(len(f) for f in mesh.surface_groups.values()) == len(
+        boundary_faces(mesh)
+    )
+    tip = select_face(mesh, (FINGER[0] * MM, 5 * MM, 5 * MM))
+    assert area(mesh, tip) == pytest.approx(box(*FINGER[1:]), rel=1e-12)
+    side = select_face(mesh, INLET_SIDE)
+    assert area(mesh, side) == pytest.approx(box(*FINGER[1:]) - HOLE, rel=1e-9)
+    wall = select_face(mesh, (5 * MM, (8 + INLET) * MM, 6 * MM))
+    around = 2 * np.pi * INLET * 0.5 * (FINGER[0] - CAVITY[0]) * MM**2
+    assert area(mesh, wall) == pytest.approx(around, rel=0.04)
+
+
+def test_the_wall_of_a_cavity_with_an_inlet_is_a_chamber(mesh):
+    mesh = mesh.with_surface_group("base", select_face(mesh, INLET_SIDE))
+    wall = select_cavity(mesh, MIDDLE, stop_at=["base"])
+    mesh = mesh.with_surface_group("chamber", wall)
+    chamber = Chamber("air", "chamber", seal=True)
+    arrays = actuator_arrays(mesh, mesh.points, [chamber], {})
+    (volume,) = np.asarray(arrays.rest)
+    length, circle = 0.5 * (FINGER[0] - CAVITY[0]) * MM, np.pi * (INLET * MM) ** 2
+    assert length * HOLE < volume - box(*CAVITY) < length * circle
+    # What is missing of the box is what the body and the chamber have in common.
+    whole = volumes(mesh).sum() + volume
+    assert whole == pytest.approx(box(*FINGER), rel=1e-12)
+
+
+def test_a_closed_cavity(tmp_path):
+    mesh = mesh_cad(write_finger(tmp_path / "f.stp", is_open=False), size=SIZE, order=1)
+    assert mesh.order == 1
+    assert volumes(mesh).sum() == pytest.approx(box(*FINGER) - box(*CAVITY), rel=1e-12)
+    mesh = mesh.with_surface_group("chamber", select_cavity(mesh, MIDDLE))
+    arrays = actuator_arrays(mesh, mesh.points, [Chamber("air", "chamber")], {})
+    np.testing.assert_allclose(arrays.rest, [box(*CAVITY)], rtol=1e-12)
+
+
+def test_solids_that_touch_share_their_nodes(tmp_path):
+    with modelled(tmp_path / "two.step") as shape:
+        shape.addBox(0, 0, 0, 10, 10, 10)
+        shape.addBox(10, 0, 0, 20, 10, 10)
+    mesh = mesh_cad(tmp_path / "two.step", size=SIZE)
+    own = {name: volumes(mesh)[tets].sum() for name, tets in mesh.tet_groups.items()}
+    assert own == {
+        "solid 1": pytest.approx(box(10, 10, 10)),
+        "solid 2": pytest.approx(box(20, 10, 10)),
+    }
+    # The eleven faces but the one between them, which bounds nothing.
+    assert len(mesh.surface_groups) == 10
+    shared = np.intersect1d(*(mesh.tets[own] for own in mesh.tet_groups.values()))
+    np.testing.assert_allclose(mesh.points[shared, 0], 10 * MM, rtol=1e-9)
+
+
+def test_the_file_states_its_unit(step, tmp_path):
+    """The same file with metres in place of millimetres is a thousand times larger."""
+    text = step.read_text()
+    assert text.count("SI_UNIT(.MILLI.,.METRE.)") == 1
+    larger = tmp_path / "larger.step"
+    larger.write_text(text.replace("SI_UNIT(.MILLI.,.METRE.)", "SI_UNIT($,.METRE.)"))
+    mesh = mesh_cad(larger, size=6.0, order=1)
+    np.testing.assert_allclose(np.ptp(mesh.points, axis=0), FINGER, rtol=1e-9)
+
+
+def test_the_same_mesh_each_time(step, mesh):
+    again = mesh_cad(step, size=SIZE)
+    np.testing.assert_array_equal(again.points, mesh.points)
+    np.testing.assert_array_equal(again.tets, mesh.tets)
+
+
+def test_without_a_size_it_is_a_thirtieth_of_the_diagonal(step):
+    expected = np.linalg.norm(FINGER) / 30 * MM
+    mesh = mesh_cad(step, order=1)
+    same = mesh_cad(step, size=expected, order=1)
+    assert abs(mesh.n_tets - same.n_tets) < 0.02 * same.n_tets
+
+
+def test_too_coarse_for_a_round_model(tmp_path):
+    with modelled(tmp_path / "ball.step") as shape:
+        shape.addSphere(0, 0, 0, 10)
+    with pytest.warns(MeshWarning, match=r"has \d+.\d % less volume than the model"):
+        mesh_cad(tmp_path / "ball.step", size=10 * MM)
+
+
+def test_a_surface_alone(tmp_path):
+    with modelled(tmp_path / "sheet.step") as shape:
+        shape.addRectangle(0, 0, 0, 10, 10)
+    with pytest.raises(ValueError, match=r"sheet\.step: .*no solid"):
+        mesh_cad(tmp_path / "sheet.step", size=SIZE)
+    assert not gmsh.isInitialized()
+
+
+def test_what_is_no_model(tmp_path):
+    bad = tmp_path / "bad.step"
+    bad.write_text("no STEP file\n")
+    with pytest.raises(ValueError, match=r"bad\.step: "):
+        mesh_cad(bad, size=SIZE)
+    assert not gmsh.isInitialized()
+    with pytest.raises(FileNotFoundError, match=r"Did you mean 'bad\.step'"):
+        mesh_cad(tmp_path / "bat.step", size=SIZE)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"size": 0.0}, r"size must be positive and finite \[m\], got 0.0"),
+        ({"size": SIZE, "order": 3}, "order must be 1"),
+        (
+            {"size": SIZE, "length_unit": "mm"},
+            "a STEP file states its own. Leave it out",
+        ),
+    ],
+)
+def test_bad_calls(step, options, message):
+    with pytest.raises(ValueError, match=message):
+        mesh_cad(step, **options)
+
+
+def test_too_many_tets(step):
+    """A slip of the unit ends at once, not after hours."""
+    message = "edges of 0.005 .*limit"
+    with pytest.raises(LimitError, match=message):
+        mesh_cad(step, size=5e-6)
+
+
+def test_sigterm_stays_with_python(step):
+    """Gmsh takes it once per process, so in a new one: calibrations were killed."""
+    code = (
+        "import signal, sys\n"
+        "from softcal_jax.exchange.cad import mesh_cad\n"
+        "signal.signal(signal.SIGTERM, signal.default_int_handler)\n"
+        f"mesh_cad(sys.argv[1], size={2 * SIZE})\n"
+        "try:\n"
+        "    signal.raise_signal(signal.SIGTERM)\n"
+        "except KeyboardInterrupt:\n"
+        "    print('asked to end')\n"
+    )
+    command = [sys.executable, "-c", code, str(step)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == "asked to end\n"
+
+
+def test_other_extensions(tmp_path):
+    with pytest.raises(ValueError, match=r"extension '.igs'; expected one of .step"):
+        mesh_cad(tmp_path / "f.igs", size=SIZE)
+
+
+def test_gmsh_leaves_no_trace(step):
+    """Neither its handler of Ctrl-C, nor itself; one that runs already is kept."""
+    before = signal.getsignal(signal.SIGINT)
+    mesh_cad(step, size=2 * SIZE)
+    assert signal.getsignal(signal.SIGINT) is before
+    assert not gmsh.isInitialized()
+    gmsh.initialize(interruptible=False)
+    try:
+        with pytest.raises(RuntimeError, match="this program uses gmsh already"):
+            mesh_cad(step, size=SIZE)
+        assert gmsh.isInitialized()
+    finally:
+        gmsh.finalize()
+
+
+def test_nothing_is_printed(step, capfd):
+    mesh_cad(step, size=2 * SIZE)
+    assert capfd.readouterr() == ("", "")
