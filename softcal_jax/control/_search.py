@@ -185,4 +185,4 @@ def _parts(command: Command, found: Descent) -> Float[HostArray, " n_parts"]:
     off = command.residuals(found.here.compliance.state)
     floor = np.full(len(off) + 1, 0.5 * command.settings.tol**2)
     floor[0] = 10.0 * ROUNDING
-    return np.maximum(parts(found.linear.rows.b, off), floor)
+    return np.maximum(parts(found.linear.limits.b, off), floor)

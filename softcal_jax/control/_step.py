@@ -12,9 +12,9 @@ from softcal_jax.calibration import KKT_TOLERANCE
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.control._compliance import (
     ActuatorCompliance,
-    ActuatorState,
+    ActuatorReadings,
     actuator_compliance,
-    actuator_state,
+    actuator_readings,
     with_inputs,
 )
 from softcal_jax.equilibrium import (
@@ -80,7 +80,7 @@ class Reached(NamedTuple):
 
     value: Float[Array | HostArray, " n_a"]
     solution: EquilibriumSolution
-    state: ActuatorState
+    state: ActuatorReadings
 
 
 class Arrival(NamedTuple):
@@ -112,7 +112,7 @@ def reach(
     """
     configuration = with_inputs(configuration, value)
     solution = solve_equilibrium(model, configuration, guess=guess, settings=newton)
-    state = actuator_state(model, configuration, solution)
+    state = actuator_readings(model, configuration, solution)
     cable = jnp.asarray(model.mechanism.actuators.unilateral)
     cable = cable & jnp.asarray(configuration.actuation.by_displacement)
     lower, upper = box
@@ -134,7 +134,7 @@ def differentiate(
     return Arrival(there.value, there.solution, compliance)
 
 
-class Trial(NamedTuple):
+class TriedStep(NamedTuple):
     """A step that was tried; its parts are violated limits, then each level's cost [-].
 
     Attributes:
@@ -172,7 +172,7 @@ class Decision(NamedTuple):
     stalled: bool = False
 
 
-def decide(trial: Trial, before: Decision, settings: ControlSettings) -> Decision:
+def decide(trial: TriedStep, before: Decision, settings: ControlSettings) -> Decision:
     """Accept a step that lowers the weighted sum of the parts, and adapt the bound.
 
     The sum is an exact penalty function: the weight of an earlier part is raised until
@@ -182,7 +182,9 @@ def decide(trial: Trial, before: Decision, settings: ControlSettings) -> Decisio
     # What is good enough counts as equal, so that noise below it is ignored.
     floor = np.full_like(trial.now, 0.5 * settings.tol**2)
     floor[0], floor[-1] = ROUNDING, 0.0
-    now, expected, tried = (np.maximum(part, floor) for part in trial[:3])
+    now, expected, tried = (
+        np.maximum(each, floor) for each in (trial.now, trial.expected, trial.tried)
+    )
     penalty = _raised(before.penalty, now - expected)
     hoped, drop = penalty @ (now - expected), penalty @ (now - tried)
     converged = bool(np.isfinite(trial.tried).all())

@@ -11,7 +11,7 @@ from softcal_jax.materials._elasticity import (
     AbstractElasticity,
     Isotropic,
     StVenantKirchhoff,
-    Tabulated,
+    TabulatedElasticity,
     lame,
 )
 from softcal_jax.materials._fibre import Fibre, frames_along, frames_around
@@ -76,7 +76,7 @@ __all__ = [
     "SofaCorotational",
     "SofaRotation",
     "StVenantKirchhoff",
-    "Tabulated",
+    "TabulatedElasticity",
     "TransverseHyperelastic",
     "TransverseIsotropic",
     "Yeoh",

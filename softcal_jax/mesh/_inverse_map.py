@@ -1,8 +1,8 @@
 """Coordinates of a point of space in an element: inside a tet, or nearest on a face.
 
-VTK's locators do the same, but their inverse map of a quadratic tet stops at an error of
-3e-7 m on a mesh of 0.1 m, where this one ends in rounding, and they take a curved face
-for flat triangles, which misses the nearest point by up to 1e-4 m.
+VTK's locators do the same, but their inverse map of a quadratic tet stops at an error
+of 3e-7 m on a mesh of 0.1 m, where this one ends in rounding, and they take a curved
+face for flat triangles, which misses the nearest point by up to 1e-4 m.
 """
 
 import numpy as np

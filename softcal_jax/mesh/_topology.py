@@ -38,7 +38,7 @@ def tet_faces(tets: Int[HostArray, "n_tets n_en"]) -> Int[HostArray, "n_faces n_
     return faces.reshape(-1, faces.shape[-1])
 
 
-class FaceTable(NamedTuple):
+class SharedFaces(NamedTuple):
     """Which faces of the tets coincide."""
 
     inverse: Int[HostArray, " n_faces"]
@@ -46,21 +46,21 @@ class FaceTable(NamedTuple):
     """Tets that share each unique face: 1 on the boundary, 2 inside."""
 
 
-def face_table(tets: Int[HostArray, "n_tets n_en"]) -> FaceTable:
+def face_table(tets: Int[HostArray, "n_tets n_en"]) -> SharedFaces:
     """Give the faces in `tet_faces` order an index that shared faces have in common."""
     corners = np.ascontiguousarray(tets[:, :4], np.int64)
     return _face_table(corners.tobytes())
 
 
 @lru_cache(maxsize=4)
-def _face_table(content: bytes) -> FaceTable:
+def _face_table(content: bytes) -> SharedFaces:
     """Sort the faces of a mesh once: every marker and group asks for them again."""
     tets = np.frombuffer(content, np.int64).reshape(-1, 4)
     corners = np.sort(tet_faces(tets), axis=1)
     _, inverse, counts = np.unique(
         corners, axis=0, return_inverse=True, return_counts=True
     )
-    table = FaceTable(inverse.ravel(), counts)
+    table = SharedFaces(inverse.ravel(), counts)
     for array in table:
         array.flags.writeable = False  # all callers share it
     return table
