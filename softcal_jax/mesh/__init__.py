@@ -25,6 +25,7 @@ from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import (
     boundary_faces,
     boundary_tets,
+    face_indices,
     face_shares,
     surface_shares,
     tet_faces,
@@ -55,6 +56,7 @@ __all__ = [
     "boundary_faces",
     "boundary_tets",
     "check_mesh",
+    "face_indices",
     "face_shares",
     "fill",
     "finer",

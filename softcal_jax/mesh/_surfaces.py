@@ -12,7 +12,7 @@ from softcal_jax._units import readable
 from softcal_jax.mesh._inverse_map import nearest_on_triangles
 from softcal_jax.mesh._regions import place
 from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh
-from softcal_jax.mesh._topology import boundary_faces
+from softcal_jax.mesh._topology import boundary_faces, face_indices
 
 SHARP = np.deg2rad(40.0)
 """Turn of the normal at an edge that ends a face [rad]; a round wall turns by less."""
@@ -154,13 +154,7 @@ class _Surface:
 
     def rows(self, faces: Int[HostArray, "n n_fn"]) -> Int[HostArray, " _"]:
         """Find the indices of faces on the boundary; -1 for those that are not."""
-        n = len(self.faces)
-        both = np.concatenate([self.faces[:, :3], faces[:, :3]])
-        corners = np.sort(both, axis=1)
-        inverse = np.unique(corners, axis=0, return_inverse=True)[1].ravel()
-        index = np.full(inverse.max() + 1, -1)
-        index[inverse[:n]] = np.arange(n)
-        return index[inverse[n:]]
+        return face_indices(faces[:, :3], self.faces[:, :3])
 
     def of_groups(self, names: Iterable[str]) -> Bool[HostArray, " n_faces"]:
         """Mark the faces of surface groups."""
