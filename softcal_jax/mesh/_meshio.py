@@ -37,7 +37,7 @@ class MeshWarning(SoftcalWarning):
 
 
 class ParserError(Exception):
-    """A parser does not read a file; the text is what it says."""
+    """A parser refuses a file; the text is its message."""
 
 
 def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:

@@ -1,4 +1,4 @@
-"""Selection of surfaces from a point: what it reaches, one face, or a cavity's wall."""
+"""Selection of surfaces by a point: all that it reaches, a face, a cavity's wall."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -139,7 +139,7 @@ def matching_faces(
     surface = _Surface(mesh)
     rows = surface.rows(np.concatenate(surfaces))
     ends = np.cumsum([len(triangles) for triangles in surfaces])[:-1]
-    return [surface.faces[own[own >= 0]] for own in np.split(rows, ends)]
+    return [surface.faces[part[part >= 0]] for part in np.split(rows, ends)]
 
 
 class _Surface:
@@ -167,7 +167,7 @@ class _Surface:
     def parts(
         self, angle: float | None, barred: Bool[HostArray, " n_faces"]
     ) -> Int[HostArray, " n_faces"]:
-        """Number the parts of the surface; faces that are barred are none's."""
+        """Number the connected parts of the surface; each barred face is one alone."""
         corners = self.faces[:, :3]
         edges = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1)
         _, inverse, counts = np.unique(
@@ -178,7 +178,7 @@ class _Surface:
         )
         inverse = inverse.ravel()
         order = np.argsort(inverse, kind="stable")
-        # Where more faces meet, two parts of the surface touch along the edge.
+        # An edge of more than two faces is one along which parts only touch.
         left, right = order[counts[inverse[order]] == 2].reshape(-1, 2).T // 3
         joined = ~barred[left] & ~barred[right]
         if angle is not None:
@@ -218,18 +218,18 @@ class _Surface:
     def only(
         self, labels: Int[HostArray, " n_faces"], start: Int[HostArray, " _"], point
     ) -> int:
-        """Return the one part that the faces at a point belong to.
+        """Return the part that all faces at a point belong to.
 
         Raises:
             ValueError: If there are several.
         """
-        found = np.unique(labels[start])
-        if len(found) > 1:
+        parts = np.unique(labels[start])
+        if len(parts) > 1:
             raise ValueError(
-                f"the point {place(np.asarray(point, float))} lies where {len(found)} "
+                f"the point {place(np.asarray(point, float))} lies where {len(parts)} "
                 "surfaces meet; move it off their border, onto the one that is meant."
             )
-        return int(found[0])
+        return int(parts[0])
 
     def seen_from(self, point: Float[HostArray, "3"]) -> Float[HostArray, " n_faces"]:
         """Compute the share of all directions in which each face is seen [-].

@@ -55,9 +55,10 @@ class Filling(NamedTuple):
 
     Attributes:
         voxels: Their indices.
-        tets: A tet in each.
-        places: A point of it: the centre of the voxel, if that lies in the mesh [m].
-        inside: Whether it does.
+        tets: A tet that reaches into each.
+        places: A point of this tet in the voxel: the centre of the voxel, if that lies
+            in the mesh [m].
+        inside: Whether the centre of the voxel lies in the mesh.
     """
 
     voxels: Int[HostArray, "m 3"]
@@ -71,8 +72,9 @@ class Filling(NamedTuple):
 def fill(mesh: TetMesh, grid: Grid) -> Filling:
     """Find the voxels that a mesh fills.
 
-    Those whose centre lies in a tet, and those in which points of a tet lie, at a
-    distance below that of the voxels: a wall may be thinner.
+    A voxel is filled if its centre lies in a tet. As a wall may be thinner than a
+    voxel, it is also filled if one of many points spread over each tet lies in it; they
+    are closer to each other than the voxels.
     """
     owner = _at_centres(mesh, grid)
     inside = owner >= 0
