@@ -174,14 +174,14 @@ def _fixed_length(a: Guide, b: Guide) -> bool:
 
 def _along(guides, n_nodes: int | None = None):
     """Return the nodes of guides, their weights in each, and the fixed parts."""
-    own = np.unique(np.concatenate([nodes for nodes, *_ in guides]))
-    m = n_nodes or own.size
+    used = np.unique(np.concatenate([nodes for nodes, *_ in guides]))
+    m = n_nodes or used.size
     # Pad with one of these nodes, so that no other node enters the tangent.
-    nodes = np.full(m, own[0], np.int32)
-    nodes[: own.size] = own
+    nodes = np.full(m, used[0], np.int32)
+    nodes[: used.size] = used
     weights = np.zeros((len(guides), m))
     for row, (carriers, w, _) in zip(weights, guides, strict=True):
-        row[np.searchsorted(own, carriers)] = w
+        row[np.searchsorted(used, carriers)] = w
     return nodes, weights, np.stack([fixed for *_, fixed in guides])
 
 
@@ -286,11 +286,11 @@ def _on_finer(cables: AbstractGuided, refinement: Refinement) -> AbstractGuided:
     """Return cables whose guides on the mesh are found on a finer one."""
     n, points = refinement.coarse.n_nodes, refinement.coarse.points
     nodes, weights = np.asarray(cables.nodes), np.asarray(cables.weights)
-    own = weights * (nodes < n)[:, None]
-    on_mesh = np.any(own != 0.0, axis=2)
-    rest = np.einsum("cem,cmi->cei", own, points[np.minimum(nodes, n - 1)])
-    found = locate(refinement.mesh, rest[on_mesh], max_distance=np.inf)
-    carriers = zip(found.nodes, found.weights, strict=True)
+    mesh_weights = weights * (nodes < n)[:, None]
+    on_mesh = np.any(mesh_weights != 0.0, axis=2)
+    rest = np.einsum("cem,cmi->cei", mesh_weights, points[np.minimum(nodes, n - 1)])
+    located = locate(refinement.mesh, rest[on_mesh], max_distance=np.inf)
+    carriers = zip(located.nodes, located.weights, strict=True)
     pieces = []
     for c, fixed in enumerate(np.asarray(cables.fixed)):
         guides = []
@@ -299,7 +299,7 @@ def _on_finer(cables: AbstractGuided, refinement: Refinement) -> AbstractGuided:
             guides.append((*(next(carriers) if moves else kept), constant))
         pieces.append(guides)
     touched = (np.concatenate([nodes for nodes, *_ in guides]) for guides in pieces)
-    m = max(np.unique(own).size for own in touched)
+    m = max(np.unique(each).size for each in touched)
     parts = zip(*(_along(guides, m) for guides in pieces), strict=True)
     where = lambda c: (c.nodes, c.weights, c.fixed)
     return eqx.tree_at(where, cables, jax.device_put(tuple(map(np.stack, parts))))

@@ -76,7 +76,7 @@ class ControlSettings(Module):
 
 
 class Reached(NamedTuple):
-    """The equilibrium at some inputs, with slack cables wound up, and what it reads."""
+    """The equilibrium at some inputs, slack cables wound up, and the readings there."""
 
     value: Float[Array | HostArray, " n_a"]
     solution: EquilibriumSolution
@@ -127,7 +127,7 @@ def differentiate(
 ) -> Arrival:
     """Differentiate an equilibrium by its inputs.
 
-    This takes a factorization of its own, so a step that was refused goes without.
+    This takes another factorization, so it is not done for steps that are refused.
     """
     configuration = with_inputs(configuration, jnp.asarray(there.value))
     compliance = actuator_compliance(model, configuration, there.solution)
@@ -179,7 +179,7 @@ def decide(trial: TriedStep, before: Decision, settings: ControlSettings) -> Dec
     the sum is expected to fall along the step that the QPs of all levels found (Nocedal
     and Wright, Numerical Optimization, 2006, Eq. 18.36).
     """
-    # What is good enough counts as equal, so that noise below it is ignored.
+    # Below the tolerance all errors count as equal, so that noise there is ignored.
     floor = np.full_like(trial.now, 0.5 * settings.tol**2)
     floor[0], floor[-1] = ROUNDING, 0.0
     now, expected, tried = (

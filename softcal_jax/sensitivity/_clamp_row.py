@@ -23,7 +23,7 @@ def clamp_row(
 
     The held nodes of the reference shape move, and are held there; the tets that they
     share with free nodes become longer and heavier. Loads, cables and readings stay
-    where they are, which in these tets is right up to their strain.
+    where they are; in these tets the error of that is of the order of their strain.
 
     Args:
         linearisation: The equilibrium.
