@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import ClassVar, Literal, TypeVar
+from typing import ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -14,6 +14,7 @@ from softcal_jax._names import suggestion
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
 from softcal_jax.actuators._cliques import (
+    AbstractDisplacedCliques,
     AbstractFrictionalCliques,
     AbstractPotentialCliques,
     ActuatorGeometry,
@@ -173,14 +174,14 @@ def _fixed_length(a: Guide, b: Guide) -> bool:
 
 def _along(guides, n_nodes: int | None = None):
     """Return the nodes of guides, their weights in each, and the fixed parts."""
-    own = np.unique(np.concatenate([nodes for nodes, *_ in guides]))
-    m = n_nodes or own.size
+    used = np.unique(np.concatenate([nodes for nodes, *_ in guides]))
+    m = n_nodes or used.size
     # Pad with one of these nodes, so that no other node enters the tangent.
-    nodes = np.full(m, own[0], np.int32)
-    nodes[: own.size] = own
+    nodes = np.full(m, used[0], np.int32)
+    nodes[: used.size] = used
     weights = np.zeros((len(guides), m))
     for row, (carriers, w, _) in zip(weights, guides, strict=True):
-        row[np.searchsorted(own, carriers)] = w
+        row[np.searchsorted(used, carriers)] = w
     return nodes, weights, np.stack([fixed for *_, fixed in guides])
 
 
@@ -209,13 +210,34 @@ def _turn(before: Float[Array, "3"], after: Float[Array, "3"]) -> Float[Array, "
     return jnp.where(turned, angle, jnp.where(along < 0.0, jnp.pi, 0.0))
 
 
-class CableSegments(AbstractPotentialCliques):
-    """Straight pieces of cables; each adds minus its length to delta_a.
+class AbstractGuided(AbstractDisplacedCliques):
+    """Paths of cables through guides.
 
     Attributes:
-        weights: Weights of the nodes in the positions of the two ends [-].
+        weights: Weights of the nodes in the positions of the guides [-].
         fixed: Constant part of these positions, of guides on the ground [m].
     """
+
+    weights: eqx.AbstractVar[Float[Array, "*cliques n_guides m"]]
+    fixed: eqx.AbstractVar[Float[Array, "*cliques n_guides 3"]]
+
+    def refined(self, refinement: Refinement) -> "AbstractGuided":
+        """Return the cables on a finer mesh, whose nodes carry the guides."""
+        return _on_finer(self, refinement)
+
+    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
+        """Draw the segments between the guides."""
+        nodes, weights = np.asarray(self.nodes), np.asarray(self.weights)
+        guides = np.einsum("cem,cmi->cei", weights, x[nodes]) + np.asarray(self.fixed)
+        segments = np.stack([guides[:, :-1], guides[:, 1:]], axis=2)
+        return ActuatorGeometry(
+            segments=segments.reshape(-1, 2, 3),
+            segment_owner=np.repeat(np.asarray(self.owner), segments.shape[1]),
+        )
+
+
+class CableSegments(AbstractGuided, AbstractPotentialCliques):
+    """Straight pieces of cables between two guides; each adds minus its length."""
 
     weights: Float[Array, "*cliques 2 m"]
     fixed: Float[Array, "*cliques 2 3"]
@@ -225,22 +247,11 @@ class CableSegments(AbstractPotentialCliques):
         start, end = self.weights @ x + self.fixed
         return -_length(end - start)
 
-    def refined(self, refinement: Refinement) -> "CableSegments":
-        """Return the cables on a finer mesh, whose nodes carry the guides."""
-        return _on_finer(self, refinement)
 
-    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        """Draw the segments."""
-        return _draw(self, x)
-
-
-class FrictionalCables(AbstractFrictionalCliques):
+class FrictionalCables(AbstractGuided, AbstractFrictionalCliques):
     """Whole cables with friction; each adds minus its length to delta_a.
 
-    Attributes:
-        weights: Weights of the nodes in the positions of the guides, of which the last
-            is pulled [-].
-        fixed: Constant part of these positions, of guides on the ground [m].
+    The last guide is the end that is pulled.
     """
 
     weights: Float[Array, "*cliques n_guides m"]
@@ -270,27 +281,16 @@ class FrictionalCables(AbstractFrictionalCliques):
         pulled = lambda x: -jnp.sum(tensions * jax.vmap(_length)(self._segments(x)))
         return jax.grad(pulled)(x)
 
-    def refined(self, refinement: Refinement) -> "FrictionalCables":
-        """Return the cables on a finer mesh, whose nodes carry the guides."""
-        return _on_finer(self, refinement)
 
-    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        """Draw the segments."""
-        return _draw(self, x)
-
-
-C = TypeVar("C", bound=CableSegments | FrictionalCables)
-
-
-def _on_finer(cables: C, refinement: Refinement) -> C:
+def _on_finer(cables: AbstractGuided, refinement: Refinement) -> AbstractGuided:
     """Return cables whose guides on the mesh are found on a finer one."""
     n, points = refinement.coarse.n_nodes, refinement.coarse.points
     nodes, weights = np.asarray(cables.nodes), np.asarray(cables.weights)
-    own = weights * (nodes < n)[:, None]
-    on_mesh = np.any(own != 0.0, axis=2)
-    rest = np.einsum("cem,cmi->cei", own, points[np.minimum(nodes, n - 1)])
-    found = locate(refinement.mesh, rest[on_mesh], max_distance=np.inf)
-    carriers = zip(found.nodes, found.weights, strict=True)
+    mesh_weights = weights * (nodes < n)[:, None]
+    on_mesh = np.any(mesh_weights != 0.0, axis=2)
+    rest = np.einsum("cem,cmi->cei", mesh_weights, points[np.minimum(nodes, n - 1)])
+    located = locate(refinement.mesh, rest[on_mesh], max_distance=np.inf)
+    carriers = zip(located.nodes, located.weights, strict=True)
     pieces = []
     for c, fixed in enumerate(np.asarray(cables.fixed)):
         guides = []
@@ -299,18 +299,7 @@ def _on_finer(cables: C, refinement: Refinement) -> C:
             guides.append((*(next(carriers) if moves else kept), constant))
         pieces.append(guides)
     touched = (np.concatenate([nodes for nodes, *_ in guides]) for guides in pieces)
-    m = max(np.unique(own).size for own in touched)
+    m = max(np.unique(each).size for each in touched)
     parts = zip(*(_along(guides, m) for guides in pieces), strict=True)
     where = lambda c: (c.nodes, c.weights, c.fixed)
     return eqx.tree_at(where, cables, jax.device_put(tuple(map(np.stack, parts))))
-
-
-def _draw(cables: CableSegments | FrictionalCables, x) -> ActuatorGeometry:
-    """Draw the segments between the guides of all cliques."""
-    nodes, weights = np.asarray(cables.nodes), np.asarray(cables.weights)
-    guides = np.einsum("cem,cmi->cei", weights, x[nodes]) + np.asarray(cables.fixed)
-    segments = np.stack([guides[:, :-1], guides[:, 1:]], axis=2)
-    return ActuatorGeometry(
-        segments=segments.reshape(-1, 2, 3),
-        segment_owner=np.repeat(np.asarray(cables.owner), segments.shape[1]),
-    )

@@ -75,8 +75,9 @@ class AbstractCliques(Module):
     def refined(self, refinement: Refinement) -> "AbstractCliques":
         """Return the cliques on a finer mesh.
 
-        These nodes are the frames of bodies; cliques with nodes of the mesh override it
-        by what carries the same points, or by the parts of the same faces.
+        This serves cliques whose nodes belong to frames of rigid bodies. Cliques with
+        nodes of the mesh override it: points are carried by nodes of the finer mesh,
+        and each face becomes the faces that it is split into.
         """
         nodes = refinement.nodes(np.asarray(self.nodes))
         return eqx.tree_at(lambda c: c.nodes, self, jax.device_put(nodes))
@@ -141,10 +142,18 @@ def on_finer_faces(cliques: T, refinement: Refinement) -> T:
     return jax.device_put(eqx.tree_at(lambda c: c.nodes, many, nodes))
 
 
-def draw_faces(cliques: AbstractCliques) -> ActuatorGeometry:
-    """Draw cliques that are faces."""
-    nodes, owner = np.asarray(cliques.nodes), np.asarray(cliques.owner)
-    return ActuatorGeometry(faces=nodes, face_owner=owner)
+class AbstractPressedFaces(AbstractCliques):
+    """Faces on which a pressure acts."""
+
+    def refined(self, refinement: Refinement) -> "AbstractPressedFaces":
+        """Return the faces of a finer mesh."""
+        return on_finer_faces(self, refinement)
+
+    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
+        """Draw the faces."""
+        del x
+        nodes, owner = np.asarray(self.nodes), np.asarray(self.owner)
+        return ActuatorGeometry(faces=nodes, face_owner=owner)
 
 
 def unit(v: Float[HostArray, "n 3"]) -> Float[HostArray, "n 3"]:

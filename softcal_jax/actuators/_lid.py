@@ -72,15 +72,15 @@ def rims(
             "each of them ends. Choose the faces of the wall so that they are apart."
         )
     following = {int(a): k for k, a in enumerate(edges.ends[:, 0])}
-    found = []
+    rings = []
     while following:
         node, ring = next(iter(following)), []
         while node in following:
             k = following.pop(node)
             ring += [node, *edges.mids[k].tolist()]
             node = int(edges.ends[k, 1])
-        found.append(np.array(ring, edges.ends.dtype))
-    return found
+        rings.append(np.array(ring, edges.ends.dtype))
+    return rings
 
 
 def lid_cone(
@@ -160,7 +160,7 @@ def free_rim_nodes(
         fixed: Which coordinates of the nodes are held.
     """
     lids = [group for group in groups if isinstance(group, ChamberLids)]
-    rims = [np.asarray(own.nodes)[np.asarray(own.owner) == owner] for own in lids]
+    rims = [np.asarray(each.nodes)[np.asarray(each.owner) == owner] for each in lids]
     free = [node for rim in rims for node in rim.ravel() if not fixed[node].all()]
     return len(set(free))
 
@@ -185,7 +185,7 @@ def _shares(x: Float[HostArray, "m 3"], quadratic: bool) -> Float[HostArray, " m
     after = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
     both = after + np.roll(after, 1)
     if quadratic:
-        own = np.stack([both / 6.0, after / 1.5], axis=1).ravel()
+        shares = np.stack([both / 6.0, after / 1.5], axis=1).ravel()
     else:
-        own = 0.5 * both
-    return own / after.sum()
+        shares = 0.5 * both
+    return shares / after.sum()

@@ -12,14 +12,12 @@ from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
 from softcal_jax.actuators._cliques import (
     AbstractCliques,
     AbstractPotentialCliques,
-    ActuatorGeometry,
-    draw_faces,
-    on_finer_faces,
+    AbstractPressedFaces,
     owned,
 )
 from softcal_jax.actuators._lid import ChamberLids, lid, lid_cone, open_edges, rims
 from softcal_jax.elements import shape_functions, shape_gradients, triangle_rule
-from softcal_jax.mesh import Refinement, TetMesh, boundary_faces
+from softcal_jax.mesh import TetMesh, boundary_faces, face_indices
 
 AnyArray = Array | HostArray
 
@@ -96,7 +94,7 @@ class Chamber(AbstractActuator):
         return []
 
 
-class ChamberFaces(AbstractPotentialCliques):
+class ChamberFaces(AbstractPressedFaces, AbstractPotentialCliques):
     """Faces of the walls of chambers; each adds a cone's volume to delta_a.
 
     V = -1/3 integral of (x - c) . n dA by the divergence theorem. The normal n points
@@ -112,14 +110,6 @@ class ChamberFaces(AbstractPotentialCliques):
     def contribution(self, x: Float[Array, "n_fn 3"]) -> Float[Array, ""]:
         """Compute the volume of the cone from the centre to one face [m3]."""
         return _cones(x - self.centre[None])
-
-    def refined(self, refinement: Refinement) -> "ChamberFaces":
-        """Return the faces of a finer mesh."""
-        return on_finer_faces(self, refinement)
-
-    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        """Draw the faces."""
-        return draw_faces(self)
 
 
 class SurfacePressure(AbstractActuator):
@@ -143,21 +133,13 @@ class SurfacePressure(AbstractActuator):
         return (PressureFaces(*owned(faces, owner)),)
 
 
-class PressureFaces(AbstractCliques):
+class PressureFaces(AbstractPressedFaces):
     """Faces under a following pressure, their normals out of the body."""
 
     def row(self, x: Float[Array, "n_fn 3"]) -> Float[Array, "n_fn 3"]:
         """Compute consistent forces per pressure, -integral of N n dA [m2]."""
         n_dA, N = _vector_areas(x)
         return -N.T @ n_dA
-
-    def refined(self, refinement: Refinement) -> "PressureFaces":
-        """Return the faces of a finer mesh."""
-        return on_finer_faces(self, refinement)
-
-    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        """Draw the faces."""
-        return draw_faces(self)
 
 
 def _outward_faces(
@@ -172,12 +154,8 @@ def _outward_faces(
         ValueError: If the group is unknown, or a face is not on the boundary.
     """
     faces, boundary = mesh.faces(surface), boundary_faces(mesh)
-    corners = np.sort(np.concatenate([boundary, faces])[:, :3], axis=1)
-    _, first, inverse = np.unique(
-        corners, axis=0, return_index=True, return_inverse=True
-    )
-    at = first[inverse.ravel()[len(boundary) :]]
-    inner = np.flatnonzero(at >= len(boundary))
+    indices = face_indices(faces, boundary)
+    inner = np.flatnonzero(indices < 0)
     if inner.size:
         where = mesh.points[faces[inner[0]][:3]].mean(axis=0)
         raise ValueError(
@@ -185,7 +163,7 @@ def _outward_faces(
             f"not on the boundary of the body, one at {where.tolist()} m. A pressure "
             "needs faces with the body on one side only; `select_faces` gives such."
         )
-    return boundary[np.unique(at)]
+    return boundary[np.unique(indices)]
 
 
 def enclosed_volumes(
@@ -200,21 +178,20 @@ def enclosed_volumes(
     Returns:
         The volume of each chamber by the index of its actuator [m3].
     """
-    found: dict[int, float] = {}
-    for some in cliques:
-        if not isinstance(some, ChamberFaces | ChamberLids):
+    volumes: dict[int, float] = {}
+    for group in cliques:
+        if not isinstance(group, ChamberFaces | ChamberLids):
             continue
-        nodes, centres = np.asarray(some.nodes), np.asarray(some.centre)
+        nodes, centres = np.asarray(group.nodes), np.asarray(group.centre)
         arms = x[nodes] - centres[:, None]
-        if isinstance(some, ChamberFaces):
-            parts = np.asarray(_cones(arms))
+        if isinstance(group, ChamberFaces):
+            cones = np.asarray(_cones(arms))
         else:
-            weighted = zip(arms, np.asarray(some.weights), strict=True)
-            cones = [lid_cone(*own, quadratic=some.quadratic) for own in weighted]
-            parts = np.asarray(cones)
-        for owner, part in zip(np.asarray(some.owner).tolist(), parts, strict=True):
-            found[owner] = found.get(owner, 0.0) + float(part)
-    return found
+            lids = zip(arms, np.asarray(group.weights), strict=True)
+            cones = [lid_cone(*each, quadratic=group.quadratic) for each in lids]
+        for owner, cone in zip(np.asarray(group.owner).tolist(), cones, strict=True):
+            volumes[owner] = volumes.get(owner, 0.0) + float(cone)
+    return volumes
 
 
 def _cones(arm: Float[AnyArray, "*n n_fn 3"]) -> Any:

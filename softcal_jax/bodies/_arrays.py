@@ -71,12 +71,12 @@ class BodyArrays(Module):
         return _affine(self.origin[body], self.axes[body], self.length, points)
 
     def refined(self, refinement: Refinement) -> "BodyArrays":
-        """Return the bodies on a finer mesh; new nodes between theirs are theirs."""
+        """Return the bodies on a finer mesh, with the new nodes between their nodes."""
         parts, n = [(self.attached, self.body, self.weights)], refinement.coarse.n_nodes
         for k in range(self.n_bodies):
-            own = np.zeros(n, bool)
-            own[self.attached[self.body == k]] = True
-            new = n + np.flatnonzero(refinement.among(own)).astype(np.int32)
+            of_body = np.zeros(n, bool)
+            of_body[self.attached[self.body == k]] = True
+            new = n + np.flatnonzero(refinement.among(of_body)).astype(np.int32)
             weights = self.at(k, refinement.mesh.points[new])
             parts.append((new, np.full(len(new), k, np.int32), weights))
         attached, body, weights = map(np.concatenate, zip(*parts, strict=True))

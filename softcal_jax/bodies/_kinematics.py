@@ -19,14 +19,15 @@ from softcal_jax.bodies._body import KINDS
 # Squared angle below which the series are exact to rounding [rad2].
 _SMALL = 1e-4
 
+_HINGED = 2
+"""Axis of a frame, of three, about which a hinge turns."""
+
 WIND = 0.05
 """Singular value of a screw below which its strain is no longer followed [-]."""
 
 
-# Signs of the permutations: hat(w)_ij = sum_k _SIGNS_ijk w_k.
-_SIGNS = np.zeros((3, 3, 3))
-for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-    _SIGNS[_i, _j, _k], _SIGNS[_j, _i, _k] = -1.0, 1.0
+_SIGNS = np.cross(np.eye(3)[:, None], -np.eye(3)[None])
+"""Minus the permutation symbol: hat(w)_ij = sum_k _SIGNS_ijk w_k."""
 
 
 def cross_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
@@ -43,20 +44,32 @@ def rotation_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """
     square = jnp.sum(w * w)
     small = square < _SMALL
-    # Under autodiff, the unselected branch must not divide by zero either.
-    angle = jnp.sqrt(jnp.where(small, 1.0, square))
+    angle = _safe_angle(square)
     sine = jnp.where(
         small,
         1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0)),
         jnp.sin(angle) / angle,
     )
-    versine = jnp.where(
-        small,
+    W = cross_matrix(w)
+    return jnp.eye(3) + sine * W + _versine(square) * (W @ W)
+
+
+def _safe_angle(square: Float[Array, ""]) -> Float[Array, ""]:
+    """Return the angle with this square, and 1 where a series replaces its quotients.
+
+    Under autodiff, the branch that is not selected must not divide by zero either.
+    """
+    return jnp.sqrt(jnp.where(square < _SMALL, 1.0, square))
+
+
+def _versine(square: Float[Array, ""]) -> Float[Array, ""]:
+    """Compute (1 - cos a) / a^2 of the angle a with this square."""
+    angle = _safe_angle(square)
+    return jnp.where(
+        square < _SMALL,
         0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0)),
         (1.0 - jnp.cos(angle)) / angle**2,
     )
-    W = cross_matrix(w)
-    return jnp.eye(3) + sine * W + versine * (W @ W)
 
 
 def rotation_vector(R: Float[Array, "3 3"]) -> Float[Array, "3"]:
@@ -81,8 +94,7 @@ def rotation_vector(R: Float[Array, "3 3"]) -> Float[Array, "3"]:
     q = rows[largest] / (2.0 * jnp.sqrt(four[largest]))
     q = jnp.where(q[0] < 0.0, -q, q)
     square = jnp.sum(q[1:] ** 2)
-    small = square < _SMALL
-    sine = jnp.sqrt(jnp.where(small, 1.0, square))
+    small, sine = square < _SMALL, _safe_angle(square)
     # 2 arcsin(s) / s, with s the sine of half the angle.
     series = 2.0 + square / 3.0 * (1.0 + square * 9.0 / 20.0 * (1.0 + square * 25 / 42))
     factor = jnp.where(small, series, 2.0 * jnp.arctan2(sine, q[0]) / sine)
@@ -103,7 +115,7 @@ class Frames(NamedTuple):
     __repr__ = one_line
 
     def where(self, mask: Bool[Array, " n_b"], others: "Frames") -> "Frames":
-        """Take those of some bodies, and other frames elsewhere."""
+        """Take these frames where the mask holds, and the other ones elsewhere."""
         return Frames(
             jnp.where(mask[:, None], self.origin, others.origin),
             jnp.where(mask[:, None, None], self.rotation, others.rotation),
@@ -177,12 +189,7 @@ def _screw(w: Float[Array, "3"]) -> tuple[Float[Array, "3 3"], Float[Array, "3 3
     """
     square = jnp.sum(w * w)
     small = square < _SMALL
-    angle = jnp.sqrt(jnp.where(small, 1.0, square))
-    first = jnp.where(
-        small,
-        0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0)),
-        (1.0 - jnp.cos(angle)) / angle**2,
-    )
+    angle, first = _safe_angle(square), _versine(square)
     second = jnp.where(
         small,
         1.0 / 6.0 - square / 120.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0)),
@@ -234,9 +241,10 @@ def place(
     frames: Frames,
     twist: Float[Array, "n_b 6"],
 ) -> Frames:
-    """Apply a twist to the free bodies, and put all others in their places.
+    """Move free and hinged bodies by their twists; place all others as imposed.
 
-    The twist of each body is along its mounted axes, angles in metres [m].
+    The twist of each body is along its mounted axes: displacements, then angles, in
+    metres [m]. A hinge takes the last angle alone.
     """
     load, mounting, axes, arm = mounted
     along = lambda v: jnp.sum(axes * v[:, :, None], axis=1)
@@ -246,26 +254,27 @@ def place(
         arm, jnp.asarray(state.translation), jnp.asarray(state.rotation), load
     )
     turned = _product(frames.rotation, jnp.swapaxes(mounting, 1, 2))
-    angle = _hinge_angle(turned, axes) + twist[:, 5] / bodies.length
+    displacements, angles = twist[:, :3], twist[:, 3:]
+    angle = _hinge_angle(turned, axes) + angles[:, _HINGED] / bodies.length
     turns = [
-        along(twist[:, 3:]) / bodies.length,
+        along(angles) / bodies.length,
         angle[:, None] * axes[:, 2],
         load * state.rotation,
     ]
     # One stacked call, since each separate one would be compiled again.
     by_twist, by_angle, by_pose = jax.vmap(jax.vmap(rotation_matrix))(jnp.stack(turns))
     free = Frames(
-        frames.origin + along(twist[:, :3]), _product(by_twist, frames.rotation)
+        frames.origin + along(displacements), _product(by_twist, frames.rotation)
     )
     hinged = Frames(home, _product(by_angle, mounting))
     held = Frames(home, _product(by_pose, mounting))
-    own = hinged.where(state.kind == KINDS.index("hinged"), held)
-    own = free.where(state.kind == KINDS.index("free"), own)
+    untied = hinged.where(state.kind == KINDS.index("hinged"), held)
+    untied = free.where(state.kind == KINDS.index("free"), untied)
     # A tied body follows its owner, after its own mounting.
     arm = rest + load * bodies.mounting_translation - rest[bodies.owner]
-    origin, rotation = own.origin[bodies.owner], own.rotation[bodies.owner]
+    origin, rotation = untied.origin[bodies.owner], untied.rotation[bodies.owner]
     tied = Frames(origin + _apply(rotation, arm), _product(rotation, mounting))
-    return tied.where(bodies.tied, own)
+    return tied.where(bodies.tied, untied)
 
 
 def _product(A: Float[Array, "n_b 3 3"], B: Float[Array, "n_b 3 3"]):
@@ -283,6 +292,6 @@ def _hinge_angle(R: Float[Array, "n_b 3 3"], axes: Float[Array, "n_b 3 3"]):
 def blocked(state: BodyStateArrays, bodies: BodyArrays):
     """Flag the entries of the twists that are not unknowns."""
     kind = state.kind[:, None]
-    hinge = jnp.arange(6)[None] == 5
+    hinge = jnp.arange(6)[None] == 3 + _HINGED
     free = (kind == KINDS.index("free")) | ((kind == KINDS.index("hinged")) & hinge)
     return ~free | bodies.tied[:, None]

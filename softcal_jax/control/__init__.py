@@ -6,9 +6,9 @@ models of the same shapes.
 
 from softcal_jax.control._compliance import (
     ActuatorCompliance,
-    ActuatorState,
+    ActuatorReadings,
     actuator_compliance,
-    actuator_state,
+    actuator_readings,
     with_inputs,
 )
 from softcal_jax.control._goals import Goal, with_goals
@@ -33,7 +33,7 @@ from softcal_jax.control._workspace import Workspace, sample_workspace
 __all__ = [
     "OUTCOMES",
     "ActuatorCompliance",
-    "ActuatorState",
+    "ActuatorReadings",
     "Attempt",
     "BlindDirection",
     "ControlSettings",
@@ -46,7 +46,7 @@ __all__ = [
     "TrajectoryResult",
     "Workspace",
     "actuator_compliance",
-    "actuator_state",
+    "actuator_readings",
     "follow_trajectory",
     "sample_workspace",
     "solve_inverse",

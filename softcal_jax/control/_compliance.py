@@ -24,7 +24,7 @@ _NO_STIFFNESS = 1e-11
 """Stiffness that an input meets, relative to the largest, that is rounding."""
 
 
-class ActuatorState(Module):
+class ActuatorReadings(Module):
     """Effectors and actuators of a robot at an equilibrium.
 
     Attributes:
@@ -58,7 +58,7 @@ class ActuatorCompliance(Module):
         displacement: Change of the displacement of all nodes, one row per input [m].
     """
 
-    state: ActuatorState
+    state: ActuatorReadings
     W_ea: Float[Array, "n_e n_a"]
     by_force: Float[Array, "n_a n_a"]
     by_displacement: Float[Array, "n_a n_a"]
@@ -67,9 +67,9 @@ class ActuatorCompliance(Module):
     displacement: Float[Array, "n_a n_points 3"]
 
 
-def actuator_state(
+def actuator_readings(
     model: Model, configuration: ConfigurationArrays, solution: EquilibriumSolution
-) -> ActuatorState:
+) -> ActuatorReadings:
     """Read effectors and actuators of a configuration at its equilibrium."""
     u, lambda_a = solution.displacement, solution.multipliers
     unbalanced = residual(model, configuration, u, lambda_a)
@@ -77,7 +77,7 @@ def actuator_state(
 
 
 def _state(model: Model, configuration: ConfigurationArrays, u, lambda_a, unbalanced):
-    return ActuatorState(
+    return ActuatorReadings(
         effector_values(model, configuration, u, lambda_a, unbalanced),
         actuator_forces(model, configuration, u, lambda_a, unbalanced),
         model.displacements(u),

@@ -16,6 +16,7 @@ from softcal_jax.control._problem import (
     level_errors,
     linearise,
     parts,
+    violation,
 )
 from softcal_jax.control._qp import step_in_levels
 from softcal_jax.control._result import OUTCOMES, StepRecord
@@ -24,7 +25,7 @@ from softcal_jax.control._step import (
     Arrival,
     Decision,
     Reached,
-    Trial,
+    TriedStep,
     decide,
     differentiate,
     reach,
@@ -122,7 +123,7 @@ def descend(command: Command, start: Descent, *, explore: bool = False) -> Desce
     while outcome is None and not (explore and _slow(records)):
         assert linear is not None
         levels = tuple(zip(linear.W, linear.error, strict=True))
-        qp = step_in_levels(levels, linear.rows, jnp.asarray(decision.step_bound))
+        qp = step_in_levels(levels, linear.limits, jnp.asarray(decision.step_bound))
         there = moved(command, here, np.asarray(qp.lambda_p) * linear.scale)
         trial = _trial(command, linear, qp, there, decision)
         before, decision = decision, decide(trial, decision, settings)
@@ -135,12 +136,11 @@ def descend(command: Command, start: Descent, *, explore: bool = False) -> Desce
                 # A singular equilibrium counts as none: no step leads on from it.
                 trial = trial._replace(tried=np.full_like(trial.tried, np.inf))
                 decision = decide(trial, before, settings)
-        violation, *costs = parts(linear.rows.b, linear.error)
         records.append(
             StepRecord(
                 size=trial.size,
-                cost=float(sum(costs)),
-                violation=float(violation),
+                cost=0.5 * float((linear.error**2).sum()),
+                violation=violation(linear.limits.b),
                 kkt_residual=trial.kkt_residual,
                 newton_steps=int(there.solution.steps),
                 accepted=decision.accepted,
@@ -166,11 +166,11 @@ def _trial(
     qp: QPStep,
     there: Reached,
     before: Decision,
-) -> Trial:
+) -> TriedStep:
     """Compare the parts before a step with what was expected and what came of it."""
-    rows, error, step = linear.rows, linear.error, np.asarray(qp.lambda_p)
+    limits, error, step = linear.limits, linear.error, np.asarray(qp.lambda_p)
     change = linear.W @ step
-    now = parts(rows.b, error)
+    now = parts(limits.b, error)
     tried = np.full_like(now, np.inf)
     if bool(there.solution.converged):
         room = follow_room(command, there.state, linear.length)
@@ -178,9 +178,9 @@ def _trial(
     weight = before.penalty[1:, None]
     lengths = np.sum(weight * change**2) * np.sum(weight * error**2)
     length = np.sqrt(max(lengths, np.finfo(float).tiny))
-    return Trial(
+    return TriedStep(
         now=now,
-        expected=parts(rows.b - rows.A @ step, error + change),
+        expected=parts(limits.b - limits.A @ step, error + change),
         tried=tried,
         size=float(np.abs(step).max()),
         kkt_residual=float(qp.kkt_residual),
@@ -198,7 +198,7 @@ def _outcome(
     """Determine how the search has ended; None while it goes on."""
     settings = command.settings
     error = np.abs(command.residuals(here.compliance.state)).max()
-    kept_limits = parts(linear.rows.b, linear.error)[0] <= ROUNDING
+    kept_limits = violation(linear.limits.b) <= ROUNDING
     met = error <= settings.tol and kept_limits
     if met and (settings.epsilon == 0.0 or decision.vanished):
         return OUTCOMES.met

@@ -31,6 +31,20 @@ class Holding(NamedTuple):
     blind: BlindDirection | None
 
 
+class _Limit(NamedTuple):
+    """One limit of an actuator.
+
+    Attributes:
+        actuator: Index of the actuator.
+        of_input: Whether it limits the imposed quantity or the one that follows.
+        is_upper: Whether it is the highest or the lowest value.
+    """
+
+    actuator: int
+    of_input: bool
+    is_upper: bool
+
+
 def what_holds(command: Command, here: Arrival, linear: Linear) -> Holding:
     """Split what is left of the errors between limits and blind directions.
 
@@ -39,15 +53,16 @@ def what_holds(command: Command, here: Arrival, linear: Linear) -> Holding:
     limit holds where its mu is positive. What W does not reach at all is blind.
     """
     reached = _reached(command, here, linear)
-    active = tuple(_in_words(command, here, a, row) for a, row in reached)
+    active = tuple(_in_words(command, here, limit) for limit in reached)
     off = command.residuals(here.compliance.state)
     unmet = np.abs(off).max(axis=1) > command.settings.tol
     if not unmet.any():
         return Holding(active, (), None)
     level, n_e = int(np.argmax(unmet)), off.shape[1]
-    moves = linear.rows.upper > linear.rows.lower
+    moves = linear.limits.upper > linear.limits.lower
     W, r = linear.W[level] * moves, linear.error[level]
-    A = _rows_of(linear, reached) * moves
+    A = np.array([_gradient(linear, limit) for limit in reached])
+    A = A.reshape(-1, len(moves)) * moves
     mu = _multipliers(W.T @ r, A, linear.W[:level] * moves)
     # The step that each limit forbids: the cosine between the errors and its effect.
     effect = np.linalg.norm(W @ A.T, axis=0) * np.linalg.norm(r)
@@ -109,36 +124,37 @@ def _blind(
     )
 
 
-def _reached(command: Command, here: Arrival, linear: Linear) -> list[tuple[int, int]]:
-    """List the limits that are reached as actuator and row of `_rows_of`."""
+def _reached(command: Command, here: Arrival, linear: Linear) -> list[_Limit]:
+    """List the limits that are reached, actuator by actuator."""
     lower, upper = command.box()
     of_inputs = [here.value - lower, upper - here.value] / linear.scale
-    of_rest = follow_room(command, here.compliance.state, linear.length)
-    room = np.concatenate([of_inputs, of_rest.reshape(2, -1)])
+    of_others = follow_room(command, here.compliance.state, linear.length)
+    room = np.stack([of_inputs, of_others.reshape(2, -1)])
     active = (room <= 10.0 * ROUNDING) & (upper > lower)
-    return [(int(a), int(row)) for a, row in np.argwhere(active.T)]
+    return [
+        _Limit(int(a), of_input=other == 0, is_upper=side == 1)
+        for a, other, side in np.argwhere(np.moveaxis(active, -1, 0))
+    ]
 
 
-def _rows_of(linear: Linear, reached) -> Float[HostArray, "n_rows n_a"]:
-    """Build rows A with A y <= 0 for the limits that are reached.
-
-    Rows 0 and 1 of an actuator are the lower and upper limit of its input, rows 2 and 3
-    those of the quantity that follows.
-    """
-    unit = np.eye(len(linear.scale))
-    of_rest = np.asarray(linear.rows.A).reshape(2, *unit.shape)
-    rows = np.stack([-unit, unit, *of_rest])
-    return np.array([rows[row, a] for a, row in reached]).reshape(-1, len(unit))
+def _gradient(linear: Linear, limit: _Limit) -> Float[HostArray, " n_a"]:
+    """Return the change of the limited quantity by y, whose product must not grow."""
+    n_a = len(linear.scale)
+    if limit.of_input:
+        return np.eye(n_a)[limit.actuator] * (1.0 if limit.is_upper else -1.0)
+    lower, upper = np.asarray(linear.limits.A).reshape(2, n_a, n_a)
+    return (upper if limit.is_upper else lower)[limit.actuator]
 
 
-def _in_words(command: Command, here: Arrival, a: int, row: int) -> str:
+def _in_words(command: Command, here: Arrival, limit: _Limit) -> str:
     """Say which limit of an actuator is reached."""
+    a = limit.actuator
     step = command.limits.step[a] * (1.0 - 1e-12)
     by_displacement = bool(np.asarray(command.lane.actuation.by_displacement)[a])
-    actuators, of_input = command.model.mechanism.actuators, row < 2
-    what = "displacement" if by_displacement == of_input else "force"
-    side = ("lower", "upper")[row % 2]
-    if of_input and np.abs(here.value[a] - command.start[a]) >= step:
+    what = "displacement" if by_displacement == limit.of_input else "force"
+    side = "upper" if limit.is_upper else "lower"
+    if limit.of_input and np.abs(here.value[a] - command.start[a]) >= step:
         what, side = f"step of the {what}", "longest"
+    actuators = command.model.mechanism.actuators
     noun, name = actuators.kinds[a].noun, actuators.names[a]
     return f"{what} of {noun} {name!r} at its {side} limit"

@@ -11,9 +11,9 @@ from softcal_jax.configurations import (
     ConfigurationArrays,
     EffectorRecord,
 )
-from softcal_jax.control._compliance import ActuatorCompliance, ActuatorState
+from softcal_jax.control._compliance import ActuatorCompliance, ActuatorReadings
 from softcal_jax.control._limits import LimitArrays
-from softcal_jax.control._qp import InputRows
+from softcal_jax.control._qp import StepLimits
 from softcal_jax.control._step import ControlSettings
 from softcal_jax.equilibrium import Model
 
@@ -59,7 +59,7 @@ class Command(NamedTuple):
         imposed = imposed.reshape(-1, *[1] * (of_force.ndim - 1))
         return np.where(imposed, of_force, of_displacement)
 
-    def residuals(self, state: ActuatorState) -> Float[HostArray, "n_levels n_e"]:
+    def residuals(self, state: ActuatorReadings) -> Float[HostArray, "n_levels n_e"]:
         """Compute effector errors in units of std, 0 on other levels [-]."""
         goal = np.asarray(self.lane.effectors.measured)
         off = self.levels * (np.asarray(state.effectors) - goal)
@@ -75,7 +75,7 @@ class Linear(NamedTuple):
         W: Compliances of each level, energy included, in units of std.
         error: Errors of each level, likewise.
         energy: Matrix that turns forces into the energy rows of the last level.
-        rows: Limits.
+        limits: Limits.
         length: Scale of the quantities that are not imposed.
     """
 
@@ -83,7 +83,7 @@ class Linear(NamedTuple):
     W: Float[HostArray, "n_levels n_all n_a"]
     error: Float[HostArray, "n_levels n_all"]
     energy: Float[HostArray, "n_a n_a"]
-    rows: InputRows
+    limits: StepLimits
     length: Float[HostArray, " n_a"]
 
 
@@ -121,7 +121,7 @@ def linearise(
         W=np.concatenate([W, of_energy], axis=1),
         error=level_errors(command, compliance.state, energy),
         energy=energy,
-        rows=InputRows(
+        limits=StepLimits(
             (lower - value) / scale,
             (upper - value) / scale,
             np.where(limited[:, None], A, 0.0),
@@ -133,12 +133,16 @@ def linearise(
 
 def parts(room, error: HostArray) -> Float[HostArray, " n_parts"]:
     """Compute what a step should lower: violated limits, then each level's cost [-]."""
-    violation = np.maximum(-room, 0.0).sum()
-    return np.concatenate([[violation], 0.5 * (error**2).sum(axis=1)])
+    return np.concatenate([[violation(room)], 0.5 * (error**2).sum(axis=1)])
+
+
+def violation(room) -> float:
+    """Add up by how much limits are violated [-]."""
+    return float(np.maximum(-room, 0.0).sum())
 
 
 def level_errors(
-    command: Command, state: ActuatorState, energy: Float[HostArray, "n_a n_a"]
+    command: Command, state: ActuatorReadings, energy: Float[HostArray, "n_a n_a"]
 ) -> Float[HostArray, "n_levels n_all"]:
     """Compute the errors of the levels, with the energy on the last one [-]."""
     off = command.residuals(state)
@@ -148,7 +152,7 @@ def level_errors(
 
 
 def follow_room(
-    command: Command, state: ActuatorState, length: Float[HostArray, " n_a"]
+    command: Command, state: ActuatorReadings, length: Float[HostArray, " n_a"]
 ) -> Float[HostArray, " 2*n_a"]:
     """Compute how far the quantities not imposed are from both their limits [-]."""
     q = command.following(state.forces, state.displacements)

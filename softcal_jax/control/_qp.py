@@ -12,10 +12,11 @@ NULL = 1e-10
 """Relative squared singular value below which a level does not see a direction [-]."""
 
 
-class InputRows(NamedTuple):
-    """Bounds and rows of the scaled step: lower <= y <= upper and A y <= b [-].
+class StepLimits(NamedTuple):
+    """Limits of the scaled step y: lower <= y <= upper and A y <= b [-].
 
-    A y is the change of the quantities that are not imposed.
+    A y is the change of the quantities that are not imposed: less that change for their
+    lower limits, actuator by actuator, then the change for their upper limits.
     """
 
     lower: Float[Array | HostArray, " n_a"]
@@ -27,7 +28,7 @@ class InputRows(NamedTuple):
 @jax.jit
 def step_in_levels(
     levels: tuple[tuple[Float[Array, "_ n_a"], Float[Array, " _"]], ...],
-    rows: InputRows,
+    limits: StepLimits,
     radius: Float[Array, ""],
 ) -> QPStep:
     """Minimise ||W y + error|| of the first level, then of the next among its minima.
@@ -36,13 +37,13 @@ def step_in_levels(
     W, and priorities are strict whatever the weights. Each level is one bounded QP; the
     optimality residual is the largest of all. The radius bounds every entry of y.
     """
-    moves = rows.upper > rows.lower
-    lower = jnp.maximum(rows.lower, -radius)
-    upper = jnp.minimum(rows.upper, radius)
-    A = jnp.where(moves[None], rows.A, 0.0)
+    moves = limits.upper > limits.lower
+    lower = jnp.maximum(limits.lower, -radius)
+    upper = jnp.minimum(limits.upper, radius)
+    A = jnp.where(moves[None], limits.A, 0.0)
     # A violated row is reduced only as far as the trust region allows.
     reach = 0.9 * radius * jnp.sum(jnp.abs(A), axis=1)
-    b = jnp.maximum(rows.b, -reach)
+    b = jnp.maximum(limits.b, -reach)
     y = jnp.zeros_like(lower)
     P, kkt = jnp.eye(y.size, dtype=y.dtype), jnp.zeros((), y.dtype)
     for level, (W, error) in enumerate(levels):

@@ -134,7 +134,7 @@ class Attempt(Module):
 
     Attributes:
         way: Where it started, in words.
-        outcome: How it ended; None if it was left, as it hardly came closer any more.
+        outcome: How it ended; None if it was given up because it hardly came closer.
         error: Largest error of an effector coordinate, in standard deviations [-].
         n_steps: Number of its steps towards the goals themselves.
     """

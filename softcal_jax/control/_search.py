@@ -38,7 +38,7 @@ SEED = 0
 EQUAL = 1e-3
 """Relative difference of costs below which two ends count as one minimum [-].
 
-Among such ends the first counts, that of the start itself.
+Of such ends the one found first counts; the descent from the start is the first.
 """
 
 
@@ -180,9 +180,9 @@ def _better(command: Command, found: Descent, than: Descent) -> bool:
 
 
 def _parts(command: Command, found: Descent) -> Float[HostArray, " n_parts"]:
-    """Compute violated limits and each level's cost; what is good enough is equal."""
+    """Compute violated limits and costs of levels; below the tolerance they tie."""
     assert found.linear is not None
     off = command.residuals(found.here.compliance.state)
     floor = np.full(len(off) + 1, 0.5 * command.settings.tol**2)
     floor[0] = 10.0 * ROUNDING
-    return np.maximum(parts(found.linear.rows.b, off), floor)
+    return np.maximum(parts(found.linear.limits.b, off), floor)

@@ -12,9 +12,9 @@ from softcal_jax.calibration import KKT_TOLERANCE
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.control._compliance import (
     ActuatorCompliance,
-    ActuatorState,
+    ActuatorReadings,
     actuator_compliance,
-    actuator_state,
+    actuator_readings,
     with_inputs,
 )
 from softcal_jax.equilibrium import (
@@ -76,11 +76,11 @@ class ControlSettings(Module):
 
 
 class Reached(NamedTuple):
-    """The equilibrium at some inputs, with slack cables wound up, and what it reads."""
+    """The equilibrium at some inputs, slack cables wound up, and the readings there."""
 
     value: Float[Array | HostArray, " n_a"]
     solution: EquilibriumSolution
-    state: ActuatorState
+    state: ActuatorReadings
 
 
 class Arrival(NamedTuple):
@@ -112,7 +112,7 @@ def reach(
     """
     configuration = with_inputs(configuration, value)
     solution = solve_equilibrium(model, configuration, guess=guess, settings=newton)
-    state = actuator_state(model, configuration, solution)
+    state = actuator_readings(model, configuration, solution)
     cable = jnp.asarray(model.mechanism.actuators.unilateral)
     cable = cable & jnp.asarray(configuration.actuation.by_displacement)
     lower, upper = box
@@ -127,14 +127,14 @@ def differentiate(
 ) -> Arrival:
     """Differentiate an equilibrium by its inputs.
 
-    This takes a factorization of its own, so a step that was refused goes without.
+    This takes another factorization, so it is not done for steps that are refused.
     """
     configuration = with_inputs(configuration, jnp.asarray(there.value))
     compliance = actuator_compliance(model, configuration, there.solution)
     return Arrival(there.value, there.solution, compliance)
 
 
-class Trial(NamedTuple):
+class TriedStep(NamedTuple):
     """A step that was tried; its parts are violated limits, then each level's cost [-].
 
     Attributes:
@@ -172,17 +172,19 @@ class Decision(NamedTuple):
     stalled: bool = False
 
 
-def decide(trial: Trial, before: Decision, settings: ControlSettings) -> Decision:
+def decide(trial: TriedStep, before: Decision, settings: ControlSettings) -> Decision:
     """Accept a step that lowers the weighted sum of the parts, and adapt the bound.
 
     The sum is an exact penalty function: the weight of an earlier part is raised until
     the sum is expected to fall along the step that the QPs of all levels found (Nocedal
     and Wright, Numerical Optimization, 2006, Eq. 18.36).
     """
-    # What is good enough counts as equal, so that noise below it is ignored.
+    # Below the tolerance all errors count as equal, so that noise there is ignored.
     floor = np.full_like(trial.now, 0.5 * settings.tol**2)
     floor[0], floor[-1] = ROUNDING, 0.0
-    now, expected, tried = (np.maximum(part, floor) for part in trial[:3])
+    now, expected, tried = (
+        np.maximum(each, floor) for each in (trial.now, trial.expected, trial.tried)
+    )
     penalty = _raised(before.penalty, now - expected)
     hoped, drop = penalty @ (now - expected), penalty @ (now - tried)
     converged = bool(np.isfinite(trial.tried).all())

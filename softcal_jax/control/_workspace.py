@@ -17,7 +17,7 @@ from softcal_jax.configurations import (
     actuation_arrays,
     configuration_lanes,
 )
-from softcal_jax.control._compliance import actuator_state, with_inputs
+from softcal_jax.control._compliance import actuator_readings, with_inputs
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Model,
@@ -121,7 +121,7 @@ def _sample(model, configuration, values, newton):
     def one(value):
         lane = with_inputs(configuration, value)
         solution = solve_equilibrium(model, lane, settings=newton)
-        effectors = actuator_state(model, lane, solution).effectors
+        effectors = actuator_readings(model, lane, solution).effectors
         return solution, jnp.where(solution.converged, effectors, jnp.nan)
 
     return jax.vmap(one)(values)

@@ -91,14 +91,28 @@ class ModelScore(Module):
     @property
     def n_blind(self) -> int | None:
         """Number of unidentifiable directions of the parameters; None if unknown."""
-        found = self.identifiability
-        return None if found is None else len(found.blind)
+        if self.identifiability is None:
+            return None
+        return len(self.identifiability.blind)
 
     @property
     def verdict(self) -> str:
         """Verdict of the identifiability; "not known" without one."""
-        found = self.identifiability
-        return "not known" if found is None else found.verdict
+        if self.identifiability is None:
+            return "not known"
+        return self.identifiability.verdict
+
+
+def ranked(scores: Sequence[ModelScore]) -> tuple[ModelScore, ...]:
+    """Sort by whether folds failed, then prediction error, then parameters."""
+    error = lambda s: np.inf if np.isnan(s.score) else s.score
+    key = lambda s: (len(s.failed) > 0, error(s), s.n_parameters)
+    return tuple(sorted(scores, key=key))
+
+
+def number(value: float, form: str) -> str:
+    """Format a number; "-" where there is none."""
+    return "-" if np.isnan(value) else format(value, form)
 
 
 def _root_mean(values: Sequence[float]) -> float:
@@ -117,9 +131,7 @@ class LayoutComparison(Module):
     @classmethod
     def ranked(cls, scores: Sequence[ModelScore]) -> "LayoutComparison":
         """Rank scores by failed folds, then prediction error, then parameters."""
-        last = lambda s: np.inf if np.isnan(s.score) else s.score
-        key = lambda s: (len(s.failed) > 0, last(s), s.n_parameters)
-        return cls(tuple(sorted(scores, key=key)))
+        return cls(ranked(scores))
 
     @property
     def best(self) -> ModelScore | None:
@@ -186,7 +198,7 @@ def _conclusion(comparison: LayoutComparison) -> list[str]:
 
 
 def _against(other: ModelScore, preferred: ModelScore) -> list[str]:
-    """Write why a layout was not preferred, if not just for its error."""
+    """Write why a layout was not preferred, unless its error alone says so."""
     closer = other.fit_noise_rms < preferred.fit_noise_rms
     if other.n_parameters > preferred.n_parameters:
         reason = f"but {_blind(other)}" if other.n_blind else "but predicts no better"
@@ -215,9 +227,9 @@ def _table(scores: Sequence[ModelScore]) -> list[str]:
             s.name,
             str(s.n_points),
             str(s.n_parameters),
-            _number(1e3 * s.held_out_rms, ".4g"),
-            _number(s.held_out_noise_rms, ".2f"),
-            _number(1e3 * s.fit_rms, ".4g"),
+            number(1e3 * s.held_out_rms, ".4g"),
+            number(s.held_out_noise_rms, ".2f"),
+            number(1e3 * s.fit_rms, ".4g"),
             "-" if s.n_blind is None else str(s.n_blind),
             s.verdict,
             f"{len(s.failed)} of {len(s.folds)}" if s.failed else "none",
@@ -225,7 +237,3 @@ def _table(scores: Sequence[ModelScore]) -> list[str]:
         for s in scores
     ]
     return table(head, rows)
-
-
-def _number(value: float, form: str) -> str:
-    return "-" if np.isnan(value) else format(value, form)

@@ -8,7 +8,7 @@ from scipy.special import stdtrit
 from softcal_jax._module import Module, Result
 from softcal_jax._names import listed
 from softcal_jax.identifiability import Tabulated, table
-from softcal_jax.layouts._comparison import ModelScore
+from softcal_jax.layouts._comparison import ModelScore, number, ranked
 
 LEVEL_OF_COMPARISON = 0.95
 """Probability at which two models are told apart [-]."""
@@ -76,9 +76,7 @@ class ModelComparison(Result):
     @classmethod
     def ranked(cls, scores: Sequence[ModelScore]) -> "ModelComparison":
         """Rank scores by failed folds, then prediction error, then parameters."""
-        last = lambda s: np.inf if np.isnan(s.score) else s.score
-        key = lambda s: (len(s.failed) > 0, last(s), s.n_parameters)
-        models = tuple(sorted(scores, key=key))
+        models = ranked(scores)
         return cls(models, tuple(PairedDifference.of(m, models[0]) for m in models[1:]))
 
     @property
@@ -158,11 +156,11 @@ class ModelComparison(Result):
                 (
                     model.name,
                     str(model.n_parameters),
-                    _number(1e3 * model.held_out_rms, ".4g"),
-                    _number(model.held_out_noise_rms, ".2f"),
+                    number(1e3 * model.held_out_rms, ".4g"),
+                    number(model.held_out_noise_rms, ".2f"),
                     _plus_minus(model.score, model.standard_error),
                     _difference(against.get(model.name)),
-                    _number(1e3 * model.fit_rms, ".4g"),
+                    number(1e3 * model.fit_rms, ".4g"),
                     failed if model.failed else "none",
                 )
             )
@@ -177,7 +175,3 @@ def _plus_minus(value: float, error: float) -> str:
     if np.isnan(value):
         return "-"
     return f"{value:.3g} +- {error:.2g}" if np.isfinite(error) else f"{value:.3g}"
-
-
-def _number(value: float, form: str) -> str:
-    return "-" if np.isnan(value) else format(value, form)

@@ -239,9 +239,11 @@ def _well_seen(
     seen = np.flatnonzero(norms > INDEPENDENT * norms.max())
     _check_room(len(seen), n, "that the markers see")
     kept = [seeds[i] for i in seen]
-    there = _Places(places.tets[kept], places.x[kept], places.along[kept], places.size)
-    distance = 0.5 * _separation(there, n) if min_distance is None else min_distance
-    chosen, rank = pivoted(there, density[:, seen] / norms.max(), n, distance)
+    visible = _Places(
+        places.tets[kept], places.x[kept], places.along[kept], places.size
+    )
+    distance = 0.5 * _separation(visible, n) if min_distance is None else min_distance
+    chosen, rank = pivoted(visible, density[:, seen] / norms.max(), n, distance)
     if len(chosen) < n:
         raise ValueError(
             f"only {len(chosen)} of {n} control points find room {distance:.3g} m "
@@ -272,10 +274,10 @@ def _patches(
         owner = np.argmin(np.stack([_gaps(places, i) for i in seeds]), axis=0)
         patches = [np.flatnonzero(owner == patch) for patch in range(len(seeds))]
         seeds = []
-        for own in patches:
-            middle = np.average(places.along[own], axis=0, weights=shares[own])
-            away = np.linalg.norm(places.along[own] - middle, axis=1) / places.size
-            seeds.append(int(own[np.argmin(np.round(away, 9))]))
+        for patch in patches:
+            middle = np.average(places.along[patch], axis=0, weights=shares[patch])
+            away = np.linalg.norm(places.along[patch] - middle, axis=1) / places.size
+            seeds.append(int(patch[np.argmin(np.round(away, 9))]))
     return seeds, patches
 
 

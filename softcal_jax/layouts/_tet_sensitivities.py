@@ -86,8 +86,8 @@ def tet_sensitivities(
     for field in names:
         find_field(model, field)
     mesh, mechanism = model.mesh, model.mechanism
-    there = [measured_at_rest(c, mesh, mechanism) for c in posed]
-    arrays = configuration_arrays(mesh, there, mechanism)
+    measured = [measured_at_rest(c, mesh, mechanism) for c in posed]
+    arrays = configuration_arrays(mesh, measured, mechanism)
     if arrays.effectors.has_forces:
         raise ValueError(
             "tet_sensitivities takes effectors that follow from positions, and some "

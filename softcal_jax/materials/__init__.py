@@ -11,15 +11,14 @@ from softcal_jax.materials._elasticity import (
     AbstractElasticity,
     Isotropic,
     StVenantKirchhoff,
-    Tabulated,
+    TabulatedElasticity,
     lame,
 )
 from softcal_jax.materials._fibre import Fibre, frames_along, frames_around
 from softcal_jax.materials._fibre_reinforced import FibreReinforced
 from softcal_jax.materials._foam import FoamTable, FoundFoam, Infill
-from softcal_jax.materials._gent import Gent
+from softcal_jax.materials._invariant_rubbers import Gent, MooneyRivlin, Yeoh
 from softcal_jax.materials._law import AbstractLaw
-from softcal_jax.materials._mooney_rivlin import MooneyRivlin
 from softcal_jax.materials._neo_hookean import NeoHookean
 from softcal_jax.materials._ogden import Ogden
 from softcal_jax.materials._published_foam import TPU, published_foam
@@ -30,7 +29,6 @@ from softcal_jax.materials._transverse import (
     plane_stiffness,
 )
 from softcal_jax.materials._transverse_hyperelastic import TransverseHyperelastic
-from softcal_jax.materials._yeoh import Yeoh
 
 ELASTICITIES: dict[str, type[AbstractElasticity]] = {
     "isotropic": Isotropic,
@@ -76,7 +74,7 @@ __all__ = [
     "SofaCorotational",
     "SofaRotation",
     "StVenantKirchhoff",
-    "Tabulated",
+    "TabulatedElasticity",
     "TransverseHyperelastic",
     "TransverseIsotropic",
     "Yeoh",

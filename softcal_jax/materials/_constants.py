@@ -40,6 +40,11 @@ class PointValues(Module):
     values: Float[Array, "*tets n_qp"]
 
 
+def as_matrix(components: tuple[Float[Array, "..."], ...]) -> Float[Array, "3 3 ..."]:
+    """Stack the nine fields of `as_components` to a matrix, or one per tet."""
+    return jnp.stack([jnp.stack(components[3 * i : 3 * i + 3]) for i in range(3)])
+
+
 def is_point_values(leaf: Any) -> bool:
     """Say whether a constant of a law is given per quadrature point."""
     return isinstance(leaf, PointValues)
@@ -68,14 +73,16 @@ def constant(
     within: tuple[float, float] | None = None,
     may_vanish: bool = False,
 ) -> dict[str, Any]:
-    """What the metadata of a field of a law say of a constant; project files read it.
+    """Build the metadata that declare a field of a law as a constant.
+
+    Project files offer the constant by them.
 
     Args:
         unit: SI unit, like "Pa"; "" for a plain number, "rad" for the angle of an axis.
         words: What it is, with an example: 'bulk modulus: "2 MPa"'.
         within: Open interval that the bounds of a parameter must lie in; by default
             what is positive for a modulus, and anything for a number or an angle.
-        may_vanish: Whether 0 is allowed too, where nothing of the kind is there.
+        may_vanish: Whether 0 is allowed too, as for a body without fibres.
     """
     if within is None:
         within = (-math.inf if unit in ("", "rad") else 0.0, math.inf)
@@ -108,21 +115,18 @@ def check_constants(module: eqx.Module) -> None:
     """
     for field in dataclasses.fields(module):
         low, high = field.metadata.get("within", (-math.inf, math.inf))
-        unit, values = (
-            field.metadata.get("unit"),
-            _concrete(getattr(module, field.name)),
-        )
+        unit = field.metadata.get("unit")
+        values = _concrete(getattr(module, field.name))
         if values is None or not (unit or math.isfinite(low)):
             continue
-        none = (values == 0.0) & field.metadata.get("may_vanish", False)
-        bad = values[~(none | ((values > low) & (values < high)))]
+        may_vanish = field.metadata.get("may_vanish", False)
+        allowed = (values > low) & (values < high) | (values == 0.0) & may_vanish
+        bad = values[~allowed]
         if not bad.size:
             continue
         expected, hint = f"lie in ({low:g}, {high:g})", ""
         if math.isinf(high):
-            sign = (
-                "not negative and " if field.metadata["may_vanish"] else "positive and "
-            )
+            sign = "not negative and " if may_vanish else "positive and "
             expected = f"be {sign if low == 0.0 else ''}finite [{unit}]"
         elif high == RATIO["within"][1] and values.max() >= high:
             hint = " For an incompressible rubber take 0.499."
@@ -157,14 +161,13 @@ def check_fibre_ratio(
         return
     stiff_t, stiff_l, plane, ratio = values
     limit = np.sqrt((1.0 - plane) * stiff_t / (2.0 * stiff_l))
-    bad = ~(np.abs(ratio) < limit)
-    if np.any(bad):
-        i = int(np.argmax(bad))
+    bad = np.flatnonzero(~(np.abs(ratio) < limit))
+    if bad.size:
+        i = bad[0]
         raise ValueError(
-            f"nu_tl must lie in (-{limit[i]:.4g}, {limit[i]:.4g}) for E_t = "
-            f"{readable(stiff_t[i], 'Pa')}, E_l = {readable(stiff_l[i], 'Pa')}, "
-            f"nu_t = {plane[i]:g}, or the stiffness is not positive definite; got "
-            f"{ratio[i]:g}."
+            f"nu_tl must lie in (-{limit[i]:.4g}, {limit[i]:.4g}) for "
+            f"{_moduli(stiff_t[i], stiff_l[i])}, nu_t = {plane[i]:g}, or the stiffness "
+            f"is not positive definite; got {ratio[i]:g}."
         )
 
 
@@ -180,11 +183,14 @@ def check_shared_ratio(
     # The roots of 1 - nu - 2 n nu^2, and |nu_t| < 1.
     low = np.maximum(-1.0, -(1.0 + np.sqrt(1.0 + 8.0 * n)) / (4.0 * n))
     high = 2.0 / (1.0 + np.sqrt(1.0 + 8.0 * n))
-    bad = ~((ratio > low) & (ratio < high))
-    if np.any(bad):
-        i = int(np.argmax(bad))
+    bad = np.flatnonzero(~((ratio > low) & (ratio < high)))
+    if bad.size:
+        i = bad[0]
         raise ValueError(
-            f"nu must lie in ({low[i]:.4g}, {high[i]:.4g}) for E_t = "
-            f"{readable(stiff_t[i], 'Pa')}, E_l = {readable(stiff_l[i], 'Pa')}, got "
-            f"{ratio[i]:g}."
+            f"nu must lie in ({low[i]:.4g}, {high[i]:.4g}) for "
+            f"{_moduli(stiff_t[i], stiff_l[i])}, got {ratio[i]:g}."
         )
+
+
+def _moduli(E_t: Any, E_l: Any) -> str:
+    return f"E_t = {readable(E_t, 'Pa')}, E_l = {readable(E_l, 'Pa')}"

@@ -1,5 +1,6 @@
-"""Laws that are linear in the stretch of the polar decomposition."""
+"""Laws that are linear in a strain seen in the rotated axes of each tet."""
 
+from abc import abstractmethod
 from typing import ClassVar, NamedTuple
 
 import jax
@@ -59,20 +60,7 @@ def _symmetric(X: Float[Array, "n 3 3"]) -> Float[Array, "n 3 3"]:
     return 0.5 * (X + X.transpose(0, 2, 1))
 
 
-def _barred(elasticity: AbstractElasticity, F: Float[Array, "3 3"]) -> _Polar:
-    """Keep XLA from computing a factor again for each of a tangent's 81 entries."""
-    return _Polar(*jax.lax.optimization_barrier(_polar(elasticity, F)))
-
-
-class _AbstractStretchLaw(AbstractLinearLaw):
-    """A law that is linear in the stretch of F = R S."""
-
-    def strain(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-        """Stretch less the identity, S - I [-]."""
-        return symmetric(matmul(rotation(F).T, F)) - jnp.eye(3)
-
-
-class Corotational(_AbstractStretchLaw):
+class Corotational(AbstractLinearLaw):
     """Linear law in the stretch of the polar decomposition F = R S.
 
     psi = 1/2 (S - I) : C : (S - I). With sigma = C : (S - I), the exact gradient is
@@ -84,6 +72,10 @@ class Corotational(_AbstractStretchLaw):
     Attributes:
         elasticity: The tensor C, in the axes of the rest shape.
     """
+
+    def strain(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+        """Stretch less the identity, S - I [-]."""
+        return symmetric(matmul(rotation(F).T, F)) - jnp.eye(3)
 
     def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         """First Piola-Kirchhoff stress R (sigma - hat(c)) [Pa]."""
@@ -117,7 +109,9 @@ class Corotational(_AbstractStretchLaw):
             K = (tr(p) I / 2 - p / 2 + N : Q) M^-1    hat_r : R^T dP / 4 for A = hat_s
             Y = N - K hat / 2
         """
-        R, S, sigma, M_inverse = _barred(self.elasticity, F)
+        # The barriers keep XLA from computing a factor again for each of 81 entries.
+        polar = jax.lax.optimization_barrier(_polar(self.elasticity, F))
+        R, S, sigma, M_inverse = polar
         p = sigma - skew(_times(M_inverse, axial(matmul(sigma, S))))
         hat = jnp.asarray(_HAT)
         p, Q = jax.lax.optimization_barrier((p, _symmetric(_right(hat, S))))
@@ -147,7 +141,63 @@ def _less_spins(
     return C - spin - spin.transpose(2, 3, 0, 1)
 
 
-class ClassicalCorotational(_AbstractStretchLaw):
+class AbstractTurnedStress(AbstractLinearLaw):
+    """A law P = R sigma, with sigma = C : (sym(R^T F) - I) and R = polar(F L).
+
+    It has no potential, and its tangent no symmetry. L is symmetric, positive definite
+    and constant.
+    """
+
+    conservative: ClassVar[bool] = False
+
+    @abstractmethod
+    def _rotation(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+        """Compute R [-]."""
+
+    @abstractmethod
+    def _rest_stretch(self) -> Float[Array, "3 3"]:
+        """Return L, of any size."""
+
+    def strain(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+        """Symmetric part of R^T F, less the identity [-]."""
+        return symmetric(matmul(self._rotation(F).T, F)) - jnp.eye(3)
+
+    def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+        """First Piola-Kirchhoff stress R sigma [Pa]."""
+        R = self._rotation(F)
+        strain = symmetric(matmul(R.T, F)) - jnp.eye(3)
+        return matmul(R, self.elasticity.stress(strain))
+
+    def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
+        """Derivative of this stress [Pa].
+
+        With U = R^T F, A = R^T dF, S = U L and M = tr(S) I - S, R^T dR is hat(omega)
+        for omega = M^-1 axial(A L), and
+
+            R^T dP = hat(omega) sigma + C : (A - hat(omega) U).
+        """
+        # The barriers keep XLA from computing a factor again for each of 81 entries.
+        L, R = jax.lax.optimization_barrier((self._rest_stretch(), self._rotation(F)))
+        U = matmul(R.T, F)
+        S = symmetric(matmul(U, L))
+        sigma = self.elasticity.stress(symmetric(U) - jnp.eye(3))
+        M = jnp.trace(S) * jnp.eye(3) - S
+        M_inverse = cofactor(M) / determinant(M)
+
+        def of_spin(e):
+            """Return dP for R^T dR = hat(e), and dF for which axial(A L) grows by e."""
+            hat = skew(e)
+            dsigma = self.elasticity.stress(-symmetric(matmul(hat, U)))
+            return matmul(R, matmul(hat, sigma) + dsigma), matmul(R, matmul(hat, L))
+
+        dP, moment = jax.lax.optimization_barrier(jax.vmap(of_spin)(jnp.eye(3)))
+        omega = sum_of(M_inverse[:, t, None, None] * moment[None, t] for t in range(3))
+        omega = jax.lax.optimization_barrier(omega)
+        spin = sum_of(outer(dP[r], omega[r]) for r in range(3))
+        return turned(self.elasticity.tensor(), R) + spin
+
+
+class ClassicalCorotational(AbstractTurnedStress):
     """The corotational force of the classical codes, P = R sigma, for parity only.
 
     It drops the term hat(c) of `Corotational`. For an isotropic C nothing changes. For
@@ -160,23 +210,8 @@ class ClassicalCorotational(_AbstractStretchLaw):
         elasticity: The tensor C, in the axes of the rest shape.
     """
 
-    conservative: ClassVar[bool] = False
+    def _rotation(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+        return rotation(F)
 
-    def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-        """First Piola-Kirchhoff stress R sigma [Pa]."""
-        R, _, sigma, _ = _polar(self.elasticity, F)
-        return matmul(R, sigma)
-
-    def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
-        """Derivative of this stress, R^T dP = hat(omega) sigma + C : dS [Pa]."""
-        R, S, sigma, M_inverse = _barred(self.elasticity, F)
-        hat = jnp.asarray(_HAT)
-        # Rates for the unit spins A = hat_s: omega = 2 M^-1 e_s, dS = -sym(omega S).
-        omega = 2.0 * sum_of(
-            M_inverse[:, s, None, None] * hat[None, s] for s in range(3)
-        )
-        dsigma = jax.vmap(self.elasticity.stress)(-_symmetric(_right(omega, S)))
-        Z = _left(R, _right(omega, sigma) + dsigma)
-        H, Z = jax.lax.optimization_barrier((_left(R, hat), Z))
-        spin = sum_of(outer(Z[s], H[s]) for s in range(3))
-        return turned(self.elasticity.tensor(), R) + 0.5 * spin
+    def _rest_stretch(self) -> Float[Array, "3 3"]:
+        return jnp.eye(3)

@@ -56,7 +56,7 @@ class AbstractElasticity(Module):
         return self
 
 
-class Tabulated(AbstractElasticity):
+class TabulatedElasticity(AbstractElasticity):
     """A stiffness tensor by its entries.
 
     Attributes:
@@ -67,7 +67,7 @@ class Tabulated(AbstractElasticity):
     entries: tuple[Any, ...]
 
     @classmethod
-    def of(cls, elasticity: AbstractElasticity) -> "Tabulated":
+    def of(cls, elasticity: AbstractElasticity) -> "TabulatedElasticity":
         """Compute the entries of an elasticity with scalar constants at each point."""
         leaves, tree = jax.tree.flatten(elasticity, is_leaf=is_point_values)
         per_point = any(map(is_point_values, leaves))

@@ -13,6 +13,7 @@ from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.materials._constants import (
     as_components,
     as_field,
+    as_matrix,
     check_constants,
     constant,
 )
@@ -22,7 +23,7 @@ Vector = HostArray | Sequence
 """Three numbers, as a user types them."""
 
 _ON_AXIS = 1e-9
-"""Distance from an axis, relative to that of the farthest point, that is none [-]."""
+"""Distance from an axis that counts as none, over that of the farthest point [-]."""
 
 
 def _if_any(frame: Any) -> tuple[Float[Array, "..."], ...] | None:
@@ -133,11 +134,11 @@ class Fibre(Module):
             b: jnp.cos(self.phi) * jnp.sin(self.theta),
             3 - a - b: jnp.sin(self.phi) * jnp.ones_like(self.theta),
         }
-        own = [parts[axis] for axis in range(3)]
+        x, y, z = (parts[axis] for axis in range(3))
         if self.frame is None:
-            return jnp.stack(own)
-        rows = [jnp.stack(self.frame[3 * k : 3 * k + 3]) for k in range(3)]
-        return own[0] * rows[0] + own[1] * rows[1] + own[2] * rows[2]
+            return jnp.stack([x, y, z])
+        axes = as_matrix(self.frame)
+        return x * axes[0] + y * axes[1] + z * axes[2]
 
     def mirrored(self) -> "Fibre":
         """The fibre at -theta."""

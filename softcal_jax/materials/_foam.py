@@ -76,12 +76,12 @@ class FoamTable(Module):
             )
         self._check_values()
         for level in np.unique(self.anisotropy):
-            own = self.density[self.anisotropy == level]
-            if len(np.unique(own)) < max(len(own), 2):
+            densities = self.density[self.anisotropy == level]
+            if len(np.unique(densities)) < max(len(densities), 2):
                 raise ValueError(
                     f"foam table: at {self.setting} {level:g} it has the densities "
-                    f"{', '.join(f'{d:g}' for d in own)}; expected two or more, each "
-                    "once, since moduli are interpolated between them."
+                    f"{', '.join(f'{d:g}' for d in densities)}; expected two or more, "
+                    "each once, since moduli are interpolated between them."
                 )
 
     def _check_values(self) -> None:
@@ -116,7 +116,7 @@ class FoamTable(Module):
 
     @property
     def axis(self) -> AxisKind:
-        """Which its single axis is; the other modulus is that of the plane across."""
+        """Which modulus holds along the single axis; the other holds across it."""
         return self.AXES[self.infill]
 
     @property

@@ -12,10 +12,11 @@ _SEARCH_STEPS = 20
 
 
 class FoamPatch:
-    """The table as a map from a unit interval per level to ln density and moduli.
+    """A foam table as a map from two coordinates to ln density and ln moduli.
 
-    A point has the coordinates t, from the smallest density of a level (0) to its
-    largest (1), and s, the number of the level, with what is between two as a fraction.
+    The coordinate s counts the levels of equal anisotropy: 0 at the first level, 0.5
+    halfway to the second. The coordinate t runs from the smallest density of the level
+    (0) to its largest (1).
     """
 
     def __init__(
@@ -42,11 +43,11 @@ class FoamPatch:
         self.levels = np.log(values) if is_log else values
         self.ends, self.curves = [], []
         for value in values:
-            own = np.flatnonzero(anisotropy == value)
-            own = own[np.argsort(density[own])]
-            x = np.log(density[own])
+            samples = np.flatnonzero(anisotropy == value)
+            samples = samples[np.argsort(density[samples])]
+            x = np.log(density[samples])
             self.ends.append((x[0], x[-1]))
-            self.curves.append(PchipInterpolator(x, np.log(moduli[own])))
+            self.curves.append(PchipInterpolator(x, np.log(moduli[samples])))
 
     @property
     def last(self) -> float:
@@ -149,7 +150,7 @@ def _step(
         for k, axis in enumerate(np.eye(2))
     )
     slope = np.stack([(a * r).sum(axis=1), (b * r).sum(axis=1)], axis=1)
-    # What is held at a bound by the slope takes no part in the step.
+    # A coordinate that the slope presses against its bound takes no part in the step.
     free = ((x > 0.0) | (slope < 0.0)) & ((x < upper) | (slope > 0.0))
     a, b, slope = a * free[:, :1], b * free[:, 1:], slope * free
     aa, ab, bb = (a * a).sum(axis=1), (a * b).sum(axis=1), (b * b).sum(axis=1)

@@ -36,7 +36,7 @@ class AbstractLaw(Module):
                             + self.bulk / 2 * (J - 1) ** 2)
 
     The metadata are for project files, which name a law of an installed package by its
-    entry point in the group "softcal_jax.laws"; without them it is of Python alone.
+    entry point in the group "softcal_jax.laws"; without them a law serves Python only.
 
     Attributes:
         conservative: Whether `stress` is the gradient of `energy_density`, so that a
@@ -85,9 +85,9 @@ class AbstractLaw(Module):
         """Split into what resists a change of volume, and the rest, if there is any.
 
         Mean dilatation replaces the volume ratio of the first part alone. What the rest
-        resists, like the stretch of a fibre, is no matter of volume: with the mean
-        volume ratio a tet could stretch its fibres at one point and shorten them at
-        another at hardly any cost (Helfenstein, Jabareen, Mazza and Govindjee, Int. J.
-        Solids Structures 47, 2010).
+        resists, like the stretch of a fibre, does not depend on the volume: with the
+        mean volume ratio a tet could stretch its fibres at one point and shorten them
+        at another at hardly any cost (Helfenstein, Jabareen, Mazza and Govindjee, Int.
+        J. Solids Structures 47, 2010).
         """
         return self, None

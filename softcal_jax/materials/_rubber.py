@@ -19,7 +19,7 @@ INCOMPRESSIBLE = 0.499
 
 
 def signed(words: str):
-    """Return what the metadata of a stiffness of either sign say [Pa]."""
+    """Declare a stiffness that may be negative [Pa], see `constant`."""
     return constant("Pa", words, within=(-np.inf, np.inf))
 
 

@@ -1,6 +1,6 @@
 """The corotational law with the rotations of SOFA's linear tets."""
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -9,18 +9,10 @@ import numpy as np
 
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.elements import (
-    cofactor,
-    determinant,
-    matmul,
-    rotation,
-    skew,
-    sum_of,
-    symmetric,
-)
-from softcal_jax.materials._constants import as_components
-from softcal_jax.materials._elasticity import AbstractElasticity, AbstractLinearLaw
-from softcal_jax.materials._products import outer, turned
+from softcal_jax.elements import matmul, rotation
+from softcal_jax.materials._constants import as_components, as_matrix
+from softcal_jax.materials._corotational import AbstractTurnedStress
+from softcal_jax.materials._elasticity import AbstractElasticity
 from softcal_jax.mesh import TetMesh
 
 SofaRotation = Literal["edge", "procrustes", "large"]
@@ -29,7 +21,7 @@ SofaRotation = Literal["edge", "procrustes", "large"]
 _ROTATIONS: tuple[SofaRotation, ...] = ("edge", "procrustes", "large")
 
 
-class SofaCorotational(AbstractLinearLaw):
+class SofaCorotational(AbstractTurnedStress):
     """The corotational law of SOFA's linear tets: P = R sigma, but not R = polar(F).
 
     SOFA takes the rotation R from a matrix B of each tet at rest and now, F B, and
@@ -58,8 +50,6 @@ class SofaCorotational(AbstractLinearLaw):
         rotation: How R is taken.
     """
 
-    conservative: ClassVar[bool] = False
-
     rest: tuple[Float[Array, "..."], ...] = eqx.field(converter=as_components)
     rotation: SofaRotation = eqx.field(static=True)
 
@@ -74,54 +64,20 @@ class SofaCorotational(AbstractLinearLaw):
         """
         return cls(elasticity, _rest_matrices(mesh, rotation), rotation)
 
-    def _rest(self) -> Float[Array, "3 3"]:
-        return jnp.stack([jnp.stack(self.rest[3 * i : 3 * i + 3]) for i in range(3)])
-
     def _rotation(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-        B = self._rest()
+        B = as_matrix(self.rest)
         if self.rotation == "large":
             return matmul(_orthogonal(matmul(F, B)), B.T)
         return rotation(matmul(F, B))
 
-    def strain(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-        """Symmetric part of R^T F, less the identity [-]."""
-        return symmetric(matmul(self._rotation(F).T, F)) - jnp.eye(3)
-
-    def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-        """First Piola-Kirchhoff stress R sigma [Pa]."""
-        R = self._rotation(F)
-        strain = symmetric(matmul(R.T, F)) - jnp.eye(3)
-        return matmul(R, self.elasticity.stress(strain))
+    def _rest_stretch(self) -> Float[Array, "3 3"]:
+        return as_matrix(self.rest)
 
     def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
-        """Derivative of this stress [Pa]; a closed form for the polar rotations.
-
-        With U = R^T F, A = R^T dF, S = U L and M = tr(S) I - S, R^T dR is hat(omega)
-        for omega = M^-1 axial(A L), and
-
-            R^T dP = hat(omega) sigma + C : (A - hat(omega) U).
-        """
+        """Derivative of the stress [Pa]; a closed form for the polar rotations."""
         if self.rotation == "large":
             return jax.jacfwd(self.stress)(F)
-        # The barriers keep XLA from computing a factor again for each of 81 entries.
-        L, R = jax.lax.optimization_barrier((self._rest(), self._rotation(F)))
-        U = matmul(R.T, F)
-        S = symmetric(matmul(U, L))
-        sigma = self.elasticity.stress(symmetric(U) - jnp.eye(3))
-        M = jnp.trace(S) * jnp.eye(3) - S
-        M_inverse = cofactor(M) / determinant(M)
-
-        def of_spin(e):
-            """Return dP for R^T dR = hat(e), and dF for which axial(A L) grows by e."""
-            hat = skew(e)
-            dsigma = self.elasticity.stress(-symmetric(matmul(hat, U)))
-            return matmul(R, matmul(hat, sigma) + dsigma), matmul(R, matmul(hat, L))
-
-        dP, moment = jax.lax.optimization_barrier(jax.vmap(of_spin)(jnp.eye(3)))
-        omega = sum_of(M_inverse[:, t, None, None] * moment[None, t] for t in range(3))
-        omega = jax.lax.optimization_barrier(omega)
-        spin = sum_of(outer(dP[r], omega[r]) for r in range(3))
-        return turned(self.elasticity.tensor(), R) + spin
+        return super().tangent(F)
 
 
 def _orthogonal(edges: Float[Array, "3 3"]) -> Float[Array, "3 3"]:

@@ -17,7 +17,7 @@ from softcal_jax.materials._constants import (
     check_fibre_ratio,
     constant,
 )
-from softcal_jax.materials._elasticity import AbstractElasticity, Tabulated
+from softcal_jax.materials._elasticity import AbstractElasticity, TabulatedElasticity
 from softcal_jax.materials._fibre import Fibre
 
 
@@ -126,9 +126,9 @@ class TransverseIsotropic(AbstractElasticity):
         )
         return _stress(strain, self.fibre.direction(), coefficients)
 
-    def tabulated(self) -> Tabulated:
+    def tabulated(self) -> TabulatedElasticity:
         """Compute the entries of the tensor once."""
-        return Tabulated.of(self)
+        return TabulatedElasticity.of(self)
 
 
 class ReducedTransverseIsotropic(AbstractElasticity):
@@ -173,6 +173,6 @@ class ReducedTransverseIsotropic(AbstractElasticity):
         )
         return _stress(strain, self.fibre.direction(), coefficients)
 
-    def tabulated(self) -> Tabulated:
+    def tabulated(self) -> TabulatedElasticity:
         """Compute the entries of the tensor once."""
-        return Tabulated.of(self)
+        return TabulatedElasticity.of(self)

@@ -27,6 +27,7 @@ from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import (
     boundary_faces,
     boundary_tets,
+    face_indices,
     face_shares,
     surface_shares,
     tet_faces,
@@ -58,6 +59,7 @@ __all__ = [
     "boundary_tets",
     "check_mesh",
     "check_order",
+    "face_indices",
     "face_shares",
     "fill",
     "finer",

@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from softcal_jax._typing import HostArray, Int
 from softcal_jax.elements import TET_EDGES, tet_rule
 from softcal_jax.mesh._tet_mesh import TetMesh
-from softcal_jax.mesh._topology import FaceTable, face_table, jacobian_determinants
+from softcal_jax.mesh._topology import SharedFaces, face_table, jacobian_determinants
 
 FLAT = 1e-6
 """Volume below which a tet is flat, over the regular tet of the same rms edge [-]."""
@@ -104,7 +104,7 @@ def _bad_shapes(mesh: TetMesh) -> Iterator[str]:
             yield f"{bad.sum()} of {mesh.n_tets} {what}: {listed}. {remedy}"
 
 
-def _repeated(mesh: TetMesh, table: FaceTable) -> Iterator[str]:
+def _repeated(mesh: TetMesh, table: SharedFaces) -> Iterator[str]:
     corners = np.sort(mesh.tets[:, :4], axis=1)
     _, first = np.unique(corners, axis=0, return_index=True)
     again = np.setdiff1d(np.arange(mesh.n_tets), first)
@@ -119,7 +119,7 @@ def _repeated(mesh: TetMesh, table: FaceTable) -> Iterator[str]:
         )
 
 
-def _disconnected(mesh: TetMesh, table: FaceTable, linked) -> Iterator[str]:
+def _disconnected(mesh: TetMesh, table: SharedFaces, linked) -> Iterator[str]:
     tet = np.repeat(np.arange(mesh.n_tets), 4)
     shape = (mesh.n_tets, len(table.counts))
     on_face = coo_array((np.ones(len(tet)), (tet, table.inverse)), shape).tocsr()

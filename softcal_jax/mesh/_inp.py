@@ -80,10 +80,10 @@ def mend_inp_sets(path: Path, raw: meshio.Mesh) -> None:
     headers = _headers(path, "ELEMENT")
     if len(headers) != len(raw.cells):
         return  # *INCLUDE brings sections of other files, which carry no sets.
-    found = [re.search(r"(?i)ELSET\s*=\s*([^,\s]+)", header) for header in headers]
-    names = [match.group(1) if match else None for match in found]
+    matches = [re.search(r"(?i)ELSET\s*=\s*([^,\s]+)", header) for header in headers]
+    names = [match.group(1) if match else None for match in matches]
     for name in {name for name in names if name}:
         raw.cell_sets[name] = [
-            np.arange(len(block) if own == name else 0)
-            for own, block in zip(names, raw.cells, strict=True)
+            np.arange(len(block) if section == name else 0)
+            for section, block in zip(names, raw.cells, strict=True)
         ]

@@ -137,7 +137,7 @@ class _Boundary:
         boxed = np.clip(point, self.lower, self.upper)
         at_least = np.linalg.norm(point - boxed, axis=1)
         reached = np.linalg.norm(self.X - point, axis=2).min()
-        found, best, nearest = -1, np.zeros(3), np.inf
+        nearest_face, best, nearest = -1, np.zeros(3), np.inf
         # By distance of the bounding boxes, so that most faces are never tried.
         for face in np.argsort(at_least, kind="stable"):
             if at_least[face] > min(reached, nearest):
@@ -146,10 +146,10 @@ class _Boundary:
             x = shape_functions(b, self.X.shape[1]) @ self.X[face]
             gap = float(np.linalg.norm(x - point))
             if gap < nearest:
-                found, best, nearest = face, b, gap
+                nearest_face, best, nearest = face, b, gap
         barycentric = np.zeros(4)
-        barycentric[self.local[found][:3]] = best
-        return int(self.tet[found]), barycentric, nearest
+        barycentric[self.local[nearest_face][:3]] = best
+        return int(self.tet[nearest_face]), barycentric, nearest
 
 
 def _extrapolate(X: HostArray, b0: HostArray, point: HostArray):

@@ -20,7 +20,7 @@ from softcal_jax._text import escaped
 from softcal_jax._typing import HostArray
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.mesh._inp import check_inp, mend_inp_sets
-from softcal_jax.mesh._packed import bounded_unpacking
+from softcal_jax.mesh._unpacked_size import check_unpacked_size
 
 FORMATS = {
     ".msh": "gmsh",
@@ -37,7 +37,7 @@ class MeshWarning(SoftcalWarning):
 
 
 class ParserError(Exception):
-    """A parser does not read a file; the text is what it says."""
+    """A parser refuses a file; the text is its message."""
 
 
 def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
@@ -86,10 +86,10 @@ def parse_mesh_file(path: Path, kind: str) -> tuple[meshio.Mesh, str]:
             contextlib.redirect_stderr(err),
             warnings.catch_warnings(),
             np.errstate(over="ignore"),  # its STL parser takes text for a number
-            bounded_unpacking(path),
         ):
             # NumPy's warnings about old calls in the parsers do not concern the file.
             warnings.simplefilter("ignore", DeprecationWarning)
+            check_unpacked_size(path)
             # Without the format, meshio tries Ansys on a broken .msh and hangs.
             raw = meshio.read(path, file_format=kind)
     except (ModuleNotFoundError, LimitError):
@@ -117,10 +117,10 @@ def raw_groups(raw: meshio.Mesh) -> RawGroups:
     """Collect sets, Gmsh's physical groups and MED's families by name."""
     cells: dict[str, dict[int, HostArray]] = {}
     for name, block, members in _cell_members(raw):
-        own = cells.setdefault(escaped(name), {})
+        blocks = cells.setdefault(escaped(name), {})
         if np.size(members):
             members = np.asarray(members, dtype=int)
-            own[block] = np.union1d(own.get(block, members), members)
+            blocks[block] = np.union1d(blocks.get(block, members), members)
     sets = raw.point_sets.items()
     points = {escaped(name): np.asarray(p, int) for name, p in sets}
     for tag, names in getattr(raw, "point_tags", {}).items():

@@ -199,7 +199,7 @@ def _left_out(raw: meshio.Mesh, groups: RawGroups) -> list[str]:
     for k, block in enumerate(raw.cells):
         if block.type in _TETS:
             continue
-        used = [own[k] for own in groups.cells.values() if k in own]
+        used = [blocks[k] for blocks in groups.cells.values() if k in blocks]
         n_used = len(np.unique(np.concatenate(used))) if used else 0
         left_out[block.type] += len(block) - n_used * (block.type in _GROUP_CELLS)
     listed = ", ".join(f"{n} {kind}" for kind, n in left_out.items() if n)
@@ -248,12 +248,12 @@ def _with_groups(
     corners = np.sort(all_faces[:, :3], axis=1).tolist()
     position = {tuple(key): where for where, key in enumerate(corners)}
     for name in {**groups.cells, **groups.points}:
-        own = {
+        blocks = {
             k: members
             for k, members in groups.cells.get(name, {}).items()
             if raw.cells[k].type in _GROUP_CELLS
         }
-        cells = {k: index[raw.cells[k].data[members]] for k, members in own.items()}
+        cells = {k: index[raw.cells[k].data[members]] for k, members in blocks.items()}
         points = index[groups.points.get(name, np.empty(0, int))]
         nodes = np.unique(np.concatenate([points, *map(np.ravel, cells.values())]))
         nodes = nodes[nodes >= 0]
@@ -261,7 +261,7 @@ def _with_groups(
             notes.append(f"left out: group {name!r}, which has no node of a tet.")
             continue
         node_groups[name] = nodes
-        tets = [first[k] + members for k, members in own.items() if k in first]
+        tets = [first[k] + members for k, members in blocks.items() if k in first]
         if tets:
             tet_groups[name] = np.unique(np.concatenate(tets))
         triangles = [
@@ -271,10 +271,10 @@ def _with_groups(
             # In either orientation; the faces have mid nodes and outward normals.
             corners = np.sort(np.concatenate(triangles), axis=1).tolist()
             keys = dict.fromkeys(map(tuple, corners))
-            found = [position[key] for key in keys if key in position]
-            if found:
-                surface_groups[name] = all_faces[found]
-            if lost := len(corners) - len(found):
+            faces = [position[key] for key in keys if key in position]
+            if faces:
+                surface_groups[name] = all_faces[faces]
+            if lost := len(corners) - len(faces):
                 notes.append(
                     f"left out: {lost} of the {len(corners)} triangles of group "
                     f"{name!r}, which repeat or are not faces of a tet."

@@ -1,4 +1,4 @@
-"""Meshes refined once, and what stays where it was on them.
+"""Refinement of a mesh, and what moves its nodes, faces and values to the finer one.
 
 A quadratic tet is split into eight through its mid nodes: four at its corners, and the
 octahedron between them along its shortest diagonal (Bey, Computing 55, 1995).
@@ -53,9 +53,11 @@ class Refinement(NamedTuple):
 
     Attributes:
         coarse: The mesh that is refined.
-        linear: The tets of the finer mesh without its new nodes.
-        mesh: Its quadratic tets if it is linear, else each of its tets in eight. Nodes
-            keep their indices, and new ones follow.
+        linear: The tets of the finer mesh by their corners, which are nodes of the
+            coarse mesh.
+        mesh: The finer mesh: the same tets made quadratic if the coarse mesh is linear,
+            else each of its tets split into eight. Nodes keep their indices, and new
+            ones follow.
         corners: Corners of each tet in the one that it is part of, in barycentric
             coordinates [-].
         carriers: Nodes of the coarse mesh that move each new node.
@@ -85,12 +87,12 @@ class Refinement(NamedTuple):
     @property
     def nearest_point(self) -> Int[HostArray, "n_finer_tets n_qp"]:
         """Index of the quadrature point of the parent nearest to each one of a tet."""
-        own, coarse = (tet_rule(m.order).barycentric for m in (self.mesh, self.coarse))
-        apart = (own @ self.corners)[:, :, None] - coarse
+        fine, coarse = (tet_rule(m.order).barycentric for m in (self.mesh, self.coarse))
+        apart = (fine @ self.corners)[:, :, None] - coarse
         return np.argmin(np.linalg.norm(apart, axis=-1), axis=-1)
 
     def nodes(self, indices: Int[HostArray, "..."]) -> Int[HostArray, "..."]:
-        """Return the new indices of nodes: those after the mesh, of frames, move on."""
+        """Return the new indices of nodes; those of frames come after the new nodes."""
         after = indices >= self.coarse.n_nodes
         return np.where(after, indices + self.n_new, indices).astype(indices.dtype)
 
@@ -104,9 +106,9 @@ class Refinement(NamedTuple):
         return np.concatenate([values[:n], new, values[n:]])
 
     def among(self, held: Bool[HostArray, "n_all ..."]) -> Bool[HostArray, "n_new ..."]:
-        """Tell which new nodes belong to a set of nodes that holds the coarse mesh.
+        """Say which new nodes belong to a set, given by a mask of the coarse nodes.
 
-        They do if only such nodes move them.
+        A new node belongs to it if all nodes that it is interpolated from do.
         """
         aside = (self.weights == 0.0).reshape(*self.weights.shape, *(1,) * held[0].ndim)
         return np.all(held[self.carriers] | aside, axis=1)
@@ -145,12 +147,12 @@ def finer(mesh: TetMesh) -> Refinement:
     parent = np.repeat(np.arange(mesh.n_tets), fine.n_tets // mesh.n_tets)
     carriers[new] = mesh.tets[parent][:, None]
     weights[new] = shape_functions(mids, n_en)
-    found = Refinement(mesh, linear, fine, corners, carriers, weights)
-    points = np.concatenate([mesh.points, found.carried(mesh.points)])
+    straight = Refinement(mesh, linear, fine, corners, carriers, weights)
+    points = np.concatenate([mesh.points, straight.carried(mesh.points)])
     curved = TetMesh(
         points, fine.tets, fine.node_groups, fine.surface_groups, fine.tet_groups
     )
-    return found._replace(mesh=curved)
+    return straight._replace(mesh=curved)
 
 
 def _split(mesh: TetMesh) -> tuple[TetMesh, Int[HostArray, "n_finer_tets 4"]]:
@@ -159,12 +161,12 @@ def _split(mesh: TetMesh) -> tuple[TetMesh, Int[HostArray, "n_finer_tets 4"]]:
     lengths = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
     local = _CHILDREN[np.argmin(lengths, axis=1)]
     tets = np.take_along_axis(mesh.tets[:, None], local, axis=2).reshape(-1, 4)
-    eight = lambda own: (8 * own[:, None] + np.arange(8)).ravel()
+    children = lambda parents: (8 * parents[:, None] + np.arange(8)).ravel()
     linear = TetMesh(
         mesh.points,
         tets,
         mesh.node_groups,
         {n: f[:, _FACES].reshape(-1, 3) for n, f in mesh.surface_groups.items()},
-        {name: eight(own) for name, own in mesh.tet_groups.items()},
+        {name: children(group) for name, group in mesh.tet_groups.items()},
     )
     return linear, local.reshape(-1, 4)

@@ -1,4 +1,4 @@
-"""Selection of surfaces from a point: what it reaches, one face, or a cavity's wall."""
+"""Selection of surfaces by a point: all that it reaches, a face, a cavity's wall."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -12,7 +12,7 @@ from softcal_jax._units import readable
 from softcal_jax.mesh._inverse_map import nearest_on_triangles
 from softcal_jax.mesh._regions import place
 from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh
-from softcal_jax.mesh._topology import boundary_faces
+from softcal_jax.mesh._topology import boundary_faces, face_indices
 
 SHARP = np.deg2rad(40.0)
 """Turn of the normal at an edge that ends a face [rad]; a round wall turns by less."""
@@ -139,7 +139,7 @@ def matching_faces(
     surface = _Surface(mesh)
     rows = surface.rows(np.concatenate(surfaces))
     ends = np.cumsum([len(triangles) for triangles in surfaces])[:-1]
-    return [surface.faces[own[own >= 0]] for own in np.split(rows, ends)]
+    return [surface.faces[part[part >= 0]] for part in np.split(rows, ends)]
 
 
 class _Surface:
@@ -154,13 +154,7 @@ class _Surface:
 
     def rows(self, faces: Int[HostArray, "n n_fn"]) -> Int[HostArray, " _"]:
         """Find the indices of faces on the boundary; -1 for those that are not."""
-        n = len(self.faces)
-        both = np.concatenate([self.faces[:, :3], faces[:, :3]])
-        corners = np.sort(both, axis=1)
-        inverse = np.unique(corners, axis=0, return_inverse=True)[1].ravel()
-        index = np.full(inverse.max() + 1, -1)
-        index[inverse[:n]] = np.arange(n)
-        return index[inverse[n:]]
+        return face_indices(faces[:, :3], self.faces[:, :3])
 
     def of_groups(self, names: Iterable[str]) -> Bool[HostArray, " n_faces"]:
         """Mark the faces of surface groups."""
@@ -173,7 +167,7 @@ class _Surface:
     def parts(
         self, angle: float | None, barred: Bool[HostArray, " n_faces"]
     ) -> Int[HostArray, " n_faces"]:
-        """Number the parts of the surface; faces that are barred are none's."""
+        """Number the connected parts of the surface; each barred face is one alone."""
         corners = self.faces[:, :3]
         edges = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1)
         _, inverse, counts = np.unique(
@@ -184,7 +178,7 @@ class _Surface:
         )
         inverse = inverse.ravel()
         order = np.argsort(inverse, kind="stable")
-        # Where more faces meet, two parts of the surface touch along the edge.
+        # An edge of more than two faces is one along which parts only touch.
         left, right = order[counts[inverse[order]] == 2].reshape(-1, 2).T // 3
         joined = ~barred[left] & ~barred[right]
         if angle is not None:
@@ -224,18 +218,18 @@ class _Surface:
     def only(
         self, labels: Int[HostArray, " n_faces"], start: Int[HostArray, " _"], point
     ) -> int:
-        """Return the one part that the faces at a point belong to.
+        """Return the part that all faces at a point belong to.
 
         Raises:
             ValueError: If there are several.
         """
-        found = np.unique(labels[start])
-        if len(found) > 1:
+        parts = np.unique(labels[start])
+        if len(parts) > 1:
             raise ValueError(
-                f"the point {place(np.asarray(point, float))} lies where {len(found)} "
+                f"the point {place(np.asarray(point, float))} lies where {len(parts)} "
                 "surfaces meet; move it off their border, onto the one that is meant."
             )
-        return int(found[0])
+        return int(parts[0])
 
     def seen_from(self, point: Float[HostArray, "3"]) -> Float[HostArray, " n_faces"]:
         """Compute the share of all directions in which each face is seen [-].

@@ -1,4 +1,8 @@
-"""The boundary as flat triangles, for pictures and for formats that know no others."""
+"""The boundary as flat triangles, for pictures and for formats that know no others.
+
+VTK's surface filter cuts the same triangles, with points in single precision, but does
+not return the weights by which they follow the nodes.
+"""
 
 from typing import NamedTuple
 
@@ -76,13 +80,13 @@ def tessellate(mesh: TetMesh, *, parts: int = PARTS) -> Tessellation:
 def _triangles(grid: Int[HostArray, "n_grid 3"]) -> Int[HostArray, "n_local 3"]:
     """List the triangles between the grid points of one face."""
     index = {(int(i), int(j)): k for k, (_, i, j) in enumerate(grid)}
-    found = []
+    triangles = []
     for i, j in index:
         upright = ((i, j), (i + 1, j), (i, j + 1))
         turned = ((i + 1, j), (i + 1, j + 1), (i, j + 1))
-        found += [
+        triangles += [
             [index[c] for c in corners]
             for corners in (upright, turned)
             if all(c in index for c in corners)
         ]
-    return np.array(found)
+    return np.array(triangles)

@@ -38,7 +38,7 @@ def tet_faces(tets: Int[HostArray, "n_tets n_en"]) -> Int[HostArray, "n_faces n_
     return faces.reshape(-1, faces.shape[-1])
 
 
-class FaceTable(NamedTuple):
+class SharedFaces(NamedTuple):
     """Which faces of the tets coincide."""
 
     inverse: Int[HostArray, " n_faces"]
@@ -46,21 +46,21 @@ class FaceTable(NamedTuple):
     """Tets that share each unique face: 1 on the boundary, 2 inside."""
 
 
-def face_table(tets: Int[HostArray, "n_tets n_en"]) -> FaceTable:
-    """Give the faces in `tet_faces` order an index that shared faces have in common."""
+def face_table(tets: Int[HostArray, "n_tets n_en"]) -> SharedFaces:
+    """Number the faces of `tet_faces`; a face that two tets share has one number."""
     corners = np.ascontiguousarray(tets[:, :4], np.int64)
     return _face_table(corners.tobytes())
 
 
 @lru_cache(maxsize=4)
-def _face_table(content: bytes) -> FaceTable:
+def _face_table(content: bytes) -> SharedFaces:
     """Sort the faces of a mesh once: every marker and group asks for them again."""
     tets = np.frombuffer(content, np.int64).reshape(-1, 4)
     corners = np.sort(tet_faces(tets), axis=1)
     _, inverse, counts = np.unique(
         corners, axis=0, return_inverse=True, return_counts=True
     )
-    table = FaceTable(inverse.ravel(), counts)
+    table = SharedFaces(inverse.ravel(), counts)
     for array in table:
         array.flags.writeable = False  # all callers share it
     return table
@@ -83,6 +83,21 @@ def boundary_faces(mesh: TetMesh) -> Int[HostArray, "n_faces n_fn"]:
 def boundary_tets(mesh: TetMesh) -> Int[HostArray, " n_faces"]:
     """Find the index of the tet that has each face of `boundary_faces`."""
     return boundary_face_indices(mesh.tets) // len(TET_FACES)
+
+
+def face_indices(
+    faces: Int[HostArray, "n n_fn"], among: Int[HostArray, "m n_fn"]
+) -> Int[HostArray, " n"]:
+    """Find each face among others with the same corners, in any order of nodes.
+
+    The index is -1 where there is none, and the first of several.
+    """
+    corners = np.sort(np.concatenate([among, faces])[:, :3], axis=1)
+    _, first, inverse = np.unique(
+        corners, axis=0, return_index=True, return_inverse=True
+    )
+    indices = first[inverse.ravel()[len(among) :]]
+    return np.where(indices < len(among), indices, -1)
 
 
 def tet_edges(tets: Int[HostArray, "n_tets n_en"]) -> Int[HostArray, "n_edges 2"]:

@@ -157,8 +157,8 @@ def _sector(shape: _Shape, size: float) -> _Sector:
     strip[:, middle] = np.stack(np.broadcast_arrays(s[:, None], across), axis=-1)
 
     points = np.concatenate([fan, strip])
-    there = ~np.isnan(points[:, :, 0])
-    used = there[1:, 1:] & there[1:, :-1]
+    exists = ~np.isnan(points[:, :, 0])
+    used = exists[1:, 1:] & exists[1:, :-1]
     return _Sector(
         points=points,
         used=used,

@@ -62,12 +62,12 @@ def write_mesh(
         mesh.points / METRES[length_unit],
         [(kind, cells) for kind, cells, _ in blocks],
         cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
-        field_data={name: np.array(own, np.int32) for name, own in names.items()},
+        field_data={name: np.array(tag, np.int32) for name, tag in names.items()},
     ).write(path, file_format="gmsh22", binary=False)
 
 
 def _implied(mesh: TetMesh, name: str) -> HostArray:
-    """Return the nodes of the faces or tets with the name of a group; none if none."""
+    """Return the nodes of the faces or tets of the group of this name, if any."""
     if name in mesh.surface_groups:
         return np.unique(mesh.surface_groups[name])
     return np.unique(mesh.tets[mesh.tet_groups.get(name, np.zeros(0, int))])

@@ -116,10 +116,10 @@ def printed_robot(
     )
     easy = Corotational(ReducedTransverseIsotropic(E_t, E_l, geometry.nu, fibre))
     points = geometry.control_points()
-    there = fields(np.asarray(points.positions)[:, [0, 2]])
+    at_points = fields(np.asarray(points.positions)[:, [0, 2]])
     parameters = {
         f"{field} of {name}": float(value)
-        for field, values in zip(("E_t", "E_l", "theta"), there, strict=True)
+        for field, values in zip(("E_t", "E_l", "theta"), at_points, strict=True)
         for name, value in zip(points.names, values, strict=True)
     }
     zeros = {f"zero of {m.name}": float(z) for m, z in zip(motors, zero, strict=True)}
@@ -180,9 +180,9 @@ def _with_stds(
 ) -> Configuration:
     """Give the frames of a configuration the standard deviations of other ones."""
     effectors = [
-        replace(own, std=other.std, std_angle=other.std_angle)
-        if isinstance(own, BodyFrame) and isinstance(other, BodyFrame)
-        else own
-        for own, other in zip(configuration.effectors, stated, strict=True)
+        replace(effector, std=other.std, std_angle=other.std_angle)
+        if isinstance(effector, BodyFrame) and isinstance(other, BodyFrame)
+        else effector
+        for effector, other in zip(configuration.effectors, stated, strict=True)
     ]
     return replace(configuration, effectors=tuple(effectors))

@@ -13,7 +13,7 @@ from softcal_jax.equilibrium import (
     gravity_load,
     internal_force,
 )
-from softcal_jax.sensitivity._rows import readings_of_forces
+from softcal_jax.sensitivity._rows import rows_of_forces
 
 
 def clamp_row(
@@ -23,7 +23,7 @@ def clamp_row(
 
     The held nodes of the reference shape move, and are held there; the tets that they
     share with free nodes become longer and heavier. Loads, cables and readings stay
-    where they are, which in these tets is right up to their strain.
+    where they are; in these tets the error of that is of the order of their strain.
 
     Args:
         linearisation: The equilibrium.
@@ -53,12 +53,7 @@ def clamp_row(
         return weight - internal_force(longer, lin.u + depth * turned)
 
     _, row = jax.jvp(force, (jnp.zeros(()),), (jnp.ones(()),))
-    return InputRows(
-        force=lin.free(row)[None],
-        held=turned[None],
-        gap=jnp.zeros((1, lin.system.active.size)),
-        reading=readings_of_forces(lin, row[None]),
-    )
+    return rows_of_forces(lin, row[None], held=turned[None])
 
 
 def _stretched(model: Model, v: Float[Array, "n_nodes 3"]) -> Model:

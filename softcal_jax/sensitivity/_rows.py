@@ -94,13 +94,7 @@ def parameter_rows(
         forces = _field_rows(*at)
     else:
         forces = parameter_forces(*at, derivative=derivative)
-    n_p, n_m = z.shape[0], lin.system.active.size
-    rows = InputRows(
-        force=jax.vmap(lin.free)(forces),
-        held=jnp.zeros_like(forces),
-        gap=jnp.zeros((n_p, n_m)),
-        reading=readings_of_forces(lin, forces),
-    )
+    rows = rows_of_forces(lin, forces, held=jnp.zeros_like(forces))
     others = _others(space)
     if others.size == 0:
         return rows
@@ -131,6 +125,21 @@ def _by_others(
         return derivatives(at, z[others])
 
     return by_others
+
+
+def rows_of_forces(
+    lin: Linearisation,
+    forces: Float[Array, "n_p n_points 3"],
+    *,
+    held: Float[Array, "n_p n_points 3"],
+) -> InputRows:
+    """Build rows from forces on the nodes [N] and the motion of held nodes [m]."""
+    return InputRows(
+        force=jax.vmap(lin.free)(forces),
+        held=held,
+        gap=jnp.zeros((len(forces), lin.system.active.size)),
+        reading=readings_of_forces(lin, forces),
+    )
 
 
 def readings_of_forces(

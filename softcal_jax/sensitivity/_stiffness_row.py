@@ -4,7 +4,7 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.equilibrium import InputRows, Linearisation, internal_force
-from softcal_jax.sensitivity._rows import readings_of_forces
+from softcal_jax.sensitivity._rows import rows_of_forces
 
 
 def stiffness_row(
@@ -21,9 +21,4 @@ def stiffness_row(
     """
     lin = linearisation
     row = -internal_force(lin.posed.model, lin.u) if internal is None else -internal
-    return InputRows(
-        force=lin.free(row)[None],
-        held=jnp.zeros((1, *row.shape)),
-        gap=jnp.zeros((1, lin.system.active.size)),
-        reading=readings_of_forces(lin, row[None]),
-    )
+    return rows_of_forces(lin, row[None], held=jnp.zeros((1, *row.shape)))

@@ -21,7 +21,7 @@ from softcal_jax.configurations import (
     ImposedForce,
     configuration_arrays,
 )
-from softcal_jax.control import actuator_state, with_inputs
+from softcal_jax.control import actuator_readings, with_inputs
 from softcal_jax.equilibrium import (
     Model,
     NewtonSettings,
@@ -90,4 +90,4 @@ def solved(model, configuration, value):
     """Equilibrium for one actuation, and what follows from it."""
     lane = with_inputs(configuration, value)
     solution = solve_equilibrium(model, lane, settings=TIGHT)
-    return solution, actuator_state(model, lane, solution)
+    return solution, actuator_readings(model, lane, solution)

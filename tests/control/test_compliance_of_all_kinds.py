@@ -34,7 +34,7 @@ from softcal_jax.configurations import (
     SupportReaction,
     configuration_arrays,
 )
-from softcal_jax.control import actuator_compliance, actuator_state, with_inputs
+from softcal_jax.control import actuator_compliance, actuator_readings, with_inputs
 from softcal_jax.equilibrium import NewtonSettings, build_model, solve_equilibrium
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.materials import NeoHookean
@@ -103,7 +103,7 @@ def block():
 def solved(model, lane, value):
     lane = with_inputs(lane, value)
     solution = solve_equilibrium(model, lane, settings=TIGHT)
-    return solution, actuator_state(model, lane, solution)
+    return solution, actuator_readings(model, lane, solution)
 
 
 def arrays(actuation):

@@ -22,7 +22,7 @@ from softcal_jax.configurations import (
     ImposedForce,
     Support,
 )
-from softcal_jax.control import actuator_compliance, actuator_state
+from softcal_jax.control import actuator_compliance, actuator_readings
 from softcal_jax.equilibrium import (
     RESULTS,
     build_model,
@@ -58,7 +58,7 @@ def inflated(**actuation):
 def solve(model, lane):
     solution = solve_equilibrium(model, lane, settings=TIGHT)
     energy = jnp.sum(strain_energy(model, solution.displacement))
-    return solution, actuator_state(model, lane, solution), energy
+    return solution, actuator_readings(model, lane, solution), energy
 
 
 def solved(model, **actuation):

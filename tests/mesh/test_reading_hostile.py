@@ -1,7 +1,6 @@
 """Mesh files that would fill the memory, wait for ever, or lead elsewhere."""
 
 import os
-import zlib
 
 import h5py
 import meshio
@@ -49,10 +48,9 @@ def test_a_small_file_that_unpacks_to_a_large_one(tmp_path, monkeypatch, compres
     meshio.vtu.write(path, mesh, compression=compression)
     assert path.stat().st_size < 200_000
     monkeypatch.setenv("SOFTCAL_MAX_FILE_MB", "19")
-    refused(path, r"bomb\.vtu, unpacked: 20 MB, .*limit of 19")
+    refused(path, r"bomb\.vtu, unpacked: 20\.\d+ MB.*limit of 19")
     monkeypatch.setenv("SOFTCAL_MAX_FILE_MB", "21")
     assert read_mesh(path, length_unit="m").n_tets == BEAM.n_tets
-    assert meshio.vtu._vtu.zlib is zlib
 
 
 def test_a_med_file_that_declares_a_large_array(tmp_path):

@@ -20,7 +20,7 @@ from softcal_jax.materials import (
     NeoHookean,
     Ogden,
     StVenantKirchhoff,
-    Tabulated,
+    TabulatedElasticity,
     TransverseHyperelastic,
     Yeoh,
     is_point_values,
@@ -126,7 +126,9 @@ def _anisotropic(elasticity: AbstractElasticity) -> list[HostArray]:
     """
     order = [0, 1, 2, 5, 4, 3]  # of Voigt's, in which the entries are
     by_rows = [(a, b) for a in range(6) for b in range(a, 6)]
-    entries = dict(zip(by_rows, Tabulated.of(elasticity).entries, strict=True))
+    entries = dict(
+        zip(by_rows, TabulatedElasticity.of(elasticity).entries, strict=True)
+    )
     pairs = (sorted((order[i], order[j])) for j in range(6) for i in range(j + 1))
     return [np.asarray(entries[a, b]) for a, b in pairs]
 
