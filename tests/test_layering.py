@@ -18,7 +18,7 @@ LAYERS = [
     {"_warnings"},
     {
         *("_compilation_cache", "_limits", "_machine", "_names", "_places"),
-        *("_process", "_results", "_text", "_typing", "_units"),
+        *("_notebook", "_process", "_results", "_text", "_typing", "_units"),
     },
     {"_files", "_module"},
     {"elements"},

@@ -17,7 +17,6 @@ from pydantic import (
 )
 from pydantic_core import PydanticKnownError, core_schema
 
-from softcal_jax._module import one_line
 from softcal_jax.project._quantities import (
     ACCELERATION,
     ANGLE,
@@ -75,8 +74,6 @@ TableOr = Annotated[
 
 class Table(BaseModel):
     """A table of the file; unknown keys are errors."""
-
-    __repr__ = one_line
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
