@@ -51,7 +51,11 @@ from softcal_jax.configurations._pose_table import (
     in_frame,
 )
 from softcal_jax.configurations._recording import Recording, Traces
-from softcal_jax.configurations._recording_file import C3D, read_c3d, read_recording
+from softcal_jax.configurations._recording_file import (
+    is_recording,
+    read_c3d,
+    read_recording,
+)
 from softcal_jax.configurations._registration import Registration, register
 from softcal_jax.configurations._supports import Support
 from softcal_jax.configurations._tracker import (
@@ -60,10 +64,9 @@ from softcal_jax.configurations._tracker import (
     read_poses,
 )
 from softcal_jax.configurations._values import Unstated
-from softcal_jax.configurations._wide_table import is_wide_table, read_wide_table
+from softcal_jax.configurations._wide_table import read_wide_table
 
 __all__ = [
-    "C3D",
     "STANDARD_GRAVITY",
     "STD",
     "AbstractEffector",
@@ -109,7 +112,7 @@ __all__ = [
     "configuration_lanes",
     "farthest",
     "in_frame",
-    "is_wide_table",
+    "is_recording",
     "measured_as",
     "measured_at_rest",
     "motions",

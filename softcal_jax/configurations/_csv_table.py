@@ -3,7 +3,8 @@
 import csv
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from softcal_jax._files import check_file
 from softcal_jax._module import one_line
-from softcal_jax._names import METRES, suggestion
+from softcal_jax._names import METRES, suggestion, unknown_name
 from softcal_jax._text import check_characters, from_cell
 from softcal_jax._typing import Float, HostArray
 
@@ -22,6 +23,18 @@ _POINTS = (".", ",")
 """What may stand before decimals."""
 
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
+
+NumberedCells = Sequence[tuple[int, list[str]]]
+"""The cells of each line, with its number in the file from 1."""
+
+
+@contextmanager
+def at_line(path: Path, number: int) -> Iterator[None]:
+    """Prefix errors raised inside with a line of a file."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{path}, line {number}: {error}") from error
 
 
 class CsvTable(NamedTuple):
@@ -50,14 +63,11 @@ class CsvTable(NamedTuple):
         """Read the numbers in some columns, nan where a cell is blank."""
         values = np.full((len(self.rows), len(columns)), np.nan)
         for i, row in enumerate(self.rows):
+            what = f"of {self.key} {row[self.key]!r}"
             for k, column in enumerate(columns):
-                try:
-                    values[i, k] = parse_number(row[column] or "nan", self.point)
-                except ValueError as error:
-                    raise ValueError(
-                        f"{self.path}, line {self.lines[i]}: {column} of {self.key} "
-                        f"{row[self.key]!r} is {row[column]!r}, {error}."
-                    ) from error
+                with at_line(self.path, self.lines[i]):
+                    cell = row[column] or "nan"
+                    values[i, k] = parse_number(cell, self.point, f"{column} {what}")
         return values
 
     def check_columns(self, columns: Iterable[str]) -> None:
@@ -152,32 +162,26 @@ def read_cells(
     path: Path, texts: Iterable[tuple[int, str]], delimiter: str
 ) -> list[tuple[int, list[str]]]:
     """Split lines into cells, each line by itself: no cell spans two."""
-    return [(n, _cells(path, n, text, delimiter)) for n, text in texts]
+    lines = []
+    for number, text in texts:
+        with at_line(path, number):
+            cells = next(csv.reader([text], delimiter=delimiter))
+        lines.append((number, [from_cell(cell.strip()) for cell in cells]))
+    return lines
 
 
-def _cells(path: Path, number: int, line: str, delimiter: str) -> list[str]:
-    try:
-        cells = next(csv.reader([line], delimiter=delimiter))
-    except csv.Error as error:
-        raise ValueError(
-            f"{path}, line {number}: {error}. Expected a row of a table, like "
-            '"tip,1.5,2,3".'
-        ) from error
-    return [from_cell(cell.strip()) for cell in cells]
-
-
-def parse_number(cell: str, point: str) -> float:
-    """Read a number with a decimal point or comma; the error says what is wrong."""
+def parse_number(cell: str, point: str, what: str = "a cell") -> float:
+    """Read a number with a decimal point or comma; `what` it is opens the message."""
     if point == "," and "." in cell:
         raise ValueError(
-            "with a point in a file that has decimal commas: write all numbers with "
-            "either, and none with a sign between thousands"
+            f"{what} is {cell!r}, with a point in a file that has decimal commas: "
+            "write all numbers with either, and none with a sign between thousands."
         )
     try:
         return float(cell.replace(point, "."))
     except ValueError:
         hint = ": write a decimal point" if _DECIMAL_COMMA.fullmatch(cell) else ""
-        raise ValueError(f"not a number{hint}") from None
+        raise ValueError(f"{what} is {cell!r}, not a number{hint}.") from None
 
 
 def _selected(table: CsvTable, select: Mapping[str, str]) -> CsvTable:
@@ -213,33 +217,21 @@ def read_lines(path: Path, key: str) -> list[tuple[int, str]]:
             f"{key} file {path} cannot be read: {error}. Save it as UTF-8 (in a "
             'spreadsheet, "CSV UTF-8").'
         ) from error
-    except OSError as error:
-        raise ValueError(f"{key} file {path} cannot be read: {error}.") from error
     lines = [
         (number, line)
         for number, line in enumerate(text.splitlines(), start=1)
         if line.strip() and not line.lstrip().startswith("#")
     ]
     for number, line in lines:
-        if not line.isprintable():
-            _check_line(path, number, line)
+        with at_line(path, number):
+            check_characters(line)
     return lines
-
-
-def _check_line(path: Path, number: int, line: str) -> None:
-    try:
-        check_characters(line)
-    except ValueError as error:
-        raise ValueError(f"{path}, line {number}: {error}") from error
 
 
 def check_length_unit(unit: str) -> None:
     """Raise ValueError unless the unit of length is known."""
     if unit not in METRES:
-        raise ValueError(
-            f"unknown length unit {unit!r}.{suggestion(unit, METRES)} "
-            f"Known: {', '.join(METRES)}."
-        )
+        raise unknown_name("length unit", unit, METRES)
 
 
 def coordinates(table: CsvTable, length_unit: str | None) -> tuple[list[str], float]:

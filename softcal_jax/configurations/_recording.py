@@ -39,6 +39,16 @@ class Recording(Module):
     source: str
     events: tuple[tuple[str, float], ...] = ()
 
+    def __check_init__(self):
+        if not (len(self.names) and len(self.times)):
+            what = "frames" if self.names else "labelled markers"
+            raise ValueError(f"recording {self.source} holds no {what}.")
+        repeated = [name for name in self.names if self.names.count(name) > 1]
+        if repeated:
+            raise ValueError(
+                f"recording {self.source} has the label {repeated[0]!r} twice."
+            )
+
     def step_of(self, name: str) -> float:
         """Return the time at which a marker begins to move [s].
 
@@ -188,15 +198,7 @@ class Recording(Module):
         new = {label: name for name, label in labels.items()}
         for label in new:
             self._column(label)
-        names = tuple(new.get(name, name) for name in self.names)
-        repeated = [name for name in names if names.count(name) > 1]
-        if repeated or len(new) < len(labels):
-            which = repeated[0] if repeated else "of one marker"
-            raise ValueError(
-                f"{self.source}: the labels {dict(labels)} give two markers the name "
-                f"{which!r}, or one marker two names."
-            )
-        return replace(self, names=names)
+        return replace(self, names=tuple(new.get(name, name) for name in self.names))
 
     def _zero(
         self, after_step_of: str | None, after_event: str | None

@@ -1,17 +1,20 @@
 """Files of recordings: C3D, and the wide tables that motion capture exports."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from softcal_jax._files import check_file
-from softcal_jax._names import METRES
 from softcal_jax._text import escaped
 from softcal_jax.configurations._recording import Recording
-from softcal_jax.configurations._wide_table import read_wide_table
+from softcal_jax.configurations._wide_table import (
+    is_wide_table,
+    metres_of,
+    read_wide_table,
+)
 
 C3D = ".c3d"
 """How the names of recordings in the format of www.c3d.org end."""
@@ -45,6 +48,11 @@ def read_recording(
         if value is not None:
             raise ValueError(f"{key} is for tables; leave it out for {path}.")
     return read_c3d(path)
+
+
+def is_recording(path: Path) -> bool:
+    """Tell whether a file is a recording over time; it may be any text."""
+    return path.suffix.lower() == C3D or is_wide_table(path)
 
 
 def read_c3d(path: str | os.PathLike[str]) -> Recording:
@@ -83,17 +91,12 @@ def read_c3d(path: str | os.PathLike[str]) -> Recording:
     point = content["parameters"]["POINT"]
     names = tuple(map(escaped, point["LABELS"]["value"]))
     units = point["UNITS"]["value"] if "UNITS" in point else []
-    _check(path, names, units)
+    metres = metres_of(path, units[0] if units else "")
     positions = np.moveaxis(np.asarray(content["data"]["points"], float), 2, 0)
-    positions = np.swapaxes(positions, 1, 2)[:, : len(names), :3] * METRES[units[0]]
+    positions = np.swapaxes(positions, 1, 2)[:, : len(names), :3] * metres
     residuals = np.asarray(content["data"]["meta_points"]["residuals"])[0].T
     positions[residuals[:, : len(names)] < 0.0] = np.nan
     rate = float(point["RATE"]["value"][0])
-    if not (len(positions) and rate > 0.0):
-        raise ValueError(
-            f"recording {path} has {len(positions)} frames at {rate:g} Hz; expected "
-            "one or more, and a positive rate."
-        )
     # Events count from the first frame of the trial, of which this may be a part.
     trimmed = int(content["header"]["points"]["first_frame"]) / rate
     return Recording(
@@ -116,17 +119,3 @@ def _events(
     times = 60.0 * minutes + seconds - trimmed
     labels = map(escaped, event["LABELS"]["value"])
     return tuple((label, float(t)) for label, t in zip(labels, times, strict=False))
-
-
-def _check(path: Path, names: Sequence[str], units: Sequence[str]) -> None:
-    if not names:
-        raise ValueError(f"recording {path} holds no labelled markers.")
-    repeated = [name for name in names if names.count(name) > 1]
-    if repeated:
-        raise ValueError(f"recording {path} has the label {repeated[0]!r} twice.")
-    if not units or units[0] not in METRES:
-        stated = repr(units[0]) if units else "none"
-        raise ValueError(
-            f"recording {path} states the unit of length {stated}; expected one of "
-            f"{', '.join(METRES)} in its parameter POINT:UNITS."
-        )

@@ -7,7 +7,7 @@ docs.qualisys.com, "Motion data (.tsv)" (QTM 2024); for Nexus files that it wrot
 """
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +16,8 @@ import numpy as np
 from softcal_jax._names import METRES
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations._csv_table import (
+    NumberedCells,
+    at_line,
     check_dialect,
     check_length_unit,
     decimal_of,
@@ -26,37 +28,40 @@ from softcal_jax.configurations._csv_table import (
 )
 from softcal_jax.configurations._recording import Recording
 
-_KIND = "recording"
 _GAPS = {"", "nan", "null"}
 """What stands for a coordinate of a marker that was not seen, in small letters."""
 
 _HEADER_LINES = 12
 """Lines from which the delimiter is told."""
 
-Cells = Sequence[str]
-Rows = Sequence[tuple[int, Cells]]
-"""Rows of cells, with their lines in the file from 1."""
-
-Timer = Callable[[int, Cells, Callable[[str], float]], float]
+_STATED_METRES = METRES | {
+    "Meters": 1.0,
+    "Centimeters": 1e-2,
+    "Millimeters": 1e-3,
+    "Inches": 0.0254,
+}
+"""Units of length as the programs write them."""
 
 
 class _Layout(NamedTuple):
     """What the lines above the numbers say.
 
     Attributes:
-        columns: The first of the three columns of each marker.
+        labels: Label of each marker, and the first of its three columns.
         rows: The rows of numbers.
-        time: Function from the index of a row, its cells and their reader to its time
-            [s].
         unit: Unit of length; None if the file states none.
-        events: Names and times of events.
+        time_column: Column of the time, or of the number of the frame; None for files
+            without, whose rows are counted.
+        rate: By what that number is divided to become a time in seconds.
+        events: Names and times of events [s].
         zero_is_gap: Whether a marker at exactly (0, 0, 0) was not seen.
     """
 
-    columns: dict[str, int]
-    rows: Rows
-    time: "Timer"
+    labels: Sequence[tuple[str, int]]
+    rows: NumberedCells
     unit: str | None
+    time_column: int | None
+    rate: float = 1.0
     events: tuple[tuple[str, float], ...] = ()
     zero_is_gap: bool = False
 
@@ -90,214 +95,159 @@ def read_wide_table(
     """
     path = Path(path)
     check_dialect(delimiter, decimal)
-    lines = read_lines(path, _KIND)
-    delimiter = delimiter or delimiter_of(text for _, text in lines[:_HEADER_LINES])
-    rows = [row for row in read_cells(path, lines, delimiter) if any(row[1])]
-    kinds = [read for read, is_kind in _KINDS if is_kind(rows)]
+    rows, delimiter = _rows_of(path, delimiter)
     if rows and "marker" in rows[0][1]:
         raise ValueError(
             f"{path} is a table of rows, with a column marker: take its rows by values "
             "of columns, not by a window of time."
         )
-    if not kinds:
+    program = _program_of(rows)
+    if program is None:
         raise ValueError(
             f"{path} is no table of motion capture that is known: expected a header "
             'that begins with "Format Version" (Motive), with "NO_OF_FRAMES" '
             '(Qualisys), or a section "Trajectories" (Vicon).'
         )
-    layout = kinds[0](path, rows)
-    if not layout.rows or not layout.columns:
-        what = "frames" if layout.columns else "labelled markers"
-        raise ValueError(f"recording {path} holds no {what}.")
-    metres = _metres(path, layout.unit, length_unit)
+    try:
+        layout = program.layout(rows)
+    except (IndexError, KeyError, ValueError) as error:
+        raise ValueError(
+            f"the header of {path} is not as {program.name} writes it ({error}): "
+            f"export {program.needs}."
+        ) from error
+    metres = metres_of(path, layout.unit, length_unit)
     point = decimal or decimal_of((cells for _, cells in layout.rows), delimiter)
     times, positions = _numbers(path, layout, point)
+    begin = times[0] if times.size else 0.0
     return Recording(
-        names=tuple(layout.columns),
-        times=times - times[0],
+        names=tuple(label for label, _ in layout.labels),
+        times=times - begin,
         positions=metres * positions,
         source=str(path),
-        events=tuple((name, time - times[0]) for name, time in layout.events),
+        events=tuple((name, time - begin) for name, time in layout.events),
     )
 
 
 def is_wide_table(path: Path) -> bool:
-    """Tell whether a file is one of these tables; it may be anything."""
-    lines = read_lines(path, _KIND)
-    delimiter = delimiter_of(text for _, text in lines[:_HEADER_LINES])
-    rows = [(n, [c.strip() for c in text.split(delimiter)]) for n, text in lines]
-    return any(is_kind(rows) for _, is_kind in _KINDS)
+    """Tell whether a file is one of these tables; it may be any text."""
+    return _program_of(_rows_of(path, None)[0]) is not None
 
 
-def _metres(path: Path, stated: str | None, given: str | None) -> float:
+def _rows_of(path: Path, delimiter: str | None) -> tuple[NumberedCells, str]:
+    """Split a file into cells, and tell the delimiter."""
+    lines = read_lines(path, "recording")
+    delimiter = delimiter or delimiter_of(text for _, text in lines[:_HEADER_LINES])
+    rows = read_cells(path, lines, delimiter)
+    return [(number, cells) for number, cells in rows if any(cells)], delimiter
+
+
+def metres_of(path: Path, stated: str | None, given: str | None = None) -> float:
+    """Return the unit of length that a recording states or that is given [m]."""
     if given is not None:
         check_length_unit(given)
-    if stated is None and given is None:
+    if stated is None:
+        if given is None:
+            raise ValueError(
+                f"{path} states no unit of length; give length_unit (Qualisys writes "
+                "mm)."
+            )
+        return METRES[given]
+    if stated not in _STATED_METRES:
         raise ValueError(
-            f"{path} states no unit of length; give length_unit (Qualisys writes mm)."
+            f"{path} states the unit of length {stated!r}; expected one of "
+            f"{', '.join(_STATED_METRES)}, for all markers."
         )
-    if None not in (stated, given) and stated != given:
+    if given is not None and METRES[given] != _STATED_METRES[stated]:
         raise ValueError(
             f"{path} states the unit of length {stated!r}, but length_unit is "
             f"{given!r}; leave length_unit out."
         )
-    return METRES[stated or str(given)]
+    return _STATED_METRES[stated]
 
 
 def _numbers(
     path: Path, layout: _Layout, point: str
 ) -> tuple[Float[HostArray, " n_frames"], Float[HostArray, "n_frames n_markers 3"]]:
     """Read times [s] and positions, nan where a marker was not seen."""
-    wanted = [first + k for first in layout.columns.values() for k in range(3)]
+    columns = [first + k for _, first in layout.labels for k in range(3)]
     times = np.empty(len(layout.rows))
-    values = np.full((len(layout.rows), len(wanted)), np.nan)
-    number = lambda cell: parse_number(cell, point)
+    values = np.full((len(layout.rows), len(columns)), np.nan)
     for i, (line, cells) in enumerate(layout.rows):
-        try:
-            times[i] = layout.time(i, cells, number)
-            # Spreadsheets leave out blank cells at the end of a row.
+        # Spreadsheets leave out blank cells at the end of a row.
+        cells = [*cells, *[""] * (max(columns, default=0) + 1 - len(cells))]
+        with at_line(path, line):
+            count = cells[layout.time_column] if layout.time_column is not None else i
+            times[i] = parse_number(str(count), point) / layout.rate
             values[i] = [
-                np.nan
-                if k >= len(cells) or cells[k].lower() in _GAPS
-                else number(cells[k])
-                for k in wanted
+                np.nan if cells[k].lower() in _GAPS else parse_number(cells[k], point)
+                for k in columns
             ]
-        except ValueError as error:
-            raise ValueError(
-                f"{path}, line {line}: a cell is {error}. A marker that was not seen "
-                "has blank cells, nan or NULL."
-            ) from error
-        if i and not times[i] > times[i - 1]:
-            raise ValueError(
-                f"{path}, line {line}: its time, {times[i]:g} s, is not after that of "
-                f"the frame before, {times[i - 1]:g} s."
-            )
+            if i and not times[i] > times[i - 1]:
+                raise ValueError(
+                    f"its time, {times[i]:g} s, is not after that of the frame before, "
+                    f"{times[i - 1]:g} s."
+                )
     positions = values.reshape(len(times), -1, 3)
     if layout.zero_is_gap:
         positions[np.all(positions == 0.0, axis=2)] = np.nan
     return times, positions
 
 
-def _labelled(path: Path, labels: Sequence[tuple[str, int]]) -> dict[str, int]:
-    names = [name for name, _ in labels]
-    repeated = [name for name in names if names.count(name) > 1]
-    if repeated:
-        raise ValueError(f"recording {path} has the label {repeated[0]!r} twice.")
-    return dict(labels)
+def _starts(rows: NumberedCells) -> list[str]:
+    """Return the first cell of each row."""
+    return [cells[0] for _, cells in rows]
 
 
-def _row_of(rows: Rows, first: str) -> int | None:
-    """Find the first row that begins with a cell."""
-    return next((i for i, (_, cells) in enumerate(rows) if cells[0] == first), None)
-
-
-def _positive(path: Path, what: str, text: str) -> float:
-    try:
-        value = parse_number(text, ".")
-    except ValueError:
-        value = np.nan
-    if not (np.isfinite(value) and value > 0.0):
-        raise ValueError(f"{path}: its {what} is {text!r}; expected a positive number.")
-    return value
-
-
-_MOTIVE_UNITS = {
-    "Meters": "m",
-    "Centimeters": "cm",
-    "Millimeters": "mm",
-    "Inches": "inch",
-}
-
-
-def _motive(path: Path, rows: Rows) -> _Layout:
+def _motive(rows: NumberedCells) -> _Layout:
     """Read the header of Motive: types, names, IDs, what each column is, and axes."""
-    about = rows[0][1]
-    take = dict(zip(about[::2], about[1::2], strict=False))
-    unit = take.get("Length Units", "")
-    if unit not in _MOTIVE_UNITS:
-        raise ValueError(
-            f"{path} has the Length Units {unit!r}; expected one of "
-            f"{', '.join(_MOTIVE_UNITS)}."
-        )
-    header = _row_of(rows, "Frame")
+    about, header = rows[0][1], _starts(rows).index("Frame")
     # Between are types, names, in most versions IDs and parents, and what it is.
-    if header is None or header < 4:
-        raise ValueError(
-            f"{path}: expected the rows Type, Name, Position and Frame below the first "
-            "line; export it with its header."
-        )
     (_, types), (_, names), *_, (_, whats) = rows[1:header]
     axes = rows[header][1]
-    at = lambda cells, k: cells[k] if k < len(cells) else ""
-    measured = [
-        k
-        for k in range(len(axes))
-        if (at(types, k), at(whats, k)) == ("Marker", "Position")
+    labels = [
+        (names[k], k)
+        for k, kind in enumerate(zip(types, whats, strict=False))
+        if kind == ("Marker", "Position") and axes[k : k + 3] == ["X", "Y", "Z"]
     ]
-    if not measured:
-        kinds = ", ".join(sorted({t for t in types if t} - {"Type"})) or "nothing"
-        raise ValueError(
-            f"{path} holds no measured markers, only {kinds}: switch Markers on when "
-            "you export it."
-        )
-    labels = [(names[k], k) for k in measured if axes[k : k + 3] == ["X", "Y", "Z"]]
-    time = next((k for k, cell in enumerate(axes) if cell.startswith("Time (")), None)
-    if time is None:
-        raise ValueError(f"{path}, line {rows[header][0]}: there is no column of time.")
+    if not labels:
+        kinds = ", ".join(sorted({*types} - {"Type", ""}))
+        raise ValueError(f"it has no measured markers, only {kinds}")
     return _Layout(
-        columns=_labelled(path, labels),
+        labels=labels,
         rows=rows[header + 1 :],
-        time=lambda i, cells, number: number(cells[time]),
-        unit=_MOTIVE_UNITS[unit],
+        unit=dict(zip(about[::2], about[1::2], strict=False))["Length Units"],
+        time_column=axes.index("Time (Seconds)"),
     )
 
 
-def _vicon(path: Path, rows: Rows) -> _Layout:
+def _vicon(rows: NumberedCells) -> _Layout:
     """Read the header of the section Trajectories: rate, labels, axes, units."""
-    start = _row_of(rows, "Trajectories")
-    assert start is not None
-    header = rows[start + 1 : start + 5]
-    if len(header) < 4 or header[2][1][0] != "Frame":
-        raise ValueError(
-            f"{path}, line {rows[start][0]}: below Trajectories expected the rate, and "
-            "rows of labels, of Frame, X, Y, Z, and of units."
-        )
-    (_, rate_row), (_, names), (_, axes), (line, units) = header
-    rate = _positive(path, "rate of frames", rate_row[0])
+    start = _starts(rows).index("Trajectories")
+    (_, rate), (_, names), (_, axes), (_, units) = rows[start + 1 : start + 5]
     labels = [
         (name, k)
         for k, name in enumerate(names)
         if name and axes[k : k + 3] == ["X", "Y", "Z"]
     ]
-    of_markers = [k + i for _, k in labels for i in range(3)]
-    found = {units[k] if k < len(units) else "" for k in of_markers}
-    if len(found) != 1 or not found <= {*METRES}:
-        stated = ", ".join(sorted(map(repr, found))) or "none"
-        raise ValueError(
-            f"{path}, line {line}: its units of length are {stated}; expected one of "
-            f"{', '.join(METRES)} for all markers."
-        )
+    stated = {unit for _, k in labels for unit in units[k : k + 3]}
     frames = rows[start + 5 :]
     # Another section may follow.
     end = next((i for i, (_, c) in enumerate(frames) if not c[0].isdecimal()), None)
     return _Layout(
-        columns=_labelled(path, labels),
+        labels=labels,
         rows=frames[:end],
-        time=lambda i, cells, number: number(cells[0]) / rate,
-        unit=found.pop(),
+        unit=", ".join(sorted(stated)),
+        time_column=0,
+        rate=float(rate[0]),
     )
 
 
-def _qualisys(path: Path, rows: Rows) -> _Layout:
+def _qualisys(rows: NumberedCells) -> _Layout:
     """Read the header of QTM: names and values, and perhaps names of columns."""
-    last = _row_of(rows, "MARKER_NAMES")
-    about = {cells[0]: cells[1:] for _, cells in rows[: (last or 0) + 1]}
-    included = (about.get("DATA_INCLUDED") or [""])[0]
-    if last is None or included != "3D":
-        raise ValueError(
-            f"{path} includes {included or 'unknown'} data, not 3D positions with "
-            "MARKER_NAMES: export 3D data with the TSV header."
-        )
+    last = _starts(rows).index("MARKER_NAMES")
+    about = {cells[0]: cells[1:] for _, cells in rows[: last + 1]}
+    if about["DATA_INCLUDED"][0] != "3D":
+        raise ValueError(f"it includes {about['DATA_INCLUDED'][0]} data")
     labels = [label for label in about["MARKER_NAMES"] if label]
     rest = rows[last + 1 :]
     if rest and rest[0][1][0] == "TRAJECTORY_TYPES":
@@ -307,20 +257,17 @@ def _qualisys(path: Path, rows: Rows) -> _Layout:
         first, rest = titles.index(f"{labels[0]} X"), rest[1:]
     else:  # a tab may end the row
         first = (len(titles) - 3 * len(labels)) // 2 * 2
-    if first not in (0, 2):
-        line = rest[0][0] if rest else rows[last][0]
-        raise ValueError(
-            f"{path}, line {line}: expected three columns for each of the "
-            f"{len(labels)} markers, and before these perhaps Frame and Time; got "
-            f"{len(titles)} columns."
-        )
+    if first not in (0, 2):  # there may be Frame and Time before
+        raise ValueError(f"it has {len(titles)} columns for {len(labels)} markers")
+    timed = first == 2
     return _Layout(
-        columns=_labelled(path, [(x, first + 3 * i) for i, x in enumerate(labels)]),
+        labels=[(label, first + 3 * i) for i, label in enumerate(labels)],
         rows=rest,
-        time=_qualisys_time(path, about, timed=first == 2),
         unit=None,
+        time_column=1 if timed else None,
+        rate=1.0 if timed else float(about["FREQUENCY"][0].replace(",", ".")),
         events=tuple(
-            (cells[1], parse_number(cells[3].replace(",", "."), "."))
+            (cells[1], float(cells[3].replace(",", ".")))
             for _, cells in rows[:last]
             if cells[0] == "EVENT" and len(cells) > 3
         ),
@@ -328,17 +275,30 @@ def _qualisys(path: Path, rows: Rows) -> _Layout:
     )
 
 
-def _qualisys_time(path: Path, about: Mapping[str, Cells], *, timed: bool) -> Timer:
-    if timed:
-        return lambda i, cells, number: number(cells[1])
-    frequency = (about.get("FREQUENCY") or [""])[0].replace(",", ".")
-    rate = _positive(path, "FREQUENCY", frequency)
-    return lambda i, cells, number: i / rate
+class _Program(NamedTuple):
+    """A program that exports such tables.
+
+    Attributes:
+        name: Its name.
+        row: How a row near the top of its tables begins.
+        layout: What reads the lines above the numbers.
+        needs: What is to be exported, for messages.
+    """
+
+    name: str
+    row: str
+    layout: Callable[[NumberedCells], _Layout]
+    needs: str
 
 
-_KINDS: tuple[tuple[Callable[[Path, Rows], _Layout], Callable[[Rows], bool]], ...] = (
-    (_motive, lambda rows: bool(rows) and rows[0][1][0] == "Format Version"),
-    (_qualisys, lambda rows: _row_of(rows[:3], "NO_OF_FRAMES") is not None),
-    (_vicon, lambda rows: _row_of(rows, "Trajectories") is not None),
+_PROGRAMS = (
+    _Program("Motive", "Format Version", _motive, "Markers with the header and times"),
+    _Program("QTM", "NO_OF_FRAMES", _qualisys, "3D data with the TSV header"),
+    _Program("Nexus", "Trajectories", _vicon, "Trajectories with their four rows"),
 )
-"""Each kind of file: what reads its header, and what tells it."""
+
+
+def _program_of(rows: NumberedCells) -> _Program | None:
+    """Tell which program has written a table; None if none of these."""
+    starts = _starts(rows)
+    return next((program for program in _PROGRAMS if program.row in starts), None)

@@ -35,7 +35,14 @@ from softcal_jax.project._quantities import (
     scalar,
     shown,
 )
-from softcal_jax.project._sensors import FrameTable, MeasuredPoseTable, OrientationTable
+from softcal_jax.project._sensors import (
+    FrameTable,
+    OrientationTable,
+    PolhemusFileTable,
+    PoseFileTable,
+    SensorPoseTable,
+    WrittenPoseTable,
+)
 from softcal_jax.project._table import Angle, Direction, Position, Table
 
 Effectors = dict[str, AbstractEffector]
@@ -44,11 +51,15 @@ Effectors = dict[str, AbstractEffector]
 def _kind(value: Any) -> str:
     if not isinstance(value, dict):
         return "(vector)"
-    return "(photos)" if "photos" in value else "(table)"
+    if "photos" in value or "file" not in value:
+        return "(photos)" if "photos" in value else "(pose)"
+    return "(polhemus)" if value.get("format") == "polhemus" else "(file)"
 
 
 Measured = Annotated[
-    Annotated[MeasuredPoseTable, Tag("(table)")]
+    Annotated[WrittenPoseTable, Tag("(pose)")]
+    | Annotated[PoseFileTable, Tag("(file)")]
+    | Annotated[PolhemusFileTable, Tag("(polhemus)")]
     | Annotated[PhotosTable, Tag("(photos)")]
     | Annotated[Any, Tag("(vector)")],
     Discriminator(_kind),
@@ -99,7 +110,7 @@ class EffectorTable(Table):
         """Return the effector with its measured value, parsed into the SI `unit`."""
         del folder, mechanism
         dimension = dimension_of(unit)
-        if isinstance(value, MeasuredPoseTable | PhotosTable):
+        if isinstance(value, SensorPoseTable | PhotosTable):
             raise ValueError(
                 f"got a table; expected {dimension.name}, since type = "
                 f'"{type_of(type(self))}".'
@@ -131,7 +142,7 @@ class BodyFrameTable(EffectorTable):
         Where the measurement says how certain it is, that adds to what is stated.
         """
         del unit
-        if not isinstance(value, MeasuredPoseTable | PhotosTable):
+        if not isinstance(value, SensorPoseTable | PhotosTable):
             raise ValueError(
                 f"got {shown(value)}; expected a pose, like "
                 '{ position = "(0, 0, 100) mm", azimuth = "10 deg" }, '

@@ -22,7 +22,7 @@ from softcal_jax.project._effectors import EffectorTable, build_effectors
 from softcal_jax.project._project import Project
 from softcal_jax.project._quantities import LENGTH, parse_vector
 from softcal_jax.project._reading import ProjectTable, read_tables
-from softcal_jax.project._sensors import MeasuredPoseTable
+from softcal_jax.project._sensors import WrittenPoseTable
 
 FREE = "-"
 """Stands for a coordinate of a marker without a goal: "(-, -, 3) mm"."""
@@ -151,7 +151,7 @@ def _value(text: str) -> Any:
             f"got {text}, which is no inline table ({error}); expected a pose, like "
             '{ position = "(0, 0, 100) mm", azimuth = "10 deg" }.'
         ) from error
-    return MeasuredPoseTable.model_validate(table)
+    return WrittenPoseTable.model_validate(table)
 
 
 def _place(text: str) -> Float[HostArray, "3"]:

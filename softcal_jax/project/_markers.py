@@ -2,14 +2,13 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import (
-    C3D,
     STD,
     Markers,
     MarkerTable,
@@ -17,15 +16,14 @@ from softcal_jax.configurations import (
     Registration,
     Traces,
     Unstated,
-    is_wide_table,
+    is_recording,
     read_markers,
     read_recording,
     register,
 )
 from softcal_jax.project._effectors import Measured
-from softcal_jax.project._mesh import LengthUnit
 from softcal_jax.project._problems import known_here, under
-from softcal_jax.project._sensors import Decimal, Delimiter, Selection
+from softcal_jax.project._sensors import DialectTable, Selection
 from softcal_jax.project._table import (
     Flag,
     Length,
@@ -108,7 +106,7 @@ class MeasuredMarkers(NamedTuple):
     traces: Traces | None
 
 
-class MeasuredTable(Table):
+class MeasuredTable(DialectTable):
     """Where to read measured positions, and how to bring them into the mesh's frame.
 
     `effectors` holds measured values of other effectors. `displacement_from` is the
@@ -118,9 +116,6 @@ class MeasuredTable(Table):
     """
 
     file: str | None = None
-    length_unit: LengthUnit | None = None
-    delimiter: Delimiter | None = None
-    decimal: Decimal | None = None
     labels: dict[str, str] = Field(default_factory=dict)
     recording: Selection = Field(default_factory=dict)
     select: Which = Field(default_factory=dict)
@@ -141,41 +136,12 @@ class MeasuredTable(Table):
                 f'{which}expected file = "markers.csv", or `effectors` with what was '
                 "measured beside markers."
             )
-        if self.file is not None:
-            self._check_kind(self.file)
+        if self.recording and isinstance(self.select, WindowTable):
+            raise ValueError(
+                "`recording` is for tables of rows; a window of time is of a file with "
+                "one recording."
+            )
         return self
-
-    def _check_kind(self, file: str) -> None:
-        """Raise ValueError unless windows are of a recording, and rows of a table."""
-        of_c3d = file.lower().endswith(C3D)
-        for key, which in self._which().items():
-            if isinstance(which, WindowTable) == self._recorded:
-                continue
-            if self._recorded:
-                raise ValueError(
-                    f"{file} is a recording: `{key}` says when, as in {{ between = "
-                    '["1.2 s", "1.4 s"] }.'
-                )
-            raise ValueError(
-                f"{file} is a table of rows, by `select`: `{key}` names values of its "
-                "columns too, not a window of time."
-            )
-        given = self.model_fields_set if self._recorded else set()
-        if "recording" in given:
-            raise ValueError(
-                f"`recording` is for tables of rows; {file} is one recording."
-            )
-        for key in ("length_unit", "delimiter", "decimal"):
-            if of_c3d and key in given:
-                raise ValueError(
-                    f"`{key}` is for tables; {file} is one recording, which states its "
-                    "unit of length."
-                )
-        if self.scatter and not self._recorded:
-            raise ValueError(
-                f"scatter is that of the frames of a recording; {file} is a table of "
-                "rows: state std of the markers."
-            )
 
     def _which(self) -> dict[str, WindowTable | Selection]:
         """Return by key what is taken of the file."""
@@ -185,40 +151,21 @@ class MeasuredTable(Table):
         # The name of a configuration is something else.
         return {k: w for k, w in every.items() if isinstance(w, WindowTable | dict)}
 
-    @property
-    def _recorded(self) -> bool:
-        """Whether the file is a recording over time: so says its name, or `select`."""
-        of_c3d = str(self.file).lower().endswith(C3D)
-        return of_c3d or isinstance(self.select, WindowTable)
-
-    def _read(
-        self,
-        path: Path,
-        which: WindowTable | Selection,
-        recording: Recording | None,
-    ) -> MarkerTable:
-        """Read a window of a recording, or rows if there is none."""
-        if isinstance(which, WindowTable):
-            assert recording is not None  # or `_check_kind` has raised
-            return which.of(recording)
-        dialect = {"delimiter": self.delimiter, "decimal": self.decimal}
-        select = {**self.recording, **which}
+    def _read_rows(self, path: Path, key: str, select: Any) -> MarkerTable:
+        """Read the rows that a key of this table selects."""
         try:
-            return read_markers(
-                path, length_unit=self.length_unit, select=select, **dialect
-            )
+            return read_markers(path, select=self.recording | select, **self.dialect)
         except ValueError as error:
-            if not is_wide_table(path):
+            if not is_recording(path):
                 raise
             raise ValueError(
-                f"{path} is a recording over time: `select` says when, as in "
+                f"{path} is a recording over time: `{key}` says when, as in "
                 '{ between = ["1.2 s", "1.4 s"] }.'
             ) from error
 
     def _read_recording(self, path: Path, needed: Sequence[str]) -> Recording:
         """Read a recording, with markers under the names that the project has."""
-        dialect = {"delimiter": self.delimiter, "decimal": self.decimal}
-        recording = read_recording(path, length_unit=self.length_unit, **dialect)
+        recording = read_recording(path, **self.dialect)
         there = {
             name: label
             for name, label in self.labels.items()
@@ -241,11 +188,13 @@ class MeasuredTable(Table):
             with under("labels"):
                 nominal.positions_of([name])  # raises if there is no such marker
         path, names, recording = folder / str(self.file), markers.names, None
-        if self._recorded:
+        if any(isinstance(which, WindowTable) for which in self._which().values()):
             fixed = () if self.registration is None else self.registration.markers
             recording = self._read_recording(path, (*names, *fixed))
         windows = {
-            key: self._read(path, which, recording)
+            key: which.of(recording)
+            if recording is not None and isinstance(which, WindowTable)
+            else self._read_rows(path, key, which)
             for key, which in self._which().items()
         }
         loaded = self._positions(windows["select"], names)
@@ -276,7 +225,7 @@ class MeasuredTable(Table):
         self, table: MarkerTable, names: Sequence[str]
     ) -> Float[HostArray, "n_wanted 3"]:
         """Return positions by names of the project, which a recording has already."""
-        if self._recorded:
+        if table.window is not None:
             return table.positions_of(names)
         return table.positions_of([self.labels.get(name, name) for name in names])
 

@@ -57,7 +57,7 @@ class PhotosTable(Table):
 
         It is the motion from rest, or with `displacement_from` between two poses, so
         that it does not matter exactly where the tag was glued. Arguments as for
-        `MeasuredPoseTable.motion`.
+        `SensorPoseTable.motion`.
         """
         own = self._pose(folder, self.photos)
         turn, covariance = base.pose.matrix, own.covariance

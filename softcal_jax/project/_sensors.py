@@ -1,7 +1,8 @@
 """Tables of a project file for the places and readings of 6-D sensors."""
 
+from abc import abstractmethod
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -34,6 +35,20 @@ Delimiter = Literal[",", ";", "\t", "|"]
 
 Decimal = Literal[".", ","]
 """What stands before decimals, where the numbers of a file do not tell."""
+
+
+class DialectTable(Table):
+    """How the numbers of a file are written, where it does not tell itself."""
+
+    length_unit: LengthUnit | None = None
+    delimiter: Delimiter | None = None
+    decimal: Decimal | None = None
+
+    @property
+    def dialect(self) -> dict[str, Any]:
+        """These, as arguments of what reads the file."""
+        return self.model_dump(include=set(DialectTable.model_fields))
+
 
 _UNIT_LENGTH = 1e-3
 """Tolerance on the length of a quaternion, above the rounding of four digits."""
@@ -109,58 +124,16 @@ class MeasuredMotion(NamedTuple):
     covariance: Float[HostArray, "6 6"] | None
 
 
-class MeasuredPoseTable(OrientationTable):
+class SensorPoseTable(Table):
     """The pose of a 6-D sensor, written out or read from a file."""
 
-    position: Position | None = None
-    file: str | None = None
-    format: Literal["table", "polhemus"] = "table"
-    length_unit: LengthUnit | None = None
-    delimiter: Delimiter | None = None
-    decimal: Decimal | None = None
-    angle_unit: Literal["deg", "rad"] = "deg"
-    sensor: str | None = None
-    station: Integer | None = None
-    select: Selection = Field(default_factory=dict)
-    displacement_from: Selection | None = None
+    @abstractmethod
+    def readings(self, folder: Path) -> PoseTable:
+        """Return the readings of the pose; paths start from `folder`."""
 
-    @model_validator(mode="after")
-    def _check(self) -> "MeasuredPoseTable":
-        given = self.model_fields_set - {"position", *OrientationTable.model_fields}
-        if self.file is None:
-            if self.position is None:
-                raise ValueError(
-                    "expected the pose, { position = ..., azimuth = ..., elevation = "
-                    '..., roll = ... }, or where it was read, { file = "tracker.csv" }.'
-                )
-            if given:
-                raise ValueError(
-                    f"{sorted(given)[0]} belongs to a file, which is not there; add "
-                    "`file`."
-                )
-            return self
-        if self.position is not None or self.forms:
-            raise ValueError("got a pose and a file; give one of them.")
-        of_other = {
-            "table": {"station", "angle_unit"},
-            "polhemus": {
-                *("sensor", "select", "displacement_from", "delimiter", "decimal")
-            },
-        }
-        foreign = sorted(given & of_other[self.format])
-        if foreign:
-            raise ValueError(
-                f'{foreign[0]} does not go with format = "{self.format}": a table has '
-                "a header and columns to select by (sensor, select, "
-                'displacement_from); "polhemus" is the bare text of a tracker '
-                "(station, angle_unit)."
-            )
-        if self.format == "polhemus" and self.length_unit is None:
-            raise ValueError(
-                'format = "polhemus" needs length_unit, what the tracker was set to: '
-                '"cm" or "inch".'
-            )
-        return self
+    def earlier_readings(self, folder: Path) -> PoseTable | None:
+        """Return those that displacements are from; None for the place at rest."""
+        del folder
 
     def motion(
         self,
@@ -180,43 +153,88 @@ class MeasuredPoseTable(OrientationTable):
             mounted: Orientation of the sensor on the mesh at rest.
             rest: Position of the sensor at rest [m].
         """
-        position, rotation = self._mean(folder, base, self.select)
+        position, rotation = _mean(self.readings(folder), base)
         before, mounting = rest, mounted.rotation
-        if self.displacement_from is not None:
-            earlier = {**self.select, **self.displacement_from}
-            before, mounting = self._mean(folder, base, earlier)
+        earlier = self.earlier_readings(folder)
+        if earlier is not None:
+            before, mounting = _mean(earlier, base)
         motion = Pose.from_matrix(rotation @ mounting.T, position - before)
         return MeasuredMotion(motion, None)
 
-    def _mean(
-        self, folder: Path, base: FrameTable, select: Selection
-    ) -> tuple[Float[HostArray, "3"], Float[HostArray, "3 3"]]:
-        """Average position [m] and axes of selected readings, in the mesh's frame."""
-        readings = in_frame(self._readings(folder, select), base=base.pose)
-        names = list(dict.fromkeys(readings.names))
-        if self.sensor is None and len(names) > 1:
-            raise ValueError(
-                f"{readings.source} has the sensors {', '.join(names)}; say which one "
-                f'is meant, like sensor = "{names[0]}".'
-            )
-        name = self.sensor or names[0]
-        mean = average_poses(readings.readings_of(name))[name]
-        return mean.position, mean.rotation
 
-    def _readings(self, folder: Path, select: Selection) -> PoseTable:
-        if self.file is None:
-            p, R = np.array([self.position], float), self.rotation[None]
-            return PoseTable(("sensor",), p, R, (1,), "the pose")
-        path = folder / self.file
-        if self.format == "table":
-            dialect = {"delimiter": self.delimiter, "decimal": self.decimal}
-            return read_poses(
-                path, length_unit=self.length_unit, select=select, **dialect
-            )
+def _mean(
+    readings: PoseTable, base: FrameTable
+) -> tuple[Float[HostArray, "3"], Float[HostArray, "3 3"]]:
+    """Average position [m] and axes of one sensor, in the mesh's frame."""
+    means = average_poses(in_frame(readings, base=base.pose))
+    if len(means) > 1:
+        raise ValueError(
+            f"{readings.source} has the sensors {', '.join(means)}; say which one is "
+            f"meant, by `sensor` or `station`."
+        )
+    (mean,) = means.values()
+    return mean.position, mean.rotation
+
+
+class WrittenPoseTable(SensorPoseTable, OrientationTable):
+    """A pose that is written out."""
+
+    choice = "a pose that is written out"
+    position: Position = Field(
+        description='the pose, { position = "(0, 0, 100) mm", azimuth = "10 deg" }, or '
+        'where it was read, { file = "tracker.csv" }'
+    )
+
+    def readings(self, folder: Path) -> PoseTable:
+        """Return the pose as a single reading."""
+        del folder
+        p, R = np.array([self.position], float), self.rotation[None]
+        return PoseTable(("sensor",), p, R, (1,), "the pose")
+
+
+class PoseFileTable(SensorPoseTable, DialectTable):
+    """A table of poses, with a header and columns to select by."""
+
+    choice = 'file = "tracker.csv"'
+    file: str
+    format: Literal["table"] = "table"
+    sensor: str | None = None
+    select: Selection = Field(default_factory=dict)
+    displacement_from: Selection | None = None
+
+    def readings(self, folder: Path) -> PoseTable:
+        """Read the selected rows."""
+        return self._rows(folder, self.select)
+
+    def earlier_readings(self, folder: Path) -> PoseTable | None:
+        """Read the rows that displacements are from."""
+        if self.displacement_from is None:
+            return None
+        return self._rows(folder, {**self.select, **self.displacement_from})
+
+    def _rows(self, folder: Path, select: Selection) -> PoseTable:
+        rows = read_poses(folder / self.file, select=select, **self.dialect)
+        return rows if self.sensor is None else rows.readings_of(self.sensor)
+
+
+class PolhemusFileTable(SensorPoseTable):
+    """The bare text of a tracker."""
+
+    choice = 'format = "polhemus"'
+    file: str
+    format: Literal["polhemus"]
+    length_unit: LengthUnit = Field(
+        description='what the tracker was set to: "cm" or "inch"'
+    )
+    angle_unit: Literal["deg", "rad"] = "deg"
+    station: Integer | None = None
+
+    def readings(self, folder: Path) -> PoseTable:
+        """Read the lines of the station."""
         station = self.station
         return read_polhemus(
-            path,
-            length_unit=str(self.length_unit),
+            folder / self.file,
+            length_unit=self.length_unit,
             angle_unit=self.angle_unit,
             stations=None if station is None else {station: f"station {station}"},
         )

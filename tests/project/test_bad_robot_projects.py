@@ -58,8 +58,8 @@ CASES = {
     ),
     "a tag without its photographs": (
         (SLACK, "measured.effectors.sensor.tag = 3"),
-        "configurations.slack.measured.effectors.sensor.tag: ... photos and tag and "
-        "base_tag and size ... azimuth, elevation",
+        "configurations.slack.measured.effectors.sensor.tag: tag belongs to photos and "
+        'tag and base_tag and size. This is file = "tracker.csv", which has ',
     ),
     "no type": (
         (CABLE, "[actuators.cable]"),
@@ -197,11 +197,11 @@ CASES = {
     ),
     "pose and file": (
         (SLACK, 'measured.effectors.sensor.position = "(1, 2, 3) mm"'),
-        "configurations.slack.measured.effectors.sensor: got a pose and a file",
+        "configurations.slack.measured.effectors.sensor.position: position belongs to ",
     ),
     "neither pose nor file": (
         ('file = "tracker.csv"', 'sensor = "tip"'),
-        "configurations.slack.measured.effectors.sensor: expected the pose",
+        "configurations.slack.measured.effectors.sensor.position: missing. Expected ",
     ),
     "two forms of an orientation": (
         (
@@ -217,7 +217,8 @@ CASES = {
     ),
     "keys of the other format": (
         ('file = "tracker.csv"', 'file = "tracker.csv"\nstation = 1'),
-        'configurations.slack.measured.effectors.sensor: station ... "table"',
+        "shared.measured.effectors.sensor.station: station belongs to "
+        'format = "polhemus". This is file = "tracker.csv", which has ',
     ),
     "no length unit of a tracker": (
         (
@@ -227,7 +228,7 @@ CASES = {
                 'measured.effectors.sensor = { file = "a", format = "polhemus" }',
             ),
         ),
-        'configurations.slack.measured.effectors.sensor: ... "polhemus" needs',
+        "configurations.slack.measured.effectors.sensor.length_unit: missing. Expec",
     ),
     "a selection of markers without their file": (
         (SLACK, f'{SLACK}\nmeasured.select = {{ pose = "slack" }}'),

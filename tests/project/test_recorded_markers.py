@@ -128,40 +128,10 @@ def test_scatter_adds_to_the_stated_noise(tmp_path, stated):
 
 
 CASES = {
-    "rows of a recording": (
-        WINDOWS.partition("\n")[0],
-        'select = { phase = "loaded" }',
-        'run.c3d ... recording ... `select` ... between = ["1.2 s", "1.4 s"]',
-    ),
-    "rest of a recording by a row": (
-        'displacement_from = { between = ["0 s", "0.1 s"] }',
-        'displacement_from = { phase = "rest" }',
-        "run.c3d ... recording ... `displacement_from`",
-    ),
-    "registration of a recording by a row": (
-        'select = { between = ["0 s", "0.1 s"] } }',
-        'select = { phase = "rest" } }',
-        "run.c3d ... recording ... `registration.select`",
-    ),
-    "window of a table": (
-        'file = "run.c3d"',
-        'file = "markers.csv"',
-        "markers.csv ... table of rows ... column marker ... not by a window",
-    ),
-    "unit of a recording": (
-        'file = "run.c3d"',
-        'file = "run.c3d"\nlength_unit = "mm"',
-        "`length_unit` ... run.c3d",
-    ),
     "one recording of many": (
         'file = "run.c3d"',
         'file = "run.c3d"\nrecording = { run = "weight" }',
-        "`recording` ... run.c3d",
-    ),
-    "delimiter of a recording": (
-        'file = "run.c3d"',
-        'file = "run.c3d"\ndelimiter = ";"',
-        "`delimiter` ... run.c3d",
+        "`recording` is for tables of rows;",
     ),
     "unknown delimiter": (
         'file = "run.c3d"',
@@ -199,6 +169,38 @@ def test_refused(tmp_path, old, new, message):
 
 
 OF_THE_FILE = {
+    "rows of a recording": (
+        WINDOWS.partition("\n")[0],
+        'select = { phase = "loaded" }',
+        "run.c3d is a recording over time: `select` says when, as in { between = "
+        '["1.2 s", "1.4 s"] }.',
+    ),
+    "rest of a recording by a row": (
+        'displacement_from = { between = ["0 s", "0.1 s"] }',
+        'displacement_from = { phase = "rest" }',
+        "run.c3d is a recording over time: `displacement_from` says when,",
+    ),
+    "registration of a recording by a row": (
+        'select = { between = ["0 s", "0.1 s"] } }',
+        'select = { phase = "rest" } }',
+        "run.c3d is a recording over time: `registration.select` says when,",
+    ),
+    "window of a table": (
+        'file = "run.c3d"',
+        'file = "markers.csv"',
+        "markers.csv is a table of rows, with a column marker: take its rows by values "
+        "of columns, not by a window of time.",
+    ),
+    "unit of a recording": (
+        'file = "run.c3d"',
+        'file = "run.c3d"\nlength_unit = "mm"',
+        "length_unit is for tables; leave it out for",
+    ),
+    "delimiter of a recording": (
+        'file = "run.c3d"',
+        'file = "run.c3d"\ndelimiter = ";"',
+        "delimiter is for tables; leave it out for",
+    ),
     "event and step": (
         'after_step_of = "tip"',
         'after_step_of = "tip", after_event = "valve"',

@@ -12,9 +12,8 @@ import numpy as np
 from softcal_jax._names import METRES
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import (
-    C3D,
     MarkerTable,
-    is_wide_table,
+    is_recording,
     read_markers,
     read_recording,
     read_table,
@@ -111,7 +110,7 @@ def read_recorded(paths: Sequence[Path], across: float) -> Recorded:
             seen in the first pose.
         ImportError: If one is a .c3d file and ezc3d is not installed.
     """
-    kinds = [p.suffix.lower() == C3D or is_wide_table(p) for p in paths]
+    kinds = [is_recording(path) for path in paths]
     over_time = all(kinds)
     if len(paths) > 1 and not over_time:
         raise ValueError(
