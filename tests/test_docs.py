@@ -205,7 +205,7 @@ def test_the_names_that_are_shown_exist(page):
 
 def test_the_pictures_of_the_guide_are_small_and_shown():
     page = (DOCS / "guide/verdict.md").read_text()
-    shown = set(re.findall(r"\]\(figures/([\w.]+)\)", page))
+    shown = set(re.findall(r"(?:\]\(|:file: )figures/([\w.]+)", page))
     assert shown == {path.name for path in FIGURES.iterdir()}
     assert all(path.stat().st_size <= MOST_BYTES for path in FIGURES.iterdir())
 

@@ -202,14 +202,15 @@ def page(
 
 
 def output(verdict: RunVerdict, content: Iterable[Html]) -> Html:
-    """Write what a cell of a notebook shows: a verdict and what follows from it.
+    """Write what a cell of a notebook shows: a verdict and what follows from it."""
+    return fragment([verdict_html(verdict), *content])
 
-    It looks as in a page, whatever the notebook's own style is.
-    """
+
+def fragment(content: Iterable[Html]) -> Html:
+    """Write a part of another page that looks as in ours, whatever style that has."""
     style = Html(f"@scope (.softcal) {{\n{_style()}}}")
     plain = "background: #fff; color: #1a1a1a; padding: .5rem 1rem; max-width: 62rem"
-    shown = [node("style", style), verdict_html(verdict), *content]
-    return node("div", *shown, class_="softcal", style=plain)
+    return node("div", node("style", style), *content, class_="softcal", style=plain)
 
 
 def _style() -> Html:

@@ -8,7 +8,6 @@ from typing import Any
 
 from softcal_jax.export import file_dict, made_dict
 from softcal_jax.identifiability import RunVerdict, Tabulated
-from softcal_jax.report._charts import value_charts
 from softcal_jax.report._description import described
 from softcal_jax.report._html import Html, Section, bullets, node, page, table_html
 from softcal_jax.report._provenance import (
@@ -18,6 +17,7 @@ from softcal_jax.report._provenance import (
     files_of,
     made_html,
 )
+from softcal_jax.report._trial_charts import value_charts
 from softcal_jax.sweeps import Sweep, SweepResult, SweepSummary, summarise
 
 KIND = "Sweep"
