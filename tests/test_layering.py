@@ -18,6 +18,7 @@ LAYERS = [
         *("_process", "_results", "_text", "_typing", "_units"),
     },
     {"_files", "_module"},
+    {"_text_table"},
     {"elements"},
     {"mesh"},
     {"materials"},

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 from softcal_jax._machine import installed_version
 from softcal_jax._text import escaped
+from softcal_jax._text_table import TextTable
 from softcal_jax.identifiability import RunVerdict
-from softcal_jax.report._description import Table
 
 MOST_PICTURES = 3_400_000
 """Most bytes of pictures in one page; the others stay beside it.
@@ -85,7 +85,7 @@ def bullets(lines: Iterable[str], **attributes: str) -> Html:
     return node("ul", *(node("li", line) for line in lines), **attributes)
 
 
-def table_html(table: Table) -> Html:
+def table_html(table: TextTable) -> Html:
     """Write a table."""
     kinds = ["w" if table.holds_words(k) else "n" for k in range(len(table.columns))]
     head = (

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from softcal_jax._text_table import aligned
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import actuator_geometry, enclosed_volumes
 from softcal_jax.configurations import (
@@ -104,16 +105,8 @@ def outline(
 
 def _section(title: str, rows: Rows) -> Iterator[str]:
     """Align the columns of rows below a title; nothing without rows."""
-    rows = [[*row] for row in rows]
-    if not any(any(row) for row in rows):
-        return
-    yield ""
-    yield title
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        cells = zip(row, widths, strict=True)
-        line = "  ".join(cell.ljust(width) for cell, width in cells if width)
-        yield f"  {line.rstrip()}"
+    if any(any(row) for row in rows):
+        yield from ("", title, *aligned(rows))
 
 
 def _model(

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from softcal_jax.report._description import described
+from softcal_jax._text_table import text_table
 from softcal_jax.report._html import Html, facts_html, node, table_html
 
 REPEATED = "repeated"
@@ -46,7 +46,7 @@ def repeat_html(
         if own["changes"]:
             rows = [(key, repr(value)) for key, value in own["changes"].items()]
             of = f" of {own['project']['file']}" if len(known) > 1 else ""
-            changes = described(
+            changes = text_table(
                 f"Changes{of}", ("key of the project file", "value"), rows
             )
             text = (
@@ -92,7 +92,7 @@ def files_of(source: Mapping[str, Any]) -> list[Mapping[str, str]]:
 def files_html(files: Sequence[Mapping[str, str]]) -> Html:
     """Tabulate files, each once, with what they held."""
     rows = dict.fromkeys((own["file"], own["sha256"]) for own in files)
-    return table_html(described("Files that were read", ("file", "SHA-256"), rows))
+    return table_html(text_table("Files that were read", ("file", "SHA-256"), rows))
 
 
 def made_html(data: Mapping[str, Any]) -> list[Html]:

@@ -4,14 +4,14 @@ import csv
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from softcal_jax._text import as_cell
+from softcal_jax._text_table import STYLES, Cell, TextTable, Tone, text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.export import readable_estimate, readable_unit
-from softcal_jax.identifiability import Tabulated
 from softcal_jax.plotting import plot_trials
 from softcal_jax.sweeps._result import Group, SweepResult, figure_name, figure_values
 from softcal_jax.sweeps._row import TrialRow
@@ -19,7 +19,6 @@ from softcal_jax.sweeps._trial import describe, is_number, shown
 
 if TYPE_CHECKING:
     import rich.console
-    import rich.table
 
 ROUNDING = 1e-9
 """Standard deviation over the mean below which values differ by rounding alone."""
@@ -33,7 +32,12 @@ MOST_PANELS = 4
 _NARROW = 24
 """Characters to which a cell with spaces may be wrapped."""
 
-_STYLE = {"converged": "", "not converged": "yellow", "failed": "red"}
+_TONES: dict[str, Tone] = {
+    "converged": "plain",
+    "not converged": "doubtful",
+    "failed": "bad",
+}
+"""How it is meant that a trial ended so."""
 
 
 class _Column(NamedTuple):
@@ -41,7 +45,7 @@ class _Column(NamedTuple):
 
     head: str
     cells: list[str]
-    justify: Literal["left", "right"] = "right"
+    words: bool = False
 
     @property
     def width(self) -> int:
@@ -88,7 +92,6 @@ def sweep_table(
     parts: list[Any] = [Text(f"{result.name}: {headline(result)}", style="bold")]
     if not result.rows:
         return Printed(*parts)
-    styles = [_STYLE[row.state] if every else "" for row in result.rows]
     columns = (
         _trial_columns(result.axes, result.rows) if every else _group_columns(groups)
     )
@@ -106,7 +109,11 @@ def sweep_table(
             break
         columns.append(column)
         kept.append(figure)
-    parts.append(_table(columns, styles, width))
+    tones: list[Tone] = [_TONES[row.state] for row in result.rows] if every else []
+    widths = [column.width for column in columns]
+    # Where not all fits, `rich` finds which columns to narrow further.
+    least = [w - 3 for w in widths] if sum(widths) < width else []
+    parts.append(_texts("", columns, tones).drawn(least=least))
     if not every and any(group.count("converged") > 1 for group in groups):
         parts.append(Text("Mean ± standard deviation over the trials that converged."))
     others = [name for name in result.figure_names if name not in kept]
@@ -122,7 +129,7 @@ def headline(result: SweepResult) -> str:
     """Say how many trials have ended, and how."""
     n, total = len(result.rows), len(result.rows) + len(result.missing)
     counts = Counter(row.state for row in result.rows)
-    states = ", ".join(f"{counts[state]} {state}" for state in _STYLE if counts[state])
+    states = ", ".join(f"{counts[state]} {state}" for state in _TONES if counts[state])
     ended = f": {states}" if states else ""
     return f"{n} of {total} trials have ended{ended}."
 
@@ -131,7 +138,9 @@ def _reasons(result: SweepResult, every: bool) -> list[Any]:
     from rich.text import Text
 
     found = reasons(result)
-    lines = [Text(f"{state}, {text}", style=_STYLE[state]) for state, text in found]
+    lines = [
+        Text(f"{state}, {text}", style=STYLES[_TONES[state]]) for state, text in found
+    ]
     if lines and not every:
         lines.append(Text("--all lists every trial."))
     return lines
@@ -156,7 +165,7 @@ def reasons(result: SweepResult) -> list[tuple[str, str]]:
 def _group_columns(groups: Sequence[Group]) -> list[_Column]:
     """Make columns of the groups' values, and of how their trials ended."""
     columns = [
-        _Column(axis, [shown(g.values[axis]) for g in groups], "left")
+        _axis_column(axis, [group.values[axis] for group in groups])
         for axis in groups[0].values
     ]
     counts = {
@@ -172,17 +181,20 @@ def _group_columns(groups: Sequence[Group]) -> list[_Column]:
     ]
 
 
+def _axis_column(axis: str, values: Sequence[Any]) -> _Column:
+    words = not all(map(is_number, values))
+    return _Column(axis, list(map(shown, values)), words)
+
+
 def _trial_columns(axes: Sequence[str], rows: Sequence[TrialRow]) -> list[_Column]:
     """Make columns of each trial's point, and of how it ended."""
-    columns = [
-        _Column(axis, [shown(row.point[axis]) for row in rows], "left") for axis in axes
-    ]
-    outcomes = _Column("outcome", [row.state for row in rows], "left")
+    columns = [_axis_column(axis, [row.point[axis] for row in rows]) for axis in axes]
+    outcomes = _Column("outcome", [row.state for row in rows], words=True)
     seconds = _Column("time [s]", [f"{row.seconds:.1f}" for row in rows])
     return [*columns, outcomes, seconds]
 
 
-def group_table(result: SweepResult, figures: Sequence[str]) -> Tabulated:
+def group_table(result: SweepResult, figures: Sequence[str]) -> TextTable:
     """Tabulate means over repetitions, for each point."""
     groups = result.groups()
     columns = _group_columns(groups)
@@ -190,12 +202,12 @@ def group_table(result: SweepResult, figures: Sequence[str]) -> Tabulated:
         factor, head = readable_figure(result, figure)
         cells = [mean_text(factor * group.numbers(figure)) for group in groups]
         columns.append(_Column(head, cells))
-    return _texts(columns)
+    return _texts("Means", columns)
 
 
 def trial_table(
-    result: SweepResult, figures: Sequence[str], rows: Sequence[TrialRow]
-) -> Tabulated:
+    title: str, result: SweepResult, figures: Sequence[str], rows: Sequence[TrialRow]
+) -> TextTable:
     """Tabulate some trials of a sweep, with these figures."""
     columns = _trial_columns(result.axes, rows)
     for figure in figures:
@@ -203,12 +215,21 @@ def trial_table(
         columns.append(
             _Column(head, [_trial_cell(row, figure, factor) for row in rows])
         )
-    return _texts(columns)
+    return _texts(title, columns)
 
 
-def _texts(columns: Sequence[_Column]) -> Tabulated:
-    rows = zip(*(column.cells for column in columns), strict=True)
-    return Tabulated(tuple(column.head for column in columns), list(rows))
+def _texts(
+    title: str, columns: Sequence[_Column], tones: Sequence[Tone] = ()
+) -> TextTable:
+    """Make a table, whose rows may have tones."""
+    rows = list(zip(*(column.cells for column in columns), strict=True))
+    if tones:
+        rows = [
+            [Cell(text, tone) for text in row]
+            for row, tone in zip(rows, tones, strict=True)
+        ]
+    heads = [column.head for column in columns]
+    return text_table(title, heads, rows, words=[c.head for c in columns if c.words])
 
 
 def _trial_cell(row: TrialRow, figure: str, factor: float) -> str:
@@ -234,27 +255,6 @@ def mean_text(values: Float[HostArray, " n"]) -> str:
     if spread < ROUNDING * abs(mean):
         spread = 0.0
     return readable_estimate(mean, spread, "")
-
-
-def _table(
-    columns: Sequence[_Column], styles: Sequence[str], width: int
-) -> "rich.table.Table":
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table()
-    fits = sum(column.width for column in columns) < width
-    for column in columns:
-        # Text, not str, which would read a name like "[a]" as markup.
-        table.add_column(
-            Text(column.head),
-            justify=column.justify,
-            min_width=column.width - 3 if fits else None,
-        )
-    cells = [column.cells for column in columns]
-    for row, style in zip(zip(*cells, strict=True), styles, strict=False):
-        table.add_row(*[Text(cell, style=style) for cell in row])
-    return table
 
 
 def write_sweep_csv(result: SweepResult, path: str | Path) -> None:
