@@ -3,7 +3,8 @@
 Directives: `help` (the help of a command), `message` (of a member of an enumeration of
 outcomes), `refusal` (what a project file with a mistake is answered), `raised` (classes
 of errors and warnings), `names` (those that `softcal_jax` offers, with links), `shown`
-(a command of the README), `licences` (of all that is installed with the package).
+(a command of the README), `licences` (of all that is installed with the package),
+`keys` (of `result.json`).
 """
 
 import contextlib
@@ -16,7 +17,7 @@ import re
 import tempfile
 from importlib.metadata import Distribution, distribution
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 from docutils import nodes
 from docutils.parsers.rst import Directive
@@ -27,6 +28,7 @@ from sphinx.util.docutils import SphinxDirective
 
 import softcal_jax
 from softcal_jax.cli import main
+from softcal_jax.export.result_file import Attributes, Entry, ResultFile
 from softcal_jax.project import ProjectError, load_project
 from softcal_jax.robots import silicone_beam_path
 
@@ -257,6 +259,48 @@ class Licences(SphinxDirective):
         return self.parse_text_to_nodes("\n".join(lines))
 
 
+def keys_of(entry: type[Entry], before: str = "") -> list[tuple[str, str]]:
+    """List the keys of an entry of `result.json`, and of those in it, in words."""
+    rows = []
+    for name, field in entry.model_fields.items():
+        below = [kind for kind in _classes(field.annotation) if issubclass(kind, Entry)]
+        words = field.description or (_first_line(below[0]) if below else "")
+        rows.append((f"{before}{name}", " ".join(words.split())))
+        for kind in below:
+            rows += keys_of(kind, f"{before}{name}.")
+        for mark in field.metadata:
+            if isinstance(mark, Attributes):
+                rows += [(f"{before}{name}.{k}", w) for k, w in attributes(mark.of)]
+    return rows
+
+
+def _classes(annotation: Any) -> list[type]:
+    """List the classes in an annotation."""
+    if inspect.isclass(annotation) and not get_args(annotation):
+        return [annotation]
+    return [kind for part in get_args(annotation) for kind in _classes(part)]
+
+
+def attributes(kind: type) -> list[tuple[str, str]]:
+    """List the attributes of a class with what its docstring says of each."""
+    _, _, section = (inspect.getdoc(kind) or "").partition("Attributes:\n")
+    told = re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
+    return [(name, " ".join(words.split())) for name, words in told]
+
+
+class Keys(SphinxDirective):
+    """A table of the keys of `result.json`."""
+
+    def run(self) -> list[nodes.Node]:
+        """List them."""
+        lines = ["| key | what it is |", "|---|---|"]
+        lines += [
+            f"| `{key}` | {words.replace('|', '&#124;')} |"
+            for key, words in keys_of(ResultFile)
+        ]
+        return self.parse_text_to_nodes("\n".join(lines))
+
+
 class Shown(Directive):
     """The command of the README below `<!-- command: NAME -->`."""
 
@@ -327,6 +371,6 @@ def setup(app: Any) -> dict[str, bool]:
     for kind in PyObject.doc_field_types:
         if kind.name == "variable":
             kind.label = "Attributes"  # as docstrings call them, not "Variables"
-    for directive in (Help, Message, Refusal, Raised, Names, Licences, Shown):
+    for directive in (Help, Message, Refusal, Raised, Names, Licences, Shown, Keys):
         app.add_directive(directive.__name__.lower(), directive)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
