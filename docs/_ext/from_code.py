@@ -8,6 +8,7 @@ of errors and warnings), `names` (those that `softcal_jax` offers, with links), 
 """
 
 import contextlib
+import dataclasses
 import importlib
 import inspect
 import io
@@ -28,7 +29,7 @@ from sphinx.util.docutils import SphinxDirective
 
 import softcal_jax
 from softcal_jax.cli import main
-from softcal_jax.export.result_file import Attributes, Entry, ResultFile
+from softcal_jax.export.result_file import Entry, Keys, ResultFile
 from softcal_jax.project import ProjectError, load_project
 from softcal_jax.robots import silicone_beam_path
 
@@ -263,15 +264,32 @@ def keys_of(entry: type[Entry], before: str = "") -> list[tuple[str, str]]:
     """List the keys of an entry of `result.json`, and of those in it, in words."""
     rows = []
     for name, field in entry.model_fields.items():
-        below = [kind for kind in _classes(field.annotation) if issubclass(kind, Entry)]
-        words = field.description or (_first_line(below[0]) if below else "")
-        rows.append((f"{before}{name}", " ".join(words.split())))
-        for kind in below:
-            rows += keys_of(kind, f"{before}{name}.")
+        attribute = str(field.validation_alias or name.removesuffix("_mm"))
+        words = field.description or words_of(entry.of, attribute)
+        rows.append((f"{before}{name}", _in_mm(name, words)))
+        for kind in _classes(field.annotation):
+            if issubclass(kind, Entry):
+                rows += keys_of(kind, f"{before}{name}.")
         for mark in field.metadata:
-            if isinstance(mark, Attributes):
-                rows += [(f"{before}{name}.{k}", w) for k, w in attributes(mark.of)]
+            if isinstance(mark, Keys):
+                rows += _attributes(mark, f"{before}{name}.")
     return rows
+
+
+def _attributes(mark: Keys, before: str) -> list[tuple[str, str]]:
+    """List keys that are attributes of a class, and of the classes of these."""
+    rows, types = [], {own.name: own.type for own in dataclasses.fields(mark.of)}
+    for key in mark.names:
+        words = words_of(mark.of, key.removesuffix("_mm"))
+        rows.append((before + key, _in_mm(key, words)))
+        for kind in _classes(types.get(key)):
+            if dataclasses.is_dataclass(kind):
+                rows += _attributes(Keys(kind), f"{before}{key}.")
+    return rows
+
+
+def _in_mm(key: str, words: str) -> str:
+    return words.replace("[m]", "[mm]") if key.endswith("_mm") else words
 
 
 def _classes(annotation: Any) -> list[type]:
@@ -281,14 +299,15 @@ def _classes(annotation: Any) -> list[type]:
     return [kind for part in get_args(annotation) for kind in _classes(part)]
 
 
-def attributes(kind: type) -> list[tuple[str, str]]:
-    """List the attributes of a class with what its docstring says of each."""
+def words_of(kind: type, name: str) -> str:
+    """Return what the docstring of a class says of an attribute."""
     _, _, section = (inspect.getdoc(kind) or "").partition("Attributes:\n")
-    told = re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
-    return [(name, " ".join(words.split())) for name, words in told]
+    found = re.search(rf"^    {name}: (.*(?:\n {{8}}.*)*)", section, re.MULTILINE)
+    words = found[1] if found else inspect.getdoc(getattr(kind, name, None)) or ""
+    return " ".join(words.split("\n\n")[0].split())
 
 
-class Keys(SphinxDirective):
+class KeysTable(SphinxDirective):
     """A table of the keys of `result.json`."""
 
     def run(self) -> list[nodes.Node]:
@@ -371,6 +390,7 @@ def setup(app: Any) -> dict[str, bool]:
     for kind in PyObject.doc_field_types:
         if kind.name == "variable":
             kind.label = "Attributes"  # as docstrings call them, not "Variables"
-    for directive in (Help, Message, Refusal, Raised, Names, Licences, Shown, Keys):
+    for directive in (Help, Message, Refusal, Raised, Names, Licences, Shown):
         app.add_directive(directive.__name__.lower(), directive)
+    app.add_directive("keys", KeysTable)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

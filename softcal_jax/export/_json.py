@@ -13,7 +13,6 @@ import numpy as np
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
-    HistoryEntry,
     SimulationResult,
 )
 from softcal_jax.equilibrium import Model, RobotState
@@ -53,8 +52,7 @@ def result_dict(
         "name": name,
         "converged": bool(result.converged),
         "source": source_dict(result.source, directory),
-        **pick(result, "parameters", "intervals", "configurations"),
-        "history": [_step(entry) for entry in result.history],
+        **pick(result, "parameters", "intervals", "configurations", "history"),
         "solver": _solver(result.model),
         "settings": {
             "calibration": result.settings,
@@ -108,10 +106,10 @@ def simulation_dict(
 
 
 def identifiability_dict(found: Identifiability) -> dict[str, Any]:
-    """Convert an identifiability result to a dictionary, see `IdentifiabilityEntry`."""
-    from softcal_jax.export.result_file import IdentifiabilityEntry
+    """Convert an identifiability result to its part of `result.json`."""
+    from softcal_jax.export.result_file import IDENTIFIABILITY
 
-    return IdentifiabilityEntry.model_validate(found).model_dump()
+    return IDENTIFIABILITY.entry(found)
 
 
 def outlook_dict(
@@ -126,7 +124,7 @@ def outlook_dict(
     """Build the content of `identifiability.json`.
 
     Keys: `format`, `name`; `source`, `settings` and `versions` (see `made_dict`);
-    `identifiability` (see `IdentifiabilityEntry`; null without configurations);
+    `identifiability` (as in `result.json`; null without configurations);
     `ranking` (null without candidates): `blind_before`, `candidates`, the best first
     (`name`, `d_gain`, `e_gain`, `volume`, `blind_left`, and for the standard error that
     falls most `parameter`, `before`, `after`, `value`, `unit`), `unranked` (`name`,
@@ -180,12 +178,6 @@ def _robot(state: RobotState | None) -> dict[str, Any] | None:
     from softcal_jax.export.result_file import RobotEntry
 
     return state and RobotEntry.model_validate(state).model_dump()
-
-
-def _step(entry: HistoryEntry) -> dict[str, Any]:
-    step = plain(entry)
-    del step["rms"]
-    return {**step, "rms_mm": 1e3 * entry.rms}
 
 
 def _solver(model: Model) -> dict[str, Any]:
