@@ -16,6 +16,7 @@ from softcal_jax.report._provenance import (
     files_html,
     files_of,
     made_html,
+    made_in_python,
 )
 from softcal_jax.report._trial_charts import value_charts
 from softcal_jax.sweeps import Sweep, SweepResult, SweepSummary, summarise
@@ -150,11 +151,7 @@ def _trials(found: SweepSummary) -> list[Html]:
 def _repeat(sweep: Sweep | None, made: Mapping[str, Any], database: Path) -> list[Html]:
     """Give the command that runs the sweep again, and what it read."""
     if sweep is None:
-        text = (
-            "This sweep was made in Python, without a sweep file, so there is no "
-            "command that repeats it."
-        )
-        return [node("p", text)]
+        return made_in_python("This sweep was made in Python, without a sweep file")
     own = file_dict(sweep.file, database.parent)
     files = files_of(made["source"])
     words = ["sweep", own["file"], "-o", f"{REPEATED}.sqlite"]
