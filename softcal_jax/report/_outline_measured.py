@@ -19,7 +19,7 @@ def measured_rows(
     posed: Sequence[Configuration], lanes: ConfigurationLanes
 ) -> list[tuple[str, ...]]:
     """List what is measured in each configuration: markers together, others alone."""
-    records = {c.name: own for c, own in zip(posed, lanes.effectors, strict=True)}
+    records = {c.name: seen for c, seen in zip(posed, lanes.effectors, strict=True)}
     rows: list[tuple[str, ...]] = [
         ("configuration", "what", "value", "standard deviation")
     ]
@@ -30,26 +30,26 @@ def measured_rows(
         if c.markers is not None:
             std = np.asarray(c.markers.std)
             values = [std.min(), std.max()] if std.min() < std.max() else [std.max()]
-            told = _stated(
+            noise = _stated(
                 c.markers.std,
                 " to ".join(readable_values([float(v)], "m") for v in values),
             )
-            told += _share(c)
+            noise += _share(c)
             names = f"{n} marker{'s' if n > 1 else ''}"
             if c.markers.axes != "xyz":
                 names += f" along {c.markers.axes}"
-            rows.append((c.name, names, _motion(markers, before), told))
+            rows.append((c.name, names, _motion(markers, before), noise))
         effectors = {e.name: e for e in c.effectors}
         for record in others:
             effector: Any = effectors[record.name]
             std = effector.std_angle if record.is_turn else effector.std
             size = readable_values(np.atleast_1d(np.asarray(std)).tolist(), record.unit)
             what = f"{record.name}, {_QUANTITIES[record.quantity]}"
-            told = _stated(std, size) if record.seen.any() else ""
-            told += (
+            noise = _stated(std, size) if record.seen.any() else ""
+            noise += (
                 _share(c) if record.seen.any() and record.quantity == "point" else ""
             )
-            rows.append((c.name, what, _value(record, before), told))
+            rows.append((c.name, what, _value(record, before), noise))
         if not records[c.name]:
             rows.append((c.name, "nothing", "", ""))
     # The name stands once, on the first of its lines.
