@@ -1,4 +1,4 @@
-"""Draw the pictures of the guide; `python docs/figures.py` writes them all.
+"""Draw the figures of the guide; `python docs/figures.py` writes them all.
 
 The demo is calibrated for its error budget and its course, and a beam with two unknown
 moduli is asked what one pose tells about them, and what two do.
@@ -13,9 +13,11 @@ import numpy as np
 
 import softcal_jax as sc
 from softcal_jax.identifiability import Identifiability
-from softcal_jax.plotting import plot_budget, plot_convergence
 from softcal_jax.plotting._colours import COLOUR_OF, FAINT, SERIES, TEXT
 from softcal_jax.plotting._save import DPI, save
+from softcal_jax.report._charts import budget_chart
+from softcal_jax.report._course import course_charts
+from softcal_jax.report._html import fragment
 from softcal_jax.robots import silicone_beam_path
 
 if TYPE_CHECKING:
@@ -26,7 +28,7 @@ from refresh import small
 
 FOLDER = Path(__file__).with_name("guide") / "figures"
 
-FIGURES = ("budget.png", "convergence.png", "one_pose_or_two.png")
+FIGURES = ("budget.html", "course.html", "one_pose_or_two.png")
 """What `draw` writes."""
 
 LENGTH, WIDTH = 0.150, 0.015
@@ -42,16 +44,15 @@ TONES = {"identifiable": "good", "not identifiable": "bad"}
 
 
 def draw(folder: Path) -> None:
-    """Write all pictures into a folder."""
+    """Write all figures into a folder: charts as the page has them, and a picture."""
     folder.mkdir(parents=True, exist_ok=True)
-    project = sc.load_project(silicone_beam_path())
-    result = project.calibrate()
-    plot_budget(result, folder / "budget.png", name=project.name)
-    plot_convergence(result, folder / "convergence.png", name=project.name)
-    draw_regions(outlooks_by_poses(), folder / "one_pose_or_two.png")
-    for name in FIGURES:
-        picture = folder / name
-        picture.write_bytes(small(picture.read_bytes()))
+    result = sc.load_project(silicone_beam_path()).calibrate()
+    charts = {"budget": budget_chart(result), "course": course_charts(result)}
+    for name, content in charts.items():
+        (folder / f"{name}.html").write_text(f"{fragment(content)}\n", "utf-8")
+    picture = folder / "one_pose_or_two.png"
+    draw_regions(outlooks_by_poses(), picture)
+    picture.write_bytes(small(picture.read_bytes()))
 
 
 def outlooks_by_poses() -> dict[str, Identifiability]:

@@ -25,6 +25,9 @@ from softcal_jax.configurations import register as register
 from softcal_jax.control import solve_inverse as solve_inverse
 from softcal_jax.equilibrium import build_model as build_model
 from softcal_jax.equilibrium import solve_equilibrium as solve_equilibrium
+from softcal_jax.exchange.icesl import export_icesl as export_icesl
+from softcal_jax.exchange.inp import export_inp as export_inp
+from softcal_jax.exchange.sofa import export_sofa as export_sofa
 from softcal_jax.fields import ControlPointParameters as ControlPointParameters
 from softcal_jax.fields import ControlPoints as ControlPoints
 from softcal_jax.fields import Parameter as Parameter
@@ -48,9 +51,6 @@ from softcal_jax.report import export_icesl as export_icesl
 from softcal_jax.report import export_inp as export_inp
 from softcal_jax.report import load_result as load_result
 from softcal_jax.report import write_results as write_results
-from softcal_jax.exchange.icesl import export_icesl as export_icesl
-from softcal_jax.exchange.inp import export_inp as export_inp
-from softcal_jax.exchange.sofa import export_sofa as export_sofa
 
 __version__: str
 __all__: list[str]

@@ -101,9 +101,7 @@ def test_calibrate(tmp_path, out, capsys):
     (E,) = result["parameters"]
     assert E["value"] == pytest.approx(300e3, rel=1e-8)
     assert {"import", "reading", "compile", "solve"} <= set(result["timing_s"])
-    assert {"weight.vtu", "pulled.vtu", "convergence.png"} <= {
-        p.name for p in out.iterdir()
-    }
+    assert {"weight.vtu", "pulled.vtu"} <= {p.name for p in out.iterdir()}
     assert left_behind(tmp_path) == {"out"}
 
     # Once more: refused, and untouched; nothing was even read.

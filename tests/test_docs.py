@@ -12,10 +12,12 @@ from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
 import pytest
+from export.handmade import make_result
 from from_code import (
     ARROW,
     help_text,
     home_of,
+    keys_of,
     raised,
     readme_command,
     refusal,
@@ -31,6 +33,8 @@ from wording import says
 import softcal_jax as sc
 from softcal_jax.control import OUTCOMES
 from softcal_jax.equilibrium import RESULTS
+from softcal_jax.export import result_dict
+from softcal_jax.export.result_file import ResultFile
 from softcal_jax.project import load_project
 
 ROOT = Path(__file__).parents[1]
@@ -206,7 +210,7 @@ def test_the_names_that_are_shown_exist(page):
 
 def test_the_pictures_of_the_guide_are_small_and_shown():
     page = (DOCS / "guide/verdict.md").read_text()
-    shown = set(re.findall(r"\]\(figures/([\w.]+)\)", page))
+    shown = set(re.findall(r"(?:\]\(|:file: )figures/([\w.]+)", page))
     assert shown == {path.name for path in FIGURES.iterdir()}
     assert all(path.stat().st_size <= MOST_BYTES for path in FIGURES.iterdir())
 
@@ -422,3 +426,14 @@ def test_the_pages_build_without_a_warning_and_need_no_network(tmp_path):
         assert (html / plot[1]).is_file()
     theory = (html / "reference/theory.html").read_text(encoding="utf-8")
     assert "_static/mathjax/tex-chtml.js" in theory
+
+
+def test_the_table_of_result_json_has_every_key():
+    """Those of a result as it is written, and what each is where it is not plain."""
+    keys = dict(keys_of(ResultFile))
+    data = result_dict(make_result())
+    assert {key for key in keys if "." not in key} == set(data)
+    (marker, *_) = data["configurations"][0]["markers"]
+    below = {key.split(".")[-1] for key in keys if ".markers." in key}
+    assert below == set(marker)
+    assert keys["history.lambda_p"] == "The QP step [-]."

@@ -21,6 +21,7 @@ LAYERS = [
         *("_notebook", "_process", "_results", "_text", "_typing", "_units"),
     },
     {"_files", "_module"},
+    {"_text_table"},
     {"elements"},
     {"mesh"},
     {"materials"},

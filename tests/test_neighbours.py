@@ -114,7 +114,7 @@ def command(folder, *, unset=(), code="", before=None, **environment):
     assert [line for line in done.stderr.splitlines() if "atplotlib" not in line] == []
     result = json.loads((folder / "Maße, neu" / "result.json").read_text("utf-8"))
     assert result["parameters"][0]["value"] == pytest.approx(E_TRUE, rel=1e-8)
-    assert (folder / "Maße, neu" / "convergence.png").exists()
+    assert (folder / "Maße, neu" / "report.html").exists()
     # Nothing lies about beside what was asked for.
     there = {p.name for p in folder.iterdir()}
     assert there == {"project.toml", "markers.csv", "Maße, neu"}

@@ -71,9 +71,7 @@ def test_a_calibration_as_a_folder(tmp_path):
     data = json.loads((written / "result.json").read_text())
     assert names(written) == sorted(["result.json", *data["files"]])
     assert names(written) == [
-        "budget.png",
         "configurations.pvd",
-        "convergence.png",
         "droop.png",
         "droop.vtu",
         "held_out.png",
@@ -87,7 +85,7 @@ def test_a_calibration_as_a_folder(tmp_path):
     fit, held_out = data["configurations"]
     assert fit["files"] == ["droop.vtu", "droop.png"]
     assert held_out["files"] == ["held_out.vtu", "held_out.png"]
-    for picture in ("budget", "convergence", "droop", "held_out"):
+    for picture in ("droop", "held_out"):
         assert imread(written / f"{picture}.png").shape[1] >= 1200
 
 
@@ -96,9 +94,7 @@ def test_without_opengl_the_rest_is_written_and_it_is_said(tmp_path, no_opengl):
     with pytest.warns(PictureWarning, match=said):
         write_results(make_result(), tmp_path / "out")
     assert names(tmp_path / "out") == [
-        "budget.png",
         "configurations.pvd",
-        "convergence.png",
         "droop.vtu",
         "held_out.vtu",
         "markers.csv",
@@ -127,9 +123,7 @@ class TestWholeOrNotAtAll:
             make_result(converged=False, fits=one), tmp_path / "out", force=True
         )
         assert names(tmp_path / "out") == [
-            "budget.png",
             "configurations.pvd",
-            "convergence.png",
             "markers.csv",
             "other.vtu",
             "report.html",
@@ -140,7 +134,7 @@ class TestWholeOrNotAtAll:
         assert names(tmp_path) == ["out"]
 
     @pytest.mark.parametrize(
-        "part", ["plot_convergence", "write_markers_csv", "write_vtu", "write_json"]
+        "part", ["body_view", "write_markers_csv", "write_vtu", "write_json"]
     )
     def test_a_failure_leaves_nothing_or_what_was_there(
         self, tmp_path, monkeypatch, part

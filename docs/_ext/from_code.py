@@ -3,10 +3,12 @@
 Directives: `help` (the help of a command), `message` (of a member of an enumeration of
 outcomes), `refusal` (what a project file with a mistake is answered), `raised` (classes
 of errors and warnings), `names` (those that `softcal_jax` offers, with links), `shown`
-(a command of the README), `licences` (of all that is installed with the package).
+(a command of the README), `licences` (of all that is installed with the package),
+`keys` (of `result.json`).
 """
 
 import contextlib
+import dataclasses
 import importlib
 import inspect
 import io
@@ -16,7 +18,7 @@ import re
 import tempfile
 from importlib.metadata import Distribution, distribution
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 from docutils import nodes
 from docutils.parsers.rst import Directive
@@ -27,6 +29,7 @@ from sphinx.util.docutils import SphinxDirective
 
 import softcal_jax
 from softcal_jax.cli import main
+from softcal_jax.export.result_file import Entry, Keys, ResultFile
 from softcal_jax.project import ProjectError, load_project
 from softcal_jax.robots import silicone_beam_path
 
@@ -258,6 +261,66 @@ class Licences(SphinxDirective):
         return self.parse_text_to_nodes("\n".join(lines))
 
 
+def keys_of(entry: type[Entry], before: str = "") -> list[tuple[str, str]]:
+    """List the keys of an entry of `result.json`, and of those in it, in words."""
+    rows = []
+    for name, field in entry.model_fields.items():
+        attribute = str(field.validation_alias or name.removesuffix("_mm"))
+        words = field.description or words_of(entry.of, attribute)
+        rows.append((f"{before}{name}", _in_mm(name, words)))
+        for kind in _classes(field.annotation):
+            if issubclass(kind, Entry):
+                rows += keys_of(kind, f"{before}{name}.")
+        for mark in field.metadata:
+            if isinstance(mark, Keys):
+                rows += _attributes(mark, f"{before}{name}.")
+    return rows
+
+
+def _attributes(mark: Keys, before: str) -> list[tuple[str, str]]:
+    """List keys that are attributes of a class, and of the classes of these."""
+    rows, types = [], {own.name: own.type for own in dataclasses.fields(mark.of)}
+    for key in mark.names:
+        words = words_of(mark.of, key.removesuffix("_mm"))
+        rows.append((before + key, _in_mm(key, words)))
+        for kind in _classes(types.get(key)):
+            if dataclasses.is_dataclass(kind):
+                rows += _attributes(Keys(kind), f"{before}{key}.")
+    return rows
+
+
+def _in_mm(key: str, words: str) -> str:
+    return words.replace("[m]", "[mm]") if key.endswith("_mm") else words
+
+
+def _classes(annotation: Any) -> list[type]:
+    """List the classes in an annotation."""
+    if inspect.isclass(annotation) and not get_args(annotation):
+        return [annotation]
+    return [kind for part in get_args(annotation) for kind in _classes(part)]
+
+
+def words_of(kind: type, name: str) -> str:
+    """Return what the docstring of a class says of an attribute."""
+    _, _, section = (inspect.getdoc(kind) or "").partition("Attributes:\n")
+    found = re.search(rf"^    {name}: (.*(?:\n {{8}}.*)*)", section, re.MULTILINE)
+    words = found[1] if found else inspect.getdoc(getattr(kind, name, None)) or ""
+    return " ".join(words.split("\n\n")[0].split())
+
+
+class KeysTable(SphinxDirective):
+    """A table of the keys of `result.json`."""
+
+    def run(self) -> list[nodes.Node]:
+        """List them."""
+        lines = ["| key | what it is |", "|---|---|"]
+        lines += [
+            f"| `{key}` | {words.replace('|', '&#124;')} |"
+            for key, words in keys_of(ResultFile)
+        ]
+        return self.parse_text_to_nodes("\n".join(lines))
+
+
 class Shown(Directive):
     """The command of the README below `<!-- command: NAME -->`."""
 
@@ -330,4 +393,5 @@ def setup(app: Any) -> dict[str, bool]:
             kind.label = "Attributes"  # as docstrings call them, not "Variables"
     for directive in (Help, Message, Refusal, Raised, Names, Licences, Shown):
         app.add_directive(directive.__name__.lower(), directive)
+    app.add_directive("keys", KeysTable)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -7,20 +7,7 @@ from softcal_jax.inference import ErrorBudget
 
 
 def budget_dict(budget: ErrorBudget) -> dict[str, Any]:
-    """Convert the error budget of a calibration to a dictionary.
-
-    Keys: `parameters` (`name`, `unit`, `standard_error` by all causes, `by_cause`: that
-    by each cause alone, "noise" first, `sentence`); `errors`, what is uncertain
-    (`cause`, `name`, `deviations`: change of each parameter per standard deviation of
-    it); `unknown`, causes whose size could not be estimated; `covariance` of the scaled
-    parameters by all causes. All else is in SI.
-
-    Args:
-        budget: The budget.
-
-    Returns:
-        Dictionaries, lists, texts, numbers and None.
-    """
+    """Convert the error budget of a calibration to a dictionary, see `BudgetEntry`."""
     by_cause = budget.by_cause()
     total = budget.standard_errors
     return plain(

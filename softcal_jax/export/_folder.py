@@ -22,8 +22,7 @@ INDEX_FILES = (
 )
 """Files that mark a results folder; their `files` list what softcal_jax wrote."""
 
-_RESERVED = {"budget", "convergence", "inverse", "markers", "report", "result"}
-_RESERVED |= {"simulation"}
+_RESERVED = {"inverse", "markers", "report", "result", "simulation"}
 """Stems of the other files of a results folder."""
 
 _ENDINGS = ("", "_robot", "_recording")

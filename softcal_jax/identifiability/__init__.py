@@ -13,9 +13,7 @@ from softcal_jax.identifiability._ranking import (
 from softcal_jax.identifiability._result import (
     Identifiability,
     ParameterOutlook,
-    Tabulated,
     percent,
-    table,
 )
 from softcal_jax.identifiability._spread import (
     IDENTIFIABLE_UP_TO,
@@ -39,7 +37,6 @@ __all__ = [
     "Ranking",
     "RunVerdict",
     "Spread",
-    "Tabulated",
     "Tone",
     "Unranked",
     "Verdict",
@@ -51,6 +48,5 @@ __all__ = [
     "percent",
     "predict_spread",
     "rank_configurations",
-    "table",
     "verdict_of",
 ]

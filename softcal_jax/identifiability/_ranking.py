@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax._module import Module, Result
+from softcal_jax._text_table import TextTable, text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.calibration import EquilibriumProgress, as_sequence
@@ -18,7 +19,7 @@ from softcal_jax.identifiability._identify import (
     Survey,
     survey,
 )
-from softcal_jax.identifiability._result import Tabulated, number, table
+from softcal_jax.identifiability._result import number
 from softcal_jax.identifiability._spread import (
     Spread,
     information,
@@ -140,7 +141,7 @@ class Ranking(Result):
         return f"Candidate {best.name!r} adds most: it {best.words}."
 
     @property
-    def tabulated(self) -> Tabulated:
+    def tabulated(self) -> TextTable:
         """What each candidate would add, in texts."""
         head = "candidate, D gain [nat], volume, E gain, blind left, standard error"
         rows = [
@@ -152,7 +153,7 @@ class Ranking(Result):
             )
             for gain in self.gains
         ]
-        return Tabulated(tuple(head.split(", ")), rows)
+        return text_table("Candidates", head.split(", "), rows)
 
     @property
     def legend(self) -> str:
@@ -175,7 +176,7 @@ class Ranking(Result):
         """Describe the best candidate, and tabulate all."""
         if not self.gains:
             return "\n".join([self.headline, *map(str, self.unranked)])
-        lines = [self.headline, *table(*self.tabulated), self.legend]
+        lines = [self.headline, *self.tabulated.lines(), self.legend]
         return "\n".join([*lines, *map(str, self.unranked)])
 
 

@@ -1,11 +1,11 @@
 """What data can tell about the parameters: the result and its text."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax._module import Module, Result, one_line
+from softcal_jax._module import Module, Result
+from softcal_jax._text_table import TextTable, text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.identifiability._conditioning import Conditioning
@@ -18,20 +18,6 @@ from softcal_jax.identifiability._spread import (
 
 MOST_SHOWN = 8
 """Most blind directions that are listed; the others are only counted."""
-
-
-class Tabulated(NamedTuple):
-    """Texts of a table.
-
-    Attributes:
-        head: Names of the columns.
-        rows: One text per column each.
-    """
-
-    head: tuple[str, ...]
-    rows: list[tuple[str, ...]]
-
-    __repr__ = one_line
 
 
 class ParameterOutlook(Module):
@@ -128,12 +114,13 @@ class Identifiability(Result):
         )
 
     @property
-    def tabulated(self) -> Tabulated:
+    def tabulated(self) -> TextTable:
         """What is known of each parameter, in texts."""
         head = ("parameter", "value", "standard error", "asked", "verdict")
         if self.has_prior:
             head = (*head[:3], "from data alone", *head[3:])
-        return Tabulated(head, [_row(p, self.has_prior) for p in self.parameters])
+        rows = [_row(p, self.has_prior) for p in self.parameters]
+        return text_table("Standard errors to expect", head, rows)
 
     @property
     def advice(self) -> tuple[str, ...]:
@@ -155,7 +142,7 @@ class Identifiability(Result):
     def __str__(self) -> str:
         """Format the verdict, the parameters, blind directions and what to do."""
         n_data, n_p = self.n_data, self.n_parameters
-        lines = [self.headline, *table(*self.tabulated), self.scale]
+        lines = [self.headline, *self.tabulated.lines(), self.scale]
         lines += [
             f"Errors of the {cause} are not among these: their size is not known here."
             for cause in self.unknown
@@ -219,11 +206,3 @@ def number(value: float, digits: int = 3) -> str:
     if 10.0**digits <= abs(value) < 1e6:
         return f"{value:.0f}"
     return f"{value:.{digits}g}"
-
-
-def table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
-    """Format the lines of a table, columns aligned on the left."""
-    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
-    return [
-        "  " + "  ".join(map(str.ljust, row, widths)).rstrip() for row in (head, *rows)
-    ]

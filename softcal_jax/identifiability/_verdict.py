@@ -1,13 +1,11 @@
 """What may be said of a calibration in one sentence, wherever it is said."""
 
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from softcal_jax._module import one_line
+from softcal_jax._text_table import Tone
 from softcal_jax.calibration import FLAT, SMALLEST_FALL, CalibrationResult
 from softcal_jax.identifiability._assessment import Assessment
-
-Tone = Literal["plain", "strong", "good", "doubtful", "bad"]
-"""How a text is meant; its words must say so too, as colours are not seen by all."""
 
 
 class RunVerdict(NamedTuple):

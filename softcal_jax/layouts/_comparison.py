@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax.identifiability import Identifiability, table
+from softcal_jax._text_table import aligned
+from softcal_jax.identifiability import Identifiability
 
 
 class FoldScore(Module):
@@ -236,4 +237,4 @@ def _table(scores: Sequence[ModelScore]) -> list[str]:
         )
         for s in scores
     ]
-    return table(head, rows)
+    return aligned([head, *rows])

@@ -7,7 +7,7 @@ from scipy.special import stdtrit
 
 from softcal_jax._module import Module, Result
 from softcal_jax._names import listed
-from softcal_jax.identifiability import Tabulated, table
+from softcal_jax._text_table import TextTable, text_table
 from softcal_jax.layouts._comparison import ModelScore, number, ranked
 
 LEVEL_OF_COMPARISON = 0.95
@@ -126,7 +126,7 @@ class ModelComparison(Result):
 
     def __str__(self) -> str:
         """Write the verdict, a table, and the folds that failed."""
-        return "\n".join([self.verdict, *table(*self.tabulated), *self.failures])
+        return "\n".join([self.verdict, *self.tabulated.lines(), *self.failures])
 
     @property
     def failures(self) -> list[str]:
@@ -144,7 +144,7 @@ class ModelComparison(Result):
         return lines
 
     @property
-    def tabulated(self) -> Tabulated:
+    def tabulated(self) -> TextTable:
         """How well each model predicts, in texts."""
         head = ("model", "parameters", "held-out [mm]", "in noise", "squared [noise^2]")
         head += ("worse than the best by", "fit [mm]", "failed folds")
@@ -164,7 +164,7 @@ class ModelComparison(Result):
                     failed if model.failed else "none",
                 )
             )
-        return Tabulated(head, rows)
+        return text_table("Models", head, rows)
 
 
 def _difference(found: PairedDifference | None) -> str:

@@ -1,6 +1,5 @@
 """Pictures of results, drawn without a screen."""
 
-from softcal_jax.plotting._budget import budget_shares, plot_budget
 from softcal_jax.plotting._colours import DISPLACEMENT_MAP, MARKS
 from softcal_jax.plotting._configuration import (
     NOT_CONVERGED,
@@ -8,7 +7,6 @@ from softcal_jax.plotting._configuration import (
     render_body,
     render_configuration,
 )
-from softcal_jax.plotting._diagrams import plot_convergence, plot_trials
 from softcal_jax.plotting._directions import plot_directions
 from softcal_jax.plotting._fibres import plot_fibres
 from softcal_jax.plotting._groups import plot_groups
@@ -25,6 +23,7 @@ from softcal_jax.plotting._robot import (
 )
 from softcal_jax.plotting._setup import load_place
 from softcal_jax.plotting._traces import plot_traces
+from softcal_jax.plotting._trials import plot_trials
 from softcal_jax.plotting._view import View, choose_view
 
 __all__ = [
@@ -37,13 +36,10 @@ __all__ = [
     "SensorFrame",
     "View",
     "actuator_words",
-    "budget_shares",
     "choose_view",
     "is_seen",
     "load_place",
     "motion_words",
-    "plot_budget",
-    "plot_convergence",
     "plot_directions",
     "plot_fibres",
     "plot_groups",

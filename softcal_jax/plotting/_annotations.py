@@ -20,6 +20,7 @@ from softcal_jax.plotting._view import View
 if TYPE_CHECKING:
     import matplotlib.axes
     import matplotlib.figure
+    import matplotlib.text
 
 WARNING_HEIGHT = 60
 """Height of the warning band above the title [pixels]."""
@@ -105,14 +106,17 @@ def draw_title(
 
 def _line(axes: "matplotlib.axes.Axes", y: float, text: str, size: float, **style):
     """Draw one line of text, as large as given or as fits the width."""
-    left, room = 24, axes.get_xlim()[1] - 48
-    drawn = axes.text(
-        left, y, text, fontsize=size, va="center", parse_math=False, **style
-    )
-    # Shrink step by step: hinting rounds letters, so width is not linear in size.
-    while size > 1.0 and drawn.get_window_extent().width > room:
+    style = {"fontsize": size, "va": "center", "parse_math": False, **style}
+    shrink(axes.text(24, y, text, **style), axes.get_xlim()[1] - 48)
+
+
+def shrink(text: "matplotlib.text.Text", room: float) -> None:
+    """Make a text smaller until it fits a width [pixels]."""
+    size = float(text.get_fontsize())
+    # Step by step: hinting rounds letters, so width is not linear in size.
+    while size > 1.0 and text.get_window_extent().width > room:
         size *= 0.95
-        drawn.set_fontsize(size)
+        text.set_fontsize(size)
 
 
 def draw_colour_scale(axes: "matplotlib.axes.Axes", largest_mm: float) -> None:

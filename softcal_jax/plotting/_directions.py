@@ -2,14 +2,15 @@
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from softcal_jax._typing import Bool, Float, HostArray, Int
-from softcal_jax.mesh import TetMesh, boundary_faces, boundary_tets
+from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax.mesh import TetMesh
 from softcal_jax.plotting import _annotations as annotations
 from softcal_jax.plotting._colours import SERIES
+from softcal_jax.plotting._faces import VisibleFaces, visible_faces
 from softcal_jax.plotting._save import DPI, save
 from softcal_jax.plotting._view import View, choose_view
 
@@ -27,20 +28,6 @@ _DARKEST, _LIGHTEST = 0.72, 0.97
 
 _LENGTH, _BREADTH = 0.8, 0.1
 """Length and breadth of a line, over the root of twice the area of its face."""
-
-
-class _Faces(NamedTuple):
-    """Faces of the surface that look towards the viewer, the farthest first.
-
-    Attributes:
-        corners: Their corners [m].
-        normal: Unit normals, outwards [-].
-        tet: Index of the tet that each bounds.
-    """
-
-    corners: Float[HostArray, "n_faces 3 3"]
-    normal: Float[HostArray, "n_faces 3"]
-    tet: Int[HostArray, " n_faces"]
 
 
 def plot_directions(
@@ -83,7 +70,7 @@ def plot_directions(
             )
     view = choose_view(mesh.points, np.zeros_like(mesh.points), np.zeros((0, 3)))
     chosen = np.ones(mesh.n_tets, bool) if where is None else where
-    shapes, colours = _drawn(_visible(mesh, view), view, families, chosen)
+    shapes, colours = _drawn(visible_faces(mesh, view), view, families, chosen)
     extent = _MARGIN * np.array([view.width, view.height])
     width, height = np.maximum(_SIZE * extent / extent.max(), 0.5 * _SIZE).round()
     total = height + _TOP + _BOTTOM
@@ -115,19 +102,8 @@ def _colours_of(families: Iterable[str]) -> list[str]:
     return [SERIES[i % len(SERIES)] for i, _ in enumerate(families)]
 
 
-def _visible(mesh: TetMesh, view: View) -> _Faces:
-    """Find the faces that look towards the viewer, the farthest first."""
-    corners = mesh.points[boundary_faces(mesh)[:, :3]]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.linalg.norm(normal, axis=1)[:, None]
-    seen = np.flatnonzero(normal @ view.towards > 0.0)
-    depth = corners[seen].mean(axis=1) @ view.towards
-    seen = seen[np.argsort(depth)]
-    return _Faces(corners[seen], normal[seen], boundary_tets(mesh)[seen])
-
-
 def _drawn(
-    faces: _Faces,
+    faces: VisibleFaces,
     view: View,
     families: Mapping[str, Float[HostArray, "n_tets 3"]],
     where: Bool[HostArray, " n_tets"],
@@ -138,7 +114,7 @@ def _drawn(
     """
     from matplotlib.colors import to_rgb
 
-    light = _DARKEST + (_LIGHTEST - _DARKEST) * (faces.normal @ view.towards)
+    light = _DARKEST + (_LIGHTEST - _DARKEST) * faces.light
     rgb = [to_rgb(colour) for colour in _colours_of(families)]
     shapes, colours = [], []
     for corners, grey, tet in zip(faces.corners, light, faces.tet, strict=True):

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
-from softcal_jax.mesh import CAD_FACE, TetMesh, boundary_faces, boundary_tets
+from softcal_jax.mesh import CAD_FACE, TetMesh, boundary_faces
 from softcal_jax.plotting import _annotations as annotations
 from softcal_jax.plotting._colours import SERIES
+from softcal_jax.plotting._faces import visible_faces
 from softcal_jax.plotting._save import DPI, save
 from softcal_jax.plotting._view import View, choose_view
 
@@ -199,21 +200,15 @@ def _faces(
 ) -> _Faces:
     """Find what is seen of some of the tets."""
     part = TetMesh(mesh.points, mesh.tets[drawn])
-    faces = boundary_faces(part)[:, :3]
-    tets = np.flatnonzero(drawn)[boundary_tets(part)]
-    corners = mesh.points[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    light = normals @ view.towards / np.linalg.norm(normals, axis=1)
-    seen = np.flatnonzero(light > 0.0)
-    order = seen[np.argsort(corners[seen].mean(axis=1) @ view.towards)]
-    keys = _keys(mesh, faces[order])
-    group = np.full(len(order), -1)
+    faces = visible_faces(part, view)
+    tets, keys = np.flatnonzero(drawn)[faces.tet], _keys(mesh, faces.nodes)
+    group = np.full(len(tets), -1)
     for name, own in mesh.tet_groups.items():
-        group[np.isin(tets[order], own)] = groups.index(name)
+        group[np.isin(tets, own)] = groups.index(name)
     for name, own in mesh.surface_groups.items():
         group[np.isin(keys, _keys(mesh, own))] = groups.index(name)
     cut = ~np.isin(keys, _keys(mesh, boundary_faces(mesh)))
-    return _Faces(corners[order], light[order], group, cut)
+    return _Faces(faces.corners, faces.light, group, cut)
 
 
 def _keys(mesh: TetMesh, faces: Int[HostArray, "n _"]) -> Int[HostArray, " n"]:

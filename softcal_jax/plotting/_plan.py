@@ -336,20 +336,9 @@ def _draw_control_points(
 
 def _draw_heading(axes: "matplotlib.axes.Axes", text: str) -> None:
     axes.set_axis_off()
-    size, room = 16.0, axes.get_window_extent().width - 40
-    drawn = axes.text(
-        0.5,
-        0.4,
-        text,
-        fontsize=size,
-        color=TEXT,
-        ha="center",
-        va="center",
-        parse_math=False,
-    )
-    while size > 1.0 and drawn.get_window_extent().width > room:
-        size *= 0.95
-        drawn.set_fontsize(size)
+    style = {"fontsize": 16.0, "color": TEXT, "ha": "center", "va": "center"}
+    drawn = axes.text(0.5, 0.4, text, **style, parse_math=False)
+    annotations.shrink(drawn, axes.get_window_extent().width - 40)
 
 
 def _draw_legend(

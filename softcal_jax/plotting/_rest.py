@@ -3,7 +3,8 @@
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.mesh import TetMesh, boundary_faces
+from softcal_jax.mesh import TetMesh
+from softcal_jax.plotting._faces import visible_faces
 from softcal_jax.plotting._view import View
 
 _FINE = 2
@@ -32,17 +33,13 @@ def rest_image(
     """
     from PIL import Image, ImageDraw
 
-    faces = mesh.points[boundary_faces(mesh)[:, :3]]
-    normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
-    light = normals @ view.towards / np.linalg.norm(normals, axis=1)
-    seen = np.flatnonzero(light > 0.0)
-    seen = seen[np.argsort(faces[seen].mean(axis=1) @ view.towards)]
-    flat = view.project(faces[seen].reshape(-1, 3)).reshape(-1, 3, 2)
+    faces = visible_faces(mesh, view)
+    flat = view.project(faces.corners.reshape(-1, 3)).reshape(-1, 3, 2)
     fine = _FINE * scale
     pixels = flat * [fine, -fine] + 0.5 * _FINE * np.array(size)
     edges = np.linalg.norm(pixels - np.roll(pixels, 1, axis=1), axis=2)
     outlined = bool(edges.size) and edges.mean() > _FINE * _OUTLINED
-    shade = np.rint(255.0 * (_DARK + (_LIGHT - _DARK) * light[seen])).astype(int)
+    shade = np.rint(255.0 * (_DARK + (_LIGHT - _DARK) * faces.light)).astype(int)
     image = Image.new("L", (_FINE * size[0], _FINE * size[1]), 255)
     draw = ImageDraw.Draw(image)
     for corners, grey in zip(pixels.tolist(), shade.tolist(), strict=True):

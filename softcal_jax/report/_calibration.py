@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from softcal_jax._names import listed
+from softcal_jax._text_table import Cell, TextTable, text_table
 from softcal_jax._units import readable
 from softcal_jax.calibration import (
     CalibrationResult,
@@ -15,7 +16,6 @@ from softcal_jax.calibration import (
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import readable_unit
 from softcal_jax.identifiability import Assessment, Identifiability, Tone, percent
-from softcal_jax.report._description import Cell, Table, described
 
 MOST_DIRECTIONS = 6
 """Most blind directions that are listed; the others are only counted."""
@@ -46,7 +46,7 @@ def model_words(model: Model) -> str:
     return f"{model.mesh.words}, {' of '.join(named)} ({model.formulation})"
 
 
-def parameter_table(result: CalibrationResult, found: Identifiability) -> Table:
+def parameter_table(result: CalibrationResult, found: Identifiability) -> TextTable:
     """Tabulate values, standard errors, starts and bounds."""
     blind = {p.name for p in found.parameters if p.verdict == "not identifiable"}
     title = "Parameters" + ("" if result.intervals else ", ± not checked")
@@ -63,7 +63,7 @@ def parameter_table(result: CalibrationResult, found: Identifiability) -> Table:
         start = f"{q.start * factor:.4g} {unit}".rstrip()
         value = Cell(text, "strong" if sound else "bad")
         rows.append((q.name, value, start, bounds))
-    return described(
+    return text_table(
         title, ("parameter", "value ± std. error", "start", "bounds"), rows
     )
 
@@ -76,14 +76,14 @@ def _bounds(lower: float, upper: float, value: float, unit: str) -> str:
     return f"{lower * factor:.4g} to {upper * factor:.4g} {shown}".rstrip()
 
 
-def budget_table(result: CalibrationResult) -> Table:
+def budget_table(result: CalibrationResult) -> TextTable:
     """Tabulate in words what the standard errors come from."""
     columns = "parameter", "standard error over the value"
     rows = [(name, result.budget.sentence(name)) for name in result.budget.names]
-    return described("Standard errors by cause", columns, rows)
+    return text_table("Standard errors by cause", columns, rows)
 
 
-def cause_table(result: CalibrationResult) -> Table:
+def cause_table(result: CalibrationResult) -> TextTable:
     """Tabulate the standard error of each parameter by each cause alone."""
     budget, total = result.budget, result.budget.standard_errors
     by_cause = budget.by_cause()
@@ -100,12 +100,12 @@ def cause_table(result: CalibrationResult) -> Table:
         for i, name in enumerate(budget.names)
     ]
     columns = "parameter", "all causes", *by_cause
-    return described(
+    return text_table(
         "Standard error over the value, by each cause alone", columns, rows
     )
 
 
-def interval_tables(result: CalibrationResult) -> list[Table]:
+def interval_tables(result: CalibrationResult) -> list[TextTable]:
     """Tabulate the intervals of the parameters, and how each was found."""
     if not result.intervals:
         return []
@@ -114,12 +114,12 @@ def interval_tables(result: CalibrationResult) -> list[Table]:
         tone: Tone = "bad" if own.kind == "none" else "plain"
         rows.append((own.name, Cell(str(own), tone), own.kind))
     level = f"{100.0 * result.intervals[0].level:g} % interval"
-    return [described("Intervals", ("parameter", level, "kind"), rows)]
+    return [text_table("Intervals", ("parameter", level, "kind"), rows)]
 
 
 def error_tables(
     fits: Sequence[ConfigurationResult], checks: ResidualChecks | None
-) -> list[Table]:
+) -> list[TextTable]:
     """Tabulate the errors of points and of orientations.
 
     With three or more fitted configurations, points as the others predict them have a
@@ -139,7 +139,7 @@ def error_tables(
             turns.append((*first, _angle(fit.turn_before), turned))
     shown = []
     if any(fit.points for fit in fits):
-        shown.append(described("Rms distance of the markers", columns, points))
+        shown.append(text_table("Rms distance of the markers", columns, points))
     by_others = [
         (own.name, distance(own.rms), distance(own.expected))
         for own in ([] if checks is None else checks.left_out)
@@ -147,9 +147,9 @@ def error_tables(
     if by_others:
         heads = ("configuration", "off by", "errors explain")
         title = "Rms distance of a configuration left out"
-        shown.append(described(title, heads, by_others))
+        shown.append(text_table(title, heads, by_others))
     if turns:
-        shown.append(described("Rms angle of the orientations", columns[:4], turns))
+        shown.append(text_table("Rms angle of the orientations", columns[:4], turns))
     return shown
 
 
@@ -187,7 +187,7 @@ def _points(fit: ConfigurationResult) -> str:
     return listed([f"{n} {what}{'s' * (n > 1)}" for what, n in counts.items() if n])
 
 
-def outlook_table(assessment: Assessment) -> Table:
+def outlook_table(assessment: Assessment) -> TextTable:
     """Tabulate what the data tell about each parameter."""
     rows = [
         (
@@ -198,7 +198,7 @@ def outlook_table(assessment: Assessment) -> Table:
         for p in assessment.identifiability.parameters
     ]
     columns = "parameter", "std. error over asked", "verdict"
-    return described("What the data tell", columns, rows)
+    return text_table("What the data tell", columns, rows)
 
 
 def outlook_tone(verdict: str, assessment: Assessment) -> Tone:
@@ -256,7 +256,7 @@ def beyond_prior(found: Identifiability) -> str:
     return f"They tell more than the prior along {found.informed} of {n}."
 
 
-def correlation_table(found: Identifiability) -> Table:
+def correlation_table(found: Identifiability) -> TextTable:
     """Tabulate the correlation of the parameters; of many, the strongest pairs."""
     names = [p.name for p in found.parameters]
     C = found.correlation
@@ -265,7 +265,7 @@ def correlation_table(found: Identifiability) -> Table:
             (name, *(_correlation(c) for c in row))
             for name, row in zip(names, C, strict=True)
         ]
-        return described("Correlation", ("parameter", *names), rows)
+        return text_table("Correlation", ("parameter", *names), rows)
     i, j = np.triu_indices(len(names), 1)
     strength = np.nan_to_num(np.abs(C[i, j]), nan=-1.0)
     first = np.argsort(-strength, kind="stable")[:MOST_PAIRS]
@@ -274,22 +274,22 @@ def correlation_table(found: Identifiability) -> Table:
         for a, b in zip(i[first], j[first], strict=True)
     ]
     columns = "parameter", "of", "correlation"
-    return described(f"The {MOST_PAIRS} strongest correlations", columns, rows)
+    return text_table(f"The {MOST_PAIRS} strongest correlations", columns, rows)
 
 
 def _correlation(value: float) -> str:
     return f"{value:.2f}" if math.isfinite(value) else "-"
 
 
-def singular_value_table(found: Identifiability) -> Table:
+def singular_value_table(found: Identifiability) -> TextTable:
     """Tabulate the singular values of W_ep in units of the noise."""
     values = enumerate(found.conditioning.singular_values, 1)
     rows = [(str(k), f"{value:.3g}") for k, value in values]
     title = "Singular values of W_ep in units of the noise"
-    return described(title, ("number", "singular value"), rows)
+    return text_table(title, ("number", "singular value"), rows)
 
 
-def history_table(result: CalibrationResult) -> Table:
+def history_table(result: CalibrationResult) -> TextTable:
     """Tabulate the steps of the fit."""
     rows = [
         (
@@ -302,7 +302,7 @@ def history_table(result: CalibrationResult) -> Table:
         for own in result.history
     ]
     columns = "step", "cost", "rms marker distance", "largest lambda_p", "outcome"
-    return described("Steps of the fit", columns, rows)
+    return text_table("Steps of the fit", columns, rows)
 
 
 def _angle(radians: float) -> str:

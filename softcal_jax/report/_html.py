@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 from softcal_jax._machine import installed_version
 from softcal_jax._text import escaped
+from softcal_jax._text_table import TextTable
 from softcal_jax.identifiability import RunVerdict
-from softcal_jax.report._description import Table
 
 MOST_PICTURES = 3_400_000
 """Most bytes of pictures in one page; the others stay beside it.
@@ -85,7 +85,7 @@ def bullets(lines: Iterable[str], **attributes: str) -> Html:
     return node("ul", *(node("li", line) for line in lines), **attributes)
 
 
-def table_html(table: Table) -> Html:
+def table_html(table: TextTable) -> Html:
     """Write a table."""
     kinds = ["w" if table.holds_words(k) else "n" for k in range(len(table.columns))]
     head = (
@@ -202,14 +202,15 @@ def page(
 
 
 def output(verdict: RunVerdict, content: Iterable[Html]) -> Html:
-    """Write what a cell of a notebook shows: a verdict and what follows from it.
+    """Write what a cell of a notebook shows: a verdict and what follows from it."""
+    return fragment([verdict_html(verdict), *content])
 
-    It looks as in a page, whatever the notebook's own style is.
-    """
+
+def fragment(content: Iterable[Html]) -> Html:
+    """Write a part of another page that looks as in ours, whatever style that has."""
     style = Html(f"@scope (.softcal) {{\n{_style()}}}")
     plain = "background: #fff; color: #1a1a1a; padding: .5rem 1rem; max-width: 62rem"
-    shown = [node("style", style), verdict_html(verdict), *content]
-    return node("div", *shown, class_="softcal", style=plain)
+    return node("div", node("style", style), *content, class_="softcal", style=plain)
 
 
 def _style() -> Html:

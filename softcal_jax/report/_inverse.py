@@ -5,13 +5,13 @@ from itertools import compress
 
 import numpy as np
 
+from softcal_jax._text_table import Cell, TextTable, text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.control import GoalFit, InverseResult, TrajectoryResult
 from softcal_jax.equilibrium import ActuatorState
 from softcal_jax.export import readable_values
 from softcal_jax.identifiability import RunVerdict
 from softcal_jax.report._charts import goal_chart
-from softcal_jax.report._description import Cell, Table, described
 from softcal_jax.report._html import Html, bullets, node, table_html
 from softcal_jax.report._robot import actuator_row
 
@@ -49,28 +49,28 @@ def trajectory_html(result: TrajectoryResult) -> list[Html]:
         for fit in point.goals
     ]
     drawn = goal_chart(goals, result.points[0].tol) if result.points else []
-    table = described("Commands", columns, rows, words=["inputs"])
+    table = text_table("Commands", columns, rows, words=["inputs"])
     return [*drawn, table_html(table)]
 
 
-def attempts_table(result: InverseResult) -> Table:
+def attempts_table(result: InverseResult) -> TextTable:
     """Tabulate the descents of the search."""
     rows = [(own.way, str(own.n_steps), f"{own.error:.3g}") for own in result.attempts]
     columns = "begun from", "steps", "largest error, in standard deviations"
-    return described("Descents", columns, rows)
+    return text_table("Descents", columns, rows)
 
 
 def _titled(fit: GoalFit) -> str:
     return f"{fit.name} (turn)" if fit.effector.is_turn else fit.name
 
 
-def goal_table(goals: Sequence[GoalFit]) -> Table:
+def goal_table(goals: Sequence[GoalFit]) -> TextTable:
     """Tabulate goals, what is reached, and how far that is off."""
     rows = []
     for fit in goals:
         goal, there = _coordinates(fit, fit.effector.measured), fit.reached
         rows.append((_titled(fit), goal, _coordinates(fit, there), fit.off))
-    return described("Goals", ("effector", "goal", "reached", "off by"), rows)
+    return text_table("Goals", ("effector", "goal", "reached", "off by"), rows)
 
 
 def _coordinates(fit: GoalFit, values: Float[HostArray, " k"]) -> str:
@@ -82,7 +82,7 @@ def _coordinates(fit: GoalFit, values: Float[HostArray, " k"]) -> str:
     return f"{', '.join(compress('xyz', seen))} = {text}"
 
 
-def actuator_table(result: InverseResult) -> Table:
+def actuator_table(result: InverseResult) -> TextTable:
     """Tabulate what the actuators do, each in its own units."""
     columns = "actuator", "kind", "force", "displacement"
     rows = []
@@ -99,7 +99,7 @@ def actuator_table(result: InverseResult) -> Table:
                 Cell(displacement, "plain" if by_force else tone),
             )
         )
-    return described("Actuators", columns, rows)
+    return text_table("Actuators", columns, rows)
 
 
 def _inputs(result: InverseResult) -> str:

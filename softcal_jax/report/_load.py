@@ -24,6 +24,7 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import RESULT_FORMAT
+from softcal_jax.export.result_file import ResultFile, SourceEntry
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.project import Project, load_project
 
@@ -47,48 +48,6 @@ class _Head(BaseModel):
 
     format: str
     source: Any = None
-
-
-class _File(BaseModel):
-    file: str
-    sha256: str
-
-
-class _Source(BaseModel):
-    project: _File
-    files: list[_File]
-    changes: dict[str, Any]
-
-
-class _Parameter(BaseModel):
-    name: str
-    value: float
-
-
-class _Budget(BaseModel):
-    covariance: list[list[float | None]]
-
-
-class _Fit(BaseModel):
-    name: str
-    rms_after_mm: float | None
-
-
-class _Assessment(BaseModel):
-    reasons: list[str]
-
-
-class _Result(BaseModel):
-    """What is read of `result.json`."""
-
-    converged: bool
-    parameters: list[_Parameter]
-    configurations: list[_Fit]
-    source: _Source | None
-    budget: _Budget
-    assessment: _Assessment
-    solver: dict[str, str | int | None]
-    versions: dict[str, str]
 
 
 class LoadedResult(Module):
@@ -218,7 +177,7 @@ def load_result(
     )
 
 
-def _read(path: Path) -> tuple[_Result, _Source]:
+def _read(path: Path) -> tuple[ResultFile, SourceEntry]:
     """Read and check the file."""
     check_file(path, "result file")
     try:
@@ -230,7 +189,7 @@ def _read(path: Path) -> tuple[_Result, _Source]:
                 f"{path}: it names no project file, as results of earlier versions "
                 "do: calibrate again."
             )
-        data = _Result.model_validate_json(text)
+        data = ResultFile.model_validate_json(text)
     except (ValidationError, UnicodeDecodeError) as error:
         raise ResultError(
             f"{path}: expected {RESULT} as softcal calibrate writes it; was it edited, "
@@ -272,7 +231,7 @@ def _check_format(path: Path, found: str) -> None:
     )
 
 
-def _check_unchanged(path: Path, project: Path, source: _Source) -> None:
+def _check_unchanged(path: Path, project: Path, source: SourceEntry) -> None:
     """Raise unless project, mesh and measurements are what they were."""
     named = []
     if project.is_file():  # else there is no place to look for the others
@@ -299,7 +258,7 @@ def _check_unchanged(path: Path, project: Path, source: _Source) -> None:
     )
 
 
-def _checked_space(path: Path, project: Project, data: _Result) -> ParameterSpace:
+def _checked_space(path: Path, project: Project, data: ResultFile) -> ParameterSpace:
     """Return the parameters, if they and the model are those of the result."""
     names = [own.name for own in data.parameters]
     space, mesh = project.space, project.model.mesh

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from softcal_jax._text_table import aligned
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.export import readable_values
 from softcal_jax.mesh import TetMesh, face_shares, volumes
@@ -20,25 +21,21 @@ def mesh_lines(mesh: TetMesh) -> list[str]:
         f"{readable_values([float(edges.mean())], 'm', digits=3)} in the mean, volume "
         f"{readable_values([float(volumes(mesh).sum())], 'm3')}"
     ]
-    width = max(
-        map(len, [*mesh.surface_groups, *mesh.tet_groups, *mesh.node_groups, ""])
-    )
+    rows = []
     for name, faces in mesh.surface_groups.items():
         centres = mesh.points[faces[:, :3]].mean(axis=1)
         areas = face_shares(mesh, faces).sum(axis=1)
         mean = np.average(centres, axis=0, weights=areas)
         point = centres[np.argmin(np.linalg.norm(centres - mean, axis=1))]
-        lines.append(
-            f"  {name:<{width}}  {1e6 * areas.sum():.1f} mm2, a point on it: "
-            f"{_in_mm(point)}"
-        )
+        text = f"{1e6 * areas.sum():.1f} mm2, a point on it: {_in_mm(point)}"
+        rows.append((name, text))
     for name, tets in mesh.tet_groups.items():
-        own = readable_values([float(volumes(mesh)[tets].sum())], "m3")
-        lines.append(f"  {name:<{width}}  {len(tets)} tets, {own}")
+        volume = readable_values([float(volumes(mesh)[tets].sum())], "m3")
+        rows.append((name, f"{len(tets)} tets, {volume}"))
     for name, nodes in mesh.node_groups.items():
         if name not in mesh.surface_groups and name not in mesh.tet_groups:
-            lines.append(f"  {name:<{width}}  {len(nodes)} nodes")
-    return lines
+            rows.append((name, f"{len(nodes)} nodes"))
+    return [*lines, *aligned(rows)]
 
 
 def _in_mm(point: Float[HostArray, "3"]) -> str:

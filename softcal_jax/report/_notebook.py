@@ -27,7 +27,7 @@ from softcal_jax.report._inverse import (
     inverse_verdict,
     trajectory_html,
 )
-from softcal_jax.report._outlook_pages import next_html, outlook_sections, texts_html
+from softcal_jax.report._outlook_pages import next_html, outlook_sections
 from softcal_jax.report._tables import simulation_tables
 
 
@@ -98,7 +98,7 @@ def _simulation(result: SimulationResult) -> Html:
 @notebook_html.register
 def _comparison(comparison: ModelComparison) -> Html:
     tone: Tone = "bad" if comparison.best is None else "plain"
-    models = texts_html("Models", comparison.tabulated)
+    models = table_html(comparison.tabulated)
     return output(RunVerdict(comparison.verdict, tone), [models])
 
 

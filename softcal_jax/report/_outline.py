@@ -1,12 +1,13 @@
 """What a project describes, in aligned lines: before anything is solved."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 from typing import Any
 
 import numpy as np
 
+from softcal_jax._text_table import aligned
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import actuator_geometry, enclosed_volumes
 from softcal_jax.configurations import (
@@ -14,9 +15,7 @@ from softcal_jax.configurations import (
     AbstractLoad,
     Configuration,
     ConfigurationLanes,
-    EffectorRecord,
     Support,
-    Unstated,
     configuration_lanes,
 )
 from softcal_jax.equilibrium import Model
@@ -29,6 +28,7 @@ from softcal_jax.project import (
     QuantityAsRead,
     guesses_left,
 )
+from softcal_jax.report._outline_measured import measured_rows
 
 ROLES = {"calibration": "fitted", "validation": "held out", "candidate": "candidate"}
 """Roles of configurations in words."""
@@ -94,7 +94,7 @@ def outline(
     rows = [_configuration(project.model, c, roles[c.name], weight) for c in posed]
     head = ("name", "role", "gravity", "held", "loads", "actuators and bodies")
     yield from _section("Configurations", [head, *rows])
-    yield from _section("Measured", _measured(posed, lanes))
+    yield from _section("Measured", measured_rows(posed, lanes))
     rows = _registrations(project)
     yield from _section("Camera frames, registered to the mesh", rows)
     yield from _section("Parameters", _parameters(project.parameters))
@@ -104,16 +104,8 @@ def outline(
 
 def _section(title: str, rows: Rows) -> Iterator[str]:
     """Align the columns of rows below a title; nothing without rows."""
-    rows = [[*row] for row in rows]
-    if not any(any(row) for row in rows):
-        return
-    yield ""
-    yield title
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for row in rows:
-        cells = zip(row, widths, strict=True)
-        line = "  ".join(cell.ljust(width) for cell, width in cells if width)
-        yield f"  {line.rstrip()}"
+    if any(any(row) for row in rows):
+        yield from ("", title, *aligned(rows))
 
 
 def _model(
@@ -295,104 +287,11 @@ def _states(c: Configuration) -> Iterator[str]:
         yield f"{name} {kind}" + (f" at {' and '.join(moved)}" if moved else "")
 
 
-def _measured(posed: Sequence[Configuration], lanes: ConfigurationLanes) -> Rows:
-    """List what is measured in each configuration: markers together, others alone."""
-    records = {c.name: own for c, own in zip(posed, lanes.effectors, strict=True)}
-    rows: list[tuple[str, ...]] = [
-        ("configuration", "what", "value", "standard deviation")
-    ]
-    for c in posed:
-        n = 0 if c.markers is None else len(c.markers.names)
-        markers, others = records[c.name][:n], records[c.name][n:]
-        before = {r.name: r for r in records.get(c.displacement_from or "", ())}
-        if c.markers is not None:
-            std = np.asarray(c.markers.std)
-            values = [std.min(), std.max()] if std.min() < std.max() else [std.max()]
-            told = _stated(c.markers.std, " to ".join(_length(v) for v in values))
-            told += _share(c)
-            names = f"{n} marker{'s' if n > 1 else ''}"
-            if c.markers.axes != "xyz":
-                names += f" along {c.markers.axes}"
-            rows.append((c.name, names, _motion(markers, before), told))
-        effectors = {e.name: e for e in c.effectors}
-        for record in others:
-            effector: Any = effectors[record.name]
-            std = effector.std_angle if record.is_turn else effector.std
-            size = readable_values(np.atleast_1d(np.asarray(std)).tolist(), record.unit)
-            what = f"{record.name}, {_QUANTITIES[record.quantity]}"
-            told = _stated(std, size) if record.seen.any() else ""
-            told += (
-                _share(c) if record.seen.any() and record.quantity == "point" else ""
-            )
-            rows.append((c.name, what, _value(record, before), told))
-        if not records[c.name]:
-            rows.append((c.name, "nothing", "", ""))
-    # The name stands once, on the first of its lines.
-    seen: set[str] = set()
-    for i, (name, *rest) in enumerate(rows):
-        rows[i] = ("" if name in seen else name, *rest)
-        seen.add(name)
-    return rows
-
-
-_QUANTITIES = {
-    "point": "position",
-    "turn": "orientation",
-    "scalar": "value",
-    "force": "force",
-    "reaction": "reaction",
-}
-"""What coordinates are, in words."""
-
-
-def _stated(std: Any, shown: str) -> str:
-    return f"not stated: {shown} as a weight" if isinstance(std, Unstated) else shown
-
-
-def _share(c: Configuration) -> str:
-    """Say what belongs to the noise beside a standard deviation."""
-    if c.relative_std == "estimated":
-        return " and an estimated share of the motion"
-    return f" and {100 * c.relative_std:.3g} % of the motion" if c.relative_std else ""
-
-
 def _registrations(project: Project) -> Rows:
     rows = [("configuration", "rms left at the markers")]
     for name, found in project.registrations.items():
         rows.append((name, f"{1e3 * found.rms:.2f} mm"))
     return rows if project.registrations else []
-
-
-def _motion(
-    markers: Sequence[EffectorRecord], before: Mapping[str, EffectorRecord]
-) -> str:
-    """Say how far markers were measured from where they are at rest, or were before."""
-    moved = [_moved(m, before) for m in markers if m.seen.any()]
-    if not moved:
-        return "not measured"
-    low, high = min(moved), max(moved)
-    return f"moved {1e3 * low:.3g} to {1e3 * high:.3g} mm" + _since(before)
-
-
-def _moved(record: EffectorRecord, before: Mapping[str, EffectorRecord]) -> float:
-    earlier = before.get(record.name)
-    start = record.at_rest if earlier is None else earlier.measured
-    return float(np.linalg.norm(np.where(record.seen, record.measured - start, 0.0)))
-
-
-def _since(before: Mapping[str, EffectorRecord]) -> str:
-    return " since the reference" if before else " from rest"
-
-
-def _value(record: EffectorRecord, before: Mapping[str, EffectorRecord]) -> str:
-    if not record.seen.any():
-        return "not measured"
-    if record.quantity == "point":
-        return f"moved {1e3 * _moved(record, before):.3g} mm{_since(before)}"
-    if record.is_turn:
-        turn = math.acos(np.clip(0.5 * (np.trace(record.reference) - 1.0), -1.0, 1.0))
-        return f"turned {math.degrees(turn):.3g} deg from rest"
-    return readable_values(list(record.measured), record.unit)
 
 
 def _parameters(parameters: Sequence[Parameter]) -> Rows:

@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from typing import Any
 
+from softcal_jax._text_table import text_table
 from softcal_jax.identifiability import (
     Identifiability,
     Ranking,
     RunVerdict,
-    Tabulated,
     Tone,
     percent,
 )
@@ -18,7 +18,6 @@ from softcal_jax.report._calibration import (
     singular_value_table,
 )
 from softcal_jax.report._charts import outlook_chart
-from softcal_jax.report._description import described
 from softcal_jax.report._html import Html, Section, bullets, node, page, table_html
 from softcal_jax.report._provenance import made_html, repeat_html
 
@@ -57,7 +56,7 @@ def next_html(found: Identifiability | None, ranking: Ranking | None) -> list[Ht
     content = [node("p", ranking.headline)]
     if ranking.gains:
         content += [
-            texts_html("Candidates", ranking.tabulated),
+            table_html(ranking.tabulated),
             node("p", ranking.legend),
         ]
     if ranking.unranked:
@@ -84,7 +83,7 @@ def outlook_sections(found: Identifiability) -> list[Section]:
         inner.append(correlation_table(found))
     parameters = [
         *outlook_chart(found),
-        texts_html("Standard errors to expect", found.tabulated),
+        table_html(found.tabulated),
         node("p", found.scale),
         *(node("p", line) for line in unknown),
     ]
@@ -123,11 +122,11 @@ def comparison_page(comparison: ModelComparison, data: Mapping[str, Any]) -> str
         folds = [own[name] for own in of_models]
         cells = ("failed" if f.failure else f"{1e3 * f.rms:.4g} mm" for f in folds)
         rows.append((name, *cells))
-    held_out = described("Error of each configuration, held out", columns, rows)
+    held_out = text_table("Error of each configuration, held out", columns, rows)
     failures = comparison.failures
     sections = [
         Section("failures", "What failed", [bullets(failures)] if failures else []),
-        Section("models", "Models", [texts_html("Models", comparison.tabulated)]),
+        Section("models", "Models", [table_html(comparison.tabulated)]),
         Section("folds", "Held-out configurations", [table_html(held_out)]),
         Section(
             "repeat",
@@ -139,8 +138,3 @@ def comparison_page(comparison: ModelComparison, data: Mapping[str, Any]) -> str
     verdict = RunVerdict(comparison.verdict, tone)
     index = "comparison.json"
     return page(data["name"], "Comparison of models", verdict, sections, index=index)
-
-
-def texts_html(title: str, own: Tabulated) -> Html:
-    """Write a table of texts."""
-    return table_html(described(title, own.head, own.rows))

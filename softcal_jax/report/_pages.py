@@ -22,7 +22,8 @@ from softcal_jax.report._calibration import (
     parameter_table,
     singular_value_table,
 )
-from softcal_jax.report._charts import budget_chart, course_charts, error_chart
+from softcal_jax.report._charts import budget_chart, error_chart
+from softcal_jax.report._course import course_charts
 from softcal_jax.report._html import (
     MOST_PICTURES,
     Html,

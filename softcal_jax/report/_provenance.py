@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from softcal_jax.report._description import described
+from softcal_jax._text_table import text_table
 from softcal_jax.report._html import Html, facts_html, node, table_html
 
 REPEATED = "repeated"
@@ -35,40 +35,40 @@ def repeat_html(
     """
     known = [source for source in sources if source is not None]
     if not known or len(known) < len(sources):
-        text = (
-            f"This {what} was made in Python, without a project file, so there is no "
-            "command that repeats it."
-        )
-        return [node("p", text)]
-    words = [command, *(own["project"]["file"] for own in known), "-o", REPEATED]
+        without = "without a project file"
+        return made_in_python(f"This {what} was made in Python, {without}")
+    words = [command, *(source["project"]["file"] for source in known), "-o", REPEATED]
     content = [command_html(words)]
-    for own in known:
-        if own["changes"]:
-            rows = [(key, repr(value)) for key, value in own["changes"].items()]
-            of = f" of {own['project']['file']}" if len(known) > 1 else ""
-            changes = described(
-                f"Changes{of}", ("key of the project file", "value"), rows
-            )
+    for source in known:
+        if source["changes"]:
+            rows = [(key, repr(value)) for key, value in source["changes"].items()]
+            of = f" of {source['project']['file']}" if len(known) > 1 else ""
+            columns = "key of the project file", "value"
             text = (
                 "Some values of the project file were replaced when it was loaded. Set "
                 "them in the file, or give them to load_project(changes=...) in Python:"
             )
+            changes = text_table(f"Changes{of}", columns, rows)
             content += [node("p", text), table_html(changes)]
-    return [*content, files_html([file for own in known for file in files_of(own)])]
+    files = [file for source in known for file in files_of(source)]
+    return [*content, files_html(files)]
 
 
 def inverse_repeat_html(data: Mapping[str, Any], options: Sequence[str]) -> list[Html]:
     """Give the command that repeats an inverse run, and what it was computed from."""
-    own, files = data["calibration"], []
-    if own is None:
-        text = "This was computed in Python, so there is no command that repeats it."
-        content = [node("p", text)]
-    else:
-        content = [command_html(["inverse", own["file"], *options, "-o", REPEATED])]
-        files.append(own)
-    if data["source"] is not None:
-        files += files_of(data["source"])
+    loaded, source = data["calibration"], data["source"]
+    content = made_in_python("This was computed in Python")
+    if loaded is not None:
+        words = ["inverse", loaded["file"], *options, "-o", REPEATED]
+        content = [command_html(words)]
+    files = [] if loaded is None else [loaded]
+    files += [] if source is None else files_of(source)
     return [*content, files_html(files)] if files else content
+
+
+def made_in_python(what: str) -> list[Html]:
+    """Say that no command repeats what was made so."""
+    return [node("p", f"{what}, so there is no command that repeats it.")]
 
 
 def command_html(words: Sequence[str]) -> Html:
@@ -92,7 +92,7 @@ def files_of(source: Mapping[str, Any]) -> list[Mapping[str, str]]:
 def files_html(files: Sequence[Mapping[str, str]]) -> Html:
     """Tabulate files, each once, with what they held."""
     rows = dict.fromkeys((own["file"], own["sha256"]) for own in files)
-    return table_html(described("Files that were read", ("file", "SHA-256"), rows))
+    return table_html(text_table("Files that were read", ("file", "SHA-256"), rows))
 
 
 def made_html(data: Mapping[str, Any]) -> list[Html]:

@@ -4,15 +4,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from softcal_jax._text_table import TextTable, text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.configurations import EffectorRecord
 from softcal_jax.equilibrium import ActuatorState
 from softcal_jax.export import readable_values
-from softcal_jax.report._description import Table, described
 
 
-def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[Table]:
+def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTable]:
     """Tabulate effectors that are not points, actuators, rigid bodies and reactions.
 
     There is no table for what is missing.
@@ -47,7 +47,7 @@ def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[Table]:
             force = readable_values(list(reaction.force), "N")
             rows["Reactions"].append((result.name, reaction.name, force))
     return [
-        described(title, ("configuration", *columns), rows[title])
+        text_table(title, ("configuration", *columns), rows[title])
         for title, columns in titles.items()
         if rows[title]
     ]

@@ -2,14 +2,13 @@
 
 import os
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from softcal_jax._text_table import TextTable
 from softcal_jax.export import file_dict, made_dict
-from softcal_jax.identifiability import RunVerdict, Tabulated
-from softcal_jax.report._charts import value_charts
-from softcal_jax.report._description import described
+from softcal_jax.identifiability import RunVerdict
 from softcal_jax.report._html import Html, Section, bullets, node, page, table_html
 from softcal_jax.report._provenance import (
     REPEATED,
@@ -17,7 +16,9 @@ from softcal_jax.report._provenance import (
     files_html,
     files_of,
     made_html,
+    made_in_python,
 )
+from softcal_jax.report._trial_charts import value_charts
 from softcal_jax.sweeps import Sweep, SweepResult, SweepSummary, summarise
 
 KIND = "Sweep"
@@ -95,28 +96,19 @@ def _sweep_page(
     timing_s: Mapping[str, float],
 ) -> str:
     found = summarise(result)
-    points = [*result.planned.values(), *(row.point for row in result.rows)]
-    in_words = [
-        axis
-        for axis in result.axes
-        if not all(isinstance(point[axis], int | float) for point in points)
-    ]
     made = made_dict(None if sweep is None else sweep.made, database.parent)
     data = {**made, "timing_s": timing_s, "files": [database.name]}
-    table = lambda title, own: table_html(
-        described(title, own.head, own.rows, words=[*in_words, "which"])
-    )
     best = [] if found.best is None else [node("p", found.best_in_words)]
-    best += [] if found.best is None else [table("Best trials", found.best)]
+    best += [] if found.best is None else [table_html(found.best)]
     means = "Mean ± standard deviation over the trials that converged."
     sections = [
         Section("notes", "Notes", [bullets(found.notes)] if found.notes else []),
-        Section("varied", "What was varied", [table("Axes", found.varied)]),
+        Section("varied", "What was varied", [table_html(found.varied)]),
         Section("best", "Best trials", best),
         Section(
             "means",
             "Means over repetitions",
-            [node("p", means), table("Means", found.groups)] if found.groups else [],
+            [node("p", means), table_html(found.groups)] if found.groups else [],
         ),
         Section(
             "spread",
@@ -131,7 +123,7 @@ def _sweep_page(
             )
             for k, axis in enumerate(found.axes)
         ),
-        Section("trials", "All trials", _trials(found, table) if result.rows else []),
+        Section("trials", "All trials", _trials(found) if result.rows else []),
         Section("repeat", "Repeat it", _repeat(sweep, made, database)),
         Section("made", "Settings, versions and times", made_html(data)),
     ]
@@ -139,14 +131,14 @@ def _sweep_page(
     return page(result.name, KIND, verdict, sections, index=database.name, units="SI")
 
 
-def _spread(found: Tabulated) -> list[Html]:
+def _spread(found: TextTable) -> list[Html]:
     if not found.rows:
         return [node("p", "No trial has converged, so there is nothing to average.")]
-    return [table_html(described("Figures of the trials", found.head, found.rows))]
+    return [table_html(found)]
 
 
-def _trials(found: SweepSummary, table: Callable[[str, Tabulated], Html]) -> list[Html]:
-    content = [table("Trials", found.trials)]
+def _trials(found: SweepSummary) -> list[Html]:
+    content = [table_html(found.trials)]
     if found.more_trials:
         text = f"{found.more_trials} more are in the database; softcal sweep show lists"
         content.append(node("p", f"{text} all of them with --all."))
@@ -159,11 +151,7 @@ def _trials(found: SweepSummary, table: Callable[[str, Tabulated], Html]) -> lis
 def _repeat(sweep: Sweep | None, made: Mapping[str, Any], database: Path) -> list[Html]:
     """Give the command that runs the sweep again, and what it read."""
     if sweep is None:
-        text = (
-            "This sweep was made in Python, without a sweep file, so there is no "
-            "command that repeats it."
-        )
-        return [node("p", text)]
+        return made_in_python("This sweep was made in Python, without a sweep file")
     own = file_dict(sweep.file, database.parent)
     files = files_of(made["source"])
     words = ["sweep", own["file"], "-o", f"{REPEATED}.sqlite"]

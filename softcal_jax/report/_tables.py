@@ -3,9 +3,10 @@
 import math
 from typing import TYPE_CHECKING
 
+from softcal_jax._text_table import STYLES, Cell, TextTable, Tone, text_table
 from softcal_jax.calibration import CalibrationResult, SimulationResult
 from softcal_jax.control import InverseResult
-from softcal_jax.identifiability import Assessment, Tone, assess, verdict_of
+from softcal_jax.identifiability import Assessment, assess, verdict_of
 from softcal_jax.report._calibration import (
     beyond_prior,
     blindness,
@@ -18,21 +19,11 @@ from softcal_jax.report._calibration import (
     outlook_tone,
     parameter_table,
 )
-from softcal_jax.report._description import Cell, Table, described
 from softcal_jax.report._inverse import actuator_table, goal_table, inverse_verdict
 from softcal_jax.report._robot import robot_tables
 
 if TYPE_CHECKING:
     import rich.console
-    import rich.table
-
-_STYLES: dict[Tone, str] = {
-    "plain": "",
-    "strong": "bold",
-    "good": "green",
-    "doubtful": "yellow",
-    "bad": "bold red",
-}
 
 _HEADS: dict[Tone, str] = {
     "good": "bold green",
@@ -62,7 +53,7 @@ def summary_table(
     shown = result.configurations
     first, *directions = blindness(own)
     seen = [first, *(f"  {line}" for line in directions), beyond_prior(found)]
-    style = _STYLES[outlook_tone(found.verdict, own)]
+    style = STYLES[outlook_tone(found.verdict, own)]
     tables = [
         parameter_table(result, found),
         budget_table(result),
@@ -72,7 +63,7 @@ def summary_table(
         outlook_table(own),
     ]
     return Group(
-        *map(_drawn, tables),
+        *map(TextTable.drawn, tables),
         Text(outlook_legend(found)),
         Text("\n".join(filter(None, seen)), style=style),
         *([Text(own.prediction)] if own.prediction else []),
@@ -95,7 +86,7 @@ def simulation_table(result: SimulationResult) -> "rich.console.Group":
     """
     from rich.console import Group
 
-    return Group(*map(_drawn, simulation_tables(result)))
+    return Group(*map(TextTable.drawn, simulation_tables(result)))
 
 
 def inverse_table(result: InverseResult) -> "rich.console.Group":
@@ -105,11 +96,11 @@ def inverse_table(result: InverseResult) -> "rich.console.Group":
 
     verdict = inverse_verdict(result)
     style = _HEADS[verdict.tone]
-    tables = map(_drawn, (goal_table(result.goals), actuator_table(result)))
+    tables = map(TextTable.drawn, (goal_table(result.goals), actuator_table(result)))
     return Group(*tables, Text(verdict.sentence, style=style))
 
 
-def simulation_tables(result: SimulationResult) -> list[Table]:
+def simulation_tables(result: SimulationResult) -> list[TextTable]:
     """Tabulate the outcome in every configuration, and what the robot does there."""
     rows = []
     for own in result.configurations:
@@ -117,19 +108,5 @@ def simulation_tables(result: SimulationResult) -> list[Table]:
         outcome = Cell(own.outcome, "good" if own.converged else "bad")
         rows.append((own.name, distance(largest), str(own.newton_steps), outcome))
     columns = "configuration", "largest displacement", "Newton steps", "outcome"
-    table = described("Simulation", columns, rows)
+    table = text_table("Simulation", columns, rows)
     return [table, *robot_tables(result.configurations)]
-
-
-def _drawn(table: Table) -> "rich.table.Table":
-    """Draw a table."""
-    from rich.table import Table as Drawn
-    from rich.text import Text
-
-    drawn = Drawn(title=table.title, title_justify="left", title_style="bold")
-    for k, column in enumerate(table.columns):
-        drawn.add_column(column, justify="left" if table.holds_words(k) else "right")
-    for row in table.rows:
-        # Text, not str, which would read a name like "[a]" as markup.
-        drawn.add_row(*(Text(cell.text, style=_STYLES[cell.tone]) for cell in row))
-    return drawn

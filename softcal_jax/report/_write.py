@@ -30,8 +30,6 @@ from softcal_jax.fields import field_standard_errors
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.layouts import ModelComparison
 from softcal_jax.plotting import (
-    plot_budget,
-    plot_convergence,
     plot_traces,
     render_configuration,
     rendering_problem,
@@ -84,14 +82,14 @@ def write_results(
     """Write a calibration to a folder, whole or not at all.
 
     The folder holds `report.html`, a page for people that needs no other file;
-    `result.json` (see `result_dict`; its `files` lists the others), `markers.csv`,
-    `convergence.png`, `budget.png` and, for each configuration, a .vtu for ParaView and
-    a .png; `configurations.pvd` opens all .vtu at once. For a robot with other
-    effectors, rigid bodies or actuators there are `effectors.csv` and `robot.csv`, too;
-    of a recording of markers over time a picture that ends with `_recording.png`. With
-    `pictures="svg"` all pictures end in .svg; with None there are none, and the page
-    has no view of the robot. A calibration that did not converge is written too, marked
-    as such. A configuration without an equilibrium has neither .vtu nor .png.
+    `result.json` (see `result_dict`; its `files` lists the others), `markers.csv` and,
+    for each configuration, a .vtu for ParaView and a .png; `configurations.pvd` opens
+    all .vtu at once. For a robot with other effectors, rigid bodies or actuators there
+    are `effectors.csv` and `robot.csv`, too; of a recording of markers over time a
+    picture that ends with `_recording.png`. With `pictures="svg"` all pictures end in
+    .svg; with None there are none, and the page has no view of the robot. A calibration
+    that did not converge is written too, marked as such. A configuration without an
+    equilibrium has neither .vtu nor .png.
 
     Args:
         result: The calibration.
@@ -266,17 +264,17 @@ def _write(
         files = _write_tables(folder, result)
         errors = _field_errors(result)
         files += _write_bodies(folder, result, data, errors)
-        of_all, of_each = _pictures(result, data, drawn, bodies=problem is None)
-        draw = [*of_all.items(), *(file for own in of_each for file in own.items())]
+        of_each = _pictures(result, drawn, bodies=problem is None)
+        draw = [file for plots in of_each for file in plots.items()]
         drawn.told(0, len(draw))
         for done, (file, plot) in enumerate(draw, start=1):
             plot(folder / file)
             drawn.told(done, len(draw))
-        for entry, own in zip(data["configurations"], of_each, strict=True):
-            entry["files"] += own
+        for entry, plots in zip(data["configurations"], of_each, strict=True):
+            entry["files"] += plots
             files += entry["files"]
         data["notes"] = [*data.get("notes", []), *([problem] if problem else [])]
-        data["files"] = [REPORT, *of_all, *files]
+        data["files"] = [REPORT, *files]
         view = None if drawn.suffix is None else body_view(result, errors)
         (folder / REPORT).write_text(page(data, folder, view), encoding="utf-8")
         write_json(folder / index, data)
@@ -357,33 +355,25 @@ Plots = dict[str, Callable[[Path], None]]
 """What draws a picture, by the name of its file."""
 
 
-def _pictures(
-    result: Result, data: Mapping[str, Any], drawn: Drawn, *, bodies: bool
-) -> tuple[Plots, list[Plots]]:
-    """Return the pictures of all configurations together, and those of each.
+def _pictures(result: Result, drawn: Drawn, *, bodies: bool) -> list[Plots]:
+    """Return the pictures of each configuration.
 
     Those of a calibration that did not converge say so.
     """
-    shown, suffix, name = result.configurations, drawn.suffix, data["name"]
+    trusted = not isinstance(result, CalibrationResult) or result.converged
+    fits, suffix = result.configurations, drawn.suffix
     if suffix is None:
-        return {}, [{} for _ in shown]
-    of_all: Plots = {}
-    trusted = True
-    if isinstance(result, CalibrationResult):
-        trusted = result.converged
-        of_all[f"convergence.{suffix}"] = partial(plot_convergence, result, name=name)
-        of_all[f"budget.{suffix}"] = partial(plot_budget, result, name=name)
+        return [{} for _ in fits]
     of_each: list[Plots] = []
-    for own, stem in zip(shown, file_stems([own.name for own in shown]), strict=True):
+    for fit, stem in zip(fits, file_stems([fit.name for fit in fits]), strict=True):
         plots: Plots = {}
-        if own.name in drawn.traces:
-            of = drawn.traces[own.name]
+        if fit.name in drawn.traces:
             plots[f"{stem}_recording.{suffix}"] = partial(
-                plot_traces, of, name=own.name
+                plot_traces, drawn.traces[fit.name], name=fit.name
             )
-        if own.converged and bodies:
+        if fit.converged and bodies:
             plots[f"{stem}.{suffix}"] = partial(
-                render_configuration, result.model, own, converged=trusted
+                render_configuration, result.model, fit, converged=trusted
             )
         of_each.append(plots)
-    return of_all, of_each
+    return of_each

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softcal_jax._module import one_line
+from softcal_jax._text_table import TextTable, Tone, text_table
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.identifiability import Tabulated, Tone
 from softcal_jax.sweeps._calibration import FIT, HELD_OUT, is_of_the_fit
 from softcal_jax.sweeps._result import SweepResult, figure_values
 from softcal_jax.sweeps._row import TrialRow
@@ -67,12 +67,12 @@ class SweepSummary(NamedTuple):
     tone: Tone
     doubts: tuple[str, ...]
     notes: tuple[str, ...]
-    varied: Tabulated
-    best: Tabulated | None
+    varied: TextTable
+    best: TextTable | None
     best_in_words: str
-    spread: Tabulated
-    groups: Tabulated | None
-    trials: Tabulated
+    spread: TextTable
+    groups: TextTable | None
+    trials: TextTable
     more_trials: int
     axes: tuple[SweptAxis, ...]
     not_drawn: tuple[str, ...]
@@ -97,8 +97,10 @@ def summarise(result: SweepResult) -> SweepSummary:
         best=best,
         best_in_words=best_in_words,
         spread=_spread(result),
-        groups=tabulated(result, figures, result.groups()) if repeated else None,
-        trials=tabulated(result, figures, result.rows[:MOST_TRIALS]),
+        groups=tabulated("Means", result, figures, result.groups())
+        if repeated
+        else None,
+        trials=tabulated("Trials", result, figures, result.rows[:MOST_TRIALS]),
         more_trials=max(0, len(result.rows) - MOST_TRIALS),
         axes=tuple(_swept(result, good, figures[:MOST_CHARTED])),
         not_drawn=figures[MOST_CHARTED:],
@@ -132,7 +134,7 @@ def _notes(rows: Sequence[TrialRow]) -> tuple[str, ...]:
     return tuple(f"{note} ({many(n)})" for note, n in counts.items())
 
 
-def _varied(result: SweepResult) -> Tabulated:
+def _varied(result: SweepResult) -> TextTable:
     points = [*result.planned.values(), *(row.point for row in result.rows)]
     rows = []
     for axis in result.axes:
@@ -145,12 +147,12 @@ def _varied(result: SweepResult) -> Tabulated:
                 listed = f"from {shown(min(own))} to {shown(max(own))}"
         repeats = "repetition" if axis in result.repeats else "factor"
         rows.append((axis, repeats, str(len(values)), listed))
-    return Tabulated(("axis", "kind", "values", "which"), rows)
+    return text_table("Axes", ("axis", "kind", "values", "which"), rows)
 
 
 def _best(
     result: SweepResult, figures: tuple[str, ...]
-) -> tuple[Tabulated | None, str]:
+) -> tuple[TextTable | None, str]:
     """Rank trials by the error of the prediction, or by that of the fit without one."""
     error = next((name for name in (HELD_OUT, FIT) if name in figures), None)
     if error is None:
@@ -165,10 +167,10 @@ def _best(
     value = f"{factor * values[order[0]]:.4g} {unit.rstrip(']')}".rstrip()
     where = describe(ranked[0].point)
     sentence = f"The lowest {words} of {len(order)} trials is {value}, at {where}."
-    return tabulated(result, figures, ranked), sentence
+    return tabulated("Best trials", result, figures, ranked), sentence
 
 
-def _spread(result: SweepResult) -> Tabulated:
+def _spread(result: SweepResult) -> TextTable:
     """Tabulate each figure over all trials that converged."""
     rows = []
     for figure in default_figures(result):
@@ -177,7 +179,7 @@ def _spread(result: SweepResult) -> Tabulated:
         ends = (f"{own.min():.5g}", f"{np.median(own):.5g}", f"{own.max():.5g}")
         rows.append((name, str(own.size), mean_text(own), *ends))
     head = ("figure", "trials", "mean ± standard deviation", "least", "median", "most")
-    return Tabulated(head, rows)
+    return text_table("Figures of the trials", head, rows)
 
 
 def _swept(

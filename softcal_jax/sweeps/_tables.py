@@ -3,14 +3,14 @@
 import csv
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from softcal_jax._text import as_cell
+from softcal_jax._text_table import STYLES, Cell, TextTable, Tone, text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.export import readable_estimate, readable_unit
-from softcal_jax.identifiability import Tabulated
 from softcal_jax.plotting import plot_trials
 from softcal_jax.sweeps._result import Group, SweepResult, figure_name, figure_values
 from softcal_jax.sweeps._row import TrialRow
@@ -32,7 +32,12 @@ MOST_PANELS = 4
 _NARROW = 24
 """Characters to which a cell with spaces may be wrapped."""
 
-_STYLE = {"converged": "", "not converged": "yellow", "failed": "red"}
+_TONES: dict[str, Tone] = {
+    "converged": "plain",
+    "not converged": "doubtful",
+    "failed": "bad",
+}
+"""How it is meant that a trial ended so."""
 
 
 Lines = Sequence[Group] | Sequence[TrialRow]
@@ -44,7 +49,7 @@ class _Column(NamedTuple):
 
     head: str
     cells: list[str]
-    justify: Literal["left", "right"] = "right"
+    words: bool = False
 
     @property
     def width(self) -> int:
@@ -102,8 +107,11 @@ def sweep_table(
             break
         columns.append(column)
         kept.append(figure)
-    styles = [_STYLE[row.state] if every else "" for row in result.rows]
-    parts.append(_table(columns, styles, width))
+    tones = [_TONES[row.state] for row in result.rows] if every else []
+    widths = [column.width for column in columns]
+    # Where not all fits, `rich` finds which columns to narrow further.
+    least = [w - 3 for w in widths] if sum(widths) < width else []
+    parts.append(_text_table("", columns, tones).drawn(least=least))
     if not every and any(group.count("converged") > 1 for group in grouped):
         parts.append(Text("Mean ± standard deviation over the trials that converged."))
     others = [name for name in result.figure_names if name not in kept]
@@ -113,7 +121,8 @@ def sweep_table(
         listed += f" and {more} more" if more > 0 else ""
         parts.append(Text(f"Also kept: {listed} (--figure NAME)."))
     bad = [
-        Text(f"{state}, {text}", style=_STYLE[state]) for state, text in result.reasons
+        Text(f"{state}, {text}", style=STYLES[_TONES[state]])
+        for state, text in result.reasons
     ]
     if bad and not every:
         bad.append(Text("--all lists every trial."))
@@ -126,9 +135,16 @@ def _leading_columns(result: SweepResult, lines: Lines) -> list[_Column]:
     groups = [line for line in lines if isinstance(line, Group)]
     points = [row.point for row in rows] + [group.values for group in groups]
     axes = groups[0].values if groups else result.axes
-    columns = [_Column(a, [shown(point[a]) for point in points], "left") for a in axes]
+    columns = [
+        _Column(
+            axis,
+            [shown(point[axis]) for point in points],
+            words=not all(is_number(point[axis]) for point in points),
+        )
+        for axis in axes
+    ]
     if not groups:
-        outcomes = _Column("outcome", [row.state for row in rows], "left")
+        outcomes = _Column("outcome", [row.state for row in rows], words=True)
         seconds = _Column("time [s]", [f"{row.seconds:.1f}" for row in rows])
         return [*columns, outcomes, seconds]
     counts = {
@@ -159,12 +175,24 @@ def _figure_column(result: SweepResult, figure: str, lines: Lines) -> _Column:
     return _Column(head, list(map(cell, lines)))
 
 
-def tabulated(result: SweepResult, figures: Sequence[str], lines: Lines) -> Tabulated:
+def tabulated(
+    title: str, result: SweepResult, figures: Sequence[str], lines: Lines
+) -> TextTable:
     """Tabulate figures of some trials, or their means over groups of trials."""
     columns = _leading_columns(result, lines)
     columns += [_figure_column(result, figure, lines) for figure in figures]
-    rows = zip(*(column.cells for column in columns), strict=True)
-    return Tabulated(tuple(column.head for column in columns), list(rows))
+    return _text_table(title, columns)
+
+
+def _text_table(
+    title: str, columns: Sequence[_Column], tones: Sequence[Tone] = ()
+) -> TextTable:
+    """Make a table, whose rows may have tones."""
+    rows = [list(row) for row in zip(*(c.cells for c in columns), strict=True)]
+    toned = zip(rows, tones or ["plain"] * len(rows), strict=True)
+    cells = [[Cell(text, tone) for text in row] for row, tone in toned]
+    heads = [column.head for column in columns]
+    return text_table(title, heads, cells, words=[c.head for c in columns if c.words])
 
 
 def readable_figure(result: SweepResult, figure: str) -> tuple[float, str]:
@@ -183,27 +211,6 @@ def mean_text(values: Float[HostArray, " n"]) -> str:
     if spread < ROUNDING * abs(mean):
         spread = 0.0
     return readable_estimate(mean, spread, "")
-
-
-def _table(
-    columns: Sequence[_Column], styles: Sequence[str], width: int
-) -> "rich.table.Table":
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table()
-    fits = sum(column.width for column in columns) < width
-    for column in columns:
-        # Text, not str, which would read a name like "[a]" as markup.
-        table.add_column(
-            Text(column.head),
-            justify=column.justify,
-            min_width=column.width - 3 if fits else None,
-        )
-    cells = [column.cells for column in columns]
-    for row, style in zip(zip(*cells, strict=True), styles, strict=False):
-        table.add_row(*[Text(cell, style=style) for cell in row])
-    return table
 
 
 def write_sweep_csv(result: SweepResult, path: str | Path) -> None:

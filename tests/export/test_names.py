@@ -36,5 +36,5 @@ def test_the_file_of_a_robot_is_no_other_configurations():
 
 
 def test_the_other_files_of_the_folder_are_safe():
-    taken = file_stems(["convergence", "Result", "budget"])
-    assert taken == ["convergence_2", "Result_2", "budget_2"]
+    taken = file_stems(["markers", "Result", "report"])
+    assert taken == ["markers_2", "Result_2", "report_2"]

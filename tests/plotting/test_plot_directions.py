@@ -9,7 +9,8 @@ from softcal_jax.materials import Fibre
 from softcal_jax.mesh import beam, boundary_faces, boundary_tets
 from softcal_jax.plotting import plot_directions
 from softcal_jax.plotting._colours import SERIES
-from softcal_jax.plotting._directions import _drawn, _visible
+from softcal_jax.plotting._directions import _drawn
+from softcal_jax.plotting._faces import visible_faces
 from softcal_jax.plotting._view import choose_view
 
 SIZE = (0.02, 0.03, 0.1)
@@ -42,7 +43,7 @@ def test_boundary_tets_have_the_nodes_of_their_faces(mesh):
 
 def test_three_sides_are_seen_the_farthest_first(mesh, view):
     """A box shows three of its six sides."""
-    faces = _visible(mesh, view)
+    faces = visible_faces(mesh, view)
     sides = np.unique(np.round(faces.normal, 9), axis=0)
     assert len(sides) == 3
     assert np.all(sides @ view.towards > 0.0)
@@ -52,7 +53,7 @@ def test_three_sides_are_seen_the_farthest_first(mesh, view):
 
 def test_lines_lie_along_the_projected_fibre(mesh, helices, view):
     """On every second tet, upon the face that it bounds, with its own colour."""
-    faces = _visible(mesh, view)
+    faces = visible_faces(mesh, view)
     where = np.arange(mesh.n_tets) % 2 == 0
     shapes, colours = _drawn(faces, view, dict(zip("ab", helices, strict=True)), where)
     wound = np.flatnonzero(where[faces.tet])
@@ -72,7 +73,7 @@ def test_lines_lie_along_the_projected_fibre(mesh, helices, view):
 
 def test_a_fibre_out_of_the_picture_has_no_length(mesh, view):
     """Seen from its end, it is a point."""
-    faces = _visible(mesh, view)
+    faces = visible_faces(mesh, view)
     out = np.broadcast_to(view.towards, (mesh.n_tets, 3))
     shapes, _ = _drawn(faces, view, {"a": out}, np.ones(mesh.n_tets, bool))
     lines = np.array([shape for shape in shapes if len(shape) == 4]).reshape(-1, 4, 2)

@@ -1,0 +1,269 @@
+"""The content of `result.json`: what is written, what is read, and its table.
+
+Written, keys are taken from the attributes of results, in SI units, and those in mm or
+percent are converted; read, they are taken as they stand. Only keys without a default
+are needed to load a result.
+"""
+
+import dataclasses
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+
+from softcal_jax.calibration import (
+    CalibrationResult,
+    ConfigurationResult,
+    CorrelatedNoise,
+    HistoryEntry,
+    LackOfFit,
+    LeftOut,
+    MultiStartResult,
+    ParameterEstimate,
+    ParameterInterval,
+    RecordingEstimate,
+    ResidualChecks,
+    Uncertainty,
+)
+from softcal_jax.configurations import EffectorRecord
+from softcal_jax.equilibrium import ActuatorState, BodyPlace, Reaction, RobotState
+from softcal_jax.export._plain import plain
+from softcal_jax.identifiability import Assessment, Identifiability, Prediction
+
+
+class Keys:
+    """Mark of a key whose entries have attributes of a class as their keys.
+
+    Attributes:
+        of: The class.
+        names: The keys; one that ends in _mm is converted from metres.
+    """
+
+    def __init__(self, of: type, names: str = ""):
+        """Take all attributes of a dataclass, or those with these names."""
+        self.of = of
+        self.names = names.split() or [own.name for own in dataclasses.fields(of)]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """Take the keys before anything else is checked."""
+        return BeforeValidator(self._taken).__get_pydantic_core_schema__(
+            source, handler
+        )
+
+    def _taken(self, value: Any, info: Any) -> Any:
+        if value is None or info.mode == "json":
+            return value
+        if isinstance(value, tuple):
+            return [self.entry(item) for item in value]
+        return self.entry(value)
+
+    def entry(self, value: object) -> dict[str, Any]:
+        """Take the keys of one entry."""
+        entry = {}
+        for name in self.names:
+            metres = name.removesuffix("_mm")
+            found = getattr(value, metres)
+            entry[name] = plain(found if metres == name else 1e3 * np.asarray(found))
+        return entry
+
+
+def _converted(factor: float) -> BeforeValidator:
+    """Multiply values that are taken from results, not those of a file."""
+    return BeforeValidator(
+        lambda value, info: value if info.mode == "json" else plain(factor * value)
+    )
+
+
+Plain = Annotated[Any, BeforeValidator(plain)]
+Millimetres = Annotated[float | None, _converted(1e3)]
+Percent = Annotated[float | None, _converted(100.0)]
+
+
+class Entry(BaseModel):
+    """What all entries have in common; missing numbers are null.
+
+    Attributes:
+        of: Class whose attributes the keys are, as far as it has them.
+    """
+
+    model_config = ConfigDict(
+        from_attributes=True, populate_by_name=True, use_attribute_docstrings=True
+    )
+    of: ClassVar[type] = object
+
+
+class FileEntry(Entry):
+    """A file, and its SHA-256."""
+
+    file: str
+    """Its path: of the project file, relative to the results; of others, to that."""
+    sha256: str
+
+
+class SourceEntry(Entry):
+    """The files that a calibration was made from."""
+
+    project: FileEntry
+    files: list[FileEntry]
+    """Mesh and measurements."""
+    changes: dict[str, Any]
+    """Changes of the project file, by key."""
+
+
+class ParameterEntry(Entry):
+    """A calibrated parameter, in SI units."""
+
+    of = ParameterEstimate
+    name: str
+    value: float
+    standard_error: Plain = None
+    start: Plain = None
+    lower: Plain = None
+    upper: Plain = None
+    unit: Plain = None
+    at_bound: Plain = None
+    interval: Plain = None
+    given: Plain = None
+
+
+class RobotEntry(Entry):
+    """Rigid bodies, actuators and reactions at an equilibrium."""
+
+    of = RobotState
+    rigid_bodies: Annotated[
+        Any, Keys(BodyPlace, "name state position_mm translation_mm rotation_vector")
+    ] = Field(default=None, validation_alias="bodies")
+    actuators: Annotated[Any, Keys(ActuatorState)] = None
+    reactions: Annotated[Any, Keys(Reaction)] = None
+
+
+class ConfigurationEntry(Entry):
+    """A configuration, before and after the calibration."""
+
+    of = ConfigurationResult
+    name: str
+    role: Plain = None
+    rms_before_mm: Millimetres = Field(default=None, validation_alias="rms_before")
+    rms_after_mm: Millimetres = Field(validation_alias="rms_after")
+    motion_mm: Millimetres = Field(default=None, validation_alias="motion")
+    rms_after_percent_of_motion: Percent = Field(
+        default=None, validation_alias="rms_share"
+    )
+    markers: Annotated[
+        Any,
+        Keys(
+            EffectorRecord,
+            "name measured_mm simulated_before_mm simulated_mm residual_mm",
+        ),
+    ] = Field(default=None, validation_alias="points")
+    """Markers and other points."""
+    effectors: Annotated[
+        Any,
+        Keys(
+            EffectorRecord,
+            "name unit is_turn measured simulated_before simulated residual",
+        ),
+    ] = Field(default=None, validation_alias="others")
+    """Effectors that are not points, in SI units."""
+    robot: RobotEntry | None = None
+    newton_steps: Plain = None
+    residual: Plain = None
+    rounding: Plain = None
+    at_rounding: Plain = None
+    min_det_F: Plain = None
+
+
+class BudgetEntry(Entry):
+    """The standard errors by cause, in SI units."""
+
+    parameters: Plain = None
+    """`name`, `unit`, `standard_error` by all causes, `by_cause`, and a `sentence`."""
+    errors: Plain = None
+    """What is uncertain: `cause`, `name`, `deviations`: change of each parameter."""
+    unknown: Plain = None
+    """Causes whose size could not be estimated."""
+    covariance: list[list[float | None]]
+    """Of the scaled parameters by all causes."""
+
+
+class ChecksEntry(Entry):
+    """What the residuals say about the model."""
+
+    of = ResidualChecks
+    reasons: Plain = None
+    agreement: Plain = None
+    lack_of_fit: Annotated[Any, Keys(LackOfFit)] = None
+    recordings: Annotated[Any, Keys(RecordingEstimate)] = None
+    level: Plain = None
+    probability: Plain = None
+    left_out: Annotated[
+        Any,
+        Keys(LeftOut, "name rms_mm expected_mm motion_mm probability by_scatter"),
+    ] = None
+
+
+class AssessmentEntry(Entry):
+    """Whether the values may be trusted."""
+
+    of = Assessment
+    identified: Plain = None
+    reasons: list[str]
+    misfit_probability: Plain = None
+    predictions: Annotated[Any, Keys(Prediction, "name role std_mm")] = None
+
+
+IDENTIFIABILITY = Keys(
+    Identifiability,
+    "verdict n_data precision parameters informed directions covariance correlation "
+    "conditioning unknown",
+)
+"""Keys of what the data tell; null stands for infinite, too."""
+
+
+class ResultFile(Entry):
+    """The content of `result.json`."""
+
+    of = CalibrationResult
+    format: str
+    name: Plain = None
+    converged: bool
+    source: SourceEntry | None
+    parameters: list[ParameterEntry]
+    intervals: Annotated[Any, Keys(ParameterInterval)] = None
+    configurations: list[ConfigurationEntry]
+    history: Annotated[
+        Any,
+        Keys(
+            HistoryEntry,
+            "step cost lambda_p step_bound accepted kkt_residual newton_steps values "
+            "noise_level seconds rms_mm",
+        ),
+    ] = None
+    solver: dict[str, str | int | None]
+    """The sparse solver, law, formulation and size of the mesh."""
+    settings: Plain = None
+    """Of calibration, Newton's method and noise."""
+    uncertainty: Annotated[
+        Any,
+        Keys(
+            Uncertainty,
+            "noise noise_scale degrees_of_freedom chi_squared covariance correlation",
+        ),
+    ] = None
+    budget: BudgetEntry
+    noise: Annotated[Any, Keys(CorrelatedNoise, "jitter share offset_mm")] = None
+    checks: ChecksEntry | None = None
+    assessment: AssessmentEntry
+    identifiability: Annotated[Any, IDENTIFIABILITY] = None
+    starts: Annotated[
+        Any,
+        Keys(
+            MultiStartResult,
+            "names starts values cost steps converged optima second_best",
+        ),
+    ] = None
+    notes: Plain = None
+    versions: dict[str, str]
+    """Of Python and its packages, and the machine."""
+    timing_s: Plain = None
+    """Wall time per part."""

@@ -1,0 +1,40 @@
+"""Faces of a body that a viewer sees."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.mesh import TetMesh, boundary_faces, boundary_tets
+from softcal_jax.plotting._view import View
+
+
+class VisibleFaces(NamedTuple):
+    """Faces that look towards the viewer, the farthest first.
+
+    Attributes:
+        nodes: Nodes at their corners.
+        corners: These corners [m].
+        normal: Unit normals, outwards [-].
+        light: Share of their area that is seen [-].
+        tet: Index of the tet that each bounds.
+    """
+
+    nodes: Int[HostArray, "n_faces 3"]
+    corners: Float[HostArray, "n_faces 3 3"]
+    normal: Float[HostArray, "n_faces 3"]
+    light: Float[HostArray, " n_faces"]
+    tet: Int[HostArray, " n_faces"]
+
+
+def visible_faces(mesh: TetMesh, view: View) -> VisibleFaces:
+    """Find the faces of the boundary that look towards the viewer."""
+    nodes = boundary_faces(mesh)[:, :3]
+    corners = mesh.points[nodes]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    light = normal @ view.towards
+    seen = np.flatnonzero(light > 0.0)
+    seen = seen[np.argsort(corners[seen].mean(axis=1) @ view.towards)]
+    tet = boundary_tets(mesh)[seen]
+    return VisibleFaces(nodes[seen], corners[seen], normal[seen], light[seen], tet)

@@ -1,0 +1,113 @@
+"""Charts of the course of a fit: what changes from step to step."""
+
+import itertools
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from softcal_jax._units import readable_unit
+from softcal_jax.calibration import CalibrationResult, HistoryEntry, ParameterEstimate
+from softcal_jax.identifiability import end_of
+from softcal_jax.report._html import Html, node
+from softcal_jax.report._svg import BLUE, Axes, circle, line, round_ticks, span
+
+MOST_PARAMETERS = 7
+"""Most parameters whose course is drawn."""
+
+
+class _Curve(NamedTuple):
+    """A number that changes with the steps.
+
+    Attributes:
+        title: What it is, with its unit.
+        at: Its value after a step.
+        ticks: The grid, in the same unit.
+        level: A value to be reached, and its name.
+        caption: What there is to say of it.
+    """
+
+    title: str
+    at: Callable[[HistoryEntry], float]
+    ticks: Mapping[float, str]
+    level: tuple[float, str] | None = None
+    caption: str = ""
+
+
+def course_charts(result: CalibrationResult) -> list[Html]:
+    """Draw the fit, the size of the step and the parameters against the steps."""
+    curves = [_fit(result)]
+    if len(result.history) > 1:
+        curves.append(_step_size(result))
+    curves += [_parameter(result, q) for q in result.parameters[:MOST_PARAMETERS]]
+    charts = node("div", *(_drawn(curve, result) for curve in curves), class_="charts")
+    words = "Each against the number of the step; 0 is the start."
+    if not all(entry.accepted for entry in result.history):
+        words += " Open circles: steps that were refused."
+    if _noise_changes(result):
+        words += " Dotted line: there the noise was estimated anew."
+    return [node("p", words), charts]
+
+
+def _fit(result: CalibrationResult) -> _Curve:
+    fitted = [fit for fit in result.configurations if fit.role == "calibration"]
+    title = "Distance of the markers, root mean square [mm]"
+    at = lambda entry: 1e3 * entry.rms
+    if not any(fit.points for fit in fitted):  # lengths, angles or forces alone
+        title, at = "Cost [-]", lambda entry: entry.cost
+    values = [v for v in map(at, result.history) if math.isfinite(v)]
+    return _Curve(title, at, round_ticks(0.0, max(values, default=0.0)))
+
+
+def _step_size(result: CalibrationResult) -> _Curve:
+    """Draw the largest lambda_p over the tolerance, on a logarithmic scale."""
+    # A step of exactly zero has no logarithm; it is drawn at the level of rounding.
+    at = lambda entry: math.log10(max(*map(abs, entry.lambda_p), 1e-16))
+    tol = result.settings.tol
+    level = math.log10(tol)
+    sizes = [*map(at, result.history[1:]), level]
+    low, high = math.floor(min(sizes)), math.ceil(max(sizes))
+    every = max(1, math.ceil((high - low) / 5))
+    ticks = {float(k): f"1e{k}" for k in range(low, high + 1, every)}
+    title, named = "Size of the step, largest lambda_p [-]", f"tolerance {tol:g}"
+    return _Curve(title, at, ticks, (level, named), end_of(result))
+
+
+def _parameter(result: CalibrationResult, q: ParameterEstimate) -> _Curve:
+    series = [entry.values[q.name] for entry in result.history]
+    factor, unit = readable_unit(series, q.unit)
+    at = lambda entry: factor * entry.values[q.name]
+    ticks = round_ticks(*span(factor * np.array(series)))
+    bounds = f"{factor * q.lower:.4g} to {factor * q.upper:.4g} {unit}".rstrip()
+    bound = ", on a bound" if q.at_bound else ""
+    words = f"Ends at {q}{bound}; bounds {bounds}."
+    return _Curve(f"{q.name} [{unit or '-'}]", at, ticks, caption=words)
+
+
+def _drawn(curve: _Curve, result: CalibrationResult) -> Html:
+    """Draw one curve."""
+    history = result.history
+    last = max(history[-1].step, 1)
+    axes = Axes((0.0, last), curve.ticks, level=curve.level)
+    for step in _noise_changes(result):
+        axes.mark(step)
+    known = [entry for entry in history if math.isfinite(curve.at(entry))]
+    places = [(axes.x(entry.step), axes.y(curve.at(entry))) for entry in known]
+    for start, end in itertools.pairwise(places):
+        axes.add(line(*start, *end, stroke=BLUE, stroke_width="2"))
+    for entry, place in zip(known, places, strict=True):
+        axes.add(circle(*place, filled=entry.accepted))
+    for step in range(0, last + 1, max(1, math.ceil(last / 10))):
+        axes.label(step, str(step))
+    label = f"{curve.title}, after each step"
+    return axes.figure(curve.title, label, curve.caption)
+
+
+def _noise_changes(result: CalibrationResult) -> list[float]:
+    """Return where the data are weighed anew, between steps: the fit goes on there."""
+    return [
+        0.5 * (before.step + entry.step)
+        for before, entry in itertools.pairwise(result.history)
+        if not math.isclose(before.noise_level, entry.noise_level)
+    ]
