@@ -47,8 +47,6 @@ from softcal_jax.mesh import beam as beam
 from softcal_jax.mesh import read_mesh as read_mesh
 from softcal_jax.mesh import select_nodes as select_nodes
 from softcal_jax.project import load_project as load_project
-from softcal_jax.report import export_icesl as export_icesl
-from softcal_jax.report import export_inp as export_inp
 from softcal_jax.report import load_result as load_result
 from softcal_jax.report import write_results as write_results
 

@@ -104,8 +104,7 @@ def test_imports_point_upwards(path):
     assert own in LEVEL, f"give {own!r} its place in LAYERS"
     for other, _ in crossings(path):
         assert other in LEVEL, f"give {other!r} its place in LAYERS"
-        if (own, other) != ("_module", "report"):  # one of CIRCLES_TO_BREAK
-            assert LEVEL[other] < LEVEL[own], f"{own} must not import {other}"
+        assert LEVEL[other] < LEVEL[own], f"{own} must not import {other}"
 
 
 @pytest.mark.parametrize("path", MODULES, ids=identity)
@@ -121,14 +120,6 @@ FILES = {
 }
 FILES = {name.removesuffix(".__init__"): path for name, path in FILES.items()}
 """Files by the names of their modules."""
-
-CIRCLES_TO_BREAK = {
-    ("softcal_jax._module", "softcal_jax.report"),
-    ("softcal_jax.project._configurations", "softcal_jax.project._reading"),
-    ("softcal_jax.project._parameters", "softcal_jax.project._reading"),
-    ("softcal_jax.project._setup", "softcal_jax.project._reading"),
-}
-"""Imports that close a circle today."""
 
 
 def needs(module: str, files: Mapping[str, Path]):
@@ -147,12 +138,9 @@ def needs(module: str, files: Mapping[str, Path]):
                 yield other
 
 
-def circle(files: Mapping[str, Path], apart_from=frozenset()) -> list[str]:
+def circle(files: Mapping[str, Path]) -> list[str]:
     """Modules of which each imports the next, the last one the first; [] if none do."""
-    graph = {
-        module: {n for n in needs(module, files) if (module, n) not in apart_from}
-        for module in files
-    }
+    graph = {module: set(needs(module, files)) for module in files}
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
@@ -162,7 +150,7 @@ def circle(files: Mapping[str, Path], apart_from=frozenset()) -> list[str]:
 
 def test_no_imports_go_in_a_circle():
     """Neither between files, nor by imports in functions, by name, or for types."""
-    assert circle(FILES, CIRCLES_TO_BREAK) == []
+    assert circle(FILES) == []
 
 
 @pytest.mark.parametrize(

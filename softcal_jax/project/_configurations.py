@@ -5,7 +5,7 @@ To add a load, write one table and list it in `AnyLoad`.
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field, field_validator
 
@@ -48,9 +48,7 @@ from softcal_jax.project._table import (
     Triple,
 )
 from softcal_jax.project._uncertain import ESTIMATED, parse_share
-
-if TYPE_CHECKING:
-    from softcal_jax.project._reading import ProjectTable
+from softcal_jax.project._whole_file import WholeFile
 
 
 class SupportTable(Maker):
@@ -216,7 +214,7 @@ def _read_markers(
 def build_configuration(
     folder: Path,
     table: CandidateTable,
-    project: "ProjectTable",
+    project: WholeFile,
     model: Model,
     effectors: Effectors,
 ) -> Built:

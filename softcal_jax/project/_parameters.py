@@ -1,6 +1,6 @@
 """Tables of a project file that make parameters and control points."""
 
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -18,9 +18,7 @@ from softcal_jax.project._constants import Constant
 from softcal_jax.project._problems import known_here, one_of, under
 from softcal_jax.project._quantities import is_number, parse_in_si, shown
 from softcal_jax.project._table import Integer, Length, Number, Position, Table, TableOr
-
-if TYPE_CHECKING:
-    from softcal_jax.project._reading import ProjectTable
+from softcal_jax.project._whole_file import WholeFile
 
 PerPoint = float | dict[str, float]
 """One value for all control points, or one for each by name."""
@@ -165,7 +163,7 @@ class ParameterTable(Table):
             )
         return self
 
-    def build(self, project: "ProjectTable") -> Entry:
+    def build(self, project: WholeFile) -> Entry:
         """Build the parameter, or those at control points."""
         constant = type(project.material).constants[self.field]
         common = self.model_dump(include={"S", "region", "max_step", "prior_std"})
@@ -211,7 +209,7 @@ class ParameterSpaceTable(Table):
     axes: tuple[tuple[str, str, str], ...] = ()
 
 
-def build_space(table: "ProjectTable") -> ParameterSpace | None:
+def build_space(table: WholeFile) -> ParameterSpace | None:
     """Build the parameter space; None if nothing is to be calibrated."""
     for name, points in table.control_points.items():
         with under(f"control_points.{name}"):

@@ -5,7 +5,7 @@ To add a kind, write one table with a key of its own, named like the function of
 """
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, field_validator
 
@@ -31,9 +31,7 @@ from softcal_jax.project._quantities import (
     parse_scalar,
 )
 from softcal_jax.project._table import Angle, ByKeys, Names, Table
-
-if TYPE_CHECKING:
-    from softcal_jax.project._reading import ProjectTable
+from softcal_jax.project._whole_file import WholeFile
 
 
 class SetupTable(Table):
@@ -71,16 +69,16 @@ class SetupTable(Table):
         """Its key."""
         return type(self).makes.__name__
 
-    def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
+    def subjects(self, project: WholeFile) -> dict[str, tuple[Any, ...]]:
         """List what such an error can belong to, with its nominal value, if any."""
         raise NotImplementedError
 
-    def known(self, project: "ProjectTable") -> dict[str, Any]:
+    def known(self, project: WholeFile) -> dict[str, Any]:
         """Return limit, prior and scope, as arguments of `makes`."""
         del project
         return self.model_dump(exclude={self.label, "each"})
 
-    def build(self, project: "ProjectTable") -> list[Entry]:
+    def build(self, project: WholeFile) -> list[Entry]:
         """Build the parameters."""
         known, of = self.known(project), [()]
         if self.noun is not None:
@@ -101,7 +99,7 @@ class MotorZeroTable(SetupTable):
     noun = "motor"
     motor_zero: Names
 
-    def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
+    def subjects(self, project: WholeFile) -> dict[str, tuple[Any, ...]]:
         """List the motors."""
         tables = project.actuators.items()
         return {name: () for name, own in tables if isinstance(own, MotorTable)}
@@ -116,7 +114,7 @@ class MountingTable(SetupTable):
     section = "[bodies]"
     mounting: Names
 
-    def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
+    def subjects(self, project: WholeFile) -> dict[str, tuple[Any, ...]]:
         """List the bodies, with their nominal mounting."""
         tables = project.bodies.items()
         return {name: (own.mounting.translation,) for name, own in tables}
@@ -129,7 +127,7 @@ class FrictionTable(SetupTable):
     noun = "cable with friction"
     friction: Names
 
-    def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
+    def subjects(self, project: WholeFile) -> dict[str, tuple[Any, ...]]:
         """List the cables with friction, and their coefficients."""
         tables = project.actuators.items()
         cables = {name: own for name, own in tables if isinstance(own, CableTable)}
@@ -141,7 +139,7 @@ class ScopedTable(SetupTable):
 
     each: Literal["configuration", "recording"] | tuple[str, ...] | None = None
 
-    def known(self, project: "ProjectTable") -> dict[str, Any]:
+    def known(self, project: WholeFile) -> dict[str, Any]:
         """Add the configurations or recordings that have an error of their own."""
         known = super().known(project)
         fitted = [c for c in project.configurations if c.role == "calibration"]
@@ -195,7 +193,7 @@ class LoadFactorTable(FactorTable):
         Names, BeforeValidator(lambda names: UNNAMED_LOADS if names is True else names)
     ]
 
-    def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
+    def subjects(self, project: WholeFile) -> dict[str, tuple[Any, ...]]:
         """List the names of the loads."""
         loads = [own for c in project.configurations for own in c.loads]
         return {own.name: () for own in loads}
@@ -208,7 +206,7 @@ class ActuatorFactorTable(FactorTable):
     noun = "actuator"
     actuator_factor: Names
 
-    def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
+    def subjects(self, project: WholeFile) -> dict[str, tuple[Any, ...]]:
         """List the actuators."""
         return dict.fromkeys(project.actuators, ())
 
@@ -223,7 +221,7 @@ class ClampStiffnessTable(FactorTable):
 
     clamp_stiffness: Names
 
-    def subjects(self, project: "ProjectTable") -> dict[str, tuple[Any, ...]]:
+    def subjects(self, project: WholeFile) -> dict[str, tuple[Any, ...]]:
         """List the groups of elastic supports, with their nominal stiffness."""
         nominal: dict[str, tuple[float]] = {}
         supports = [own for c in project.configurations for own in c.supports]

@@ -10,11 +10,11 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
-    ErrorBudget,
     ParameterEstimate,
 )
 from softcal_jax.control import GoalFit
 from softcal_jax.identifiability import Identifiability, percent
+from softcal_jax.inference import ErrorBudget
 from softcal_jax.report._calibration import distance
 from softcal_jax.report._html import Html, figure, joined, node
 from softcal_jax.report._svg import (

@@ -85,7 +85,8 @@ def summarise(result: SweepResult) -> SweepSummary:
     good = result.of_state("converged")
     figures = _figures_of_the_robot(result)
     bad = len(result.rows) - len(good)
-    repeated = any(len(group.rows) > 1 for group in result.groups())
+    groups = result.groups()
+    repeated = any(len(group.rows) > 1 for group in groups)
     tone: Tone = "doubtful" if bad else "plain"
     best, best_in_words = _best(result, figures)
     return SweepSummary(
@@ -97,9 +98,7 @@ def summarise(result: SweepResult) -> SweepSummary:
         best=best,
         best_in_words=best_in_words,
         spread=_spread(result),
-        groups=tabulated("Means", result, figures, result.groups())
-        if repeated
-        else None,
+        groups=tabulated("Means", result, figures, groups) if repeated else None,
         trials=tabulated("Trials", result, figures, result.rows[:MOST_TRIALS]),
         more_trials=max(0, len(result.rows) - MOST_TRIALS),
         axes=tuple(_swept(result, good, figures[:MOST_CHARTED])),
