@@ -64,15 +64,14 @@ def profiles(
         own = eqx.tree_at(_measured, problem, jnp.asarray(draw))
         z, tries = target, 0
         while True:
-            z, converged, W, cost = _fit(own, z)
+            z, converged, end_rows = _fit(own, z)
             try:
                 ends = (
                     profile_ends(
                         own,
                         SETTINGS,
                         z=z,
-                        W_ep=np.asarray(W),
-                        cost=float(cost),
+                        rows=end_rows,
                         rise=rise,
                         which=range(len(z)),
                     )
@@ -99,11 +98,10 @@ def _measured(problem: CalibrationProblem):
 
 
 def _fit(problem: CalibrationProblem, z: Float[Array, " n_p"]):
-    """A calibration from z, with the compliances and the cost at its end."""
+    """A calibration from z, with its errors and compliances at the end."""
     run = one_run(problem, SETTINGS, z)
     z = jnp.asarray(run.z)
-    end = evaluate(problem, z)
-    return z, run.converged, end.W_ep, end.cost
+    return z, run.converged, evaluate(problem, z).rows
 
 
 def _row(problem: CalibrationProblem, gap, ends) -> list[tuple[float, float, float]]:

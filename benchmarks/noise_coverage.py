@@ -26,6 +26,7 @@ mm: of the intervals that `calibrate` prints when told so.
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -46,9 +47,9 @@ from softcal_jax.calibration import (
     build_problem,
     evaluate,
     synthetic_measurements,
-    uncertainty,
 )
 from softcal_jax.fields import ParameterSpace
+from softcal_jax.inference import independent
 
 LEVELS = (0.1e-3, 0.3e-3, 1.0e-3)
 """Standard deviations of the markers [m]."""
@@ -195,7 +196,6 @@ def draw(
     draws = [eqx.tree_at(where, problem, row) for row in measured]
     runs = run_each(draws, settings, target)
     space = problem.space
-    at_target = evaluate_at(problem, target)
     p_target = np.asarray(space.from_scaled(target))
     errors, standard, on_bound = [], [], []
     for own, run in zip(draws, runs, strict=True):
@@ -203,10 +203,10 @@ def draw(
         down, up = map(np.asarray, space.room(z))
         at_bound = (down >= -1e-9) | (up <= 1e-9)
         errors.append(_wrapped(space, np.asarray(space.from_scaled(z)) - p_target))
-        standard.append(_standard_errors(space, z, *evaluate_at(own, z), at_bound))
+        standard.append(_standard_errors(own, z, at_bound))
         on_bound.append(at_bound.any())
     none = np.zeros(len(space.names), bool)
-    predicted = _standard_errors(space, target, *at_target, none)
+    predicted = _standard_errors(problem, target, none)
     return Draws(
         np.array(errors),
         np.array(standard),
@@ -229,18 +229,13 @@ def noisy(
     return problem, exact + std * noise
 
 
-def evaluate_at(problem: CalibrationProblem, z: Float[Array, " n_p"]):
-    """W_ep and the errors at z, both in units of the noise."""
-    found = evaluate(problem, z)
-    return found.W_ep, found.error
-
-
-def _standard_errors(space: ParameterSpace, z, W, error, at_bound) -> HostArray:
+def _standard_errors(problem: CalibrationProblem, z, at_bound) -> HostArray:
     """As `calibrate` gives them with noise="stated", in SI units."""
-    W, error = np.asarray(W), np.asarray(error)
-    spread = uncertainty(W, error, error.size, at_bound, "stated")
+    rows, space = evaluate(problem, z).rows, problem.space
+    linear = independent(np.asarray(rows.W), tuple(space.names))
+    linear = replace(linear, held=np.asarray(at_bound))
     slope = np.asarray(jnp.diag(jax.jacfwd(space.from_scaled)(z)))
-    return np.abs(slope) * np.sqrt(np.diag(spread.covariance))
+    return np.abs(slope) * np.sqrt(np.diag(linear.covariance()))
 
 
 def _wrapped(space: ParameterSpace, gap: HostArray) -> HostArray:

@@ -286,7 +286,7 @@ def configuration_results(
         )
     ]
     held_out = len(configurations) - n_fitted
-    roles = ("calibration",) * n_fitted + ("validation",) * held_out
+    roles: tuple[Role, ...] = ("calibration",) * n_fitted + ("validation",) * held_out
     results = _results(
         model,
         configurations,

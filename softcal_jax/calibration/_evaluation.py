@@ -117,9 +117,10 @@ def evaluate_lane(
 
 
 @eqx.filter_jit
-def _weighed(
+def weighed(
     problem: CalibrationProblem, z: Float[Array, " n_p"], response: Response
 ) -> Evaluation:
+    """Weigh the errors and compliances of all lanes, and add those of the priors."""
     delta_e = effector_errors(problem, response.effectors)
     rows = problem.rows(z, delta_e, response.W_ep.reshape(-1, z.shape[0]))
     ok = jnp.all(response.equilibrium.converged) & jnp.all(response.ok)
@@ -138,7 +139,7 @@ def in_other_units(
         z: Scaled parameters [-].
         old: The evaluation there.
     """
-    return _weighed(problem, z, old.response)
+    return weighed(problem, z, old.response)
 
 
 def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:
@@ -239,7 +240,7 @@ class Evaluator:
     ) -> Evaluation:
         """Weigh the errors and compliances of `response` (paper Eqs. 9, 10)."""
         response = self.response(z, guess, before, precise)
-        return _weighed(self.numbered, z, response)
+        return weighed(self.numbered, z, response)
 
     def equilibria(
         self, z: Float[Array, " n_p"], report: Report | None = None
@@ -257,7 +258,7 @@ class Evaluator:
 
     def from_rest(self, z: Float[Array, " n_p"]) -> Evaluation:
         """Evaluate without a guess from another evaluation, see `solve_from_rest`."""
-        return _weighed(self.numbered, z, self.response_from_rest(z))
+        return weighed(self.numbered, z, self.response_from_rest(z))
 
     def response_from_rest(self, z: Float[Array, " n_p"]) -> Response:
         """Respond without a guess from another evaluation, likewise."""

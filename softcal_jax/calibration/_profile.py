@@ -8,7 +8,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import brentq
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator
@@ -204,6 +203,8 @@ def root(
     Returns:
         The root, twice; or the distances on both sides of a jump, the inner one first.
     """
+    from scipy.optimize import brentq
+
     low, high = (inside, excess(inside)), (outside, excess(outside))
     if high[1] == 0.0:
         return outside, outside

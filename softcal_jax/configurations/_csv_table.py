@@ -33,7 +33,7 @@ def at_line(path: Path, number: int) -> Iterator[None]:
     """Prefix errors raised inside with a line of a file."""
     try:
         yield
-    except ValueError as error:
+    except (ValueError, csv.Error) as error:
         raise ValueError(f"{path}, line {number}: {error}") from error
 
 

@@ -4,10 +4,11 @@ An error of what a configuration lacks cannot occur, and nothing can be learnt o
 """
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Bool, HostArray
 
 Scope = tuple[Hashable | None, ...]
@@ -15,7 +16,7 @@ Scope = tuple[Hashable | None, ...]
 the same key have the same error."""
 
 
-class Poses(NamedTuple):
+class Poses(Module):
     """Configurations of a model, as the functions below ask for them.
 
     Attributes:

@@ -107,7 +107,7 @@ def sweep_table(
             break
         columns.append(column)
         kept.append(figure)
-    tones = [_TONES[row.state] for row in result.rows] if every else []
+    tones: list[Tone] = [_TONES[row.state] for row in result.rows if every]
     widths = [column.width for column in columns]
     # Where not all fits, `rich` finds which columns to narrow further.
     least = [w - 3 for w in widths] if sum(widths) < width else []
@@ -189,7 +189,8 @@ def _text_table(
 ) -> TextTable:
     """Make a table, whose rows may have tones."""
     rows = [list(row) for row in zip(*(c.cells for c in columns), strict=True)]
-    toned = zip(rows, tones or ["plain"] * len(rows), strict=True)
+    of_rows: Sequence[Tone] = tones or ("plain",) * len(rows)
+    toned = zip(rows, of_rows, strict=True)
     cells = [[Cell(text, tone) for text in row] for row, tone in toned]
     heads = [column.head for column in columns]
     return text_table(title, heads, cells, words=[c.head for c in columns if c.words])

@@ -127,7 +127,7 @@ def test_units_that_contradict(table):
 
 
 def test_unknown_unit(table):
-    with refused("'milimm' ... mean 'mm' ... m, cm"):
+    with refused("'milimm' ... mean 'mm' ... 'cm', 'inch', 'm'"):
         read_markers(table(TABLE), length_unit="milimm")
 
 

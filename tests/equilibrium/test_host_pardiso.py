@@ -15,7 +15,7 @@ from softcal_jax.calibration import (
     propose,
     synthetic_measurements,
 )
-from softcal_jax.calibration._evaluation import evaluate_lane, stacked
+from softcal_jax.calibration._evaluation import evaluate_lane, weighed
 from softcal_jax.configurations import configuration_arrays
 from softcal_jax.equilibrium import build_model, factor_solve
 from softcal_jax.equilibrium._host_pardiso import HostPardiso
@@ -138,7 +138,7 @@ def test_what_is_around_the_solver_lowers_for_cuda(calibration):
     def step(z, guess):
         lane = lambda c, u: evaluate_lane(problem, z, c, u, u)
         lanes = jax.vmap(lane)(problem.configurations, guess)
-        state = initial_state(settings, z, stacked(problem, z, lanes))
+        state = initial_state(settings, z, weighed(problem, z, lanes))
         return propose(problem, settings, state).z
 
     z = problem.space.start()

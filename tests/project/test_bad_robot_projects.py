@@ -228,7 +228,7 @@ CASES = {
                 'measured.effectors.sensor = { file = "a", format = "polhemus" }',
             ),
         ),
-        "configurations.slack.measured.effectors.sensor.length_unit: missing. Expec",
+        "configurations.slack.measured.effectors.sensor.length_unit: missing. Expected",
     ),
     "a selection of markers without their file": (
         (SLACK, f'{SLACK}\nmeasured.select = {{ pose = "slack" }}'),

@@ -144,7 +144,7 @@ def test_what_sqlite_has_rolled_back_is_not_rolled_back_again(tmp_path, monkeypa
     ("statement", "message"),
     [
         ("UPDATE trials SET state = 'great'", r"trials\.\w+\.state is 'great': Input"),
-        ("UPDATE trials SET figures = '{'", r"figures is '{', which is no JSON"),
+        ("UPDATE trials SET figures = '{'", r"figures is '{': Invalid JSON"),
         ("UPDATE trials SET figures = '[1]'", r"figures is \[1\]: Input should be a"),
         (
             "UPDATE trials SET figures = '{\"x\": [1]}'",
@@ -171,7 +171,7 @@ def test_what_sqlite_has_rolled_back_is_not_rolled_back_again(tmp_path, monkeypa
         ("UPDATE sweep SET value = '[1]'", r"sweep\.name is \[1\]: Input should be a"),
         (
             f"UPDATE sweep SET value = '{'[' * 100_000}'",
-            r"sweep\.name is '\[+\.\.\., which is no JSON",
+            r"sweep\.name is '\[+\.\.\.: Invalid JSON",
         ),
     ],
 )
