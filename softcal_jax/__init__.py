@@ -2,8 +2,8 @@
 
 This module offers what a notebook needs. The rest is in the packages, which follow the
 method step by step: `mesh`, `materials`, `fields`, `bodies`, `actuators`,
-`configurations`, `equilibrium`, `sensitivity`, `calibration`, `identifiability`,
-`control`, `layouts`.
+`configurations`, `equilibrium`, `sensitivity`, `inference`, `calibration`,
+`identifiability`, `control`, `layouts`.
 """
 
 import ast
