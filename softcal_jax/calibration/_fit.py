@@ -111,7 +111,10 @@ class Watch(NamedTuple):
 
 
 class Resume(NamedTuple):
-    """Where a loop goes on: scaled parameters, and the noise that weighs the data."""
+    """Where a loop goes on: scaled parameters, and the noise that weighs the data.
+
+    What a result reports as its start is still that of the task.
+    """
 
     z: Float[Array, " n_p"]
     noise: CorrelatedNoise
@@ -158,14 +161,11 @@ class _Judged(NamedTuple):
     spread: Uncertainty
     budget: ErrorBudget
     checks: ResidualChecks
+    notes: list[str]
 
 
 def fit(task: Task, watch: Watch, resume: Resume | None = None) -> Fitted:
-    """Calibrate as `calibrate` does, without intervals.
-
-    `resume` is where the loop begins; what is reported as start is still that of the
-    task.
-    """
+    """Calibrate as `calibrate` does, without intervals, or go on from a `resume`."""
     batch = _batch(task)
     journal = _journal(task, watch, batch)
     most = task.starts * max(len(task.fitted), 2 * len(task.held_out))
@@ -176,14 +176,14 @@ def fit(task: Task, watch: Watch, resume: Resume | None = None) -> Fitted:
         predicted = _predicted(task, batch, start, weighed)
         judged = _judged(task, weighed, predicted, workers)
     state, space = weighed.state, task.space
-    first = task.start if not start.begun.notes else start.begun.z
+    spread, budget, begun = judged.spread, judged.budget, start.begun
+    first = begun.z if begun.notes else task.start
+    stages = begun, weighed, predicted, judged
     result = CalibrationResult(
         converged=bool(state.converged),
-        parameters=parameter_estimates(
-            space, state.z, judged.spread, judged.budget, first
-        ),
-        uncertainty=judged.spread,
-        budget=judged.budget,
+        parameters=parameter_estimates(space, state.z, spread, budget, first),
+        uncertainty=spread,
+        budget=budget,
         configurations=predicted.fits,
         history=tuple(journal.history),
         space=space,
@@ -196,14 +196,7 @@ def fit(task: Task, watch: Watch, resume: Resume | None = None) -> Fitted:
         noise_settled=weighed.settled,
         checks=judged.checks,
         timing_s=clock.seconds,
-        notes=(
-            *start.begun.notes,
-            *(() if journal.interrupted else fit_notes(state, task.settings)),
-            *journal.notes,
-            *weighed.notes,
-            *predicted.notes,
-            *result_notes(batch.fitted, predicted.fits, state.z, judged.spread),
-        ),
+        notes=tuple(note for stage in stages for note in stage.notes),
         starts=place.search,
         precision=task.precision,
         interrupted=journal.interrupted,
@@ -310,7 +303,9 @@ def _descended(task: Task, start: _Start, place: _Place, journal: Journal) -> We
         motion=np.asarray(as_measured.motion),
         note=journal.note,
     )
-    return _to_its_end(to_its_end, journal, sought)
+    weighed = _to_its_end(to_its_end, journal, sought)
+    of_steps = [] if journal.interrupted else fit_notes(weighed.state, task.settings)
+    return weighed._replace(notes=(*of_steps, *journal.notes, *weighed.notes))
 
 
 def _to_its_end(
@@ -386,18 +381,7 @@ def _judged(
         z=z,
         equilibrium=predicted.response.equilibrium,
     )
-    weight = np.asarray(problem.configurations.effectors.inverse_std)
-    linear = linear_model(
-        problem,
-        task.configurations,
-        z=z,
-        W_ep=predicted.response.W_ep,
-        ok=predicted.response.ok,
-        delta_e=predicted.delta_e,
-        rows=weighed.state.evaluation.rows,
-        n_fitted=n_fitted,
-        considered=doubts.in_std(n_fitted, weight),
-    )
+    linear = _linear(task, weighed, predicted, doubts)
     spread = uncertainty(linear.with_scale(1.0), task.noise, weighed.scale)
     noise_is_known = bool(np.isfinite(spread.noise_scale))
     linear = linear.with_scale(spread.noise_scale if noise_is_known else 1.0)
@@ -415,14 +399,32 @@ def _judged(
         spread=spread,
         fits=predicted.fits[:n_fitted],
     )
+    witnesses = _witnesses(task, doubts)
     recordings = recording_estimates(
-        linear,
-        _witnesses(task, doubts),
-        space=task.space,
-        z=z,
-        spread=spread,
+        linear, witnesses, space=task.space, z=z, spread=spread
     )
-    return _Judged(linear, spread, budget, replace(checks, recordings=recordings))
+    checks = replace(checks, recordings=recordings)
+    notes = result_notes(problem.of_first(n_fitted), predicted.fits, z, spread)
+    return _Judged(linear, spread, budget, checks, notes)
+
+
+def _linear(
+    task: Task, weighed: Weighed, predicted: _Predicted, doubts: ConsideredErrors
+) -> LinearModel:
+    """Make the linear model of all configurations at the optimum."""
+    n_fitted, problem = len(task.fitted), predicted.problem
+    weight = np.asarray(problem.configurations.effectors.inverse_std)
+    return linear_model(
+        problem,
+        task.configurations,
+        z=weighed.state.z,
+        W_ep=predicted.response.W_ep,
+        ok=predicted.response.ok,
+        delta_e=predicted.delta_e,
+        rows=weighed.state.evaluation.rows,
+        n_fitted=n_fitted,
+        considered=doubts.in_std(n_fitted, weight),
+    )
 
 
 def _witnesses(task: Task, doubts: ConsideredErrors) -> list[str | None]:

@@ -130,8 +130,8 @@ def mesh_errors(
     size = lambda e: np.linalg.norm(weights * e, axis=1, keepdims=True)
     # To first order a body half as stiff is moved by its loads twice as far.
     moved = np.maximum(size(at_rest), size(changes[0]) / MOST_CHANGE)
-    there = size(of_stiffness) / np.where(moved > 0.0, moved, 1.0)
-    return MeshErrors(name, there * changes[0] + changes[1:].sum(axis=0), known)
+    softening = size(of_stiffness) / np.where(moved > 0.0, moved, 1.0)
+    return MeshErrors(name, softening * changes[0] + changes[1:].sum(axis=0), known)
 
 
 def _refined(
@@ -140,7 +140,7 @@ def _refined(
     fine: Model,
     refinement: Refinement,
 ) -> ConfigurationArrays:
-    """Pose the finer mesh like the coarse one: what holds that one holds this."""
+    """Pose the finer mesh like the coarse one, with the same supports and loads."""
     batch = problem.configurations
     shared = SharedNames(batch.springs.names, batch.loads.names)
     alike = [_as_found(c, refinement) for c in configurations]

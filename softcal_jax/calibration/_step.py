@@ -20,7 +20,13 @@ from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.calibration._curvature import Curvature, convex_model, learned
 from softcal_jax.calibration._evaluation import Evaluation
 from softcal_jax.calibration._problem import CalibrationProblem
-from softcal_jax.calibration._qp import Limits, QPStep, ScaledQP, scaled_qp, solved_qp
+from softcal_jax.calibration._qp import (
+    QPStep,
+    ScaledQP,
+    StepLimits,
+    scaled_qp,
+    solved_qp,
+)
 from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import Whitened
@@ -189,7 +195,7 @@ def _limits(
     settings: CalibrationSettings,
     state: CalibrationState,
     J: Float[Array, "n_p n_p"],
-) -> Limits:
+) -> StepLimits:
     """Return the constraints of a step, and its damping."""
     space, chart = problem.space, problem.space.chart
     limit = jnp.minimum(state.step_bound, space.max_step())
@@ -205,7 +211,7 @@ def _limits(
         high = high.at[free].set(state.step_bound)
         A = jnp.concatenate([A @ J, J[moduli], -J[moduli]])
         b = jnp.concatenate([b, up[moduli], -down[moduli]])
-    return Limits(low, high, A, b, settings.damping)
+    return StepLimits(low, high, A, b, settings.damping)
 
 
 def _small(

@@ -150,7 +150,8 @@ def delimiter_of(texts: Iterable[str]) -> str:
 def decimal_of(rows: Iterable[Iterable[str]], delimiter: str) -> str:
     """Tell whether decimals have a point or a comma.
 
-    To be asked of a whole file, so that a thousand in a part of it is no one.
+    Ask this of a whole file: in a few of its lines "1,500" may be one thousand five
+    hundred or one and a half.
     """
     german = delimiter != "," and any(
         _DECIMAL_COMMA.fullmatch(cell) for cells in rows for cell in cells

@@ -64,7 +64,7 @@ class Step(NamedTuple):
     d_lambda: Float[Array, " n_a"]
 
 
-class Direction(NamedTuple):
+class NewtonDirection(NamedTuple):
     """A Newton step with its slope and longest sensible share.
 
     Attributes:
@@ -100,7 +100,7 @@ def newton_direction(
     theta=None,
     strict=None,
     before: Float[Array, "n_points 3"] | None = None,
-) -> Direction:
+) -> NewtonDirection:
     """Compute the Newton step at a deformed state.
 
     The mixed formulation needs the volume ratios `theta`, and whether only steps that
@@ -147,7 +147,7 @@ def newton_direction(
         n_negative=solved.n_negative,
         ok=solved.ok,
     )
-    return Direction(
+    return NewtonDirection(
         step=Step(
             d=(sign * d).at[: u.size].add(supports.ravel()),
             lambda_a=lambda_a,
@@ -179,7 +179,7 @@ def _on_hinges(posed: Posed, twists, slope, moving):
     return jnp.where(uphill, -one, one), reach
 
 
-class Trial(NamedTuple):
+class LineSearchTrial(NamedTuple):
     """A point along a Newton step, with multipliers and norm of the residual [N]."""
 
     at: Point
@@ -196,12 +196,12 @@ def always_potential(model: Model) -> bool:
 def line_search(
     posed: Posed,
     at: Point,
-    direction: Direction,
+    direction: NewtonDirection,
     *,
     strict: Bool[Array, ""],
     reference: Float[Array, ""] | None,
     backtracks: int | Int[Array | HostArray, ""],
-) -> Trial:
+) -> LineSearchTrial:
     """Backtrack until the step passes the test and all values are finite.
 
     Unless `strict`, full steps are taken even uphill: the first step of a large
@@ -226,7 +226,7 @@ def line_search(
         inside_out = (new.min_det_F <= 0.0) & (at.min_det_F > 0.0)
         inside_out = inside_out & (~moving | ~strict)
         good = (enough | moving | ~strict) & new.finite & ~inside_out
-        return Trial(new, lambda_a, size, good)
+        return LineSearchTrial(new, lambda_a, size, good)
 
     def keep_trying(carry):
         _, trials, tried = carry
@@ -238,11 +238,11 @@ def line_search(
         return 0.5 * alpha, trials + 1, trial(alpha)
 
     # The first trial is inside the loop, so that it is compiled only once.
-    none = Trial(at, step.lambda_a, jnp.zeros(()), jnp.zeros((), bool))
+    none = LineSearchTrial(at, step.lambda_a, jnp.zeros(()), jnp.zeros((), bool))
     return jax.lax.while_loop(keep_trying, halve, (direction.reach, 0, none))[2]
 
 
-def _lower(posed: Posed, at: Point, direction: Direction, reference):
+def _lower(posed: Posed, at: Point, direction: NewtonDirection, reference):
     """Return the test of a trial step: does it lower Pi, or the residual, enough?
 
     The residual must fall below the larger of the last two, `reference`, which a Newton

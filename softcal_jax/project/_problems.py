@@ -147,7 +147,7 @@ def one_of(value: str, known: Iterable[str]) -> str:
     return f"one of {listed}.{suggestion(value, known)}"
 
 
-def _belonging(key: str, place: "_Place") -> str | None:
+def _belonging(key: str, place: "_Location") -> str | None:
     """Say which other kinds of table have a key; None if there are none."""
     owners = [_choice(k, place.kinds) for k in place.kinds if key in k.model_fields]
     if not owners:
@@ -238,7 +238,7 @@ def _step(here: Any, key: str | int) -> Any:
     return None
 
 
-class _Place(NamedTuple):
+class _Location(NamedTuple):
     """Where in a file something is wrong.
 
     `keys` lead there, without the tags of pydantic's unions, from a table that has, or
@@ -250,7 +250,7 @@ class _Place(NamedTuple):
     kinds: tuple[type[BaseModel], ...]
 
 
-def _place(schema: type[BaseModel], loc: tuple[str | int, ...]) -> _Place:
+def _place(schema: type[BaseModel], loc: tuple[str | int, ...]) -> _Location:
     keys, here, table = [], schema, schema
     kinds = of_table = ()
     for step in loc:
@@ -263,7 +263,7 @@ def _place(schema: type[BaseModel], loc: tuple[str | int, ...]) -> _Place:
             table, of_table = here, kinds
         here, kinds = _inside(here, step), ()
         keys.append(step)
-    return _Place(tuple(keys), table, _tables(_arms(here)) or of_table)
+    return _Location(tuple(keys), table, _tables(_arms(here)) or of_table)
 
 
 def _inside(annotation: Any, step: str | int) -> Any:

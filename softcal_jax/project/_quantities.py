@@ -140,14 +140,14 @@ def shown(value: Any) -> str:
     return f'"{shortened(value)}"' if isinstance(value, str) else shortened(str(value))
 
 
-class Quantity(NamedTuple):
+class RecognisedQuantity(NamedTuple):
     """One number or three, in an SI unit."""
 
     values: tuple[float, ...]
     unit: str
 
 
-def recognised(text: str) -> Quantity | None:
+def recognised(text: str) -> RecognisedQuantity | None:
     """Read a text as a quantity of any dimension that a file may have; None if not."""
     vector = _VECTOR.fullmatch(text)
     match = vector or _SCALAR.fullmatch(text)
@@ -160,7 +160,7 @@ def recognised(text: str) -> Quantity | None:
     if found is None:
         return None
     dimension, factor = found
-    return Quantity(tuple(factor * float(n) for n in numbers), dimension.si)
+    return RecognisedQuantity(tuple(factor * float(n) for n in numbers), dimension.si)
 
 
 @functools.cache

@@ -40,7 +40,7 @@ from softcal_jax.report._outline import ROLES
 from softcal_jax.report._provenance import made_html, repeat_html
 from softcal_jax.report._robot import robot_tables
 from softcal_jax.report._tables import simulation_tables
-from softcal_jax.report._view import View
+from softcal_jax.report._view import PageView
 
 PICTURES = (".png", ".svg")
 """Endings of pictures."""
@@ -56,7 +56,7 @@ def calibration_page(
     found: Assessment,
     data: Mapping[str, Any],
     folder: Path,
-    view: View | None = None,
+    view: PageView | None = None,
 ) -> str:
     """Write the page of a calibration.
 
@@ -104,7 +104,7 @@ def simulation_page(
     result: SimulationResult,
     data: Mapping[str, Any],
     folder: Path,
-    view: View | None = None,
+    view: PageView | None = None,
 ) -> str:
     """Write the page of a simulation; arguments as of `calibration_page`."""
     sections = [
@@ -203,7 +203,9 @@ def _course(result: CalibrationResult) -> list[Html]:
     return [*course_charts(result), table_html(history_table(result))]
 
 
-def _pictures(data: Mapping[str, Any], folder: Path, view: View | None) -> list[Html]:
+def _pictures(
+    data: Mapping[str, Any], folder: Path, view: PageView | None
+) -> list[Html]:
     """Show the body to be turned, and the pictures of the configurations.
 
     A picture of what the view shows stands for it where there is none, as in print.

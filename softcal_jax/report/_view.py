@@ -96,7 +96,7 @@ _SHOWN_WITH = {
 """Which of `_SHOWN` a mark belongs to."""
 
 
-class View(NamedTuple):
+class PageView(NamedTuple):
     """What a page needs to draw a body.
 
     Attributes:
@@ -120,7 +120,7 @@ class View(NamedTuple):
 def body_view(
     result: CalibrationResult | SimulationResult,
     errors: Mapping[str, Float[HostArray, " n_tets"]] | None,
-) -> View:
+) -> PageView:
     """Make the view of all configurations of a result.
 
     What is too large for a page is drawn more coarsely or left out, and the view says
@@ -133,7 +133,7 @@ def body_view(
     """
     if not any(own.converged for own in result.configurations):
         text = "There is no body to turn: no configuration has an equilibrium."
-        return View(node("p", text), "", frozenset())
+        return PageView(node("p", text), "", frozenset())
     made = _made(result.model, result.configurations, errors)
     if made is None:
         n = len(boundary_tets(result.model.mesh))
@@ -141,12 +141,12 @@ def body_view(
             f"The surface of this mesh, {n} faces, is too large to turn in this page: "
             f"open configurations.pvd in ParaView."
         )
-        return View(node("p", text), "", frozenset())
+        return PageView(node("p", text), "", frozenset())
     converged = not isinstance(result, CalibrationResult) or result.converged
     content = joined([_figure(made, converged=converged), _data(made)])
     script = files("softcal_jax.report").joinpath("view.js").read_text("utf-8")
     names = frozenset(own.name for own in made.shown if own.converged)
-    return View(content, script, names)
+    return PageView(content, script, names)
 
 
 class _Made(NamedTuple):

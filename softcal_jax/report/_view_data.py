@@ -30,7 +30,7 @@ _FIBRES = 600
 """Most fibres that are drawn."""
 
 
-class Box(NamedTuple):
+class ViewBox(NamedTuple):
     """The box of all positions.
 
     Attributes:
@@ -78,7 +78,7 @@ def view_data(
     robots = [robot_data(model, own) for own in shown]
     everything = np.concatenate([rest, *points, *(f.reshape(-1, 3) for f in fibres)])
     low = everything.min(axis=0)
-    box = Box(low, float(np.ptp(everything, axis=0).max()) / _MOST)
+    box = ViewBox(low, float(np.ptp(everything, axis=0).max()) / _MOST)
     index = "<u2" if len(rest) <= _MOST else "<u4"
     entries = [
         {

@@ -36,7 +36,7 @@ from softcal_jax.plotting import (
 )
 from softcal_jax.report._outlook_pages import comparison_page, identifiability_page
 from softcal_jax.report._pages import REPORT, calibration_page, simulation_page
-from softcal_jax.report._view import View, body_view
+from softcal_jax.report._view import PageView, body_view
 
 COLLECTION = "configurations.pvd"
 """All configurations at once, for ParaView."""
@@ -241,7 +241,7 @@ def _write_words(
 
 Result = CalibrationResult | SimulationResult
 
-Page = Callable[[Mapping[str, Any], Path, View | None], str]
+Page = Callable[[Mapping[str, Any], Path, PageView | None], str]
 """Writes a page of the content of the index, the pictures in a folder and a view."""
 
 

@@ -258,7 +258,7 @@ def _check_alike(
         )
 
 
-class _Start(NamedTuple):
+class _FirstGuess(NamedTuple):
     """Where an adjustment may begin, and its errors on each photograph [px]."""
 
     rms: Float[HostArray, " n_photos"]
@@ -269,7 +269,7 @@ class _Start(NamedTuple):
 
 def _starts(
     seen: Observations, camera: CameraModel, targets: Sequence[_Target]
-) -> Iterator[_Start]:
+) -> Iterator[_FirstGuess]:
     """Yield beginnings: a planar target on a photograph has two poses that fit.
 
     Each pose of the other target in the frame of the first one that a photograph allows
@@ -298,7 +298,7 @@ def _starts(
             pose, error = _best_pose(points, seen.pixels[rows], camera, bases[i])
             poses.append(pose)
             errors.append(error)
-        yield _Start(np.sqrt(errors), camera, tuple(poses), others)
+        yield _FirstGuess(np.sqrt(errors), camera, tuple(poses), others)
 
 
 def _planar_poses(
