@@ -49,7 +49,7 @@ class QPStep(NamedTuple):
     __repr__ = one_line
 
 
-class StepLimits(NamedTuple):
+class QPLimits(NamedTuple):
     """Constraints of a step, lower <= l <= upper and A l <= b, and its damping [-]."""
 
     lower: Float[Array, " n_p"]
@@ -147,11 +147,11 @@ def bounded_step(
         raise ValueError(f"damping must be positive, got {damping}.")
     if A is None or b is None:
         A, b = jnp.zeros((0, W.shape[1]), W.dtype), jnp.zeros(0, W.dtype)
-    return solved_qp(scaled_qp(W, error, StepLimits(lower, upper, A, b, damping)))
+    return solved_qp(scaled_qp(W, error, QPLimits(lower, upper, A, b, damping)))
 
 
 def scaled_qp(
-    W: Float[Array, "n_e n_p"], error: Float[Array, " n_e"], limits: StepLimits
+    W: Float[Array, "n_e n_p"], error: Float[Array, " n_e"], limits: QPLimits
 ) -> ScaledQP:
     """Scale the QP of `bounded_step` to unit columns, rows and error."""
     lower, upper, A, b, damping = limits

@@ -21,9 +21,9 @@ from softcal_jax.calibration._curvature import Curvature, convex_model, learned
 from softcal_jax.calibration._evaluation import Evaluation
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._qp import (
+    QPLimits,
     QPStep,
     ScaledQP,
-    StepLimits,
     scaled_qp,
     solved_qp,
 )
@@ -195,7 +195,7 @@ def _limits(
     settings: CalibrationSettings,
     state: CalibrationState,
     J: Float[Array, "n_p n_p"],
-) -> StepLimits:
+) -> QPLimits:
     """Return the constraints of a step, and its damping."""
     space, chart = problem.space, problem.space.chart
     limit = jnp.minimum(state.step_bound, space.max_step())
@@ -211,7 +211,7 @@ def _limits(
         high = high.at[free].set(state.step_bound)
         A = jnp.concatenate([A @ J, J[moduli], -J[moduli]])
         b = jnp.concatenate([b, up[moduli], -down[moduli]])
-    return StepLimits(low, high, A, b, settings.damping)
+    return QPLimits(low, high, A, b, settings.damping)
 
 
 def _small(
