@@ -78,7 +78,7 @@ def locate(
     if not max_distance >= 0:
         raise ValueError(f"max_distance must be at least 0 m, got {max_distance}.")
 
-    tet, b = _inside(mesh, p)
+    tet, b = tets_at(mesh, p)
     n_en = mesh.tets.shape[1]
     weights = shape_functions(b, n_en)
     distance, foot = np.zeros(len(p)), p.copy()
@@ -102,7 +102,7 @@ def locate(
     )
 
 
-def _inside(mesh: TetMesh, points: HostArray) -> tuple[HostArray, HostArray]:
+def tets_at(mesh: TetMesh, points: HostArray) -> tuple[HostArray, HostArray]:
     """Find the tet and the coordinates of each point; tet -1 for a point outside."""
     X = mesh.points[mesh.tets]
     lower, upper = bounds(X)

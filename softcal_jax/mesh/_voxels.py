@@ -8,7 +8,8 @@ import numpy as np
 from softcal_jax._module import one_line
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.elements import shape_functions
-from softcal_jax.mesh._inverse_map import bounds
+from softcal_jax.mesh._inverse_map import barycentric_in_tets, bounds
+from softcal_jax.mesh._location import tets_at
 from softcal_jax.mesh._tet_mesh import TetMesh
 
 _AT_ONCE = 200_000
@@ -117,8 +118,8 @@ def _lattice(n: int) -> Float[HostArray, "m 4"]:
 def _at_centres(mesh: TetMesh, grid: Grid) -> Int[HostArray, "n n n"]:
     """Find the tet that holds the centre of each voxel; -1 where there is none.
 
-    VTK takes a centre for inside a curved tet if it lies outside by less than a
-    thousandth of the tet, which is far less than a voxel.
+    VTK also takes centres for inside a curved tet that lie outside by up to a
+    thousandth of it, so those are looked at again.
     """
     # Here, so that commands which do not need it do not wait for it.
     import pyvista
@@ -133,4 +134,12 @@ def _at_centres(mesh: TetMesh, grid: Grid) -> Int[HostArray, "n n n"]:
     )
     sampled: Any = centres.sample(tets)
     owner = np.where(sampled["vtkValidPointMask"], sampled["tet"], -1)
-    return owner.astype(int).reshape((grid.n,) * 3, order="F")
+    owner = owner.astype(int).reshape((grid.n,) * 3, order="F")
+    if mesh.order == 2:
+        voxels = np.argwhere(owner >= 0)
+        for some in np.array_split(voxels, -(-len(voxels) // _AT_ONCE) or 1):
+            tets, x = owner[tuple(some.T)], grid.centres(some)
+            b = barycentric_in_tets(mesh.points[mesh.tets[tets]], x)
+            outside = ~(b.min(axis=1) >= 0.0)
+            owner[tuple(some[outside].T)], _ = tets_at(mesh, x[outside])
+    return owner
