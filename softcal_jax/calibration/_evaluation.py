@@ -6,7 +6,6 @@ from dataclasses import replace
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from softcal_jax._module import Module, one_line
 from softcal_jax._typing import Array, Bool, Float
@@ -16,6 +15,7 @@ from softcal_jax.calibration._lanes import (
     effectors_on_all_cores,
     equilibria,
     lane_of,
+    stacked,
 )
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._problem import CalibrationProblem, without_names
@@ -229,7 +229,7 @@ class Evaluator:
         before = guess if before is None else before
         lanes = zip(self.lanes, guess, before, strict=True)
         arguments = [(z, *lane, jnp.asarray(precise)) for lane in lanes]
-        return _stacked(self.workers.map(self._program, arguments))
+        return stacked(self.workers.map(self._program, arguments))
 
     def __call__(
         self,
@@ -273,8 +273,7 @@ class Evaluator:
         """Compute W_ep and W_pp of all lanes at displacements `u` [m]."""
         program = Program(_energy_compliance_lane, self.shared.model, self.shared.space)
         lanes = [(z, *lane) for lane in zip(self.lanes, u, strict=True)]
-        found = self.workers.map(program, lanes)
-        return jax.device_put(jax.tree.map(lambda *own: np.stack(own), *found))
+        return stacked(self.workers.map(program, lanes))
 
 
 def evaluate(
@@ -292,8 +291,3 @@ def evaluate(
     with Workers(problem.model, problem.configurations.gravity.shape[0]) as workers:
         evaluator = Evaluator(problem, workers)
         return evaluator.from_rest(z) if guess is None else evaluator(z, guess)
-
-
-@jax.jit
-def _stacked(lanes: list[Response]) -> Response:
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *lanes)

@@ -40,7 +40,8 @@ def _lanes_of(batch: ConfigurationArrays) -> list[ConfigurationArrays]:
     return [lane_of(batch, c) for c in range(len(batch.gravity))]
 
 
-def _stacked(lanes: Sequence[T]) -> T:
+def stacked(lanes: Sequence[T]) -> T:
+    """Return lanes as a batch, without a program for each number of them."""
     return jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *lanes))
 
 
@@ -122,7 +123,7 @@ def equilibria(
             start = jnp.where(last.converged, last.displacement, start)
     else:
         solve(dict.fromkeys(range(len(lanes)), rest))
-    return _stacked([solutions[c] for c in range(len(lanes))])
+    return stacked([solutions[c] for c in range(len(lanes))])
 
 
 _effectors_of_lane = eqx.filter_jit(effector_values)
@@ -137,7 +138,7 @@ def effectors_on_all_cores(
     """Compute effector coordinates as `effectors_of` does, on all cores."""
     states = solution.displacement, solution.multipliers
     lanes = zip(_lanes_of(configurations), *map(np.asarray, states), strict=True)
-    return _stacked(workers.map(Program(_effectors_of_lane, model), lanes))
+    return stacked(workers.map(Program(_effectors_of_lane, model), lanes))
 
 
 def effectors_of(
