@@ -182,7 +182,7 @@ def identify(
         uncertain: How well everything is known that is not calibrated; the defaults of
             `Uncertain` by default.
         precision: Standard error that is asked for, relative to the value [-].
-        progress: Called at the end of each equilibrium, from the thread that found it.
+        progress: Called after every few iterations of an equilibrium.
 
     Raises:
         ValueError: If an input is wrong.

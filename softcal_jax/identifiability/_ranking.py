@@ -217,7 +217,7 @@ def rank_configurations(
         uncertain: How well everything is known that is not calibrated; the defaults of
             `Uncertain` by default.
         precision: Standard error that is asked for, relative to the value [-].
-        progress: Called at the end of each equilibrium, from the thread that found it.
+        progress: Called after every few iterations of an equilibrium.
 
     Returns:
         The candidates, the best first. Those without an equilibrium at these values or

@@ -13,7 +13,7 @@ from scipy.special import chdtrc, fdtrc
 from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.inference._linear_model import LinearModel
-from softcal_jax.inference._rank import span
+from softcal_jax.inference._rank import RANK, span
 from softcal_jax.inference._whitening import whitened
 
 ABSORBED = 1e-3
@@ -153,7 +153,7 @@ def predicted_by_others(linear: LinearModel) -> list[PosePrediction]:
         seen = square > ROUNDING / linear.scale**2
         root = U[:, seen] / np.sqrt(square[seen])
         y, B = root.T @ whole[of_pose], root.T @ followed[of_pose]
-        blind = np.any(np.abs(U[:, ~seen]) > 1e-6, axis=1)
+        blind = np.any(np.abs(U[:, ~seen]) > RANK, axis=1)
         spread = root @ np.concatenate([np.eye(len(y)), B], axis=1)
         predictions.append(
             PosePrediction(

@@ -220,7 +220,7 @@ class Project(Module):
         The verdict is at the start values, with the stated noise of all effectors.
 
         Args:
-            progress: Called at the end of each equilibrium.
+            progress: Called after every few iterations of an equilibrium.
 
         Raises:
             ProjectError: If there are no parameters, configurations or markers.
@@ -244,7 +244,7 @@ class Project(Module):
         """Rank the candidates, best first, by what they add to the configurations.
 
         Args:
-            progress: Called at the end of each equilibrium.
+            progress: Called after every few iterations of an equilibrium.
 
         Raises:
             ProjectError: If there are no parameters, candidates or markers.

@@ -8,6 +8,7 @@ from typing import get_args
 
 from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
+from softcal_jax._text_table import text_table
 from softcal_jax._units import readable_estimate
 from softcal_jax.calibration import CalibrationResult, HistoryEntry
 from softcal_jax.exchange.sofa._component import SofaLaw, SofaRelease, component_of
@@ -198,17 +199,10 @@ def _table(export: SofaExport) -> list[str]:
     the same values, and with values of its own.
     """
     mm = lambda value: f"{1e3 * value:.3g} mm" if math.isfinite(value) else "-"
-    rows = [["configuration", "role", "moved", *_MODELS]]
+    rows = []
     for c in export.result.configurations:
         errors = export.calibrated.errors[c.name], c.rms_before, c.rms_after
         rows.append([c.name, c.role, *map(mm, (c.motion, *errors))])
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    columns = list(zip("<<>>>>", widths, strict=True))  # words left, numbers right
-    lines = (
-        "  ".join(
-            f"{cell:{side}{width}}"
-            for cell, (side, width) in zip(row, columns, strict=True)
-        )
-        for row in rows
-    )
-    return ["Distances of points from where they were measured, rms:", *lines]
+    title = "Distances of points from where they were measured, rms:"
+    table = text_table(title, ("configuration", "role", "moved", *_MODELS), rows)
+    return [title, *table.lines()]
