@@ -29,6 +29,7 @@ def write_recording(
     residuals: np.ndarray | None = None,
     events: Sequence[tuple[str, float]] = (),
     first_frame: int = 0,
+    rate: float = RATE,
 ) -> Path:
     """Writes positions (frames, markers, axes), by a library that is not ours.
 
@@ -37,7 +38,7 @@ def write_recording(
     import ezc3d
 
     c3d = ezc3d.c3d()
-    c3d["parameters"]["POINT"]["RATE"]["value"] = [RATE]
+    c3d["parameters"]["POINT"]["RATE"]["value"] = [rate]
     c3d["parameters"]["POINT"]["LABELS"]["value"] = list(labels)
     c3d.add_parameter("POINT", "UNITS", unit)
     points = np.ones((4, positions.shape[1], len(positions)))

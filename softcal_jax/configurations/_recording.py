@@ -198,7 +198,15 @@ class Recording(Module):
         new = {label: name for name, label in labels.items()}
         for label in new:
             self._column(label)
-        return replace(self, names=tuple(new.get(name, name) for name in self.names))
+        names = tuple(new.get(name, name) for name in self.names)
+        repeated = [name for name in names if names.count(name) > 1]
+        if repeated or len(new) < len(labels):
+            which = repeated[0] if repeated else "of one marker"
+            raise ValueError(
+                f"{self.source}: the labels {dict(labels)} give two markers the name "
+                f"{which!r}, or one marker two names."
+            )
+        return replace(self, names=names)
 
     def _zero(
         self, after_step_of: str | None, after_event: str | None

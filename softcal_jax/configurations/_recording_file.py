@@ -11,6 +11,7 @@ from softcal_jax._files import check_file
 from softcal_jax._text import escaped
 from softcal_jax.configurations._recording import Recording
 from softcal_jax.configurations._wide_table import (
+    check_rate,
     is_wide_table,
     metres_of,
     read_wide_table,
@@ -67,8 +68,8 @@ def read_c3d(path: str | os.PathLike[str]) -> Recording:
         FileNotFoundError: If there is no such file.
         ImportError: If ezc3d is not installed.
         ValueError: If it is no file of a disk, cannot be read, holds no frames or no
-            markers, or two markers of one label, or does not state a known unit of
-            length.
+            markers, two markers of one label, or no positive rate, or does not state
+            a known unit of length.
 
     Example:
         The pose from 1.25 to 1.35 s after the valve opened::
@@ -97,6 +98,7 @@ def read_c3d(path: str | os.PathLike[str]) -> Recording:
     residuals = np.asarray(content["data"]["meta_points"]["residuals"])[0].T
     positions[residuals[:, : len(names)] < 0.0] = np.nan
     rate = float(point["RATE"]["value"][0])
+    check_rate(path, rate)
     # Events count from the first frame of the trial, of which this may be a part.
     trimmed = int(content["header"]["points"]["first_frame"]) / rate
     return Recording(

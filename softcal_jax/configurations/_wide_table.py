@@ -6,6 +6,7 @@ columns are. Sources: docs.optitrack.com, "Data Export: CSV" (Motive 3);
 docs.qualisys.com, "Motion data (.tsv)" (QTM 2024); for Nexus files that it wrote.
 """
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -41,6 +42,10 @@ _STATED_METRES = METRES | {
     "Inches": 0.0254,
 }
 """Units of length as the programs write them."""
+
+
+_COORDINATE = "a cell (blank, nan or NULL where a marker was not seen)"
+"""What a cell with a number is called in messages."""
 
 
 class _Layout(NamedTuple):
@@ -115,6 +120,7 @@ def read_wide_table(
             f"the header of {path} is not as {program.name} writes it ({error}): "
             f"export {program.needs}."
         ) from error
+    check_rate(path, layout.rate)
     metres = metres_of(path, layout.unit, length_unit)
     point = decimal or decimal_of((cells for _, cells in layout.rows), delimiter)
     times, positions = _numbers(path, layout, point)
@@ -139,6 +145,14 @@ def _rows_of(path: Path, delimiter: str | None) -> tuple[NumberedCells, str]:
     delimiter = delimiter or delimiter_of(text for _, text in lines[:_HEADER_LINES])
     rows = read_cells(path, lines, delimiter)
     return [(number, cells) for number, cells in rows if any(cells)], delimiter
+
+
+def check_rate(path: Path, rate: float) -> None:
+    """Raise ValueError unless a recording states a rate of frames."""
+    if not 0.0 < rate < math.inf:
+        raise ValueError(
+            f"{path}: its rate of frames is {rate:g}; expected a positive number."
+        )
 
 
 def metres_of(path: Path, stated: str | None, given: str | None = None) -> float:
@@ -179,7 +193,9 @@ def _numbers(
             count = cells[layout.time_column] if layout.time_column is not None else i
             times[i] = parse_number(str(count), point) / layout.rate
             values[i] = [
-                np.nan if cells[k].lower() in _GAPS else parse_number(cells[k], point)
+                np.nan
+                if cells[k].lower() in _GAPS
+                else parse_number(cells[k], point, _COORDINATE)
                 for k in columns
             ]
             if i and not times[i] > times[i - 1]:

@@ -66,6 +66,9 @@ def test_files_that_are_no_recordings_are_refused(tmp_path):
     path = write_recording(tmp_path / "a.c3d", motion(), unit="furlong")
     with pytest.raises(ValueError, match="the unit of length 'furlong'; expected"):
         read_c3d(path)
+    path = write_recording(tmp_path / "b.c3d", motion(), rate=-100.0)
+    with pytest.raises(ValueError, match="rate of frames is -100; expected"):
+        read_c3d(path)
 
 
 def test_events_count_from_the_first_frame(tmp_path):
@@ -210,5 +213,7 @@ def test_labels_are_renamed():
     assert recording.renamed({"tip": "arm:2"}).names == ("arm:1", "tip")
     with pytest.raises(ValueError, match=r"no marker 'arm:3'.*`labels` .* maps"):
         recording.renamed({"tip": "arm:3"})
-    with pytest.raises(ValueError, match="has the label 'arm:1' twice"):
+    with pytest.raises(ValueError, match="give two markers the name 'arm:1'"):
         recording.renamed({"arm:1": "arm:2"})
+    with pytest.raises(ValueError, match="or one marker two names"):
+        recording.renamed({"tip": "arm:2", "end": "arm:2"})

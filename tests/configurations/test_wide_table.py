@@ -112,7 +112,12 @@ REFUSED = {
     "no unit": (write_vicon, "mm,mm,mm,", "mm,,mm,", "unit of length ', mm'; expected"),
     "unknown unit": (write_vicon, ",mm", ",deg", "unit of length 'deg'; expected one"),
     "no rate": (write_vicon, "\n100\n,", "\nfast\n,", "not as Nexus writes.*'fast'"),
-    "no number": (write_vicon, "\n102,0,1.0", "\n102,0,one", "line 14: a cell is 'one"),
+    "no number": (
+        write_vicon,
+        "\n102,0,1.0",
+        "\n102,0,one",
+        r"line 14: a cell \(blank, nan or NULL .* is 'one",
+    ),
     "time": (write_vicon, "\n102,0", "\n99,0", "is not after that of the frame before"),
     "feet": (
         write_motive,
@@ -125,6 +130,12 @@ REFUSED = {
         ",Marker",
         ",Bone Marker",
         "no measured markers, only Bone Marker, Rigid Body Marker.*export Markers",
+    ),
+    "rate of zero": (
+        write_vicon,
+        "\n100\n,",
+        "\n0\n,",
+        "rate of frames is 0; expected",
     ),
     "no time": (write_motive, "Time (Seconds)", "Timecode", "Time.*export Markers"),
     "2D": (write_qualisys, "\t3D", "\t2D", "includes 2D data.*export 3D data"),
