@@ -60,7 +60,6 @@ def _check_weighting(power: float, nearest: int | None, n_cp: int) -> None:
             f"power must be positive and finite, got {power:g}: with 0 every control "
             "point would count the same everywhere; the paper takes 2."
         )
-
     if nearest is not None and not 1 <= nearest <= n_cp:
         raise ValueError(
             f"nearest must lie between 1 and the number of control points, {n_cp}, "

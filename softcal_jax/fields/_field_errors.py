@@ -22,8 +22,7 @@ def field_standard_errors(
     """Compute the standard error of each field that parameters set, in each tet.
 
     To first order, the square root of the diagonal of J Sigma J^T, where J = df/dz is
-    the derivative of the field by the scaled parameters: for values at control points
-    that are mixed linearly, their weights times dp/dz. What is given at quadrature
+    the derivative of the field by the scaled parameters. What is given at quadrature
     points is averaged over the tet.
 
     Args:
@@ -43,10 +42,10 @@ def field_standard_errors(
     root[known] = directions * np.sqrt(np.maximum(size, 0.0))
     tangents = np.concatenate([root, np.eye(len(known))[:, ~known]], axis=1)
     counts = np.concatenate([np.ones(root.shape[1]), np.zeros(int((~known).sum()))])
-    found = _propagated(model, space, z, jnp.asarray(tangents.T), jnp.asarray(counts))
+    sums = _propagated(model, space, z, jnp.asarray(tangents.T), jnp.asarray(counts))
     return {
         name: np.where(np.asarray(lost) > 0.0, np.nan, np.sqrt(np.asarray(variance)))
-        for name, (variance, lost) in zip(space.field_names, found, strict=True)
+        for name, (variance, lost) in zip(space.field_names, sums, strict=True)
     }
 
 
@@ -60,11 +59,14 @@ def _propagated(
 ) -> list[tuple[Float[Array, " n_tets"], Float[Array, " n_tets"]]]:
     """Sum the squared derivatives along tangents that count, and along the others."""
 
+    def by_tet(value: Any) -> Float[Array, " n_tets"]:
+        if is_point_values(value):
+            return jnp.mean(value.values, axis=1)
+        return jnp.broadcast_to(value, (model.mesh.n_tets,))
+
     def fields(z: Float[Array, " n_p"]) -> list[Float[Array, " n_tets"]]:
         changed = space.model_at(model, z)
-        return [
-            _by_tet(find_field(model, f)(changed), model) for f in space.field_names
-        ]
+        return [by_tet(find_field(model, f)(changed)) for f in space.field_names]
 
     values, push = jax.linearize(fields, z)
 
@@ -78,10 +80,3 @@ def _propagated(
 
     none = [(jnp.zeros_like(value), jnp.zeros_like(value)) for value in values]
     return jax.lax.scan(add, none, (tangents, counts))[0]
-
-
-def _by_tet(value: Any, model: Any) -> Float[Array, " n_tets"]:
-    """Return one value per tet, the mean of those at quadrature points."""
-    if is_point_values(value):
-        return jnp.mean(value.values, axis=1)
-    return jnp.broadcast_to(value, (model.mesh.n_tets,))

@@ -29,9 +29,6 @@ def set_field(
             `PointValues` for these tets.
         region: Tet group that it applies to; the whole mesh by default.
 
-    Returns:
-        The changed model.
-
     Raises:
         ValueError: If the field or the region does not exist, or the field is not
             unique.

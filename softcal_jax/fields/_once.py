@@ -1,7 +1,7 @@
 """Properties of immutable modules that are computed once."""
 
-from collections.abc import Callable
-from typing import Any, Generic, TypeVar, overload
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import jax
 
@@ -10,34 +10,18 @@ from softcal_jax._typing import is_traced
 Value = TypeVar("Value")
 
 
-class once(Generic[Value]):
+class once(cached_property[Value]):
     """Property whose first value is kept, for what loops on the host ask for often.
 
-    The outer loop asks for parameters and bounds at every step. Unlike with
-    `functools.cached_property`, a traced value is not kept: it is of no use outside
-    its trace.
+    The outer loop asks for parameters and bounds at every step. Unlike that of its
+    base, a traced value is not kept: it is of no use outside its trace.
     """
 
-    def __init__(self, compute: Callable[[Any], Value]):
-        """Wrap a method that takes no argument."""
-        self.compute, self.__doc__ = compute, compute.__doc__
+    if not TYPE_CHECKING:  # its type is that of the base
 
-    def __set_name__(self, owner: type, name: str) -> None:
-        """Note the name under which the value is kept."""
-        self.name = name
-
-    @overload
-    def __get__(self, module: None, owner: type) -> "once[Value]": ...
-
-    @overload
-    def __get__(self, module: Any, owner: type) -> Value: ...
-
-    def __get__(self, module: Any, owner: type) -> Any:
-        """Compute the value; afterwards the kept one stands before this."""
-        if module is None:
-            return self
-        value = self.compute(module)
-        if not any(map(is_traced, jax.tree.leaves(value))):
-            # Beside the fields, so neither a leaf nor part of a changed copy.
-            module.__dict__[self.name] = value
-        return value
+        def __get__(self, module: Any, owner: Any = None) -> Any:
+            """Compute the value, or return the kept one."""
+            value = super().__get__(module, owner)
+            if module is not None and any(map(is_traced, jax.tree.leaves(value))):
+                del vars(module)[self.attrname]
+            return value

@@ -1,14 +1,13 @@
 """Which parameters belong together: order constraints and material axes."""
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._names import suggestion
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray, Int, is_traced
-from softcal_jax.fields._parameters import AbstractEntry, Parameter
+from softcal_jax.fields._parameters import AbstractEntry, Parameter, Values
 from softcal_jax.fields._spread import ControlPointParameters
 
 Entries = tuple[AbstractEntry, ...]
@@ -31,11 +30,6 @@ def order_terms(
 
     One pair per control point of two fields, or per pair of parameters, except for
     pairs of known values.
-
-    Raises:
-        ValueError: If a name is unknown, two fields share no control point, a control
-            point's name is ambiguous, the scales of both sides differ, or two known
-            values contradict the order.
     """
     pairs = []
     for smaller, larger in order:
@@ -68,7 +62,7 @@ def order_terms(
 def _sides(entries: Entries, name: str, key: str) -> dict[str, Term]:
     """Return the terms of a parameter, or of a field by control point.
 
-    `key` is the option that names it, "order" or "axes", for errors.
+    Errors call the option that names it `key`.
     """
     parameters = [q for entry in entries for q in entry.parameters]
     columns = {q.name: i for i, q in enumerate(parameters)}
@@ -93,17 +87,13 @@ def _sides(entries: Entries, name: str, key: str) -> dict[str, Term]:
             if point in entry.fixed:
                 value = entry.fixed[point]
                 known = jnp.log(value) if entry.scale == "log" else value
-                own = f"{name} of {point}"
-                sides[point] = Term(own, entry.scale, None, jnp.ones(()), known)
+                label = f"{name} of {point}"
+                sides[point] = Term(label, entry.scale, None, jnp.ones(()), known)
             else:
                 sides[point] = unknown(columns[entry.parameter_name(point)])
     if not sides:
-        known = [*(entry.field for entry in fields), *columns]
-        raise ValueError(
-            f"{key} names {name!r}, which is neither a parameter nor a field with "
-            f"control points.{suggestion(name, known)} Parameters are "
-            f"{', '.join(columns)}."
-        )
+        known = {*(entry.field for entry in fields), *columns}
+        raise ValueError(f"{key}: {unknown_name('parameter or field', name, known)}")
     return sides
 
 
@@ -113,11 +103,6 @@ def axis_columns(
     """Find the columns of (smaller modulus, larger modulus, angle) of every axis.
 
     One row per control point at which all three are unknown.
-
-    Raises:
-        ValueError: If a name is unknown, no control point has all three unknown, a
-            modulus is not on a log scale, the angle is not a director whose bounds span
-            180 degrees, or one of them has a step limit.
     """
     rows: list[list[int]] = []
     parameters = [q for entry in entries for q in entry.parameters]
@@ -148,19 +133,18 @@ def axis_columns(
 
 
 def _check_axis(axis: tuple[str, ...], members: list[Parameter]) -> None:
-    *moduli, angle = members
-    for modulus in moduli:
-        if modulus.scale != "log":
-            raise ValueError(
-                f'axes {axis}: {modulus.name!r} must have scale="log", got '
-                f"{modulus.scale!r}."
-            )
+    angle = members[2]
     if not angle.periodic:
         raise ValueError(
             f"axes {axis}: {angle.name!r} must turn freely: give it "
             'interpolation="director" and bounds that span 180 degrees.'
         )
     for member in members:
+        if member is not angle and member.scale != "log":
+            raise ValueError(
+                f'axes {axis}: {member.name!r} must have scale="log", got '
+                f"{member.scale!r}."
+            )
         if member.max_step is not None:
             raise ValueError(
                 f"axes {axis}: {member.name!r} has a max_step, but steps of an axis "
@@ -236,12 +220,10 @@ class FadingAxis(NamedTuple):
     large: ControlPointParameters
     angle: ControlPointParameters
 
-    def apply(self, model: Any, values: Mapping[str, Float[Array, ""]]) -> Any:
+    def apply(self, model: Any, values: Values) -> Any:
         """Reduce the contrast of the moduli in the cores; their geometric mean stays.
 
-        Args:
-            model: The model, with the three fields as without a core.
-            values: Values of all parameters by name, in SI units.
+        The model has the three fields as without a core.
         """
         low = jnp.log(self.small.evaluate(model.mesh, values))
         high = jnp.log(self.large.evaluate(model.mesh, values))
@@ -254,19 +236,14 @@ class FadingAxis(NamedTuple):
 def fading_axes(
     entries: Entries, axes: tuple[tuple[str, ...], ...]
 ) -> list[FadingAxis]:
-    """Return the axes whose angle has a core.
-
-    Raises:
-        ValueError: If an angle with a core belongs to no axis, or if the moduli of its
-            axis are not sampled where it is.
-    """
+    """Return the axes whose angle has a core."""
     fields = [e for e in entries if isinstance(e, ControlPointParameters)]
     found = []
     for angle in fields:
         if angle.core == 0.0:
             continue
-        its = [axis for axis in axes if axis[2] == angle.field]
-        if not its:
+        axis = next((axis for axis in axes if axis[2] == angle.field), None)
+        if axis is None:
             raise ValueError(
                 f"{angle.field} has a core, in which the contrast of two moduli fades: "
                 f'say which in axes, like ("E_l", "E_t", "{angle.field}"), or leave '
@@ -274,12 +251,12 @@ def fading_axes(
             )
         where = (angle.region, angle.sampling)
         beside = {e.field: e for e in fields if (e.region, e.sampling) == where}
-        for field in its[0]:
+        for field in axis:
             if field not in beside:
                 raise ValueError(
                     f"{angle.field} has a core, and {field} is not sampled where it "
                     f"is: give both region={angle.region!r} and "
                     f"sampling={angle.sampling!r}, or leave core out."
                 )
-        found.append(FadingAxis(*(beside[field] for field in its[0])))
+        found.append(FadingAxis(*(beside[field] for field in axis)))
     return found

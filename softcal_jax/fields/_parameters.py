@@ -16,6 +16,12 @@ from softcal_jax._units import readable
 from softcal_jax.fields._model_fields import find_field, set_field
 from softcal_jax.materials import is_point_values
 
+Values = Mapping[str, Float[Array, ""]]
+"""Values of all parameters by name, in SI units."""
+
+Names = Mapping[str, str]
+"""New names by the old ones."""
+
 
 class AbstractEntry(Module):
     """One or several unknowns, and what they set in a model and its configurations.
@@ -50,9 +56,7 @@ class AbstractEntry(Module):
         return ", ".join(parameter.name for parameter in self.parameters)
 
     @abstractmethod
-    def apply(
-        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
-    ) -> tuple[Any, Any]:
+    def apply(self, model: Any, configuration: Any, values: Values) -> tuple[Any, Any]:
         """Set the values of its unknowns; traceable and differentiable.
 
         Args:
@@ -60,9 +64,6 @@ class AbstractEntry(Module):
             configuration: Arrays of one configuration; None where only the model is
                 wanted.
             values: Values of all parameters by name, in SI units.
-
-        Returns:
-            Model and configuration, changed where the entry sets something.
         """
 
     @abstractmethod
@@ -70,13 +71,11 @@ class AbstractEntry(Module):
         """Raise ValueError unless the model has what the entry sets."""
 
     @abstractmethod
-    def renamed(
-        self, points: Mapping[str, str], names: Mapping[str, str]
-    ) -> "AbstractEntry":
+    def renamed(self, points: Names, names: Names) -> "AbstractEntry":
         """Return the same entry with other names of control points and parameters."""
 
 
-def _number(value) -> Float[Array, ""]:
+def as_number(value) -> Float[Array, ""]:
     if isinstance(value, jax.Array):
         return jnp.asarray(value, float)
     # Not jnp.asarray, which compiles a program for plain numbers.
@@ -84,7 +83,7 @@ def _number(value) -> Float[Array, ""]:
 
 
 def _number_or_none(value) -> Float[Array, ""] | None:
-    return None if value is None else _number(value)
+    return None if value is None else as_number(value)
 
 
 class AbstractFieldEntry(AbstractEntry):
@@ -119,7 +118,6 @@ class AbstractFieldEntry(AbstractEntry):
 
     @property
     def tet_group(self) -> str | None:
-        """The region that it sets the field in."""
         return self.region
 
 
@@ -138,9 +136,9 @@ class Parameter(AbstractFieldEntry):
 
     name: str = eqx.field(static=True)
     field: str = eqx.field(static=True)
-    start: Float[Array, ""] = eqx.field(converter=_number)
-    lower: Float[Array, ""] = eqx.field(converter=_number)
-    upper: Float[Array, ""] = eqx.field(converter=_number)
+    start: Float[Array, ""] = eqx.field(converter=as_number)
+    lower: Float[Array, ""] = eqx.field(converter=as_number)
+    upper: Float[Array, ""] = eqx.field(converter=as_number)
     periodic: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self):
@@ -173,25 +171,20 @@ class Parameter(AbstractFieldEntry):
                 f"{what}: a log scale needs positive bounds, got lower {lower:g}; use "
                 'scale="linear".'
             )
-        for name, remedy in (
-            ("S", ""),
-            ("max_step", ""),
-            ("prior_std", "; leave it out where nothing is known before"),
-        ):
+        for name in ("S", "max_step", "prior_std"):
             value = getattr(self, name)
             if value is not None and not float(value) > 0.0:
                 raise ValueError(
-                    f"{what}: {name} must be positive, got {float(value):g}{remedy}."
+                    f"{what}: {name} must be positive, got {float(value):g}; leave it "
+                    "out for its default."
                 )
 
     @property
     def parameters(self) -> tuple["Parameter", ...]:
-        """Itself."""
         return (self,)
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """The field that it sets."""
         return (self.field,)
 
     @property
@@ -201,12 +194,6 @@ class Parameter(AbstractFieldEntry):
             return jnp.ones(())
         return self.upper - self.lower if self.S is None else self.S
 
-    def prior_weight(self) -> Float[Array, ""]:
-        """Return 1 / standard deviation of the scaled prior; 0 without one [-]."""
-        if self.prior_std is None:
-            return jnp.zeros(())
-        return self.unit_step / self.prior_std
-
     def to_scaled(self, p: Float[Array, ""]) -> Float[Array, ""]:
         """Compute the scaled coordinate z: ln p, or p / S [-]."""
         return jnp.log(p) if self.scale == "log" else p / self.unit_step
@@ -215,9 +202,7 @@ class Parameter(AbstractFieldEntry):
         """Compute the value of a scaled coordinate: p = exp z, or p = S z."""
         return jnp.exp(z) if self.scale == "log" else z * self.unit_step
 
-    def apply(
-        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
-    ) -> tuple[Any, Any]:
+    def apply(self, model: Any, configuration: Any, values: Values) -> tuple[Any, Any]:
         """Set its field to one value in its region."""
         value = values[self.name]
         return set_field(model, self.field, value, self.region), configuration
@@ -233,9 +218,6 @@ class Parameter(AbstractFieldEntry):
                 f"{values.max():g}. Name the tet group it is for in `region`."
             )
 
-    def renamed(
-        self, points: Mapping[str, str], names: Mapping[str, str]
-    ) -> "Parameter":
-        """Return the same parameter with another name."""
+    def renamed(self, points: Names, names: Names) -> "Parameter":
         del points
         return replace(self, name=names[self.name])

@@ -20,8 +20,8 @@ import numpy as np
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.fields._parameters import Parameter
 from softcal_jax.fields._setup import QUANTITIES, SetupParameter
+from softcal_jax.fields._setup_parameters import Uncertain
 from softcal_jax.fields._space import ParameterSpace
-from softcal_jax.fields._uncertain import Uncertain
 
 PRECISION = 0.1
 """Standard error that is asked for by default, relative to the value [-]."""

@@ -1,6 +1,6 @@
 """The space of all calibrated parameters: scaling, bounds, order constraints."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,15 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.fields._once import once
-from softcal_jax.fields._order import (
-    AxisChart,
-    axis_columns,
-    fading_axes,
-    order_terms,
-)
-from softcal_jax.fields._parameters import AbstractEntry, Parameter
+from softcal_jax.fields._order import AxisChart, axis_columns, fading_axes, order_terms
+from softcal_jax.fields._parameters import AbstractEntry, Parameter, Values
 from softcal_jax.fields._spread import ControlPointParameters
 
 Entry = AbstractEntry
@@ -197,16 +193,19 @@ class ParameterSpace(Module):
 
     def prior_weights(self) -> Float[Array, " n_p"]:
         """Return 1 / standard deviations of the prior; 0 without one [-]."""
-        weights = jnp.stack([q.prior_weight() for q in self.parameters])
+        zero = jnp.zeros(())
+        weights = jnp.stack(
+            [
+                zero if q.prior_std is None else q.unit_step / q.prior_std
+                for q in self.parameters
+            ]
+        )
         if self.pin is None:
             return weights
         return weights.at[self.pin.column].set(self.pin.weight)
 
     def from_prior(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
-        """Compute signed distances from the start, in units of the prior [-].
-
-        Periodic parameters go the shorter way.
-        """
+        """Compute signed distances from the start, in units of the prior [-]."""
         middle = self.start()
         if self.pin is not None:
             middle = middle.at[self.pin.column].set(self.pin.value)
@@ -243,6 +242,8 @@ class ParameterSpace(Module):
     ) -> tuple[Any, Any]:
         """Set the values of scaled coordinates in a model and a configuration.
 
+        Setting them again changes nothing.
+
         Args:
             model: Anything with `law`, `density`, `mesh` and `mechanism`.
             configuration: Arrays of one configuration; None where only the model is
@@ -250,9 +251,6 @@ class ParameterSpace(Module):
             z: Scaled coordinates [-].
             columns: Indices of coordinates given separately, for derivatives by them.
             own: Their values, in place of those in `z` [-].
-
-        Returns:
-            Both, with the values set; setting them again changes nothing.
 
         Raises:
             ValueError: If either lacks what a parameter sets.
@@ -265,7 +263,7 @@ class ParameterSpace(Module):
         return self._with_values(model, configuration, values)
 
     def _with_values(
-        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
+        self, model: Any, configuration: Any, values: Values
     ) -> tuple[Any, Any]:
         for entry in self.entries:
             model, configuration = entry.apply(model, configuration, values)
@@ -273,8 +271,8 @@ class ParameterSpace(Module):
             model = axis.apply(model, values)
         return model, configuration
 
-    def model_with(self, model: Any, values: Mapping[str, Float[Array, ""]]) -> Any:
-        """Set the values of all parameters by name, in SI units, in a model alone."""
+    def model_with(self, model: Any, values: Values) -> Any:
+        """Set the values of all parameters in a model alone."""
         return self._with_values(model, None, values)[0]
 
     def model_at(self, model: Any, z: Float[Array, " n_p"]) -> Any:
@@ -304,11 +302,7 @@ def as_space(
 
 
 def check_names(entries: tuple[Entry, ...]) -> None:
-    """Raise unless parameter names are unique and ties name a parameter.
-
-    Raises:
-        ValueError: If a name repeats, or a value is tied to an unknown parameter.
-    """
+    """Raise ValueError unless names of parameters are unique and ties name one."""
     names = [q.name for entry in entries for q in entry.parameters]
     for name in names:
         if names.count(name) > 1:
@@ -317,10 +311,8 @@ def check_names(entries: tuple[Entry, ...]) -> None:
         if isinstance(entry, ControlPointParameters):
             for point, name in entry.tied:
                 if name not in names:
-                    raise ValueError(
-                        f"{entry.field} of {point} is tied to {name!r}, which is no "
-                        f"parameter; there are {', '.join(names)}."
-                    )
+                    error = unknown_name("parameter", name, names)
+                    raise ValueError(f"{entry.field} of {point} is tied to an {error}")
 
 
 def unnamed(space: ParameterSpace) -> ParameterSpace:
@@ -341,7 +333,7 @@ def unnamed(space: ParameterSpace) -> ParameterSpace:
                 names[parameter.name] = f"parameter {len(names) + 1}"
 
     def rename(groups: Groups) -> Groups:  # an order may name fields as well
-        return tuple(tuple(names.get(name, name) for name in own) for own in groups)
+        return tuple(tuple(names.get(name, name) for name in group) for group in groups)
 
     return replace(
         space,

@@ -1,6 +1,7 @@
 """Checks that parameters fit the model that they calibrate."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -101,32 +102,23 @@ def _check_effects(model: Any, space: ParameterSpace, configuration: Any) -> Non
     """
     # Copies: a model at the start may hold the very arrays of the parameters.
     values = {q.name: jax.device_put(np.array(q.start)) for q in space.parameters}
+    leaves = partial(jax.tree_util.tree_leaves_with_path, is_leaf=is_point_values)
+    before = dict(leaves((model, configuration)))
     for entry in space.entries:
-        changed = entry.apply(model, configuration, values)
-        found = _differences((model, configuration), changed)
-        own = {"[0]." + find_field(model, name).path for name in entry.fields}
-        if not found and configuration is not None:
+        after = leaves(entry.apply(model, configuration, values))
+        changed = [path for path, leaf in after if before.get(path) is not leaf]
+        replaced = set(map(jax.tree_util.keystr, changed))
+        named = {"[0]." + find_field(model, name).path for name in entry.fields}
+        if not replaced and configuration is not None:
             raise ValueError(
                 f"parameter {entry.label!r} sets nothing in the model or in a "
                 f"configuration: {type(entry).__name__}.apply must return them changed."
             )
-        if own and not found <= own:
+        if named and not replaced <= named:
             raise ValueError(
-                f"parameter {entry.label!r} sets {', '.join(sorted(found - own))} "
+                f"parameter {entry.label!r} sets {', '.join(sorted(replaced - named))} "
                 f"beside its fields: let {type(entry).__name__}.fields be empty."
             )
-
-
-def _differences(old: Any, new: Any) -> set[str]:
-    """Return the paths of arrays that were replaced, with field values as a whole."""
-    leaves = jax.tree_util.tree_leaves_with_path
-    before = dict(leaves(old, is_leaf=is_point_values))
-    after = dict(leaves(new, is_leaf=is_point_values))
-    return {
-        jax.tree_util.keystr(path)
-        for path, leaf in after.items()
-        if before.get(path) is not leaf
-    }
 
 
 def _check_order(space: ParameterSpace) -> None:
