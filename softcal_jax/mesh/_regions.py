@@ -28,8 +28,8 @@ class AbstractRegion(Module):
             value = getattr(self, name)
             bad = np.isnan(value) if infinite else ~np.isfinite(value)
             if value.shape != (3,) or bad.any():
-                what = "three numbers" if infinite else "three finite numbers"
-                raise ValueError(f"{name} must be {what}, got {value}.")
+                what = "numbers" if infinite else "finite numbers"
+                raise ValueError(f"{name} must be three {what}, got {value}.")
 
     @abc.abstractmethod
     def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
@@ -62,11 +62,9 @@ class Box(AbstractRegion):
             )
 
     def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
-        """Compute the distance of points from the box [m], zero inside."""
         return np.linalg.norm(points - np.clip(points, self.lower, self.upper), axis=1)
 
     def __str__(self) -> str:
-        """Describe it, for messages."""
         return f"the box from {place(self.lower)} to {place(self.upper)}"
 
 
@@ -89,12 +87,10 @@ class Plane(AbstractRegion):
             raise ValueError("the normal of a plane must not be zero.")
 
     def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
-        """Compute the distance of points from the plane [m]."""
         normal = self.normal / np.linalg.norm(self.normal)
         return np.abs((points - self.point) @ normal)
 
     def __str__(self) -> str:
-        """Describe it, for messages."""
         normal = ", ".join(f"{x:.4g}" for x in self.normal)
         return f"the plane through {place(self.point)} across ({normal})"
 
@@ -118,106 +114,92 @@ class Sphere(AbstractRegion):
             raise ValueError(f"radius must be positive [m], got {self.radius}.")
 
     def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
-        """Compute the distance of points from the ball [m], zero inside."""
         gap = np.linalg.norm(points - self.centre, axis=1) - self.radius
         return np.maximum(gap, 0.0)
 
     def __str__(self) -> str:
-        """Describe it, for messages."""
         radius = readable(self.radius, "m")
         return f"the sphere of {radius} around {place(self.centre)}"
 
 
-class Annulus(AbstractRegion):
-    """The points between two cylinders about one axis: a tube, or a short one: a ring.
+class AbstractTube(AbstractRegion):
+    """The points between two radii about a straight axis, both ends included.
 
     Attributes:
         start: Middle of one end [m].
         end: Middle of the other end [m].
+    """
+
+    start: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
+    end: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
+
+    @property
+    @abc.abstractmethod
+    def radii(self) -> tuple[float, float]:
+        """Inner and outer radius [m]."""
+
+    def __check_init__(self):
+        self._check(("start", "end"))
+        if not np.linalg.norm(self.end - self.start) > 0:
+            raise ValueError(
+                f"start and end are both at {place(self.start)}; expected the middles "
+                "of two ends, which give the direction of the axis."
+            )
+        inner, outer = self.radii
+        if not 0.0 <= inner < outer:
+            raise ValueError(
+                "the outer radius must be positive, and the inner one zero or more and "
+                f"less than the outer one, got {inner} and {outer} m."
+            )
+
+    def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
+        inner, outer = self.radii
+        length = np.linalg.norm(self.end - self.start)
+        axis = (self.end - self.start) / length
+        along = (points - self.start) @ axis
+        radius = np.linalg.norm(points - self.start - along[:, None] * axis, axis=1)
+        beyond = np.maximum(np.maximum(-along, along - length), 0.0)
+        aside = np.maximum(np.maximum(inner - radius, radius - outer), 0.0)
+        return np.hypot(beyond, aside)
+
+    def __str__(self) -> str:
+        radii = " to ".join(readable(r, "m") for r in self.radii if r)
+        ends = f"from {place(self.start)} to {place(self.end)}"
+        return f"the {type(self).__name__.lower()} of radius {radii} {ends}"
+
+
+class Annulus(AbstractTube):
+    """The points between two cylinders about one axis: a tube, or a short one: a ring.
+
+    Attributes:
         inner: Radius of the hole [m].
         outer: Outer radius [m].
         tolerance: Distance at which a point still counts as inside [m].
     """
 
-    start: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
-    end: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
     inner: float
     outer: float
     tolerance: float = _ROUNDING
 
-    def __check_init__(self):
-        _check_axis(self)
-        if not 0.0 <= self.inner < self.outer:
-            raise ValueError(
-                "the inner radius must be zero or more, and less than the outer one, "
-                f"got {self.inner} and {self.outer} m."
-            )
-
-    def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
-        """Compute the distance of points from the tube [m], zero inside."""
-        return _from_tube(points, self.start, self.end, self.inner, self.outer)
-
-    def __str__(self) -> str:
-        """Describe it, for messages."""
-        radii = " to ".join(readable(r, "m") for r in (self.inner, self.outer))
-        ends = f"from {place(self.start)} to {place(self.end)}"
-        return f"the annulus of radius {radii} {ends}"
+    @property
+    def radii(self) -> tuple[float, float]:
+        return self.inner, self.outer
 
 
-class Cylinder(AbstractRegion):
+class Cylinder(AbstractTube):
     """The points within a radius of a straight axis, both ends included.
 
     Attributes:
-        start: Middle of one end [m].
-        end: Middle of the other end [m].
         radius: Its radius [m].
         tolerance: Distance at which a point still counts as inside [m].
     """
 
-    start: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
-    end: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
     radius: float
     tolerance: float = _ROUNDING
 
-    def __check_init__(self):
-        _check_axis(self)
-        if not self.radius > 0:
-            raise ValueError(f"radius must be positive [m], got {self.radius}.")
-
-    def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
-        """Compute the distance of points from the cylinder [m], zero inside."""
-        return _from_tube(points, self.start, self.end, 0.0, self.radius)
-
-    def __str__(self) -> str:
-        """Describe it, for messages."""
-        ends = f"from {place(self.start)} to {place(self.end)}"
-        return f"the cylinder of radius {readable(self.radius, 'm')} {ends}"
-
-
-def _check_axis(region: "Annulus | Cylinder") -> None:
-    region._check(("start", "end"))
-    if not np.linalg.norm(region.end - region.start) > 0:
-        raise ValueError(
-            f"start and end are both at {place(region.start)}; expected the middles of "
-            "two ends, which give the direction of the axis."
-        )
-
-
-def _from_tube(
-    points: Float[HostArray, "n 3"],
-    start: Float[HostArray, "3"],
-    end: Float[HostArray, "3"],
-    inner: float,
-    outer: float,
-) -> Float[HostArray, " n"]:
-    """Compute the distance of points from a tube between two radii [m]."""
-    length = np.linalg.norm(end - start)
-    axis = (end - start) / length
-    along = (points - start) @ axis
-    radius = np.linalg.norm(points - start - along[:, None] * axis, axis=1)
-    beyond = np.maximum(np.maximum(-along, along - length), 0.0)
-    aside = np.maximum(np.maximum(inner - radius, radius - outer), 0.0)
-    return np.hypot(beyond, aside)
+    @property
+    def radii(self) -> tuple[float, float]:
+        return 0.0, self.radius
 
 
 def place(point: Float[HostArray, "3"]) -> str:

@@ -55,7 +55,9 @@ def write_mesh(
     for name, faces in mesh.surface_groups.items():
         blocks.append(("triangle", faces, _tag(names, name, 2)))
     for name, nodes in mesh.node_groups.items():
-        if not np.array_equal(np.unique(nodes), _implied(mesh, name)):
+        tets = mesh.tets[mesh.tet_groups.get(name, np.zeros(0, int))]
+        implied = np.unique(mesh.surface_groups.get(name, tets))
+        if not np.array_equal(np.unique(nodes), implied):
             blocks.append(("vertex", nodes[:, None], _tag(names, name, 0)))
     tags: list[Any] = [np.full(len(cells), tag, np.int32) for _, cells, tag in blocks]
     meshio.Mesh(
@@ -64,13 +66,6 @@ def write_mesh(
         cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
         field_data={name: np.array(tag, np.int32) for name, tag in names.items()},
     ).write(path, file_format="gmsh22", binary=False)
-
-
-def _implied(mesh: TetMesh, name: str) -> HostArray:
-    """Return the nodes of the faces or tets of the group of this name, if any."""
-    if name in mesh.surface_groups:
-        return np.unique(mesh.surface_groups[name])
-    return np.unique(mesh.tets[mesh.tet_groups.get(name, np.zeros(0, int))])
 
 
 def _tag(names: dict[str, tuple[int, int]], name: str, dimension: int) -> int:
