@@ -91,14 +91,12 @@ class TabulatedElasticity(AbstractElasticity):
         return cls(tuple(PointValues(e) if per_point else e for e in shaped))
 
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-        """Stress C : strain for a symmetric strain [Pa]."""
         e = [strain[i, j] * (1.0 if i == j else 2.0) for i, j in _PAIRS]
         C = self.entries
         s = [sum(C[_UPPER[a, b]] * e[b] for b in range(6)) for a in range(6)]
         return jnp.stack([jnp.stack([s[a] for a in row]) for row in _VOIGT])
 
     def tensor(self) -> Float[Array, "3 3 3 3"]:
-        """The tensor C_MJNL [Pa]."""
         indices = _UPPER[_VOIGT[:, :, None, None], _VOIGT[None, None]].ravel()
         return jnp.stack([self.entries[i] for i in indices]).reshape(3, 3, 3, 3)
 
@@ -154,9 +152,8 @@ class AbstractLinearLaw(AbstractLaw):
 
     def tabulated(self) -> "AbstractLaw":
         """Compute the entries of the tensor C once."""
-        return eqx.tree_at(
-            lambda law: law.elasticity, self, self.elasticity.tabulated()
-        )
+        table = self.elasticity.tabulated()
+        return eqx.tree_at(lambda law: law.elasticity, self, table)
 
 
 class StVenantKirchhoff(AbstractLinearLaw):

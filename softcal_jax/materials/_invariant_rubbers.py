@@ -123,7 +123,6 @@ class Gent(AbstractInvariantRubber):
     )
 
     def shear_modulus(self) -> Float[Array, "..."]:
-        """Shear modulus at small strain [Pa]."""
         return self.mu
 
     def distortion(self, i1: Float[Array, ""], i2: Float[Array, ""]) -> Distortion:

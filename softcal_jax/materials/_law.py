@@ -8,6 +8,7 @@ import jax
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float
 from softcal_jax.materials._fibre import Fibre
+from softcal_jax.materials._products import Matrix, Tensor
 
 
 class AbstractLaw(Module):
@@ -46,26 +47,22 @@ class AbstractLaw(Module):
     conservative: ClassVar[bool] = True
 
     @abstractmethod
-    def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
+    def energy_density(self, F: Matrix) -> Float[Array, ""]:
         """Strain energy per reference volume, psi(F) [J/m3]."""
 
-    def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    def stress(self, F: Matrix) -> Matrix:
         """First Piola-Kirchhoff stress P = d psi / d F [Pa]."""
         return jax.grad(self.energy_density)(F)
 
-    def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
+    def tangent(self, F: Matrix) -> Tensor:
         """Tangent A_iJkL = d P_iJ / d F_kL [Pa]."""
         return jax.jacfwd(self.stress)(F)
 
-    def energy_and_stress(
-        self, F: Float[Array, "3 3"]
-    ) -> tuple[Float[Array, ""], Float[Array, "3 3"]]:
+    def energy_and_stress(self, F: Matrix) -> tuple[Float[Array, ""], Matrix]:
         """Compute energy [J/m3] and stress [Pa]; override it if they share work."""
         return self.energy_density(F), self.stress(F)
 
-    def stress_and_tangent(
-        self, F: Float[Array, "3 3"]
-    ) -> tuple[Float[Array, "3 3"], Float[Array, "3 3 3 3"]]:
+    def stress_and_tangent(self, F: Matrix) -> tuple[Matrix, Tensor]:
         """Compute stress and tangent [Pa]; override it if they share work."""
         return self.stress(F), self.tangent(F)
 

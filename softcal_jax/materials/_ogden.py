@@ -18,17 +18,15 @@ from softcal_jax.materials._rubber import (
 )
 
 
-def _field_or_none(
-    value: Float[ArrayLike, "..."] | None,
-) -> Float[Array, "..."] | None:
+def _if_any(value: Float[ArrayLike, "..."] | None) -> Float[Array, "..."] | None:
     return None if value is None else as_field(value)
 
 
-def _stiffness(term: str) -> Any:
+def _stiffness(term: str) -> dict[str, Any]:
     return signed(f'stiffness of the {term} term: "600 kPa"')
 
 
-def _exponent(term: str) -> Any:
+def _exponent(term: str) -> dict[str, Any]:
     return constant("", f"exponent of the {term} term: 1.3")
 
 
@@ -68,16 +66,16 @@ class Ogden(AbstractRubber):
         converter=as_field, metadata=_exponent("first")
     )
     mu_2: Float[Array, "..."] | None = eqx.field(
-        converter=_field_or_none, default=None, metadata=_stiffness("second")
+        converter=_if_any, default=None, metadata=_stiffness("second")
     )
     alpha_2: Float[Array, "..."] | None = eqx.field(
-        converter=_field_or_none, default=None, metadata=_exponent("second")
+        converter=_if_any, default=None, metadata=_exponent("second")
     )
     mu_3: Float[Array, "..."] | None = eqx.field(
-        converter=_field_or_none, default=None, metadata=_stiffness("third")
+        converter=_if_any, default=None, metadata=_stiffness("third")
     )
     alpha_3: Float[Array, "..."] | None = eqx.field(
-        converter=_field_or_none, default=None, metadata=_exponent("third")
+        converter=_if_any, default=None, metadata=_exponent("third")
     )
     nu: Float[Array, "..."] = eqx.field(
         converter=as_field, default=INCOMPRESSIBLE, metadata=RUBBER_RATIO
@@ -107,7 +105,6 @@ class Ogden(AbstractRubber):
         return 0.5 * sum_of(term.mu * term.alpha for term in self.terms())
 
     def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
-        """Energy of all terms and of the volume [J/m3]."""
         J, C = determinant(F), matmul(F.T, F)
         log_J = jnp.log(J)
         distortion = sum_of(

@@ -5,25 +5,26 @@ import jax
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import sum_of
 
+Matrix = Float[Array, "3 3"]
+Tensor = Float[Array, "3 3 3 3"]
 
-def outer(X: Float[Array, "3 3"], Y: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
+
+def outer(X: Matrix, Y: Matrix) -> Tensor:
     """Multiply X_iJ Y_kL."""
     return X[:, :, None, None] * Y[None, None]
 
 
-def crossed(X: Float[Array, "3 3"], Y: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
+def crossed(X: Matrix, Y: Matrix) -> Tensor:
     """Multiply X_iL Y_kJ."""
     return X[:, None, None, :] * Y.T[None, :, :, None]
 
 
-def paired(X: Float[Array, "3 3"], Y: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
+def paired(X: Matrix, Y: Matrix) -> Tensor:
     """Multiply X_ik Y_JL."""
     return X[:, None, :, None] * Y[None, :, None, :]
 
 
-def turned(
-    C: Float[Array, "3 3 3 3"], G: Float[Array, "3 3"]
-) -> Float[Array, "3 3 3 3"]:
+def turned(C: Tensor, G: Matrix) -> Tensor:
     """Transform the first index of each pair, G_iM C_MJNL G_kN."""
     # Barriers stop XLA from recomputing C and `half` for each entry of the result.
     C = jax.lax.optimization_barrier(C)

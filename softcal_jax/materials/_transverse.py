@@ -113,7 +113,6 @@ class TransverseIsotropic(AbstractElasticity):
         check_fibre_ratio(self.E_t, self.E_l, self.nu_t, self.nu_tl)
 
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-        """Stress C : strain for a symmetric strain [Pa]."""
         C = plane_stiffness(self.E_t, self.E_l, self.nu_t, self.nu_tl)
         mu = self.E_t / (2.0 * (1.0 + self.nu_t))
         mixed = C.C13 - C.C12
@@ -127,7 +126,6 @@ class TransverseIsotropic(AbstractElasticity):
         return _stress(strain, self.fibre.direction(), coefficients)
 
     def tabulated(self) -> TabulatedElasticity:
-        """Compute the entries of the tensor once."""
         return TabulatedElasticity.of(self)
 
 
@@ -174,5 +172,4 @@ class ReducedTransverseIsotropic(AbstractElasticity):
         return _stress(strain, self.fibre.direction(), coefficients)
 
     def tabulated(self) -> TabulatedElasticity:
-        """Compute the entries of the tensor once."""
         return TabulatedElasticity.of(self)

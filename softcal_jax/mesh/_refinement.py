@@ -144,8 +144,8 @@ def finer(mesh: TetMesh) -> Refinement:
     carriers = np.zeros((fine.n_nodes - n, n_en), mesh.tets.dtype)
     weights = np.zeros(carriers.shape)
     new = fine.tets[:, 4:] - n
-    parent = np.repeat(np.arange(mesh.n_tets), fine.n_tets // mesh.n_tets)
-    carriers[new] = mesh.tets[parent][:, None]
+    of_parent = np.repeat(mesh.tets, fine.n_tets // mesh.n_tets, axis=0)
+    carriers[new] = of_parent[:, None]
     weights[new] = shape_functions(mids, n_en)
     straight = Refinement(mesh, linear, fine, corners, carriers, weights)
     points = np.concatenate([mesh.points, straight.carried(mesh.points)])

@@ -15,14 +15,11 @@ from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import boundary_faces
 
 Predicate = Callable[[HostArray], HostArray]
+"""A region like `Box`, or any callable from points [m] to booleans."""
 
 
 def select_nodes(mesh: TetMesh, where: Predicate) -> Int[HostArray, " n"]:
     """Select the nodes whose position satisfies a predicate, sorted.
-
-    Args:
-        mesh: The mesh.
-        where: A region like `Box`, or any callable from points [m] to booleans.
 
     Raises:
         ValueError: If no node satisfies it, or it does not give one boolean per point.
@@ -35,10 +32,6 @@ def select_nodes(mesh: TetMesh, where: Predicate) -> Int[HostArray, " n"]:
 
 def select_faces(mesh: TetMesh, where: Predicate) -> Int[HostArray, "n n_fn"]:
     """Select the boundary faces whose nodes all satisfy a predicate, normals outwards.
-
-    Args:
-        mesh: The mesh.
-        where: A region like `Box`, or any callable from points [m] to booleans.
 
     Raises:
         ValueError: If no face satisfies it, or it does not give one boolean per point.
@@ -57,12 +50,7 @@ def select_faces(mesh: TetMesh, where: Predicate) -> Int[HostArray, "n n_fn"]:
 def node_indices(
     mesh: TetMesh, where: str | Int[HostArray, " n"], owner: str
 ) -> Int[HostArray, " _"]:
-    """Return the indices of the nodes of a group, or check given ones.
-
-    Args:
-        mesh: The mesh.
-        where: Name of a group, or node indices.
-        owner: What acts on the nodes, for messages.
+    """Return the nodes of a group, or check given ones; errors name their owner.
 
     Raises:
         ValueError: If the group is unknown, or the indices are no list of integers

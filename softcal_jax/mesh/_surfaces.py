@@ -65,20 +65,16 @@ def select_reachable(
 
 
 def select_face(mesh: TetMesh, point: ArrayData) -> Int[HostArray, "n n_fn"]:
-    """Select the face of the body that a point lies on.
+    """Select the face of the body that a point [m] lies on, not on its border.
 
     On a mesh from a CAD model it is the face of the model ("face 7"); on any other one
     what is reached across edges at which the surface turns by less than 40 degrees.
-
-    Args:
-        mesh: The mesh.
-        point: A point of the face [m], not on its border.
 
     Raises:
         ValueError: If the point is not on the surface, or on the border of faces.
     """
     surface = _Surface(mesh)
-    labels = surface.parts(SHARP, np.zeros(len(surface.faces), bool))
+    labels = surface.parts(SHARP)
     for k, name in enumerate(filter(CAD_FACE.fullmatch, mesh.surface_groups)):
         rows = surface.rows(mesh.faces(name))
         labels[rows[rows >= 0]] = -1 - k
@@ -128,7 +124,7 @@ def select_cavity(
 def surface_parts(mesh: TetMesh) -> list[Int[HostArray, "_ n_fn"]]:
     """Divide the surface at edges at which it turns by more than 40 degrees."""
     surface = _Surface(mesh)
-    labels = surface.parts(SHARP, np.zeros(len(surface.faces), bool))
+    labels = surface.parts(SHARP)
     return [surface.faces[labels == part] for part in range(labels.max() + 1)]
 
 
@@ -165,22 +161,22 @@ class _Surface:
         return marked
 
     def parts(
-        self, angle: float | None, barred: Bool[HostArray, " n_faces"]
+        self, angle: float | None, barred: Bool[HostArray, " n_faces"] | None = None
     ) -> Int[HostArray, " n_faces"]:
         """Number the connected parts of the surface; each barred face is one alone."""
         corners = self.faces[:, :3]
         edges = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1)
+        ends = np.sort(edges.reshape(-1, 2), axis=1)
         _, inverse, counts = np.unique(
-            np.sort(edges.reshape(-1, 2), axis=1),
-            axis=0,
-            return_inverse=True,
-            return_counts=True,
+            ends, axis=0, return_inverse=True, return_counts=True
         )
         inverse = inverse.ravel()
         order = np.argsort(inverse, kind="stable")
         # An edge of more than two faces is one along which parts only touch.
         left, right = order[counts[inverse[order]] == 2].reshape(-1, 2).T // 3
-        joined = ~barred[left] & ~barred[right]
+        joined = np.ones(len(left), bool)
+        if barred is not None:
+            joined = ~barred[left] & ~barred[right]
         if angle is not None:
             turn = np.sum(self.normals[left] * self.normals[right], axis=1)
             joined &= turn >= np.cos(angle)
@@ -196,11 +192,7 @@ class _Surface:
         return np.linalg.norm(feet - point, axis=1)
 
     def at(self, point: Float[HostArray, "3"]) -> Int[HostArray, " _"]:
-        """Find the faces that a point lies on; several if it is on an edge of them.
-
-        Raises:
-            ValueError: If it is farther away than half an edge of the nearest one.
-        """
+        """Find the faces that a point lies on; several if it is on an edge of them."""
         away = self.distances(point)
         nearest = np.argmin(away)
         edges = self.corners[nearest] - np.roll(self.corners[nearest], 1, axis=0)
@@ -218,11 +210,7 @@ class _Surface:
     def only(
         self, labels: Int[HostArray, " n_faces"], start: Int[HostArray, " _"], point
     ) -> int:
-        """Return the part that all faces at a point belong to.
-
-        Raises:
-            ValueError: If there are several.
-        """
+        """Return the part that all faces at a point belong to."""
         parts = np.unique(labels[start])
         if len(parts) > 1:
             raise ValueError(
