@@ -3,7 +3,8 @@
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Literal
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import equinox as eqx
 import jax
@@ -15,6 +16,26 @@ from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax._units import readable
 from softcal_jax.fields._model_fields import find_field, set_field
 from softcal_jax.materials import is_point_values
+
+Value = TypeVar("Value")
+
+
+class once(cached_property[Value]):
+    """Property whose first value is kept, for what loops on the host ask for often.
+
+    The outer loop asks for parameters and bounds at every step. Unlike that of its
+    base, a traced value is not kept: it is of no use outside its trace.
+    """
+
+    if not TYPE_CHECKING:  # its type is that of the base
+
+        def __get__(self, module: Any, owner: Any = None) -> Any:
+            """Compute the value, or return the kept one."""
+            value = super().__get__(module, owner)
+            if module is not None and any(map(is_traced, jax.tree.leaves(value))):
+                del vars(module)[self.attrname]
+            return value
+
 
 Values = Mapping[str, Float[Array, ""]]
 """Values of all parameters by name, in SI units."""

@@ -12,9 +12,8 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax.fields._once import once
 from softcal_jax.fields._order import AxisChart, axis_columns, fading_axes, order_terms
-from softcal_jax.fields._parameters import AbstractEntry, Parameter, Values
+from softcal_jax.fields._parameters import AbstractEntry, Parameter, Values, once
 from softcal_jax.fields._spread import ControlPointParameters
 
 Entry = AbstractEntry

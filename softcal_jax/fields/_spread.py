@@ -15,12 +15,12 @@ from softcal_jax._units import readable_values
 from softcal_jax.elements import shape_functions, tet_rule
 from softcal_jax.fields._control_points import ControlPoints
 from softcal_jax.fields._model_fields import region_tets, set_field
-from softcal_jax.fields._once import once
 from softcal_jax.fields._parameters import (
     AbstractFieldEntry,
     Names,
     Parameter,
     Values,
+    once,
 )
 from softcal_jax.materials import PointValues
 from softcal_jax.mesh import TetMesh

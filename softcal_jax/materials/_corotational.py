@@ -19,7 +19,7 @@ from softcal_jax.elements import (
     symmetric,
 )
 from softcal_jax.materials._elasticity import AbstractElasticity, AbstractLinearLaw
-from softcal_jax.materials._products import Matrix, Tensor, outer, turned
+from softcal_jax.materials._law import Matrix, Tensor, outer, turned
 
 # hat(e_1), hat(e_2), hat(e_3): minus the permutation symbol.
 _HAT = -np.cross(np.eye(3)[:, None], np.eye(3)[None])

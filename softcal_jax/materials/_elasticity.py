@@ -20,8 +20,7 @@ from softcal_jax.materials._constants import (
     check_constants,
     is_point_values,
 )
-from softcal_jax.materials._law import AbstractLaw
-from softcal_jax.materials._products import paired, turned
+from softcal_jax.materials._law import AbstractLaw, paired, turned
 
 _UNIT = np.eye(9).reshape(3, 3, 3, 3)
 _SYMMETRIC_UNIT = 0.5 * (_UNIT + _UNIT.transpose(1, 0, 2, 3))

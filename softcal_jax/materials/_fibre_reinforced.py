@@ -10,8 +10,7 @@ from softcal_jax._typing import Array, Float
 from softcal_jax.elements import sum_of
 from softcal_jax.materials._constants import FIBRES, as_field, check_constants
 from softcal_jax.materials._fibre import Fibre
-from softcal_jax.materials._law import AbstractLaw
-from softcal_jax.materials._products import Matrix, Tensor, outer, paired
+from softcal_jax.materials._law import AbstractLaw, Matrix, Tensor, outer, paired
 
 
 class _Void(AbstractLaw):

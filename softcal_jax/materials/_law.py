@@ -1,4 +1,4 @@
-"""What every constitutive law offers: an energy density and its derivatives."""
+"""What every constitutive law offers, and the products that make its tangent."""
 
 from abc import abstractmethod
 from typing import ClassVar
@@ -7,8 +7,35 @@ import jax
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float
+from softcal_jax.elements import sum_of
 from softcal_jax.materials._fibre import Fibre
-from softcal_jax.materials._products import Matrix, Tensor
+
+Matrix = Float[Array, "3 3"]
+Tensor = Float[Array, "3 3 3 3"]
+
+
+def outer(X: Matrix, Y: Matrix) -> Tensor:
+    """Multiply X_iJ Y_kL."""
+    return X[:, :, None, None] * Y[None, None]
+
+
+def crossed(X: Matrix, Y: Matrix) -> Tensor:
+    """Multiply X_iL Y_kJ."""
+    return X[:, None, None, :] * Y.T[None, :, :, None]
+
+
+def paired(X: Matrix, Y: Matrix) -> Tensor:
+    """Multiply X_ik Y_JL."""
+    return X[:, None, :, None] * Y[None, :, None, :]
+
+
+def turned(C: Tensor, G: Matrix) -> Tensor:
+    """Transform the first index of each pair, G_iM C_MJNL G_kN."""
+    # Barriers stop XLA from recomputing C and `half` for each entry of the result.
+    C = jax.lax.optimization_barrier(C)
+    half = sum_of(C[:, :, None, N, :] * G[None, None, :, N, None] for N in range(3))
+    half = jax.lax.optimization_barrier(half)
+    return sum_of(G[:, M, None, None, None] * half[None, M] for M in range(3))
 
 
 class AbstractLaw(Module):

@@ -18,8 +18,7 @@ from softcal_jax.materials._constants import (
     constant,
 )
 from softcal_jax.materials._fibre import Fibre
-from softcal_jax.materials._law import AbstractLaw
-from softcal_jax.materials._products import crossed, outer, paired
+from softcal_jax.materials._law import AbstractLaw, crossed, outer, paired
 from softcal_jax.materials._transverse import PlaneStiffness, plane_stiffness
 
 
