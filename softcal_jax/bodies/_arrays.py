@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import suggestion
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies._body import KINDS, RigidBody
 from softcal_jax.mesh import Refinement, TetMesh, node_indices
@@ -150,8 +150,8 @@ def _nodes(mesh: TetMesh, body: RigidBody) -> HostArray:
 
 def _check_disjoint(mesh: TetMesh, names, nodes) -> None:
     first = np.full(mesh.n_nodes, -1)
-    for k, own in enumerate(nodes):
-        shared = own[first[own] >= 0]
+    for k, of_body in enumerate(nodes):
+        shared = of_body[first[of_body] >= 0]
         if shared.size:
             raise ValueError(
                 f"rigid bodies {names[first[shared[0]]]!r} and {names[k]!r} share "
@@ -159,7 +159,7 @@ def _check_disjoint(mesh: TetMesh, names, nodes) -> None:
                 f"{mesh.points[shared[0]].tolist()} m: make them one body, or tie one "
                 "to the other with disjoint groups."
             )
-        first[own] = k
+        first[of_body] = k
 
 
 def _owners(bodies: Sequence[RigidBody], names: tuple[str, ...]) -> HostArray:
@@ -168,10 +168,8 @@ def _owners(bodies: Sequence[RigidBody], names: tuple[str, ...]) -> HostArray:
         if body.tied_to is None:
             continue
         if body.tied_to not in names:
-            raise ValueError(
-                f"rigid body {body.name!r} is tied to {body.tied_to!r}, which is not a "
-                f"body.{suggestion(body.tied_to, names)} Bodies: {', '.join(names)}."
-            )
+            what = f"body that rigid body {body.name!r} is tied to,"
+            raise unknown_name(what, body.tied_to, names)
         owner[k] = names.index(body.tied_to)
         root = bodies[owner[k]]
         if root.tied_to is not None:

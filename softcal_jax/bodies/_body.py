@@ -8,6 +8,7 @@ from jaxtyping import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from softcal_jax._module import Module
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray, Int
 
 Vector = Sequence[float] | Float[ArrayLike, "3"]
@@ -80,9 +81,7 @@ def _as_groups(where) -> tuple:
     return tuple(where) if isinstance(where, Iterable) else (np.asarray(where),)
 
 
-def _as_array(
-    value: Float[ArrayLike, "..."] | Sequence | None,
-) -> Float[HostArray, "..."] | None:
+def _if_any(value: ArrayLike | Sequence | None) -> Float[HostArray, "..."] | None:
     return None if value is None else np.asarray(value, float)
 
 
@@ -111,13 +110,13 @@ class RigidBody(Module):
 
     name: str
     where: tuple[str | Int[HostArray, " _"], ...] = eqx.field(converter=_as_groups)
-    origin: Float[HostArray, "3"] | None = eqx.field(converter=_as_array, default=None)
-    axes: Float[HostArray, "3 3"] | None = eqx.field(converter=_as_array, default=None)
+    origin: Float[HostArray, "3"] | None = eqx.field(converter=_if_any, default=None)
+    axes: Float[HostArray, "3 3"] | None = eqx.field(converter=_if_any, default=None)
     mounting: Pose = eqx.field(default_factory=Pose)
     tied_to: str | None = None
     mass: float = 0.0
     centre_of_mass: Float[HostArray, "3"] | None = eqx.field(
-        converter=_as_array, default=None
+        converter=_if_any, default=None
     )
 
     def __check_init__(self):
@@ -146,11 +145,8 @@ class RigidBody(Module):
 def hinge_axes(axis: Vector) -> Float[HostArray, "3 3"]:
     """Return the axes of a frame, by rows, whose third is a hinge's axis [-].
 
-    Args:
-        axis: Direction of the hinge, of any length.
-
     Raises:
-        ValueError: If the axis has no direction.
+        ValueError: If the axis is not three finite numbers, or has no length.
     """
     third = np.asarray(axis, float)
     length = np.linalg.norm(third)
@@ -181,9 +177,7 @@ class BodyState(Module):
 
     def __check_init__(self):
         if self.kind not in KINDS:
-            raise ValueError(
-                f"a rigid body is {', '.join(map(repr, KINDS))}, got {self.kind!r}."
-            )
+            raise unknown_name("state of a rigid body", self.kind, KINDS)
 
 
 KINDS = ("free", "hinged", "held")

@@ -114,7 +114,7 @@ class ControlPoints(Module):
                     raise ValueError(
                         f"control point {name!r} needs three numbers [m], got {x}."
                     )
-            given = [np.asarray(x, float) for x in given.values()]
+            given = list(given.values())
         x = np.asarray(given, float)
         if x.ndim != 2 or x.shape[1] != 3 or not len(x):
             raise ValueError(
@@ -151,11 +151,10 @@ class ControlPoints(Module):
         size = max(float(np.abs(x).max()), np.finfo(float).tiny)
         gaps = np.linalg.norm(x[:, None] - x[None], axis=2)
         for i, j in np.argwhere(np.triu(gaps <= 1e-9 * size, k=1)):
-            where = "" if self.axes == AXES else f" along {self.axes}"
             raise ValueError(
-                f"control points {self.names[i]!r} and {self.names[j]!r} coincide"
-                f"{where}: the data could never tell their values apart. Remove one, "
-                "or move it."
+                f"control points {self.names[i]!r} and {self.names[j]!r} coincide "
+                f"along {self.axes}: the data could never tell their values apart. "
+                "Remove one, or move it."
             )
 
     @property

@@ -23,17 +23,9 @@ def field_standard_errors(
 
     To first order, the square root of the diagonal of J Sigma J^T, where J = df/dz is
     the derivative of the field by the scaled parameters. What is given at quadrature
-    points is averaged over the tet.
-
-    Args:
-        model: The model that was calibrated.
-        space: The parameters.
-        z: Their scaled values [-].
-        covariance: Covariance Sigma of these; nan for what has no standard error [-].
-
-    Returns:
-        Standard errors in the unit of the field, by its name in the space; nan where a
-        parameter without a standard error acts.
+    points is averaged over the tet. Where a parameter without a standard error acts,
+    nan in the covariance Sigma of z, the result is nan too. It is in the unit of the
+    field, by its name in the space.
     """
     known = np.isfinite(np.diag(covariance))
     size, directions = np.linalg.eigh(covariance[np.ix_(known, known)])

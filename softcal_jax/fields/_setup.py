@@ -147,13 +147,7 @@ QUANTITIES: dict[str, Quantity] = {}
 
 
 class AbstractSetupEntry(AbstractEntry):
-    """Something unknown of the setup, the loads or the recordings.
-
-    Attributes:
-        kind: One of `QUANTITIES`.
-        of: What it belongs to, like the motor; empty where it belongs to nothing.
-        axis: Component of a quantity that has several, like "x"; empty otherwise.
-    """
+    """An entry that changes one of `QUANTITIES`."""
 
     kind: eqx.AbstractVar[str]
     of: eqx.AbstractVar[str]
@@ -170,11 +164,7 @@ class AbstractSetupEntry(AbstractEntry):
             self._index(model)
 
     def _index(self, owner: Any) -> tuple[int, ...]:
-        """Find what it sets in the array of its quantity.
-
-        Raises:
-            ValueError: If the owner does not have what the entry belongs to.
-        """
+        """Find what it sets in the array of its quantity."""
         quantity, index = self.quantity, ()
         if quantity.noun:
             names = list(quantity.names(owner))
@@ -246,11 +236,7 @@ class SetupParameter(AbstractSetupEntry):
         return f"{kind} of {self.of}" if self.of else kind
 
     def member(self, configuration: Any) -> str:
-        """Name of what a configuration belongs to: its own, or that of its recording.
-
-        Args:
-            configuration: Anything with `name` and `recording`.
-        """
+        """Name of a configuration, or of its recording if `by` says so."""
         recording = configuration.recording if self.by == "recording" else None
         return recording or configuration.name
 

@@ -1,8 +1,8 @@
 """The kinds of parameters of setup, loads and recordings, each with its constructor.
 
 To add a kind, declare here what it sets and where it can occur, and write the function
-that makes parameters of it, which `fields` exports; `project._setup` has a table for
-each. One that counts where it is not fitted has a standard deviation in `Uncertain`.
+that makes parameters of it, which `fields` exports and `project._setup` gives a table.
+One that counts where it is not fitted has a standard deviation in `Uncertain`.
 """
 
 from collections.abc import Sequence
@@ -238,9 +238,7 @@ QUANTITIES["load_factor"] = Quantity(
     relative=True,
     of_configuration=True,
     uncertain="loads",
-    occurs=lambda p: each_of(
-        p.arrays.loads.names, np.any(p.arrays.loads.force, axis=(2, 3))
-    ),
+    occurs=lambda p: each_of(p.arrays.loads.names, p.arrays.loads.force.any((2, 3))),
     absent="no configuration has such a dead load",
 )
 

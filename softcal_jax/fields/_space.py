@@ -162,12 +162,6 @@ class ParameterSpace(Module):
         turn = self.upper() - self.lower()
         return self._if_periodic(gap - turn * jnp.round(gap / turn), gap)
 
-    def distance(
-        self, z: Float[Array, " n_p"], other: Float[Array, " n_p"]
-    ) -> Float[Array, " n_p"]:
-        """Compute distances of scaled parameters, the shorter way if periodic."""
-        return jnp.abs(self.shorter(z - other))
-
     @once
     def chart(self) -> AxisChart | None:
         """Step coordinates of the axes; None without axes or tensor steps."""
@@ -193,12 +187,8 @@ class ParameterSpace(Module):
     def prior_weights(self) -> Float[Array, " n_p"]:
         """Return 1 / standard deviations of the prior; 0 without one [-]."""
         zero = jnp.zeros(())
-        weights = jnp.stack(
-            [
-                zero if q.prior_std is None else q.unit_step / q.prior_std
-                for q in self.parameters
-            ]
-        )
+        stds = [(q.unit_step, q.prior_std) for q in self.parameters]
+        weights = jnp.stack([zero if std is None else S / std for S, std in stds])
         if self.pin is None:
             return weights
         return weights.at[self.pin.column].set(self.pin.weight)
@@ -228,8 +218,7 @@ class ParameterSpace(Module):
 
     def order_names(self) -> list[tuple[str, str]]:
         """List the names of smaller and larger value of each order constraint."""
-        terms = order_terms(self.entries, self.order)
-        return [(small.name, large.name) for small, large in terms]
+        return [(s.name, l.name) for s, l in order_terms(self.entries, self.order)]
 
     def apply(
         self,
@@ -259,20 +248,17 @@ class ParameterSpace(Module):
             scaled[column] = value
         pairs = zip(self.parameters, scaled, strict=True)
         values = {q.name: q.from_scaled(coordinate) for q, coordinate in pairs}
-        return self._with_values(model, configuration, values)
+        return self.with_values(model, configuration, values)
 
-    def _with_values(
+    def with_values(
         self, model: Any, configuration: Any, values: Values
     ) -> tuple[Any, Any]:
+        """Set the values of all parameters, as `apply` does."""
         for entry in self.entries:
             model, configuration = entry.apply(model, configuration, values)
         for axis in fading_axes(self.entries, self.axes):
             model = axis.apply(model, values)
         return model, configuration
-
-    def model_with(self, model: Any, values: Values) -> Any:
-        """Set the values of all parameters in a model alone."""
-        return self._with_values(model, None, values)[0]
 
     def model_at(self, model: Any, z: Float[Array, " n_p"]) -> Any:
         """Set the values of scaled coordinates in a model alone; see `apply`."""

@@ -25,6 +25,7 @@ from softcal_jax.fields._parameters import (
 from softcal_jax.materials import PointValues
 from softcal_jax.mesh import TetMesh
 
+Pair = tuple[str, str]
 Interpolation = Literal["linear", "log", "director"]
 Sampling = Literal["centroids", "quadrature"]
 
@@ -36,15 +37,11 @@ def _numbers(value: Float[ArrayLike, "..."] | Sequence[float]) -> Float[Array, "
     return jnp.asarray(value, float)
 
 
-def _known(
-    fixed: Mapping[str, Float[ArrayLike, ""]] | None,
-) -> dict[str, Float[Array, ""]]:
-    return {name: jnp.asarray(v, float) for name, v in (fixed or {}).items()}
+def _known(fixed: Mapping[str, Float[ArrayLike, ""]] | None) -> dict[str, Array]:
+    return {name: _numbers(value) for name, value in (fixed or {}).items()}
 
 
-def _pairs(
-    tied: Mapping[str, str] | Iterable[tuple[str, str]] | None,
-) -> tuple[tuple[str, str], ...]:
+def _pairs(tied: Names | Iterable[Pair] | None) -> tuple[Pair, ...]:
     return tuple(dict(tied or ()).items())
 
 
@@ -85,10 +82,9 @@ class ControlPointParameters(AbstractFieldEntry):
         periodic: Whether each value is an angle that may leave its bounds.
 
     Raises:
-        ValueError: If a value has the wrong shape, an option is unknown, a fixed or
-            tied name is no control point, the bounds of an angle that is mixed as a
-            director span more than 180 degrees, or there is a core without a director
-            or out of [0, 1).
+        ValueError: If a value has the wrong shape, an option or the name of a control
+            point is unknown, a director spans more than 180 degrees, or there is a core
+            without a director or out of [0, 1).
     """
 
     field: str = eqx.field(static=True)
@@ -99,9 +95,7 @@ class ControlPointParameters(AbstractFieldEntry):
     interpolation: Interpolation = eqx.field(static=True, default="linear")
     sampling: Sampling = eqx.field(static=True, default="centroids")
     fixed: dict[str, Float[Array, ""]] = eqx.field(default=None, converter=_known)
-    tied: tuple[tuple[str, str], ...] = eqx.field(
-        static=True, default=None, converter=_pairs
-    )
+    tied: tuple[Pair, ...] = eqx.field(static=True, default=None, converter=_pairs)
     core: float = eqx.field(static=True, default=0.0, converter=float)
     periodic: tuple[bool, ...] = eqx.field(static=True, init=False)
 

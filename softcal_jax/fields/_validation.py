@@ -40,7 +40,7 @@ def check_parameters(
     _check_order(space)
     for side in ("lower", "upper"):
         bounds = {q.name: getattr(q, side) for q in space.parameters}
-        applied = space.model_with(model, bounds)
+        applied, _ = space.with_values(model, None, bounds)
         try:
             _check_constants(applied.law)
             if not np.all(np.asarray(applied.density) >= 0.0):

@@ -1,7 +1,7 @@
 """Direction of a fibre in the rest shape, one for the body or one per tet."""
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.materials._constants import (
     as_components,
@@ -65,11 +66,8 @@ class Fibre(Module):
     )
 
     def __check_init__(self):
-        if self.plane not in ("xy", "xz", "yz"):
-            raise ValueError(
-                f'plane must be "xy", "xz" or "yz", got {self.plane!r}; '
-                "theta counts from its first axis towards its second."
-            )
+        if self.plane not in get_args(Plane):
+            raise unknown_name("plane", self.plane, get_args(Plane))
         check_constants(self)
 
     @classmethod
@@ -87,11 +85,7 @@ class Fibre(Module):
     ) -> "Fibre":
         """Fibres around an axis through a point, turned by theta towards the axis.
 
-        Args:
-            centroids: `TetMesh.centroids`, where the directions are taken [m].
-            axis: Direction of the axis [-].
-            through: A point on it [m].
-            theta: Angle from the hoop [rad].
+        `TetMesh.centroids` are where the directions are taken [m].
 
         Raises:
             ValueError: If a centroid lies on the axis.
@@ -168,9 +162,7 @@ def frames_along(vectors: Float[HostArray, "n 3"]) -> Float[HostArray, "n 3 3"]:
 
 
 def frames_around(
-    points: Float[HostArray, "n 3"],
-    axis: Vector,
-    through: Vector,
+    points: Float[HostArray, "n 3"], axis: Vector, through: Vector
 ) -> Float[HostArray, "n 3 3"]:
     """Build local axes along an axis, away from it and around it (hoop).
 

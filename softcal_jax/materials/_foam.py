@@ -1,11 +1,12 @@
 """Homogenised moduli of printed foams, and the foam that has given moduli."""
 
-from typing import ClassVar, Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import equinox as eqx
 import numpy as np
 
 from softcal_jax._module import Module, one_line
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.materials._foam_patch import FoamPatch
 
@@ -67,14 +68,38 @@ class FoamTable(Module):
     E_stiff: Float[HostArray, " n"] = eqx.field(converter=np.asarray)
     source: str = eqx.field(static=True, default="a table of the user")
 
-    AXES: ClassVar[dict[str, AxisKind]] = {"Polyfoam": "soft", "Phasor": "stiff"}
-
     def __check_init__(self):
-        if self.infill not in self.AXES:
-            raise ValueError(
-                f'infill must be "Polyfoam" or "Phasor", got {self.infill!r}.'
-            )
-        self._check_values()
+        if self.infill not in get_args(Infill):
+            raise unknown_name("infill", self.infill, get_args(Infill))
+        shrink, E = self.anisotropy, self.E_soft
+        above = shrink > 0.0 if self._is_log else shrink >= 0.0
+        for name, values, fine, expected in (
+            (
+                "density",
+                self.density,
+                (self.density > 0.0) & (self.density <= 1.0),
+                "in (0, 1]: the share of solid, 0.2 for 20 %",
+            ),
+            (
+                self.setting,
+                shrink,
+                above & (shrink <= 1.0),
+                "in (0, 1]" if self._is_log else "in [0, 1]",
+            ),
+            ("E_soft", E, E > 0.0, "positive [Pa]"),
+            (
+                "E_stiff",
+                self.E_stiff,
+                self.E_stiff >= E,
+                "finite and at least E_soft [Pa]",
+            ),
+        ):
+            bad = np.flatnonzero(~(fine & np.isfinite(values)))
+            if bad.size:
+                raise ValueError(
+                    f"foam table, sample {bad[0] + 1}: {name} must be {expected}, got "
+                    f"{values[bad[0]]:g}."
+                )
         for level in np.unique(self.anisotropy):
             densities = self.density[self.anisotropy == level]
             if len(np.unique(densities)) < max(len(densities), 2):
@@ -84,40 +109,15 @@ class FoamTable(Module):
                     "each once, since moduli are interpolated between them."
                 )
 
-    def _check_values(self) -> None:
-        columns = {
-            "density": (self.density, (self.density > 0.0) & (self.density <= 1.0)),
-            self.setting: (self.anisotropy, self._has_coordinate()),
-            "E_soft": (self.E_soft, self.E_soft > 0.0),
-            "E_stiff": (self.E_stiff, self.E_stiff >= self.E_soft),
-        }
-        expected = {
-            "density": "in (0, 1]: the share of solid, 0.2 for 20 %",
-            self.setting: "in (0, 1]" if self._is_log else "in [0, 1]",
-            "E_soft": "positive [Pa]",
-            "E_stiff": "finite and at least E_soft [Pa]",
-        }
-        for name, (values, fine) in columns.items():
-            bad = np.flatnonzero(~(fine & np.isfinite(values)))
-            if bad.size:
-                raise ValueError(
-                    f"foam table, sample {bad[0] + 1}: {name} must be "
-                    f"{expected[name]}, got {values[bad[0]]:g}."
-                )
-
-    def _has_coordinate(self):
-        positive = self.anisotropy > 0.0 if self._is_log else self.anisotropy >= 0.0
-        return positive & (self.anisotropy <= 1.0)
-
     @property
     def setting(self) -> str:
         """What the anisotropy is called for this infill."""
-        return "shrink" if self.infill == "Polyfoam" else "iso"
+        return "shrink" if self._is_log else "iso"
 
     @property
     def axis(self) -> AxisKind:
         """Which modulus holds along the single axis; the other holds across it."""
-        return self.AXES[self.infill]
+        return "soft" if self._is_log else "stiff"
 
     @property
     def _is_log(self) -> bool:
@@ -130,9 +130,7 @@ class FoamTable(Module):
     ) -> Float[HostArray, "n 2"]:
         """Interpolate E_soft and E_stiff [Pa].
 
-        Args:
-            density: Relative density [-]; outside the table the curves go on.
-            anisotropy: Shrink or isotropy [-]; that of the nearest level outside.
+        Outside the table the curves of the density go on, and the nearest level counts.
         """
         return self._patch().moduli(density, anisotropy)
 
@@ -141,14 +139,10 @@ class FoamTable(Module):
         E_soft: Float[HostArray, " n"],
         E_stiff: Float[HostArray, " n"],
     ) -> FoundFoam:
-        """Find the foams whose moduli are nearest, in the logarithms of both.
+        """Find the foams whose moduli [Pa] are nearest, in the logarithms of both.
 
         The nearest of many samples starts a Gauss-Newton search within the table, so
         that every value has an answer; its `error` says how far that is off.
-
-        Args:
-            E_soft: The smaller modulus [Pa].
-            E_stiff: The larger modulus [Pa].
         """
         # Each pair once: fields have few values per tet. Complex numbers sort as pairs.
         pairs, index = np.unique(E_soft + 1j * E_stiff, return_inverse=True)

@@ -27,14 +27,7 @@ class FoamPatch:
         *,
         is_log: bool,
     ):
-        """Fit a curve to each level.
-
-        Args:
-            density: Relative density of the samples [-].
-            anisotropy: Their shrink or isotropy [-].
-            moduli: Their E_soft and E_stiff [Pa].
-            is_log: Whether levels are mixed by the logarithm of their anisotropy.
-        """
+        """Fit a curve to each level; `is_log` mixes levels by their logarithm."""
         # Here, so that commands which do not need it do not wait for it.
         from scipy.interpolate import PchipInterpolator
 
@@ -92,24 +85,16 @@ class FoamPatch:
     def nearest(
         self, asked: Float[HostArray, "n 2"]
     ) -> tuple[Float[HostArray, " n"], Float[HostArray, "n 3"]]:
-        """Find the foams nearest to ln E_soft and ln E_stiff.
+        """Find the foams nearest to ln E_soft and ln E_stiff, see `FoamTable.find`.
 
-        The nearest of many samples starts a Gauss-Newton search in the patch, so that
-        every value has an answer.
-
-        Returns:
-            Their anisotropy, then ln density, ln E_soft and ln E_stiff.
+        Returns their anisotropy, then ln density, ln E_soft and ln E_stiff.
         """
-        grid = self.samples()
+        t = np.linspace(0.0, 1.0, _T_STEPS + 1)
+        s = np.linspace(0.0, self.last, _S_STEPS * int(self.last) + 1)
+        grid = np.stack(np.meshgrid(t, s, indexing="ij"), axis=-1).reshape(-1, 2)
         tree = KDTree(self.at(*grid.T)[:, 1:])
         x = _refined(self, asked, grid[tree.query(asked)[1]])
         return self.anisotropy(x[:, 1]), self.at(*x.T)
-
-    def samples(self) -> Float[HostArray, "m 2"]:
-        """Return pairs (t, s) that cover the patch."""
-        t = np.linspace(0.0, 1.0, _T_STEPS + 1)
-        s = np.linspace(0.0, self.last, _S_STEPS * int(self.last) + 1)
-        return np.stack(np.meshgrid(t, s, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 def _refined(
@@ -128,12 +113,6 @@ def _refined(
         if not active.size:
             break
     return x
-
-
-def _squared(
-    patch: FoamPatch, asked: Float[HostArray, "n 2"], x: Float[HostArray, "n 2"]
-) -> Float[HostArray, " n"]:
-    return ((patch.at(*x.T)[:, 1:] - asked) ** 2).sum(axis=1)
 
 
 def _step(
@@ -170,12 +149,13 @@ def _moved(
     step: Float[HostArray, "n 2"],
 ) -> Float[HostArray, "n 2"]:
     """Take the longest part of each step that brings the moduli nearer, if any does."""
+    squared = lambda at, goal: ((patch.at(*at.T)[:, 1:] - goal) ** 2).sum(axis=1)
     x = x.copy()
-    before = _squared(patch, asked, x)
+    before = squared(x, asked)
     left = np.arange(len(x))
     for length in (1.0, 0.5, 0.1, 0.01):
         trial = np.clip(x[left] + length * step[left], 0.0, [1.0, patch.last])
-        better = _squared(patch, asked[left], trial) < before[left]
+        better = squared(trial, asked[left]) < before[left]
         x[left[better]] = trial[better]
         left = left[~better]
         if not left.size:

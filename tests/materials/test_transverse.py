@@ -190,7 +190,7 @@ def test_fibre_directions():
 
 
 def test_bad_plane(unchecked):
-    with pytest.raises(ValueError, match=r"plane .*got"):
+    with pytest.raises(ValueError, match=r"unknown plane .*'xy', 'xz'"):
         Fibre(0.0, 0.0, "zx")
 
 
