@@ -1,7 +1,7 @@
 """Parameters: control points, bounds, scaling S, place in the model (Sec. IV.A)."""
 
 from softcal_jax.fields._control_points import ControlPoints, idw_weights
-from softcal_jax.fields._errors import AbstractError, FieldError, SetupError
+from softcal_jax.fields._errors import FieldError, SetupError
 from softcal_jax.fields._field_errors import field_standard_errors
 from softcal_jax.fields._model_fields import find_field, set_field
 from softcal_jax.fields._parameters import (
@@ -47,7 +47,6 @@ __all__ = [
     "PRECISION",
     "QUANTITIES",
     "AbstractEntry",
-    "AbstractError",
     "AbstractFieldEntry",
     "ControlPointParameters",
     "ControlPoints",

@@ -51,8 +51,6 @@ class FieldError(AbstractError):
     """An error of a field of the law, or of the density.
 
     Attributes:
-        name: Its name.
-        std: Its standard deviation.
         field: The field, as `find_field` finds it.
         share: Error of each tet per unit of the unknown; 0 where it is calibrated.
         relative: Whether the error is relative to the value.
@@ -88,12 +86,7 @@ class FieldError(AbstractError):
 class SetupError(AbstractError, AbstractSetupEntry):
     """An error of the setup, the loads or a recording, beside its present value.
 
-    Attributes:
-        name: Its name.
-        std: Its standard deviation; that of a factor is relative.
-        kind: One of `QUANTITIES`.
-        of: What it belongs to, like the motor; empty where it belongs to nothing.
-        axis: Component of a quantity that has several; empty otherwise.
+    That of a factor is relative; for `kind`, `of` and `axis` see `SetupParameter`.
     """
 
     name: str = eqx.field(static=True)

@@ -108,21 +108,20 @@ def axis_columns(
     parameters = [q for entry in entries for q in entry.parameters]
     for axis in axes:
         sides = [_sides(entries, name, "axes") for name in axis]
-        found = []
+        unknown = []
         for key in sides[0]:
             columns = [s[key].column if key in s else None for s in sides]
             known = [column for column in columns if column is not None]
             # If all three are tied, another control point has given this axis already.
-            if len(known) == 3 and known not in found:
-                found.append(known)
-        if not found:
+            if len(known) == 3 and known not in unknown:
+                unknown.append(known)
+                _check_axis(axis, [parameters[i] for i in known])
+        if not unknown:
             raise ValueError(
                 f"axes {axis}: no control point has all three unknown; give the three "
                 "fields the same control points, or leave this axis out."
             )
-        for columns in found:
-            _check_axis(axis, [parameters[i] for i in columns])
-        rows += found
+        rows += unknown
     used = [column for row in rows for column in row]
     for column in used:
         if used.count(column) > 1:

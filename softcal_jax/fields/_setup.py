@@ -72,10 +72,10 @@ class Quantity(NamedTuple):
 
     Attributes:
         title: Name of an unknown, with {of} and {axis} filled in.
-        put: Changes an entry: of (model or configuration, index, function of the old
-            value).
+        put: Changes an entry: of (owner, index, function of the old value). The owner
+            is the model or a configuration.
         noun: What its first axis enumerates, like "motor"; empty if nothing.
-        names: Names along the first axis, from the model or the configuration.
+        names: Names along the first axis, from the owner.
         components: Names along the last axis; empty for one number.
         relative: Whether errors are relative to the value, as those of factors are; a
             parameter of it has a log scale.

@@ -122,10 +122,7 @@ QUANTITIES["motor_zero"] = Quantity(
 def motor_zero(motor: str, *, limit: float, prior_std: float | None) -> SetupParameter:
     """Make the zero error of a motor a parameter.
 
-    Args:
-        motor: Name of the motor.
-        limit: Largest error considered [rad].
-        prior_std: Prior standard deviation [rad]; None if not known.
+    `limit` is the largest error [rad], `prior_std` None if not known [rad].
     """
     return setup_parameters("motor_zero", motor, limit=limit, prior_std=prior_std)[0]
 
@@ -151,11 +148,8 @@ def mounting(
 ) -> tuple[SetupParameter, ...]:
     """Make the three coordinates of the mounting of a rigid body parameters.
 
-    Args:
-        body: Name of the body.
-        nominal: Nominal translation [m].
-        limit: Largest error considered, per axis [m].
-        prior_std: Prior standard deviation [m]; None if not known.
+    They are about the `nominal` translation [m]. `limit` is the largest error per axis
+    [m], `prior_std` None if not known [m].
     """
     return setup_parameters(
         "mounting", body, limit=limit, prior_std=prior_std, nominal=nominal
@@ -181,13 +175,10 @@ QUANTITIES["friction"] = Quantity(
 def friction(
     actuator: str, nominal: float, *, limit: float, prior_std: float | None
 ) -> SetupParameter:
-    """Make the coefficient of friction of a cable a parameter.
+    """Make the coefficient of friction of a cable with friction a parameter.
 
-    Args:
-        actuator: Name of a cable with friction.
-        nominal: Nominal coefficient [-].
-        limit: Largest error considered; it stays above zero [-].
-        prior_std: Prior standard deviation; None if not known [-].
+    It is about the `nominal` one, with `limit` as the largest error, and stays above
+    zero; `prior_std` is None if not known [-].
     """
     return setup_parameters(
         "friction", actuator, limit=limit, prior_std=prior_std, nominal=nominal
@@ -217,13 +208,9 @@ def gravity_tilt(
 ) -> tuple[SetupParameter, ...]:
     """Make the direction of gravity two parameters: angles about two axes normal to it.
 
-    The axes are defined in `ConfigurationArrays.acceleration`.
-
-    Args:
-        limit: Largest tilt considered, per axis [rad].
-        prior_std: Prior standard deviation; None if not known [rad].
-        each: Configurations or recordings with a tilt each; one for all by default.
-        by: What `each` names.
+    The axes are defined in `ConfigurationArrays.acceleration`. `limit` is the largest
+    tilt per axis [rad], `prior_std` None if not known [rad]; for `each` and `by` see
+    `SetupParameter`.
     """
     return setup_parameters(
         "gravity_tilt", limit=limit, prior_std=prior_std, each=each, by=by
@@ -253,12 +240,9 @@ def load_factor(
 ) -> SetupParameter:
     """Make a factor on dead loads a parameter, for forces known to some percent.
 
-    Args:
-        load: Name of the loads; by default those without a name of their own.
-        limit: Largest factor considered, and 1 over the smallest [-].
-        prior_std: Relative prior standard deviation, like 0.05; None if not known [-].
-        each: Configurations or recordings with a factor each; one for all by default.
-        by: What `each` names.
+    By default it is of the loads without a name of their own. `limit` is the largest
+    factor, and 1 over the smallest [-]; `prior_std` is relative, like 0.05, and None if
+    not known [-]; for `each` and `by` see `SetupParameter`.
     """
     return setup_parameters(
         "load_factor", load, limit=limit, prior_std=prior_std, each=each, by=by
@@ -291,12 +275,7 @@ def actuator_factor(
 ) -> SetupParameter:
     """Make a factor on the imposed force of an actuator a parameter.
 
-    Args:
-        actuator: Name of the actuator.
-        limit: Largest factor considered, and 1 over the smallest [-].
-        prior_std: Relative prior standard deviation, like 0.05; None if not known [-].
-        each: Configurations or recordings with a factor each; one for all by default.
-        by: What `each` names.
+    The options are those of `load_factor`.
     """
     return setup_parameters(
         "actuator_factor", actuator, limit=limit, prior_std=prior_std, each=each, by=by
@@ -335,17 +314,10 @@ def recording_offset(
 ) -> tuple[SetupParameter, ...]:
     """Make the frame of a recording, or of a tracker's base, parameters.
 
-    These are three coordinates of its offset, with `limit`, and three of its rotation,
-    with `turn_limit`; see `RecordingBase`.
-
-    Args:
-        limit: Largest offset considered, per axis [m]; none by default, as for motions,
-            in which it cancels.
-        prior_std: Prior standard deviation; None if not known [m].
-        turn_limit: Largest rotation considered, per axis [rad]; none by default.
-        turn_prior_std: Prior standard deviation [rad]; None if not known.
-        each: Configurations or recordings with a frame each; one for all by default.
-        by: What `each` names.
+    These are three coordinates of its offset, if there is a `limit` per axis [m], and
+    three of its rotation, if there is a `turn_limit` [rad]; see `RecordingBase`. In
+    motions the offset cancels. Prior standard deviations, [m] and [rad], are None if
+    not known; for `each` and `by` see `SetupParameter`.
 
     Raises:
         ValueError: If neither limit is given.
@@ -388,13 +360,8 @@ def clamp_stiffness(
 ) -> SetupParameter:
     """Make the stiffness of an elastic support a parameter.
 
-    Args:
-        group: Surface group of a `Support` with a stiffness.
-        nominal: Nominal stiffness [N/m3].
-        limit: Largest ratio to it considered, and 1 over the smallest [-].
-        prior_std: Relative prior standard deviation; None if not known [-].
-        each: Configurations or recordings with one each; one for all by default.
-        by: What `each` names.
+    It is that of the surface group of a `Support`, about the `nominal` one [N/m3]. The
+    options are those of `load_factor`.
     """
     return setup_parameters(
         "clamp_stiffness",

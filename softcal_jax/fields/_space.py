@@ -130,7 +130,6 @@ class ParameterSpace(Module):
         return np.abs(np.asarray(slopes))
 
     def _if_periodic(self, periodic, otherwise) -> Float[Array, " n_p"]:
-        """Choose entries by whether the parameter is periodic."""
         flags = jnp.asarray([q.periodic for q in self.parameters])
         return jnp.where(flags, periodic, otherwise)
 

@@ -129,16 +129,14 @@ def _check_order(space: ParameterSpace) -> None:
     low, high = np.asarray(space.lower()), np.asarray(space.upper())
     excess = A @ np.asarray(space.start()) - b
     best = np.minimum(A * low, A * high).sum(axis=1) - b
-    order = "order asks for {0} <= {1}:"
-    axes = "axes names the smaller modulus first: swap the two there, or"
     given = zip(space.order_names(), excess, best, strict=True)
-    pairs = [(*pair, order) for pair in given]
+    pairs = [(*pair, "order") for pair in given]
     if space.chart is not None:
         names, z = space.names, np.asarray(space.start())
         for s, l in zip(space.chart.small, space.chart.large, strict=True):
             # The two moduli must be able to differ.
             least = np.inf if low[s] >= high[l] else 0.0
-            pairs.append(((names[s], names[l]), z[s] - z[l], least, axes))
+            pairs.append(((names[s], names[l]), z[s] - z[l], least, "axes"))
     for (small, large), over, least, rule in pairs:
         if least > 1e-12:
             raise ValueError(
@@ -147,8 +145,8 @@ def _check_order(space: ParameterSpace) -> None:
             )
         if over > 1e-12:
             raise ValueError(
-                f"the start has {small} above {large}, but {rule.format(small, large)} "
-                "start with equal or ordered values."
+                f"the start has {small} above {large}, but {rule} names the smaller "
+                "first: swap the two, or start with equal or ordered values."
             )
 
 

@@ -17,7 +17,6 @@ from softcal_jax.materials._elasticity import (
 from softcal_jax.materials._fibre import Fibre, frames_along, frames_around
 from softcal_jax.materials._fibre_reinforced import FibreReinforced
 from softcal_jax.materials._foam import (
-    TPU,
     FoamTable,
     FoundFoam,
     Infill,
@@ -59,7 +58,6 @@ LAWS: dict[str, type[AbstractLaw]] = {
 __all__ = [
     "ELASTICITIES",
     "LAWS",
-    "TPU",
     "AbstractElasticity",
     "AbstractLaw",
     "ClassicalCorotational",

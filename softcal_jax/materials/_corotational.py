@@ -72,9 +72,6 @@ class Corotational(AbstractLinearLaw):
     for an isotropic C. The paper's element (Vanneste, Goury, Duriez, RA-L 2022,
     Sec. IV.A) in its energy-consistent form. Stress and tangent are closed forms. The
     tets of SOFA have another rotation, see `SofaCorotational`.
-
-    Attributes:
-        elasticity: The tensor C, in the axes of the rest shape.
     """
 
     def strain(self, F: Matrix) -> Matrix:
@@ -199,9 +196,6 @@ class ClassicalCorotational(AbstractTurnedStress):
     not symmetric) and the tangent has no major symmetry; a solver that relies on any of
     these cannot be used, and `energy_density` is not the potential of P. Take it to
     compare with such codes, otherwise `Corotational`; for SOFA take `SofaCorotational`.
-
-    Attributes:
-        elasticity: The tensor C, in the axes of the rest shape.
     """
 
     def _rotation(self, F: Matrix) -> Matrix:

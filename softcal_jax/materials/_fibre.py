@@ -100,11 +100,7 @@ class Fibre(Module):
         axis: Vector,
         through: Vector = (0.0, 0.0, 0.0),
     ) -> "Fibre":
-        """Fibres wound around an axis at the angle theta from it; see `hoop`.
-
-        Raises:
-            ValueError: If a centroid lies on the axis.
-        """
+        """Fibres wound around an axis at the angle theta from it; see `hoop`."""
         return cls(theta, frame=frames_around(centroids, axis, through))
 
     @classmethod
@@ -113,11 +109,7 @@ class Fibre(Module):
         vectors: Float[HostArray, "n_tets 3"],
         theta: Float[ArrayLike, "..."] = 0.0,
     ) -> "Fibre":
-        """Fibres along one vector per tet [-], of any length above zero.
-
-        Raises:
-            ValueError: If a vector is zero or not finite.
-        """
+        """Fibres along one vector per tet [-], of any length above zero."""
         return cls(theta, frame=frames_along(vectors))
 
     def direction(self) -> Float[Array, "3 ..."]:

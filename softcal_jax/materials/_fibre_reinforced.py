@@ -132,13 +132,11 @@ class FibreReinforced(AbstractLaw):
         return self.matrix.stress(F) + self.E_f * pulled
 
     def tangent(self, F: Matrix) -> Tensor:
-        """Tangent of the matrix and of each family [Pa].
-
-        That of a family is (w'/l delta_ik + (w'' - w'/l) n_i n_k) u_J u_L, n = F u / l.
-        """
         return self.matrix.tangent(F) + self._fibre_tangent(F)
 
     def _fibre_tangent(self, F: Matrix) -> Tensor:
+        """Add (w'/l delta_ik + (w'' - w'/l) n_i n_k) u_J u_L, n = F u / l, of each."""
+
         def of(fibre: _Fibre) -> Tensor:
             turning = fibre.pull / fibre.stretch
             along = paired(jnp.eye(3), fibre.u[:, None] * fibre.u[None, :])
@@ -155,5 +153,4 @@ class FibreReinforced(AbstractLaw):
         return eqx.tree_at(lambda law: law.matrix, self, self.matrix.tabulated())
 
     def parts(self) -> tuple[AbstractLaw, AbstractLaw]:
-        """Split into the matrix, and the fibres alone."""
         return self.matrix, replace(self, matrix=_Void())

@@ -85,7 +85,16 @@ class AbstractRubber(AbstractLaw):
 
     def __check_init__(self):
         check_constants(self)
-        self._check_shear_modulus()
+        leaves = [getattr(self, name) for name in self.__dataclass_fields__]
+        if any(is_point_values(leaf) or is_traced(leaf) for leaf in leaves):
+            return
+        mu = np.atleast_1d(np.asarray(self.shear_modulus()))
+        bad = mu[~((mu > 0.0) & np.isfinite(mu))]
+        if bad.size:
+            raise ValueError(
+                f"these constants give the shear modulus {bad[0]:g} Pa at small "
+                "strain; it must be positive and finite."
+            )
 
     @abstractmethod
     def shear_modulus(self) -> Float[Array, "..."]:
@@ -102,22 +111,8 @@ class AbstractRubber(AbstractLaw):
 
     def volume_stress(self, J: Float[Array, ""]) -> Float[Array, ""]:
         """Its derivative by ln J, K/2 (J^2 - 1) [Pa]; NaN for J <= 0."""
-        return jnp.where(
-            J > 0.0, 0.5 * self.bulk_modulus() * (J - 1.0) * (J + 1.0), jnp.nan
-        )
-
-    def _check_shear_modulus(self) -> None:
-        """Raise ValueError unless the shear modulus is positive at rest."""
-        leaves = [getattr(self, name) for name in self.__dataclass_fields__]
-        if any(is_point_values(leaf) or is_traced(leaf) for leaf in leaves):
-            return
-        mu = np.atleast_1d(np.asarray(self.shear_modulus()))
-        bad = mu[~((mu > 0.0) & np.isfinite(mu))]
-        if bad.size:
-            raise ValueError(
-                f"these constants give the shear modulus {bad[0]:g} Pa at small "
-                "strain; it must be positive and finite."
-            )
+        stress = 0.5 * self.bulk_modulus() * (J - 1.0) * (J + 1.0)
+        return jnp.where(J > 0.0, stress, jnp.nan)
 
 
 class Distortion(NamedTuple):
@@ -149,27 +144,25 @@ class AbstractInvariantRubber(AbstractRubber):
     def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
         """Energy W(i1, i2) + K/4 (J^2 - 1 - 2 ln J) [J/m3]."""
         s = _invariants(F)
-        return self.distortion(s.i1, s.i2).W + self.volume_energy(s.J)
+        return self.distortion(s.a * s.I1, s.b * s.I2).W + self.volume_energy(s.J)
 
     def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         """Stress P = W_1 di1/dF + W_2 di2/dF + K/2 (J^2 - 1) G [Pa]."""
         s = _invariants(F)
-        w = self.distortion(s.i1, s.i2)
+        w = self.distortion(s.a * s.I1, s.b * s.I2)
         return w.W_1 * s.d1 + w.W_2 * s.d2 + self.volume_stress(s.J) * s.G
 
     def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
         """Tangent, from the second derivatives of i1, i2 and J [Pa]."""
         s = _invariants(F)
-        w = self.distortion(s.i1, s.i2)
+        w = self.distortion(s.a * s.I1, s.b * s.I2)
         eye = jnp.eye(3)
         first, second = w.W_1 * s.a, w.W_2 * s.b
         volume = self.volume_stress(s.J)
         bulk = self.bulk_modulus() * s.J * s.J
         X = -4.0 / 3.0 * (first * F + 2.0 * second * s.H)
-        X = (
-            X
-            + (2.0 / 9.0 * first * s.I1 + 8.0 / 9.0 * second * s.I2 + 0.5 * bulk) * s.G
-        )
+        inner = 2.0 / 9.0 * first * s.I1 + 8.0 / 9.0 * second * s.I2 + 0.5 * bulk
+        X = X + inner * s.G
         turning = 2.0 / 3.0 * first * s.I1 + 4.0 / 3.0 * second * s.I2 - volume
         D = (2.0 * first + 2.0 * second * s.I1) * eye - 2.0 * second * s.C
         return (
@@ -191,16 +184,8 @@ class _Invariants(NamedTuple):
     C: Float[Array, "3 3"]
     G: Float[Array, "3 3"]
     H: Float[Array, "3 3"]
-    d1: Float[Array, "3 3"]
-    d2: Float[Array, "3 3"]
-
-    @property
-    def i1(self) -> Float[Array, ""]:
-        return self.a * self.I1
-
-    @property
-    def i2(self) -> Float[Array, ""]:
-        return self.b * self.I2
+    d1: Float[Array, "3 3"]  # derivative of i1
+    d2: Float[Array, "3 3"]  # derivative of i2
 
 
 def _invariants(F: Float[Array, "3 3"]) -> _Invariants:

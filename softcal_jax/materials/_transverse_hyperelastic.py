@@ -109,8 +109,7 @@ class TransverseHyperelastic(AbstractLaw):
     E_t: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ACROSS)
     E_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ALONG)
     nu: Float[Array, "..."] = eqx.field(
-        converter=as_field,
-        metadata=constant("", "Poisson's ratio: 0.499"),
+        converter=as_field, metadata=constant("", "Poisson's ratio: 0.499")
     )
     mu_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=SHEAR)
     fibre: Fibre
@@ -124,7 +123,6 @@ class TransverseHyperelastic(AbstractLaw):
         return C, self.E_t / (2.0 * (1.0 + self.nu))
 
     def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
-        """Energy of the four modes [J/m3]."""
         C, mu_t = self._constants()
         s = _modes(F, self.fibre.direction())
         return (

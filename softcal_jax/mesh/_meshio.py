@@ -56,8 +56,7 @@ def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
         raw, said = parse_mesh_file(path, FORMATS[suffix])
     except ModuleNotFoundError as error:
         raise ValueError(
-            f"reading {path} needs the package {error.name!r}: "
-            f"pip install {error.name}."
+            f"reading {path} needs a package: pip install {error.name}."
         ) from error
     except ParserError as error:
         raise ValueError(

@@ -25,7 +25,11 @@ def _as_vector(vector) -> HostArray:
 
 
 class AbstractRegion(Module):
-    """A part of space with a distance to points."""
+    """A part of space with a distance to points.
+
+    Attributes:
+        tolerance: Distance at which a point still counts as inside [m].
+    """
 
     tolerance: eqx.AbstractVar[float]
 
@@ -53,7 +57,6 @@ class Box(AbstractRegion):
     Attributes:
         lower: Smallest coordinates [m].
         upper: Largest coordinates [m].
-        tolerance: Distance at which a point still counts as inside [m].
     """
 
     lower: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
@@ -81,7 +84,6 @@ class Plane(AbstractRegion):
     Attributes:
         point: A point of the plane [m].
         normal: Its normal, of any length.
-        tolerance: Distance at which a point still counts as on it [m].
     """
 
     point: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
@@ -108,7 +110,6 @@ class Sphere(AbstractRegion):
     Attributes:
         centre: Its centre [m].
         radius: Its radius [m].
-        tolerance: Distance at which a point still counts as inside [m].
     """
 
     centre: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
@@ -181,7 +182,6 @@ class Annulus(AbstractTube):
     Attributes:
         inner: Radius of the hole [m].
         outer: Outer radius [m].
-        tolerance: Distance at which a point still counts as inside [m].
     """
 
     inner: float
@@ -198,7 +198,6 @@ class Cylinder(AbstractTube):
 
     Attributes:
         radius: Its radius [m].
-        tolerance: Distance at which a point still counts as inside [m].
     """
 
     radius: float

@@ -1,6 +1,5 @@
 """The tetrahedral mesh and its named groups."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -91,8 +90,6 @@ class TetMesh(Module):
                 "tets must have the shape (n_tets, 4) or (n_tets, 10), "
                 f"got {self.tets.shape}."
             )
-        if not self.n_tets:
-            raise ValueError("the mesh has no tets.")
         self._check_group("tets", self.tets, self.n_nodes)
         for name, nodes in self.node_groups.items():
             self._check_group(f"node group {name!r}", nodes, self.n_nodes)
@@ -119,8 +116,8 @@ class TetMesh(Module):
     def words(self) -> str:
         """Its size, like "3 218 nodes, 1 540 quadratic tets"."""
         kind = "quadratic" if self.order == 2 else "linear"
-        counts = f"{self.n_nodes:,} nodes, {self.n_tets:,} {kind} tets"
-        return re.sub(r"(?<=\d),(?=\d)", " ", counts)
+        nodes, tets = (f"{n:,}".replace(",", " ") for n in (self.n_nodes, self.n_tets))
+        return f"{nodes} nodes, {tets} {kind} tets"
 
     def _words(self) -> str:
         groups = {*self.node_groups, *self.surface_groups, *self.tet_groups}
