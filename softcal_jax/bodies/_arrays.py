@@ -92,9 +92,7 @@ def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
     """Stack the rigid bodies of a mesh at rest; there may be none.
 
     Raises:
-        ValueError: If a name is used twice, a group is unknown, a node belongs to two
-            bodies, a body has fewer than three nodes in general position, or is tied
-            to one that is unknown or tied itself.
+        ValueError: If they do not fit the mesh or each other.
     """
     names = tuple(body.name for body in bodies)
     for name in names:

@@ -26,6 +26,11 @@ def check_vector(what: str, unit: str, value: HostArray) -> None:
         raise ValueError(f"{what} must be three finite numbers [{unit}], got {value}.")
 
 
+def _is_rotation(R: HostArray) -> bool:
+    orthogonal = R.shape == (3, 3) and np.allclose(R @ R.T, np.eye(3), atol=1e-6)
+    return bool(orthogonal and np.linalg.det(R) > 0.0)
+
+
 class Pose(Module):
     """Rigid motion X -> rotation @ (X - origin) + origin + translation.
 
@@ -63,10 +68,11 @@ class Pose(Module):
             ValueError: If the matrix is not a rotation.
         """
         R = np.array(rotation, float)
-        if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6):
-            raise ValueError(f"rotation must be an orthogonal 3 x 3 matrix, got {R}.")
-        if np.linalg.det(R) < 0.0:
-            raise ValueError("rotation mirrors space (its determinant is -1).")
+        if not _is_rotation(R):
+            raise ValueError(
+                "rotation must be an orthogonal 3 x 3 matrix, and none that mirrors "
+                f"space, got {R}."
+            )
         return cls(np.asarray(translation, float), Rotation.from_matrix(R).as_rotvec())
 
     @property
@@ -128,11 +134,7 @@ class RigidBody(Module):
                 f"mass of rigid body {self.name!r} must be finite and not negative "
                 f"[kg], got {self.mass:g}."
             )
-        if self.axes is not None and (
-            self.axes.shape != (3, 3)
-            or not np.allclose(self.axes @ self.axes.T, np.eye(3), atol=1e-6)
-            or np.linalg.det(self.axes) < 0.0
-        ):
+        if self.axes is not None and not _is_rotation(self.axes):
             raise ValueError(
                 f"axes of rigid body {self.name!r} must be three orthogonal unit "
                 f"vectors by rows, right-handed, got {self.axes.tolist()}; "

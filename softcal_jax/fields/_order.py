@@ -12,6 +12,12 @@ from softcal_jax.fields._spread import ControlPointParameters
 
 Entries = tuple[AbstractEntry, ...]
 
+Groups = tuple[tuple[str, ...], ...]
+"""Names that belong together: pairs of an order, triples of an axis."""
+
+Scaled = Float[Array, " n_p"]
+"""Scaled coordinates z of the parameters, or one number for each."""
+
 
 class Term(NamedTuple):
     """One side of an inequality: unit * z[column], or a known constant."""
@@ -23,9 +29,7 @@ class Term(NamedTuple):
     constant: Float[Array, ""]
 
 
-def order_terms(
-    entries: Entries, order: tuple[tuple[str, ...], ...]
-) -> list[tuple[Term, Term]]:
+def order_terms(entries: Entries, order: Groups) -> list[tuple[Term, Term]]:
     """Collect both sides of every inequality smaller <= larger.
 
     One pair per control point of two fields, or per pair of parameters, except for
@@ -97,9 +101,7 @@ def _sides(entries: Entries, name: str, key: str) -> dict[str, Term]:
     return sides
 
 
-def axis_columns(
-    entries: Entries, axes: tuple[tuple[str, ...], ...]
-) -> Int[HostArray, "n_axes 3"]:
+def axis_columns(entries: Entries, axes: Groups) -> Int[HostArray, "n_axes 3"]:
     """Find the columns of (smaller modulus, larger modulus, angle) of every axis.
 
     One row per control point at which all three are unknown.
@@ -182,7 +184,7 @@ class AxisChart(NamedTuple):
     angle: Int[HostArray, " n_axes"]
     S: Float[Array, " n_axes"]
 
-    def to_tensor(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+    def to_tensor(self, z: Scaled) -> Scaled:
         """Replace (ln E_s, ln E_l, theta / S) by (m, c, s)."""
         m = 0.5 * (z[self.large] + z[self.small])
         d = 0.5 * (z[self.large] - z[self.small])
@@ -190,7 +192,7 @@ class AxisChart(NamedTuple):
         z = z.at[self.small].set(m).at[self.large].set(d * jnp.cos(twice))
         return z.at[self.angle].set(d * jnp.sin(twice))
 
-    def from_tensor(self, tensor: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+    def from_tensor(self, tensor: Scaled) -> Scaled:
         """Invert `to_tensor`, with angles between -90 and 90 degrees."""
         m, c, s = tensor[self.small], tensor[self.large], tensor[self.angle]
         d = jnp.sqrt(c**2 + s**2)
@@ -198,12 +200,7 @@ class AxisChart(NamedTuple):
         z = tensor.at[self.small].set(m - d).at[self.large].set(m + d)
         return z.at[self.angle].set(theta)
 
-    def clip(
-        self,
-        z: Float[Array, " n_p"],
-        lower: Float[Array, " n_p"],
-        upper: Float[Array, " n_p"],
-    ) -> Float[Array, " n_p"]:
+    def clip(self, z: Scaled, lower: Scaled, upper: Scaled) -> Scaled:
         """Clip the moduli to their bounds, keeping them slightly apart."""
         gap = 2.0 * _NEARLY_ISOTROPIC
         s, l = self.small, self.large
@@ -232,9 +229,7 @@ class FadingAxis(NamedTuple):
         return self.large.set_on(model, jnp.exp(middle + half))
 
 
-def fading_axes(
-    entries: Entries, axes: tuple[tuple[str, ...], ...]
-) -> list[FadingAxis]:
+def fading_axes(entries: Entries, axes: Groups) -> list[FadingAxis]:
     """Return the axes whose angle has a core."""
     fields = [e for e in entries if isinstance(e, ControlPointParameters)]
     found = []

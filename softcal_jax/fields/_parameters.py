@@ -79,11 +79,8 @@ class AbstractEntry(Module):
     def apply(self, model: Any, configuration: Any, values: Values) -> tuple[Any, Any]:
         """Set the values of its unknowns; traceable and differentiable.
 
-        Args:
-            model: Anything with `law`, `density`, `mesh` and `mechanism`.
-            configuration: Arrays of one configuration; None where only the model is
-                wanted.
-            values: Values of all parameters by name, in SI units.
+        Returns the model, which has `law`, `density`, `mesh` and `mechanism`, and the
+        arrays of one configuration, None where only the model is wanted.
         """
 
     @abstractmethod
@@ -167,20 +164,12 @@ class Parameter(AbstractFieldEntry):
         start, lower, upper = float(self.start), float(self.lower), float(self.upper)
         what = f"parameter {self.name!r}"
         show = lambda value: readable(value, self.unit)
-        if not np.all(np.isfinite([start, lower, upper])):
+        finite = np.all(np.isfinite([start, lower, upper]))
+        if not (finite and lower < upper and lower <= start <= upper):
             raise ValueError(
-                f"{what}: start and bounds must be finite, got start {start:g} in "
-                f"[{lower:g}, {upper:g}]."
-            )
-        if lower >= upper:
-            raise ValueError(
-                f"{what}: the bounds are crossed, lower {show(lower)} is not below "
-                f"upper {show(upper)}."
-            )
-        if not lower <= start <= upper:
-            raise ValueError(
-                f"{what}: the start {show(start)} does not lie between lower "
-                f"{show(lower)} and upper {show(upper)}."
+                f"{what}: start and bounds must be finite, the bounds not crossed and "
+                f"the start between them; got start {show(start)}, lower {show(lower)} "
+                f"and upper {show(upper)}."
             )
         if self.scale not in ("log", "linear"):
             raise ValueError(

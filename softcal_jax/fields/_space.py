@@ -12,13 +12,18 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax.fields._order import AxisChart, axis_columns, fading_axes, order_terms
+from softcal_jax.fields._order import (
+    AxisChart,
+    Groups,
+    Scaled,
+    axis_columns,
+    fading_axes,
+    order_terms,
+)
 from softcal_jax.fields._parameters import AbstractEntry, Parameter, Values, once
 from softcal_jax.fields._spread import ControlPointParameters
 
 Entry = AbstractEntry
-
-Groups = tuple[tuple[str, ...], ...]
 
 
 def _groups(size: int, expected: str) -> Callable[[Iterable[Sequence[str]]], Groups]:
@@ -101,24 +106,24 @@ class ParameterSpace(Module):
         """Names of the parameters."""
         return [parameter.name for parameter in self.parameters]
 
-    def start(self) -> Float[Array, " n_p"]:
+    def start(self) -> Scaled:
         """Return the scaled start."""
         return self.to_scaled(jnp.stack([q.start for q in self.parameters]))
 
-    def lower(self) -> Float[Array, " n_p"]:
+    def lower(self) -> Scaled:
         """Return the scaled lower bounds."""
         return self.to_scaled(jnp.stack([q.lower for q in self.parameters]))
 
-    def upper(self) -> Float[Array, " n_p"]:
+    def upper(self) -> Scaled:
         """Return the scaled upper bounds."""
         return self.to_scaled(jnp.stack([q.upper for q in self.parameters]))
 
-    def to_scaled(self, p: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+    def to_scaled(self, p: Scaled) -> Scaled:
         """Convert values p to scaled coordinates z."""
         pairs = zip(self.parameters, p, strict=True)
         return jnp.stack([q.to_scaled(value) for q, value in pairs])
 
-    def from_scaled(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+    def from_scaled(self, z: Scaled) -> Scaled:
         """Convert scaled coordinates z to values p."""
         pairs = zip(self.parameters, z, strict=True)
         return jnp.stack([q.from_scaled(value) for q, value in pairs])
@@ -129,13 +134,11 @@ class ParameterSpace(Module):
         _, slopes = jax.jvp(self.from_scaled, (z,), (jnp.ones_like(z),))
         return np.abs(np.asarray(slopes))
 
-    def _if_periodic(self, periodic, otherwise) -> Float[Array, " n_p"]:
+    def _if_periodic(self, periodic, otherwise) -> Scaled:
         flags = jnp.asarray([q.periodic for q in self.parameters])
         return jnp.where(flags, periodic, otherwise)
 
-    def room(
-        self, z: Float[Array, " n_p"]
-    ) -> tuple[Float[Array, " n_p"], Float[Array, " n_p"]]:
+    def room(self, z: Scaled) -> tuple[Scaled, Scaled]:
         """Return the largest steps down and up within bounds; infinite if periodic."""
         down = self._if_periodic(-jnp.inf, self.lower() - z)
         return down, self._if_periodic(jnp.inf, self.upper() - z)
@@ -145,18 +148,18 @@ class ParameterSpace(Module):
         down, up = map(np.asarray, self.room(jax.device_put(z)))
         return (down >= -1e-9) | (up <= 1e-9)
 
-    def max_step(self) -> Float[Array, " n_p"]:
+    def max_step(self) -> Scaled:
         """Return the step limits of the parameters, infinite by default."""
         none = jnp.asarray(jnp.inf)
         limits = [none if q.max_step is None else q.max_step for q in self.parameters]
         return jnp.stack(limits)
 
-    def wrap(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+    def wrap(self, z: Scaled) -> Scaled:
         """Wrap periodic parameters into their bounds."""
         low, high = self.lower(), self.upper()
         return self._if_periodic(low + jnp.mod(z - low, high - low), z)
 
-    def shorter(self, gap: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+    def shorter(self, gap: Scaled) -> Scaled:
         """Reduce differences of scaled parameters to the shorter way if periodic."""
         turn = self.upper() - self.lower()
         return self._if_periodic(gap - turn * jnp.round(gap / turn), gap)
@@ -170,7 +173,7 @@ class ParameterSpace(Module):
         S = [self.parameters[i].unit_step for i in angle]
         return AxisChart(small, large, angle, jnp.stack(S))
 
-    def admissible(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+    def admissible(self, z: Scaled) -> Scaled:
         """Clip parameters to their bounds, keeping moduli of an axis slightly apart."""
         z = self.wrap(z)
         if self.chart is not None:
@@ -183,7 +186,7 @@ class ParameterSpace(Module):
         known = any(q.prior_std is not None for q in self.parameters)
         return known or self.pin is not None
 
-    def prior_weights(self) -> Float[Array, " n_p"]:
+    def prior_weights(self) -> Scaled:
         """Return 1 / standard deviations of the prior; 0 without one [-]."""
         zero = jnp.zeros(())
         stds = [(q.unit_step, q.prior_std) for q in self.parameters]
@@ -192,7 +195,7 @@ class ParameterSpace(Module):
             return weights
         return weights.at[self.pin.column].set(self.pin.weight)
 
-    def from_prior(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+    def from_prior(self, z: Scaled) -> Scaled:
         """Compute signed distances from the start, in units of the prior [-]."""
         middle = self.start()
         if self.pin is not None:
@@ -223,7 +226,7 @@ class ParameterSpace(Module):
         self,
         model: Any,
         configuration: Any,
-        z: Float[Array, " n_p"],
+        z: Scaled,
         columns: Int[HostArray, " n"] | Sequence[int] = (),
         own: Float[Array, " n"] | Sequence[float] = (),
     ) -> tuple[Any, Any]:
@@ -259,7 +262,7 @@ class ParameterSpace(Module):
             model = axis.apply(model, values)
         return model, configuration
 
-    def model_at(self, model: Any, z: Float[Array, " n_p"]) -> Any:
+    def model_at(self, model: Any, z: Scaled) -> Any:
         """Set the values of scaled coordinates in a model alone; see `apply`."""
         return self.apply(model, None, z)[0]
 

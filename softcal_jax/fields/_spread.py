@@ -54,16 +54,14 @@ class ControlPointParameters(AbstractFieldEntry):
     `interpolation` is how values are mixed: "linear" as in the paper; "log" mixes
     logarithms, for moduli that differ by orders of magnitude. "director" is for the
     angle of an axis: the mixed direction is that of sum_j w_j (cos 2 theta_j,
-    sin 2 theta_j), so +90 and -90 degrees are the same axis, as in the material; with
-    "linear", the axis between 85 and -85 degrees would turn through 0. Use "director"
-    unless to reproduce the paper. Bounds that span 180 degrees then do not bind: the
-    angle leaves by one and re-enters by the other.
+    sin 2 theta_j), so +90 and -90 degrees are the same axis; with "linear", the axis
+    between 85 and -85 degrees would turn through 0. Use "director" unless to reproduce
+    the paper. Bounds that span 180 degrees then do not bind.
 
-    Where mixed directions nearly cancel, rho = |sum_j w_j (cos 2 theta_j,
-    sin 2 theta_j)| is small, and the direction turns by a right angle from one tet to
-    the next. Such a defect moves with the parameters, and each tet it passes puts a
-    kink into the cost. With a `core` the contrast of the moduli fades there, like the
-    order of a liquid crystal: see `contrast`, and `ParameterSpace.axes`.
+    Where mixed directions nearly cancel, the length rho of that sum is small, and the
+    direction turns by a right angle from one tet to the next. Such a defect moves with
+    the parameters, and each tet it passes puts a kink into the cost. With a `core` the
+    contrast of the moduli fades there: see `contrast`, and `ParameterSpace.axes`.
 
     Attributes:
         field: Field of the law, like "E_t", "E_l" or "theta"; or "density".
@@ -72,13 +70,12 @@ class ControlPointParameters(AbstractFieldEntry):
             in SI units.
         lower: Smallest values allowed, likewise.
         upper: Largest values allowed, likewise.
-        interpolation: How values are mixed; see above.
+        interpolation: How values are mixed.
         sampling: Whether at the centroid of each tet or at its quadrature points.
         fixed: Known values, by control point.
         tied: Names of other parameters whose value is used, by control point, like
             {"upper 1": "E_t of lower 1"}.
-        core: For the angle of an axis: rho below which the contrast of its moduli
-            fades, like 0.1; with 0 it never fades [-].
+        core: rho below which the contrast fades, like 0.1; with 0 it never does [-].
         periodic: Whether each value is an angle that may leave its bounds.
 
     Raises:

@@ -21,10 +21,7 @@ def check_parameters(
 ) -> None:
     """Raise unless every parameter sets something of its own, within sound bounds.
 
-    Args:
-        model: Anything with `law`, `density`, `mesh` and `mechanism`, on the host.
-        space: The parameters.
-        configuration: Arrays of one configuration, to check what parameters set in it.
+    The model is on the host; what is set in a configuration is checked if one is given.
 
     Raises:
         ValueError: If a field or region does not exist, two parameters set the same

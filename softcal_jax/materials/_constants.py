@@ -14,8 +14,11 @@ from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax._units import readable
 
+Constant = Float[Array, "..."]
+"""A constant of a law: one value, or one per tet."""
 
-def as_field(value: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+
+def as_field(value: Float[ArrayLike, "..."]) -> Constant:
     """Convert a constant, or one value per tet, to a floating-point array."""
     return jnp.asarray(value, float)
 
@@ -67,9 +70,7 @@ def constant(
     within: tuple[float, float] | None = None,
     may_vanish: bool = False,
 ) -> dict[str, Any]:
-    """Build the metadata that declare a field of a law as a constant.
-
-    Project files offer the constant by them.
+    """Build the metadata by which project files offer a field of a law as a constant.
 
     Args:
         unit: SI unit, like "Pa"; "" for a plain number, "rad" for the angle of an axis.
@@ -127,7 +128,7 @@ def check_constants(module: eqx.Module) -> None:
         raise ValueError(f"{field.name} must {expected}, got {bad[0]:g}.{hint}")
 
 
-def _together(**fields: Float[Array, "..."]) -> list[np.ndarray] | None:
+def _together(**fields: Constant) -> list[np.ndarray] | None:
     """Broadcast values on the host to one list each; None if one is traced."""
     columns = {name: _concrete(value) for name, value in fields.items()}
     known = [v.reshape(len(v), -1) for v in columns.values() if v is not None]
@@ -143,10 +144,7 @@ def _together(**fields: Float[Array, "..."]) -> list[np.ndarray] | None:
 
 
 def check_fibre_ratio(
-    E_t: Float[Array, "..."],
-    E_l: Float[Array, "..."],
-    nu_t: Float[Array, "..."],
-    nu_tl: Float[Array, "..."],
+    E_t: Constant, E_l: Constant, nu_t: Constant, nu_tl: Constant
 ) -> None:
     """Raise ValueError unless nu_tl^2 < (1 - nu_t) E_t / (2 E_l) everywhere."""
     values = _together(E_t=E_t, E_l=E_l, nu_t=nu_t, nu_tl=nu_tl)
@@ -156,9 +154,7 @@ def check_fibre_ratio(
         _check_between("nu_tl", ratio, (-limit, limit), (across, along))
 
 
-def check_shared_ratio(
-    E_t: Float[Array, "..."], E_l: Float[Array, "..."], nu: Float[Array, "..."]
-) -> None:
+def check_shared_ratio(E_t: Constant, E_l: Constant, nu: Constant) -> None:
     """Raise ValueError unless nu_t = nu_tl = nu gives a stable law everywhere."""
     values = _together(E_t=E_t, E_l=E_l, nu=nu)
     if values is not None:

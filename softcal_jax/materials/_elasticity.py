@@ -15,6 +15,7 @@ from softcal_jax.elements import matmul
 from softcal_jax.materials._constants import (
     MODULUS,
     RATIO,
+    Constant,
     PointValues,
     as_field,
     check_constants,
@@ -102,7 +103,7 @@ class TabulatedElasticity(AbstractElasticity):
 
 def lame(
     E: Float[ArrayLike, "..."], nu: Float[ArrayLike, "..."]
-) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+) -> tuple[Constant, Constant]:
     """Convert Young's modulus and Poisson's ratio to Lame constants (lambda, mu) [Pa].
 
     lambda = E nu / ((1 + nu)(1 - 2 nu)) and mu = E / (2 (1 + nu)).
@@ -119,8 +120,8 @@ class Isotropic(AbstractElasticity):
         nu: Poisson's ratio [-] in (-1, 0.5), one value or one per tet.
     """
 
-    E: Float[Array, "..."] = eqx.field(converter=as_field, metadata=MODULUS)
-    nu: Float[Array, "..."] = eqx.field(converter=as_field, metadata=RATIO)
+    E: Constant = eqx.field(converter=as_field, metadata=MODULUS)
+    nu: Constant = eqx.field(converter=as_field, metadata=RATIO)
 
     def __check_init__(self):
         check_constants(self)

@@ -12,6 +12,7 @@ from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.materials._constants import (
+    Constant,
     as_components,
     as_field,
     as_matrix,
@@ -27,7 +28,7 @@ _ON_AXIS = 1e-9
 """Distance from an axis that counts as none, over that of the farthest point [-]."""
 
 
-def _if_any(frame: Any) -> tuple[Float[Array, "..."], ...] | None:
+def _if_any(frame: Any) -> tuple[Constant, ...] | None:
     return None if frame is None else as_components(frame)
 
 
@@ -51,17 +52,17 @@ class Fibre(Module):
             nine fields; None for the axes of the mesh [-].
     """
 
-    theta: Float[Array, "..."] = eqx.field(
+    theta: Constant = eqx.field(
         converter=as_field,
         metadata=constant("rad", 'angle of the fibre in its print plane: "20 deg"'),
     )
-    phi: Float[Array, "..."] = eqx.field(
+    phi: Constant = eqx.field(
         converter=as_field,
         default=0.0,
         metadata=constant("rad", 'angle of the fibre out of its plane: "10 deg"'),
     )
     plane: Plane = eqx.field(static=True, default="xz", metadata={"key": "print_plane"})
-    frame: tuple[Float[Array, "..."], ...] | None = eqx.field(
+    frame: tuple[Constant, ...] | None = eqx.field(
         converter=_if_any, default=None, metadata={"key": "directions"}
     )
 

@@ -7,8 +7,7 @@ import numpy as np
 
 from softcal_jax._module import Module, one_line
 from softcal_jax._names import unknown_name
-from softcal_jax._typing import Float, HostArray
-from softcal_jax.materials._foam_patch import FoamPatch
+from softcal_jax.materials._foam_patch import FoamPatch, Numbers, Pairs
 
 Infill = Literal["Polyfoam", "Phasor"]
 """Foams of the slicer IceSL, by its names."""
@@ -28,11 +27,11 @@ class FoundFoam(NamedTuple):
             |ln(found / asked)| [-].
     """
 
-    density: Float[HostArray, " n"]
-    anisotropy: Float[HostArray, " n"]
-    E_soft: Float[HostArray, " n"]
-    E_stiff: Float[HostArray, " n"]
-    error: Float[HostArray, " n"]
+    density: Numbers
+    anisotropy: Numbers
+    E_soft: Numbers
+    E_stiff: Numbers
+    error: Numbers
 
     __repr__ = one_line
 
@@ -62,10 +61,10 @@ class FoamTable(Module):
     """
 
     infill: Infill = eqx.field(static=True)
-    density: Float[HostArray, " n"] = eqx.field(converter=np.asarray)
-    anisotropy: Float[HostArray, " n"] = eqx.field(converter=np.asarray)
-    E_soft: Float[HostArray, " n"] = eqx.field(converter=np.asarray)
-    E_stiff: Float[HostArray, " n"] = eqx.field(converter=np.asarray)
+    density: Numbers = eqx.field(converter=np.asarray)
+    anisotropy: Numbers = eqx.field(converter=np.asarray)
+    E_soft: Numbers = eqx.field(converter=np.asarray)
+    E_stiff: Numbers = eqx.field(converter=np.asarray)
     source: str = eqx.field(static=True, default="a table of the user")
 
     def __check_init__(self):
@@ -123,22 +122,14 @@ class FoamTable(Module):
     def _is_log(self) -> bool:
         return self.infill == "Polyfoam"
 
-    def moduli(
-        self,
-        density: Float[HostArray, " n"],
-        anisotropy: Float[HostArray, " n"],
-    ) -> Float[HostArray, "n 2"]:
+    def moduli(self, density: Numbers, anisotropy: Numbers) -> Pairs:
         """Interpolate E_soft and E_stiff [Pa].
 
         Outside the table the curves of the density go on, and the nearest level counts.
         """
         return self._patch().moduli(density, anisotropy)
 
-    def find(
-        self,
-        E_soft: Float[HostArray, " n"],
-        E_stiff: Float[HostArray, " n"],
-    ) -> FoundFoam:
+    def find(self, E_soft: Numbers, E_stiff: Numbers) -> FoundFoam:
         """Find the foams whose moduli [Pa] are nearest, in the logarithms of both.
 
         The nearest of many samples starts a Gauss-Newton search within the table, so
@@ -161,10 +152,8 @@ class FoamTable(Module):
 TPU = 12e6
 """Young's modulus of the printed solid of the published tables [Pa]."""
 
-# F. Vanneste et al., "Anisotropic soft robots based on 3D printed meso-structured
-# materials", IEEE RA-L 5 (2020), as in the authors' published scenes: the relative
-# density, and Ex, Ey and Ez over E of the solid, with x the soft axis. For the
-# isotropic foam the relative density and the mean modulus over E of the solid.
+# As in the authors' published scenes: the relative density, and Ex, Ey and Ez over E of
+# the solid, with x the soft axis; for the isotropic foam the mean modulus.
 _STRETCHED = np.array(
     [
         (0.0918, 0.00719095, 0.0677105, 0.0618133),
@@ -178,22 +167,21 @@ _ISOTROPIC = np.array(
 )
 
 _PUBLISHED_SHRINK = 0.2
-"""Shrink in a published script of a robot of this foam; the table names none."""
 
 
 def published_foam(solid_modulus: float = TPU) -> FoamTable:
     """Return the published table of Polyfoam: a soft axis, or isotropic.
 
-    F. Vanneste et al., IEEE RA-L 5 (2020), doi 10.1109/LRA.2020.2969926. E_stiff is the
+    F. Vanneste et al., "Anisotropic soft robots based on 3D printed meso-structured
+    materials", IEEE RA-L 5 (2020), doi 10.1109/LRA.2020.2969926. E_stiff is the
     mean of both moduli across the soft axis, which differ by 3 to 9 %. The table names
     no shrink of its anisotropic foam: it is taken to be 0.2, as in a published script
     of the robot that was printed of it. Between this and the isotropic foam there are
     no published values, so moduli there are only interpolated; and relative density is
     taken for the infill percentage.
 
-    Args:
-        solid_modulus: Young's modulus of the solid, to which those of a foam are
-            proportional; by default that of the published TPU [Pa].
+    Moduli of a foam are proportional to that of the solid [Pa], by default that of the
+    published TPU.
 
     Raises:
         ValueError: If the modulus is not positive and finite.

@@ -11,6 +11,10 @@ _T_STEPS, _S_STEPS = 96, 64
 _SEARCH_STEPS = 20
 
 
+Numbers = Float[HostArray, " n"]
+Pairs = Float[HostArray, "n 2"]
+
+
 class FoamPatch:
     """A foam table as a map from two coordinates to ln density and ln moduli.
 
@@ -21,9 +25,9 @@ class FoamPatch:
 
     def __init__(
         self,
-        density: Float[HostArray, " n"],
-        anisotropy: Float[HostArray, " n"],
-        moduli: Float[HostArray, "n 2"],
+        density: Numbers,
+        anisotropy: Numbers,
+        moduli: Pairs,
         *,
         is_log: bool,
     ):
@@ -47,19 +51,17 @@ class FoamPatch:
         """The largest s."""
         return len(self.levels) - 1.0
 
-    def position(self, anisotropy: Float[HostArray, " n"]) -> Float[HostArray, " n"]:
+    def position(self, anisotropy: Numbers) -> Numbers:
         """Return s of a shrink or isotropy."""
         values = np.log(anisotropy) if self.is_log else anisotropy
         return np.interp(values, self.levels, np.arange(len(self.levels)))
 
-    def anisotropy(self, s: Float[HostArray, " n"]) -> Float[HostArray, " n"]:
+    def anisotropy(self, s: Numbers) -> Numbers:
         """Return the shrink or isotropy at s."""
         values = np.interp(s, np.arange(len(self.levels)), self.levels)
         return np.exp(values) if self.is_log else values
 
-    def at(
-        self, t: Float[HostArray, " n"], s: Float[HostArray, " n"]
-    ) -> Float[HostArray, "n 3"]:
+    def at(self, t: Numbers, s: Numbers) -> Float[HostArray, "n 3"]:
         """Return ln density, ln E_soft and ln E_stiff."""
         mixed, s = np.zeros((len(t), 3)), np.clip(s, 0.0, self.last)
         for level, ((low, high), curve) in enumerate(
@@ -71,20 +73,14 @@ class FoamPatch:
             mixed[near] += weight[near, None] * np.column_stack([x, curve(x)])
         return mixed
 
-    def moduli(
-        self,
-        density: Float[HostArray, " n"],
-        anisotropy: Float[HostArray, " n"],
-    ) -> Float[HostArray, "n 2"]:
+    def moduli(self, density: Numbers, anisotropy: Numbers) -> Pairs:
         """Interpolate E_soft and E_stiff [Pa]; see `FoamTable.moduli`."""
         s = self.position(anisotropy)
         low, high = (self.at(np.full_like(s, t), s)[:, 0] for t in (0.0, 1.0))
         t = (np.log(density) - low) / (high - low)
         return np.exp(self.at(t, s)[:, 1:])
 
-    def nearest(
-        self, asked: Float[HostArray, "n 2"]
-    ) -> tuple[Float[HostArray, " n"], Float[HostArray, "n 3"]]:
+    def nearest(self, asked: Pairs) -> tuple[Numbers, Float[HostArray, "n 3"]]:
         """Find the foams nearest to ln E_soft and ln E_stiff, see `FoamTable.find`.
 
         Returns their anisotropy, then ln density, ln E_soft and ln E_stiff.
@@ -97,9 +93,7 @@ class FoamPatch:
         return self.anisotropy(x[:, 1]), self.at(*x.T)
 
 
-def _refined(
-    patch: FoamPatch, asked: Float[HostArray, "n 2"], x: Float[HostArray, "n 2"]
-) -> Float[HostArray, "n 2"]:
+def _refined(patch: FoamPatch, asked: Pairs, x: Pairs) -> Pairs:
     """Move points (t, s) until their moduli are nearest, by Gauss-Newton in the box."""
     x = x.copy()
     active = np.arange(len(x))
@@ -115,9 +109,7 @@ def _refined(
     return x
 
 
-def _step(
-    patch: FoamPatch, asked: Float[HostArray, "n 2"], x: Float[HostArray, "n 2"]
-) -> Float[HostArray, "n 2"]:
+def _step(patch: FoamPatch, asked: Pairs, x: Pairs) -> Pairs:
     """Return the Gauss-Newton step of each point."""
     upper = np.array([1.0, patch.last])
     here = patch.at(*x.T)[:, 1:]
@@ -142,12 +134,7 @@ def _step(
     return np.stack([first, second], axis=1) / det[:, None]
 
 
-def _moved(
-    patch: FoamPatch,
-    asked: Float[HostArray, "n 2"],
-    x: Float[HostArray, "n 2"],
-    step: Float[HostArray, "n 2"],
-) -> Float[HostArray, "n 2"]:
+def _moved(patch: FoamPatch, asked: Pairs, x: Pairs, step: Pairs) -> Pairs:
     """Take the longest part of each step that brings the moduli nearer, if any does."""
     squared = lambda at, goal: ((patch.at(*at.T)[:, 1:] - goal) ** 2).sum(axis=1)
     x = x.copy()

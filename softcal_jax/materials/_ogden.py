@@ -8,7 +8,7 @@ from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import cofactor, determinant, matmul, sum_of
-from softcal_jax.materials._constants import as_field, constant
+from softcal_jax.materials._constants import Constant, as_field, constant
 from softcal_jax.materials._powers import power, trace_of_power
 from softcal_jax.materials._rubber import (
     INCOMPRESSIBLE,
@@ -18,7 +18,7 @@ from softcal_jax.materials._rubber import (
 )
 
 
-def _if_any(value: Float[ArrayLike, "..."] | None) -> Float[Array, "..."] | None:
+def _if_any(value: Float[ArrayLike, "..."] | None) -> Constant | None:
     return None if value is None else as_field(value)
 
 
@@ -31,8 +31,8 @@ def _exponent(term: str) -> dict[str, Any]:
 
 
 class _Term(NamedTuple):
-    mu: Float[Array, "..."]
-    alpha: Float[Array, "..."]
+    mu: Constant
+    alpha: Constant
 
 
 class Ogden(AbstractRubber):
@@ -59,25 +59,21 @@ class Ogden(AbstractRubber):
         nu: Poisson's ratio at small strain [-] in (0, 0.5).
     """
 
-    mu_1: Float[Array, "..."] = eqx.field(
-        converter=as_field, metadata=_stiffness("first")
-    )
-    alpha_1: Float[Array, "..."] = eqx.field(
-        converter=as_field, metadata=_exponent("first")
-    )
-    mu_2: Float[Array, "..."] | None = eqx.field(
+    mu_1: Constant = eqx.field(converter=as_field, metadata=_stiffness("first"))
+    alpha_1: Constant = eqx.field(converter=as_field, metadata=_exponent("first"))
+    mu_2: Constant | None = eqx.field(
         converter=_if_any, default=None, metadata=_stiffness("second")
     )
-    alpha_2: Float[Array, "..."] | None = eqx.field(
+    alpha_2: Constant | None = eqx.field(
         converter=_if_any, default=None, metadata=_exponent("second")
     )
-    mu_3: Float[Array, "..."] | None = eqx.field(
+    mu_3: Constant | None = eqx.field(
         converter=_if_any, default=None, metadata=_stiffness("third")
     )
-    alpha_3: Float[Array, "..."] | None = eqx.field(
+    alpha_3: Constant | None = eqx.field(
         converter=_if_any, default=None, metadata=_exponent("third")
     )
-    nu: Float[Array, "..."] = eqx.field(
+    nu: Constant = eqx.field(
         converter=as_field, default=INCOMPRESSIBLE, metadata=RUBBER_RATIO
     )
 
@@ -100,7 +96,7 @@ class Ogden(AbstractRubber):
         )
         return [_Term(m, a) for m, a in pairs if m is not None and a is not None]
 
-    def shear_modulus(self) -> Float[Array, "..."]:
+    def shear_modulus(self) -> Constant:
         """Shear modulus at small strain, sum of mu_p alpha_p / 2 [Pa]."""
         return 0.5 * sum_of(term.mu * term.alpha for term in self.terms())
 

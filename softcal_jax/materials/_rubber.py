@@ -12,6 +12,7 @@ from softcal_jax.elements import cofactor, determinant, matmul
 from softcal_jax.materials._constants import (
     MODULUS,
     RATIO,
+    Constant,
     as_field,
     check_constants,
     constant,
@@ -33,8 +34,8 @@ class NeoHookean(AbstractLaw):
         nu: Poisson's ratio at small strain [-] in (-1, 0.5), one value or one per tet.
     """
 
-    E: Float[Array, "..."] = eqx.field(converter=as_field, metadata=MODULUS)
-    nu: Float[Array, "..."] = eqx.field(converter=as_field, metadata=RATIO)
+    E: Constant = eqx.field(converter=as_field, metadata=MODULUS)
+    nu: Constant = eqx.field(converter=as_field, metadata=RATIO)
 
     def __check_init__(self):
         check_constants(self)
@@ -81,7 +82,7 @@ class AbstractRubber(AbstractLaw):
     0.49 on, quadratic tets take the mean dilatation.
     """
 
-    nu: eqx.AbstractVar[Float[Array, "..."]]
+    nu: eqx.AbstractVar[Constant]
 
     def __check_init__(self):
         check_constants(self)
@@ -97,10 +98,10 @@ class AbstractRubber(AbstractLaw):
             )
 
     @abstractmethod
-    def shear_modulus(self) -> Float[Array, "..."]:
+    def shear_modulus(self) -> Constant:
         """Shear modulus at small strain, mu [Pa]."""
 
-    def bulk_modulus(self) -> Float[Array, "..."]:
+    def bulk_modulus(self) -> Constant:
         """Bulk modulus K = 2 mu (1 + nu) / (3 (1 - 2 nu)) [Pa]."""
         ratio = 2.0 * (1.0 + self.nu) / (3.0 * (1.0 - 2.0 * self.nu))
         return self.shear_modulus() * ratio

@@ -38,9 +38,8 @@ class SofaCorotational(AbstractTurnedStress):
     the left polar decomposition B = L polar(B), R = polar(F L), so L is kept for the
     first two, and Q(B) for the last. On tets that are not regular R differs from
     polar(F) in the first order of the strain, even for an isotropic C; where L = I it
-    is `ClassicalCorotational`. The force has no potential and its tangent no symmetry.
-    Take this law for a model that SOFA will run, `Corotational` otherwise. Read from
-    the sources of SOFA v25.12.00 and v26.06.00.
+    is `ClassicalCorotational`. Take this law for a model that SOFA will run,
+    `Corotational` otherwise. Read from the sources of SOFA v25.12.00 and v26.06.00.
 
     Attributes:
         rest: L or Q(B), a matrix per tet kept as nine fields [-]; see `of_mesh`.

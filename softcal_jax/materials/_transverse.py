@@ -12,6 +12,7 @@ from softcal_jax.materials._constants import (
     PLANE_RATIO,
     RATIO,
     SHEAR,
+    Constant,
     as_field,
     check_constants,
     check_fibre_ratio,
@@ -98,14 +99,14 @@ class TransverseIsotropic(AbstractElasticity):
         fibre: Direction of the fibre in the rest shape.
     """
 
-    E_t: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ACROSS)
-    E_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ALONG)
-    nu_t: Float[Array, "..."] = eqx.field(converter=as_field, metadata=PLANE_RATIO)
-    nu_tl: Float[Array, "..."] = eqx.field(
+    E_t: Constant = eqx.field(converter=as_field, metadata=ACROSS)
+    E_l: Constant = eqx.field(converter=as_field, metadata=ALONG)
+    nu_t: Constant = eqx.field(converter=as_field, metadata=PLANE_RATIO)
+    nu_tl: Constant = eqx.field(
         converter=as_field,
         metadata=constant("", "contraction along the fibre for stress across it: 0.3"),
     )
-    mu_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=SHEAR)
+    mu_l: Constant = eqx.field(converter=as_field, metadata=SHEAR)
     fibre: Fibre
 
     def __check_init__(self):
@@ -148,9 +149,9 @@ class ReducedTransverseIsotropic(AbstractElasticity):
         fibre: Direction of the fibre in the rest shape.
     """
 
-    E_t: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ACROSS)
-    E_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ALONG)
-    nu: Float[Array, "..."] = eqx.field(converter=as_field, metadata=RATIO)
+    E_t: Constant = eqx.field(converter=as_field, metadata=ACROSS)
+    E_l: Constant = eqx.field(converter=as_field, metadata=ALONG)
+    nu: Constant = eqx.field(converter=as_field, metadata=RATIO)
     fibre: Fibre
 
     def __check_init__(self):

@@ -12,6 +12,7 @@ from softcal_jax.materials._constants import (
     ACROSS,
     ALONG,
     SHEAR,
+    Constant,
     as_field,
     check_constants,
     check_shared_ratio,
@@ -106,12 +107,12 @@ class TransverseHyperelastic(AbstractLaw):
         fibre: Direction of the fibre in the rest shape.
     """
 
-    E_t: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ACROSS)
-    E_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ALONG)
-    nu: Float[Array, "..."] = eqx.field(
+    E_t: Constant = eqx.field(converter=as_field, metadata=ACROSS)
+    E_l: Constant = eqx.field(converter=as_field, metadata=ALONG)
+    nu: Constant = eqx.field(
         converter=as_field, metadata=constant("", "Poisson's ratio: 0.499")
     )
-    mu_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=SHEAR)
+    mu_l: Constant = eqx.field(converter=as_field, metadata=SHEAR)
     fibre: Fibre
 
     def __check_init__(self):

@@ -21,12 +21,8 @@ def check_mesh(mesh: TetMesh, *, linked: Sequence[Int[HostArray, " _"]] = ()) ->
 
     A quadratic tet must have det dX/dxi > 0 at its ten nodes and at the quadrature
     points of degree 4. Tets form one body if they are connected by shared faces; parts
-    that share only a node or an edge would form a hinge.
-
-    Args:
-        mesh: The mesh.
-        linked: Sets of nodes that are held together by something else, such as a rigid
-            body: parts with nodes in the same set count as one.
+    that share only a node or an edge would form a hinge. Parts with nodes in the same
+    `linked` set count as one: something else, such as a rigid body, holds them.
 
     Raises:
         ValueError: If tets are inverted, flat, repeated or overlapping, nodes are

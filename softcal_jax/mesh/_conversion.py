@@ -105,15 +105,12 @@ def to_linear(mesh: TetMesh) -> TetMesh:
 
 
 def merge(parts: Mapping[str, TetMesh]) -> TetMesh:
-    """Combine meshes into one; parts that touch are not joined.
+    """Combine meshes of the same order into one; parts that touch are not joined.
 
     Nodes and tets come part by part, in the order of the mapping, and keep their order
     within a part. The tet group "lower" is all of the part "lower", and its groups
     become "lower/end 1", "lower/top" and so on, so laws can differ between parts.
     `check_mesh` refuses the result as disconnected: check the parts.
-
-    Args:
-        parts: Meshes of the same order by the names of the parts.
 
     Raises:
         ValueError: If no part is given, a name is empty or holds a "/", or the parts

@@ -55,13 +55,12 @@ def read_mesh(
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If the file cannot be read, the unit is unknown, there are no tets
+        ValueError: If the file cannot be read, an option is unknown, there are no tets
             or linear ones among quadratic ones, nodes are unused, or `check_mesh`
             refuses the mesh.
 
     Warns:
-        MeshWarning: If something in the file is left out, or its size suggests that
-            the unit is wrong.
+        MeshWarning: If something is left out, or the size suggests a wrong unit.
     """
     if length_unit not in METRES:
         raise unknown_name("length unit", length_unit, METRES)
@@ -169,13 +168,9 @@ def _tets(raw: meshio.Mesh) -> tuple[HostArray, dict[int, int]]:
             f"it mixes {kinds['tetra']} linear (tetra) and {kinds['tetra10']} "
             "quadratic (tetra10) tets; export it with one order."
         )
-    first, parts, n = {}, [], 0
-    for k, block in enumerate(raw.cells):
-        if block.type in _TETS and len(block):
-            first[k] = n
-            parts.append(np.asarray(block.data))
-            n += len(block)
-    return np.concatenate(parts), first
+    blocks = {k: b.data for k, b in enumerate(raw.cells) if b.type in _TETS and len(b)}
+    starts = np.cumsum([0, *map(len, blocks.values())]).tolist()
+    return np.concatenate([*blocks.values()]), dict(zip(blocks, starts, strict=False))
 
 
 def _left_out(raw: meshio.Mesh, groups: RawGroups) -> list[str]:

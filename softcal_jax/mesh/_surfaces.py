@@ -94,9 +94,8 @@ def select_cavity(
             where one of them begins.
 
     Raises:
-        ValueError: If the point lies in the body, or no cavity surrounds it: it is open
-            and `stop_at` does not name where, or the point is outside. A group may be
-            unknown too.
+        ValueError: If the point lies in the body, or no cavity surrounds it that is
+            closed or whose opening `stop_at` names, or a group is unknown.
     """
     p = np.asarray(point, float)
     surface = _Surface(mesh)

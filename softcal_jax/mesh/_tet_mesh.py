@@ -194,24 +194,17 @@ class TetMesh(Module):
         """Add a node group, given by node indices; repeats are merged.
 
         Raises:
-            ValueError: If the name is taken, or the nodes are none or not in the mesh.
+            ValueError: As all three do, if the name is taken, or the members are none
+                or not in the mesh.
         """
         return self._with_group("node", name, np.unique(_as_indices(nodes)))
 
     def with_surface_group(self, name: str, faces: ArrayData) -> "TetMesh":
-        """Add a surface group, given by faces like those of `select_faces`.
-
-        Raises:
-            ValueError: If the name is taken, or the faces are none or not in the mesh.
-        """
+        """Add a surface group, given by faces like those of `select_faces`."""
         return self._with_group("surface", name, _as_indices(faces))
 
     def with_tet_group(self, name: str, tets: ArrayData) -> "TetMesh":
-        """Add a tet group, given by tet indices; repeats are merged.
-
-        Raises:
-            ValueError: If the name is taken, or the tets are none or not in the mesh.
-        """
+        """Add a tet group, given by tet indices; repeats are merged."""
         return self._with_group("tet", name, np.unique(_as_indices(tets)))
 
     def _with_group(self, kind: str, name: str, members: HostArray) -> "TetMesh":

@@ -44,15 +44,11 @@ def tripod(
 
     The sheet lies in the (x, z) plane. Branch k, from 1, leaves at the azimuth
     360 (k - 1) / branches degrees, counted from +x towards +z. The hole is a polygon
-    with its corners on the circle; all sides are straight, in quadratic tets too.
+    with its corners on the circle. The mesh has every symmetry of the plane sheet; top
+    and bottom mirror each other if the number of layers is even.
 
-    The cells of a grid around the hole and along the branches are cut towards alternate
-    corners, so that the mesh has every symmetry of the plane sheet. Top and bottom
-    mirror each other if the number of layers is even.
-
-    Node and tet groups: "end 1", "end 2", ... (the last `end_length` of each branch)
-    and "centre" (within `centre_radius`); sides of tets lie along both borders. Surface
-    groups: "top" (largest y) and "bottom".
+    Node and tet groups: "end 1", "end 2", ... and "centre"; sides of tets lie along
+    their borders. Surface groups: "top" (largest y) and "bottom".
 
     Args:
         length: Length of a branch, from the centre of the sheet [m].
@@ -69,9 +65,8 @@ def tripod(
             bending.
 
     Raises:
-        ValueError: If a length is not positive and finite, a number is out of its
-            range, the centre does not fit between the branches, or a branch is too
-            short for its end.
+        ValueError: If a number is out of its range, the centre does not fit between
+            the branches, or a branch is too short for its end.
     """
     lengths = {
         "length": length,

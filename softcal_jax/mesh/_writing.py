@@ -22,10 +22,7 @@ def write_mesh(
     straight edges are so again. Groups become physical groups: those of tets in three
     dimensions, of surfaces in two, of other nodes in none.
 
-    Args:
-        mesh: The mesh.
-        path: The file, ending in .msh.
-        length_unit: Unit of the coordinates: "m", "cm", "mm", "um" or "inch".
+    The unit of the coordinates is "m", "cm", "mm", "um" or "inch".
 
     Raises:
         ValueError: If the name does not end in .msh, the unit is unknown, or a tet
