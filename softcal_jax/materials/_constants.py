@@ -151,7 +151,8 @@ def check_fibre_ratio(
     if values is not None:
         across, along, plane, ratio = values
         limit = np.sqrt((1.0 - plane) * across / (2.0 * along))
-        _check_between("nu_tl", ratio, (-limit, limit), (across, along))
+        others = {"E_t": across, "E_l": along, "nu_t": plane}
+        _check_between("nu_tl", ratio, (-limit, limit), others)
 
 
 def check_shared_ratio(E_t: Constant, E_l: Constant, nu: Constant) -> None:
@@ -163,15 +164,19 @@ def check_shared_ratio(E_t: Constant, E_l: Constant, nu: Constant) -> None:
         # The roots of 1 - nu - 2 n nu^2, and |nu_t| < 1.
         low = np.maximum(-1.0, -(1.0 + np.sqrt(1.0 + 8.0 * n)) / (4.0 * n))
         high = 2.0 / (1.0 + np.sqrt(1.0 + 8.0 * n))
-        _check_between("nu", ratio, (low, high), (across, along))
+        _check_between("nu", ratio, (low, high), {"E_t": across, "E_l": along})
 
 
-def _check_between(name: str, ratio: np.ndarray, limits: tuple, moduli: tuple) -> None:
+def _check_between(
+    name: str, ratio: np.ndarray, limits: tuple, others: dict[str, np.ndarray]
+) -> None:
     bad = np.flatnonzero(~((ratio > limits[0]) & (ratio < limits[1])))
     if bad.size:
-        low, high = (limit[bad[0]] for limit in limits)
-        E_t, E_l = (readable(modulus[bad[0]], "Pa") for modulus in moduli)
+        i = bad[0]
+        units = {"E_t": "Pa", "E_l": "Pa"}
+        shown = [f"{k} = {readable(v[i], units.get(k, ''))}" for k, v in others.items()]
         raise ValueError(
-            f"{name} must lie in ({low:.4g}, {high:.4g}) for E_t = {E_t}, E_l = {E_l}, "
-            f"or the stiffness is not positive definite; got {ratio[bad[0]]:g}."
+            f"{name} must lie in ({limits[0][i]:.4g}, {limits[1][i]:.4g}) for "
+            f"{', '.join(shown)}, or the stiffness is not positive definite; got "
+            f"{ratio[i]:g}."
         )
