@@ -29,27 +29,21 @@ def field_standard_errors(
     """
     known = np.isfinite(np.diag(covariance))
     size, directions = np.linalg.eigh(covariance[np.ix_(known, known)])
-    root = np.zeros((len(known), int(known.sum())))
     # Rounding may leave a variance slightly below zero.
-    root[known] = directions * np.sqrt(np.maximum(size, 0.0))
-    tangents = np.concatenate([root, np.eye(len(known))[:, ~known]], axis=1)
-    counts = np.concatenate([np.ones(root.shape[1]), np.zeros(int((~known).sum()))])
-    sums = _propagated(model, space, z, jnp.asarray(tangents.T), jnp.asarray(counts))
-    return {
-        name: np.where(np.asarray(lost) > 0.0, np.nan, np.sqrt(np.asarray(variance)))
-        for name, (variance, lost) in zip(space.field_names, sums, strict=True)
-    }
+    root = directions * np.sqrt(np.maximum(size, 0.0))
+    errors = {}
+    for name, J in zip(space.field_names, _slopes(model, space, z), strict=True):
+        J = np.asarray(J)
+        error = np.linalg.norm(J[:, known] @ root, axis=1)
+        errors[name] = np.where(np.any(J[:, ~known] != 0.0, axis=1), np.nan, error)
+    return errors
 
 
 @eqx.filter_jit
-def _propagated(
-    model: Any,
-    space: ParameterSpace,
-    z: Float[Array, " n_p"],
-    tangents: Float[Array, "n n_p"],
-    counts: Float[Array, " n"],
-) -> list[tuple[Float[Array, " n_tets"], Float[Array, " n_tets"]]]:
-    """Sum the squared derivatives along tangents that count, and along the others."""
+def _slopes(
+    model: Any, space: ParameterSpace, z: Float[Array, " n_p"]
+) -> list[Float[Array, "n_tets n_p"]]:
+    """Differentiate the fields, one value per tet, by the scaled parameters."""
 
     def by_tet(value: Any) -> Float[Array, " n_tets"]:
         if is_point_values(value):
@@ -60,15 +54,4 @@ def _propagated(
         changed = space.model_at(model, z)
         return [by_tet(find_field(model, f)(changed)) for f in space.field_names]
 
-    values, push = jax.linearize(fields, z)
-
-    def add(sums, tangent_and_count):
-        tangent, count = tangent_and_count
-        squares = [change**2 for change in push(tangent)]
-        return [
-            (own + count * square, other + (1.0 - count) * square)
-            for (own, other), square in zip(sums, squares, strict=True)
-        ], None
-
-    none = [(jnp.zeros_like(value), jnp.zeros_like(value)) for value in values]
-    return jax.lax.scan(add, none, (tangents, counts))[0]
+    return jax.jacfwd(fields)(z)

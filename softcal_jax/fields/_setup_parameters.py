@@ -93,7 +93,7 @@ class Uncertain(Module):
     def __check_init__(self):
         for name, std in vars(self).items():
             asked = name == "recordings" and std == "estimated"
-            if not asked and not 0.0 <= std < np.inf:
+            if not asked and not 0.0 <= float(std) < np.inf:
                 raise ValueError(
                     f"the uncertainty of {name} must be finite and not negative, got "
                     f"{std}; 0 if it is known exactly."

@@ -278,9 +278,7 @@ class ParameterSpace(Module):
         return tuple(bool(e.fields) for e in self.entries for _ in e.parameters)
 
 
-def as_space(
-    parameters: ParameterSpace | Entry | Sequence[Entry],
-) -> ParameterSpace:
+def as_space(parameters: ParameterSpace | Entry | Sequence[Entry]) -> ParameterSpace:
     """Make a parameter space of one parameter or several."""
     if isinstance(parameters, ParameterSpace):
         return parameters

@@ -152,7 +152,7 @@ class ControlPointParameters(AbstractFieldEntry):
         return dict(self.tied).get(control_point, f"{self.field} of {control_point}")
 
     @once
-    def parameters(self) -> tuple[Parameter, ...]:
+    def parameters(self) -> tuple[Parameter, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         """The unknowns at control points neither fixed nor tied, in their order."""
         keys = ("scale", "S", "region", "unit", "max_step", "prior_std")
         options: dict[str, Any] = {key: getattr(self, key) for key in keys}

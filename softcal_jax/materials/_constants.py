@@ -173,10 +173,10 @@ def _check_between(
     bad = np.flatnonzero(~((ratio > limits[0]) & (ratio < limits[1])))
     if bad.size:
         i = bad[0]
-        units = {"E_t": "Pa", "E_l": "Pa"}
-        shown = [f"{k} = {readable(v[i], units.get(k, ''))}" for k, v in others.items()]
+        unit = lambda name: "Pa" if name.startswith("E") else ""
+        pairs = [(k, readable(float(v[i]), unit(k))) for k, v in others.items()]
         raise ValueError(
             f"{name} must lie in ({limits[0][i]:.4g}, {limits[1][i]:.4g}) for "
-            f"{', '.join(shown)}, or the stiffness is not positive definite; got "
-            f"{ratio[i]:g}."
+            f"{', '.join(map(' = '.join, pairs))}, or the stiffness is not positive "
+            f"definite; got {ratio[i]:g}."
         )

@@ -53,15 +53,14 @@ def select_reachable(
         )
     surface = _Surface(mesh)
     barred = surface.of_groups(stop_at)
-    labels = surface.parts(angle, barred)
-    start = surface.at(np.asarray(point, float))
-    if barred[start].any():
+    p = np.asarray(point, float)
+    if barred[surface.at(p)].any():
         names = ", ".join(map(repr, stop_at))
         raise ValueError(
-            f"the point {place(np.asarray(point, float))} lies on a surface that is not"
-            f" to be entered ({names}); give a point beside it."
+            f"the point {place(p)} lies on a surface that is not to be entered "
+            f"({names}); give a point beside it."
         )
-    return surface.faces[labels == surface.only(labels, start, point)]
+    return surface.part_at(p, surface.parts(angle, barred))
 
 
 def select_face(mesh: TetMesh, point: ArrayData) -> Int[HostArray, "n n_fn"]:
@@ -78,8 +77,7 @@ def select_face(mesh: TetMesh, point: ArrayData) -> Int[HostArray, "n n_fn"]:
     for k, name in enumerate(filter(CAD_FACE.fullmatch, mesh.surface_groups)):
         rows = surface.rows(mesh.faces(name))
         labels[rows[rows >= 0]] = -1 - k
-    start = surface.at(np.asarray(point, float))
-    return surface.faces[labels == surface.only(labels, start, point)]
+    return surface.part_at(np.asarray(point, float), labels)
 
 
 def select_cavity(
@@ -206,17 +204,17 @@ class _Surface:
             )
         return np.flatnonzero(away <= away[nearest] + _ROUNDING * self.mesh.size)
 
-    def only(
-        self, labels: Int[HostArray, " n_faces"], start: Int[HostArray, " _"], point
-    ) -> int:
-        """Return the part that all faces at a point belong to."""
-        parts = np.unique(labels[start])
+    def part_at(
+        self, point: Float[HostArray, "3"], labels: Int[HostArray, " n_faces"]
+    ) -> Int[HostArray, "n n_fn"]:
+        """Return the faces of the part that a point lies on."""
+        parts = np.unique(labels[self.at(point)])
         if len(parts) > 1:
             raise ValueError(
-                f"the point {place(np.asarray(point, float))} lies where {len(parts)} "
-                "surfaces meet; move it off their border, onto the one that is meant."
+                f"the point {place(point)} lies where {len(parts)} surfaces meet; move "
+                "it off their border, onto the one that is meant."
             )
-        return int(parts[0])
+        return self.faces[labels == parts[0]]
 
     def seen_from(self, point: Float[HostArray, "3"]) -> Float[HostArray, " n_faces"]:
         """Compute the share of all directions in which each face is seen [-].
