@@ -133,17 +133,16 @@ def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
 
 def _nodes(mesh: TetMesh, body: RigidBody) -> HostArray:
     what = f"rigid body {body.name!r}"
-    found = np.unique(
-        np.concatenate([node_indices(mesh, where, what) for where in body.where])
-    )
-    x = mesh.points[found] - mesh.points[found].mean(axis=0)
-    spread = np.linalg.svd(x, compute_uv=False) if len(found) > 2 else np.zeros(3)
-    if len(found) < 3 or spread[1] < 1e-6 * mesh.size:
+    groups = [node_indices(mesh, where, what) for where in body.where]
+    nodes = np.unique(np.concatenate(groups))
+    x = mesh.points[nodes] - mesh.points[nodes].mean(axis=0)
+    spread = np.linalg.svd(x, compute_uv=False) if len(nodes) > 2 else np.zeros(3)
+    if spread[1] < 1e-6 * mesh.size:
         raise ValueError(
-            f"{what} holds {len(found)} nodes on a line or a point: it needs three "
+            f"{what} holds {len(nodes)} nodes on a line or a point: it needs three "
             "that span a plane. For a hinge or a clamp along an edge, use a Support."
         )
-    return found
+    return nodes
 
 
 def _check_disjoint(mesh: TetMesh, names, nodes) -> None:

@@ -42,8 +42,7 @@ class FoamTable(Module):
     Samples with the same anisotropy are a level. Along a level ln E is a monotone cubic
     of ln density, which is a straight line where E is a power of the density. Between
     two levels ln density and ln E are linear, for Polyfoam in ln shrink and for Phasor
-    in its isotropy; the ends of the levels join, and what lies outside of this patch
-    is not reached by the foam.
+    in its isotropy; what lies outside of this patch is not reached by the foam.
 
     Attributes:
         infill: The foam. Polyfoam has a soft axis and a stiff plane across it; Phasor

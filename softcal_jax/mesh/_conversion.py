@@ -115,11 +115,6 @@ def merge(parts: Mapping[str, TetMesh]) -> TetMesh:
     Raises:
         ValueError: If no part is given, a name is empty or holds a "/", or the parts
             are linear and quadratic ones.
-
-    Example:
-        Two sheets, one above the other::
-
-            merge({"lower": tripod(y=-0.06), "upper": tripod(y=0.06)})
     """
     if not parts:
         raise ValueError("merge needs at least one part.")

@@ -83,13 +83,10 @@ def select_face(mesh: TetMesh, point: ArrayData) -> Int[HostArray, "n n_fn"]:
 def select_cavity(
     mesh: TetMesh, point: ArrayData, *, stop_at: Sequence[str] = ()
 ) -> Int[HostArray, "n n_fn"]:
-    """Select the wall of a cavity, as a chamber needs it.
+    """Select the wall of the cavity around a point [m], as a chamber needs it.
 
-    Args:
-        mesh: The mesh.
-        point: A point in the empty inside of the cavity [m].
-        stop_at: Surface groups in which the openings of the cavity lie. The wall ends
-            where one of them begins.
+    Its openings lie in the surface groups `stop_at`: the wall ends where one of them
+    begins.
 
     Raises:
         ValueError: If the point lies in the body, or no cavity surrounds it that is

@@ -169,16 +169,16 @@ class TetMesh(Module):
         Raises:
             ValueError: If no surface group has the name.
         """
-        if name not in self.surface_groups:
-            if name in self.node_groups or name in self.tet_groups:
-                kind = "nodes" if name in self.node_groups else "tets"
-                raise ValueError(
-                    f"{name!r} is a group of {kind}, and a surface is asked for: of = "
-                    '"faces" under [groups.NAME] in a project file, `select_faces` in '
-                    "Python."
-                )
-            raise _unknown_group("surface group", name, self.surface_groups)
-        return self.surface_groups[name]
+        if name in self.surface_groups:
+            return self.surface_groups[name]
+        if name in self.node_groups or name in self.tet_groups:
+            kind = "nodes" if name in self.node_groups else "tets"
+            raise ValueError(
+                f"{name!r} is a group of {kind}, and a surface is asked for: of = "
+                '"faces" under [groups.NAME] in a project file, `select_faces` in '
+                "Python."
+            )
+        raise _unknown_group("surface group", name, self.surface_groups)
 
     def tets_of(self, name: str) -> Int[Array | HostArray, " _"]:
         """Return the tet indices of a tet group.
