@@ -148,8 +148,7 @@ class Mounted(NamedTuple):
         load: The share, which also applies to imposed poses [-].
         rotation: Rotations of the mountings.
         axes: Axes of the frames, by rows [-].
-        arm: Origin of each body at rest from the point about which the path of an
-            imposed pose winds, see `winding` [m].
+        arm: Origin of each body at rest from where its path winds, see `winding` [m].
     """
 
     load: Float[Array, ""]
@@ -213,11 +212,8 @@ def winding(
     result is zero at both ends of the path, whatever the pose, and has no derivative by
     it: sensitivities are of the end alone.
 
-    Args:
-        arm: Origin of the body at rest from that point [m].
-        translation: Imposed translation at full load [m].
-        rotation: Imposed rotation vector at full load [rad].
-        load: Share of the load [-].
+    `arm` is the origin of the body at rest from that point [m]; translation [m] and
+    rotation vector [rad] are those at full load.
     """
     arm, translation, rotation = jax.lax.stop_gradient((arm, translation, rotation))
     V, inverse = _screw(rotation)

@@ -82,13 +82,11 @@ class Quantity(NamedTuple):
         unit: SI unit, for tables.
         least: Smallest value that it can have at all, in SI units.
         of_configuration: Whether each configuration has such an array, or the model.
-        uncertain: Entry of `Uncertain` that says how far off it usually is; empty if
-            none does.
+        uncertain: Field of `Uncertain` that says how far off it usually is, if any.
         role: What an error of it is where it is not fitted: "considered", part of the
-            "noise" that weighs the data, or "none" (not asked for).
+            "noise" that weighs the data, or "none".
         occurs: Where such an error can occur, by the name of what it belongs to, like
-            the motor; empty for everywhere. Of what a configuration lacks, nothing can
-            be learnt.
+            the motor; empty for everywhere.
         absent: What is said where it can occur nowhere, with {of} filled in.
     """
 

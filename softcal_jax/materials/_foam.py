@@ -20,11 +20,10 @@ class FoundFoam(NamedTuple):
 
     Attributes:
         density: Relative density [-].
-        anisotropy: Shrink of Polyfoam, isotropy of Phasor [-].
+        anisotropy: As in `FoamTable` [-].
         E_soft: Modulus along the soft axis, or in the soft plane [Pa].
         E_stiff: Modulus along the stiff axis, or in the stiff plane [Pa].
-        error: The larger of both moduli's relative distances from what was asked for:
-            |ln(found / asked)| [-].
+        error: The larger |ln(found / asked)| of both moduli [-].
     """
 
     density: Numbers

@@ -58,12 +58,7 @@ def locate(
     marker on a post, is extrapolated linearly from the nearest point xi0 of the
     boundary, N(xi0) + dN/dxi(xi0) (xi - xi0), since the shape functions themselves
     would grow quadratically with the distance. Linear fields are exact in both cases.
-
-    Args:
-        mesh: The mesh, in its reference state.
-        points: Positions [m].
-        max_distance: How far outside the mesh a point may lie [m].
-        names: What the points are called in messages; their numbers by default.
+    Points [m] may lie `max_distance` outside [m]; messages call them by their names.
 
     Raises:
         ValueError: If a point is not finite or lies too far outside, or
