@@ -165,8 +165,8 @@ def _owners(bodies: Sequence[RigidBody], names: tuple[str, ...]) -> HostArray:
         if body.tied_to is None:
             continue
         if body.tied_to not in names:
-            what = f"body that rigid body {body.name!r} is tied to,"
-            raise unknown_name(what, body.tied_to, names)
+            error = unknown_name("body", body.tied_to, names)
+            raise ValueError(f"rigid body {body.name!r} is tied to an {error}")
         owner[k] = names.index(body.tied_to)
         root = bodies[owner[k]]
         if root.tied_to is not None:

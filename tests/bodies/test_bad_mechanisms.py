@@ -139,7 +139,7 @@ def test_axes_of_a_hinge():
         ((ROOT, RigidBody("b", "y_min")), "'root' and 'b' share 2 nodes"),
         ((RigidBody("b", "nowhere"),), "rigid body 'b': unknown group 'nowhere'"),
         ((RigidBody("b", np.array([0, 1])),), "'b' holds 2 nodes on a line"),
-        ((RigidBody("b", "x_min", tied_to="tip"),), r"is tied to, 'tip'.*'b'"),
+        ((RigidBody("b", "x_min", tied_to="tip"),), r"an unknown body 'tip'.*'b'"),
         (
             (
                 ROOT,
