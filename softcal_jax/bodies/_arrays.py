@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import suggestion
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies._body import KINDS, RigidBody
 from softcal_jax.mesh import Refinement, TetMesh, node_indices
@@ -92,9 +92,7 @@ def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
     """Stack the rigid bodies of a mesh at rest; there may be none.
 
     Raises:
-        ValueError: If a name is used twice, a group is unknown, a node belongs to two
-            bodies, a body has fewer than three nodes in general position, or is tied
-            to one that is unknown or tied itself.
+        ValueError: If they do not fit the mesh or each other.
     """
     names = tuple(body.name for body in bodies)
     for name in names:
@@ -135,23 +133,22 @@ def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
 
 def _nodes(mesh: TetMesh, body: RigidBody) -> HostArray:
     what = f"rigid body {body.name!r}"
-    found = np.unique(
-        np.concatenate([node_indices(mesh, where, what) for where in body.where])
-    )
-    x = mesh.points[found] - mesh.points[found].mean(axis=0)
-    spread = np.linalg.svd(x, compute_uv=False) if len(found) > 2 else np.zeros(3)
-    if len(found) < 3 or spread[1] < 1e-6 * mesh.size:
+    groups = [node_indices(mesh, where, what) for where in body.where]
+    nodes = np.unique(np.concatenate(groups))
+    x = mesh.points[nodes] - mesh.points[nodes].mean(axis=0)
+    spread = np.linalg.svd(x, compute_uv=False) if len(nodes) > 2 else np.zeros(3)
+    if spread[1] < 1e-6 * mesh.size:
         raise ValueError(
-            f"{what} holds {len(found)} nodes on a line or a point: it needs three "
+            f"{what} holds {len(nodes)} nodes on a line or a point: it needs three "
             "that span a plane. For a hinge or a clamp along an edge, use a Support."
         )
-    return found
+    return nodes
 
 
 def _check_disjoint(mesh: TetMesh, names, nodes) -> None:
     first = np.full(mesh.n_nodes, -1)
-    for k, own in enumerate(nodes):
-        shared = own[first[own] >= 0]
+    for k, of_body in enumerate(nodes):
+        shared = of_body[first[of_body] >= 0]
         if shared.size:
             raise ValueError(
                 f"rigid bodies {names[first[shared[0]]]!r} and {names[k]!r} share "
@@ -159,7 +156,7 @@ def _check_disjoint(mesh: TetMesh, names, nodes) -> None:
                 f"{mesh.points[shared[0]].tolist()} m: make them one body, or tie one "
                 "to the other with disjoint groups."
             )
-        first[own] = k
+        first[of_body] = k
 
 
 def _owners(bodies: Sequence[RigidBody], names: tuple[str, ...]) -> HostArray:
@@ -168,10 +165,8 @@ def _owners(bodies: Sequence[RigidBody], names: tuple[str, ...]) -> HostArray:
         if body.tied_to is None:
             continue
         if body.tied_to not in names:
-            raise ValueError(
-                f"rigid body {body.name!r} is tied to {body.tied_to!r}, which is not a "
-                f"body.{suggestion(body.tied_to, names)} Bodies: {', '.join(names)}."
-            )
+            error = unknown_name("body", body.tied_to, names)
+            raise ValueError(f"rigid body {body.name!r} is tied to an {error}")
         owner[k] = names.index(body.tied_to)
         root = bodies[owner[k]]
         if root.tied_to is not None:

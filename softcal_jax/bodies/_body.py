@@ -8,6 +8,7 @@ from jaxtyping import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from softcal_jax._module import Module
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray, Int
 
 Vector = Sequence[float] | Float[ArrayLike, "3"]
@@ -23,6 +24,11 @@ def check_vector(what: str, unit: str, value: HostArray) -> None:
     """Raise ValueError unless a vector has three finite numbers."""
     if value.shape != (3,) or not np.all(np.isfinite(value)):
         raise ValueError(f"{what} must be three finite numbers [{unit}], got {value}.")
+
+
+def _is_rotation(R: HostArray) -> bool:
+    orthogonal = R.shape == (3, 3) and np.allclose(R @ R.T, np.eye(3), atol=1e-6)
+    return bool(orthogonal and np.linalg.det(R) > 0.0)
 
 
 class Pose(Module):
@@ -62,10 +68,11 @@ class Pose(Module):
             ValueError: If the matrix is not a rotation.
         """
         R = np.array(rotation, float)
-        if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6):
-            raise ValueError(f"rotation must be an orthogonal 3 x 3 matrix, got {R}.")
-        if np.linalg.det(R) < 0.0:
-            raise ValueError("rotation mirrors space (its determinant is -1).")
+        if not _is_rotation(R):
+            raise ValueError(
+                "rotation must be an orthogonal 3 x 3 matrix, and none that mirrors "
+                f"space, got {R}."
+            )
         return cls(np.asarray(translation, float), Rotation.from_matrix(R).as_rotvec())
 
     @property
@@ -80,9 +87,7 @@ def _as_groups(where) -> tuple:
     return tuple(where) if isinstance(where, Iterable) else (np.asarray(where),)
 
 
-def _as_array(
-    value: Float[ArrayLike, "..."] | Sequence | None,
-) -> Float[HostArray, "..."] | None:
+def _if_any(value: ArrayLike | Sequence | None) -> Float[HostArray, "..."] | None:
     return None if value is None else np.asarray(value, float)
 
 
@@ -111,13 +116,13 @@ class RigidBody(Module):
 
     name: str
     where: tuple[str | Int[HostArray, " _"], ...] = eqx.field(converter=_as_groups)
-    origin: Float[HostArray, "3"] | None = eqx.field(converter=_as_array, default=None)
-    axes: Float[HostArray, "3 3"] | None = eqx.field(converter=_as_array, default=None)
+    origin: Float[HostArray, "3"] | None = eqx.field(converter=_if_any, default=None)
+    axes: Float[HostArray, "3 3"] | None = eqx.field(converter=_if_any, default=None)
     mounting: Pose = eqx.field(default_factory=Pose)
     tied_to: str | None = None
     mass: float = 0.0
     centre_of_mass: Float[HostArray, "3"] | None = eqx.field(
-        converter=_as_array, default=None
+        converter=_if_any, default=None
     )
 
     def __check_init__(self):
@@ -129,11 +134,7 @@ class RigidBody(Module):
                 f"mass of rigid body {self.name!r} must be finite and not negative "
                 f"[kg], got {self.mass:g}."
             )
-        if self.axes is not None and (
-            self.axes.shape != (3, 3)
-            or not np.allclose(self.axes @ self.axes.T, np.eye(3), atol=1e-6)
-            or np.linalg.det(self.axes) < 0.0
-        ):
+        if self.axes is not None and not _is_rotation(self.axes):
             raise ValueError(
                 f"axes of rigid body {self.name!r} must be three orthogonal unit "
                 f"vectors by rows, right-handed, got {self.axes.tolist()}; "
@@ -146,11 +147,8 @@ class RigidBody(Module):
 def hinge_axes(axis: Vector) -> Float[HostArray, "3 3"]:
     """Return the axes of a frame, by rows, whose third is a hinge's axis [-].
 
-    Args:
-        axis: Direction of the hinge, of any length.
-
     Raises:
-        ValueError: If the axis has no direction.
+        ValueError: If the axis is not three finite numbers, or has no length.
     """
     third = np.asarray(axis, float)
     length = np.linalg.norm(third)
@@ -181,9 +179,7 @@ class BodyState(Module):
 
     def __check_init__(self):
         if self.kind not in KINDS:
-            raise ValueError(
-                f"a rigid body is {', '.join(map(repr, KINDS))}, got {self.kind!r}."
-            )
+            raise unknown_name("state of a rigid body", self.kind, KINDS)
 
 
 KINDS = ("free", "hinged", "held")

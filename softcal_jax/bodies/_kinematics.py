@@ -25,7 +25,6 @@ _HINGED = 2
 WIND = 0.05
 """Singular value of a screw below which its strain is no longer followed [-]."""
 
-
 _SIGNS = np.cross(np.eye(3)[:, None], -np.eye(3)[None])
 """Minus the permutation symbol: hat(w)_ij = sum_k _SIGNS_ijk w_k."""
 
@@ -37,11 +36,7 @@ def cross_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
 
 
 def rotation_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """Compute the rotation matrix exp(hat(w)) by Rodrigues' formula.
-
-    Args:
-        w: Rotation vector [rad].
-    """
+    """Compute the matrix exp(hat(w)) of a rotation vector [rad] (Rodrigues)."""
     square = jnp.sum(w * w)
     small = square < _SMALL
     angle = _safe_angle(square)
@@ -82,16 +77,14 @@ def rotation_vector(R: Float[Array, "3 3"]) -> Float[Array, "3"]:
     four = 1.0 + jnp.concatenate([trace[None], 2.0 * jnp.diag(R) - trace])
     off = jnp.stack([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     both = R + R.T
-    rows = jnp.stack(
-        [
-            jnp.stack([four[0], off[0], off[1], off[2]]),
-            jnp.stack([off[0], four[1], both[0, 1], both[0, 2]]),
-            jnp.stack([off[1], both[0, 1], four[2], both[1, 2]]),
-            jnp.stack([off[2], both[0, 2], both[1, 2], four[3]]),
-        ]
-    )
+    rows = [
+        jnp.stack([four[0], off[0], off[1], off[2]]),
+        jnp.stack([off[0], four[1], both[0, 1], both[0, 2]]),
+        jnp.stack([off[1], both[0, 1], four[2], both[1, 2]]),
+        jnp.stack([off[2], both[0, 2], both[1, 2], four[3]]),
+    ]
     largest = jnp.argmax(four)
-    q = rows[largest] / (2.0 * jnp.sqrt(four[largest]))
+    q = jnp.stack(rows)[largest] / (2.0 * jnp.sqrt(four[largest]))
     q = jnp.where(q[0] < 0.0, -q, q)
     square = jnp.sum(q[1:] ** 2)
     small, sine = square < _SMALL, _safe_angle(square)
@@ -145,7 +138,6 @@ def frame_nodes(bodies: BodyArrays, frames: Frames) -> Float[Array, "n_b 4 3"]:
 
 
 def _apply(R: Float[Array, "... 3 3"], v: Float[Array, "... 3"]):
-    """Compute R v for stacks of both."""
     return jnp.sum(R * v[..., None, :], axis=-1)
 
 
@@ -156,8 +148,7 @@ class Mounted(NamedTuple):
         load: The share, which also applies to imposed poses [-].
         rotation: Rotations of the mountings.
         axes: Axes of the frames, by rows [-].
-        arm: Origin of each body at rest from the point about which the path of an
-            imposed pose winds, see `winding` [m].
+        arm: Origin of each body at rest from where its path winds, see `winding` [m].
     """
 
     load: Float[Array, ""]
@@ -221,11 +212,8 @@ def winding(
     result is zero at both ends of the path, whatever the pose, and has no derivative by
     it: sensitivities are of the end alone.
 
-    Args:
-        arm: Origin of the body at rest from that point [m].
-        translation: Imposed translation at full load [m].
-        rotation: Imposed rotation vector at full load [rad].
-        load: Share of the load [-].
+    `arm` is the origin of the body at rest from that point [m]; translation [m] and
+    rotation vector [rad] are those at full load.
     """
     arm, translation, rotation = jax.lax.stop_gradient((arm, translation, rotation))
     V, inverse = _screw(rotation)
@@ -254,8 +242,10 @@ def place(
         arm, jnp.asarray(state.translation), jnp.asarray(state.rotation), load
     )
     turned = _product(frames.rotation, jnp.swapaxes(mounting, 1, 2))
+    first = _apply(turned, axes[:, 0])
+    about = lambda axis: jnp.sum(first * axes[:, axis], axis=1)
     displacements, angles = twist[:, :3], twist[:, 3:]
-    angle = _hinge_angle(turned, axes) + angles[:, _HINGED] / bodies.length
+    angle = jnp.arctan2(about(1), about(0)) + angles[:, _HINGED] / bodies.length
     turns = [
         along(angles) / bodies.length,
         angle[:, None] * axes[:, 2],
@@ -279,14 +269,6 @@ def place(
 
 def _product(A: Float[Array, "n_b 3 3"], B: Float[Array, "n_b 3 3"]):
     return jnp.sum(A[:, :, :, None] * B[:, None], axis=2)
-
-
-def _hinge_angle(R: Float[Array, "n_b 3 3"], axes: Float[Array, "n_b 3 3"]):
-    """Compute the angle of each rotation about the third axis [rad]."""
-    first = _apply(R, axes[:, 0])
-    return jnp.arctan2(
-        jnp.sum(first * axes[:, 1], axis=1), jnp.sum(first * axes[:, 0], axis=1)
-    )
 
 
 def blocked(state: BodyStateArrays, bodies: BodyArrays):

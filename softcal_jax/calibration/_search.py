@@ -41,7 +41,7 @@ SEVERAL = 6
 # One row at a time, so that the programs do not depend on the number of rows.
 _to_scaled = eqx.filter_jit(lambda space, p: space.admissible(space.to_scaled(p)))
 _from_scaled = eqx.filter_jit(lambda space, z: space.from_scaled(z))
-_distance = eqx.filter_jit(lambda space, a, b: space.distance(a, b))
+_distance = eqx.filter_jit(lambda space, a, b: jnp.abs(space.shorter(a - b)))
 
 
 class SearchProgress(NamedTuple):

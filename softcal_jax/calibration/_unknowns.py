@@ -148,7 +148,7 @@ def _of_setup(uncertain: Uncertain, setting: _Setting) -> Iterator[Unknown]:
         for of, scope in quantity.occurs(setting.poses).items():
             for axis in quantity.components or ("",):
                 name = " ".join(word for word in (kind, of, axis) if word)
-                entry = SetupError(name, std, kind, of, axis)
+                entry = SetupError(name=name, std=std, kind=kind, of=of, axis=axis)
                 free = _not_fitted(setting, entry)
                 yield Unknown(
                     quantity.uncertain,

@@ -1,20 +1,29 @@
 """Parameters: control points, bounds, scaling S, place in the model (Sec. IV.A)."""
 
 from softcal_jax.fields._control_points import ControlPoints, idw_weights
-from softcal_jax.fields._errors import AbstractError, FieldError, SetupError
+from softcal_jax.fields._errors import FieldError, SetupError
 from softcal_jax.fields._field_errors import field_standard_errors
 from softcal_jax.fields._model_fields import find_field, set_field
-from softcal_jax.fields._occurrence import Poses, Scope, grounded_bodies
 from softcal_jax.fields._parameters import (
     AbstractEntry,
     AbstractFieldEntry,
     Parameter,
 )
 from softcal_jax.fields._precision import PRECISION, asked_errors, check_precision
-from softcal_jax.fields._setup import QUANTITIES, Role, SetupParameter
+from softcal_jax.fields._setup import (
+    QUANTITIES,
+    Poses,
+    Role,
+    Scope,
+    SetupParameter,
+    grounded_bodies,
+)
 from softcal_jax.fields._setup_parameters import (
+    OFFSET,
+    Uncertain,
     actuator_factor,
     clamp_stiffness,
+    exactly_known,
     friction,
     gravity_tilt,
     load_factor,
@@ -31,7 +40,6 @@ from softcal_jax.fields._space import (
     unnamed,
 )
 from softcal_jax.fields._spread import ControlPointParameters
-from softcal_jax.fields._uncertain import OFFSET, Uncertain, exactly_known
 from softcal_jax.fields._validation import check_parameters, check_scopes
 
 __all__ = [
@@ -39,7 +47,6 @@ __all__ = [
     "PRECISION",
     "QUANTITIES",
     "AbstractEntry",
-    "AbstractError",
     "AbstractFieldEntry",
     "ControlPointParameters",
     "ControlPoints",

@@ -60,7 +60,6 @@ def _check_weighting(power: float, nearest: int | None, n_cp: int) -> None:
             f"power must be positive and finite, got {power:g}: with 0 every control "
             "point would count the same everywhere; the paper takes 2."
         )
-
     if nearest is not None and not 1 <= nearest <= n_cp:
         raise ValueError(
             f"nearest must lie between 1 and the number of control points, {n_cp}, "
@@ -115,7 +114,7 @@ class ControlPoints(Module):
                     raise ValueError(
                         f"control point {name!r} needs three numbers [m], got {x}."
                     )
-            given = [np.asarray(x, float) for x in given.values()]
+            given = list(given.values())
         x = np.asarray(given, float)
         if x.ndim != 2 or x.shape[1] != 3 or not len(x):
             raise ValueError(
@@ -152,11 +151,10 @@ class ControlPoints(Module):
         size = max(float(np.abs(x).max()), np.finfo(float).tiny)
         gaps = np.linalg.norm(x[:, None] - x[None], axis=2)
         for i, j in np.argwhere(np.triu(gaps <= 1e-9 * size, k=1)):
-            where = "" if self.axes == AXES else f" along {self.axes}"
             raise ValueError(
-                f"control points {self.names[i]!r} and {self.names[j]!r} coincide"
-                f"{where}: the data could never tell their values apart. Remove one, "
-                "or move it."
+                f"control points {self.names[i]!r} and {self.names[j]!r} coincide "
+                f"along {self.axes}: the data could never tell their values apart. "
+                "Remove one, or move it."
             )
 
     @property

@@ -3,7 +3,6 @@
 Only their derivative at zero counts, where they change nothing.
 """
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -12,8 +11,14 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.fields._model_fields import find_field, set_field
-from softcal_jax.fields._parameters import AbstractEntry, Parameter, _number
-from softcal_jax.fields._setup import QUANTITIES, Quantity, entry_index
+from softcal_jax.fields._parameters import (
+    AbstractEntry,
+    Names,
+    Parameter,
+    Values,
+    as_number,
+)
+from softcal_jax.fields._setup import AbstractSetupEntry
 from softcal_jax.materials import PointValues, is_point_values
 
 
@@ -36,13 +41,7 @@ class AbstractError(AbstractEntry):
         )
         return (unknown,)
 
-    def size(self, values: Mapping[str, Float[Array, ""]]) -> Float[Array, ""]:
-        """Return the error, in SI units or relative."""
-        return values[self.name] * self.std
-
-    def renamed(
-        self, points: Mapping[str, str], names: Mapping[str, str]
-    ) -> "AbstractError":
+    def renamed(self, points: Names, names: Names) -> "AbstractError":
         """Return the same error with another name."""
         del points
         return replace(self, name=names[self.name])
@@ -52,79 +51,52 @@ class FieldError(AbstractError):
     """An error of a field of the law, or of the density.
 
     Attributes:
-        name: Its name.
-        std: Its standard deviation.
         field: The field, as `find_field` finds it.
         share: Error of each tet per unit of the unknown; 0 where it is calibrated.
         relative: Whether the error is relative to the value.
     """
 
     name: str = eqx.field(static=True)
-    std: Float[Array, ""] = eqx.field(converter=_number)
+    std: Float[Array, ""] = eqx.field(converter=as_number)
     field: str = eqx.field(static=True)
     share: Float[Array, " n_tets"]
     relative: bool = eqx.field(static=True, default=False)
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """The field."""
         return (self.field,)
 
     def check(self, model: Any) -> None:
-        """Raise ValueError unless the model has the field."""
         find_field(model, self.field)
 
-    def apply(
-        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
-    ) -> tuple[Any, Any]:
+    def apply(self, model: Any, configuration: Any, values: Values) -> tuple[Any, Any]:
         """Add the error to the field."""
-        old = find_field(model, self.field)(model)
-        error = self.size(values) * self.share
-        if is_point_values(old):
-            error = error[:, None]
-            own = old.values + error * (old.values if self.relative else 1.0)
-            return set_field(model, self.field, PointValues(own)), configuration
-        per_tet = jnp.broadcast_to(old, self.share.shape)
-        own = per_tet + error * (per_tet if self.relative else 1.0)
-        return set_field(model, self.field, own), configuration
+        old: Any = find_field(model, self.field)(model)
+        error = values[self.name] * self.std * self.share
+        by_points = is_point_values(old)
+        if by_points:
+            old, error = old.values, error[:, None]
+        else:
+            old = jnp.broadcast_to(old, self.share.shape)
+        new = old + error * (old if self.relative else 1.0)
+        value = PointValues(new) if by_points else new
+        return set_field(model, self.field, value), configuration
 
 
-class SetupError(AbstractError):
+class SetupError(AbstractError, AbstractSetupEntry):
     """An error of the setup, the loads or a recording, beside its present value.
 
-    Attributes:
-        name: Its name.
-        std: Its standard deviation; that of a factor is relative.
-        kind: One of `QUANTITIES`.
-        of: What it belongs to, like the motor; empty where it belongs to nothing.
-        axis: Component of a quantity that has several; empty otherwise.
+    That of a factor is relative; for `kind`, `of` and `axis` see `SetupParameter`.
     """
 
     name: str = eqx.field(static=True)
-    std: Float[Array, ""] = eqx.field(converter=_number)
+    std: Float[Array, ""] = eqx.field(converter=as_number)
     kind: str = eqx.field(static=True)
     of: str = eqx.field(static=True, default="")
     axis: str = eqx.field(static=True, default="")
 
-    @property
-    def quantity(self) -> Quantity:
-        """What it changes."""
-        return QUANTITIES[self.kind]
-
-    def check(self, model: Any) -> None:
-        """Raise ValueError unless the model has the motor or the body."""
-        if not self.quantity.of_configuration:
-            entry_index(self, model)
-
-    def apply(
-        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
-    ) -> tuple[Any, Any]:
+    def apply(self, model: Any, configuration: Any, values: Values) -> tuple[Any, Any]:
         """Add the error to its entry."""
-        error = self.size(values)
+        error = values[self.name] * self.std
         change = lambda old: old + error * (old if self.quantity.relative else 1.0)
-        of_configuration = self.quantity.of_configuration
-        owner = configuration if of_configuration else model
-        if owner is None:
-            return model, configuration
-        owner = self.quantity.put(owner, entry_index(self, owner), change)
-        return (model, owner) if of_configuration else (owner, configuration)
+        return self._changed(model, configuration, change)

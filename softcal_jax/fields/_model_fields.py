@@ -29,9 +29,6 @@ def set_field(
             `PointValues` for these tets.
         region: Tet group that it applies to; the whole mesh by default.
 
-    Returns:
-        The changed model.
-
     Raises:
         ValueError: If the field or the region does not exist, or the field is not
             unique.
@@ -79,9 +76,7 @@ def region_tets(mesh: Any, region: str | None) -> HostArray:
 def find_field(model: Any, field: str):
     """Return the function from a model to a field of its law, or to its density.
 
-    Args:
-        model: Anything with `law` and `density`.
-        field: Name of the field, like "E"; a dotted path if the name is not unique.
+    The name is like "E", or a dotted path if that is not unique.
 
     Raises:
         ValueError: If no field has that name, or more than one.
@@ -90,13 +85,13 @@ def find_field(model: Any, field: str):
     paths = ["density"] + ["law" + jax.tree_util.keystr(path) for path, _ in leaves]
     # Entries of a tuple, like the local axes of a fibre, are no fields.
     paths = [path for path in paths if "[" not in path]
-    found = [path for path in paths if ("." + path).endswith("." + field)]
-    if len(found) != 1:
-        problem = "is not unique" if found else "does not exist"
+    named = [path for path in paths if ("." + path).endswith("." + field)]
+    if len(named) != 1:
+        problem = "is not unique" if named else "does not exist"
         raise ValueError(
             f"field {field!r} of the model {problem}; it has {', '.join(paths)}."
         )
-    return _Accessor(found[0])
+    return _Accessor(named[0])
 
 
 @dataclass(frozen=True)

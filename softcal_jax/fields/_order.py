@@ -1,17 +1,22 @@
 """Which parameters belong together: order constraints and material axes."""
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._names import suggestion
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray, Int, is_traced
-from softcal_jax.fields._parameters import AbstractEntry, Parameter
+from softcal_jax.fields._parameters import AbstractEntry, Parameter, Values
 from softcal_jax.fields._spread import ControlPointParameters
 
 Entries = tuple[AbstractEntry, ...]
+
+Groups = tuple[tuple[str, ...], ...]
+"""Names that belong together: pairs of an order, triples of an axis."""
+
+Scaled = Float[Array, " n_p"]
+"""Scaled coordinates z of the parameters, or one number for each."""
 
 
 class Term(NamedTuple):
@@ -24,18 +29,11 @@ class Term(NamedTuple):
     constant: Float[Array, ""]
 
 
-def order_terms(
-    entries: Entries, order: tuple[tuple[str, ...], ...]
-) -> list[tuple[Term, Term]]:
+def order_terms(entries: Entries, order: Groups) -> list[tuple[Term, Term]]:
     """Collect both sides of every inequality smaller <= larger.
 
     One pair per control point of two fields, or per pair of parameters, except for
     pairs of known values.
-
-    Raises:
-        ValueError: If a name is unknown, two fields share no control point, a control
-            point's name is ambiguous, the scales of both sides differ, or two known
-            values contradict the order.
     """
     pairs = []
     for smaller, larger in order:
@@ -68,7 +66,7 @@ def order_terms(
 def _sides(entries: Entries, name: str, key: str) -> dict[str, Term]:
     """Return the terms of a parameter, or of a field by control point.
 
-    `key` is the option that names it, "order" or "axes", for errors.
+    Errors call the option that names it `key`.
     """
     parameters = [q for entry in entries for q in entry.parameters]
     columns = {q.name: i for i, q in enumerate(parameters)}
@@ -93,51 +91,39 @@ def _sides(entries: Entries, name: str, key: str) -> dict[str, Term]:
             if point in entry.fixed:
                 value = entry.fixed[point]
                 known = jnp.log(value) if entry.scale == "log" else value
-                own = f"{name} of {point}"
-                sides[point] = Term(own, entry.scale, None, jnp.ones(()), known)
+                label = f"{name} of {point}"
+                sides[point] = Term(label, entry.scale, None, jnp.ones(()), known)
             else:
                 sides[point] = unknown(columns[entry.parameter_name(point)])
     if not sides:
-        known = [*(entry.field for entry in fields), *columns]
-        raise ValueError(
-            f"{key} names {name!r}, which is neither a parameter nor a field with "
-            f"control points.{suggestion(name, known)} Parameters are "
-            f"{', '.join(columns)}."
-        )
+        known = {*(entry.field for entry in fields), *columns}
+        raise ValueError(f"{key}: {unknown_name('parameter or field', name, known)}")
     return sides
 
 
-def axis_columns(
-    entries: Entries, axes: tuple[tuple[str, ...], ...]
-) -> Int[HostArray, "n_axes 3"]:
+def axis_columns(entries: Entries, axes: Groups) -> Int[HostArray, "n_axes 3"]:
     """Find the columns of (smaller modulus, larger modulus, angle) of every axis.
 
     One row per control point at which all three are unknown.
-
-    Raises:
-        ValueError: If a name is unknown, no control point has all three unknown, a
-            modulus is not on a log scale, the angle is not a director whose bounds span
-            180 degrees, or one of them has a step limit.
     """
     rows: list[list[int]] = []
     parameters = [q for entry in entries for q in entry.parameters]
     for axis in axes:
         sides = [_sides(entries, name, "axes") for name in axis]
-        found = []
+        unknown = []
         for key in sides[0]:
             columns = [s[key].column if key in s else None for s in sides]
             known = [column for column in columns if column is not None]
             # If all three are tied, another control point has given this axis already.
-            if len(known) == 3 and known not in found:
-                found.append(known)
-        if not found:
+            if len(known) == 3 and known not in unknown:
+                unknown.append(known)
+                _check_axis(axis, [parameters[i] for i in known])
+        if not unknown:
             raise ValueError(
                 f"axes {axis}: no control point has all three unknown; give the three "
                 "fields the same control points, or leave this axis out."
             )
-        for columns in found:
-            _check_axis(axis, [parameters[i] for i in columns])
-        rows += found
+        rows += unknown
     used = [column for row in rows for column in row]
     for column in used:
         if used.count(column) > 1:
@@ -148,19 +134,18 @@ def axis_columns(
 
 
 def _check_axis(axis: tuple[str, ...], members: list[Parameter]) -> None:
-    *moduli, angle = members
-    for modulus in moduli:
-        if modulus.scale != "log":
-            raise ValueError(
-                f'axes {axis}: {modulus.name!r} must have scale="log", got '
-                f"{modulus.scale!r}."
-            )
+    angle = members[2]
     if not angle.periodic:
         raise ValueError(
             f"axes {axis}: {angle.name!r} must turn freely: give it "
             'interpolation="director" and bounds that span 180 degrees.'
         )
     for member in members:
+        if member is not angle and member.scale != "log":
+            raise ValueError(
+                f'axes {axis}: {member.name!r} must have scale="log", got '
+                f"{member.scale!r}."
+            )
         if member.max_step is not None:
             raise ValueError(
                 f"axes {axis}: {member.name!r} has a max_step, but steps of an axis "
@@ -199,7 +184,7 @@ class AxisChart(NamedTuple):
     angle: Int[HostArray, " n_axes"]
     S: Float[Array, " n_axes"]
 
-    def to_tensor(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+    def to_tensor(self, z: Scaled) -> Scaled:
         """Replace (ln E_s, ln E_l, theta / S) by (m, c, s)."""
         m = 0.5 * (z[self.large] + z[self.small])
         d = 0.5 * (z[self.large] - z[self.small])
@@ -207,7 +192,7 @@ class AxisChart(NamedTuple):
         z = z.at[self.small].set(m).at[self.large].set(d * jnp.cos(twice))
         return z.at[self.angle].set(d * jnp.sin(twice))
 
-    def from_tensor(self, tensor: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+    def from_tensor(self, tensor: Scaled) -> Scaled:
         """Invert `to_tensor`, with angles between -90 and 90 degrees."""
         m, c, s = tensor[self.small], tensor[self.large], tensor[self.angle]
         d = jnp.sqrt(c**2 + s**2)
@@ -215,12 +200,7 @@ class AxisChart(NamedTuple):
         z = tensor.at[self.small].set(m - d).at[self.large].set(m + d)
         return z.at[self.angle].set(theta)
 
-    def clip(
-        self,
-        z: Float[Array, " n_p"],
-        lower: Float[Array, " n_p"],
-        upper: Float[Array, " n_p"],
-    ) -> Float[Array, " n_p"]:
+    def clip(self, z: Scaled, lower: Scaled, upper: Scaled) -> Scaled:
         """Clip the moduli to their bounds, keeping them slightly apart."""
         gap = 2.0 * _NEARLY_ISOTROPIC
         s, l = self.small, self.large
@@ -236,12 +216,10 @@ class FadingAxis(NamedTuple):
     large: ControlPointParameters
     angle: ControlPointParameters
 
-    def apply(self, model: Any, values: Mapping[str, Float[Array, ""]]) -> Any:
+    def apply(self, model: Any, values: Values) -> Any:
         """Reduce the contrast of the moduli in the cores; their geometric mean stays.
 
-        Args:
-            model: The model, with the three fields as without a core.
-            values: Values of all parameters by name, in SI units.
+        The model has the three fields as without a core.
         """
         low = jnp.log(self.small.evaluate(model.mesh, values))
         high = jnp.log(self.large.evaluate(model.mesh, values))
@@ -251,22 +229,15 @@ class FadingAxis(NamedTuple):
         return self.large.set_on(model, jnp.exp(middle + half))
 
 
-def fading_axes(
-    entries: Entries, axes: tuple[tuple[str, ...], ...]
-) -> list[FadingAxis]:
-    """Return the axes whose angle has a core.
-
-    Raises:
-        ValueError: If an angle with a core belongs to no axis, or if the moduli of its
-            axis are not sampled where it is.
-    """
+def fading_axes(entries: Entries, axes: Groups) -> list[FadingAxis]:
+    """Return the axes whose angle has a core."""
     fields = [e for e in entries if isinstance(e, ControlPointParameters)]
     found = []
     for angle in fields:
         if angle.core == 0.0:
             continue
-        its = [axis for axis in axes if axis[2] == angle.field]
-        if not its:
+        axis = next((axis for axis in axes if axis[2] == angle.field), None)
+        if axis is None:
             raise ValueError(
                 f"{angle.field} has a core, in which the contrast of two moduli fades: "
                 f'say which in axes, like ("E_l", "E_t", "{angle.field}"), or leave '
@@ -274,12 +245,12 @@ def fading_axes(
             )
         where = (angle.region, angle.sampling)
         beside = {e.field: e for e in fields if (e.region, e.sampling) == where}
-        for field in its[0]:
+        for field in axis:
             if field not in beside:
                 raise ValueError(
                     f"{angle.field} has a core, and {field} is not sampled where it "
                     f"is: give both region={angle.region!r} and "
                     f"sampling={angle.sampling!r}, or leave core out."
                 )
-        found.append(FadingAxis(*(beside[field] for field in its[0])))
+        found.append(FadingAxis(*(beside[field] for field in axis)))
     return found

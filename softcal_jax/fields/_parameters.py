@@ -3,7 +3,8 @@
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Literal
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import equinox as eqx
 import jax
@@ -15,6 +16,31 @@ from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax._units import readable
 from softcal_jax.fields._model_fields import find_field, set_field
 from softcal_jax.materials import is_point_values
+
+Value = TypeVar("Value")
+
+
+class once(cached_property[Value]):
+    """Property whose first value is kept, for what loops on the host ask for often.
+
+    Unlike that of its base, a traced value is not kept: it is of no use outside its
+    trace.
+    """
+
+    if not TYPE_CHECKING:  # its type is that of the base
+
+        def __get__(self, module: Any, owner: Any = None) -> Any:
+            value = super().__get__(module, owner)
+            if module is not None and any(map(is_traced, jax.tree.leaves(value))):
+                del vars(module)[self.attrname]
+            return value
+
+
+Values = Mapping[str, Float[Array, ""]]
+"""Values of all parameters by name, in SI units."""
+
+Names = Mapping[str, str]
+"""New names by the old ones."""
 
 
 class AbstractEntry(Module):
@@ -50,19 +76,11 @@ class AbstractEntry(Module):
         return ", ".join(parameter.name for parameter in self.parameters)
 
     @abstractmethod
-    def apply(
-        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
-    ) -> tuple[Any, Any]:
+    def apply(self, model: Any, configuration: Any, values: Values) -> tuple[Any, Any]:
         """Set the values of its unknowns; traceable and differentiable.
 
-        Args:
-            model: Anything with `law`, `density`, `mesh` and `mechanism`.
-            configuration: Arrays of one configuration; None where only the model is
-                wanted.
-            values: Values of all parameters by name, in SI units.
-
-        Returns:
-            Model and configuration, changed where the entry sets something.
+        Returns the model, which has `law`, `density`, `mesh` and `mechanism`, and the
+        arrays of one configuration, None where only the model is wanted.
         """
 
     @abstractmethod
@@ -70,13 +88,11 @@ class AbstractEntry(Module):
         """Raise ValueError unless the model has what the entry sets."""
 
     @abstractmethod
-    def renamed(
-        self, points: Mapping[str, str], names: Mapping[str, str]
-    ) -> "AbstractEntry":
+    def renamed(self, points: Names, names: Names) -> "AbstractEntry":
         """Return the same entry with other names of control points and parameters."""
 
 
-def _number(value) -> Float[Array, ""]:
+def as_number(value) -> Float[Array, ""]:
     if isinstance(value, jax.Array):
         return jnp.asarray(value, float)
     # Not jnp.asarray, which compiles a program for plain numbers.
@@ -84,7 +100,7 @@ def _number(value) -> Float[Array, ""]:
 
 
 def _number_or_none(value) -> Float[Array, ""] | None:
-    return None if value is None else _number(value)
+    return None if value is None else as_number(value)
 
 
 class AbstractFieldEntry(AbstractEntry):
@@ -119,7 +135,6 @@ class AbstractFieldEntry(AbstractEntry):
 
     @property
     def tet_group(self) -> str | None:
-        """The region that it sets the field in."""
         return self.region
 
 
@@ -138,9 +153,9 @@ class Parameter(AbstractFieldEntry):
 
     name: str = eqx.field(static=True)
     field: str = eqx.field(static=True)
-    start: Float[Array, ""] = eqx.field(converter=_number)
-    lower: Float[Array, ""] = eqx.field(converter=_number)
-    upper: Float[Array, ""] = eqx.field(converter=_number)
+    start: Float[Array, ""] = eqx.field(converter=as_number)
+    lower: Float[Array, ""] = eqx.field(converter=as_number)
+    upper: Float[Array, ""] = eqx.field(converter=as_number)
     periodic: bool = eqx.field(static=True, default=False, kw_only=True)
 
     def __check_init__(self):
@@ -149,20 +164,12 @@ class Parameter(AbstractFieldEntry):
         start, lower, upper = float(self.start), float(self.lower), float(self.upper)
         what = f"parameter {self.name!r}"
         show = lambda value: readable(value, self.unit)
-        if not np.all(np.isfinite([start, lower, upper])):
+        finite = np.all(np.isfinite([start, lower, upper]))
+        if not (finite and lower < upper and lower <= start <= upper):
             raise ValueError(
-                f"{what}: start and bounds must be finite, got start {start:g} in "
-                f"[{lower:g}, {upper:g}]."
-            )
-        if lower >= upper:
-            raise ValueError(
-                f"{what}: the bounds are crossed, lower {show(lower)} is not below "
-                f"upper {show(upper)}."
-            )
-        if not lower <= start <= upper:
-            raise ValueError(
-                f"{what}: the start {show(start)} does not lie between lower "
-                f"{show(lower)} and upper {show(upper)}."
+                f"{what}: start and bounds must be finite, the bounds not crossed and "
+                f"the start between them; got start {show(start)}, lower {show(lower)} "
+                f"and upper {show(upper)}."
             )
         if self.scale not in ("log", "linear"):
             raise ValueError(
@@ -173,25 +180,20 @@ class Parameter(AbstractFieldEntry):
                 f"{what}: a log scale needs positive bounds, got lower {lower:g}; use "
                 'scale="linear".'
             )
-        for name, remedy in (
-            ("S", ""),
-            ("max_step", ""),
-            ("prior_std", "; leave it out where nothing is known before"),
-        ):
+        for name in ("S", "max_step", "prior_std"):
             value = getattr(self, name)
             if value is not None and not float(value) > 0.0:
                 raise ValueError(
-                    f"{what}: {name} must be positive, got {float(value):g}{remedy}."
+                    f"{what}: {name} must be positive, got {float(value):g}; leave it "
+                    "out for its default."
                 )
 
     @property
     def parameters(self) -> tuple["Parameter", ...]:
-        """Itself."""
         return (self,)
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """The field that it sets."""
         return (self.field,)
 
     @property
@@ -201,12 +203,6 @@ class Parameter(AbstractFieldEntry):
             return jnp.ones(())
         return self.upper - self.lower if self.S is None else self.S
 
-    def prior_weight(self) -> Float[Array, ""]:
-        """Return 1 / standard deviation of the scaled prior; 0 without one [-]."""
-        if self.prior_std is None:
-            return jnp.zeros(())
-        return self.unit_step / self.prior_std
-
     def to_scaled(self, p: Float[Array, ""]) -> Float[Array, ""]:
         """Compute the scaled coordinate z: ln p, or p / S [-]."""
         return jnp.log(p) if self.scale == "log" else p / self.unit_step
@@ -215,9 +211,7 @@ class Parameter(AbstractFieldEntry):
         """Compute the value of a scaled coordinate: p = exp z, or p = S z."""
         return jnp.exp(z) if self.scale == "log" else z * self.unit_step
 
-    def apply(
-        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
-    ) -> tuple[Any, Any]:
+    def apply(self, model: Any, configuration: Any, values: Values) -> tuple[Any, Any]:
         """Set its field to one value in its region."""
         value = values[self.name]
         return set_field(model, self.field, value, self.region), configuration
@@ -233,9 +227,6 @@ class Parameter(AbstractFieldEntry):
                 f"{values.max():g}. Name the tet group it is for in `region`."
             )
 
-    def renamed(
-        self, points: Mapping[str, str], names: Mapping[str, str]
-    ) -> "Parameter":
-        """Return the same parameter with another name."""
+    def renamed(self, points: Names, names: Names) -> "Parameter":
         del points
         return replace(self, name=names[self.name])

@@ -18,10 +18,10 @@ import jax
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.fields._parameters import Parameter
-from softcal_jax.fields._setup import QUANTITIES, SetupParameter
+from softcal_jax.fields._parameters import AbstractEntry, Parameter
+from softcal_jax.fields._setup import SetupParameter
+from softcal_jax.fields._setup_parameters import Uncertain
 from softcal_jax.fields._space import ParameterSpace
-from softcal_jax.fields._uncertain import Uncertain
 
 PRECISION = 0.1
 """Standard error that is asked for by default, relative to the value [-]."""
@@ -37,24 +37,17 @@ def asked_errors(
 ) -> Float[HostArray, " n_p"]:
     """Return the standard errors of the scaled parameters that are asked for [-].
 
-    Args:
-        space: The parameters.
-        z: Their scaled values [-].
-        precision: The precision p of the table above [-].
+    They follow from the scaled values z and the precision p by the table above.
 
     Raises:
         ValueError: If the precision is not positive and finite.
     """
     check_precision(precision)
     values = np.asarray(space.from_scaled(jax.device_put(z)))
-    kinds = [
-        entry.kind if isinstance(entry, SetupParameter) else ""
-        for entry in space.entries
-        for _ in entry.parameters
-    ]
+    pairs = [(entry, q) for entry in space.entries for q in entry.parameters]
     asked = []
-    for parameter, kind, value in zip(space.parameters, kinds, values, strict=True):
-        in_si = precision * _unit(parameter, kind, abs(float(value)))
+    for (entry, parameter), value in zip(pairs, values, strict=True):
+        in_si = precision * _unit(entry, parameter, abs(float(value)))
         log = parameter.scale == "log"
         asked.append(in_si / (float(value) if log else float(parameter.unit_step)))
     return np.maximum(asked, _LEAST)
@@ -69,13 +62,12 @@ def check_precision(precision: float) -> None:
         )
 
 
-def _unit(parameter: Parameter, kind: str, size: float) -> float:
+def _unit(entry: AbstractEntry, parameter: Parameter, size: float) -> float:
     """Return the standard error asked for by a precision of 1, in SI units."""
-    if kind:
-        quantity = QUANTITIES[kind]
-        if quantity.relative:
+    if isinstance(entry, SetupParameter):
+        if entry.quantity.relative:
             return size
-        usual = quantity.uncertain
+        usual = entry.quantity.uncertain
         return getattr(Uncertain(), usual) / PRECISION if usual else 1.0
     constant = parameter.field.rpartition(".")[2]
     if parameter.unit == "rad" or constant == "theta":

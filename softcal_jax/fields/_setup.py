@@ -4,7 +4,7 @@ If such an error is not a parameter it biases the moduli, and residuals may hide
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import replace
 from operator import attrgetter
 from typing import Any, Literal, NamedTuple
@@ -13,11 +13,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import ArrayLike
 
+from softcal_jax._module import Module
 from softcal_jax._names import name_key, unknown_name
-from softcal_jax._typing import Array, Float, is_traced
-from softcal_jax.fields._occurrence import Occurs
-from softcal_jax.fields._parameters import AbstractEntry, Parameter
+from softcal_jax._typing import Bool, Float, HostArray, is_traced
+from softcal_jax.fields._parameters import AbstractEntry, Names, Parameter, Values
 
 By = Literal["configuration", "recording"]
 _BY: tuple[By, ...] = ("configuration", "recording")
@@ -25,10 +26,45 @@ _BY: tuple[By, ...] = ("configuration", "recording")
 Role = Literal["fitted", "considered", "noise", "none"]
 """What an unknown is in a calibration, see `calibration.Unknown`."""
 
-_XYZ = ("x", "y", "z")
-
 Change = Callable[[Any], Any]
 Put = Callable[[Any, tuple[int, ...], Change], Any]
+
+Scope = tuple[Hashable | None, ...]
+"""For each configuration a key, None where the error cannot occur; configurations with
+the same key have the same error."""
+
+
+class Poses(Module):
+    """Configurations of a model, as `Quantity.occurs` asks for them.
+
+    Attributes:
+        model: The model.
+        arrays: The configurations as arrays on the host.
+        recordings: Name of the recording of each.
+    """
+
+    model: Any
+    arrays: Any
+    recordings: Sequence[str]
+
+
+def each_of(
+    names: Sequence[str], present: Bool[HostArray, "n_c n"]
+) -> dict[str, Scope]:
+    """Return one error for each name, of the configurations that have what it names."""
+    return {
+        name: tuple("" if has_it else None for has_it in flags)
+        for name, flags in zip(names, present.T, strict=True)
+        if name
+    }
+
+
+def grounded_bodies(poses: Poses) -> Bool[HostArray, "n_c n_b"]:
+    """Flag the bodies that are held, hinged or on a motor, or tied to such a body."""
+    mechanism = poses.model.mechanism
+    bodies = mechanism.bodies
+    driven = np.isin(np.arange(bodies.n_bodies), mechanism.actuators.motor_body)
+    return (~poses.arrays.bodies.is_free | driven)[:, bodies.owner]
 
 
 class Quantity(NamedTuple):
@@ -36,20 +72,21 @@ class Quantity(NamedTuple):
 
     Attributes:
         title: Name of an unknown, with {of} and {axis} filled in.
-        put: Changes an entry: of (model or configuration, index, function of the old
-            value).
+        put: Changes an entry: of (owner, index, function of the old value). The owner
+            is the model or a configuration.
         noun: What its first axis enumerates, like "motor"; empty if nothing.
-        names: Names along the first axis, from the model or the configuration.
+        names: Names along the first axis, from the owner.
         components: Names along the last axis; empty for one number.
-        scales: Scales that a parameter of it may have, the usual one first.
+        relative: Whether errors are relative to the value, as those of factors are; a
+            parameter of it has a log scale.
         unit: SI unit, for tables.
         least: Smallest value that it can have at all, in SI units.
         of_configuration: Whether each configuration has such an array, or the model.
-        uncertain: Entry of `Uncertain` that says how far off it usually is; empty if
-            none does.
+        uncertain: Field of `Uncertain` that says how far off it usually is, if any.
         role: What an error of it is where it is not fitted: "considered", part of the
             "noise" that weighs the data, or "none".
-        occurs: Where such an error can occur, see `Poses`; empty for everywhere.
+        occurs: Where such an error can occur, by the name of what it belongs to, like
+            the motor; empty for everywhere.
         absent: What is said where it can occur nowhere, with {of} filled in.
     """
 
@@ -58,19 +95,14 @@ class Quantity(NamedTuple):
     noun: str = ""
     names: Callable[[Any], Sequence[str]] = lambda _: ()
     components: tuple[str, ...] = ()
-    scales: tuple[Literal["linear", "log"], ...] = ("linear",)
+    relative: bool = False
     unit: str = ""
     least: float = -math.inf
     of_configuration: bool = False
     uncertain: str = ""
-    role: Role = "none"
-    occurs: Occurs = lambda _: {}
+    role: Role = "considered"
+    occurs: Callable[[Poses], Mapping[str, Scope]] = lambda _: {}
     absent: str = ""
-
-    @property
-    def relative(self) -> bool:
-        """Whether its errors are relative to the value, as those of factors are."""
-        return self.scales[0] == "log"
 
 
 def entry_of(path: str) -> Put:
@@ -92,6 +124,19 @@ def entry_of(path: str) -> Put:
     return put
 
 
+def actuators_where(
+    which: Callable[[Any], Sequence[bool]],
+) -> Callable[[Any], list[str]]:
+    """Make the function that names all actuators, those not of a kind empty."""
+
+    def names(model: Any) -> list[str]:
+        actuators = model.mechanism.actuators
+        both = zip(actuators.names, which(actuators), strict=True)
+        return [name if known else "" for name, known in both]
+
+    return names
+
+
 QUANTITIES: dict[str, Quantity] = {}
 """Kinds of parameters that set one entry of an array, by name.
 
@@ -99,11 +144,50 @@ QUANTITIES: dict[str, Quantity] = {}
 """
 
 
-def _as_tuple(parameters: Parameter | Sequence[Parameter]) -> tuple[Parameter, ...]:
-    return (parameters,) if isinstance(parameters, Parameter) else tuple(parameters)
+class AbstractSetupEntry(AbstractEntry):
+    """An entry that changes one of `QUANTITIES`."""
+
+    kind: eqx.AbstractVar[str]
+    of: eqx.AbstractVar[str]
+    axis: eqx.AbstractVar[str]
+
+    @property
+    def quantity(self) -> Quantity:
+        """What it sets."""
+        return QUANTITIES[self.kind]
+
+    def check(self, model: Any) -> None:
+        """Raise ValueError unless the model has the motor or the body."""
+        if not self.quantity.of_configuration:
+            self._index(model)
+
+    def _index(self, owner: Any) -> tuple[int, ...]:
+        """Find what it sets in the array of its quantity."""
+        quantity, index = self.quantity, ()
+        if quantity.noun:
+            names = list(quantity.names(owner))
+            known = [name for name in names if name]
+            if self.of not in known:
+                what = f"{quantity.noun} of parameter {self.label!r}"
+                raise unknown_name(what, self.of, known)
+            index = (names.index(self.of),)
+        if quantity.components:
+            index += (quantity.components.index(self.axis),)
+        return index
+
+    def _changed(
+        self, model: Any, configuration: Any, change: Change
+    ) -> tuple[Any, Any]:
+        """Change its entry of the array, of the model or of the configuration."""
+        of_configuration = self.quantity.of_configuration
+        owner = configuration if of_configuration else model
+        if owner is None:
+            return model, configuration
+        owner = self.quantity.put(owner, self._index(owner), change)
+        return (model, owner) if of_configuration else (owner, configuration)
 
 
-class SetupParameter(AbstractEntry):
+class SetupParameter(AbstractSetupEntry):
     """One unknown of the setup, the loads or the recordings.
 
     It is calibrated together with the material, to decouple them (paper Sec. VII).
@@ -122,7 +206,7 @@ class SetupParameter(AbstractEntry):
 
     kind: str = eqx.field(static=True)
     of: str = eqx.field(static=True)
-    unknowns: tuple[Parameter, ...] = eqx.field(converter=_as_tuple)
+    unknowns: tuple[Parameter, ...] = eqx.field(converter=tuple)
     axis: str = eqx.field(static=True, default="")
     each: tuple[str, ...] = eqx.field(static=True, default=(), converter=tuple)
     by: By = eqx.field(static=True, default="recording")
@@ -130,43 +214,13 @@ class SetupParameter(AbstractEntry):
     def __check_init__(self):
         if self.kind not in QUANTITIES:
             raise unknown_name("kind of a setup parameter", self.kind, QUANTITIES)
-        quantity, what = self.quantity, f"parameter {self.label!r}"
-        quoted = lambda names: " or ".join(f'"{name}"' for name in names)
-        if quantity.components and self.axis not in quantity.components:
-            raise ValueError(
-                f"{what}: axis must be {quoted(quantity.components)}, got "
-                f"{self.axis!r}."
-            )
-        if self.axis and not quantity.components:
-            raise ValueError(
-                f"{what}: {self.kind} is one number and has no axis, got {self.axis!r}."
-            )
-        if self.unknowns[0].scale not in quantity.scales:
-            raise ValueError(
-                f"{what} of the setup needs scale={quoted(quantity.scales)}: zero is a "
-                "value that it may have."
-            )
         if self.by not in _BY:
-            raise ValueError(f"{what}: by must be {quoted(_BY)}, got {self.by!r}.")
-        if self.each and not self.quantity.of_configuration:
-            raise ValueError(
-                f"{what}: {self.kind} belongs to the robot, which all configurations "
-                "share; leave `each` out."
-            )
-        if len(self.unknowns) != max(1, len(self.each)):
-            raise ValueError(
-                f"{what}: {len(self.unknowns)} unknowns were given, expected one for "
-                f"each {self.by} named ({', '.join(self.each) or 'none'}), or one for "
-                "all."
-            )
+            raise unknown_name(f"`by` of parameter {self.label!r}", self.by, _BY)
         for name in self.each:
             if self.each.count(name) > 1:
-                raise ValueError(f"{what}: {name!r} stands twice in `each`.")
-
-    @property
-    def quantity(self) -> Quantity:
-        """What it sets."""
-        return QUANTITIES[self.kind]
+                raise ValueError(
+                    f"parameter {self.label!r}: {name!r} stands twice in `each`."
+                )
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -180,68 +234,65 @@ class SetupParameter(AbstractEntry):
         return f"{kind} of {self.of}" if self.of else kind
 
     def member(self, configuration: Any) -> str:
-        """Name of what a configuration belongs to: its own, or that of its recording.
-
-        Args:
-            configuration: Anything with `name` and `recording`.
-        """
+        """Name of a configuration, or of its recording if `by` says so."""
         recording = configuration.recording if self.by == "recording" else None
         return recording or configuration.name
 
-    def check(self, model: Any) -> None:
-        """Raise ValueError unless the model has the motor or the body."""
-        if not self.quantity.of_configuration:
-            entry_index(self, model)
-
-    def apply(
-        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
-    ) -> tuple[Any, Any]:
+    def apply(self, model: Any, configuration: Any, values: Values) -> tuple[Any, Any]:
         """Set its entry; configurations that it does not belong to keep theirs."""
-        quantity = self.quantity
-        owner = configuration if quantity.of_configuration else model
-        if owner is None:
-            return model, configuration
 
         def change(old):
             if not self.each:
                 return values[self.unknowns[0].name]
-            own = configuration.key[_BY.index(self.by)]
+            member = configuration.key[_BY.index(self.by)]
             for name, parameter in zip(self.each, self.unknowns, strict=True):
-                old = jnp.where(own == name_key(name), values[parameter.name], old)
+                old = jnp.where(member == name_key(name), values[parameter.name], old)
             return old
 
-        owner = quantity.put(owner, entry_index(self, owner), change)
-        return (
-            (model, owner) if self.quantity.of_configuration else (owner, configuration)
-        )
+        return self._changed(model, configuration, change)
 
-    def renamed(
-        self, points: Mapping[str, str], names: Mapping[str, str]
-    ) -> "SetupParameter":
+    def renamed(self, points: Names, names: Names) -> "SetupParameter":
         """Return the same unknowns with other names."""
         del points
-        own = tuple(replace(q, name=names[q.name], unit="") for q in self.unknowns)
-        return replace(self, unknowns=own)
+        unknowns = [replace(q, name=names[q.name], unit="") for q in self.unknowns]
+        return replace(self, unknowns=unknowns)
 
 
-def entry_index(entry: Any, owner: Any) -> tuple[int, ...]:
-    """Find the index of what an entry sets in the array of its quantity.
+def setup_parameters(
+    kind: str,
+    of: str = "",
+    *,
+    limit: float,
+    prior_std: float | None,
+    nominal: Float[ArrayLike, "..."] | Sequence[float] | None = None,
+    each: Sequence[str] = (),
+    by: By = "recording",
+) -> tuple[SetupParameter, ...]:
+    """Make the entries of a quantity, one per component.
 
-    Args:
-        entry: Anything with `kind`, `of`, `axis` and `label`.
-        owner: The model, or a configuration.
-
-    Raises:
-        ValueError: If the owner does not have what the entry belongs to.
+    `limit` is the largest error, in SI units, or factor on a log scale. `nominal` is 0,
+    or 1 for a factor.
     """
-    quantity, index = QUANTITIES[entry.kind], ()
-    if quantity.noun:
-        names = list(quantity.names(owner))
-        known = [name for name in names if name]
-        if entry.of not in known:
-            what = f"{quantity.noun} of parameter {entry.label!r}"
-            raise unknown_name(what, entry.of, known)
-        index = (names.index(entry.of),)
-    if quantity.components:
-        index += (quantity.components.index(entry.axis),)
-    return index
+    quantity = QUANTITIES[kind]
+    axes, log = quantity.components or ("",), quantity.relative
+    middles = np.broadcast_to(float(log) if nominal is None else nominal, len(axes))
+    entries = []
+    for axis, middle in zip(axes, middles, strict=True):
+        name = quantity.title.format(of=of, axis=axis)
+        unknowns = [
+            Parameter(
+                own_name,
+                field="",
+                start=middle,
+                lower=max(quantity.least, middle / limit if log else middle - limit),
+                upper=middle * limit if log else middle + limit,
+                scale="log" if log else "linear",
+                S=None if log else limit,
+                unit=quantity.unit,
+                prior_std=prior_std,
+            )
+            for own_name in [f"{name} in {member}" for member in each] or [name]
+        ]
+        where = {"kind": kind, "of": of, "axis": axis}
+        entries.append(SetupParameter(**where, unknowns=unknowns, each=each, by=by))
+    return tuple(entries)

@@ -1,116 +1,129 @@
 """The kinds of parameters of setup, loads and recordings, each with its constructor.
 
-To add a kind, declare here what it sets and where it can occur, write the function
-that makes parameters of it, and export that. `project._setup` has a table for each, and
-`Uncertain` a standard deviation for those that count where they are not fitted.
+To add a kind, declare here what it sets and where it can occur, and write the function
+that makes parameters of it, which `fields` exports and `project._setup` gives a table.
+One that counts where it is not fitted has a standard deviation in `Uncertain`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import fields
 from functools import partial
 from operator import attrgetter
-from typing import Any
+from typing import Any, Literal
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike
 
+from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax._typing import Float
-from softcal_jax.fields._occurrence import (
-    driven_by_angle,
-    of_recordings,
-    with_forces,
-    with_gravity,
-    with_loads,
-    with_mounting,
-    with_springs,
-)
-from softcal_jax.fields._parameters import Parameter
 from softcal_jax.fields._setup import (
     QUANTITIES,
     By,
     Change,
     Quantity,
     SetupParameter,
+    actuators_where,
+    each_of,
     entry_of,
+    grounded_bodies,
+    setup_parameters,
 )
 
 _XYZ = ("x", "y", "z")
-_FACTOR = ("log", "linear")
+
+OFFSET = 0.5e-3
+"""Offset of a recording, as long as nothing else is known [m]."""
+
+DEGREE = float(np.deg2rad(1.0))
+
+_SHARE = {"quantity": "share", "unit": ""}
+_NUMBER = {"quantity": "number", "unit": ""}
+_LENGTH = {"quantity": "length", "unit": "m"}
+_ANGLE = {"quantity": "angle", "unit": "rad"}
 
 
-def _unknowns(
-    kind: str,
-    of: str = "",
-    *,
-    limit: float,
-    prior_std: float | None,
-    nominal: Float[ArrayLike, "..."] | Sequence[float] | None = None,
-    each: Sequence[str] = (),
-    by: By = "recording",
-) -> tuple[SetupParameter, ...]:
-    """Make the entries of a quantity, one per component.
+class Uncertain(Module):
+    """Standard deviations of what a calibration holds fixed; zero switches one off.
 
-    `limit` is the largest error, in SI units, or factor on a log scale. `nominal` is 0,
-    or 1 for a factor.
+    The defaults are those of careful work on a bench. They count where the robot has
+    such a thing and nobody calibrates it; see `ErrorBudget`. Metadata of a field say
+    its `quantity`, its SI `unit`, and of what `each` has an error of its own.
+
+    Attributes:
+        nu: Poisson's ratios of the law [-]; at most half of what is left up to 1/2.
+        density: Density of the body, relative [-]. One error for the whole body.
+        gravity: Direction of gravity in the frame of the mesh, about each of two axes
+            [rad]. One error for all configurations that state the same gravity.
+        loads: Dead loads, relative [-]. One error for all loads of a name in all
+            configurations, since they are weighed on the same scale: such an error is
+            not averaged away.
+        actuators: Imposed forces, relative [-]. One error for each actuator.
+        clamp: Depth at which what holds the body really grips it, along the normal of
+            its faces [m]. One error for all configurations that are held alike.
+        supports: Stiffness of elastic supports, relative [-]. One error for each.
+        recordings: Offset of the points of a recording, along each axis [m]. Unlike the
+            others it belongs to the noise: a fit weighs its data by it. "estimated"
+            finds it from how far recordings differ, where there are enough of them.
+        zeros: Zero error of each motor [rad].
+        mountings: Place of each held rigid body, along each axis [m].
+        mesh: Error of the mesh, in units of its estimate [-]. One error for all
+            configurations. The estimate is how far a finer mesh would move what is
+            measured: quadratic tets in place of linear ones, or eight of each. Zero for
+            data that are simulated on the same mesh. Not known for more than 50 000
+            linear or 12 500 quadratic tets, and where the body at rest has no
+            stiffness: such a fit has no intervals, and is not called identified.
     """
-    quantity = QUANTITIES[kind]
-    axes, scale = quantity.components or ("",), quantity.scales[0]
-    log = scale == "log"
-    middles = np.broadcast_to(float(log) if nominal is None else nominal, len(axes))
-    entries = []
-    for axis, middle in zip(axes, middles, strict=True):
-        name = quantity.title.format(of=of, axis=axis)
-        unknowns = [
-            Parameter(
-                own_name,
-                field="",
-                start=middle,
-                lower=max(quantity.least, middle / limit if log else middle - limit),
-                upper=middle * limit if log else middle + limit,
-                scale=scale,
-                S=None if log else limit,
-                unit=quantity.unit,
-                prior_std=prior_std,
-            )
-            for own_name in [f"{name} in {member}" for member in each] or [name]
-        ]
-        entries.append(SetupParameter(kind, of, unknowns, axis, each, by))
-    return tuple(entries)
+
+    nu: float = eqx.field(default=0.05, metadata=_NUMBER | {"each": "ratio"})
+    density: float = eqx.field(default=0.03, metadata=_SHARE)
+    gravity: float = eqx.field(default=DEGREE, metadata=_ANGLE | {"each": "axis"})
+    loads: float = eqx.field(default=0.02, metadata=_SHARE | {"each": "load"})
+    actuators: float = eqx.field(default=0.02, metadata=_SHARE | {"each": "actuator"})
+    clamp: float = eqx.field(default=1e-3, metadata=_LENGTH)
+    supports: float = eqx.field(default=0.3, metadata=_SHARE | {"each": "support"})
+    recordings: float | Literal["estimated"] = eqx.field(
+        default=OFFSET, metadata=_LENGTH | {"each": "recording"}
+    )
+    zeros: float = eqx.field(default=0.5 * DEGREE, metadata=_ANGLE | {"each": "motor"})
+    mountings: float = eqx.field(default=5e-4, metadata=_LENGTH | {"each": "body"})
+    mesh: float = eqx.field(default=1.0, metadata=_NUMBER)
+
+    def __check_init__(self):
+        for name, std in vars(self).items():
+            asked = name == "recordings" and std == "estimated"
+            if not asked and not 0.0 <= float(std) < np.inf:
+                raise ValueError(
+                    f"the uncertainty of {name} must be finite and not negative, got "
+                    f"{std}; 0 if it is known exactly."
+                )
 
 
-def _actuators(which: Callable[[Any], list[bool]]) -> Callable[[Any], list[str]]:
-    """Make the function that names all actuators, those not of a kind empty."""
+def exactly_known() -> Uncertain:
+    """Return what leaves the noise as the only source of error."""
+    return Uncertain(**{field.name: 0.0 for field in fields(Uncertain)})
 
-    def names(model: Any) -> list[str]:
-        actuators = model.mechanism.actuators
-        both = zip(actuators.names, which(actuators), strict=True)
-        return [name if known else "" for name, known in both]
 
-    return names
-
+_MOTORS = actuators_where(lambda a: [body >= 0 for body in a.motor_body])
 
 QUANTITIES["motor_zero"] = Quantity(
     "zero of {of}",
     entry_of("mechanism.motor_zero"),
     noun="motor",
-    names=_actuators(lambda a: [body >= 0 for body in a.motor_body]),
+    names=_MOTORS,
     unit="rad",
     uncertain="zeros",
-    role="considered",
-    occurs=driven_by_angle,
+    occurs=lambda p: each_of(_MOTORS(p.model), p.arrays.actuation.by_displacement),
 )
 
 
 def motor_zero(motor: str, *, limit: float, prior_std: float | None) -> SetupParameter:
     """Make the zero error of a motor a parameter.
 
-    Args:
-        motor: Name of the motor.
-        limit: Largest error considered [rad].
-        prior_std: Prior standard deviation [rad]; None if not known.
+    `limit` is the largest error [rad], `prior_std` None if not known [rad].
     """
-    return _unknowns("motor_zero", motor, limit=limit, prior_std=prior_std)[0]
+    return setup_parameters("motor_zero", motor, limit=limit, prior_std=prior_std)[0]
 
 
 QUANTITIES["mounting"] = Quantity(
@@ -121,8 +134,7 @@ QUANTITIES["mounting"] = Quantity(
     components=_XYZ,
     unit="m",
     uncertain="mountings",
-    role="considered",
-    occurs=with_mounting,
+    occurs=lambda p: each_of(p.model.mechanism.bodies.names, grounded_bodies(p)),
 )
 
 
@@ -135,13 +147,10 @@ def mounting(
 ) -> tuple[SetupParameter, ...]:
     """Make the three coordinates of the mounting of a rigid body parameters.
 
-    Args:
-        body: Name of the body.
-        nominal: Nominal translation [m].
-        limit: Largest error considered, per axis [m].
-        prior_std: Prior standard deviation [m]; None if not known.
+    They are about the `nominal` translation [m]. `limit` is the largest error per axis
+    [m], `prior_std` None if not known [m].
     """
-    return _unknowns(
+    return setup_parameters(
         "mounting", body, limit=limit, prior_std=prior_std, nominal=nominal
     )
 
@@ -156,23 +165,21 @@ QUANTITIES["friction"] = Quantity(
     "friction of {of}",
     _put_friction,
     noun="actuator with friction",
-    names=_actuators(attrgetter("has_friction")),
+    names=actuators_where(attrgetter("has_friction")),
     least=0.0,
+    role="none",
 )
 
 
 def friction(
     actuator: str, nominal: float, *, limit: float, prior_std: float | None
 ) -> SetupParameter:
-    """Make the coefficient of friction of a cable a parameter.
+    """Make the coefficient of friction of a cable with friction a parameter.
 
-    Args:
-        actuator: Name of a cable with friction.
-        nominal: Nominal coefficient [-].
-        limit: Largest error considered; it stays above zero [-].
-        prior_std: Prior standard deviation; None if not known [-].
+    It is about the `nominal` one, with `limit` as the largest error, and stays above
+    zero; `prior_std` is None if not known [-].
     """
-    return _unknowns(
+    return setup_parameters(
         "friction", actuator, limit=limit, prior_std=prior_std, nominal=nominal
     )[0]
 
@@ -184,30 +191,29 @@ QUANTITIES["gravity_tilt"] = Quantity(
     unit="rad",
     of_configuration=True,
     uncertain="gravity",
-    role="considered",
-    occurs=with_gravity,
+    occurs=lambda p: {
+        "": tuple(tuple(g) if any(g) else None for g in p.arrays.gravity)
+    },
     absent="no configuration has gravity",
 )
 
 
 def gravity_tilt(
     *,
-    limit: float = float(np.deg2rad(10.0)),
+    limit: float = 10.0 * DEGREE,
     prior_std: float | None,
     each: Sequence[str] = (),
     by: By = "recording",
 ) -> tuple[SetupParameter, ...]:
     """Make the direction of gravity two parameters: angles about two axes normal to it.
 
-    The axes are defined in `ConfigurationArrays.acceleration`.
-
-    Args:
-        limit: Largest tilt considered, per axis [rad].
-        prior_std: Prior standard deviation; None if not known [rad].
-        each: Configurations or recordings with a tilt each; one for all by default.
-        by: What `each` names.
+    The axes are defined in `ConfigurationArrays.acceleration`. `limit` is the largest
+    tilt per axis [rad], `prior_std` None if not known [rad]; for `each` and `by` see
+    `SetupParameter`.
     """
-    return _unknowns("gravity_tilt", limit=limit, prior_std=prior_std, each=each, by=by)
+    return setup_parameters(
+        "gravity_tilt", limit=limit, prior_std=prior_std, each=each, by=by
+    )
 
 
 QUANTITIES["load_factor"] = Quantity(
@@ -215,11 +221,10 @@ QUANTITIES["load_factor"] = Quantity(
     entry_of("loads.factor"),
     noun="load",
     names=attrgetter("loads.names"),
-    scales=_FACTOR,
+    relative=True,
     of_configuration=True,
     uncertain="loads",
-    role="considered",
-    occurs=with_loads,
+    occurs=lambda p: each_of(p.arrays.loads.names, p.arrays.loads.force.any((2, 3))),
     absent="no configuration has such a dead load",
 )
 
@@ -234,17 +239,13 @@ def load_factor(
 ) -> SetupParameter:
     """Make a factor on dead loads a parameter, for forces known to some percent.
 
-    Args:
-        load: Name of the loads; by default those without a name of their own.
-        limit: Largest factor considered, and 1 over the smallest [-].
-        prior_std: Relative prior standard deviation, like 0.05; None if not known [-].
-        each: Configurations or recordings with a factor each; one for all by default.
-        by: What `each` names.
+    By default it is of the loads without a name of their own. `limit` is the largest
+    factor, and 1 over the smallest [-]; `prior_std` is relative, like 0.05, and None if
+    not known [-]; for `each` and `by` see `SetupParameter`.
     """
-    (factor,) = _unknowns(
+    return setup_parameters(
         "load_factor", load, limit=limit, prior_std=prior_std, each=each, by=by
-    )
-    return factor
+    )[0]
 
 
 QUANTITIES["actuator_factor"] = Quantity(
@@ -252,11 +253,13 @@ QUANTITIES["actuator_factor"] = Quantity(
     entry_of("actuation.force_factor"),
     noun="actuator",
     names=attrgetter("actuation.names"),
-    scales=_FACTOR,
+    relative=True,
     of_configuration=True,
     uncertain="actuators",
-    role="considered",
-    occurs=with_forces,
+    occurs=lambda p: each_of(
+        p.arrays.actuation.names,
+        ~p.arrays.actuation.by_displacement & (p.arrays.actuation.value != 0.0),
+    ),
     absent="no configuration imposes a force on {of!r}",
 )
 
@@ -271,14 +274,9 @@ def actuator_factor(
 ) -> SetupParameter:
     """Make a factor on the imposed force of an actuator a parameter.
 
-    Args:
-        actuator: Name of the actuator.
-        limit: Largest factor considered, and 1 over the smallest [-].
-        prior_std: Relative prior standard deviation, like 0.05; None if not known [-].
-        each: Configurations or recordings with a factor each; one for all by default.
-        by: What `each` names.
+    The options are those of `load_factor`.
     """
-    return _unknowns(
+    return setup_parameters(
         "actuator_factor", actuator, limit=limit, prior_std=prior_std, each=each, by=by
     )[0]
 
@@ -291,7 +289,7 @@ QUANTITIES["recording_offset"] = Quantity(
     of_configuration=True,
     uncertain="recordings",
     role="noise",
-    occurs=of_recordings,
+    occurs=lambda p: {"": tuple(p.recordings)},
 )
 QUANTITIES["recording_turn"] = Quantity(
     "turn {axis}",
@@ -300,6 +298,7 @@ QUANTITIES["recording_turn"] = Quantity(
     unit="rad",
     of_configuration=True,
     uncertain="gravity",  # a tracker's base is levelled as well as the robot
+    role="none",
 )
 
 
@@ -314,17 +313,10 @@ def recording_offset(
 ) -> tuple[SetupParameter, ...]:
     """Make the frame of a recording, or of a tracker's base, parameters.
 
-    These are three coordinates of its offset, with `limit`, and three of its rotation,
-    with `turn_limit`; see `RecordingBase`.
-
-    Args:
-        limit: Largest offset considered, per axis [m]; none by default, as for motions,
-            in which it cancels.
-        prior_std: Prior standard deviation; None if not known [m].
-        turn_limit: Largest rotation considered, per axis [rad]; none by default.
-        turn_prior_std: Prior standard deviation [rad]; None if not known.
-        each: Configurations or recordings with a frame each; one for all by default.
-        by: What `each` names.
+    These are three coordinates of its offset, if there is a `limit` per axis [m], and
+    three of its rotation, if there is a `turn_limit` [rad]; see `RecordingBase`. In
+    motions the offset cancels. Prior standard deviations, [m] and [rad], are None if
+    not known; for `each` and `by` see `SetupParameter`.
 
     Raises:
         ValueError: If neither limit is given.
@@ -334,7 +326,7 @@ def recording_offset(
             "a recording_offset needs limit, for its offset, turn_limit, for its "
             "rotation, or both."
         )
-    unknowns = partial(_unknowns, each=each, by=by)
+    unknowns = partial(setup_parameters, each=each, by=by)
     made: tuple[SetupParameter, ...] = ()
     if limit is not None:
         made += unknowns("recording_offset", limit=limit, prior_std=prior_std)
@@ -348,12 +340,11 @@ QUANTITIES["clamp_stiffness"] = Quantity(
     entry_of("springs.stiffness"),
     noun="support with a stiffness",
     names=attrgetter("springs.names"),
-    scales=_FACTOR,
+    relative=True,
     unit="N/m^3",
     of_configuration=True,
     uncertain="supports",
-    role="considered",
-    occurs=with_springs,
+    occurs=lambda p: each_of(p.arrays.springs.names, p.arrays.springs.stiffness > 0.0),
 )
 
 
@@ -368,16 +359,10 @@ def clamp_stiffness(
 ) -> SetupParameter:
     """Make the stiffness of an elastic support a parameter.
 
-    Args:
-        group: Surface group of a `Support` with a stiffness.
-        nominal: Nominal stiffness [N/m3].
-        limit: Largest ratio to it considered, and 1 over the smallest [-].
-        prior_std: Relative prior standard deviation; None if not known [-].
-        each: Configurations or recordings with a stiffness each; by default one for
-            all.
-        by: What `each` names.
+    It is that of the surface group of a `Support`, about the `nominal` one [N/m3]. The
+    options are those of `load_factor`.
     """
-    return _unknowns(
+    return setup_parameters(
         "clamp_stiffness",
         group,
         limit=limit,

@@ -1,6 +1,6 @@
 """The space of all calibrated parameters: scaling, bounds, order constraints."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,20 +10,20 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax.fields._once import once
 from softcal_jax.fields._order import (
     AxisChart,
+    Groups,
+    Scaled,
     axis_columns,
     fading_axes,
     order_terms,
 )
-from softcal_jax.fields._parameters import AbstractEntry, Parameter
+from softcal_jax.fields._parameters import AbstractEntry, Parameter, Values, once
 from softcal_jax.fields._spread import ControlPointParameters
 
 Entry = AbstractEntry
-
-Groups = tuple[tuple[str, ...], ...]
 
 
 def _groups(size: int, expected: str) -> Callable[[Iterable[Sequence[str]]], Groups]:
@@ -106,24 +106,24 @@ class ParameterSpace(Module):
         """Names of the parameters."""
         return [parameter.name for parameter in self.parameters]
 
-    def start(self) -> Float[Array, " n_p"]:
+    def start(self) -> Scaled:
         """Return the scaled start."""
         return self.to_scaled(jnp.stack([q.start for q in self.parameters]))
 
-    def lower(self) -> Float[Array, " n_p"]:
+    def lower(self) -> Scaled:
         """Return the scaled lower bounds."""
         return self.to_scaled(jnp.stack([q.lower for q in self.parameters]))
 
-    def upper(self) -> Float[Array, " n_p"]:
+    def upper(self) -> Scaled:
         """Return the scaled upper bounds."""
         return self.to_scaled(jnp.stack([q.upper for q in self.parameters]))
 
-    def to_scaled(self, p: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+    def to_scaled(self, p: Scaled) -> Scaled:
         """Convert values p to scaled coordinates z."""
         pairs = zip(self.parameters, p, strict=True)
         return jnp.stack([q.to_scaled(value) for q, value in pairs])
 
-    def from_scaled(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+    def from_scaled(self, z: Scaled) -> Scaled:
         """Convert scaled coordinates z to values p."""
         pairs = zip(self.parameters, z, strict=True)
         return jnp.stack([q.from_scaled(value) for q, value in pairs])
@@ -134,14 +134,11 @@ class ParameterSpace(Module):
         _, slopes = jax.jvp(self.from_scaled, (z,), (jnp.ones_like(z),))
         return np.abs(np.asarray(slopes))
 
-    def _if_periodic(self, periodic, otherwise) -> Float[Array, " n_p"]:
-        """Choose entries by whether the parameter is periodic."""
+    def _if_periodic(self, periodic, otherwise) -> Scaled:
         flags = jnp.asarray([q.periodic for q in self.parameters])
         return jnp.where(flags, periodic, otherwise)
 
-    def room(
-        self, z: Float[Array, " n_p"]
-    ) -> tuple[Float[Array, " n_p"], Float[Array, " n_p"]]:
+    def room(self, z: Scaled) -> tuple[Scaled, Scaled]:
         """Return the largest steps down and up within bounds; infinite if periodic."""
         down = self._if_periodic(-jnp.inf, self.lower() - z)
         return down, self._if_periodic(jnp.inf, self.upper() - z)
@@ -151,27 +148,21 @@ class ParameterSpace(Module):
         down, up = map(np.asarray, self.room(jax.device_put(z)))
         return (down >= -1e-9) | (up <= 1e-9)
 
-    def max_step(self) -> Float[Array, " n_p"]:
+    def max_step(self) -> Scaled:
         """Return the step limits of the parameters, infinite by default."""
         none = jnp.asarray(jnp.inf)
         limits = [none if q.max_step is None else q.max_step for q in self.parameters]
         return jnp.stack(limits)
 
-    def wrap(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+    def wrap(self, z: Scaled) -> Scaled:
         """Wrap periodic parameters into their bounds."""
         low, high = self.lower(), self.upper()
         return self._if_periodic(low + jnp.mod(z - low, high - low), z)
 
-    def shorter(self, gap: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+    def shorter(self, gap: Scaled) -> Scaled:
         """Reduce differences of scaled parameters to the shorter way if periodic."""
         turn = self.upper() - self.lower()
         return self._if_periodic(gap - turn * jnp.round(gap / turn), gap)
-
-    def distance(
-        self, z: Float[Array, " n_p"], other: Float[Array, " n_p"]
-    ) -> Float[Array, " n_p"]:
-        """Compute distances of scaled parameters, the shorter way if periodic."""
-        return jnp.abs(self.shorter(z - other))
 
     @once
     def chart(self) -> AxisChart | None:
@@ -182,7 +173,7 @@ class ParameterSpace(Module):
         S = [self.parameters[i].unit_step for i in angle]
         return AxisChart(small, large, angle, jnp.stack(S))
 
-    def admissible(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+    def admissible(self, z: Scaled) -> Scaled:
         """Clip parameters to their bounds, keeping moduli of an axis slightly apart."""
         z = self.wrap(z)
         if self.chart is not None:
@@ -195,18 +186,17 @@ class ParameterSpace(Module):
         known = any(q.prior_std is not None for q in self.parameters)
         return known or self.pin is not None
 
-    def prior_weights(self) -> Float[Array, " n_p"]:
+    def prior_weights(self) -> Scaled:
         """Return 1 / standard deviations of the prior; 0 without one [-]."""
-        weights = jnp.stack([q.prior_weight() for q in self.parameters])
+        zero = jnp.zeros(())
+        stds = [(q.unit_step, q.prior_std) for q in self.parameters]
+        weights = jnp.stack([zero if std is None else S / std for S, std in stds])
         if self.pin is None:
             return weights
         return weights.at[self.pin.column].set(self.pin.weight)
 
-    def from_prior(self, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
-        """Compute signed distances from the start, in units of the prior [-].
-
-        Periodic parameters go the shorter way.
-        """
+    def from_prior(self, z: Scaled) -> Scaled:
+        """Compute signed distances from the start, in units of the prior [-]."""
         middle = self.start()
         if self.pin is not None:
             middle = middle.at[self.pin.column].set(self.pin.value)
@@ -230,18 +220,19 @@ class ParameterSpace(Module):
 
     def order_names(self) -> list[tuple[str, str]]:
         """List the names of smaller and larger value of each order constraint."""
-        terms = order_terms(self.entries, self.order)
-        return [(small.name, large.name) for small, large in terms]
+        return [(s.name, l.name) for s, l in order_terms(self.entries, self.order)]
 
     def apply(
         self,
         model: Any,
         configuration: Any,
-        z: Float[Array, " n_p"],
+        z: Scaled,
         columns: Int[HostArray, " n"] | Sequence[int] = (),
         own: Float[Array, " n"] | Sequence[float] = (),
     ) -> tuple[Any, Any]:
         """Set the values of scaled coordinates in a model and a configuration.
+
+        Setting them again changes nothing.
 
         Args:
             model: Anything with `law`, `density`, `mesh` and `mechanism`.
@@ -251,9 +242,6 @@ class ParameterSpace(Module):
             columns: Indices of coordinates given separately, for derivatives by them.
             own: Their values, in place of those in `z` [-].
 
-        Returns:
-            Both, with the values set; setting them again changes nothing.
-
         Raises:
             ValueError: If either lacks what a parameter sets.
         """
@@ -262,22 +250,19 @@ class ParameterSpace(Module):
             scaled[column] = value
         pairs = zip(self.parameters, scaled, strict=True)
         values = {q.name: q.from_scaled(coordinate) for q, coordinate in pairs}
-        return self._with_values(model, configuration, values)
+        return self.with_values(model, configuration, values)
 
-    def _with_values(
-        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
+    def with_values(
+        self, model: Any, configuration: Any, values: Values
     ) -> tuple[Any, Any]:
+        """Set the values of all parameters, as `apply` does."""
         for entry in self.entries:
             model, configuration = entry.apply(model, configuration, values)
         for axis in fading_axes(self.entries, self.axes):
             model = axis.apply(model, values)
         return model, configuration
 
-    def model_with(self, model: Any, values: Mapping[str, Float[Array, ""]]) -> Any:
-        """Set the values of all parameters by name, in SI units, in a model alone."""
-        return self._with_values(model, None, values)[0]
-
-    def model_at(self, model: Any, z: Float[Array, " n_p"]) -> Any:
+    def model_at(self, model: Any, z: Scaled) -> Any:
         """Set the values of scaled coordinates in a model alone; see `apply`."""
         return self.apply(model, None, z)[0]
 
@@ -293,9 +278,7 @@ class ParameterSpace(Module):
         return tuple(bool(e.fields) for e in self.entries for _ in e.parameters)
 
 
-def as_space(
-    parameters: ParameterSpace | Entry | Sequence[Entry],
-) -> ParameterSpace:
+def as_space(parameters: ParameterSpace | Entry | Sequence[Entry]) -> ParameterSpace:
     """Make a parameter space of one parameter or several."""
     if isinstance(parameters, ParameterSpace):
         return parameters
@@ -304,11 +287,7 @@ def as_space(
 
 
 def check_names(entries: tuple[Entry, ...]) -> None:
-    """Raise unless parameter names are unique and ties name a parameter.
-
-    Raises:
-        ValueError: If a name repeats, or a value is tied to an unknown parameter.
-    """
+    """Raise ValueError unless names of parameters are unique and ties name one."""
     names = [q.name for entry in entries for q in entry.parameters]
     for name in names:
         if names.count(name) > 1:
@@ -317,10 +296,8 @@ def check_names(entries: tuple[Entry, ...]) -> None:
         if isinstance(entry, ControlPointParameters):
             for point, name in entry.tied:
                 if name not in names:
-                    raise ValueError(
-                        f"{entry.field} of {point} is tied to {name!r}, which is no "
-                        f"parameter; there are {', '.join(names)}."
-                    )
+                    error = unknown_name("parameter", name, names)
+                    raise ValueError(f"{entry.field} of {point} is tied to an {error}")
 
 
 def unnamed(space: ParameterSpace) -> ParameterSpace:
@@ -341,7 +318,7 @@ def unnamed(space: ParameterSpace) -> ParameterSpace:
                 names[parameter.name] = f"parameter {len(names) + 1}"
 
     def rename(groups: Groups) -> Groups:  # an order may name fields as well
-        return tuple(tuple(names.get(name, name) for name in own) for own in groups)
+        return tuple(tuple(names.get(name, name) for name in group) for group in groups)
 
     return replace(
         space,

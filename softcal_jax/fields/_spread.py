@@ -2,22 +2,32 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.elements import shape_functions, tet_rule
 from softcal_jax.fields._control_points import ControlPoints
 from softcal_jax.fields._model_fields import region_tets, set_field
-from softcal_jax.fields._once import once
-from softcal_jax.fields._parameters import AbstractFieldEntry, Parameter
+from softcal_jax.fields._parameters import (
+    AbstractFieldEntry,
+    Names,
+    Parameter,
+    Values,
+    once,
+)
 from softcal_jax.materials import PointValues
 from softcal_jax.mesh import TetMesh
+
+Pair = tuple[str, str]
+Interpolation = Literal["linear", "log", "director"]
+Sampling = Literal["centroids", "quadrature"]
 
 _LOST = 1e-20
 """Square of rho below which there is no direction [-]."""
@@ -27,15 +37,11 @@ def _numbers(value: Float[ArrayLike, "..."] | Sequence[float]) -> Float[Array, "
     return jnp.asarray(value, float)
 
 
-def _known(
-    fixed: Mapping[str, Float[ArrayLike, ""]] | None,
-) -> dict[str, Float[Array, ""]]:
-    return {name: jnp.asarray(v, float) for name, v in (fixed or {}).items()}
+def _known(fixed: Mapping[str, Float[ArrayLike, ""]] | None) -> dict[str, Array]:
+    return {name: _numbers(value) for name, value in (fixed or {}).items()}
 
 
-def _pairs(
-    tied: Mapping[str, str] | Iterable[tuple[str, str]] | None,
-) -> tuple[tuple[str, str], ...]:
+def _pairs(tied: Names | Iterable[Pair] | None) -> tuple[Pair, ...]:
     return tuple(dict(tied or ()).items())
 
 
@@ -48,16 +54,14 @@ class ControlPointParameters(AbstractFieldEntry):
     `interpolation` is how values are mixed: "linear" as in the paper; "log" mixes
     logarithms, for moduli that differ by orders of magnitude. "director" is for the
     angle of an axis: the mixed direction is that of sum_j w_j (cos 2 theta_j,
-    sin 2 theta_j), so +90 and -90 degrees are the same axis, as in the material; with
-    "linear", the axis between 85 and -85 degrees would turn through 0. Use "director"
-    unless to reproduce the paper. Bounds that span 180 degrees then do not bind: the
-    angle leaves by one and re-enters by the other.
+    sin 2 theta_j), so +90 and -90 degrees are the same axis; with "linear", the axis
+    between 85 and -85 degrees would turn through 0. Use "director" unless to reproduce
+    the paper. Bounds that span 180 degrees then do not bind.
 
-    Where mixed directions nearly cancel, rho = |sum_j w_j (cos 2 theta_j,
-    sin 2 theta_j)| is small, and the direction turns by a right angle from one tet to
-    the next. Such a defect moves with the parameters, and each tet it passes puts a
-    kink into the cost. With a `core` the contrast of the moduli fades there, like the
-    order of a liquid crystal: see `contrast`, and `ParameterSpace.axes`.
+    Where mixed directions nearly cancel, the length rho of that sum is small, and the
+    direction turns by a right angle from one tet to the next. Such a defect moves with
+    the parameters, and each tet it passes puts a kink into the cost. With a `core` the
+    contrast of the moduli fades there: see `contrast`, and `ParameterSpace.axes`.
 
     Attributes:
         field: Field of the law, like "E_t", "E_l" or "theta"; or "density".
@@ -66,20 +70,18 @@ class ControlPointParameters(AbstractFieldEntry):
             in SI units.
         lower: Smallest values allowed, likewise.
         upper: Largest values allowed, likewise.
-        interpolation: How values are mixed; see above.
+        interpolation: How values are mixed.
         sampling: Whether at the centroid of each tet or at its quadrature points.
         fixed: Known values, by control point.
         tied: Names of other parameters whose value is used, by control point, like
             {"upper 1": "E_t of lower 1"}.
-        core: For the angle of an axis: rho below which the contrast of its moduli
-            fades, like 0.1; with 0 it never fades [-].
+        core: rho below which the contrast fades, like 0.1; with 0 it never does [-].
         periodic: Whether each value is an angle that may leave its bounds.
 
     Raises:
-        ValueError: If a value has the wrong shape, an option is unknown, a fixed or
-            tied name is no control point, the bounds of an angle that is mixed as a
-            director span more than 180 degrees, or there is a core without a director
-            or out of [0, 1).
+        ValueError: If a value has the wrong shape, an option or the name of a control
+            point is unknown, a director spans more than 180 degrees, or there is a core
+            without a director or out of [0, 1).
     """
 
     field: str = eqx.field(static=True)
@@ -87,16 +89,10 @@ class ControlPointParameters(AbstractFieldEntry):
     start: Float[Array, " n_cp"] = eqx.field(converter=_numbers)
     lower: Float[Array, " n_cp"] = eqx.field(converter=_numbers)
     upper: Float[Array, " n_cp"] = eqx.field(converter=_numbers)
-    interpolation: Literal["linear", "log", "director"] = eqx.field(
-        static=True, default="linear"
-    )
-    sampling: Literal["centroids", "quadrature"] = eqx.field(
-        static=True, default="centroids"
-    )
+    interpolation: Interpolation = eqx.field(static=True, default="linear")
+    sampling: Sampling = eqx.field(static=True, default="centroids")
     fixed: dict[str, Float[Array, ""]] = eqx.field(default=None, converter=_known)
-    tied: tuple[tuple[str, str], ...] = eqx.field(
-        static=True, default=None, converter=_pairs
-    )
+    tied: tuple[Pair, ...] = eqx.field(static=True, default=None, converter=_pairs)
     core: float = eqx.field(static=True, default=0.0, converter=float)
     periodic: tuple[bool, ...] = eqx.field(static=True, init=False)
 
@@ -116,30 +112,21 @@ class ControlPointParameters(AbstractFieldEntry):
 
     def __check_init__(self):
         known, tied = self.control_points.names, dict(self.tied)
-        for what, names in (("fixed", self.fixed), ("tied", tied)):
-            for name in names:
-                if name not in known:
-                    raise ValueError(
-                        f"{what} of {self.field}: there is no control point {name!r}; "
-                        f"there are {', '.join(known)}."
-                    )
+        for name in (*self.fixed, *tied):
+            if name not in known:
+                what = "fixed" if name in self.fixed else "tied"
+                error = unknown_name("control point", name, known)
+                raise ValueError(f"{what} of {self.field}: {error}")
         both = sorted(set(self.fixed) & set(tied))
         if both:
             raise ValueError(
                 f"control point {both[0]!r} of {self.field} is both fixed and tied."
             )
-        if self.interpolation not in ("linear", "log", "director"):
-            raise ValueError(
-                'interpolation must be "linear", "log" or "director", got '
-                f"{self.interpolation!r}."
-            )
-        if self.sampling not in ("centroids", "quadrature"):
-            raise ValueError(
-                f'sampling must be "centroids" or "quadrature", got {self.sampling!r}.'
-            )
-        self._check_angle()
-
-    def _check_angle(self) -> None:
+        if self.interpolation not in get_args(Interpolation):
+            known = get_args(Interpolation)
+            raise unknown_name("interpolation", self.interpolation, known)
+        if self.sampling not in get_args(Sampling):
+            raise unknown_name("sampling", self.sampling, get_args(Sampling))
         if not 0.0 <= self.core < 1.0:
             raise ValueError(
                 f"core of {self.field} must lie in [0, 1), got {self.core:g}: it is a "
@@ -164,37 +151,32 @@ class ControlPointParameters(AbstractFieldEntry):
         """Return the name of the unknown at a control point, maybe of another field."""
         return dict(self.tied).get(control_point, f"{self.field} of {control_point}")
 
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """The unknowns at control points neither fixed nor tied, in their order."""
-        return self._unknowns
-
     @once
-    def _unknowns(self) -> tuple[Parameter, ...]:
+    def parameters(self) -> tuple[Parameter, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """The unknowns at control points neither fixed nor tied, in their order."""
         keys = ("scale", "S", "region", "unit", "max_step", "prior_std")
         options: dict[str, Any] = {key: getattr(self, key) for key in keys}
-        names = self.control_points.names
-        values = zip(self.start, self.lower, self.upper, strict=True)
+        values = zip(self.start, self.lower, self.upper, self.periodic, strict=True)
         return tuple(
             Parameter(
                 self.parameter_name(name),
                 self.field,
                 *limits,
-                periodic=periodic,
+                periodic=half_turn,
                 **options,
             )
-            for name, limits, periodic in zip(names, values, self.periodic, strict=True)
+            for name, (*limits, half_turn) in zip(
+                self.control_points.names, values, strict=True
+            )
             if name not in self.fixed and name not in dict(self.tied)
         )
 
     @property
     def fields(self) -> tuple[str, ...]:
-        """The field that it sets."""
         return (self.field,)
 
     @property
     def label(self) -> str:
-        """Its field and control points."""
         return f"{self.field} of {', '.join(self.control_points.names)}"
 
     def _points(self, mesh: TetMesh) -> HostArray | Array:
@@ -208,7 +190,7 @@ class ControlPointParameters(AbstractFieldEntry):
         rule = tet_rule(1 if n_en == 4 else 2)
         return jnp.einsum("qa,eai->eqi", shape_functions(rule.barycentric, n_en), nodes)
 
-    def _mixing(self, mesh: TetMesh, values: Mapping[str, Float[Array, ""]]):
+    def _mixing(self, mesh: TetMesh, values: Values):
         """Return weights and values of the control points, and the field's shape."""
         points = self._points(mesh)
         weights = self.control_points.weights(points.reshape(-1, 3))
@@ -219,17 +201,10 @@ class ControlPointParameters(AbstractFieldEntry):
         at_points = jnp.stack([(known | self.fixed)[name] for name in names])
         return weights, at_points, points.shape[:-1]
 
-    def evaluate(
-        self, mesh: TetMesh, values: Mapping[str, Float[Array, ""]]
-    ) -> Float[Array, "..."]:
-        """Evaluate the field, in SI units.
+    def evaluate(self, mesh: TetMesh, values: Values) -> Float[Array, "..."]:
+        """Evaluate the field in SI units, from the values of all parameters by name.
 
-        Args:
-            mesh: The mesh [m].
-            values: Values of all parameters by name, in SI units.
-
-        Returns:
-            One value per tet of the region, or per tet and quadrature point.
+        There is one value per tet of the region, or per tet and quadrature point.
         """
         weights, at_points, shape = self._mixing(mesh, values)
         if self.interpolation == "log":
@@ -243,9 +218,7 @@ class ControlPointParameters(AbstractFieldEntry):
         c, s = jnp.where(lost, 1.0, c), jnp.where(lost, 0.0, s)
         return (0.5 * jnp.arctan2(s, c)).reshape(shape)
 
-    def contrast(
-        self, mesh: TetMesh, values: Mapping[str, Float[Array, ""]]
-    ) -> Float[Array, "..."]:
+    def contrast(self, mesh: TetMesh, values: Values) -> Float[Array, "..."]:
         """Compute the share of ln(E_l / E_s) that remains after fading [-].
 
         rho sqrt(1 + core^2) / sqrt(rho^2 + core^2): 1 where all directions agree, and
@@ -258,10 +231,7 @@ class ControlPointParameters(AbstractFieldEntry):
         rho = jnp.sqrt(jnp.maximum(square, _LOST))
         return rho * jnp.sqrt((1.0 + self.core**2) / (square + self.core**2))
 
-    def apply(
-        self, model: Any, configuration: Any, values: Mapping[str, Float[Array, ""]]
-    ) -> tuple[Any, Any]:
-        """Spread the values of its control points over the field."""
+    def apply(self, model: Any, configuration: Any, values: Values) -> tuple[Any, Any]:
         return self.set_on(model, self.evaluate(model.mesh, values)), configuration
 
     def set_on(self, model: Any, field: Float[Array, "..."]) -> Any:
@@ -287,7 +257,7 @@ class ControlPointParameters(AbstractFieldEntry):
         for name, x in zip(points.names, positions, strict=True):
             distance = float(np.min(np.linalg.norm(nodes - x, axis=1)))
             if distance > max(reach, 0.5 * coarse):
-                where = "the body" if self.region is None else f"{self.region!r}"
+                where = "the body" if self.region is None else repr(self.region)
                 far, near = (
                     readable_values([d], "m", digits=3) for d in (distance, reach)
                 )
@@ -296,33 +266,24 @@ class ControlPointParameters(AbstractFieldEntry):
                     f"more than max_distance, {near}. Check its unit and frame, or "
                     "raise max_distance."
                 )
-        self._check_weights(mesh)
-
-    def _check_weights(self, mesh: TetMesh) -> None:
-        """Raise unless every control point acts on some tet."""
-        points = self.control_points
         sampled = np.asarray(self._points(mesh)).reshape(-1, 3)
         strongest = np.asarray(points.weights(sampled)).max(axis=0)
-        why = f"has others nearer, and nearest is {points.nearest}"
-        remedy = "Raise `nearest`"
+        why = f"nearest is {points.nearest}. Raise `nearest`"
         if points.nearest is None:
-            why = f"is nearer to others, with power {points.power:g}"
-            remedy = "Lower `power`"
+            why = f"power {points.power:g}. Lower `power`"
         for name, weight in zip(points.names, strongest, strict=True):
             if weight == 0.0 and name not in self.fixed:
                 raise ValueError(
-                    f"control point {name!r} of {self.field} acts on no tet: every "
-                    f"tet {why}. {remedy}, or move it."
+                    f"control point {name!r} of {self.field} acts on no tet: all are "
+                    f"nearer to others, with {why}, or move it."
                 )
 
-    def renamed(
-        self, points: Mapping[str, str], names: Mapping[str, str]
-    ) -> "ControlPointParameters":
+    def renamed(self, points: Names, names: Names) -> "ControlPointParameters":
         """Return the same field with other names, and without its unit."""
-        own = self.control_points
+        old = self.control_points
         return replace(
             self,
-            control_points=replace(own, names=[points[name] for name in own.names]),
+            control_points=replace(old, names=[points[name] for name in old.names]),
             unit="",
             fixed={points[name]: value for name, value in self.fixed.items()},
             tied={points[name]: names[other] for name, other in self.tied},

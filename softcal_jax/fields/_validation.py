@@ -1,6 +1,7 @@
 """Checks that parameters fit the model that they calibrate."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -20,10 +21,7 @@ def check_parameters(
 ) -> None:
     """Raise unless every parameter sets something of its own, within sound bounds.
 
-    Args:
-        model: Anything with `law`, `density`, `mesh` and `mechanism`, on the host.
-        space: The parameters.
-        configuration: Arrays of one configuration, to check what parameters set in it.
+    The model is on the host; what is set in a configuration is checked if one is given.
 
     Raises:
         ValueError: If a field or region does not exist, two parameters set the same
@@ -39,7 +37,7 @@ def check_parameters(
     _check_order(space)
     for side in ("lower", "upper"):
         bounds = {q.name: getattr(q, side) for q in space.parameters}
-        applied = space.model_with(model, bounds)
+        applied, _ = space.with_values(model, None, bounds)
         try:
             _check_constants(applied.law)
             if not np.all(np.asarray(applied.density) >= 0.0):
@@ -101,32 +99,23 @@ def _check_effects(model: Any, space: ParameterSpace, configuration: Any) -> Non
     """
     # Copies: a model at the start may hold the very arrays of the parameters.
     values = {q.name: jax.device_put(np.array(q.start)) for q in space.parameters}
+    leaves = partial(jax.tree_util.tree_leaves_with_path, is_leaf=is_point_values)
+    before = dict(leaves((model, configuration)))
     for entry in space.entries:
-        changed = entry.apply(model, configuration, values)
-        found = _differences((model, configuration), changed)
-        own = {"[0]." + find_field(model, name).path for name in entry.fields}
-        if not found and configuration is not None:
+        after = leaves(entry.apply(model, configuration, values))
+        changed = [path for path, leaf in after if before.get(path) is not leaf]
+        replaced = set(map(jax.tree_util.keystr, changed))
+        named = {"[0]." + find_field(model, name).path for name in entry.fields}
+        if not replaced and configuration is not None:
             raise ValueError(
                 f"parameter {entry.label!r} sets nothing in the model or in a "
                 f"configuration: {type(entry).__name__}.apply must return them changed."
             )
-        if own and not found <= own:
+        if named and not replaced <= named:
             raise ValueError(
-                f"parameter {entry.label!r} sets {', '.join(sorted(found - own))} "
+                f"parameter {entry.label!r} sets {', '.join(sorted(replaced - named))} "
                 f"beside its fields: let {type(entry).__name__}.fields be empty."
             )
-
-
-def _differences(old: Any, new: Any) -> set[str]:
-    """Return the paths of arrays that were replaced, with field values as a whole."""
-    leaves = jax.tree_util.tree_leaves_with_path
-    before = dict(leaves(old, is_leaf=is_point_values))
-    after = dict(leaves(new, is_leaf=is_point_values))
-    return {
-        jax.tree_util.keystr(path)
-        for path, leaf in after.items()
-        if before.get(path) is not leaf
-    }
 
 
 def _check_order(space: ParameterSpace) -> None:
@@ -137,16 +126,14 @@ def _check_order(space: ParameterSpace) -> None:
     low, high = np.asarray(space.lower()), np.asarray(space.upper())
     excess = A @ np.asarray(space.start()) - b
     best = np.minimum(A * low, A * high).sum(axis=1) - b
-    order = "order asks for {0} <= {1}:"
-    axes = "axes names the smaller modulus first: swap the two there, or"
     given = zip(space.order_names(), excess, best, strict=True)
-    pairs = [(*pair, order) for pair in given]
+    pairs = [(*pair, "order") for pair in given]
     if space.chart is not None:
         names, z = space.names, np.asarray(space.start())
         for s, l in zip(space.chart.small, space.chart.large, strict=True):
             # The two moduli must be able to differ.
             least = np.inf if low[s] >= high[l] else 0.0
-            pairs.append(((names[s], names[l]), z[s] - z[l], least, axes))
+            pairs.append(((names[s], names[l]), z[s] - z[l], least, "axes"))
     for (small, large), over, least, rule in pairs:
         if least > 1e-12:
             raise ValueError(
@@ -155,8 +142,8 @@ def _check_order(space: ParameterSpace) -> None:
             )
         if over > 1e-12:
             raise ValueError(
-                f"the start has {small} above {large}, but {rule.format(small, large)} "
-                "start with equal or ordered values."
+                f"the start has {small} above {large}, but {rule} names the smaller "
+                "first: swap the two, or start with equal or ordered values."
             )
 
 

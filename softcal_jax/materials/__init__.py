@@ -16,12 +16,16 @@ from softcal_jax.materials._elasticity import (
 )
 from softcal_jax.materials._fibre import Fibre, frames_along, frames_around
 from softcal_jax.materials._fibre_reinforced import FibreReinforced
-from softcal_jax.materials._foam import FoamTable, FoundFoam, Infill
+from softcal_jax.materials._foam import (
+    FoamTable,
+    FoundFoam,
+    Infill,
+    published_foam,
+)
 from softcal_jax.materials._invariant_rubbers import Gent, MooneyRivlin, Yeoh
 from softcal_jax.materials._law import AbstractLaw
-from softcal_jax.materials._neo_hookean import NeoHookean
 from softcal_jax.materials._ogden import Ogden
-from softcal_jax.materials._published_foam import TPU, published_foam
+from softcal_jax.materials._rubber import NeoHookean
 from softcal_jax.materials._sofa import SofaCorotational, SofaRotation
 from softcal_jax.materials._transverse import (
     ReducedTransverseIsotropic,
@@ -54,7 +58,6 @@ LAWS: dict[str, type[AbstractLaw]] = {
 __all__ = [
     "ELASTICITIES",
     "LAWS",
-    "TPU",
     "AbstractElasticity",
     "AbstractLaw",
     "ClassicalCorotational",

@@ -14,8 +14,11 @@ from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax._units import readable
 
+Constant = Float[Array, "..."]
+"""A constant of a law: one value, or one per tet."""
 
-def as_field(value: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+
+def as_field(value: Float[ArrayLike, "..."]) -> Constant:
     """Convert a constant, or one value per tet, to a floating-point array."""
     return jnp.asarray(value, float)
 
@@ -55,15 +58,9 @@ def law_at_points(law: Any) -> tuple[Any, Any]:
 
     These are a tree of the same structure: 0 for values per point, else None.
     """
-    plain = jax.tree.map(
-        lambda leaf: leaf.values if is_point_values(leaf) else leaf,
-        law,
-        is_leaf=is_point_values,
-    )
-    axes = jax.tree.map(
-        lambda leaf: 0 if is_point_values(leaf) else None, law, is_leaf=is_point_values
-    )
-    return plain, axes
+    each = lambda change: jax.tree.map(change, law, is_leaf=is_point_values)
+    plain = each(lambda leaf: leaf.values if is_point_values(leaf) else leaf)
+    return plain, each(lambda leaf: 0 if is_point_values(leaf) else None)
 
 
 def constant(
@@ -73,9 +70,7 @@ def constant(
     within: tuple[float, float] | None = None,
     may_vanish: bool = False,
 ) -> dict[str, Any]:
-    """Build the metadata that declare a field of a law as a constant.
-
-    Project files offer the constant by them.
+    """Build the metadata by which project files offer a field of a law as a constant.
 
     Args:
         unit: SI unit, like "Pa"; "" for a plain number, "rad" for the angle of an axis.
@@ -133,64 +128,55 @@ def check_constants(module: eqx.Module) -> None:
         raise ValueError(f"{field.name} must {expected}, got {bad[0]:g}.{hint}")
 
 
-def _together(**fields: Float[Array, "..."]) -> list[np.ndarray] | None:
+def _together(**fields: Constant) -> list[np.ndarray] | None:
     """Broadcast values on the host to one list each; None if one is traced."""
-    values = {name: _concrete(value) for name, value in fields.items()}
-    known = {name: value for name, value in values.items() if value is not None}
-    if len(known) < len(values):
+    columns = {name: _concrete(value) for name, value in fields.items()}
+    known = [v.reshape(len(v), -1) for v in columns.values() if v is not None]
+    if len(known) < len(columns):
         return None
-    sizes = {name: len(value) for name, value in known.items() if len(value) > 1}
-    if len(set(sizes.values())) > 1:
-        counts = ", ".join(f"{name} {size}" for name, size in sizes.items())
+    try:
+        return [values.ravel() for values in np.broadcast_arrays(*known)]
+    except ValueError as error:
+        counts = ", ".join(f"{k} {len(v)}" for k, v in zip(columns, known, strict=True))
         raise ValueError(
             f"Fields of a law must hold one value or one per tet, got {counts} values."
-        )
-    columns = [value.reshape(len(value), -1) for value in known.values()]
-    return [values.ravel() for values in np.broadcast_arrays(*columns)]
+        ) from error
 
 
 def check_fibre_ratio(
-    E_t: Float[Array, "..."],
-    E_l: Float[Array, "..."],
-    nu_t: Float[Array, "..."],
-    nu_tl: Float[Array, "..."],
+    E_t: Constant, E_l: Constant, nu_t: Constant, nu_tl: Constant
 ) -> None:
     """Raise ValueError unless nu_tl^2 < (1 - nu_t) E_t / (2 E_l) everywhere."""
     values = _together(E_t=E_t, E_l=E_l, nu_t=nu_t, nu_tl=nu_tl)
-    if values is None:
-        return
-    stiff_t, stiff_l, plane, ratio = values
-    limit = np.sqrt((1.0 - plane) * stiff_t / (2.0 * stiff_l))
-    bad = np.flatnonzero(~(np.abs(ratio) < limit))
-    if bad.size:
-        i = bad[0]
-        raise ValueError(
-            f"nu_tl must lie in (-{limit[i]:.4g}, {limit[i]:.4g}) for "
-            f"{_moduli(stiff_t[i], stiff_l[i])}, nu_t = {plane[i]:g}, or the stiffness "
-            f"is not positive definite; got {ratio[i]:g}."
-        )
+    if values is not None:
+        across, along, plane, ratio = values
+        limit = np.sqrt((1.0 - plane) * across / (2.0 * along))
+        others = {"E_t": across, "E_l": along, "nu_t": plane}
+        _check_between("nu_tl", ratio, (-limit, limit), others)
 
 
-def check_shared_ratio(
-    E_t: Float[Array, "..."], E_l: Float[Array, "..."], nu: Float[Array, "..."]
-) -> None:
+def check_shared_ratio(E_t: Constant, E_l: Constant, nu: Constant) -> None:
     """Raise ValueError unless nu_t = nu_tl = nu gives a stable law everywhere."""
     values = _together(E_t=E_t, E_l=E_l, nu=nu)
-    if values is None:
-        return
-    stiff_t, stiff_l, ratio = values
-    n = stiff_l / stiff_t
-    # The roots of 1 - nu - 2 n nu^2, and |nu_t| < 1.
-    low = np.maximum(-1.0, -(1.0 + np.sqrt(1.0 + 8.0 * n)) / (4.0 * n))
-    high = 2.0 / (1.0 + np.sqrt(1.0 + 8.0 * n))
-    bad = np.flatnonzero(~((ratio > low) & (ratio < high)))
+    if values is not None:
+        across, along, ratio = values
+        n = along / across
+        # The roots of 1 - nu - 2 n nu^2, and |nu_t| < 1.
+        low = np.maximum(-1.0, -(1.0 + np.sqrt(1.0 + 8.0 * n)) / (4.0 * n))
+        high = 2.0 / (1.0 + np.sqrt(1.0 + 8.0 * n))
+        _check_between("nu", ratio, (low, high), {"E_t": across, "E_l": along})
+
+
+def _check_between(
+    name: str, ratio: np.ndarray, limits: tuple, others: dict[str, np.ndarray]
+) -> None:
+    bad = np.flatnonzero(~((ratio > limits[0]) & (ratio < limits[1])))
     if bad.size:
         i = bad[0]
+        unit = lambda name: "Pa" if name.startswith("E") else ""
+        pairs = [(k, readable(float(v[i]), unit(k))) for k, v in others.items()]
         raise ValueError(
-            f"nu must lie in ({low[i]:.4g}, {high[i]:.4g}) for "
-            f"{_moduli(stiff_t[i], stiff_l[i])}, got {ratio[i]:g}."
+            f"{name} must lie in ({limits[0][i]:.4g}, {limits[1][i]:.4g}) for "
+            f"{', '.join(map(' = '.join, pairs))}, or the stiffness is not positive "
+            f"definite; got {ratio[i]:g}."
         )
-
-
-def _moduli(E_t: Any, E_l: Any) -> str:
-    return f"E_t = {readable(E_t, 'Pa')}, E_l = {readable(E_l, 'Pa')}"

@@ -19,7 +19,7 @@ from softcal_jax.elements import (
     symmetric,
 )
 from softcal_jax.materials._elasticity import AbstractElasticity, AbstractLinearLaw
-from softcal_jax.materials._products import outer, turned
+from softcal_jax.materials._law import Matrix, Tensor, outer, turned
 
 # hat(e_1), hat(e_2), hat(e_3): minus the permutation symbol.
 _HAT = -np.cross(np.eye(3)[:, None], np.eye(3)[None])
@@ -28,30 +28,34 @@ _HAT = -np.cross(np.eye(3)[:, None], np.eye(3)[None])
 class _Polar(NamedTuple):
     """F = R S, the stress sigma = C : (S - I), and M^-1 with M = tr(S) I - S."""
 
-    R: Float[Array, "3 3"]
-    S: Float[Array, "3 3"]
-    sigma: Float[Array, "3 3"]
-    M_inverse: Float[Array, "3 3"]
+    R: Matrix
+    S: Matrix
+    sigma: Matrix
+    M_inverse: Matrix
 
 
-def _polar(elasticity: AbstractElasticity, F: Float[Array, "3 3"]) -> _Polar:
+def _polar(elasticity: AbstractElasticity, F: Matrix) -> _Polar:
     R = rotation(F)
     S = symmetric(matmul(R.T, F))
+    return _Polar(R, S, elasticity.stress(S - jnp.eye(3)), _spin_inverse(S))
+
+
+def _spin_inverse(S: Matrix) -> Matrix:
+    """Invert M = tr(S) I - S."""
     M = jnp.trace(S) * jnp.eye(3) - S
-    M_inverse = cofactor(M) / determinant(M)
-    return _Polar(R, S, elasticity.stress(S - jnp.eye(3)), M_inverse)
+    return cofactor(M) / determinant(M)
 
 
-def _times(M: Float[Array, "3 3"], a: Float[Array, "3"]) -> Float[Array, "3"]:
+def _times(M: Matrix, a: Float[Array, "3"]) -> Float[Array, "3"]:
     return sum_of(M[:, k] * a[k] for k in range(3))
 
 
-def _left(A: Float[Array, "3 3"], X: Float[Array, "n 3 3"]) -> Float[Array, "n 3 3"]:
+def _left(A: Matrix, X: Float[Array, "n 3 3"]) -> Float[Array, "n 3 3"]:
     """Multiply A X_r."""
     return sum_of(A[None, :, k, None] * X[:, k, None, :] for k in range(3))
 
 
-def _right(X: Float[Array, "n 3 3"], A: Float[Array, "3 3"]) -> Float[Array, "n 3 3"]:
+def _right(X: Float[Array, "n 3 3"], A: Matrix) -> Float[Array, "n 3 3"]:
     """Multiply X_r A."""
     return sum_of(X[:, :, k, None] * A[None, k, None, :] for k in range(3))
 
@@ -68,35 +72,27 @@ class Corotational(AbstractLinearLaw):
     for an isotropic C. The paper's element (Vanneste, Goury, Duriez, RA-L 2022,
     Sec. IV.A) in its energy-consistent form. Stress and tangent are closed forms. The
     tets of SOFA have another rotation, see `SofaCorotational`.
-
-    Attributes:
-        elasticity: The tensor C, in the axes of the rest shape.
     """
 
-    def strain(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    def strain(self, F: Matrix) -> Matrix:
         """Stretch less the identity, S - I [-]."""
         return symmetric(matmul(rotation(F).T, F)) - jnp.eye(3)
 
-    def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    def stress(self, F: Matrix) -> Matrix:
         """First Piola-Kirchhoff stress R (sigma - hat(c)) [Pa]."""
         return self.energy_and_stress(F)[1]
 
-    def energy_and_stress(
-        self, F: Float[Array, "3 3"]
-    ) -> tuple[Float[Array, ""], Float[Array, "3 3"]]:
+    def energy_and_stress(self, F: Matrix) -> tuple[Float[Array, ""], Matrix]:
         """Compute energy and stress from one polar decomposition."""
         R, S, sigma, M_inverse = _polar(self.elasticity, F)
         c = _times(M_inverse, axial(matmul(sigma, S)))
         energy = 0.5 * jnp.sum((S - jnp.eye(3)) * sigma)
         return energy, matmul(R, sigma - skew(c))
 
-    def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
-        """Tangent, see `stress_and_tangent` [Pa]."""
+    def tangent(self, F: Matrix) -> Tensor:
         return self.stress_and_tangent(F)[1]
 
-    def stress_and_tangent(
-        self, F: Float[Array, "3 3"]
-    ) -> tuple[Float[Array, "3 3"], Float[Array, "3 3 3 3"]]:
+    def stress_and_tangent(self, F: Matrix) -> tuple[Matrix, Tensor]:
         """Compute stress and tangent from one polar decomposition.
 
         The tangent is R_im R_kn (C_mJnL - hat_rmJ Y_rnL - Y_rmJ hat_rnL). It splits
@@ -118,9 +114,7 @@ class Corotational(AbstractLinearLaw):
         moment = jax.vmap(self.elasticity.stress)(Q) + _symmetric(_left(p.T, hat))
         N = sum_of(M_inverse[:, s, None, None] * moment[None, s] for s in range(3))
         N = jax.lax.optimization_barrier(N)
-        N_Q = sum_of(
-            N[:, None, i, j] * Q[None, :, i, j] for i in range(3) for j in range(3)
-        )
+        N_Q = sum_of(N[:, None, i, j] * Q[None, :, i, j] for i, j in np.ndindex(3, 3))
         K = matmul(0.5 * (jnp.trace(p) * jnp.eye(3) - p) + N_Q, M_inverse)
         K = jax.lax.optimization_barrier(K)
         Y = N - 0.5 * sum_of(K[:, s, None, None] * hat[None, s] for s in range(3))
@@ -128,9 +122,7 @@ class Corotational(AbstractLinearLaw):
         return matmul(R, p), tangent
 
 
-def _less_spins(
-    C: Float[Array, "3 3 3 3"], Y: Float[Array, "3 3 3"]
-) -> Float[Array, "3 3 3 3"]:
+def _less_spins(C: Tensor, Y: Float[Array, "3 3 3"]) -> Tensor:
     """Compute C_mJnL - hat_rmJ Y_rnL - Y_rmJ hat_rnL; hat_r has two entries only."""
     zero = jnp.zeros((3, 3))
     spins = [
@@ -151,24 +143,24 @@ class AbstractTurnedStress(AbstractLinearLaw):
     conservative: ClassVar[bool] = False
 
     @abstractmethod
-    def _rotation(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    def _rotation(self, F: Matrix) -> Matrix:
         """Compute R [-]."""
 
     @abstractmethod
-    def _rest_stretch(self) -> Float[Array, "3 3"]:
+    def _rest_stretch(self) -> Matrix:
         """Return L, of any size."""
 
-    def strain(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    def strain(self, F: Matrix) -> Matrix:
         """Symmetric part of R^T F, less the identity [-]."""
         return symmetric(matmul(self._rotation(F).T, F)) - jnp.eye(3)
 
-    def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    def stress(self, F: Matrix) -> Matrix:
         """First Piola-Kirchhoff stress R sigma [Pa]."""
         R = self._rotation(F)
         strain = symmetric(matmul(R.T, F)) - jnp.eye(3)
         return matmul(R, self.elasticity.stress(strain))
 
-    def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
+    def tangent(self, F: Matrix) -> Tensor:
         """Derivative of this stress [Pa].
 
         With U = R^T F, A = R^T dF, S = U L and M = tr(S) I - S, R^T dR is hat(omega)
@@ -181,8 +173,7 @@ class AbstractTurnedStress(AbstractLinearLaw):
         U = matmul(R.T, F)
         S = symmetric(matmul(U, L))
         sigma = self.elasticity.stress(symmetric(U) - jnp.eye(3))
-        M = jnp.trace(S) * jnp.eye(3) - S
-        M_inverse = cofactor(M) / determinant(M)
+        M_inverse = _spin_inverse(S)
 
         def of_spin(e):
             """Return dP for R^T dR = hat(e), and dF for which axial(A L) grows by e."""
@@ -205,13 +196,10 @@ class ClassicalCorotational(AbstractTurnedStress):
     not symmetric) and the tangent has no major symmetry; a solver that relies on any of
     these cannot be used, and `energy_density` is not the potential of P. Take it to
     compare with such codes, otherwise `Corotational`; for SOFA take `SofaCorotational`.
-
-    Attributes:
-        elasticity: The tensor C, in the axes of the rest shape.
     """
 
-    def _rotation(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    def _rotation(self, F: Matrix) -> Matrix:
         return rotation(F)
 
-    def _rest_stretch(self) -> Float[Array, "3 3"]:
+    def _rest_stretch(self) -> Matrix:
         return jnp.eye(3)

@@ -15,13 +15,13 @@ from softcal_jax.elements import matmul
 from softcal_jax.materials._constants import (
     MODULUS,
     RATIO,
+    Constant,
     PointValues,
     as_field,
     check_constants,
     is_point_values,
 )
-from softcal_jax.materials._law import AbstractLaw
-from softcal_jax.materials._products import paired, turned
+from softcal_jax.materials._law import AbstractLaw, paired, turned
 
 _UNIT = np.eye(9).reshape(3, 3, 3, 3)
 _SYMMETRIC_UNIT = 0.5 * (_UNIT + _UNIT.transpose(1, 0, 2, 3))
@@ -91,21 +91,19 @@ class TabulatedElasticity(AbstractElasticity):
         return cls(tuple(PointValues(e) if per_point else e for e in shaped))
 
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-        """Stress C : strain for a symmetric strain [Pa]."""
         e = [strain[i, j] * (1.0 if i == j else 2.0) for i, j in _PAIRS]
         C = self.entries
         s = [sum(C[_UPPER[a, b]] * e[b] for b in range(6)) for a in range(6)]
         return jnp.stack([jnp.stack([s[a] for a in row]) for row in _VOIGT])
 
     def tensor(self) -> Float[Array, "3 3 3 3"]:
-        """The tensor C_MJNL [Pa]."""
         indices = _UPPER[_VOIGT[:, :, None, None], _VOIGT[None, None]].ravel()
         return jnp.stack([self.entries[i] for i in indices]).reshape(3, 3, 3, 3)
 
 
 def lame(
     E: Float[ArrayLike, "..."], nu: Float[ArrayLike, "..."]
-) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+) -> tuple[Constant, Constant]:
     """Convert Young's modulus and Poisson's ratio to Lame constants (lambda, mu) [Pa].
 
     lambda = E nu / ((1 + nu)(1 - 2 nu)) and mu = E / (2 (1 + nu)).
@@ -122,8 +120,8 @@ class Isotropic(AbstractElasticity):
         nu: Poisson's ratio [-] in (-1, 0.5), one value or one per tet.
     """
 
-    E: Float[Array, "..."] = eqx.field(converter=as_field, metadata=MODULUS)
-    nu: Float[Array, "..."] = eqx.field(converter=as_field, metadata=RATIO)
+    E: Constant = eqx.field(converter=as_field, metadata=MODULUS)
+    nu: Constant = eqx.field(converter=as_field, metadata=RATIO)
 
     def __check_init__(self):
         check_constants(self)
@@ -154,9 +152,8 @@ class AbstractLinearLaw(AbstractLaw):
 
     def tabulated(self) -> "AbstractLaw":
         """Compute the entries of the tensor C once."""
-        return eqx.tree_at(
-            lambda law: law.elasticity, self, self.elasticity.tabulated()
-        )
+        table = self.elasticity.tabulated()
+        return eqx.tree_at(lambda law: law.elasticity, self, table)
 
 
 class StVenantKirchhoff(AbstractLinearLaw):

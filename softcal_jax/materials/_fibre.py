@@ -1,7 +1,7 @@
 """Direction of a fibre in the rest shape, one for the body or one per tet."""
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,8 +9,10 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.materials._constants import (
+    Constant,
     as_components,
     as_field,
     as_matrix,
@@ -26,7 +28,7 @@ _ON_AXIS = 1e-9
 """Distance from an axis that counts as none, over that of the farthest point [-]."""
 
 
-def _if_any(frame: Any) -> tuple[Float[Array, "..."], ...] | None:
+def _if_any(frame: Any) -> tuple[Constant, ...] | None:
     return None if frame is None else as_components(frame)
 
 
@@ -50,26 +52,23 @@ class Fibre(Module):
             nine fields; None for the axes of the mesh [-].
     """
 
-    theta: Float[Array, "..."] = eqx.field(
+    theta: Constant = eqx.field(
         converter=as_field,
         metadata=constant("rad", 'angle of the fibre in its print plane: "20 deg"'),
     )
-    phi: Float[Array, "..."] = eqx.field(
+    phi: Constant = eqx.field(
         converter=as_field,
         default=0.0,
         metadata=constant("rad", 'angle of the fibre out of its plane: "10 deg"'),
     )
     plane: Plane = eqx.field(static=True, default="xz", metadata={"key": "print_plane"})
-    frame: tuple[Float[Array, "..."], ...] | None = eqx.field(
+    frame: tuple[Constant, ...] | None = eqx.field(
         converter=_if_any, default=None, metadata={"key": "directions"}
     )
 
     def __check_init__(self):
-        if self.plane not in ("xy", "xz", "yz"):
-            raise ValueError(
-                f'plane must be "xy", "xz" or "yz", got {self.plane!r}; '
-                "theta counts from its first axis towards its second."
-            )
+        if self.plane not in get_args(Plane):
+            raise unknown_name("plane", self.plane, get_args(Plane))
         check_constants(self)
 
     @classmethod
@@ -87,11 +86,7 @@ class Fibre(Module):
     ) -> "Fibre":
         """Fibres around an axis through a point, turned by theta towards the axis.
 
-        Args:
-            centroids: `TetMesh.centroids`, where the directions are taken [m].
-            axis: Direction of the axis [-].
-            through: A point on it [m].
-            theta: Angle from the hoop [rad].
+        `TetMesh.centroids` are where the directions are taken [m].
 
         Raises:
             ValueError: If a centroid lies on the axis.
@@ -106,11 +101,7 @@ class Fibre(Module):
         axis: Vector,
         through: Vector = (0.0, 0.0, 0.0),
     ) -> "Fibre":
-        """Fibres wound around an axis at the angle theta from it; see `hoop`.
-
-        Raises:
-            ValueError: If a centroid lies on the axis.
-        """
+        """Fibres wound around an axis at the angle theta from it; see `hoop`."""
         return cls(theta, frame=frames_around(centroids, axis, through))
 
     @classmethod
@@ -119,11 +110,7 @@ class Fibre(Module):
         vectors: Float[HostArray, "n_tets 3"],
         theta: Float[ArrayLike, "..."] = 0.0,
     ) -> "Fibre":
-        """Fibres along one vector per tet [-], of any length above zero.
-
-        Raises:
-            ValueError: If a vector is zero or not finite.
-        """
+        """Fibres along one vector per tet [-], of any length above zero."""
         return cls(theta, frame=frames_along(vectors))
 
     def direction(self) -> Float[Array, "3 ..."]:
@@ -168,9 +155,7 @@ def frames_along(vectors: Float[HostArray, "n 3"]) -> Float[HostArray, "n 3 3"]:
 
 
 def frames_around(
-    points: Float[HostArray, "n 3"],
-    axis: Vector,
-    through: Vector,
+    points: Float[HostArray, "n 3"], axis: Vector, through: Vector
 ) -> Float[HostArray, "n 3 3"]:
     """Build local axes along an axis, away from it and around it (hoop).
 

@@ -8,22 +8,21 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import sum_of
-from softcal_jax.materials._constants import FIBRES, as_field, check_constants
+from softcal_jax.materials._constants import FIBRES, Constant, as_field, check_constants
 from softcal_jax.materials._fibre import Fibre
-from softcal_jax.materials._law import AbstractLaw
-from softcal_jax.materials._products import outer, paired
+from softcal_jax.materials._law import AbstractLaw, Matrix, Tensor, outer, paired
 
 
 class _Void(AbstractLaw):
     """No material."""
 
-    def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
+    def energy_density(self, F: Matrix) -> Float[Array, ""]:
         return jnp.zeros((), F.dtype)
 
-    def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    def stress(self, F: Matrix) -> Matrix:
         return jnp.zeros((3, 3), F.dtype)
 
-    def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
+    def tangent(self, F: Matrix) -> Tensor:
         return jnp.zeros((3, 3, 3, 3), F.dtype)
 
 
@@ -35,7 +34,7 @@ class _Fibre(NamedTuple):
     """State of one family; energy w, w' (pull) and w'' (slope) are over E_f [-]."""
 
     u: Float[Array, "3"]
-    n: Float[Array, "3 3"]  # F u / l times u^T, derivative of l
+    n: Matrix  # F u / l times u^T, derivative of l
     stretch: Float[Array, ""]
     energy: Float[Array, ""]
     pull: Float[Array, ""]
@@ -75,22 +74,16 @@ class FibreReinforced(AbstractLaw):
     """
 
     matrix: AbstractLaw
-    E_f: Float[Array, "..."] = eqx.field(converter=as_field, metadata=FIBRES)
+    E_f: Constant = eqx.field(converter=as_field, metadata=FIBRES)
     fibre: Fibre
     families: Literal[1, 2] = eqx.field(static=True, default=1)
     tension_only: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
-        if not isinstance(self.matrix, AbstractLaw):
+        if not getattr(self.matrix, "conservative", False):
             raise ValueError(
-                f"matrix must be a law, like NeoHookean(264e3, 0.499), got "
-                f"{self.matrix!r}. The law of E_t, E_l, nu and mu_l is "
-                "TransverseHyperelastic."
-            )
-        if not self.matrix.conservative:
-            raise ValueError(
-                f"matrix must have a potential, and {type(self.matrix).__name__} has "
-                "none; take Corotational, NeoHookean or another law."
+                "matrix must be a law with a potential, like Corotational or "
+                f"NeoHookean(264e3, 0.499), got {self.matrix!r}."
             )
         if self.families not in (1, 2):
             raise ValueError(f"families must be 1 or 2, got {self.families!r}.")
@@ -104,15 +97,15 @@ class FibreReinforced(AbstractLaw):
         """Compute the unit vectors along the families [-]."""
         return [fibre.direction() for fibre in self.fibres()]
 
-    def _fibres(self, F: Float[Array, "3 3"]) -> list[_Fibre]:
+    def _fibres(self, F: Matrix) -> list[_Fibre]:
         """Compute the state of each family."""
-        found = []
+        states = []
         for u in self.directions():
             f = jnp.sum(F * u[None, :], axis=1)
             stretch = jnp.sqrt(jnp.sum(f * f))
             n = (f / stretch)[:, None] * u[None, :]
-            found.append(_Fibre(u, n, stretch, *self._pull(stretch - 1.0)))
-        return found
+            states.append(_Fibre(u, n, stretch, *self._pull(stretch - 1.0)))
+        return states
 
     def _pull(self, e: Float[Array, ""]) -> tuple[Float[Array, ""], ...]:
         """Energy w of a fibre over E_f, and its derivatives by the strain e."""
@@ -123,43 +116,35 @@ class FibreReinforced(AbstractLaw):
         energy = jnp.where(e >= 0.0, 0.5 * e * e, BUCKLING**2 * (given - pushed))
         return energy, jnp.where(e >= 0.0, e, BUCKLING * given), jnp.exp(pushed)
 
-    def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
-        """Energy of matrix and fibres [J/m3]."""
+    def energy_density(self, F: Matrix) -> Float[Array, ""]:
         pulled = sum_of(fibre.energy for fibre in self._fibres(F))
         return self.matrix.energy_density(F) + self.E_f * pulled
 
-    def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    def stress(self, F: Matrix) -> Matrix:
         """First Piola-Kirchhoff stress: that of the matrix, and w' n u^T each [Pa]."""
         pulled = sum_of(fibre.pull * fibre.n for fibre in self._fibres(F))
         return self.matrix.stress(F) + self.E_f * pulled
 
-    def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
-        """Tangent of the matrix and of each family [Pa].
-
-        That of a family is (w'/l delta_ik + (w'' - w'/l) n_i n_k) u_J u_L, n = F u / l.
-        """
+    def tangent(self, F: Matrix) -> Tensor:
         return self.matrix.tangent(F) + self._fibre_tangent(F)
 
-    def _fibre_tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
-        def of(fibre: _Fibre) -> Float[Array, "3 3 3 3"]:
+    def _fibre_tangent(self, F: Matrix) -> Tensor:
+        """Add (w'/l delta_ik + (w'' - w'/l) n_i n_k) u_J u_L, n = F u / l, of each."""
+
+        def of(fibre: _Fibre) -> Tensor:
             turning = fibre.pull / fibre.stretch
             along = paired(jnp.eye(3), fibre.u[:, None] * fibre.u[None, :])
             return turning * along + (fibre.slope - turning) * outer(fibre.n, fibre.n)
 
         return self.E_f * sum_of(map(of, self._fibres(F)))
 
-    def stress_and_tangent(
-        self, F: Float[Array, "3 3"]
-    ) -> tuple[Float[Array, "3 3"], Float[Array, "3 3 3 3"]]:
-        """Stress and tangent [Pa], sharing what the matrix shares."""
+    def stress_and_tangent(self, F: Matrix) -> tuple[Matrix, Tensor]:
         P, A = self.matrix.stress_and_tangent(F)
         pulled = sum_of(fibre.pull * fibre.n for fibre in self._fibres(F))
         return P + self.E_f * pulled, A + self._fibre_tangent(F)
 
     def tabulated(self) -> "FibreReinforced":
-        """Compute what does not depend on F in the matrix once."""
         return eqx.tree_at(lambda law: law.matrix, self, self.matrix.tabulated())
 
     def parts(self) -> tuple[AbstractLaw, AbstractLaw]:
-        """Split into the matrix, and the fibres alone."""
         return self.matrix, replace(self, matrix=_Void())

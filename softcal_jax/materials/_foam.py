@@ -1,13 +1,13 @@
 """Homogenised moduli of printed foams, and the foam that has given moduli."""
 
-from typing import ClassVar, Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import equinox as eqx
 import numpy as np
 
 from softcal_jax._module import Module, one_line
-from softcal_jax._typing import Float, HostArray
-from softcal_jax.materials._foam_patch import FoamPatch
+from softcal_jax._names import unknown_name
+from softcal_jax.materials._foam_patch import FoamPatch, Numbers, Pairs
 
 Infill = Literal["Polyfoam", "Phasor"]
 """Foams of the slicer IceSL, by its names."""
@@ -20,18 +20,17 @@ class FoundFoam(NamedTuple):
 
     Attributes:
         density: Relative density [-].
-        anisotropy: Shrink of Polyfoam, isotropy of Phasor [-].
+        anisotropy: As in `FoamTable` [-].
         E_soft: Modulus along the soft axis, or in the soft plane [Pa].
         E_stiff: Modulus along the stiff axis, or in the stiff plane [Pa].
-        error: The larger of both moduli's relative distances from what was asked for:
-            |ln(found / asked)| [-].
+        error: The larger |ln(found / asked)| of both moduli [-].
     """
 
-    density: Float[HostArray, " n"]
-    anisotropy: Float[HostArray, " n"]
-    E_soft: Float[HostArray, " n"]
-    E_stiff: Float[HostArray, " n"]
-    error: Float[HostArray, " n"]
+    density: Numbers
+    anisotropy: Numbers
+    E_soft: Numbers
+    E_stiff: Numbers
+    error: Numbers
 
     __repr__ = one_line
 
@@ -42,8 +41,7 @@ class FoamTable(Module):
     Samples with the same anisotropy are a level. Along a level ln E is a monotone cubic
     of ln density, which is a straight line where E is a power of the density. Between
     two levels ln density and ln E are linear, for Polyfoam in ln shrink and for Phasor
-    in its isotropy; the ends of the levels join, and what lies outside of this patch
-    is not reached by the foam.
+    in its isotropy; what lies outside of this patch is not reached by the foam.
 
     Attributes:
         infill: The foam. Polyfoam has a soft axis and a stiff plane across it; Phasor
@@ -61,20 +59,44 @@ class FoamTable(Module):
     """
 
     infill: Infill = eqx.field(static=True)
-    density: Float[HostArray, " n"] = eqx.field(converter=np.asarray)
-    anisotropy: Float[HostArray, " n"] = eqx.field(converter=np.asarray)
-    E_soft: Float[HostArray, " n"] = eqx.field(converter=np.asarray)
-    E_stiff: Float[HostArray, " n"] = eqx.field(converter=np.asarray)
+    density: Numbers = eqx.field(converter=np.asarray)
+    anisotropy: Numbers = eqx.field(converter=np.asarray)
+    E_soft: Numbers = eqx.field(converter=np.asarray)
+    E_stiff: Numbers = eqx.field(converter=np.asarray)
     source: str = eqx.field(static=True, default="a table of the user")
 
-    AXES: ClassVar[dict[str, AxisKind]] = {"Polyfoam": "soft", "Phasor": "stiff"}
-
     def __check_init__(self):
-        if self.infill not in self.AXES:
-            raise ValueError(
-                f'infill must be "Polyfoam" or "Phasor", got {self.infill!r}.'
-            )
-        self._check_values()
+        if self.infill not in get_args(Infill):
+            raise unknown_name("infill", self.infill, get_args(Infill))
+        shrink, E = self.anisotropy, self.E_soft
+        above = shrink > 0.0 if self._is_log else shrink >= 0.0
+        for name, values, fine, expected in (
+            (
+                "density",
+                self.density,
+                (self.density > 0.0) & (self.density <= 1.0),
+                "in (0, 1]: the share of solid, 0.2 for 20 %",
+            ),
+            (
+                self.setting,
+                shrink,
+                above & (shrink <= 1.0),
+                "in (0, 1]" if self._is_log else "in [0, 1]",
+            ),
+            ("E_soft", E, E > 0.0, "positive [Pa]"),
+            (
+                "E_stiff",
+                self.E_stiff,
+                self.E_stiff >= E,
+                "finite and at least E_soft [Pa]",
+            ),
+        ):
+            bad = np.flatnonzero(~(fine & np.isfinite(values)))
+            if bad.size:
+                raise ValueError(
+                    f"foam table, sample {bad[0] + 1}: {name} must be {expected}, got "
+                    f"{values[bad[0]]:g}."
+                )
         for level in np.unique(self.anisotropy):
             densities = self.density[self.anisotropy == level]
             if len(np.unique(densities)) < max(len(densities), 2):
@@ -84,71 +106,32 @@ class FoamTable(Module):
                     "each once, since moduli are interpolated between them."
                 )
 
-    def _check_values(self) -> None:
-        columns = {
-            "density": (self.density, (self.density > 0.0) & (self.density <= 1.0)),
-            self.setting: (self.anisotropy, self._has_coordinate()),
-            "E_soft": (self.E_soft, self.E_soft > 0.0),
-            "E_stiff": (self.E_stiff, self.E_stiff >= self.E_soft),
-        }
-        expected = {
-            "density": "in (0, 1]: the share of solid, 0.2 for 20 %",
-            self.setting: "in (0, 1]" if self._is_log else "in [0, 1]",
-            "E_soft": "positive [Pa]",
-            "E_stiff": "finite and at least E_soft [Pa]",
-        }
-        for name, (values, fine) in columns.items():
-            bad = np.flatnonzero(~(fine & np.isfinite(values)))
-            if bad.size:
-                raise ValueError(
-                    f"foam table, sample {bad[0] + 1}: {name} must be "
-                    f"{expected[name]}, got {values[bad[0]]:g}."
-                )
-
-    def _has_coordinate(self):
-        positive = self.anisotropy > 0.0 if self._is_log else self.anisotropy >= 0.0
-        return positive & (self.anisotropy <= 1.0)
-
     @property
     def setting(self) -> str:
         """What the anisotropy is called for this infill."""
-        return "shrink" if self.infill == "Polyfoam" else "iso"
+        return "shrink" if self._is_log else "iso"
 
     @property
     def axis(self) -> AxisKind:
         """Which modulus holds along the single axis; the other holds across it."""
-        return self.AXES[self.infill]
+        return "soft" if self._is_log else "stiff"
 
     @property
     def _is_log(self) -> bool:
         return self.infill == "Polyfoam"
 
-    def moduli(
-        self,
-        density: Float[HostArray, " n"],
-        anisotropy: Float[HostArray, " n"],
-    ) -> Float[HostArray, "n 2"]:
+    def moduli(self, density: Numbers, anisotropy: Numbers) -> Pairs:
         """Interpolate E_soft and E_stiff [Pa].
 
-        Args:
-            density: Relative density [-]; outside the table the curves go on.
-            anisotropy: Shrink or isotropy [-]; that of the nearest level outside.
+        Outside the table the curves of the density go on, and the nearest level counts.
         """
         return self._patch().moduli(density, anisotropy)
 
-    def find(
-        self,
-        E_soft: Float[HostArray, " n"],
-        E_stiff: Float[HostArray, " n"],
-    ) -> FoundFoam:
-        """Find the foams whose moduli are nearest, in the logarithms of both.
+    def find(self, E_soft: Numbers, E_stiff: Numbers) -> FoundFoam:
+        """Find the foams whose moduli [Pa] are nearest, in the logarithms of both.
 
         The nearest of many samples starts a Gauss-Newton search within the table, so
         that every value has an answer; its `error` says how far that is off.
-
-        Args:
-            E_soft: The smaller modulus [Pa].
-            E_stiff: The larger modulus [Pa].
         """
         # Each pair once: fields have few values per tet. Complex numbers sort as pairs.
         pairs, index = np.unique(E_soft + 1j * E_stiff, return_inverse=True)
@@ -162,3 +145,58 @@ class FoamTable(Module):
     def _patch(self) -> FoamPatch:
         moduli = np.stack([self.E_soft, self.E_stiff], axis=1)
         return FoamPatch(self.density, self.anisotropy, moduli, is_log=self._is_log)
+
+
+TPU = 12e6
+"""Young's modulus of the printed solid of the published tables [Pa]."""
+
+# As in the authors' published scenes: the relative density, and Ex, Ey and Ez over E of
+# the solid, with x the soft axis; for the isotropic foam the mean modulus.
+_STRETCHED = np.array(
+    [
+        (0.0918, 0.00719095, 0.0677105, 0.0618133),
+        (0.1798, 0.00823011, 0.1462979, 0.1372145),
+        (0.2639, 0.00943911, 0.2214149, 0.2104164),
+        (0.3422, 0.01094113, 0.2942527, 0.2842800),
+    ]
+)
+_ISOTROPIC = np.array(
+    [(0.0901, 0.0247), (0.1534, 0.0436), (0.2323, 0.0738), (0.3297, 0.1244)]
+)
+
+_PUBLISHED_SHRINK = 0.2
+
+
+def published_foam(solid_modulus: float = TPU) -> FoamTable:
+    """Return the published table of Polyfoam: a soft axis, or isotropic.
+
+    F. Vanneste et al., "Anisotropic soft robots based on 3D printed meso-structured
+    materials", IEEE RA-L 5 (2020), doi 10.1109/LRA.2020.2969926. E_stiff is the
+    mean of both moduli across the soft axis, which differ by 3 to 9 %. The table names
+    no shrink of its anisotropic foam: it is taken to be 0.2, as in a published script
+    of the robot that was printed of it. Between this and the isotropic foam there are
+    no published values, so moduli there are only interpolated; and relative density is
+    taken for the infill percentage.
+
+    Moduli of a foam are proportional to that of the solid [Pa], by default that of the
+    published TPU.
+
+    Raises:
+        ValueError: If the modulus is not positive and finite.
+    """
+    if not (np.isfinite(solid_modulus) and solid_modulus > 0.0):
+        raise ValueError(
+            "the modulus of the solid must be positive and finite [Pa], got "
+            f"{solid_modulus:g}; 12 MPa is that of the published TPU."
+        )
+    density, soft, *stiff = _STRETCHED.T
+    dense, isotropic = _ISOTROPIC.T
+    shrink = np.repeat([_PUBLISHED_SHRINK, 1.0], [len(_STRETCHED), len(_ISOTROPIC)])
+    return FoamTable(
+        "Polyfoam",
+        np.concatenate([density, dense]),
+        shrink,
+        solid_modulus * np.concatenate([soft, isotropic]),
+        solid_modulus * np.concatenate([np.mean(stiff, axis=0), isotropic]),
+        "homogenised Polyfoam of TPU, Vanneste et al., IEEE RA-L 2020",
+    )

@@ -11,6 +11,10 @@ _T_STEPS, _S_STEPS = 96, 64
 _SEARCH_STEPS = 20
 
 
+Numbers = Float[HostArray, " n"]
+Pairs = Float[HostArray, "n 2"]
+
+
 class FoamPatch:
     """A foam table as a map from two coordinates to ln density and ln moduli.
 
@@ -21,20 +25,13 @@ class FoamPatch:
 
     def __init__(
         self,
-        density: Float[HostArray, " n"],
-        anisotropy: Float[HostArray, " n"],
-        moduli: Float[HostArray, "n 2"],
+        density: Numbers,
+        anisotropy: Numbers,
+        moduli: Pairs,
         *,
         is_log: bool,
     ):
-        """Fit a curve to each level.
-
-        Args:
-            density: Relative density of the samples [-].
-            anisotropy: Their shrink or isotropy [-].
-            moduli: Their E_soft and E_stiff [Pa].
-            is_log: Whether levels are mixed by the logarithm of their anisotropy.
-        """
+        """Fit a curve to each level; `is_log` mixes levels by their logarithm."""
         # Here, so that commands which do not need it do not wait for it.
         from scipy.interpolate import PchipInterpolator
 
@@ -54,19 +51,17 @@ class FoamPatch:
         """The largest s."""
         return len(self.levels) - 1.0
 
-    def position(self, anisotropy: Float[HostArray, " n"]) -> Float[HostArray, " n"]:
+    def position(self, anisotropy: Numbers) -> Numbers:
         """Return s of a shrink or isotropy."""
         values = np.log(anisotropy) if self.is_log else anisotropy
         return np.interp(values, self.levels, np.arange(len(self.levels)))
 
-    def anisotropy(self, s: Float[HostArray, " n"]) -> Float[HostArray, " n"]:
+    def anisotropy(self, s: Numbers) -> Numbers:
         """Return the shrink or isotropy at s."""
         values = np.interp(s, np.arange(len(self.levels)), self.levels)
         return np.exp(values) if self.is_log else values
 
-    def at(
-        self, t: Float[HostArray, " n"], s: Float[HostArray, " n"]
-    ) -> Float[HostArray, "n 3"]:
+    def at(self, t: Numbers, s: Numbers) -> Float[HostArray, "n 3"]:
         """Return ln density, ln E_soft and ln E_stiff."""
         mixed, s = np.zeros((len(t), 3)), np.clip(s, 0.0, self.last)
         for level, ((low, high), curve) in enumerate(
@@ -78,43 +73,27 @@ class FoamPatch:
             mixed[near] += weight[near, None] * np.column_stack([x, curve(x)])
         return mixed
 
-    def moduli(
-        self,
-        density: Float[HostArray, " n"],
-        anisotropy: Float[HostArray, " n"],
-    ) -> Float[HostArray, "n 2"]:
+    def moduli(self, density: Numbers, anisotropy: Numbers) -> Pairs:
         """Interpolate E_soft and E_stiff [Pa]; see `FoamTable.moduli`."""
         s = self.position(anisotropy)
         low, high = (self.at(np.full_like(s, t), s)[:, 0] for t in (0.0, 1.0))
         t = (np.log(density) - low) / (high - low)
         return np.exp(self.at(t, s)[:, 1:])
 
-    def nearest(
-        self, asked: Float[HostArray, "n 2"]
-    ) -> tuple[Float[HostArray, " n"], Float[HostArray, "n 3"]]:
-        """Find the foams nearest to ln E_soft and ln E_stiff.
+    def nearest(self, asked: Pairs) -> tuple[Numbers, Float[HostArray, "n 3"]]:
+        """Find the foams nearest to ln E_soft and ln E_stiff, see `FoamTable.find`.
 
-        The nearest of many samples starts a Gauss-Newton search in the patch, so that
-        every value has an answer.
-
-        Returns:
-            Their anisotropy, then ln density, ln E_soft and ln E_stiff.
+        Returns their anisotropy, then ln density, ln E_soft and ln E_stiff.
         """
-        grid = self.samples()
+        t = np.linspace(0.0, 1.0, _T_STEPS + 1)
+        s = np.linspace(0.0, self.last, _S_STEPS * int(self.last) + 1)
+        grid = np.stack(np.meshgrid(t, s, indexing="ij"), axis=-1).reshape(-1, 2)
         tree = KDTree(self.at(*grid.T)[:, 1:])
         x = _refined(self, asked, grid[tree.query(asked)[1]])
         return self.anisotropy(x[:, 1]), self.at(*x.T)
 
-    def samples(self) -> Float[HostArray, "m 2"]:
-        """Return pairs (t, s) that cover the patch."""
-        t = np.linspace(0.0, 1.0, _T_STEPS + 1)
-        s = np.linspace(0.0, self.last, _S_STEPS * int(self.last) + 1)
-        return np.stack(np.meshgrid(t, s, indexing="ij"), axis=-1).reshape(-1, 2)
 
-
-def _refined(
-    patch: FoamPatch, asked: Float[HostArray, "n 2"], x: Float[HostArray, "n 2"]
-) -> Float[HostArray, "n 2"]:
+def _refined(patch: FoamPatch, asked: Pairs, x: Pairs) -> Pairs:
     """Move points (t, s) until their moduli are nearest, by Gauss-Newton in the box."""
     x = x.copy()
     active = np.arange(len(x))
@@ -130,15 +109,7 @@ def _refined(
     return x
 
 
-def _squared(
-    patch: FoamPatch, asked: Float[HostArray, "n 2"], x: Float[HostArray, "n 2"]
-) -> Float[HostArray, " n"]:
-    return ((patch.at(*x.T)[:, 1:] - asked) ** 2).sum(axis=1)
-
-
-def _step(
-    patch: FoamPatch, asked: Float[HostArray, "n 2"], x: Float[HostArray, "n 2"]
-) -> Float[HostArray, "n 2"]:
+def _step(patch: FoamPatch, asked: Pairs, x: Pairs) -> Pairs:
     """Return the Gauss-Newton step of each point."""
     upper = np.array([1.0, patch.last])
     here = patch.at(*x.T)[:, 1:]
@@ -163,19 +134,15 @@ def _step(
     return np.stack([first, second], axis=1) / det[:, None]
 
 
-def _moved(
-    patch: FoamPatch,
-    asked: Float[HostArray, "n 2"],
-    x: Float[HostArray, "n 2"],
-    step: Float[HostArray, "n 2"],
-) -> Float[HostArray, "n 2"]:
+def _moved(patch: FoamPatch, asked: Pairs, x: Pairs, step: Pairs) -> Pairs:
     """Take the longest part of each step that brings the moduli nearer, if any does."""
+    squared = lambda at, goal: ((patch.at(*at.T)[:, 1:] - goal) ** 2).sum(axis=1)
     x = x.copy()
-    before = _squared(patch, asked, x)
+    before = squared(x, asked)
     left = np.arange(len(x))
     for length in (1.0, 0.5, 0.1, 0.01):
         trial = np.clip(x[left] + length * step[left], 0.0, [1.0, patch.last])
-        better = _squared(patch, asked[left], trial) < before[left]
+        better = squared(trial, asked[left]) < before[left]
         x[left[better]] = trial[better]
         left = left[~better]
         if not left.size:

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.materials._constants import as_field, constant
+from softcal_jax.materials._constants import Constant, as_field, constant
 from softcal_jax.materials._rubber import (
     INCOMPRESSIBLE,
     RUBBER_RATIO,
@@ -29,17 +29,17 @@ class MooneyRivlin(AbstractInvariantRubber):
         nu: Poisson's ratio at small strain [-] in (0, 0.5).
     """
 
-    c10: Float[Array, "..."] = eqx.field(
+    c10: Constant = eqx.field(
         converter=as_field, metadata=signed('first stiffness: "40 kPa"')
     )
-    c01: Float[Array, "..."] = eqx.field(
+    c01: Constant = eqx.field(
         converter=as_field, metadata=signed('second stiffness: "5 kPa"')
     )
-    nu: Float[Array, "..."] = eqx.field(
+    nu: Constant = eqx.field(
         converter=as_field, default=INCOMPRESSIBLE, metadata=RUBBER_RATIO
     )
 
-    def shear_modulus(self) -> Float[Array, "..."]:
+    def shear_modulus(self) -> Constant:
         """Shear modulus at small strain, 2 (c10 + c01) [Pa]."""
         return 2.0 * (self.c10 + self.c01)
 
@@ -65,20 +65,20 @@ class Yeoh(AbstractInvariantRubber):
         nu: Poisson's ratio at small strain [-] in (0, 0.5).
     """
 
-    c10: Float[Array, "..."] = eqx.field(
+    c10: Constant = eqx.field(
         converter=as_field, metadata=signed('first stiffness: "40 kPa"')
     )
-    c20: Float[Array, "..."] = eqx.field(
+    c20: Constant = eqx.field(
         converter=as_field, metadata=signed('second stiffness: "-300 Pa"')
     )
-    c30: Float[Array, "..."] = eqx.field(
+    c30: Constant = eqx.field(
         converter=as_field, metadata=signed('third stiffness: "10 Pa"')
     )
-    nu: Float[Array, "..."] = eqx.field(
+    nu: Constant = eqx.field(
         converter=as_field, default=INCOMPRESSIBLE, metadata=RUBBER_RATIO
     )
 
-    def shear_modulus(self) -> Float[Array, "..."]:
+    def shear_modulus(self) -> Constant:
         """Shear modulus at small strain, 2 c10 [Pa]."""
         return 2.0 * self.c10
 
@@ -111,19 +111,18 @@ class Gent(AbstractInvariantRubber):
         nu: Poisson's ratio at small strain [-] in (0, 0.5).
     """
 
-    mu: Float[Array, "..."] = eqx.field(
+    mu: Constant = eqx.field(
         converter=as_field, metadata=constant("Pa", 'shear modulus: "90 kPa"')
     )
-    J_m: Float[Array, "..."] = eqx.field(
+    J_m: Constant = eqx.field(
         converter=as_field,
         metadata=constant("", "limit of i1 - 3: 80", within=(0.0, jnp.inf)),
     )
-    nu: Float[Array, "..."] = eqx.field(
+    nu: Constant = eqx.field(
         converter=as_field, default=INCOMPRESSIBLE, metadata=RUBBER_RATIO
     )
 
-    def shear_modulus(self) -> Float[Array, "..."]:
-        """Shear modulus at small strain [Pa]."""
+    def shear_modulus(self) -> Constant:
         return self.mu
 
     def distortion(self, i1: Float[Array, ""], i2: Float[Array, ""]) -> Distortion:

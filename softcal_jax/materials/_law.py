@@ -1,4 +1,4 @@
-"""What every constitutive law offers: an energy density and its derivatives."""
+"""What every constitutive law offers, and the products that make its tangent."""
 
 from abc import abstractmethod
 from typing import ClassVar
@@ -7,7 +7,35 @@ import jax
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float
+from softcal_jax.elements import sum_of
 from softcal_jax.materials._fibre import Fibre
+
+Matrix = Float[Array, "3 3"]
+Tensor = Float[Array, "3 3 3 3"]
+
+
+def outer(X: Matrix, Y: Matrix) -> Tensor:
+    """Multiply X_iJ Y_kL."""
+    return X[:, :, None, None] * Y[None, None]
+
+
+def crossed(X: Matrix, Y: Matrix) -> Tensor:
+    """Multiply X_iL Y_kJ."""
+    return X[:, None, None, :] * Y.T[None, :, :, None]
+
+
+def paired(X: Matrix, Y: Matrix) -> Tensor:
+    """Multiply X_ik Y_JL."""
+    return X[:, None, :, None] * Y[None, :, None, :]
+
+
+def turned(C: Tensor, G: Matrix) -> Tensor:
+    """Transform the first index of each pair, G_iM C_MJNL G_kN."""
+    # Barriers stop XLA from recomputing C and `half` for each entry of the result.
+    C = jax.lax.optimization_barrier(C)
+    half = sum_of(C[:, :, None, N, :] * G[None, None, :, N, None] for N in range(3))
+    half = jax.lax.optimization_barrier(half)
+    return sum_of(G[:, M, None, None, None] * half[None, M] for M in range(3))
 
 
 class AbstractLaw(Module):
@@ -46,26 +74,22 @@ class AbstractLaw(Module):
     conservative: ClassVar[bool] = True
 
     @abstractmethod
-    def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
+    def energy_density(self, F: Matrix) -> Float[Array, ""]:
         """Strain energy per reference volume, psi(F) [J/m3]."""
 
-    def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    def stress(self, F: Matrix) -> Matrix:
         """First Piola-Kirchhoff stress P = d psi / d F [Pa]."""
         return jax.grad(self.energy_density)(F)
 
-    def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
+    def tangent(self, F: Matrix) -> Tensor:
         """Tangent A_iJkL = d P_iJ / d F_kL [Pa]."""
         return jax.jacfwd(self.stress)(F)
 
-    def energy_and_stress(
-        self, F: Float[Array, "3 3"]
-    ) -> tuple[Float[Array, ""], Float[Array, "3 3"]]:
+    def energy_and_stress(self, F: Matrix) -> tuple[Float[Array, ""], Matrix]:
         """Compute energy [J/m3] and stress [Pa]; override it if they share work."""
         return self.energy_density(F), self.stress(F)
 
-    def stress_and_tangent(
-        self, F: Float[Array, "3 3"]
-    ) -> tuple[Float[Array, "3 3"], Float[Array, "3 3 3 3"]]:
+    def stress_and_tangent(self, F: Matrix) -> tuple[Matrix, Tensor]:
         """Compute stress and tangent [Pa]; override it if they share work."""
         return self.stress(F), self.tangent(F)
 

@@ -8,7 +8,7 @@ from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import cofactor, determinant, matmul, sum_of
-from softcal_jax.materials._constants import as_field, constant
+from softcal_jax.materials._constants import Constant, as_field, constant
 from softcal_jax.materials._powers import power, trace_of_power
 from softcal_jax.materials._rubber import (
     INCOMPRESSIBLE,
@@ -18,23 +18,21 @@ from softcal_jax.materials._rubber import (
 )
 
 
-def _field_or_none(
-    value: Float[ArrayLike, "..."] | None,
-) -> Float[Array, "..."] | None:
+def _if_any(value: Float[ArrayLike, "..."] | None) -> Constant | None:
     return None if value is None else as_field(value)
 
 
-def _stiffness(term: str) -> Any:
+def _stiffness(term: str) -> dict[str, Any]:
     return signed(f'stiffness of the {term} term: "600 kPa"')
 
 
-def _exponent(term: str) -> Any:
+def _exponent(term: str) -> dict[str, Any]:
     return constant("", f"exponent of the {term} term: 1.3")
 
 
 class _Term(NamedTuple):
-    mu: Float[Array, "..."]
-    alpha: Float[Array, "..."]
+    mu: Constant
+    alpha: Constant
 
 
 class Ogden(AbstractRubber):
@@ -61,25 +59,21 @@ class Ogden(AbstractRubber):
         nu: Poisson's ratio at small strain [-] in (0, 0.5).
     """
 
-    mu_1: Float[Array, "..."] = eqx.field(
-        converter=as_field, metadata=_stiffness("first")
+    mu_1: Constant = eqx.field(converter=as_field, metadata=_stiffness("first"))
+    alpha_1: Constant = eqx.field(converter=as_field, metadata=_exponent("first"))
+    mu_2: Constant | None = eqx.field(
+        converter=_if_any, default=None, metadata=_stiffness("second")
     )
-    alpha_1: Float[Array, "..."] = eqx.field(
-        converter=as_field, metadata=_exponent("first")
+    alpha_2: Constant | None = eqx.field(
+        converter=_if_any, default=None, metadata=_exponent("second")
     )
-    mu_2: Float[Array, "..."] | None = eqx.field(
-        converter=_field_or_none, default=None, metadata=_stiffness("second")
+    mu_3: Constant | None = eqx.field(
+        converter=_if_any, default=None, metadata=_stiffness("third")
     )
-    alpha_2: Float[Array, "..."] | None = eqx.field(
-        converter=_field_or_none, default=None, metadata=_exponent("second")
+    alpha_3: Constant | None = eqx.field(
+        converter=_if_any, default=None, metadata=_exponent("third")
     )
-    mu_3: Float[Array, "..."] | None = eqx.field(
-        converter=_field_or_none, default=None, metadata=_stiffness("third")
-    )
-    alpha_3: Float[Array, "..."] | None = eqx.field(
-        converter=_field_or_none, default=None, metadata=_exponent("third")
-    )
-    nu: Float[Array, "..."] = eqx.field(
+    nu: Constant = eqx.field(
         converter=as_field, default=INCOMPRESSIBLE, metadata=RUBBER_RATIO
     )
 
@@ -102,12 +96,11 @@ class Ogden(AbstractRubber):
         )
         return [_Term(m, a) for m, a in pairs if m is not None and a is not None]
 
-    def shear_modulus(self) -> Float[Array, "..."]:
+    def shear_modulus(self) -> Constant:
         """Shear modulus at small strain, sum of mu_p alpha_p / 2 [Pa]."""
         return 0.5 * sum_of(term.mu * term.alpha for term in self.terms())
 
     def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
-        """Energy of all terms and of the volume [J/m3]."""
         J, C = determinant(F), matmul(F.T, F)
         log_J = jnp.log(J)
         distortion = sum_of(

@@ -1,4 +1,4 @@
-"""What nearly incompressible rubbers share: change of volume, and two invariants."""
+"""The neo-Hookean rubber, and what nearly incompressible ones share."""
 
 from abc import abstractmethod
 from typing import NamedTuple
@@ -9,9 +9,57 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax.elements import cofactor, determinant, matmul
-from softcal_jax.materials._constants import check_constants, constant, is_point_values
-from softcal_jax.materials._law import AbstractLaw
-from softcal_jax.materials._products import crossed, outer, paired
+from softcal_jax.materials._constants import (
+    MODULUS,
+    RATIO,
+    Constant,
+    as_field,
+    check_constants,
+    constant,
+    is_point_values,
+)
+from softcal_jax.materials._elasticity import lame
+from softcal_jax.materials._law import AbstractLaw, crossed, outer, paired
+
+
+class NeoHookean(AbstractLaw):
+    """Compressible neo-Hookean law.
+
+    psi = mu/2 (I1 - 3) - mu ln J + lambda/2 (ln J)^2, I1 = F : F, J = det F
+    (Bonet and Wood, Nonlinear Continuum Mechanics for Finite Element Analysis,
+    Eq. 6.27). Not defined for J <= 0, where it returns NaN and the solver steps back.
+
+    Attributes:
+        E: Young's modulus at small strain [Pa], one value or one per tet.
+        nu: Poisson's ratio at small strain [-] in (-1, 0.5), one value or one per tet.
+    """
+
+    E: Constant = eqx.field(converter=as_field, metadata=MODULUS)
+    nu: Constant = eqx.field(converter=as_field, metadata=RATIO)
+
+    def __check_init__(self):
+        check_constants(self)
+
+    def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
+        """Energy mu/2 (I1 - 3) - mu ln J + lambda/2 (ln J)^2 [J/m3]."""
+        lam, mu = lame(self.E, self.nu)
+        log_J = jnp.log(determinant(F))
+        return mu * (0.5 * (jnp.sum(F * F) - 3.0) - log_J) + 0.5 * lam * log_J**2
+
+    def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+        """First Piola-Kirchhoff stress mu (F - F^-T) + lambda ln J F^-T [Pa]."""
+        lam, mu = lame(self.E, self.nu)
+        J = determinant(F)
+        return mu * F + (lam * jnp.log(J) - mu) * (cofactor(F) / J)
+
+    def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
+        """Tangent mu I + lambda G(x)G + (mu - lambda ln J) G_iL G_kJ, G = F^-T [Pa]."""
+        lam, mu = lame(self.E, self.nu)
+        J = determinant(F)
+        G = cofactor(F) / J
+        across = (mu - lam * jnp.log(J)) * crossed(G, G)
+        return mu * paired(jnp.eye(3), jnp.eye(3)) + lam * outer(G, G) + across
+
 
 RUBBER_RATIO = constant("", "Poisson's ratio at small strain: 0.499", within=(0.0, 0.5))
 INCOMPRESSIBLE = 0.499
@@ -34,33 +82,10 @@ class AbstractRubber(AbstractLaw):
     0.49 on, quadratic tets take the mean dilatation.
     """
 
-    nu: eqx.AbstractVar[Float[Array, "..."]]
+    nu: eqx.AbstractVar[Constant]
 
     def __check_init__(self):
         check_constants(self)
-        self._check_shear_modulus()
-
-    @abstractmethod
-    def shear_modulus(self) -> Float[Array, "..."]:
-        """Shear modulus at small strain, mu [Pa]."""
-
-    def bulk_modulus(self) -> Float[Array, "..."]:
-        """Bulk modulus K = 2 mu (1 + nu) / (3 (1 - 2 nu)) [Pa]."""
-        ratio = 2.0 * (1.0 + self.nu) / (3.0 * (1.0 - 2.0 * self.nu))
-        return self.shear_modulus() * ratio
-
-    def volume_energy(self, J: Float[Array, ""]) -> Float[Array, ""]:
-        """Energy K/4 (J^2 - 1 - 2 ln J) [J/m3]."""
-        return 0.25 * self.bulk_modulus() * ((J - 1.0) * (J + 1.0) - 2.0 * jnp.log(J))
-
-    def volume_stress(self, J: Float[Array, ""]) -> Float[Array, ""]:
-        """Its derivative by ln J, K/2 (J^2 - 1) [Pa]; NaN for J <= 0."""
-        return jnp.where(
-            J > 0.0, 0.5 * self.bulk_modulus() * (J - 1.0) * (J + 1.0), jnp.nan
-        )
-
-    def _check_shear_modulus(self) -> None:
-        """Raise ValueError unless the shear modulus is positive at rest."""
         leaves = [getattr(self, name) for name in self.__dataclass_fields__]
         if any(is_point_values(leaf) or is_traced(leaf) for leaf in leaves):
             return
@@ -71,6 +96,24 @@ class AbstractRubber(AbstractLaw):
                 f"these constants give the shear modulus {bad[0]:g} Pa at small "
                 "strain; it must be positive and finite."
             )
+
+    @abstractmethod
+    def shear_modulus(self) -> Constant:
+        """Shear modulus at small strain, mu [Pa]."""
+
+    def bulk_modulus(self) -> Constant:
+        """Bulk modulus K = 2 mu (1 + nu) / (3 (1 - 2 nu)) [Pa]."""
+        ratio = 2.0 * (1.0 + self.nu) / (3.0 * (1.0 - 2.0 * self.nu))
+        return self.shear_modulus() * ratio
+
+    def volume_energy(self, J: Float[Array, ""]) -> Float[Array, ""]:
+        """Energy K/4 (J^2 - 1 - 2 ln J) [J/m3]."""
+        return 0.25 * self.bulk_modulus() * ((J - 1.0) * (J + 1.0) - 2.0 * jnp.log(J))
+
+    def volume_stress(self, J: Float[Array, ""]) -> Float[Array, ""]:
+        """Its derivative by ln J, K/2 (J^2 - 1) [Pa]; NaN for J <= 0."""
+        stress = 0.5 * self.bulk_modulus() * (J - 1.0) * (J + 1.0)
+        return jnp.where(J > 0.0, stress, jnp.nan)
 
 
 class Distortion(NamedTuple):
@@ -102,27 +145,25 @@ class AbstractInvariantRubber(AbstractRubber):
     def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
         """Energy W(i1, i2) + K/4 (J^2 - 1 - 2 ln J) [J/m3]."""
         s = _invariants(F)
-        return self.distortion(s.i1, s.i2).W + self.volume_energy(s.J)
+        return self.distortion(s.a * s.I1, s.b * s.I2).W + self.volume_energy(s.J)
 
     def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         """Stress P = W_1 di1/dF + W_2 di2/dF + K/2 (J^2 - 1) G [Pa]."""
         s = _invariants(F)
-        w = self.distortion(s.i1, s.i2)
+        w = self.distortion(s.a * s.I1, s.b * s.I2)
         return w.W_1 * s.d1 + w.W_2 * s.d2 + self.volume_stress(s.J) * s.G
 
     def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
         """Tangent, from the second derivatives of i1, i2 and J [Pa]."""
         s = _invariants(F)
-        w = self.distortion(s.i1, s.i2)
+        w = self.distortion(s.a * s.I1, s.b * s.I2)
         eye = jnp.eye(3)
         first, second = w.W_1 * s.a, w.W_2 * s.b
         volume = self.volume_stress(s.J)
         bulk = self.bulk_modulus() * s.J * s.J
         X = -4.0 / 3.0 * (first * F + 2.0 * second * s.H)
-        X = (
-            X
-            + (2.0 / 9.0 * first * s.I1 + 8.0 / 9.0 * second * s.I2 + 0.5 * bulk) * s.G
-        )
+        inner = 2.0 / 9.0 * first * s.I1 + 8.0 / 9.0 * second * s.I2 + 0.5 * bulk
+        X = X + inner * s.G
         turning = 2.0 / 3.0 * first * s.I1 + 4.0 / 3.0 * second * s.I2 - volume
         D = (2.0 * first + 2.0 * second * s.I1) * eye - 2.0 * second * s.C
         return (
@@ -144,16 +185,8 @@ class _Invariants(NamedTuple):
     C: Float[Array, "3 3"]
     G: Float[Array, "3 3"]
     H: Float[Array, "3 3"]
-    d1: Float[Array, "3 3"]
-    d2: Float[Array, "3 3"]
-
-    @property
-    def i1(self) -> Float[Array, ""]:
-        return self.a * self.I1
-
-    @property
-    def i2(self) -> Float[Array, ""]:
-        return self.b * self.I2
+    d1: Float[Array, "3 3"]  # derivative of i1
+    d2: Float[Array, "3 3"]  # derivative of i2
 
 
 def _invariants(F: Float[Array, "3 3"]) -> _Invariants:

@@ -1,6 +1,6 @@
 """The corotational law with the rotations of SOFA's linear tets."""
 
-from typing import Literal
+from typing import Literal, get_args
 
 import equinox as eqx
 import jax
@@ -17,8 +17,6 @@ from softcal_jax.mesh import TetMesh
 
 SofaRotation = Literal["edge", "procrustes", "large"]
 """How SOFA takes the rotation of a tet, see `SofaCorotational`."""
-
-_ROTATIONS: tuple[SofaRotation, ...] = ("edge", "procrustes", "large")
 
 
 class SofaCorotational(AbstractTurnedStress):
@@ -40,12 +38,10 @@ class SofaCorotational(AbstractTurnedStress):
     the left polar decomposition B = L polar(B), R = polar(F L), so L is kept for the
     first two, and Q(B) for the last. On tets that are not regular R differs from
     polar(F) in the first order of the strain, even for an isotropic C; where L = I it
-    is `ClassicalCorotational`. The force has no potential and its tangent no symmetry.
-    Take this law for a model that SOFA will run, `Corotational` otherwise. Read from
-    the sources of SOFA v25.12.00 and v26.06.00.
+    is `ClassicalCorotational`. Take this law for a model that SOFA will run,
+    `Corotational` otherwise. Read from the sources of SOFA v25.12.00 and v26.06.00.
 
     Attributes:
-        elasticity: The tensor C, in the axes of the rest shape.
         rest: L or Q(B), a matrix per tet kept as nine fields [-]; see `of_mesh`.
         rotation: How R is taken.
     """
@@ -92,8 +88,8 @@ def _rest_matrices(
     mesh: TetMesh, rotation: SofaRotation
 ) -> Float[HostArray, "n_tets 3 3"]:
     """Compute L, scaled to a trace of 3, or Q(B) of each tet [-]."""
-    if rotation not in _ROTATIONS:
-        raise unknown_name("rotation", rotation, _ROTATIONS)
+    if rotation not in get_args(SofaRotation):
+        raise unknown_name("rotation", rotation, get_args(SofaRotation))
     if mesh.order != 1:
         raise ValueError(
             "the rotations of SOFA are those of linear tets, and the mesh is "

@@ -12,6 +12,7 @@ from softcal_jax.materials._constants import (
     PLANE_RATIO,
     RATIO,
     SHEAR,
+    Constant,
     as_field,
     check_constants,
     check_fibre_ratio,
@@ -98,14 +99,14 @@ class TransverseIsotropic(AbstractElasticity):
         fibre: Direction of the fibre in the rest shape.
     """
 
-    E_t: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ACROSS)
-    E_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ALONG)
-    nu_t: Float[Array, "..."] = eqx.field(converter=as_field, metadata=PLANE_RATIO)
-    nu_tl: Float[Array, "..."] = eqx.field(
+    E_t: Constant = eqx.field(converter=as_field, metadata=ACROSS)
+    E_l: Constant = eqx.field(converter=as_field, metadata=ALONG)
+    nu_t: Constant = eqx.field(converter=as_field, metadata=PLANE_RATIO)
+    nu_tl: Constant = eqx.field(
         converter=as_field,
         metadata=constant("", "contraction along the fibre for stress across it: 0.3"),
     )
-    mu_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=SHEAR)
+    mu_l: Constant = eqx.field(converter=as_field, metadata=SHEAR)
     fibre: Fibre
 
     def __check_init__(self):
@@ -113,7 +114,6 @@ class TransverseIsotropic(AbstractElasticity):
         check_fibre_ratio(self.E_t, self.E_l, self.nu_t, self.nu_tl)
 
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-        """Stress C : strain for a symmetric strain [Pa]."""
         C = plane_stiffness(self.E_t, self.E_l, self.nu_t, self.nu_tl)
         mu = self.E_t / (2.0 * (1.0 + self.nu_t))
         mixed = C.C13 - C.C12
@@ -127,7 +127,6 @@ class TransverseIsotropic(AbstractElasticity):
         return _stress(strain, self.fibre.direction(), coefficients)
 
     def tabulated(self) -> TabulatedElasticity:
-        """Compute the entries of the tensor once."""
         return TabulatedElasticity.of(self)
 
 
@@ -150,9 +149,9 @@ class ReducedTransverseIsotropic(AbstractElasticity):
         fibre: Direction of the fibre in the rest shape.
     """
 
-    E_t: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ACROSS)
-    E_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ALONG)
-    nu: Float[Array, "..."] = eqx.field(converter=as_field, metadata=RATIO)
+    E_t: Constant = eqx.field(converter=as_field, metadata=ACROSS)
+    E_l: Constant = eqx.field(converter=as_field, metadata=ALONG)
+    nu: Constant = eqx.field(converter=as_field, metadata=RATIO)
     fibre: Fibre
 
     def __check_init__(self):
@@ -174,5 +173,4 @@ class ReducedTransverseIsotropic(AbstractElasticity):
         return _stress(strain, self.fibre.direction(), coefficients)
 
     def tabulated(self) -> TabulatedElasticity:
-        """Compute the entries of the tensor once."""
         return TabulatedElasticity.of(self)

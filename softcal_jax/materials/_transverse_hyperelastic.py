@@ -12,14 +12,14 @@ from softcal_jax.materials._constants import (
     ACROSS,
     ALONG,
     SHEAR,
+    Constant,
     as_field,
     check_constants,
     check_shared_ratio,
     constant,
 )
 from softcal_jax.materials._fibre import Fibre
-from softcal_jax.materials._law import AbstractLaw
-from softcal_jax.materials._products import crossed, outer, paired
+from softcal_jax.materials._law import AbstractLaw, crossed, outer, paired
 from softcal_jax.materials._transverse import PlaneStiffness, plane_stiffness
 
 
@@ -107,13 +107,12 @@ class TransverseHyperelastic(AbstractLaw):
         fibre: Direction of the fibre in the rest shape.
     """
 
-    E_t: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ACROSS)
-    E_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=ALONG)
-    nu: Float[Array, "..."] = eqx.field(
-        converter=as_field,
-        metadata=constant("", "Poisson's ratio: 0.499"),
+    E_t: Constant = eqx.field(converter=as_field, metadata=ACROSS)
+    E_l: Constant = eqx.field(converter=as_field, metadata=ALONG)
+    nu: Constant = eqx.field(
+        converter=as_field, metadata=constant("", "Poisson's ratio: 0.499")
     )
-    mu_l: Float[Array, "..."] = eqx.field(converter=as_field, metadata=SHEAR)
+    mu_l: Constant = eqx.field(converter=as_field, metadata=SHEAR)
     fibre: Fibre
 
     def __check_init__(self):
@@ -125,7 +124,6 @@ class TransverseHyperelastic(AbstractLaw):
         return C, self.E_t / (2.0 * (1.0 + self.nu))
 
     def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
-        """Energy of the four modes [J/m3]."""
         C, mu_t = self._constants()
         s = _modes(F, self.fibre.direction())
         return (

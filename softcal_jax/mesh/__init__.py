@@ -11,8 +11,16 @@ from softcal_jax.mesh._location import MaterialPoints, locate
 from softcal_jax.mesh._meshio import MeshWarning, ParserError, parse_mesh_file
 from softcal_jax.mesh._reading import mesh_files, read_mesh, read_tet_data
 from softcal_jax.mesh._refinement import Refinement, finer, refine
-from softcal_jax.mesh._regions import Annulus, Box, Cylinder, Plane, Sphere
-from softcal_jax.mesh._selection import node_indices, select_faces, select_nodes
+from softcal_jax.mesh._selection import (
+    Annulus,
+    Box,
+    Cylinder,
+    Plane,
+    Sphere,
+    node_indices,
+    select_faces,
+    select_nodes,
+)
 from softcal_jax.mesh._surfaces import (
     CAD_FACE,
     SHARP,

@@ -21,12 +21,8 @@ def check_mesh(mesh: TetMesh, *, linked: Sequence[Int[HostArray, " _"]] = ()) ->
 
     A quadratic tet must have det dX/dxi > 0 at its ten nodes and at the quadrature
     points of degree 4. Tets form one body if they are connected by shared faces; parts
-    that share only a node or an edge would form a hinge.
-
-    Args:
-        mesh: The mesh.
-        linked: Sets of nodes that are held together by something else, such as a rigid
-            body: parts with nodes in the same set count as one.
+    that share only a node or an edge would form a hinge. Parts with nodes in the same
+    `linked` set count as one: something else, such as a rigid body, holds them.
 
     Raises:
         ValueError: If tets are inverted, flat, repeated or overlapping, nodes are
@@ -48,8 +44,7 @@ def check_mesh(mesh: TetMesh, *, linked: Sequence[Int[HostArray, " _"]] = ()) ->
 def _shape_volumes(mesh: TetMesh) -> HostArray:
     """Divide signed volumes by that of the regular tet with the same rms edge [-]."""
     corners = mesh.points[mesh.tets[:, :4]]
-    edges = np.array(TET_EDGES)
-    vectors = corners[:, edges[:, 1]] - corners[:, edges[:, 0]]
+    vectors = np.diff(corners[:, np.array(TET_EDGES)], axis=2)[:, :, 0]
     rms = np.sqrt((vectors**2).sum(axis=-1).mean(axis=-1))
     volume = np.linalg.det(corners[:, 1:] - corners[:, :1]) / 6.0
     # Tets whose nodes all coincide have neither volume nor edges.
@@ -86,22 +81,21 @@ def _bad_shapes(mesh: TetMesh) -> Iterator[str]:
         samples = np.vstack([corners, mids, tet_rule(4).barycentric])
         folded = (jacobian_determinants(mesh, samples) <= 0).any(axis=1)
     for bad, what, remedy in (
-        (flat, "tets are degenerate (flat)", "Remesh them."),
+        (flat, "tets are degenerate (flat)", "Remesh them"),
         (
             inverted,
             "tets are inverted (negative volume)",
-            "Swap two corners of each (and their mid nodes), or remesh where the body "
-            "folds.",
+            "Swap two corners of each (and their mid nodes), or remesh",
         ),
         (
             folded & ~flat & ~inverted,
             "curved tets are inverted (folded by their mid nodes)",
-            "Move the mid nodes towards the middle of their edges.",
+            "Move the mid nodes towards the middle of their edges",
         ),
     ):
         if bad.any():
             listed = _listed(mesh, np.flatnonzero(bad))
-            yield f"{bad.sum()} of {mesh.n_tets} {what}: {listed}. {remedy}"
+            yield f"{bad.sum()} of {mesh.n_tets} {what}: {listed}. {remedy}."
 
 
 def _repeated(mesh: TetMesh, table: SharedFaces) -> Iterator[str]:
@@ -133,14 +127,14 @@ def _disconnected(mesh: TetMesh, table: SharedFaces, linked) -> Iterator[str]:
         return
     sizes = sorted(np.bincount(part).tolist(), reverse=True)
     listed = ", ".join(map(str, sizes[:5])) + ", ..." * (n_parts > 5)
-    pairs = KDTree(mesh.points).query_pairs(1e-9 * mesh.size, output_type="ndarray")
-    remedy = (
-        f"{len(pairs)} pairs of nodes coincide: merge them"
-        if len(pairs)
-        else "Join them, keep one, or link them by a rigid body and read the file with "
-        'parts = "linked"'
-    )
+    pairs = KDTree(mesh.points).query_pairs(1e-9 * mesh.size)
+    remedy = f"{len(pairs)} pairs of nodes coincide: merge them."
+    if not pairs:
+        remedy = (
+            "Join them, keep one, or link them by a rigid body and read the file with "
+            'parts = "linked".'
+        )
     yield (
         f"it is disconnected: {n_parts} parts of {listed} tets that share no face. "
-        f"{remedy}."
+        + remedy
     )

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from softcal_jax._typing import HostArray
+from softcal_jax.elements import TET_EDGES
 from softcal_jax.mesh._tet_mesh import TetMesh
-from softcal_jax.mesh._topology import tet_edges
 
 
 def check_order(order: int) -> None:
@@ -20,7 +20,7 @@ class MidNodes:
 
     def __init__(self, mesh: TetMesh):
         self.n_nodes = mesh.n_nodes
-        keys = self._keys(tet_edges(mesh.tets))
+        keys = self._keys(mesh.tets[:, np.array(TET_EDGES)])
         self.keys, self.inverse = np.unique(keys, return_inverse=True)
         self.edges = np.stack([self.keys // self.n_nodes, self.keys % self.n_nodes], 1)
 
@@ -105,24 +105,16 @@ def to_linear(mesh: TetMesh) -> TetMesh:
 
 
 def merge(parts: Mapping[str, TetMesh]) -> TetMesh:
-    """Combine meshes into one; parts that touch are not joined.
+    """Combine meshes of the same order into one; parts that touch are not joined.
 
     Nodes and tets come part by part, in the order of the mapping, and keep their order
     within a part. The tet group "lower" is all of the part "lower", and its groups
     become "lower/end 1", "lower/top" and so on, so laws can differ between parts.
     `check_mesh` refuses the result as disconnected: check the parts.
 
-    Args:
-        parts: Meshes of the same order by the names of the parts.
-
     Raises:
         ValueError: If no part is given, a name is empty or holds a "/", or the parts
             are linear and quadratic ones.
-
-    Example:
-        Two sheets, one above the other::
-
-            merge({"lower": tripod(y=-0.06), "upper": tripod(y=0.06)})
     """
     if not parts:
         raise ValueError("merge needs at least one part.")
@@ -139,28 +131,19 @@ def merge(parts: Mapping[str, TetMesh]) -> TetMesh:
             f"the parts must have the same order, got {listed}; use to_quadratic or "
             "to_linear."
         )
-    meshes = list(parts.values())
-    node_shift = np.cumsum([0, *(mesh.n_nodes for mesh in meshes)])
-    tet_shift = np.cumsum([0, *(mesh.n_tets for mesh in meshes)])
-    tets = [mesh.tets + start for mesh, start in zip(meshes, node_shift, strict=False)]
-    whole = {
-        name: np.arange(tet_shift[k], tet_shift[k + 1]) for k, name in enumerate(parts)
-    }
+    points, tets, n_nodes, n_tets = [], [], 0, 0
+    nodes, surfaces, whole, regions = {}, {}, {}, {}
+    for part, mesh in parts.items():
+        points.append(mesh.points)
+        tets.append(mesh.tets + n_nodes)
+        whole[part] = n_tets + np.arange(mesh.n_tets)
+        for merged, shift, groups in (
+            (nodes, n_nodes, mesh.node_groups),
+            (surfaces, n_nodes, mesh.surface_groups),
+            (regions, n_tets, mesh.tet_groups),
+        ):
+            merged.update({f"{part}/{k}": group + shift for k, group in groups.items()})
+        n_nodes, n_tets = n_nodes + mesh.n_nodes, n_tets + mesh.n_tets
     return TetMesh(
-        np.concatenate([mesh.points for mesh in meshes]),
-        np.concatenate(tets),
-        _prefixed(parts, node_shift, "node_groups"),
-        _prefixed(parts, node_shift, "surface_groups"),
-        whole | _prefixed(parts, tet_shift, "tet_groups"),
+        np.concatenate(points), np.concatenate(tets), nodes, surfaces, whole | regions
     )
-
-
-def _prefixed(
-    parts: Mapping[str, TetMesh], shift: HostArray, kind: str
-) -> dict[str, HostArray]:
-    """Collect the groups of one kind of all parts, with new names and indices."""
-    return {
-        f"{part}/{name}": members + start
-        for (part, mesh), start in zip(parts.items(), shift, strict=False)
-        for name, members in getattr(mesh, kind).items()
-    }

@@ -104,8 +104,8 @@ def beam(
         pattern: How a cell is cut into tets: "mirrored" or "centred".
 
     Raises:
-        ValueError: If an extent is not positive and finite, a cell count is not a
-            positive integer, there are too many, or the order or pattern is unknown.
+        ValueError: If an extent or a cell count is not positive, there are too many
+            cells, or the order or pattern is unknown.
     """
     extent = np.array([length, width, height], dtype=float)
     if not (np.isfinite(extent).all() and (extent > 0).all()):

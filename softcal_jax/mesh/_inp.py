@@ -1,7 +1,6 @@
 """What meshio leaves to its caller in Abaqus files: sections, sets and *INCLUDE."""
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import meshio
@@ -32,26 +31,22 @@ def included_files(path: Path) -> list[Path]:
     Raises:
         ValueError: If one lies elsewhere, is not there, or is included twice.
     """
-    return [*_included(path, path.resolve().parent, {path.resolve()})]
-
-
-def _included(path: Path, folder: Path, seen: set[Path]) -> Iterator[Path]:
-    """Check and yield the files that a file includes, and those that they include."""
-    for name in _named_files(path):
-        named = Path(name) if Path(name).exists() else path.parent / name
-        file = named.resolve()
-        where = f"mesh file {path}: *INCLUDE of {name!r}"
-        if not file.is_relative_to(folder):
-            raise ValueError(
-                f"{where}: it lies outside the folder of the mesh, {folder}; copy it "
-                "there."
-            )
-        check_file(file, f"{where}:")
-        if file in seen:
-            raise ValueError(f"{where}: it is included already; include it once.")
-        seen.add(file)
-        yield file
-        yield from _included(file, folder, seen)
+    folder, files = path.resolve().parent, [path.resolve()]
+    for source in files:  # which grow
+        for name in _named_files(source):
+            file = Path(name) if Path(name).exists() else source.parent / name
+            file = file.resolve()
+            where = f"mesh file {source}: *INCLUDE of {name!r}"
+            if not file.is_relative_to(folder):
+                raise ValueError(
+                    f"{where}: it lies outside the folder of the mesh, {folder}; copy "
+                    "it there."
+                )
+            check_file(file, f"{where}:")
+            if file in files:
+                raise ValueError(f"{where}: it is included already; include it once.")
+            files.append(file)
+    return files[1:]
 
 
 def _named_files(path: Path) -> list[str]:

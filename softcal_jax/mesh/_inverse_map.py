@@ -106,9 +106,9 @@ def nearest_on_face(
 ) -> Float[HostArray, "3"]:
     """Find the barycentric coordinates of the nearest point of a face.
 
-    On a curved face: the nearest of 15 points of a grid starts a Gauss-Newton
-    iteration, each step of which is the nearest point of the tangent triangle, halved
-    until the distance falls.
+    On a curved face, the nearest of 15 points of a grid starts a Gauss-Newton
+    iteration: each step goes to the nearest point of the tangent triangle, halved until
+    the distance falls.
     """
     if len(X) == 3:
         return nearest_on_triangles(X[None], point)[0]

@@ -58,12 +58,7 @@ def locate(
     marker on a post, is extrapolated linearly from the nearest point xi0 of the
     boundary, N(xi0) + dN/dxi(xi0) (xi - xi0), since the shape functions themselves
     would grow quadratically with the distance. Linear fields are exact in both cases.
-
-    Args:
-        mesh: The mesh, in its reference state.
-        points: Positions [m].
-        max_distance: How far outside the mesh a point may lie [m].
-        names: What the points are called in messages; their numbers by default.
+    Points [m] may lie `max_distance` outside [m]; messages call them by their names.
 
     Raises:
         ValueError: If a point is not finite or lies too far outside, or
@@ -90,16 +85,10 @@ def locate(
             X = mesh.points[mesh.tets[tet[i]]]
             foot[i] = shape_functions(b0, n_en) @ X
             b[i], weights[i] = _extrapolate(X, b0, p[i])
-    labels = names or [f"point {i}" for i in range(len(p))]
-    _check_distance(mesh, p, distance, max_distance, labels)
-    return MaterialPoints(
-        tet=tet,
-        barycentric=b,
-        distance=distance,
-        foot=foot,
-        nodes=mesh.tets[tet],
-        weights=weights,
-    )
+    if (distance > max_distance).any():
+        labels = names or [f"point {i}" for i in range(len(p))]
+        raise _too_far(p, distance, max_distance, labels)
+    return MaterialPoints(tet, b, distance, foot, mesh.tets[tet], weights)
 
 
 def tets_at(mesh: TetMesh, points: HostArray) -> tuple[HostArray, HostArray]:
@@ -159,30 +148,17 @@ def _extrapolate(X: HostArray, b0: HostArray, point: HostArray):
     return b0 + np.concatenate([[-step.sum()], step]), N + dN @ step
 
 
-def _check_distance(
-    mesh: TetMesh,
-    points: HostArray,
-    distance: HostArray,
-    limit: float,
-    labels: Sequence[str],
-):
-    far = np.flatnonzero(distance > limit)
-    if not far.size:
-        return
-    worst = int(far[np.argmax(distance[far])])
-    lower, upper = mesh.points.min(axis=0) - limit, mesh.points.max(axis=0) + limit
-    hint = "Check the frame and the length unit of the points."
-    scaled = 1e-3 * points
-    # Scaled down, any cloud fits a mesh around the origin: also require that the points
-    # are far outside.
-    fits = ((lower <= scaled) & (scaled <= upper)).all()
-    if fits and distance[worst] > 10.0 * mesh.size:
-        hint = "The points would fit the mesh in millimetres: give both in metres."
+def _too_far(
+    points: HostArray, distance: HostArray, limit: float, labels: Sequence[str]
+) -> ValueError:
+    worst = int(np.argmax(distance))
     where = readable_values(points[worst].tolist(), "m")
     away, allowed = (readable_values([d], "m") for d in (float(distance[worst]), limit))
-    others = [labels[i] for i in far.tolist() if i != worst]
+    far = np.flatnonzero(distance > limit).tolist()
+    others = [labels[i] for i in far if i != worst]
     also = ", ".join(others[:5]) + ", ..." * (len(others) > 5)
-    raise ValueError(
+    return ValueError(
         f"{labels[worst]} at {where} lies {away} from the mesh, farther than {allowed}."
-        f"{f' So do {also}.' if others else ''} {hint}"
+        f"{f' So do {also}.' if others else ''} Check the frame and the length unit of "
+        "the points, metres and not millimetres."
     )

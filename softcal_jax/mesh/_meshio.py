@@ -6,6 +6,7 @@ returns a mesh or raises a `ValueError` that names the file.
 
 import contextlib
 import io
+import re
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,12 +16,11 @@ import meshio
 import numpy as np
 
 from softcal_jax._files import check_file
-from softcal_jax._limits import LimitError
+from softcal_jax._limits import MEGABYTES, LimitError
 from softcal_jax._text import escaped
 from softcal_jax._typing import HostArray
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.mesh._inp import check_inp, mend_inp_sets
-from softcal_jax.mesh._unpacked_size import check_unpacked_size
 
 FORMATS = {
     ".msh": "gmsh",
@@ -56,8 +56,7 @@ def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
         raw, said = parse_mesh_file(path, FORMATS[suffix])
     except ModuleNotFoundError as error:
         raise ValueError(
-            f"reading {path} needs the package {error.name!r}: "
-            f"pip install {error.name}."
+            f"reading {path} needs a package: pip install {error.name}."
         ) from error
     except ParserError as error:
         raise ValueError(
@@ -152,3 +151,41 @@ def _cell_members(raw: meshio.Mesh) -> Iterator[tuple[str, int, Any]]:
         for block, tags in enumerate(raw.cell_data.get("cell_tags", [])):
             for name in names:
                 yield name, block, np.flatnonzero(tags == tag)
+
+
+def check_unpacked_size(path: Path) -> None:
+    """Raise LimitError if the arrays of a mesh file are larger than a file may be."""
+    stated_bytes = {".vtu": _vtu_bytes, ".med": _hdf5_bytes}.get(path.suffix.lower())
+    if stated_bytes is not None:
+        MEGABYTES.check(f"mesh file {path}, unpacked", stated_bytes(path) / 1e6)
+
+
+def _vtu_bytes(path: Path) -> int:
+    """Add up the arrays of a VTK file from the attributes of its tags."""
+    tags = path.read_text(errors="replace").partition("<AppendedData")[0]
+    total, n_rows = 0, 0
+    rows_of: dict[str, int] = {}
+    for tag, text in re.findall(r"<(\w+)([^>]*)", tags):
+        attributes = re.findall(r'(\w+)\s*=\s*"[A-Za-z]*(\d{1,18})"', text)
+        numbers = {name: int(digits) for name, digits in attributes}
+        if tag == "Piece":
+            n_points = numbers.get("NumberOfPoints", 0)
+            n_cells = numbers.get("NumberOfCells", 0)
+            rows_of = dict.fromkeys(("Points", "PointData"), n_points)
+            rows_of |= dict.fromkeys(("Cells", "CellData"), n_cells)
+        n_rows = rows_of.get(tag, n_rows)
+        if tag == "DataArray":
+            # The type, like "Float64", ends in the number of bits.
+            n_bytes = numbers.get("type", 64) // 8
+            total += n_rows * numbers.get("NumberOfComponents", 1) * n_bytes
+    return total
+
+
+def _hdf5_bytes(path: Path) -> int:
+    """Add up the datasets of an HDF5 file."""
+    import h5py
+
+    sizes = []
+    with h5py.File(path) as file:
+        file.visititems(lambda _, part: sizes.append(getattr(part, "nbytes", 0)))
+    return sum(sizes)

@@ -55,13 +55,12 @@ def read_mesh(
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If the file cannot be read, the unit is unknown, there are no tets
+        ValueError: If the file cannot be read, an option is unknown, there are no tets
             or linear ones among quadratic ones, nodes are unused, or `check_mesh`
             refuses the mesh.
 
     Warns:
-        MeshWarning: If something in the file is left out, or its size suggests that
-            the unit is wrong.
+        MeshWarning: If something is left out, or the size suggests a wrong unit.
     """
     if length_unit not in METRES:
         raise unknown_name("length unit", length_unit, METRES)
@@ -101,22 +100,15 @@ def mesh_files(path: str | os.PathLike[str]) -> tuple[Path, ...]:
 def read_tet_data(
     path: str | os.PathLike[str], name: str
 ) -> Float[HostArray, "n_tets n_components"]:
-    """Read an array of a mesh file with values for each tet, in their order.
-
-    Args:
-        path: A file that `read_mesh` reads.
-        name: Name of the cell array.
-
-    Returns:
-        The values, one row per tet, in the units of the file.
+    """Read a cell array of a mesh file, one row per tet, in the units of the file.
 
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If the file cannot be read or has no such array; the text lists
             those that it has.
     """
-    path, notes = Path(path), []
-    raw = read_raw(path, notes)
+    path = Path(path)
+    raw = read_raw(path, [])
     if name not in raw.cell_data:
         raise ValueError(f"{path}: {unknown_name('cell array', name, raw.cell_data)}")
     parts = [
@@ -142,8 +134,9 @@ def _build(
     index = _new_indices(raw, tets, unused)
     points = raw.points[index >= 0] * scale
     tets = index[tets]
-    if path.suffix.lower() == ".med":
-        tets = _right_handed(points, tets)
+    left_handed = path.suffix.lower() == ".med"  # the convention of MED
+    if left_handed and (volumes(TetMesh(points, tets[:, :4])) < 0).all():
+        tets = tets[:, _MIRRORED[: tets.shape[1]]]
     mesh = TetMesh(points, tets)
     return _with_groups(raw, groups, mesh, index, first, notes)
 
@@ -163,7 +156,11 @@ def _tets(raw: meshio.Mesh) -> tuple[HostArray, dict[int, int]]:
     listed = ", ".join(f"{n} {kind}" for kind, n in kinds.items()) or "no cells"
     if not (kinds["tetra"] or kinds["tetra10"]):
         raise ValueError(
-            f"it has no tetrahedra of 4 or 10 nodes; it has {listed}. {_remedy(kinds)}"
+            f"it has no tetrahedra of 4 or 10 nodes; it has {listed}. Fill surfaces "
+            "with tets (in Gmsh, a Surface Loop, a Volume and Mesh > 3D) and split "
+            "other cells into tets. If there are tets already, give their volume a "
+            "physical group too: Gmsh leaves out what is in none as soon as something "
+            "is in one."
         )
     TETS.check("it is too large", kinds["tetra"] + kinds["tetra10"])
     if kinds["tetra"] and kinds["tetra10"]:
@@ -171,27 +168,9 @@ def _tets(raw: meshio.Mesh) -> tuple[HostArray, dict[int, int]]:
             f"it mixes {kinds['tetra']} linear (tetra) and {kinds['tetra10']} "
             "quadratic (tetra10) tets; export it with one order."
         )
-    first, parts, n = {}, [], 0
-    for k, block in enumerate(raw.cells):
-        if block.type in _TETS and len(block):
-            first[k] = n
-            parts.append(np.asarray(block.data))
-            n += len(block)
-    return np.concatenate(parts), first
-
-
-def _remedy(kinds: Counter) -> str:
-    """Say how a mesh without tets becomes one with."""
-    flat = {*_TRIANGLES, "line", "line3", "vertex", "quad", "quad8", "quad9"}
-    if not kinds:
-        return "Is it the file of the mesh?"
-    if set(kinds) <= flat:
-        return (
-            "That is a surface. Fill it with tets: in Gmsh, a Surface Loop, a Volume "
-            "and Mesh > 3D. If there is a volume already, give it a physical group "
-            "too: Gmsh leaves out what is in none as soon as something is in one."
-        )
-    return "Mesh the volume with tets, or split its cells into tets, and export again."
+    blocks = {k: b.data for k, b in enumerate(raw.cells) if b.type in _TETS and len(b)}
+    starts = np.cumsum([0, *map(len, blocks.values())]).tolist()
+    return np.concatenate([*blocks.values()]), dict(zip(blocks, starts, strict=False))
 
 
 def _left_out(raw: meshio.Mesh, groups: RawGroups) -> list[str]:
@@ -203,12 +182,11 @@ def _left_out(raw: meshio.Mesh, groups: RawGroups) -> list[str]:
         n_used = len(np.unique(np.concatenate(used))) if used else 0
         left_out[block.type] += len(block) - n_used * (block.type in _GROUP_CELLS)
     listed = ", ".join(f"{n} {kind}" for kind, n in left_out.items() if n)
-    if not listed:
-        return []
-    return [
+    note = (
         f"left out: {listed}. Tets are read; triangles, lines and vertices only where "
         "they belong to a named group."
-    ]
+    )
+    return [note] if listed else []
 
 
 def _new_indices(raw: meshio.Mesh, tets: HostArray, unused: str) -> HostArray:
@@ -226,13 +204,6 @@ def _new_indices(raw: meshio.Mesh, tets: HostArray, unused: str) -> HostArray:
             'Remove them, or read with unused="drop".'
         )
     return np.where(kept, np.cumsum(kept) - 1, -1)
-
-
-def _right_handed(points: HostArray, tets: HostArray) -> HostArray:
-    """Reorder the tets if all are left-handed, which is the convention of MED."""
-    if (volumes(TetMesh(points, tets[:, :4])) < 0).all():
-        return tets[:, _MIRRORED[: tets.shape[1]]]
-    return tets
 
 
 def _with_groups(

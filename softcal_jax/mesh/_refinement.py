@@ -55,11 +55,9 @@ class Refinement(NamedTuple):
         coarse: The mesh that is refined.
         linear: The tets of the finer mesh by their corners, which are nodes of the
             coarse mesh.
-        mesh: The finer mesh: the same tets made quadratic if the coarse mesh is linear,
-            else each of its tets split into eight. Nodes keep their indices, and new
-            ones follow.
-        corners: Corners of each tet in the one that it is part of, in barycentric
-            coordinates [-].
+        mesh: The finer mesh, see `finer`. Nodes keep their indices, and new ones
+            follow.
+        corners: Barycentric coordinates of the corners of each tet in its parent [-].
         carriers: Nodes of the coarse mesh that move each new node.
         weights: Their shape functions there [-].
     """
@@ -144,8 +142,8 @@ def finer(mesh: TetMesh) -> Refinement:
     carriers = np.zeros((fine.n_nodes - n, n_en), mesh.tets.dtype)
     weights = np.zeros(carriers.shape)
     new = fine.tets[:, 4:] - n
-    parent = np.repeat(np.arange(mesh.n_tets), fine.n_tets // mesh.n_tets)
-    carriers[new] = mesh.tets[parent][:, None]
+    of_parent = np.repeat(mesh.tets, fine.n_tets // mesh.n_tets, axis=0)
+    carriers[new] = of_parent[:, None]
     weights[new] = shape_functions(mids, n_en)
     straight = Refinement(mesh, linear, fine, corners, carriers, weights)
     points = np.concatenate([mesh.points, straight.carried(mesh.points)])

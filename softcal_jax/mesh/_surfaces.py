@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax._units import readable
 from softcal_jax.mesh._inverse_map import nearest_on_triangles
-from softcal_jax.mesh._regions import place
+from softcal_jax.mesh._selection import place
 from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh
 from softcal_jax.mesh._topology import boundary_faces, face_indices
 
@@ -53,54 +53,44 @@ def select_reachable(
         )
     surface = _Surface(mesh)
     barred = surface.of_groups(stop_at)
-    labels = surface.parts(angle, barred)
-    start = surface.at(np.asarray(point, float))
-    if barred[start].any():
+    p = np.asarray(point, float)
+    if barred[surface.at(p)].any():
         names = ", ".join(map(repr, stop_at))
         raise ValueError(
-            f"the point {place(np.asarray(point, float))} lies on a surface that is not"
-            f" to be entered ({names}); give a point beside it."
+            f"the point {place(p)} lies on a surface that is not to be entered "
+            f"({names}); give a point beside it."
         )
-    return surface.faces[labels == surface.only(labels, start, point)]
+    return surface.part_at(p, surface.parts(angle, barred))
 
 
 def select_face(mesh: TetMesh, point: ArrayData) -> Int[HostArray, "n n_fn"]:
-    """Select the face of the body that a point lies on.
+    """Select the face of the body that a point [m] lies on, not on its border.
 
     On a mesh from a CAD model it is the face of the model ("face 7"); on any other one
     what is reached across edges at which the surface turns by less than 40 degrees.
-
-    Args:
-        mesh: The mesh.
-        point: A point of the face [m], not on its border.
 
     Raises:
         ValueError: If the point is not on the surface, or on the border of faces.
     """
     surface = _Surface(mesh)
-    labels = surface.parts(SHARP, np.zeros(len(surface.faces), bool))
+    labels = surface.parts(SHARP)
     for k, name in enumerate(filter(CAD_FACE.fullmatch, mesh.surface_groups)):
         rows = surface.rows(mesh.faces(name))
         labels[rows[rows >= 0]] = -1 - k
-    start = surface.at(np.asarray(point, float))
-    return surface.faces[labels == surface.only(labels, start, point)]
+    return surface.part_at(np.asarray(point, float), labels)
 
 
 def select_cavity(
     mesh: TetMesh, point: ArrayData, *, stop_at: Sequence[str] = ()
 ) -> Int[HostArray, "n n_fn"]:
-    """Select the wall of a cavity, as a chamber needs it.
+    """Select the wall of the cavity around a point [m], as a chamber needs it.
 
-    Args:
-        mesh: The mesh.
-        point: A point in the empty inside of the cavity [m].
-        stop_at: Surface groups in which the openings of the cavity lie. The wall ends
-            where one of them begins.
+    Its openings lie in the surface groups `stop_at`: the wall ends where one of them
+    begins.
 
     Raises:
-        ValueError: If the point lies in the body, or no cavity surrounds it: it is open
-            and `stop_at` does not name where, or the point is outside. A group may be
-            unknown too.
+        ValueError: If the point lies in the body, or no cavity surrounds it that is
+            closed or whose opening `stop_at` names, or a group is unknown.
     """
     p = np.asarray(point, float)
     surface = _Surface(mesh)
@@ -128,7 +118,7 @@ def select_cavity(
 def surface_parts(mesh: TetMesh) -> list[Int[HostArray, "_ n_fn"]]:
     """Divide the surface at edges at which it turns by more than 40 degrees."""
     surface = _Surface(mesh)
-    labels = surface.parts(SHARP, np.zeros(len(surface.faces), bool))
+    labels = surface.parts(SHARP)
     return [surface.faces[labels == part] for part in range(labels.max() + 1)]
 
 
@@ -165,22 +155,22 @@ class _Surface:
         return marked
 
     def parts(
-        self, angle: float | None, barred: Bool[HostArray, " n_faces"]
+        self, angle: float | None, barred: Bool[HostArray, " n_faces"] | None = None
     ) -> Int[HostArray, " n_faces"]:
         """Number the connected parts of the surface; each barred face is one alone."""
         corners = self.faces[:, :3]
         edges = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1)
+        ends = np.sort(edges.reshape(-1, 2), axis=1)
         _, inverse, counts = np.unique(
-            np.sort(edges.reshape(-1, 2), axis=1),
-            axis=0,
-            return_inverse=True,
-            return_counts=True,
+            ends, axis=0, return_inverse=True, return_counts=True
         )
         inverse = inverse.ravel()
         order = np.argsort(inverse, kind="stable")
         # An edge of more than two faces is one along which parts only touch.
         left, right = order[counts[inverse[order]] == 2].reshape(-1, 2).T // 3
-        joined = ~barred[left] & ~barred[right]
+        joined = np.ones(len(left), bool)
+        if barred is not None:
+            joined = ~barred[left] & ~barred[right]
         if angle is not None:
             turn = np.sum(self.normals[left] * self.normals[right], axis=1)
             joined &= turn >= np.cos(angle)
@@ -196,11 +186,7 @@ class _Surface:
         return np.linalg.norm(feet - point, axis=1)
 
     def at(self, point: Float[HostArray, "3"]) -> Int[HostArray, " _"]:
-        """Find the faces that a point lies on; several if it is on an edge of them.
-
-        Raises:
-            ValueError: If it is farther away than half an edge of the nearest one.
-        """
+        """Find the faces that a point lies on; several if it is on an edge of them."""
         away = self.distances(point)
         nearest = np.argmin(away)
         edges = self.corners[nearest] - np.roll(self.corners[nearest], 1, axis=0)
@@ -215,21 +201,17 @@ class _Surface:
             )
         return np.flatnonzero(away <= away[nearest] + _ROUNDING * self.mesh.size)
 
-    def only(
-        self, labels: Int[HostArray, " n_faces"], start: Int[HostArray, " _"], point
-    ) -> int:
-        """Return the part that all faces at a point belong to.
-
-        Raises:
-            ValueError: If there are several.
-        """
-        parts = np.unique(labels[start])
+    def part_at(
+        self, point: Float[HostArray, "3"], labels: Int[HostArray, " n_faces"]
+    ) -> Int[HostArray, "n n_fn"]:
+        """Return the faces of the part that a point lies on."""
+        parts = np.unique(labels[self.at(point)])
         if len(parts) > 1:
             raise ValueError(
-                f"the point {place(np.asarray(point, float))} lies where {len(parts)} "
-                "surfaces meet; move it off their border, onto the one that is meant."
+                f"the point {place(point)} lies where {len(parts)} surfaces meet; move "
+                "it off their border, onto the one that is meant."
             )
-        return int(parts[0])
+        return self.faces[labels == parts[0]]
 
     def seen_from(self, point: Float[HostArray, "3"]) -> Float[HostArray, " n_faces"]:
         """Compute the share of all directions in which each face is seen [-].

@@ -42,12 +42,8 @@ class Tessellation(NamedTuple):
 def tessellate(mesh: TetMesh, *, parts: int = PARTS) -> Tessellation:
     """Cut quadratic boundary faces into triangles that share their points.
 
-    The triangles of a face follow each other, in the order of `boundary_faces`.
-
-    Args:
-        mesh: The mesh.
-        parts: Number of parts of every edge of a quadratic face; a flat one stays
-            whole.
+    The triangles of a face follow each other, in the order of `boundary_faces`. A flat
+    face stays whole; edges of a quadratic one are cut into so many `parts`.
     """
     faces = boundary_faces(mesh)
     parts = parts if mesh.order == 2 else 1

@@ -1,6 +1,5 @@
 """The tetrahedral mesh and its named groups."""
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -91,8 +90,6 @@ class TetMesh(Module):
                 "tets must have the shape (n_tets, 4) or (n_tets, 10), "
                 f"got {self.tets.shape}."
             )
-        if not self.n_tets:
-            raise ValueError("the mesh has no tets.")
         self._check_group("tets", self.tets, self.n_nodes)
         for name, nodes in self.node_groups.items():
             self._check_group(f"node group {name!r}", nodes, self.n_nodes)
@@ -119,8 +116,8 @@ class TetMesh(Module):
     def words(self) -> str:
         """Its size, like "3 218 nodes, 1 540 quadratic tets"."""
         kind = "quadratic" if self.order == 2 else "linear"
-        counts = f"{self.n_nodes:,} nodes, {self.n_tets:,} {kind} tets"
-        return re.sub(r"(?<=\d),(?=\d)", " ", counts)
+        nodes, tets = (f"{n:,}".replace(",", " ") for n in (self.n_nodes, self.n_tets))
+        return f"{nodes} nodes, {tets} {kind} tets"
 
     def _words(self) -> str:
         groups = {*self.node_groups, *self.surface_groups, *self.tet_groups}
@@ -172,16 +169,16 @@ class TetMesh(Module):
         Raises:
             ValueError: If no surface group has the name.
         """
-        if name not in self.surface_groups:
-            if name in self.node_groups or name in self.tet_groups:
-                kind = "nodes" if name in self.node_groups else "tets"
-                raise ValueError(
-                    f"{name!r} is a group of {kind}, and a surface is asked for: of = "
-                    '"faces" under [groups.NAME] in a project file, `select_faces` in '
-                    "Python."
-                )
-            raise _unknown_group("surface group", name, self.surface_groups)
-        return self.surface_groups[name]
+        if name in self.surface_groups:
+            return self.surface_groups[name]
+        if name in self.node_groups or name in self.tet_groups:
+            kind = "nodes" if name in self.node_groups else "tets"
+            raise ValueError(
+                f"{name!r} is a group of {kind}, and a surface is asked for: of = "
+                '"faces" under [groups.NAME] in a project file, `select_faces` in '
+                "Python."
+            )
+        raise _unknown_group("surface group", name, self.surface_groups)
 
     def tets_of(self, name: str) -> Int[Array | HostArray, " _"]:
         """Return the tet indices of a tet group.
@@ -197,24 +194,17 @@ class TetMesh(Module):
         """Add a node group, given by node indices; repeats are merged.
 
         Raises:
-            ValueError: If the name is taken, or the nodes are none or not in the mesh.
+            ValueError: As all three do, if the name is taken, or the members are none
+                or not in the mesh.
         """
         return self._with_group("node", name, np.unique(_as_indices(nodes)))
 
     def with_surface_group(self, name: str, faces: ArrayData) -> "TetMesh":
-        """Add a surface group, given by faces like those of `select_faces`.
-
-        Raises:
-            ValueError: If the name is taken, or the faces are none or not in the mesh.
-        """
+        """Add a surface group, given by faces like those of `select_faces`."""
         return self._with_group("surface", name, _as_indices(faces))
 
     def with_tet_group(self, name: str, tets: ArrayData) -> "TetMesh":
-        """Add a tet group, given by tet indices; repeats are merged.
-
-        Raises:
-            ValueError: If the name is taken, or the tets are none or not in the mesh.
-        """
+        """Add a tet group, given by tet indices; repeats are merged."""
         return self._with_group("tet", name, np.unique(_as_indices(tets)))
 
     def _with_group(self, kind: str, name: str, members: HostArray) -> "TetMesh":

@@ -16,20 +16,15 @@ from softcal_jax.elements import (
 )
 from softcal_jax.mesh._tet_mesh import TetMesh
 
+_MID = {frozenset(edge): 4 + k for k, edge in enumerate(TET_EDGES)}
+_FACES = [
+    [*face, *(_MID[frozenset((face[i], face[j]))] for i, j in ((0, 1), (1, 2), (2, 0)))]
+    for face in TET_FACES
+]
 
-def _local_faces(n_en: int) -> HostArray:
-    """List the local nodes of the faces: corners, then mid nodes in tri6 order."""
-    corners = np.array(TET_FACES)
-    if n_en == 4:
-        return corners
-    mid = {frozenset(edge): 4 + k for k, edge in enumerate(TET_EDGES)}
-    pairs = ((0, 1), (1, 2), (2, 0))
-    mids = [[mid[frozenset((f[i], f[j]))] for i, j in pairs] for f in TET_FACES]
-    return np.hstack([corners, mids])
-
-
-LOCAL_FACES = {n_en: _local_faces(n_en) for n_en in (4, 10)}
-"""Local nodes of the faces of a tet, normals outwards, by nodes per tet."""
+LOCAL_FACES = {4: np.array(TET_FACES), 10: np.array(_FACES)}
+"""Local nodes of the faces of a tet: corners with their normal outwards, then the mid
+nodes of the edges 0-1, 1-2 and 2-0 between them; by nodes per tet."""
 
 
 def tet_faces(tets: Int[HostArray, "n_tets n_en"]) -> Int[HostArray, "n_faces n_fn"]:
@@ -98,11 +93,6 @@ def face_indices(
     )
     indices = first[inverse.ravel()[len(among) :]]
     return np.where(indices < len(among), indices, -1)
-
-
-def tet_edges(tets: Int[HostArray, "n_tets n_en"]) -> Int[HostArray, "n_edges 2"]:
-    """List the six edges of every tet, tet by tet, smaller node first."""
-    return np.sort(tets[:, np.array(TET_EDGES)].reshape(-1, 2), axis=1)
 
 
 def jacobian_determinants(

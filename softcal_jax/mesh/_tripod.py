@@ -12,28 +12,6 @@ from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import boundary_faces
 
 
-class _Shape(NamedTuple):
-    """Lengths of the sheet [m] and its number of branches."""
-
-    length: float
-    width: float
-    hole_radius: float
-    centre_radius: float
-    end_length: float
-    branches: int
-
-    @property
-    def notch(self) -> tuple[float, float]:
-        """Where neighbouring branches meet: along and across a branch [m]."""
-        half = self.width / 2.0
-        return half / math.tan(math.pi / self.branches), half
-
-    def root(self, size: float) -> float:
-        """Return where the strip along a branch begins, past the notch [m]."""
-        along, half = self.notch
-        return max(half, along + size)
-
-
 class _Sector(NamedTuple):
     """The grid of one branch: rows go outwards, columns go around.
 
@@ -66,15 +44,11 @@ def tripod(
 
     The sheet lies in the (x, z) plane. Branch k, from 1, leaves at the azimuth
     360 (k - 1) / branches degrees, counted from +x towards +z. The hole is a polygon
-    with its corners on the circle; all sides are straight, in quadratic tets too.
+    with its corners on the circle. The mesh has every symmetry of the plane sheet; top
+    and bottom mirror each other if the number of layers is even.
 
-    The cells of a grid around the hole and along the branches are cut towards alternate
-    corners, so that the mesh has every symmetry of the plane sheet. Top and bottom
-    mirror each other if the number of layers is even.
-
-    Node and tet groups: "end 1", "end 2", ... (the last `end_length` of each branch)
-    and "centre" (within `centre_radius`); sides of tets lie along both borders. Surface
-    groups: "top" (largest y) and "bottom".
+    Node and tet groups: "end 1", "end 2", ... and "centre"; sides of tets lie along
+    their borders. Surface groups: "top" (largest y) and "bottom".
 
     Args:
         length: Length of a branch, from the centre of the sheet [m].
@@ -91,9 +65,8 @@ def tripod(
             bending.
 
     Raises:
-        ValueError: If a length is not positive and finite, a number is out of its
-            range, the centre does not fit between the branches, or a branch is too
-            short for its end.
+        ValueError: If a number is out of its range, the centre does not fit between
+            the branches, or a branch is too short for its end.
     """
     lengths = {
         "length": length,
@@ -101,8 +74,9 @@ def tripod(
         "hole_radius": hole_radius,
         "centre_radius": centre_radius,
         "end_length": end_length,
+        "size": size,
     }
-    for name, value in {**lengths, "thickness": thickness, "size": size}.items():
+    for name, value in {**lengths, "thickness": thickness}.items():
         if not (np.isfinite(value) and value > 0.0):
             raise ValueError(f"{name} must be positive and finite [m], got {value}.")
     if not np.isfinite(y):
@@ -111,9 +85,7 @@ def tripod(
         if value < least:
             raise ValueError(f"{name} must be {least} or more, got {value}.")
     check_order(order)
-    shape = _Shape(**lengths, branches=branches)
-    _check_fit(shape, size)
-    sector = _sector(shape, size)
+    sector = _sector(**lengths, branches=branches)
     levels = y + thickness * (np.arange(layers + 1) / layers - 0.5)
     mesh = _extruded(sector, branches, levels)
     faces = boundary_faces(mesh)
@@ -123,10 +95,33 @@ def tripod(
     return mesh if order == 1 else to_quadratic(mesh)
 
 
-def _sector(shape: _Shape, size: float) -> _Sector:
+def _sector(
+    *,
+    length: float,
+    width: float,
+    hole_radius: float,
+    centre_radius: float,
+    end_length: float,
+    size: float,
+    branches: int,
+) -> _Sector:
     """Place the grid of the branch at azimuth zero, (x, z) [m]."""
-    along, half = shape.notch
-    root, pitch = shape.root(size), math.pi / shape.branches
+    pitch, half = math.pi / branches, width / 2.0
+    # Neighbouring branches meet in a notch; the strip along a branch begins past it.
+    along = half / math.tan(pitch)
+    root, reach = max(half, along + size), math.hypot(along, half)
+    if not hole_radius < centre_radius < reach:
+        raise ValueError(
+            f"hole_radius < centre_radius < {reach:.4g} m is needed, where the sides "
+            f"of neighbouring branches meet; got {hole_radius:g} and "
+            f"{centre_radius:g} m."
+        )
+    begin = length - end_length
+    if not end_length < length - root:
+        raise ValueError(
+            f"end_length must be below {length - root:.4g} m, what is left of the "
+            f"branch past its root at {root:.4g} m; got {end_length:g} m."
+        )
     # An odd number, so that no cut crosses the sharp cell at the corner of the root.
     n_side = 1 + 2 * max(0, round(((root - along) / size - 1.0) / 2.0))
     n_across = 2 * max(1, round(half / size))
@@ -141,16 +136,15 @@ def _sector(shape: _Shape, size: float) -> _Sector:
     angle = np.linspace(-pitch, pitch, n_around + 1)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
 
-    radii = _steps(shape.hole_radius, shape.centre_radius, size / 2.0)
+    radii = _steps(hole_radius, centre_radius, size / 2.0)
     centre = radii[:, None, None] * circle
-    arc = 2.0 * pitch * shape.centre_radius / n_around
+    arc = 2.0 * pitch * centre_radius / n_around
     # By the narrowest gap, to avoid slivers there.
     gap = np.linalg.norm(outline - centre[-1], axis=1).min()
     share = _graded(gap, arc, size)[1:, None, None]
     fan = np.concatenate([centre, (1.0 - share) * centre[-1] + share * outline])
 
-    begin = shape.length - shape.end_length
-    free, end = _steps(root, begin, size), _steps(begin, shape.length, size)
+    free, end = _steps(root, begin, size), _steps(begin, length, size)
     s = np.concatenate([free[1:], end[1:]])
     strip = np.full((len(s), n_around + 1, 2), np.nan)
     middle = slice(n_side, n_side + n_across + 1)
@@ -159,13 +153,7 @@ def _sector(shape: _Shape, size: float) -> _Sector:
     points = np.concatenate([fan, strip])
     exists = ~np.isnan(points[:, :, 0])
     used = exists[1:, 1:] & exists[1:, :-1]
-    return _Sector(
-        points=points,
-        used=used,
-        n_centre=len(radii) - 1,
-        n_fan=len(fan) - 1,
-        n_end=len(end) - 1,
-    )
+    return _Sector(points, used, len(radii) - 1, len(fan) - 1, len(end) - 1)
 
 
 def _steps(start: float, stop: float, size: float) -> Float[HostArray, " n"]:
@@ -208,25 +196,5 @@ def _extruded(
     groups = {f"end {k + 1}": at_end & (branch == k) for k in range(branches)}
     groups["centre"] = row < sector.n_centre
     members = {name: np.flatnonzero(np.repeat(w, 6)) for name, w in groups.items()}
-    return TetMesh(
-        points=points,
-        tets=tets,
-        node_groups={name: np.unique(tets[chosen]) for name, chosen in members.items()},
-        tet_groups=members,
-    )
-
-
-def _check_fit(shape: _Shape, size: float) -> None:
-    reach = math.hypot(*shape.notch)
-    if not shape.hole_radius < shape.centre_radius < reach:
-        raise ValueError(
-            f"hole_radius < centre_radius < {reach:.4g} m is needed, where the sides "
-            f"of neighbouring branches meet; got {shape.hole_radius:g} and "
-            f"{shape.centre_radius:g} m."
-        )
-    free = shape.length - shape.root(size)
-    if not shape.end_length < free:
-        raise ValueError(
-            f"end_length must be below {free:.4g} m, what is left of the branch past "
-            f"its root at {shape.root(size):.4g} m; got {shape.end_length:g} m."
-        )
+    nodes = {name: np.unique(tets[chosen]) for name, chosen in members.items()}
+    return TetMesh(points, tets, nodes, tet_groups=members)

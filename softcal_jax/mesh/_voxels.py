@@ -17,13 +17,7 @@ _AT_ONCE = 200_000
 
 
 class Grid(NamedTuple):
-    """Equal voxels that fill a box; their centres are at (i + 0.5) / n of its edges.
-
-    Attributes:
-        lower: Corner of the box [m].
-        upper: The opposite corner [m].
-        n: Number of voxels along each axis.
-    """
+    """Equal voxels that fill a box, n along each axis, between two corners [m]."""
 
     lower: Float[HostArray, "3"]
     upper: Float[HostArray, "3"]

@@ -22,10 +22,7 @@ def write_mesh(
     straight edges are so again. Groups become physical groups: those of tets in three
     dimensions, of surfaces in two, of other nodes in none.
 
-    Args:
-        mesh: The mesh.
-        path: The file, ending in .msh.
-        length_unit: Unit of the coordinates: "m", "cm", "mm", "um" or "inch".
+    The unit of the coordinates is "m", "cm", "mm", "um" or "inch".
 
     Raises:
         ValueError: If the name does not end in .msh, the unit is unknown, or a tet
@@ -55,7 +52,9 @@ def write_mesh(
     for name, faces in mesh.surface_groups.items():
         blocks.append(("triangle", faces, _tag(names, name, 2)))
     for name, nodes in mesh.node_groups.items():
-        if not np.array_equal(np.unique(nodes), _implied(mesh, name)):
+        tets = mesh.tets[mesh.tet_groups.get(name, np.zeros(0, int))]
+        implied = np.unique(mesh.surface_groups.get(name, tets))
+        if not np.array_equal(np.unique(nodes), implied):
             blocks.append(("vertex", nodes[:, None], _tag(names, name, 0)))
     tags: list[Any] = [np.full(len(cells), tag, np.int32) for _, cells, tag in blocks]
     meshio.Mesh(
@@ -64,13 +63,6 @@ def write_mesh(
         cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
         field_data={name: np.array(tag, np.int32) for name, tag in names.items()},
     ).write(path, file_format="gmsh22", binary=False)
-
-
-def _implied(mesh: TetMesh, name: str) -> HostArray:
-    """Return the nodes of the faces or tets of the group of this name, if any."""
-    if name in mesh.surface_groups:
-        return np.unique(mesh.surface_groups[name])
-    return np.unique(mesh.tets[mesh.tet_groups.get(name, np.zeros(0, int))])
 
 
 def _tag(names: dict[str, tuple[int, int]], name: str, dimension: int) -> int:

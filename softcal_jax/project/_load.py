@@ -114,7 +114,8 @@ def _built(
     if space is not None:
         with under("parameters"):
             check_parameters(model, space)
-            model = space.model_with(model, {q.name: q.start for q in space.parameters})
+            start = {q.name: q.start for q in space.parameters}
+            model, _ = space.with_values(model, None, start)
     found = _configurations(path.parent, table, model)
     posed = found["configurations"]
     of_role = lambda role: tuple(

@@ -91,7 +91,7 @@ class CalibrationTrial:
             truth = truth_in_si(space, self.truth)
             z = space.to_scaled(jnp.asarray([truth[name] for name in space.names]))
             figures["distance to truth [-]"] = float(
-                jnp.max(space.distance(result.z, z))
+                jnp.max(jnp.abs(space.shorter(result.z - z)))
             )
         return Outcome(figures, result.converged, why_not(result), result.notes)
 

@@ -107,7 +107,7 @@ def test_bad_poses():
         Pose.from_matrix(np.diag([1.0, 1.0, -1.0]), np.zeros(3))
     with pytest.raises(ValueError, match="orthogonal 3 x 3 matrix"):
         Pose.from_matrix(2.0 * np.eye(3), np.zeros(3))
-    with pytest.raises(ValueError, match="'free', 'hinged', 'held', got 'fixed'"):
+    with pytest.raises(ValueError, match=r"'fixed'.*'free', 'held', 'hinged'"):
         BodyState("fixed")
 
 
@@ -139,7 +139,7 @@ def test_axes_of_a_hinge():
         ((ROOT, RigidBody("b", "y_min")), "'root' and 'b' share 2 nodes"),
         ((RigidBody("b", "nowhere"),), "rigid body 'b': unknown group 'nowhere'"),
         ((RigidBody("b", np.array([0, 1])),), "'b' holds 2 nodes on a line"),
-        ((RigidBody("b", "x_min", tied_to="tip"),), "'tip', which is not a body"),
+        ((RigidBody("b", "x_min", tied_to="tip"),), r"an unknown body 'tip'.*'b'"),
         (
             (
                 ROOT,

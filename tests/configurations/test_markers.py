@@ -127,7 +127,7 @@ def test_marker_far_outside_the_mesh():
     ):
         configuration_arrays(MESH, [Configuration("one", CLAMP, markers=far)])
     in_mm = markers(positions=1e3 * np.array([INSIDE, POST]))
-    with pytest.raises(ValueError, match="millimetres: give both in metres"):
+    with pytest.raises(ValueError, match="metres and not millimetres"):
         configuration_arrays(MESH, [Configuration("one", CLAMP, markers=in_mm)])
     near = markers(positions=far.positions, max_distance=0.04)
     configuration_arrays(MESH, [Configuration("one", CLAMP, markers=near)])

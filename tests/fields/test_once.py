@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.fields._once import once
+from softcal_jax.fields._parameters import once
 
 CALLS = []
 

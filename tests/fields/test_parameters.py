@@ -66,10 +66,10 @@ def test_apply_passes_derivatives_to_every_parameter(model):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"lower": 1e6, "upper": 1e5}, "bounds are crossed, lower 1e+06"),
+        ({"lower": 1e6, "upper": 1e5}, "bounds not crossed .* lower 1e+06"),
         (
             {"start": 2e6},
-            "start 2e[+]06 .* 100000 .* 1e[+]06",
+            "start 2e[+]06, .* 100000 .* 1e[+]06",
         ),
         ({"start": np.nan}, "must be finite"),
         ({"lower": -1.0}, "a log scale needs positive bounds"),

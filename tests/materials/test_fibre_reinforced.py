@@ -141,14 +141,16 @@ def test_bad_fibres():
     with pytest.raises(ValueError, match="E_f must be not negative and finite"):
         FibreReinforced(MATRIX, -1.0, Fibre(0.0))
     classical = ClassicalCorotational(Isotropic(E, NU))
-    with pytest.raises(ValueError, match="ClassicalCorotational has none; take Corot"):
+    with pytest.raises(
+        ValueError, match=r"potential, .*ClassicalCorot"
+    ):
         FibreReinforced(classical, 1.0, Fibre(0.0))
 
 
 def test_bad_calls(unchecked):
     with pytest.raises(ValueError, match="families must be 1 or 2, got 3"):
         FibreReinforced(MATRIX, 1.0, Fibre(0.0), families=3)
-    with pytest.raises(ValueError, match=r"got 264000\.0\. .* TransverseHyper"):
+    with pytest.raises(ValueError, match=r"like .*NeoHookean.* got 264000\.0\."):
         FibreReinforced(264e3, 20e6, Fibre(0.0))
 
 

@@ -111,7 +111,7 @@ def test_one_level_is_a_curve():
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"infill": "Gyroid"}, "infill .*got 'Gyroid'"),
+        ({"infill": "Gyroid"}, "infill 'Gyroid'"),
         ({"density": [0.1, 20.0]}, r"sample 2: density must be in \(0, 1\].*got 20"),
         ({"anisotropy": [0.0, 0.2]}, r"sample 1: shrink must be in \(0, 1\], got 0"),
         (

@@ -163,12 +163,6 @@ def test_far_points_are_named():
         locate(mesh, points, max_distance=0.005, names=["a", "b", "c"])
 
 
-def test_millimetres_are_recognised():
-    points = np.array([[50.0, 10.0, 10.0], [99.0, 3.0, 30.0]])
-    with pytest.raises(ValueError, match="millimetres"):
-        locate(beam(*BOX, (2, 2, 2)), points, max_distance=0.005)
-
-
 @pytest.mark.parametrize(
     ("points", "max_distance", "message"),
     [

@@ -94,7 +94,7 @@ def test_a_surface_says_what_is_missing(tmp_path, groups):
     path = tmp_path / "shell.msh"
     meshio.Mesh(BEAM.points, cells, cell_data=groups).write(path, file_format="gmsh22")
     message = (
-        r"1 triangle\. .*surface.* Gmsh.*If there is a volume already, .*physical group"
+        r"1 triangle\. .*surface.* Gmsh.*If there are tets already, .*physical group"
     )
     with pytest.raises(ValueError, match=message):
         read_mesh(path, length_unit="m")

@@ -78,7 +78,7 @@ def test_bad_groups(add, message):
     [
         (POINTS[:, :2], TET, r"\(n_nodes, 3\), got \(4, 2\)"),
         (POINTS, TET[:, :3], r"\(n_tets, 4\) or \(n_tets, 10\), got \(1, 3\)"),
-        (POINTS, np.empty((0, 4), int), "the mesh has no tets"),
+        (POINTS, np.empty((0, 4), int), "tets is empty"),
         (POINTS, [[0, 1, 2, 4]], "tets: index 4 is outside 0 to 3"),
         (
             np.vstack([POINTS[:3], [[0, np.nan, 1]]]),

@@ -158,7 +158,7 @@ CASES = {
     ),
     "tied to nothing": (
         (E_L, f'{E_L}tied = {{ "CP 2" = "E of CP 1" }}\n'),
-        "parameters: E_l of CP 2 ... tied to 'E of CP 1'",
+        "parameters: E_l of CP 2 ... tied to ... 'E of CP 1'",
     ),
     "interpolation": (
         (E_L, f'{E_L}interpolation = "axis"\n'),

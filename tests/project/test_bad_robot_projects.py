@@ -40,7 +40,7 @@ CASES = {
     ),
     "tied to nothing": (
         (PLATE, f'{PLATE}\ntied_to = "plte"'),
-        "bodies: ... 'plate' ... 'plte' ... not a body",
+        "bodies: ... 'plate' ... unknown body 'plte'",
     ),
     "a rotation without a unit": (
         (PLATE, f'{PLATE}\nmounting = {{ rotation_vector = "(0, 0, 1)" }}'),
