@@ -154,7 +154,11 @@ def _cell_members(raw: meshio.Mesh) -> Iterator[tuple[str, int, Any]]:
 
 
 def check_unpacked_size(path: Path) -> None:
-    """Raise LimitError if the arrays of a mesh file are larger than a file may be."""
+    """Raise LimitError if the arrays of a mesh file are larger than a file may be.
+
+    A kilobyte of a compressed file can hold a megabyte of zeros, so the sizes that the
+    file states are checked before anything is unpacked.
+    """
     stated_bytes = {".vtu": _vtu_bytes, ".med": _hdf5_bytes}.get(path.suffix.lower())
     if stated_bytes is not None:
         MEGABYTES.check(f"mesh file {path}, unpacked", stated_bytes(path) / 1e6)
