@@ -47,13 +47,7 @@ class Chamber(AbstractActuator):
     def cliques(
         self, rest: RestState, owner: int
     ) -> "tuple[ChamberFaces | ChamberLids, ...]":
-        """Return the faces of the wall, and the lids that close it.
-
-        Raises:
-            ValueError: If the surface is unknown, not on the boundary, or encloses the
-                body instead of a cavity; if it is open but not to be sealed, or closed
-                already.
-        """
+        """Return the faces of the wall, and the lids that close it."""
         faces = _outward_faces(rest.mesh, self.surface, self.label)
         openings = self._openings(rest, faces)
         centre = np.mean(rest.points[np.unique(faces)], axis=0)
@@ -77,8 +71,7 @@ class Chamber(AbstractActuator):
         edges = open_edges(faces)
         if self.seal and not len(edges.ends):
             raise ValueError(
-                f"{self.label}: surface {self.surface!r} is closed, so there is nothing"
-                " to seal. Leave seal out."
+                f"{self.label}: surface {self.surface!r} is closed. Leave seal out."
             )
         if self.seal:
             return rims(edges, rest.points, self.label)
@@ -108,7 +101,6 @@ class ChamberFaces(AbstractPressedFaces, AbstractPotentialCliques):
     centre: Float[Array, "*cliques 3"]
 
     def contribution(self, x: Float[Array, "n_fn 3"]) -> Float[Array, ""]:
-        """Compute the volume of the cone from the centre to one face [m3]."""
         return _cones(x - self.centre[None])
 
 
@@ -128,7 +120,6 @@ class SurfacePressure(AbstractActuator):
     kind: ClassVar[Kind] = Kind("surface pressure", "Pa", None)
 
     def cliques(self, rest: RestState, owner: int) -> "tuple[PressureFaces]":
-        """Return the faces of the surface."""
         faces = _outward_faces(rest.mesh, self.surface, self.label)
         return (PressureFaces(*owned(faces, owner)),)
 
@@ -148,10 +139,6 @@ def _outward_faces(
     """Return the faces of a surface group, once each, with outward normals.
 
     The order of nodes in a group is arbitrary, so the tet behind each face decides.
-    `owner` is what acts on it, for messages.
-
-    Raises:
-        ValueError: If the group is unknown, or a face is not on the boundary.
     """
     faces, boundary = mesh.faces(surface), boundary_faces(mesh)
     indices = face_indices(faces, boundary)
@@ -169,14 +156,10 @@ def _outward_faces(
 def enclosed_volumes(
     cliques: Iterable[AbstractCliques], x: Float[HostArray, "n_all 3"]
 ) -> dict[int, float]:
-    """Compute the volumes of chambers, on the host, where nothing is compiled.
+    """Compute the volume of each chamber by the index of its actuator [m3].
 
-    Args:
-        cliques: Cliques of any kind; those of walls and lids count.
-        x: Positions of all nodes [m].
-
-    Returns:
-        The volume of each chamber by the index of its actuator [m3].
+    On the host, where nothing is compiled. `cliques` may be of any kind, `x` are the
+    positions of all nodes [m].
     """
     volumes: dict[int, float] = {}
     for group in cliques:
@@ -195,10 +178,7 @@ def enclosed_volumes(
 
 
 def _cones(arm: Float[AnyArray, "*n n_fn 3"]) -> Any:
-    """Compute the volumes of cones from the origin to faces [m3].
-
-    Of one face, or of many on the host.
-    """
+    """Compute the volumes of cones from the origin to one face, or to many [m3]."""
     n_dA, N = _vector_areas(arm)
     return -(n_dA * (N @ arm)).sum(axis=(-2, -1)) / 3.0
 
