@@ -33,7 +33,7 @@ def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, *
 
     The kernel is defined at module level so that its trace is cached; a closure would
     be traced at every call and keep its program alive. `per_tet` are further values of
-    each tet, in blocks; `own` are shared by all tets: arrays, or hashable options.
+    each tet, in blocks; `own` are arrays or hashable options that all tets share.
     """
     blocks = (model.shape_gradients, model.weights, model.law_blocks(), model.active)
     arrays = {name: value for name, value in own.items() if eqx.is_array(value)}
@@ -54,25 +54,8 @@ def _mapped(kernel, options, u, arrays, nodes, *of_tets):
     return jax.lax.map(block, (nodes, *of_tets))
 
 
-def strain_energy(
-    model: Model, u: Float[Array, "n_points 3"]
-) -> Float[Array, "n_blocks block"]:
-    """Compute the strain energy of each tet, in blocks [J]."""
-    return _map_blocks(model, u, _part, part=0, formulation=model.formulation)
-
-
-def _part(u, dN, w, law, active, part, formulation):
-    return active * element_energy_and_force(u, dN, w, law, formulation)[part]
-
-
 class TetStates(NamedTuple):
-    """Energy, stress and deformation of the tets, at rest or deformed.
-
-    Attributes:
-        energy: Strain energy of each tet [J].
-        cauchy: Mean Cauchy stress of each tet [Pa].
-        F: Deformation gradients at its quadrature points [-].
-    """
+    """Strain energy [J], mean Cauchy stress [Pa] and F at quadrature points of tets."""
 
     energy: Float[HostArray, " n_tets"]
     cauchy: Float[HostArray, "n_tets 3 3"]
@@ -105,8 +88,12 @@ def internal_force(
     model: Model, u: Float[Array, "n_points 3"]
 ) -> Float[Array, "n_points 3"]:
     """Compute the internal force f(u; p), the gradient of the strain energy [N]."""
-    forces = _map_blocks(model, u, _part, part=1, formulation=model.formulation)
+    forces = _map_blocks(model, u, _force, formulation=model.formulation)
     return _add_forces(model, forces)
+
+
+def _force(u, dN, w, law, active, formulation):
+    return active * element_energy_and_force(u, dN, w, law, formulation)[1]
 
 
 def energy_and_force(model: Model, u: Float[Array, "n_points 3"]):
@@ -131,8 +118,7 @@ def tangent_values(
 ) -> Float[Array, " nnz"]:
     """Compute the tangent K = df/du over all nodes, in the order of the pattern [N/m].
 
-    For a conservative model only its upper triangle is returned. For `before`, where
-    the step to `u` began, see `element_stiffness`; the mixed formulation ignores it.
+    For `before`, where the step to `u` began, see `element_stiffness`.
     """
     both, stepped = u, None
     if before is not None:
@@ -170,7 +156,6 @@ def _mixed_newton(u, dN, w, law, active, theta, symmetric):
 
 
 def _kept(K: Float[Array, "n_en 3 n_en 3"], symmetric: bool):
-    """Select the entries of an element matrix that the pattern stores."""
     n_en = K.shape[0]
     p, q = element_entries(n_en, symmetric)
     return K.reshape(3 * n_en, -1)[p, q]
@@ -198,7 +183,7 @@ def field_forces(
 
     One pass over the tets gives the derivatives by all values, m per tet: one, or one
     per quadrature point. Parameters that spread a field over the mesh are weighted sums
-    of them. `fields` are accessors by name; equal ones are traced once.
+    of them.
     """
     own = {"fields": tuple(fields.items()), "formulation": model.formulation}
     return _map_blocks(model, u, _field_forces, **own)
@@ -235,10 +220,7 @@ def add_weighted(
     forces: Mapping[str, Float[Array, "n_blocks _ n_en 3 block"]],
     weights: Mapping[str, Float[Array, "n_p n_tets _"]],
 ) -> Float[Array, "n_p n_points 3"]:
-    """Sum forces of tets from `field_forces` into nodal forces of each parameter [N].
-
-    `weights` are the changes of the fields in each tet per unit of each parameter.
-    """
+    """Sum `field_forces`, weighted by the change of each field per parameter [N]."""
 
     def of_tets(name, weight):
         n_blocks, *_, block = forces[name].shape

@@ -18,15 +18,10 @@ _TAUT = 1e-6
 
 
 class Point(NamedTuple):
-    """A displacement with what balance and line search need to know there.
+    """A displacement with internal force and displacements of actuators there.
 
-    Attributes:
-        u: The displacement [m].
-        force: Internal force [N].
-        delta_a: Displacements of the actuators.
-        energy: Strain energy [J]; like the following None where nobody needs it.
-        energy_scale: Sum of its absolute parts, the scale of its rounding [J].
-        min_det_F: Smallest det F [-].
+    The energy, the sum of its absolute parts, which scales its rounding, and the
+    smallest det F are None where nobody needs them.
     """
 
     u: Float[Array, "n_points 3"]
@@ -38,7 +33,6 @@ class Point(NamedTuple):
 
     @property
     def finite(self) -> Bool[Array, ""]:
-        """Whether energy and force are finite."""
         return jnp.isfinite(self.energy) & jnp.all(jnp.isfinite(self.force))
 
 
@@ -48,13 +42,11 @@ def deform(model: Model, u: Float[Array, "n_points 3"]) -> Point:
 
 
 def evaluate(model: Model, u: Float[Array, "n_points 3"]) -> Point:
-    """Compute energy, internal force and actuator displacements."""
     energy, scale, force, det = energy_and_force(model, u)
     return Point(u, force, model.displacements(u), energy, scale, det)
 
 
 def at_rest(model: Model) -> Point:
-    """Return the undeformed state, where every law is free of energy and stress."""
     none = jnp.zeros((model.n_points, 3))
     delta_a = jnp.zeros(model.mechanism.n_actuators) - model.mechanism.motor_zero
     zero, one = jnp.zeros(()), jnp.ones(())
@@ -64,7 +56,6 @@ def at_rest(model: Model) -> Point:
 def actuator_loads(
     posed: Posed, lambda_a: Float[Array, " n_a"]
 ) -> Float[Array, " n_a"]:
-    """Return the forces of all actuators: solved for, or imposed at this load."""
     imposed = posed.configuration.actuation.forces
     return jnp.where(posed.by_multiplier, lambda_a, posed.load * imposed)
 
@@ -82,7 +73,6 @@ def unbalanced(posed: Posed, at: Point, lambda_a: Float[Array, " n_a"]):
 def rows_on_free(
     posed: Posed, u: Float[Array, "n_points 3"], rows: Float[Array, "n n_points 3"]
 ) -> Float[Array, "n n_dof"]:
-    """Reduce rows of forces on all nodes to forces on the free unknowns."""
     if rows.shape[0] == 0:
         return jnp.zeros((0, posed.model.n_dof), rows.dtype)
     return jax.vmap(lambda row: posed.on_free(u, row))(rows)
@@ -134,10 +124,9 @@ def assemble(
     mesh: Float[Array, " nnz"],
     active: Bool[Array, " n_a"],
 ) -> Tangent:
-    """Assemble the tangent over all nodes; reduce it to the unknowns and border it.
+    """Add actuators and springs to the tangent of the mesh, reduce it and border it.
 
-    `mesh` is the tangent of the mesh over all nodes, `active` flags the actuators with
-    an imposed displacement that acts.
+    `active` flags the actuators with an imposed displacement that acts.
     """
     model, u = posed.model, at.u
     actuators, which = model.mechanism.actuators, model.with_multiplier
@@ -155,7 +144,6 @@ def assemble(
 
 
 def _wanting(posed: Posed, at: Point) -> tuple[Float[Array, " n_a"], Array]:
-    """Return imposed minus current displacements, and which actuators only pull."""
     wanted = posed.load * jnp.asarray(posed.configuration.actuation.value)
     unilateral = jnp.asarray(posed.model.mechanism.actuators.unilateral)
     return wanted - at.delta_a, unilateral
@@ -182,7 +170,7 @@ def taut(posed: Posed, at: Point) -> Bool[Array, " n_a"]:
 def estimated_forces(posed: Posed, at: Point) -> Float[Array, " n_a"]:
     """Estimate the forces behind imposed displacements by least squares.
 
-    This first-order multiplier estimate is exact at equilibrium; 0 for slack cables.
+    Exact at equilibrium; 0 for slack cables.
     """
     if posed.model.with_multiplier.size == 0:
         return jnp.zeros_like(at.delta_a)
@@ -219,17 +207,15 @@ class Residual(NamedTuple):
         return self.size <= jnp.maximum(rtol, self.rounding)
 
     def at_rounding(self, rtol) -> Bool[Array, ""]:
-        """Tell whether Newton stops, but not at `rtol`."""
         return self.settled(rtol) & (self.size > rtol)
 
 
 def relative(posed: Posed, at: Point, merit, stiffness) -> Residual:
     """Divide a merit by the larger of external and internal force.
 
-    `stiffness` is the mean stiffness of an unknown [N/m]. Times the rounding of the
-    displacements, it is that of the internal forces. A region that is stiffer than the
-    others by orders of magnitude sets it for all; without any load, also in a robot
-    that is rotated as a whole, nothing else remains.
+    The mean stiffness of an unknown [N/m], times the rounding of the displacements, is
+    the rounding of the internal forces. A region that is stiffer than the others by
+    orders of magnitude sets it for all; without load nothing else remains.
     """
     points = jnp.asarray(posed.model.mechanism.points)
     size = jnp.maximum(jnp.max(jnp.ptp(points, axis=0)), jnp.max(jnp.abs(at.u)))

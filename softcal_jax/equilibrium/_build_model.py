@@ -131,9 +131,8 @@ def refined_model(model: Model) -> tuple[Model, Refinement]:
 def model_for_law(model: Model, law: AbstractLaw) -> Model:
     """Prepare the same robot for another law, with or without a potential.
 
-    Where only constants change, or the law has a potential as before,
-    `Model.with_law` does the same at no cost. A law without a potential takes the
-    displacement formulation.
+    `Model.with_law` is cheaper where the law has a potential as before. A law without
+    one takes the displacement formulation.
 
     Raises:
         ValueError: If a per-tet array has the wrong length.
@@ -158,7 +157,6 @@ def _prepared(
     formulation: Formulation,
     solver: Callable[[Sparsity], AbstractLinearSolver],
 ) -> Model:
-    """Assemble a model of parts that fit each other, see `build_model`."""
     n_tets, n_en = mesh.tets.shape
     check_law(law, law.conservative, formulation)
     n_blocks = -(-n_tets // BLOCK)

@@ -55,14 +55,11 @@ def solved_forces(
 
 
 class Linearisation(Module):
-    """The bordered system at an equilibrium, with its solver.
+    """The bordered system of a model at an equilibrium under full load.
 
     Attributes:
-        posed: Model and configuration at full load.
-        at: Displacement at the equilibrium and internal force there.
         lambda_a: Forces of actuators whose displacement is imposed.
-        nodal: Tangent there over all nodes, held ones included [N/m].
-        system: The matrix.
+        nodal: Tangent over all nodes, held ones included [N/m].
         regular: False if a factorization is known to have failed.
         factorized: Whether the solver may still hold the factors of this matrix.
         differentiable: Whether autodiff can transpose `solve`; where there is no
@@ -80,17 +77,12 @@ class Linearisation(Module):
 
     @property
     def u(self) -> Float[Array, "n_points 3"]:
-        """Displacement at the equilibrium [m]."""
         return self.at.u
 
     def unbalanced(
         self, u: Float[Array, "n_points 3"], lambda_a: Float[Array, " n_a"]
     ) -> Float[Array, "n_points 3"]:
-        """Compute `residual` near the equilibrium, to first order in u [N].
-
-        The derivative by u is the assembled tangent, so that none passes through the
-        tets.
-        """
+        """Compute `residual` near the equilibrium, to first order in u [N]."""
         return unbalanced(self.posed, self.at, lambda_a)[0] + self.stiffness(u - self.u)
 
     def stiffness(self, du: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
@@ -160,7 +152,6 @@ def _solve_linearly(
     force: Float[Array, "n n_dof"],
     gap: Float[Array, "n n_m"],
 ) -> Bordered:
-    """Solve the bordered system in a way that autodiff can transpose."""
     n_dof, n_m = force.shape[1], gap.shape[1]
     values, active = system.values, system.active
     # With an empty array JAX 0.10.2 would drop the call of the solver.
@@ -208,10 +199,7 @@ def linearise(
     *,
     differentiable: bool = False,
 ) -> Linearisation:
-    """Assemble the tangent and the actuator rows at an equilibrium.
-
-    `lambda_a` as for `residual`, `differentiable` as in `Linearisation`.
-    """
+    """Assemble the tangent and the actuator rows; `lambda_a` as for `residual`."""
     posed, at = Posed.of(model, configuration), deform(model, u)
     if lambda_a is None:
         lambda_a = estimated_forces(posed, at)
@@ -238,9 +226,8 @@ def factor_solve(
 ) -> LinearSolution:
     """Solve K(u) dx = rhs on the free unknowns, with one factorization for all rows.
 
-    Imposed actuator displacements are kept: the inverse is that of the bordered system,
-    which gives W_ep - W_ea W_aa^-1 W_ap in place of W_ep. Entries of `rhs` on held
-    nodes are ignored [N], where `x` is zero [m]. `transpose` solves with K^T.
+    Imposed actuator displacements are kept. Entries of `rhs` on held nodes are ignored
+    [N], where `x` is zero [m]. `transpose` solves with K^T.
     """
     lin = linearise(model, configuration, u)
     gap = jnp.zeros((rhs.shape[0], lin.system.active.size))

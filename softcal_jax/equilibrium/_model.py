@@ -93,7 +93,6 @@ class Model(Module):
 
     @property
     def n_tets(self) -> int:
-        """Number of tets."""
         return self.mesh.tets.shape[0]
 
     @property
@@ -112,7 +111,7 @@ class Model(Module):
         return self.solver.sparsity.symmetric
 
     def with_law(self, law: AbstractLaw) -> "Model":
-        """Return the model with another law, of the same or another class.
+        """Return the model with another law.
 
         Raises:
             ValueError: If a per-tet array has the wrong length, or the law has no
@@ -128,7 +127,6 @@ class Model(Module):
         return eqx.tree_at(lambda m: m.law, self, law)
 
     def law_blocks(self) -> AbstractLaw:
-        """Return the law with per-tet arrays cut into blocks for the assembly."""
         n_blocks, _, block = self.weights.shape
         cut = lambda leaf: to_blocks(leaf, self.n_tets, n_blocks, block)
         return jax.tree.map(cut, self.law)
@@ -137,10 +135,7 @@ class Model(Module):
 def to_blocks(
     leaf: Shaped[Array | HostArray, "..."], n_tets: int, n_blocks: int, block: int
 ) -> Shaped[Array | HostArray, "n_blocks block ..."]:
-    """Cut per-tet values into blocks; a single value is repeated for all tets.
-
-    An array of the host stays there, where each shape need not be compiled.
-    """
+    """Cut per-tet values into blocks, those of the host on the host, uncompiled."""
     xp: Any = np if isinstance(leaf, np.ndarray) else jnp
     if leaf.ndim == 0:
         return xp.broadcast_to(leaf, (n_blocks, block))
@@ -150,7 +145,6 @@ def to_blocks(
 
 
 def check_fields(law: AbstractLaw, n_tets: int) -> None:
-    """Raise unless each array of the law holds one value, or one per tet."""
     for path, leaf in jax.tree_util.tree_leaves_with_path(law):
         if jnp.ndim(leaf) > 0 and jnp.shape(leaf)[0] != n_tets:
             raise ValueError(
@@ -160,12 +154,11 @@ def check_fields(law: AbstractLaw, n_tets: int) -> None:
 
 
 def check_law(law: AbstractLaw, conservative: bool, formulation: Formulation) -> None:
-    """Raise unless the law has the potential that tangent or formulation requires."""
     name = type(law).__name__
     if conservative and not law.conservative:
         raise ValueError(
-            f"{name} has no potential, so its tangent is not symmetric, but the model "
-            "was built for a law that has one; call build_model with this law."
+            f"{name} has no potential, but the model was built for a law that has one; "
+            "call build_model with this law."
         )
     if formulation == "mean-dilatation" and not law.conservative:
         raise ValueError(

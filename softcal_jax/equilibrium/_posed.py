@@ -86,7 +86,6 @@ def _arms_from_supports(
 
 
 def turned_by_motors(model: Model) -> Bool[Array, " n_b"]:
-    """Tell which bodies motors turn, by an angle or a torque."""
     mechanism = model.mechanism
     bodies = np.arange(mechanism.bodies.n_bodies)
     return jnp.asarray(np.isin(bodies, mechanism.actuators.motor_body))
@@ -102,13 +101,8 @@ def external_force(
 class Posed(NamedTuple):
     """One configuration of a model under a share of its load; built by `of`.
 
-    Attributes:
-        model: The model, with friction opposing the motion of the configuration.
-        configuration: Supports, loads, and states of bodies and actuators.
-        f_ext: External forces at full load [N].
-        load: Share of the load that is applied [-].
-        states: How configuration and motors constrain the bodies; None without bodies.
-        mounted: Frames of the bodies at this load; None without bodies.
+    `f_ext` are the forces at full load [N]. How configuration and motors constrain the
+    bodies, and their frames at this load, are None without bodies.
     """
 
     model: Model
@@ -137,7 +131,6 @@ class Posed(NamedTuple):
         return cls(model, configuration, f_ext, load, states, frames)
 
     def at_load(self, load: Float[Array, ""]) -> "Posed":
-        """Return the same configuration under another share of its load."""
         if self.mounted is None:
             return self._replace(load=load)
         frames = mounted(self.model.mechanism.bodies, load, self.mounted.arm)
@@ -159,7 +152,6 @@ class Posed(NamedTuple):
         return springs.coefficients() * stretch
 
     def spring_energy(self, u: Float[Array, "n_points 3"]) -> Float[Array, ""]:
-        """Compute the energy of the springs of elastic supports [J]."""
         stretch = u - self.load * jnp.asarray(self.configuration.springs.rest)
         return 0.5 * jnp.sum(self.spring_force(u) * stretch)
 
@@ -188,7 +180,6 @@ class Posed(NamedTuple):
     def on_free(
         self, u: Float[Array, "n_points 3"], forces: Float[Array, "n_points 3"]
     ) -> Float[Array, " n_dof"]:
-        """Gather forces on the free unknowns, 0 on the others; see `gather`."""
         return jnp.where(self.fixed(), 0.0, self.gather(u, forces))
 
     def scatter(
@@ -301,7 +292,6 @@ class Posed(NamedTuple):
         return frames_at(self.model.mechanism.bodies, self.model.positions(u)[n_nodes:])
 
     def _with_bodies(self, u: Float[Array, "n_points 3"], frames: Frames):
-        """Place all nodes of bodies according to their frames."""
         bodies, n_nodes = self.model.mechanism.bodies, self.model.mesh.n_nodes
         points = jnp.asarray(self.model.mechanism.points)
         ends = frame_nodes(bodies, frames)

@@ -25,7 +25,6 @@ from softcal_jax.equilibrium._solution import EquilibriumSolution
 
 
 def as_solution(state: NewtonState, settings: NewtonSettings) -> EquilibriumSolution:
-    """Turn the final state of Newton's loop into a solution."""
     carried = state.done & (state.load_ok >= 1.0)
     beyond = state.result == RESULTS.limit_point
     return EquilibriumSolution(
@@ -64,9 +63,7 @@ def continue_newton(
 ) -> tuple[NewtonState, EquilibriumSolution]:
     """Do some more iterations, for a caller that reports in between.
 
-    Returns:
-        The state, and the solution, which is one if the state is `done` or no
-        iterations are left.
+    The solution is one if the state is `done` or no iterations are left.
     """
     loop = NewtonLoop(Posed.of(model.tabulated(), configuration), settings)
     most = jnp.minimum(state.step + steps, settings.max_steps)
@@ -124,14 +121,6 @@ def solve_from_rest(
 
     All start from rest; with rigid bodies, each from the one before: poses of a robot
     lie near each other, and far from its parts before they are mounted.
-
-    Args:
-        model: The model.
-        configurations: One lane per configuration.
-        settings: Settings of Newton's method.
-
-    Returns:
-        The solutions, see `solve_equilibrium`, one lane per configuration.
     """
     solve = lambda c, u: solve_equilibrium(model, c, guess=u, settings=settings)
     rest = jnp.zeros((model.n_points, 3))
