@@ -98,22 +98,6 @@ class EquilibriumPath(Module):
     readings: Float[HostArray, "n n_rows 3"]
     result: RESULTS
 
-    @property
-    def limits(self) -> Float[HostArray, " k"]:
-        """Load factors of the limit points, where the load turns, in their order [-].
-
-        Each is the top or bottom of the parabola through the three states about it, by
-        the length of the path between them.
-        """
-        turns = np.flatnonzero(np.diff(np.sign(np.diff(self.load))) != 0.0) + 1
-        return np.array([self._vertex(int(k)) for k in turns])
-
-    def _vertex(self, k: int) -> float:
-        load, u = self.load[k - 1 : k + 2], self.displacement[k - 1 : k + 2]
-        lengths = np.linalg.norm(np.diff(u, axis=0), axis=(1, 2))
-        curve = np.polyfit(np.array([-lengths[0], 0.0, lengths[1]]), load, 2)
-        return float(curve[2] - curve[1] ** 2 / (4.0 * curve[0]))
-
 
 class _State(NamedTuple):
     """A state on the path with its tangent, per unit of load.
