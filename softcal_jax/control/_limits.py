@@ -53,9 +53,8 @@ def limit_arrays(
             raise unknown_name("actuator with limits", name, actuators.names)
         if name not in actuation:
             raise ValueError(
-                f"actuator {name!r} has limits, but configuration "
-                f"{configuration.name!r} asks nothing of it, so it is not commanded: "
-                "give it a start in `actuation`."
+                f"actuator {name!r} has limits, but is not commanded: give it a start "
+                f"in the `actuation` of configuration {configuration.name!r}."
             )
     n_a = len(actuators.names)
     inputs, following = np.zeros((2, n_a)), np.repeat(np.array([ANYTHING]).T, n_a, 1)

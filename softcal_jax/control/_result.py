@@ -9,8 +9,8 @@ from softcal_jax._units import readable
 from softcal_jax.configurations import Configuration, EffectorRecord
 from softcal_jax.equilibrium import ActuatorState, EquilibriumSolution, Model
 
-LISTED = 4
-"""Goals that a message lists."""
+
+LISTED = 4  # goals that a message lists
 
 
 class OUTCOMES(eqx.Enumeration):
@@ -32,10 +32,9 @@ class OUTCOMES(eqx.Enumeration):
     max_steps = "the search did not end within max_steps; raise it"
     no_equilibrium = "the start has no equilibrium; start from another actuation"
     singular = (
-        "the tangent at the start is singular, so that no derivative by the inputs "
-        "exists: something moves freely or is about to buckle, or two actuators impose "
-        "the same displacement; hold it, command one of them by force, or start from "
-        "another actuation"
+        "the tangent at the start is singular: something moves freely or is about to "
+        "buckle, or two actuators impose the same displacement; hold it, command one "
+        "of them by force, or start from another actuation"
     )
 
 
@@ -53,7 +52,6 @@ class GoalFit(Module):
 
     @property
     def name(self) -> str:
-        """Name of the effector."""
         return self.effector.name
 
     @property

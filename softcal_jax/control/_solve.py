@@ -134,8 +134,8 @@ def _prepare(model, configuration, goals, limits, priorities, settings) -> Comma
     if not configuration.actuation:
         known = ", ".join(map(repr, model.mechanism.actuators.names)) or "none"
         raise ValueError(
-            f"configuration {configuration.name!r} commands no actuator: name those to "
-            f"be commanded in `actuation`, where they start. Actuators: {known}."
+            f"configuration {configuration.name!r} commands no actuator: name some in "
+            f"`actuation`, where they start. Actuators: {known}."
         )
     settings, priorities = settings or ControlSettings(), priorities or {}
     configuration = with_goals(configuration, goals or {})
