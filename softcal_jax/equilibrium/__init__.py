@@ -62,11 +62,7 @@ from softcal_jax.equilibrium._solve import (
     solve_equilibrium,
     solve_from_rest,
 )
-from softcal_jax.equilibrium._workers import (
-    Program,
-    Workers,
-    usable_cores,
-)
+from softcal_jax.equilibrium._workers import Program, Workers, usable_cores
 
 __all__ = [
     "RESULTS",

@@ -20,7 +20,7 @@ from softcal_jax.equilibrium._element import (
     mean_dilatation,
     mixed_newton,
 )
-from softcal_jax.equilibrium._model import Model, check_law, to_blocks
+from softcal_jax.equilibrium._model import Model, Nodal, check_law, to_blocks
 from softcal_jax.equilibrium._sparsity import element_entries
 from softcal_jax.materials import PointValues, is_point_values
 
@@ -64,7 +64,7 @@ class TetStates(NamedTuple):
     __repr__ = one_line
 
 
-def tet_states(model: Model, u: Float[Array, "n_points 3"]) -> TetStates:
+def tet_states(model: Model, u: Nodal) -> TetStates:
     """Compute energy, stress and deformation of each tet; zero energy if rigid."""
 
     def in_order(values: Float[Array, "n_blocks ... block"]) -> HostArray:
@@ -75,7 +75,7 @@ def tet_states(model: Model, u: Float[Array, "n_points 3"]) -> TetStates:
 
 
 @eqx.filter_jit
-def _states(model: Model, u: Float[Array, "n_points 3"]):
+def _states(model: Model, u: Nodal):
     return _map_blocks(model, u, _state, formulation=model.formulation)
 
 
@@ -84,9 +84,7 @@ def _state(u, dN, w, law, active, formulation):
     return active * energy, active * cauchy, F
 
 
-def internal_force(
-    model: Model, u: Float[Array, "n_points 3"]
-) -> Float[Array, "n_points 3"]:
+def internal_force(model: Model, u: Nodal) -> Nodal:
     """Compute the internal force f(u; p), the gradient of the strain energy [N]."""
     forces = _map_blocks(model, u, _force, formulation=model.formulation)
     return _add_forces(model, forces)
@@ -96,7 +94,7 @@ def _force(u, dN, w, law, active, formulation):
     return active * element_energy_and_force(u, dN, w, law, formulation)[1]
 
 
-def energy_and_force(model: Model, u: Float[Array, "n_points 3"]):
+def energy_and_force(model: Model, u: Nodal):
     """Compute energy, sum of its absolute parts, internal force and smallest det F."""
     energy, forces, det = _map_blocks(
         model, u, _energy_and_force, formulation=model.formulation
@@ -112,9 +110,7 @@ def _energy_and_force(u, dN, w, law, active, formulation):
 
 
 def tangent_values(
-    model: Model,
-    u: Float[Array, "n_points 3"],
-    before: Float[Array, "n_points 3"] | None = None,
+    model: Model, u: Nodal, before: Nodal | None = None
 ) -> Float[Array, " nnz"]:
     """Compute the tangent K = df/du over all nodes, in the order of the pattern [N/m].
 
@@ -141,8 +137,8 @@ def _stiffness(u, dN, w, law, active, formulation, symmetric, stepped):
 
 
 def mixed_tangent(
-    model: Model, u: Float[Array, "n_points 3"], theta: Float[Array, "n_blocks block"]
-) -> tuple[Float[Array, " nnz"], Float[Array, "n_points 3"]]:
+    model: Model, u: Nodal, theta: Float[Array, "n_blocks block"]
+) -> tuple[Float[Array, " nnz"], Nodal]:
     """Compute tangent and force of the Newton step with independent volume ratios."""
     entries, forces = _map_blocks(
         model, u, _mixed_newton, theta, symmetric=model.pattern.symmetric
@@ -162,7 +158,7 @@ def _kept(K: Float[Array, "n_en 3 n_en 3"], symmetric: bool):
 
 
 def predicted_dilatation(
-    model: Model, u: Float[Array, "n_points 3"], du: Float[Array, "n_points 3"]
+    model: Model, u: Nodal, du: Nodal
 ) -> Float[Array, "n_blocks block"]:
     """Predict the volume ratio of each tet after a step: J_bar + dJ_bar du [-]."""
     return _map_blocks(model, jnp.concatenate([u, du], axis=1), _predicted_dilatation)
@@ -177,7 +173,7 @@ def _predicted_dilatation(both, dN, w, law, active):
 
 
 def field_forces(
-    model: Model, u: Float[Array, "n_points 3"], fields: Mapping[str, FieldOfLaw]
+    model: Model, u: Nodal, fields: Mapping[str, FieldOfLaw]
 ) -> dict[str, Float[Array, "n_blocks m n_en 3 block"]]:
     """Differentiate each tet's internal force by its own values of some fields [N].
 
@@ -242,16 +238,12 @@ def _add_entries(
     return zero.at[model.destination].add(entries)
 
 
-def _add_forces(
-    model: Model, forces: Float[Array, "n_blocks n_en 3 block"]
-) -> Float[Array, "n_points 3"]:
+def _add_forces(model: Model, forces: Float[Array, "n_blocks n_en 3 block"]) -> Nodal:
     zero = jnp.zeros((model.n_points, 3), forces.dtype)
     return zero.at[model.nodes].add(jnp.moveaxis(forces, -1, 2))
 
 
-def gravity_load(
-    model: Model, gravity: Float[Array, "3"]
-) -> Float[Array, "n_points 3"]:
+def gravity_load(model: Model, gravity: Float[Array, "3"]) -> Nodal:
     """Compute the weight of mesh and rigid bodies as nodal forces [N]."""
     density = jnp.broadcast_to(model.density, (model.n_tets,))
     mass = density[:, None] * model.node_volumes

@@ -9,7 +9,7 @@ from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.actuators import actuator_rows, curvature_entries, displacement_rows
 from softcal_jax.equilibrium._assembly import energy_and_force, internal_force
 from softcal_jax.equilibrium._bordered import System
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import element_entries, mask_supports
 
@@ -24,8 +24,8 @@ class Point(NamedTuple):
     smallest det F are None where nobody needs them.
     """
 
-    u: Float[Array, "n_points 3"]
-    force: Float[Array, "n_points 3"]
+    u: Nodal
+    force: Nodal
     delta_a: Float[Array, " n_a"]
     energy: Any = None
     energy_scale: Any = None
@@ -36,12 +36,12 @@ class Point(NamedTuple):
         return jnp.isfinite(self.energy) & jnp.all(jnp.isfinite(self.force))
 
 
-def deform(model: Model, u: Float[Array, "n_points 3"]) -> Point:
+def deform(model: Model, u: Nodal) -> Point:
     """Compute internal force and actuator displacements, without the energy."""
     return Point(u, internal_force(model, u), model.displacements(u))
 
 
-def evaluate(model: Model, u: Float[Array, "n_points 3"]) -> Point:
+def evaluate(model: Model, u: Nodal) -> Point:
     energy, scale, force, det = energy_and_force(model, u)
     return Point(u, force, model.displacements(u), energy, scale, det)
 
@@ -71,7 +71,7 @@ def unbalanced(posed: Posed, at: Point, lambda_a: Float[Array, " n_a"]):
 
 
 def rows_on_free(
-    posed: Posed, u: Float[Array, "n_points 3"], rows: Float[Array, "n n_points 3"]
+    posed: Posed, u: Nodal, rows: Float[Array, "n n_points 3"]
 ) -> Float[Array, "n n_dof"]:
     if rows.shape[0] == 0:
         return jnp.zeros((0, posed.model.n_dof), rows.dtype)
@@ -79,10 +79,7 @@ def rows_on_free(
 
 
 def nodal_tangent(
-    posed: Posed,
-    u: Float[Array, "n_points 3"],
-    lambda_a: Float[Array, " n_a"],
-    mesh: Float[Array, " nnz"],
+    posed: Posed, u: Nodal, lambda_a: Float[Array, " n_a"], mesh: Float[Array, " nnz"]
 ) -> Float[Array, " nnz"]:
     """Add actuators and springs to the tangent of the mesh over all nodes [N/m]."""
     model, nodal = posed.model, mesh
@@ -113,7 +110,7 @@ class Tangent(NamedTuple):
     stiffness: Float[Array, ""]
     system: System
     H_a: Float[Array, "n_m n_points 3"]
-    g: Float[Array, "n_points 3"]
+    g: Nodal
 
 
 def assemble(

@@ -1,8 +1,7 @@
 """Equilibrium from a good guess, with the last factors kept for sensitivities.
 
 After a step of the parameters, x + (dx/dp) dp is close to the new equilibrium, and one
-or two full Newton steps reach it. The factors of the last one then also serve the
-right-hand sides of the sensitivities.
+or two full Newton steps reach it.
 """
 
 from typing import NamedTuple
@@ -31,7 +30,7 @@ from softcal_jax.equilibrium._direction import (
     newton_direction,
 )
 from softcal_jax.equilibrium._linearisation import Linearisation, linearise
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonSettings, newton
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._solution import EquilibriumSolution
@@ -75,7 +74,7 @@ class _Quick(NamedTuple):
 
     solution: EquilibriumSolution
     at: Point
-    before: Float[Array, "n_points 3"]
+    before: Nodal
     lambda_a: Float[Array, " n_a"]
     factor: Factor
     chord: Bool[Array, ""]
@@ -88,10 +87,10 @@ class _Quick(NamedTuple):
 def continue_equilibrium(
     model: Model,
     configuration: ConfigurationArrays,
-    guess: Float[Array, "n_points 3"],
+    guess: Nodal,
     *,
     settings: NewtonSettings,
-    before: Float[Array, "n_points 3"] | None = None,
+    before: Nodal | None = None,
     precise: bool | Bool[Array, ""] = False,
 ) -> Continuation:
     """Find the equilibrium near a guess, and keep its last factors for sensitivities.
@@ -143,7 +142,7 @@ class _QuickSteps(NamedTuple):
     def model(self) -> Model:
         return self.posed.model
 
-    def start(self, guess: Float[Array, "n_points 3"], before) -> _Quick:
+    def start(self, guess: Nodal, before) -> _Quick:
         posed = self.posed
         rigid = posed.rigid(guess)
         at = evaluate(self.model, posed.held_at(rigid))

@@ -26,7 +26,7 @@ from softcal_jax.equilibrium._balance import (
 )
 from softcal_jax.equilibrium._bordered import System
 from softcal_jax.equilibrium._element import is_mixed
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import product
 
@@ -89,7 +89,7 @@ def newton_direction(
     *,
     theta=None,
     strict=None,
-    before: Float[Array, "n_points 3"] | None = None,
+    before: Nodal | None = None,
 ) -> NewtonDirection:
     """Compute the Newton step at a deformed state.
 

@@ -7,7 +7,7 @@ from softcal_jax._typing import Array, Float
 from softcal_jax.bodies import frames_at, rotation_vector
 from softcal_jax.configurations import ConfigurationArrays, EffectorArrays
 from softcal_jax.equilibrium._linearisation import residual, solved_forces
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._solution import EquilibriumSolution
 
@@ -15,9 +15,9 @@ from softcal_jax.equilibrium._solution import EquilibriumSolution
 def effector_values(
     model: Model,
     configuration: ConfigurationArrays,
-    u: Float[Array, "n_points 3"],
+    u: Nodal,
     multipliers: Float[Array, " n_a"] | None = None,
-    unbalanced: Float[Array, "n_points 3"] | None = None,
+    unbalanced: Nodal | None = None,
 ) -> Float[Array, "n_rows 3"]:
     """Compute all effectors: positions [m], rotations [rad], scalars and forces [N].
 
@@ -49,7 +49,7 @@ def _in_first_column(value: Float[Array, " n"]) -> Float[Array, "n 3"]:
 
 
 def _positions(
-    model: Model, effectors: EffectorArrays, u: Float[Array, "n_points 3"]
+    model: Model, effectors: EffectorArrays, u: Nodal
 ) -> Float[Array, "n_rows_of_positions 3"]:
     """Compute the rows that depend on positions alone: points, rotations, scalars."""
     x = model.positions(u)
@@ -113,9 +113,9 @@ def _angle(
 def actuator_forces(
     model: Model,
     configuration: ConfigurationArrays,
-    u: Float[Array, "n_points 3"],
+    u: Nodal,
     multipliers: Float[Array, " n_a"],
-    unbalanced: Float[Array, "n_points 3"],
+    unbalanced: Nodal,
 ) -> Float[Array, " n_a"]:
     """Compute the forces lambda_a of all actuators; arguments as `effector_values`.
 

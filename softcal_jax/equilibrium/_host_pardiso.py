@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from threading import Lock
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -42,6 +42,7 @@ class HostPardiso(AbstractLinearSolver):
     sparsity: Sparsity
     name: str = eqx.field(static=True, default="PARDISO on the host (pypardiso)")
     counts_negative: bool = eqx.field(static=True, default=True)
+    runs_in_threads: ClassVar[bool] = False
 
     @classmethod
     def analyse(cls, sparsity: Sparsity) -> "HostPardiso":
@@ -69,10 +70,6 @@ class HostPardiso(AbstractLinearSolver):
         return jax.pure_callback(
             _on_host, results, s.symmetric, s.indptr, s.indices, values, rhs
         )
-
-    @property
-    def runs_in_threads(self):
-        return False
 
 
 @dataclass

@@ -8,7 +8,7 @@ import os
 from abc import abstractmethod
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -37,6 +37,7 @@ class AbstractLinearSolver(Module):
     sparsity: eqx.AbstractVar[Sparsity]
     name: eqx.AbstractVar[str]
     counts_negative: eqx.AbstractVar[bool]
+    runs_in_threads: ClassVar[bool] = True
 
     @abstractmethod
     def _factor_solve(
@@ -62,11 +63,6 @@ class AbstractLinearSolver(Module):
         )
         ok = ok & finite & jnp.all(jnp.isfinite(x))
         return LinearSolution(jnp.where(ok, x, 0.0), n_negative, ok)
-
-    @property
-    def runs_in_threads(self) -> bool:
-        """Whether several threads may run programs with this kind of solver."""
-        return True
 
     def another(self, number: int) -> "AbstractLinearSolver":
         """Return a solver for a thread; if this one keeps factors, with other ones."""

@@ -20,7 +20,7 @@ from softcal_jax.equilibrium._balance import (
 )
 from softcal_jax.equilibrium._bordered import Bordered, System, zeros_of
 from softcal_jax.equilibrium._linear_solver import LinearSolution
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import product
 
@@ -31,9 +31,9 @@ SAME_MATRIX = 1e-6
 def residual(
     model: Model,
     configuration: ConfigurationArrays,
-    u: Float[Array, "n_points 3"],
+    u: Nodal,
     lambda_a: Float[Array, " n_a"] | None = None,
-) -> Float[Array, "n_points 3"]:
+) -> Nodal:
     """Compute the out-of-balance force f - f_ext - F_a^T lambda_a [N]; Eq. (1).
 
     At equilibrium it is zero on free coordinates; on held ones it is the reaction, the
@@ -48,7 +48,7 @@ def residual(
 
 
 def solved_forces(
-    model: Model, configuration: ConfigurationArrays, u: Float[Array, "n_points 3"]
+    model: Model, configuration: ConfigurationArrays, u: Nodal
 ) -> Float[Array, " n_a"]:
     """Compute the forces of actuators with imposed displacement at an equilibrium."""
     return estimated_forces(Posed.of(model, configuration), deform(model, u))
@@ -76,21 +76,19 @@ class Linearisation(Module):
     differentiable: bool = eqx.field(static=True, default=False)
 
     @property
-    def u(self) -> Float[Array, "n_points 3"]:
+    def u(self) -> Nodal:
         return self.at.u
 
-    def unbalanced(
-        self, u: Float[Array, "n_points 3"], lambda_a: Float[Array, " n_a"]
-    ) -> Float[Array, "n_points 3"]:
+    def unbalanced(self, u: Nodal, lambda_a: Float[Array, " n_a"]) -> Nodal:
         """Compute `residual` near the equilibrium, to first order in u [N]."""
         return unbalanced(self.posed, self.at, lambda_a)[0] + self.stiffness(u - self.u)
 
-    def stiffness(self, du: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
+    def stiffness(self, du: Nodal) -> Nodal:
         """Compute the change of the forces on all nodes in a small motion [N]."""
         change = product(self.posed.model.pattern, self.nodal, du.ravel())
         return change.reshape(du.shape)
 
-    def free(self, forces: Float[Array, "n_points 3"]) -> Float[Array, " n_dof"]:
+    def free(self, forces: Nodal) -> Float[Array, " n_dof"]:
         """Reduce nodal forces to the free unknowns, 0 on the others [N]."""
         return self.posed.on_free(self.u, forces)
 
@@ -194,7 +192,7 @@ def _solve_linearly(
 def linearise(
     model: Model,
     configuration: ConfigurationArrays,
-    u: Float[Array, "n_points 3"],
+    u: Nodal,
     lambda_a: Float[Array, " n_a"] | None = None,
     *,
     differentiable: bool = False,
@@ -219,7 +217,7 @@ def linearise(
 def factor_solve(
     model: Model,
     configuration: ConfigurationArrays,
-    u: Float[Array, "n_points 3"],
+    u: Nodal,
     rhs: Float[Array, "n_rhs n_points 3"],
     *,
     transpose: bool = False,

@@ -17,12 +17,14 @@ from softcal_jax.equilibrium._sparsity import Reduction, Sparsity
 from softcal_jax.materials import AbstractLaw
 from softcal_jax.mesh import TetMesh, volumes
 
+Nodal = Float[Array, "n_points 3"]
+"""One vector per node, those of the rigid bodies' frames included."""
+
 
 class Model(Module):
     """A mesh with its law and mechanism; its arrays are traced arguments of the solver.
 
     Attributes:
-        mesh: The mesh [m].
         law: Constitutive law; its arrays hold one value, or one per tet.
         density: Mass density, one value or one per tet [kg/m3].
         mechanism: Rigid bodies and actuators.
@@ -31,7 +33,6 @@ class Model(Module):
         pattern: Sparsity of the tangent over all nodes.
         curvature_at: Positions in the pattern of the actuators' tangents.
         reduction: How the tangent is reduced to the unknowns; None without bodies.
-        solver: Sparse solver for the unknowns.
         formulation: "displacement" or "mean-dilatation"; see `build_model`.
     """
 
@@ -83,11 +84,11 @@ class Model(Module):
         none = jnp.zeros((*values.shape[:-1], self.mechanism.n_actuators), values.dtype)
         return none.at[..., self.with_multiplier].set(values, unique_indices=True)
 
-    def positions(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
+    def positions(self, u: Nodal) -> Nodal:
         """Return the positions of all nodes [m]."""
         return jnp.asarray(self.mechanism.points) + u
 
-    def displacements(self, u: Float[Array, "n_points 3"]) -> Float[Array, " n_a"]:
+    def displacements(self, u: Nodal) -> Float[Array, " n_a"]:
         """Return the displacements delta_a of the actuators."""
         return self.mechanism.displacements(self.positions(u))
 

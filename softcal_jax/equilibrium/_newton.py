@@ -2,8 +2,7 @@
 
 Minimises Pi(x) = sum_e V_e psi(F_e) - t (f_ext . u + lambda_a . delta_a) over the free
 unknowns, while the load factor t goes from 0 to 1 (paper Eqs. 1-3; equilibrium is a
-minimum of Pi when forces are imposed). Each iteration of a single `while_loop` is a
-Newton step; the end or failure of a load step only changes t.
+minimum of Pi when forces are imposed), by steps of a single `while_loop`.
 """
 
 from dataclasses import dataclass
@@ -27,12 +26,8 @@ from softcal_jax.equilibrium._balance import (
     merit,
     relative,
 )
-from softcal_jax.equilibrium._direction import (
-    dilatation,
-    line_search,
-    newton_direction,
-)
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._direction import dilatation, line_search, newton_direction
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed, turned_by_motors
 
 _HELD_TURN = 0.5
@@ -292,7 +287,7 @@ class NewtonLoop:
             done=give_up,
         )
 
-    def start(self, u0: Float[Array, "n_points 3"]) -> NewtonState:
+    def start(self, u0: Nodal) -> NewtonState:
         zero, one = jnp.zeros((), u0.dtype), jnp.ones((), u0.dtype)
         rest, count = at_rest(self.model), jnp.zeros((), jnp.int32)
         guess = evaluate(self.model, self.posed.rigid(u0))
@@ -331,7 +326,7 @@ class NewtonLoop:
 def newton(
     model: Model,
     configuration: ConfigurationArrays,
-    u0: Float[Array, "n_points 3"],
+    u0: Nodal,
     settings: NewtonSettings,
 ) -> NewtonState:
     """Solve one configuration from the guess `u0`, first at full load.

@@ -20,7 +20,7 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium._effectors import actuator_forces
 from softcal_jax.equilibrium._linearisation import residual
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._solution import EquilibriumSolution
 
@@ -83,24 +83,27 @@ class RobotState(Module):
 
 
 class _Balance(NamedTuple):
-    ground: Float[Array, "n_points 3"]
+    ground: Nodal
     forces: Float[Array, " n_a"]
     displacements: Float[Array, " n_a"]
     rotation: Float[Array, "n_b 3 3"]
+    kind: Int[Array | HostArray, " n_b"]
 
 
 @eqx.filter_jit
 def _balance(model: Model, lane: ConfigurationArrays, u, multipliers) -> _Balance:
     unbalanced = residual(model, lane, u, multipliers)
     bodies, x = model.mechanism.bodies, model.positions(u)
+    posed = Posed.of(model, lane)
     return _Balance(
         # What springs of the ground hold is balanced already.
-        ground=unbalanced - Posed.of(model, lane).spring_force(u),
+        ground=unbalanced - posed.spring_force(u),
         forces=actuator_forces(model, lane, u, multipliers, unbalanced),
         displacements=model.displacements(u),
         rotation=frames_at(bodies, x[model.mesh.n_nodes :]).rotation
         if bodies.n_bodies
         else jnp.zeros((0, 3, 3)),
+        kind=posed.states.kind if posed.states else jnp.zeros(0, int),
     )
 
 
@@ -139,7 +142,11 @@ def _state(
     u, multipliers = solution.displacement, solution.multipliers
     found = jax.tree.map(np.asarray, _balance(model, lane, u, multipliers))
     u = np.asarray(u)
-    bodies, kinds = model.mechanism.bodies, _kinds(model, lane)
+    bodies = model.mechanism.bodies
+    kinds = [
+        KINDS[int(kind)] if owner == k else "tied"
+        for k, (kind, owner) in enumerate(zip(found.kind, bodies.owner, strict=True))
+    ]
     moved = u[model.mesh.n_nodes :: 4]
     places = (
         BodyPlace(
@@ -181,16 +188,6 @@ def actuator_states(
         )
         for a, (name, kind) in enumerate(named)
     )
-
-
-def _kinds(model: Model, lane: ConfigurationArrays) -> list[str]:
-    bodies, actuators = model.mechanism.bodies, model.mechanism.actuators
-    kinds = [KINDS[int(kind)] for kind in lane.bodies.kind]
-    for a, k in enumerate(actuators.motor_body):
-        if k >= 0:
-            kinds[k] = "held" if lane.actuation.by_displacement[a] else "hinged"
-    own = enumerate(bodies.owner)
-    return ["tied" if owner != k else kinds[k] for k, owner in own]
 
 
 def _grounds(

@@ -1,9 +1,7 @@
 """Derivatives of an equilibrium by its inputs, Eqs. (4) to (9).
 
 An input is a parameter, a value imposed on an actuator or a leaf of the model that a
-user differentiates. Three rows at a fixed state describe each: the force per unit input
-on the free unknowns, the motion of held nodes and bodies, and the direct change of the
-readings. One function turns them into derivatives by the linearised equilibrium.
+user differentiates.
 """
 
 from collections.abc import Callable
@@ -16,18 +14,12 @@ from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._linearisation import Linearisation, residual
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
 
 OfInputs = Callable[[Model, ConfigurationArrays], Any]
 Readings = Callable[
-    [
-        Model,
-        ConfigurationArrays,
-        Float[Array, "n_points 3"],
-        Float[Array, " n_a"],
-        Float[Array, "n_points 3"],
-    ],
+    [Model, ConfigurationArrays, Nodal, Float[Array, " n_a"], Nodal],
     Float[Array, "..."],
 ]
 """Function, such as `effector_values`, of a state (u, multipliers) and its `residual`.

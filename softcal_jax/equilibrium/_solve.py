@@ -8,10 +8,10 @@ import jax.numpy as jnp
 
 from softcal_jax._process import check_process
 from softcal_jax._results import RESULTS
-from softcal_jax._typing import Array, Float, Int
+from softcal_jax._typing import Array, Int
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._linearisation import linearise
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import (
     NewtonLoop,
     NewtonSettings,
@@ -46,7 +46,7 @@ def as_solution(state: NewtonState, settings: NewtonSettings) -> EquilibriumSolu
 def begin_newton(
     model: Model,
     configuration: ConfigurationArrays,
-    guess: Float[Array, "n_points 3"],
+    guess: Nodal,
     settings: NewtonSettings,
 ) -> NewtonState:
     """Return the state before the first iteration, for `continue_newton`."""
@@ -139,7 +139,7 @@ def solve_equilibrium(
     model: Model,
     configuration: ConfigurationArrays,
     *,
-    guess: Float[Array, "n_points 3"] | None = None,
+    guess: Nodal | None = None,
     settings: NewtonSettings | None = None,
     path: None = None,
 ) -> EquilibriumSolution: ...
@@ -160,7 +160,7 @@ def solve_equilibrium(
     model: Model,
     configuration: ConfigurationArrays,
     *,
-    guess: Float[Array, "n_points 3"] | None = None,
+    guess: Nodal | None = None,
     settings: NewtonSettings | None = None,
     path: LoadPath | None = None,
 ) -> EquilibriumSolution | EquilibriumPath:
@@ -178,8 +178,8 @@ def solve_equilibrium(
             points where a body balloons or buckles; not under `jit`.
 
     Returns:
-        The solution with its outcome. Nothing is raised here, since some lanes of a
-        batch may fail; `check_converged` raises. With `path` the states along the load.
+        The solution with its outcome, which `check_converged` raises; with `path` the
+        states along the load.
 
     Raises:
         ValueError: If a path is asked for together with a guess, or under `jit`, or

@@ -1,8 +1,7 @@
 """Sparsity of the tangent: one pattern for every configuration of a mesh.
 
-All degrees of freedom keep their rows. A support is a mask that replaces rows and
-columns by those of a scaled identity, so configurations with different supports share
-one symbolic analysis and one compiled program.
+A support is a mask that replaces rows and columns by those of a scaled identity, so
+configurations with different supports share one analysis and one compiled program.
 """
 
 from collections.abc import Sequence
