@@ -18,13 +18,10 @@ _OUTSIDE = 1e-3
 
 
 class Kind(NamedTuple):
-    """Name and units of a kind of actuator.
+    """Name of a kind of actuator in messages, and its units.
 
-    Attributes:
-        noun: Its name in messages.
-        force_unit: Unit of lambda_a.
-        displacement_unit: Unit of delta_a; None without a displacement.
-        unilateral: Whether lambda_a must not be negative.
+    Those without a displacement have no unit of it; lambda_a of `unilateral` ones must
+    not be negative.
     """
 
     noun: str
@@ -62,8 +59,7 @@ class RestState(Module):
         if at.distance[0] > _OUTSIDE * self.mesh.size:
             raise ValueError(
                 f"{owner}: the point {point.tolist()} m lies {at.distance[0]:.3g} m "
-                "outside the mesh, expected a point on or in it. Check its "
-                "coordinates and their length unit."
+                "outside the mesh. Check its coordinates and their length unit."
             )
         return at.nodes[0], at.weights[0]
 
@@ -85,11 +81,7 @@ class AbstractActuator(Module):
 
     Its displacement delta_a(x), zero at rest, may be imposed or measured, and
     H_a = d delta_a / dx. F_a, the force on the nodes for lambda_a = 1, equals H_a if
-    the actuator has a potential, as the type of its cliques states. Some actuators have
-    no displacement.
-
-    Attributes:
-        name: Its name in results and messages.
+    the actuator has a potential. Some actuators have no displacement.
     """
 
     name: str

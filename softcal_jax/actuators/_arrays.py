@@ -31,10 +31,7 @@ class ActuatorArrays(Module):
     Attributes:
         groups: The cliques of all actuators, by type and size.
         rest: Sum of the cliques' contributions at rest, in the units of delta_a.
-        names: Name of each actuator.
-        kinds: Kind of each, with the units of lambda_a and delta_a.
         motor_body: Index of the rigid body that each turns; -1 unless it is a motor.
-        has_friction: Whether each has friction.
     """
 
     groups: tuple[AbstractCliques, ...]
@@ -205,12 +202,10 @@ def _rows(arrays: ActuatorArrays, groups, parts, x):
 def curvature_entries(
     arrays: ActuatorArrays, x: Float[Array, "n_all 3"], lambda_a: Float[Array, " n_a"]
 ) -> tuple[Float[Array, "_ _ _"], ...]:
-    """Differentiate the actuators' forces by the positions, clique by clique.
+    """Differentiate the actuators' forces by the positions, clique by clique [N/m].
 
-    Their sum is d(F_a^T lambda_a)/dx, which enters the tangent with a minus sign. With
-    a potential it is lambda_a times the Hessian of delta_a, hence symmetric; otherwise
-    rows belong to forces, columns to positions. For each group of `clique_nodes`,
-    square matrices over the coordinates of its cliques, node by node [N/m].
+    Their sum is d(F_a^T lambda_a)/dx; rows belong to forces, columns to positions. For
+    each group of `clique_nodes`, square matrices over the coordinates, node by node.
     """
     return tuple(
         lambda_a[group.owner][:, None, None]

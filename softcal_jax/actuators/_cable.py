@@ -66,10 +66,9 @@ class Cable(AbstractActuator):
     Attributes:
         guides: The points that it runs through, both ends included; three bare numbers
             make a guide on the mesh.
-        friction: Coefficient of friction mu at the guides [-]. With None (default) or 0
-            there is no coefficient to calibrate.
-        pulled_from: The end that the actuator pulls, the "first" or "last" guide; only
-            used with friction.
+        friction: Coefficient of friction mu at the guides [-].
+        pulled_from: The end that is pulled, the "first" or "last" guide; only used with
+            friction.
     """
 
     guides: tuple[Guide, ...] = eqx.field(converter=_as_guides)

@@ -30,9 +30,8 @@ class Chamber(AbstractActuator):
     vacuum.
 
     A wall that is open, like that of a real chamber at its inlet, can be sealed: each
-    opening then gets a lid, from the nodes of its rim to their mean. A lid carries no
-    material. The volume ends at it, and the pressure on it pulls at the rim, as it does
-    where a tube is glued in.
+    opening then gets a lid without material, from the nodes of its rim to their mean,
+    and the pressure on it pulls at the rim, as it does where a tube is glued in.
 
     Attributes:
         surface: Name of the surface group that is the whole wall of the cavity; the
@@ -79,10 +78,9 @@ class Chamber(AbstractActuator):
             where = rest.points[edges.ends[0]].mean(axis=0)
             raise ValueError(
                 f"{self.label}: surface {self.surface!r} is not closed, it has "
-                f"{len(edges.ends)} open edges, one at {where.tolist()} m. Expected the"
-                " whole wall of the cavity: add the faces that are missing, or seal the"
-                " opening if it is an inlet (seal = true). A pressure on an open "
-                "surface is a SurfacePressure."
+                f"{len(edges.ends)} open edges, one at {where.tolist()} m. Add the "
+                "faces of the wall that are missing, seal the opening if it is an "
+                "inlet (seal = true), or take a SurfacePressure."
             )
         return []
 
@@ -147,8 +145,8 @@ def _outward_faces(
         where = mesh.points[faces[inner[0]][:3]].mean(axis=0)
         raise ValueError(
             f"{owner}: {inner.size} of {len(faces)} faces of surface {surface!r} are "
-            f"not on the boundary of the body, one at {where.tolist()} m. A pressure "
-            "needs faces with the body on one side only; `select_faces` gives such."
+            f"not on the boundary of the body, one at {where.tolist()} m; "
+            "`select_faces` gives those that are."
         )
     return boundary[np.unique(indices)]
 
