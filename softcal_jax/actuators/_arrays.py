@@ -43,6 +43,7 @@ class ActuatorArrays(Module):
 
     @property
     def n_actuators(self) -> int:
+        """Number of actuators."""
         return len(self.names)
 
     @property

@@ -136,7 +136,6 @@ def moved(command: Command, here: Arrival, change: Float[HostArray, " n_a"]) -> 
 
 
 def begin(command: Command, here: Arrival) -> Descent:
-    """Return the descent before its first step."""
     decision = Decision(
         accepted=True,
         step_bound=command.settings.step_bound,

@@ -9,7 +9,6 @@ from softcal_jax._units import readable
 from softcal_jax.configurations import Configuration, EffectorRecord
 from softcal_jax.equilibrium import ActuatorState, EquilibriumSolution, Model
 
-
 LISTED = 4  # goals that a message lists
 
 
@@ -52,6 +51,7 @@ class GoalFit(Module):
 
     @property
     def name(self) -> str:
+        """Name of the effector."""
         return self.effector.name
 
     @property

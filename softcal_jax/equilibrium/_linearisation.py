@@ -77,6 +77,7 @@ class Linearisation(Module):
 
     @property
     def u(self) -> Nodal:
+        """Displacement at the equilibrium [m]."""
         return self.at.u
 
     def unbalanced(self, u: Nodal, lambda_a: Float[Array, " n_a"]) -> Nodal:

@@ -94,6 +94,7 @@ class Model(Module):
 
     @property
     def n_tets(self) -> int:
+        """Number of tets."""
         return self.mesh.tets.shape[0]
 
     @property

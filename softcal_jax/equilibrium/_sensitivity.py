@@ -98,8 +98,8 @@ def input_rows(
 class Sensitivity(NamedTuple):
     """Derivatives of an equilibrium by its inputs; zero if the tangent is not `ok`.
 
-    Those of displacement, free unknowns [m] and multipliers, by rows, are None if the
-    solution was adjoint.
+    W_ep is the change of each reading per unit of each input, in its unit. Changes of
+    displacement, free unknowns [m] and multipliers, by rows, are None if adjoint.
     """
 
     W_ep: Float[Array, "*batch n_e n"]
