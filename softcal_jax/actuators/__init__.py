@@ -1,9 +1,4 @@
-"""Actuators: their displacement delta_a, and the force on the nodes per lambda_a.
-
-Users describe actuators; `actuator_arrays` attaches them to the nodes; pure functions
-of the nodal positions give delta_a, its rows H_a, the forces F_a (equal to H_a where
-there is a potential) and their derivatives.
-"""
+"""Actuators: their displacement delta_a, and the force on the nodes per lambda_a."""
 
 from softcal_jax.actuators._actuator import AbstractActuator, Kind
 from softcal_jax.actuators._arrays import (

@@ -18,13 +18,10 @@ _OUTSIDE = 1e-3
 
 
 class Kind(NamedTuple):
-    """Name and units of a kind of actuator.
+    """Name of a kind of actuator in messages, and its units.
 
-    Attributes:
-        noun: Its name in messages.
-        force_unit: Unit of lambda_a.
-        displacement_unit: Unit of delta_a; None without a displacement.
-        unilateral: Whether lambda_a must not be negative.
+    Those without a displacement have no unit of it; lambda_a of `unilateral` ones must
+    not be negative.
     """
 
     noun: str
@@ -38,33 +35,17 @@ class Kind(NamedTuple):
 class RestState(Module):
     """The mesh and the rigid bodies at rest, to which actuators are attached.
 
-    Attributes:
-        mesh: The mesh.
-        points: Rest positions of the mesh's nodes, then of four nodes for each rigid
-            body k, n_nodes + 4 k onwards: the origin of its frame, and the ends of its
-            three axes, orthogonal and of equal length [m].
-        bodies: Index k of each rigid body, by name.
+    `points` are the nodes of the mesh, then four nodes for each rigid body k, from
+    n_nodes + 4 k on: the origin of its frame and the ends of its three axes, orthogonal
+    and of equal length [m]. `bodies` has the index k of each rigid body.
     """
 
     mesh: TetMesh
     points: Float[HostArray, "n_all 3"]
     bodies: Mapping[str, int]
 
-    def __check_init__(self):
-        n = self.mesh.n_nodes + 4 * len(self.bodies)
-        if self.points.shape != (n, 3):
-            raise ValueError(
-                f"{self.mesh.n_nodes} nodes and {len(self.bodies)} rigid bodies of "
-                f"four frame nodes need points of shape ({n}, 3), got "
-                f"{self.points.shape}."
-            )
-
     def frame_nodes(self, body: str, owner: str) -> Int[HostArray, "4"]:
-        """Return the four nodes of the frame of a rigid body.
-
-        Raises:
-            ValueError: If no rigid body has the name.
-        """
+        """Return the four nodes of the frame of a rigid body."""
         if body not in self.bodies:
             error = unknown_name("rigid body", body, self.bodies)
             raise ValueError(f"{owner}: {error}")
@@ -78,8 +59,7 @@ class RestState(Module):
         if at.distance[0] > _OUTSIDE * self.mesh.size:
             raise ValueError(
                 f"{owner}: the point {point.tolist()} m lies {at.distance[0]:.3g} m "
-                "outside the mesh, expected a point on or in it. Check its "
-                "coordinates and their length unit."
+                "outside the mesh. Check its coordinates and their length unit."
             )
         return at.nodes[0], at.weights[0]
 
@@ -101,11 +81,7 @@ class AbstractActuator(Module):
 
     Its displacement delta_a(x), zero at rest, may be imposed or measured, and
     H_a = d delta_a / dx. F_a, the force on the nodes for lambda_a = 1, equals H_a if
-    the actuator has a potential, as the type of its cliques states. Some actuators have
-    no displacement.
-
-    Attributes:
-        name: Its name in results and messages.
+    the actuator has a potential. Some actuators have no displacement.
     """
 
     name: str
@@ -113,23 +89,16 @@ class AbstractActuator(Module):
 
     def __check_init__(self):
         if not self.name:
-            raise ValueError(
-                f"a {self.kind.noun} needs a name that is not empty: results and "
-                "messages refer to it."
-            )
+            raise ValueError(f"a {self.kind.noun} needs a name that is not empty.")
 
     @property
     def label(self) -> str:
-        """Its name in messages, like "cable 'left'"."""
+        """Kind and name in messages, like "cable 'left'"."""
         return f"{self.kind.noun} {self.name!r}"
 
     @abstractmethod
     def cliques(self, rest: RestState, owner: int) -> tuple[AbstractCliques, ...]:
-        """Attach the actuator to the sets of nodes that it acts on.
-
-        Args:
-            rest: Mesh and bodies at rest.
-            owner: Its index among the actuators.
+        """Attach the actuator, the one with the index `owner`, to sets of nodes.
 
         Raises:
             ValueError: If it does not fit the mesh or the rigid bodies.
@@ -137,10 +106,8 @@ class AbstractActuator(Module):
 
 
 def check_direction(what: str, value: HostArray):
-    """Raise ValueError unless a vector has a direction."""
     check_vector(what, "-", value)
     if not np.linalg.norm(value) > 0.0:
         raise ValueError(
-            f"{what} is zero, expected a vector of any other length: give the "
-            "direction in which a positive force pushes."
+            f"{what} is zero: give the direction in which a positive force pushes."
         )

@@ -1,6 +1,6 @@
 """Actuators as arrays: displacements delta_a, forces F_a and their derivatives."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain
 
 import equinox as eqx
@@ -11,10 +11,10 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
+from softcal_jax.actuators._cable import FrictionalCables
 from softcal_jax.actuators._cliques import (
     AbstractCliques,
     AbstractDisplacedCliques,
-    AbstractFrictionalCliques,
     AbstractPotentialCliques,
     ActuatorGeometry,
     each_clique,
@@ -31,10 +31,7 @@ class ActuatorArrays(Module):
     Attributes:
         groups: The cliques of all actuators, by type and size.
         rest: Sum of the cliques' contributions at rest, in the units of delta_a.
-        names: Name of each actuator.
-        kinds: Kind of each, with the units of lambda_a and delta_a.
         motor_body: Index of the rigid body that each turns; -1 unless it is a motor.
-        has_friction: Whether each has friction.
     """
 
     groups: tuple[AbstractCliques, ...]
@@ -78,24 +75,13 @@ class ActuatorArrays(Module):
                 "coefficient could change; make it with a positive one, like "
                 "Cable(..., friction=0.1, pulled_from='first')."
             )
-
-        def changed(group: AbstractFrictionalCliques) -> AbstractCliques:
-            friction = jnp.where(group.owner == index, mu, group.friction)
-            return eqx.tree_at(lambda g: g.friction, group, friction)
-
-        return _with_rough(self, changed)
+        values = lambda arrays: [group.friction for group in _rough(arrays)]
+        changed = [jnp.where(g.owner == index, mu, g.friction) for g in _rough(self)]
+        return eqx.tree_at(values, self, changed)
 
 
-def _with_rough(
-    arrays: ActuatorArrays,
-    change: Callable[[AbstractFrictionalCliques], AbstractCliques],
-) -> ActuatorArrays:
-    """Change all cliques with friction."""
-    groups = tuple(
-        change(g) if isinstance(g, AbstractFrictionalCliques) else g
-        for g in arrays.groups
-    )
-    return eqx.tree_at(lambda a: a.groups, arrays, groups)
+def _rough(arrays: ActuatorArrays) -> list[FrictionalCables]:
+    return [g for g in arrays.groups if isinstance(g, FrictionalCables)]
 
 
 def actuators_moving(
@@ -104,12 +90,9 @@ def actuators_moving(
     """Return the actuators with friction opposing their motion, released or pulled."""
     if not any(arrays.has_friction):
         return arrays
-
-    def changed(group: AbstractFrictionalCliques) -> AbstractCliques:
-        sense = jnp.where(jnp.asarray(releasing)[group.owner], -1.0, 1.0)
-        return eqx.tree_at(lambda g: g.sense, group, sense)
-
-    return _with_rough(arrays, changed)
+    senses = lambda arrays: [group.sense for group in _rough(arrays)]
+    released = [jnp.asarray(releasing)[group.owner] for group in _rough(arrays)]
+    return eqx.tree_at(senses, arrays, [jnp.where(r, -1.0, 1.0) for r in released])
 
 
 def actuator_arrays(
@@ -134,8 +117,7 @@ def actuator_arrays(
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise ValueError(
-            f"actuator {repeated[0]!r} is named more than once; give each actuator a "
-            "name of its own."
+            f"actuator {repeated[0]!r} is named more than once; give each another name."
         )
     rest = RestState(mesh, points, bodies)
     cliques = [actuator.cliques(rest, a) for a, actuator in enumerate(actuators)]
@@ -157,8 +139,7 @@ def actuator_arrays(
             bodies[a.body] if isinstance(a, Motor) else -1 for a in actuators
         ),
         has_friction=tuple(
-            any(isinstance(c, AbstractFrictionalCliques) for c in own)
-            for own in cliques
+            any(isinstance(c, FrictionalCables) for c in each) for each in cliques
         ),
     )
 
@@ -181,10 +162,9 @@ _at_rest = eqx.filter_jit(_contributions)
 def actuator_displacements(
     arrays: ActuatorArrays, x: Float[Array, "n_all 3"]
 ) -> Float[Array, " n_a"]:
-    """Compute the displacements delta_a(x), zero at rest, in the units of their kinds.
+    """Compute the displacements delta_a(x) at positions of all nodes [m].
 
-    `x` are positions of the mesh's nodes and the frame nodes [m]. 0 for an actuator
-    without a displacement.
+    They are 0 at rest, and for an actuator without a displacement.
     """
     return _contributions(arrays.groups, x, arrays.n_actuators) - arrays.rest
 
@@ -223,12 +203,10 @@ def _rows(arrays: ActuatorArrays, groups, parts, x):
 def curvature_entries(
     arrays: ActuatorArrays, x: Float[Array, "n_all 3"], lambda_a: Float[Array, " n_a"]
 ) -> tuple[Float[Array, "_ _ _"], ...]:
-    """Differentiate the actuators' forces by the positions, clique by clique.
+    """Differentiate the actuators' forces by the positions, clique by clique [N/m].
 
-    Their sum is d(F_a^T lambda_a)/dx, which enters the tangent with a minus sign. With
-    a potential it is lambda_a times the Hessian of delta_a, hence symmetric; otherwise
-    rows belong to forces, columns to positions. For each group of `clique_nodes`,
-    square matrices over the coordinates of its cliques, node by node [N/m].
+    Their sum is d(F_a^T lambda_a)/dx; rows belong to forces, columns to positions. For
+    each group of `clique_nodes`, square matrices over the coordinates, node by node.
     """
     return tuple(
         lambda_a[group.owner][:, None, None]
@@ -239,11 +217,7 @@ def curvature_entries(
 
 
 def clique_nodes(arrays: ActuatorArrays) -> tuple[Int[HostArray, "_ _"], ...]:
-    """List the nodes of the cliques with entries in the tangent, group by group.
-
-    Runs on the host, before `jit`. A node that occurs twice in a clique is padding
-    whose entries are zero.
-    """
+    """List the nodes of the cliques with entries in the tangent, group by group."""
     return tuple(np.asarray(group.nodes) for group in arrays.groups if group.curved)
 
 

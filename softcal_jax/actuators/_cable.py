@@ -15,7 +15,6 @@ from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
 from softcal_jax.actuators._cliques import (
     AbstractDisplacedCliques,
-    AbstractFrictionalCliques,
     AbstractPotentialCliques,
     ActuatorGeometry,
 )
@@ -67,10 +66,9 @@ class Cable(AbstractActuator):
     Attributes:
         guides: The points that it runs through, both ends included; three bare numbers
             make a guide on the mesh.
-        friction: Coefficient of friction mu at the guides [-]. With None (default) or 0
-            there is no coefficient to calibrate.
-        pulled_from: The end that the actuator pulls, the "first" or "last" guide; only
-            used with friction.
+        friction: Coefficient of friction mu at the guides [-].
+        pulled_from: The end that is pulled, the "first" or "last" guide; only used with
+            friction.
     """
 
     guides: tuple[Guide, ...] = eqx.field(converter=_as_guides)
@@ -82,7 +80,7 @@ class Cable(AbstractActuator):
         if len(self.guides) < 2:
             raise ValueError(
                 f"{self.label} has {len(self.guides)} guide(s), expected at least "
-                "two: give both ends of the cable, and the points between them."
+                "two: both ends, and the points between them."
             )
         points = np.stack([guide.point for guide in self.guides])
         gaps = np.linalg.norm(np.diff(points, axis=0), axis=1)
@@ -91,8 +89,7 @@ class Cable(AbstractActuator):
             i = near[0]
             raise ValueError(
                 f"{self.label}: guides {i} and {i + 1} are both at "
-                f"{points[i].tolist()} m, expected points apart, because a segment of "
-                "no length has no direction. Leave one of them out."
+                f"{points[i].tolist()} m, expected points apart. Leave one of them out."
             )
         if all(map(_fixed_length, self.guides, self.guides[1:])):
             on = self.guides[0].on
@@ -103,7 +100,7 @@ class Cable(AbstractActuator):
         if self.pulled_from not in (None, "first", "last"):
             raise ValueError(
                 f"{self.label} has pulled_from={self.pulled_from!r}, expected 'first' "
-                "or 'last': the end of its guides that the actuator pulls."
+                "or 'last'."
             )
         if self.friction:
             self._check_friction(self.friction)
@@ -116,15 +113,13 @@ class Cable(AbstractActuator):
             )
         if self.pulled_from is None:
             raise ValueError(
-                f"{self.label} has friction, so its tension differs along it: give "
-                "pulled_from='first' or 'last', the end of its guides that the "
-                "actuator pulls."
+                f"{self.label} has friction: give pulled_from='first' or 'last', the "
+                "end of its guides that the actuator pulls."
             )
         if len(self.guides) < 3:
             raise ValueError(
-                f"{self.label} has friction but no guide between its ends, where "
-                "tension could be lost: add the guides that it runs through, or leave "
-                "the friction out."
+                f"{self.label} has friction but no guide between its ends: add those "
+                "that it runs through, or leave the friction out."
             )
 
     def cliques(
@@ -211,22 +206,38 @@ def _turn(before: Float[Array, "3"], after: Float[Array, "3"]) -> Float[Array, "
 
 
 class AbstractGuided(AbstractDisplacedCliques):
-    """Paths of cables through guides.
+    """Paths of cables through guides, which are at weights @ x + fixed [m].
 
     Attributes:
         weights: Weights of the nodes in the positions of the guides [-].
         fixed: Constant part of these positions, of guides on the ground [m].
     """
 
-    weights: eqx.AbstractVar[Float[Array, "*cliques n_guides m"]]
-    fixed: eqx.AbstractVar[Float[Array, "*cliques n_guides 3"]]
+    weights: Float[Array, "*cliques n_guides m"]
+    fixed: Float[Array, "*cliques n_guides 3"]
 
     def refined(self, refinement: Refinement) -> "AbstractGuided":
-        """Return the cables on a finer mesh, whose nodes carry the guides."""
-        return _on_finer(self, refinement)
+        n, points = refinement.coarse.n_nodes, refinement.coarse.points
+        nodes, weights = np.asarray(self.nodes), np.asarray(self.weights)
+        mesh_weights = weights * (nodes < n)[:, None]
+        on_mesh = np.any(mesh_weights != 0.0, axis=2)
+        rest = np.einsum("cem,cmi->cei", mesh_weights, points[np.minimum(nodes, n - 1)])
+        located = locate(refinement.mesh, rest[on_mesh], max_distance=np.inf)
+        carriers = zip(located.nodes, located.weights, strict=True)
+        pieces = []
+        for c, fixed in enumerate(np.asarray(self.fixed)):
+            guides = []
+            for w, moves, constant in zip(weights[c], on_mesh[c], fixed, strict=True):
+                kept = refinement.nodes(nodes[c, w != 0.0]), w[w != 0.0]
+                guides.append((*(next(carriers) if moves else kept), constant))
+            pieces.append(guides)
+        touched = (np.concatenate([nodes for nodes, *_ in piece]) for piece in pieces)
+        m = max(np.unique(each).size for each in touched)
+        parts = zip(*(_along(guides, m) for guides in pieces), strict=True)
+        where = lambda c: (c.nodes, c.weights, c.fixed)
+        return eqx.tree_at(where, self, jax.device_put(tuple(map(np.stack, parts))))
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        """Draw the segments between the guides."""
         nodes, weights = np.asarray(self.nodes), np.asarray(self.weights)
         guides = np.einsum("cem,cmi->cei", weights, x[nodes]) + np.asarray(self.fixed)
         segments = np.stack([guides[:, :-1], guides[:, 1:]], axis=2)
@@ -239,36 +250,30 @@ class AbstractGuided(AbstractDisplacedCliques):
 class CableSegments(AbstractGuided, AbstractPotentialCliques):
     """Straight pieces of cables between two guides; each adds minus its length."""
 
-    weights: Float[Array, "*cliques 2 m"]
-    fixed: Float[Array, "*cliques 2 3"]
-
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
-        """Return minus the length of one segment [m]."""
         start, end = self.weights @ x + self.fixed
         return -_length(end - start)
 
 
-class FrictionalCables(AbstractGuided, AbstractFrictionalCliques):
-    """Whole cables with friction; each adds minus its length to delta_a.
+class FrictionalCables(AbstractGuided):
+    """Whole cables with friction, pulled at their last guide.
 
-    The last guide is the end that is pulled.
+    Attributes:
+        friction: Coefficient of friction [-].
+        sense: 1 if the actuator pulls, -1 if it is released.
     """
 
-    weights: Float[Array, "*cliques n_guides m"]
-    fixed: Float[Array, "*cliques n_guides 3"]
+    friction: Float[Array, "*cliques"]
+    sense: Float[Array, "*cliques"]
 
     def _segments(self, x: Float[Array, "m 3"]) -> Float[Array, "n_segments 3"]:
         return jnp.diff(self.weights @ x + self.fixed, axis=0)
 
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
-        """Return minus the length of one cable [m]."""
         return -jnp.sum(jax.vmap(_length)(self._segments(x)))
 
     def tensions(self, x: Float[Array, "m 3"]) -> Float[Array, " n_segments"]:
-        """Compute the tension in each segment of one cable for lambda_a = 1 [-].
-
-        It is exp(-mu sum theta), summed over the guides up to the pulled end.
-        """
+        """Compute exp(-mu sum theta) over the guides from each segment to the end."""
         segments = self._segments(x)
         turns = jax.vmap(_turn)(segments[:-1], segments[1:])
         to_end = jnp.cumsum(turns[::-1])[::-1]
@@ -280,26 +285,3 @@ class FrictionalCables(AbstractGuided, AbstractFrictionalCliques):
         tensions = self.tensions(x)
         pulled = lambda x: -jnp.sum(tensions * jax.vmap(_length)(self._segments(x)))
         return jax.grad(pulled)(x)
-
-
-def _on_finer(cables: AbstractGuided, refinement: Refinement) -> AbstractGuided:
-    """Return cables whose guides on the mesh are found on a finer one."""
-    n, points = refinement.coarse.n_nodes, refinement.coarse.points
-    nodes, weights = np.asarray(cables.nodes), np.asarray(cables.weights)
-    mesh_weights = weights * (nodes < n)[:, None]
-    on_mesh = np.any(mesh_weights != 0.0, axis=2)
-    rest = np.einsum("cem,cmi->cei", mesh_weights, points[np.minimum(nodes, n - 1)])
-    located = locate(refinement.mesh, rest[on_mesh], max_distance=np.inf)
-    carriers = zip(located.nodes, located.weights, strict=True)
-    pieces = []
-    for c, fixed in enumerate(np.asarray(cables.fixed)):
-        guides = []
-        for w, moves, constant in zip(weights[c], on_mesh[c], fixed, strict=True):
-            kept = refinement.nodes(nodes[c, w != 0.0]), w[w != 0.0]
-            guides.append((*(next(carriers) if moves else kept), constant))
-        pieces.append(guides)
-    touched = (np.concatenate([nodes for nodes, *_ in guides]) for guides in pieces)
-    m = max(np.unique(each).size for each in touched)
-    parts = zip(*(_along(guides, m) for guides in pieces), strict=True)
-    where = lambda c: (c.nodes, c.weights, c.fixed)
-    return eqx.tree_at(where, cables, jax.device_put(tuple(map(np.stack, parts))))

@@ -1,10 +1,6 @@
 """Cliques: small sets of nodes whose contributions add up to an actuator.
 
-A cable segment, a face of a chamber, the frame of a motor: each is one clique, and
-generic code differentiates, scales and adds them. Three kinds differ in how force and
-displacement are related: a force alone (`AbstractCliques`), a force beside a
-displacement (`AbstractFrictionalCliques`), or a force that is the gradient of the
-displacement (`AbstractPotentialCliques`).
+A cable segment, a face of a chamber, the frame of a motor: each is one clique.
 """
 
 from abc import abstractmethod
@@ -23,17 +19,13 @@ T = TypeVar("T", bound="AbstractCliques")
 
 
 class ActuatorGeometry(NamedTuple):
-    """What to draw of actuators: lines, faces and points, each with its actuator.
+    """What to draw of actuators, each with the index of its actuator, the owner.
 
     Attributes:
         segments: Ends of the segments of cables [m].
-        segment_owner: Index of their cables.
         faces: Nodes of the faces of chambers and surface pressures.
-        face_owner: Index of their actuators.
-        points: Mean point of action of a force, or origin of the frame that a motor
-            turns [m].
-        arrows: Direction of a force, or the axis of a motor [-].
-        point_owner: Index of their actuators.
+        points: Mean point of action of a force, or origin of a motor's frame [m].
+        arrows: Direction of that force, or axis of that motor [-].
     """
 
     segments: Float[HostArray, "n_segments 2 3"] = np.zeros((0, 2, 3))
@@ -54,8 +46,7 @@ class AbstractCliques(Module):
     the `vmap` of `each_clique`.
 
     Attributes:
-        nodes: Nodes of the cliques. A node only repeats within a clique as padding, on
-            which the clique exerts no force.
+        nodes: Nodes of the cliques, one that repeats within a clique as padding.
         owner: Index of the actuator that each belongs to.
         curved: Whether the force depends on the positions of the nodes.
     """
@@ -73,12 +64,7 @@ class AbstractCliques(Module):
         """Collect what to draw of all cliques at the positions of all nodes [m]."""
 
     def refined(self, refinement: Refinement) -> "AbstractCliques":
-        """Return the cliques on a finer mesh.
-
-        This serves cliques whose nodes belong to frames of rigid bodies. Cliques with
-        nodes of the mesh override it: points are carried by nodes of the finer mesh,
-        and each face becomes the faces that it is split into.
-        """
+        """Return the cliques on a finer mesh; here for nodes of frames of bodies."""
         nodes = refinement.nodes(np.asarray(self.nodes))
         return eqx.tree_at(lambda c: c.nodes, self, jax.device_put(nodes))
 
@@ -95,7 +81,6 @@ class AbstractDisplacedCliques(AbstractCliques):
         """Compute what one clique adds to delta_a, up to a constant."""
 
     def displacement_row(self, x: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
-        """Differentiate `contribution` by the positions `x` of one clique's nodes."""
         return jax.grad(self.contribution)(x)
 
 
@@ -103,20 +88,7 @@ class AbstractPotentialCliques(AbstractDisplacedCliques):
     """Cliques whose force is the gradient of their part of delta_a."""
 
     def row(self, x: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
-        """Force on the nodes of one clique at the positions `x`, for lambda_a = 1."""
         return self.displacement_row(x)
-
-
-class AbstractFrictionalCliques(AbstractDisplacedCliques):
-    """Cliques whose force differs from the gradient by friction.
-
-    Attributes:
-        friction: Coefficient of friction [-].
-        sense: 1 if the actuator pulls, -1 if it is released.
-    """
-
-    friction: Float[Array, "*cliques"]
-    sense: Float[Array, "*cliques"]
 
 
 def each_clique(
@@ -146,11 +118,9 @@ class AbstractPressedFaces(AbstractCliques):
     """Faces on which a pressure acts."""
 
     def refined(self, refinement: Refinement) -> "AbstractPressedFaces":
-        """Return the faces of a finer mesh."""
         return on_finer_faces(self, refinement)
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        """Draw the faces."""
         del x
         nodes, owner = np.asarray(self.nodes), np.asarray(self.owner)
         return ActuatorGeometry(faces=nodes, face_owner=owner)

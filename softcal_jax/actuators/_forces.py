@@ -45,7 +45,6 @@ class ForceActuator(AbstractActuator):
         check_direction(f"{self.label}: direction", self.direction)
 
     def cliques(self, rest: RestState, owner: int) -> "tuple[WeightedNodes]":
-        """Return the nodes that carry the point."""
         nodes, weights = rest.on_mesh(self.point, self.label)
         parts = _along(self.direction, weights[None])
         return (WeightedNodes(*owned(nodes[None], owner), jax.device_put(parts)),)
@@ -70,7 +69,6 @@ class SurfaceForceActuator(AbstractActuator):
         check_direction(f"{self.label}: direction", self.direction)
 
     def cliques(self, rest: RestState, owner: int) -> "tuple[WeightedFaces]":
-        """Return the faces of the surface."""
         faces = rest.mesh.faces(self.surface)
         shares = face_shares(rest.mesh, faces)
         parts = _along(self.direction, shares / shares.sum())
@@ -88,20 +86,18 @@ class AbstractWeighted(AbstractPotentialCliques):
         weights: Weights of their coordinates [-].
     """
 
-    weights: eqx.AbstractVar[Float[Array, "*cliques m 3"]]
+    weights: Float[Array, "*cliques m 3"]
     curved: ClassVar[bool] = False
 
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
-        """Compute the weighted position of the nodes of one clique [m]."""
         return jnp.sum(self.weights * x)
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         """Draw one arrow per actuator at the mean point of action of its force."""
         # On the host, where nothing is compiled.
-        of_cliques = np.asarray(self.nodes)
-        nodes = of_cliques.ravel()
+        nodes = np.asarray(self.nodes).ravel()
         weights = np.asarray(self.weights).reshape(-1, 3)
-        owner = np.repeat(np.asarray(self.owner), of_cliques.shape[1])
+        owner = np.repeat(np.asarray(self.owner), self.nodes.shape[1])
         actuators, of = np.unique(owner, return_inverse=True)
         total = np.zeros((actuators.size, 3))
         np.add.at(total, of, weights)
@@ -114,10 +110,7 @@ class AbstractWeighted(AbstractPotentialCliques):
 class WeightedNodes(AbstractWeighted):
     """Nodes that carry a point."""
 
-    weights: Float[Array, "*cliques m 3"]
-
     def refined(self, refinement: Refinement) -> "WeightedNodes":
-        """Return the nodes of a finer mesh that carry the points."""
         weights = np.asarray(self.weights)
         force = weights.sum(axis=1)
         share = np.einsum(
@@ -134,10 +127,7 @@ class WeightedNodes(AbstractWeighted):
 class WeightedFaces(AbstractWeighted):
     """Faces with a force of fixed direction, consistent with their shape functions."""
 
-    weights: Float[Array, "*cliques n_fn 3"]
-
     def refined(self, refinement: Refinement) -> "WeightedFaces":
-        """Spread the force of each face evenly over those of a finer mesh."""
         many = on_finer_faces(self, refinement)
         shares = face_shares(refinement.mesh, np.asarray(many.nodes))
         n = len(many.nodes) // len(self.nodes)
@@ -162,7 +152,6 @@ class Motor(AbstractActuator):
     kind: ClassVar[Kind] = Kind("motor", "N m", "rad")
 
     def cliques(self, rest: RestState, owner: int) -> "tuple[MotorFrames]":
-        """Return the frame of the body."""
         nodes = rest.frame_nodes(self.body, self.label)
         origin, first, second, _ = rest.points[nodes]
         plane = jax.device_put(np.array([[first - origin, second - origin]]))
@@ -179,12 +168,10 @@ class MotorFrames(AbstractPotentialCliques):
     plane: Float[Array, "*cliques 2 3"]
 
     def contribution(self, x: Float[Array, "4 3"]) -> Float[Array, ""]:
-        """Compute the angle of the first axis of one frame [rad]."""
         along, across = self.plane @ (x[1] - x[0])
         return jnp.arctan2(across, along)
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        """Draw origin and axis of the frames."""
         nodes, owner = np.asarray(self.nodes), np.asarray(self.owner)
         origin, axis_end = x[nodes[:, 0]], x[nodes[:, 3]]
         arrows = unit(axis_end - origin)

@@ -1,9 +1,4 @@
-"""Lids of chambers: what closes an opening for volume and pressure, without material.
-
-The wall of a real chamber is open at its inlet, where a tube or a plug ends it. The lid
-is the cone from the rim of the opening to the mean of the rim. So the wall and its lids
-enclose a volume, and what the pressure does to a lid acts on the nodes of its rim.
-"""
+"""Lids of chambers: cones from the rim of an opening to its mean, without material."""
 
 from collections.abc import Iterable
 from typing import Any, NamedTuple
@@ -26,10 +21,7 @@ from softcal_jax.mesh import Refinement
 class OpenEdges(NamedTuple):
     """Edges that faces do not traverse equally often in both directions.
 
-    Attributes:
-        ends: Corners, in the direction that prevails.
-        mids: The mid node of each; none on linear faces.
-        excess: How much more often that direction is traversed.
+    `ends` are in the direction that prevails, `excess` times more often than the other.
     """
 
     ends: Int[HostArray, "n_edges 2"]
@@ -56,20 +48,14 @@ def open_edges(faces: Int[HostArray, "n_faces n_fn"]) -> OpenEdges:
 def rims(
     edges: OpenEdges, points: Float[HostArray, "n_all 3"], owner: str
 ) -> list[Int[HostArray, " m"]]:
-    """Link open edges to closed rings of nodes: corners, with mid nodes between them.
-
-    `points` [m] and `owner` are for messages.
-
-    Raises:
-        ValueError: If openings meet, so that it is not clear where one ends.
-    """
+    """Link open edges to closed rings of corners, with mid nodes between them."""
     starts, count = np.unique(edges.ends[:, 0], return_counts=True)
     crowded = starts[count > 1].tolist() + edges.ends[edges.excess > 1, 0].tolist()
     if crowded:
         where = readable_values(points[crowded[0]].tolist(), "m")
         raise ValueError(
-            f"{owner}: openings of the wall meet at {where}, so it is not clear where "
-            "each of them ends. Choose the faces of the wall so that they are apart."
+            f"{owner}: openings of the wall meet at {where}. Choose the faces of the "
+            "wall so that they are apart."
         )
     following = {int(a): k for k, a in enumerate(edges.ends[:, 0])}
     rings = []
@@ -89,13 +75,7 @@ def lid_cone(
     *,
     quadratic: bool,
 ) -> Any:
-    """Compute the volume of the cone from the origin to a lid [m3].
-
-    Args:
-        arm: Nodes of its rim, in their order [m].
-        weights: Their shares in the mean of the rim [-].
-        quadratic: Whether every second node is a mid node.
-    """
+    """Compute the volume of the cone from the origin to a lid, given its rim [m3]."""
     xp: Any = np if isinstance(arm, np.ndarray) else jnp
     if quadratic:
         # The integral of x cross dx along the parabola through a, m and b.
@@ -127,11 +107,9 @@ class ChamberLids(AbstractPotentialCliques):
     quadratic: bool = eqx.field(static=True)
 
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
-        """Compute the volume between one lid and the centre [m3]."""
         return lid_cone(x - self.centre[None], self.weights, quadratic=self.quadratic)
 
     def refined(self, refinement: Refinement) -> "ChamberLids":
-        """Return the rings on a finer mesh, which has nodes between these."""
         rings = np.asarray(self.nodes)
         mids = refinement.mids(np.stack([rings, np.roll(rings, -1, axis=1)], axis=-1))
         finer = np.stack([rings, mids], axis=-1).reshape(len(rings), -1)
@@ -141,9 +119,8 @@ class ChamberLids(AbstractPotentialCliques):
         return ChamberLids(nodes, self.owner, weights, self.centre, quadratic=True)
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        """Draw nothing: a lid has neither material nor faces of its own."""
         del x
-        return ActuatorGeometry()
+        return ActuatorGeometry()  # neither material nor faces
 
 
 def free_rim_nodes(
@@ -153,11 +130,6 @@ def free_rim_nodes(
 
     The pressure on a lid acts on its rim. Where that is held it goes into the supports,
     and a program without lids needs the pressure on the wall alone.
-
-    Args:
-        groups: Cliques of all actuators.
-        owner: Index of the actuator.
-        fixed: Which coordinates of the nodes are held.
     """
     lids = [group for group in groups if isinstance(group, ChamberLids)]
     rims = [np.asarray(each.nodes)[np.asarray(each.owner) == owner] for each in lids]

@@ -30,9 +30,8 @@ class Chamber(AbstractActuator):
     vacuum.
 
     A wall that is open, like that of a real chamber at its inlet, can be sealed: each
-    opening then gets a lid, from the nodes of its rim to their mean. A lid carries no
-    material. The volume ends at it, and the pressure on it pulls at the rim, as it does
-    where a tube is glued in.
+    opening then gets a lid without material, from the nodes of its rim to their mean,
+    and the pressure on it pulls at the rim, as it does where a tube is glued in.
 
     Attributes:
         surface: Name of the surface group that is the whole wall of the cavity; the
@@ -47,13 +46,7 @@ class Chamber(AbstractActuator):
     def cliques(
         self, rest: RestState, owner: int
     ) -> "tuple[ChamberFaces | ChamberLids, ...]":
-        """Return the faces of the wall, and the lids that close it.
-
-        Raises:
-            ValueError: If the surface is unknown, not on the boundary, or encloses the
-                body instead of a cavity; if it is open but not to be sealed, or closed
-                already.
-        """
+        """Return the faces of the wall, and the lids that close it."""
         faces = _outward_faces(rest.mesh, self.surface, self.label)
         openings = self._openings(rest, faces)
         centre = np.mean(rest.points[np.unique(faces)], axis=0)
@@ -77,8 +70,7 @@ class Chamber(AbstractActuator):
         edges = open_edges(faces)
         if self.seal and not len(edges.ends):
             raise ValueError(
-                f"{self.label}: surface {self.surface!r} is closed, so there is nothing"
-                " to seal. Leave seal out."
+                f"{self.label}: surface {self.surface!r} is closed. Leave seal out."
             )
         if self.seal:
             return rims(edges, rest.points, self.label)
@@ -86,10 +78,9 @@ class Chamber(AbstractActuator):
             where = rest.points[edges.ends[0]].mean(axis=0)
             raise ValueError(
                 f"{self.label}: surface {self.surface!r} is not closed, it has "
-                f"{len(edges.ends)} open edges, one at {where.tolist()} m. Expected the"
-                " whole wall of the cavity: add the faces that are missing, or seal the"
-                " opening if it is an inlet (seal = true). A pressure on an open "
-                "surface is a SurfacePressure."
+                f"{len(edges.ends)} open edges, one at {where.tolist()} m. Add the "
+                "faces of the wall that are missing, seal the opening if it is an "
+                "inlet (seal = true), or take a SurfacePressure."
             )
         return []
 
@@ -108,7 +99,6 @@ class ChamberFaces(AbstractPressedFaces, AbstractPotentialCliques):
     centre: Float[Array, "*cliques 3"]
 
     def contribution(self, x: Float[Array, "n_fn 3"]) -> Float[Array, ""]:
-        """Compute the volume of the cone from the centre to one face [m3]."""
         return _cones(x - self.centre[None])
 
 
@@ -128,7 +118,6 @@ class SurfacePressure(AbstractActuator):
     kind: ClassVar[Kind] = Kind("surface pressure", "Pa", None)
 
     def cliques(self, rest: RestState, owner: int) -> "tuple[PressureFaces]":
-        """Return the faces of the surface."""
         faces = _outward_faces(rest.mesh, self.surface, self.label)
         return (PressureFaces(*owned(faces, owner)),)
 
@@ -148,10 +137,6 @@ def _outward_faces(
     """Return the faces of a surface group, once each, with outward normals.
 
     The order of nodes in a group is arbitrary, so the tet behind each face decides.
-    `owner` is what acts on it, for messages.
-
-    Raises:
-        ValueError: If the group is unknown, or a face is not on the boundary.
     """
     faces, boundary = mesh.faces(surface), boundary_faces(mesh)
     indices = face_indices(faces, boundary)
@@ -160,8 +145,8 @@ def _outward_faces(
         where = mesh.points[faces[inner[0]][:3]].mean(axis=0)
         raise ValueError(
             f"{owner}: {inner.size} of {len(faces)} faces of surface {surface!r} are "
-            f"not on the boundary of the body, one at {where.tolist()} m. A pressure "
-            "needs faces with the body on one side only; `select_faces` gives such."
+            f"not on the boundary of the body, one at {where.tolist()} m; "
+            "`select_faces` gives those that are."
         )
     return boundary[np.unique(indices)]
 
@@ -169,14 +154,10 @@ def _outward_faces(
 def enclosed_volumes(
     cliques: Iterable[AbstractCliques], x: Float[HostArray, "n_all 3"]
 ) -> dict[int, float]:
-    """Compute the volumes of chambers, on the host, where nothing is compiled.
+    """Compute the volume of each chamber by the index of its actuator [m3].
 
-    Args:
-        cliques: Cliques of any kind; those of walls and lids count.
-        x: Positions of all nodes [m].
-
-    Returns:
-        The volume of each chamber by the index of its actuator [m3].
+    On the host, where nothing is compiled. `cliques` may be of any kind, `x` are the
+    positions of all nodes [m].
     """
     volumes: dict[int, float] = {}
     for group in cliques:
@@ -195,10 +176,7 @@ def enclosed_volumes(
 
 
 def _cones(arm: Float[AnyArray, "*n n_fn 3"]) -> Any:
-    """Compute the volumes of cones from the origin to faces [m3].
-
-    Of one face, or of many on the host.
-    """
+    """Compute the volumes of cones from the origin to one face, or to many [m3]."""
     n_dA, N = _vector_areas(arm)
     return -(n_dA * (N @ arm)).sum(axis=(-2, -1)) / 3.0
 

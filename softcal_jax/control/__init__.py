@@ -1,7 +1,6 @@
 """Inverse control: find the actuation for goals of the effectors (paper Eqs. 4 to 6).
 
-Calibrated models need no change. The search is compiled once for all goals and all
-models of the same shapes.
+The search is compiled once for all goals and all models of the same shapes.
 """
 
 from softcal_jax.control._compliance import (

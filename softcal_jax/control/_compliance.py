@@ -25,13 +25,7 @@ _NO_STIFFNESS = 1e-11
 
 
 class ActuatorReadings(Module):
-    """Effectors and actuators of a robot at an equilibrium.
-
-    Attributes:
-        effectors: Effector coordinates e, in the rows of `effector_values`.
-        forces: lambda_a of all actuators, imposed or not, in their units.
-        displacements: delta_a of all actuators, imposed or not, in their units.
-    """
+    """Effectors e, as `effector_values`, lambda_a and delta_a of all actuators."""
 
     effectors: Float[Array, "n_rows 3"]
     forces: Float[Array, " n_a"]
@@ -51,9 +45,8 @@ class ActuatorCompliance(Module):
         by_force: Change of the forces; a row of the identity where a force is imposed.
         by_displacement: Change of the displacements, likewise.
         W_aa: H_a K^-1 H_a^T, displacements per forces if all actuators were driven by
-            force; symmetric, and positive definite where that state is stable. Zero for
-            slack cables, for pressures on open surfaces, and for imposed displacements
-            that nothing resists, like a motor's that turns all of a weightless robot.
+            force; positive definite where that state is stable. Zero for slack cables,
+            pressures on open surfaces, and imposed displacements that nothing resists.
         slack: Cables that their imposed displacement leaves slack, so they do not act.
         displacement: Change of the displacement of all nodes, one row per input [m].
     """
@@ -96,9 +89,7 @@ def actuator_compliance(
 ) -> ActuatorCompliance:
     """Compute W_ea and W_aa of a configuration at its equilibrium; Eqs. (4), (5).
 
-    A column of W_ea is de/dlambda_a where the force is imposed, and de/ddelta_a, with
-    the other inputs held, where the displacement is imposed. One factorization serves
-    all columns.
+    One factorization serves all columns.
     """
     value = jnp.asarray(configuration.actuation.value)
     u = solution.displacement

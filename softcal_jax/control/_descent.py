@@ -3,12 +3,21 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import QPStep
+from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.control._compliance import (
+    ActuatorCompliance,
+    ActuatorReadings,
+    actuator_compliance,
+    actuator_readings,
+    with_inputs,
+)
 from softcal_jax.control._problem import (
     Command,
     Linear,
@@ -18,17 +27,19 @@ from softcal_jax.control._problem import (
     parts,
     violation,
 )
-from softcal_jax.control._qp import step_in_levels
 from softcal_jax.control._result import OUTCOMES, StepRecord
 from softcal_jax.control._step import (
     ROUNDING,
-    Arrival,
     Decision,
-    Reached,
     TriedStep,
     decide,
-    differentiate,
-    reach,
+    step_in_levels,
+)
+from softcal_jax.equilibrium import (
+    EquilibriumSolution,
+    Model,
+    NewtonSettings,
+    solve_equilibrium,
 )
 
 PATIENCE = 3
@@ -38,15 +49,30 @@ CLOSER = 0.5
 """Largest ratio of the costs after and before them that counts as closer [-]."""
 
 
-class Descent(NamedTuple):
-    """Where a descent is.
+class Reached(NamedTuple):
+    """The equilibrium at some inputs, slack cables wound up, and the readings there."""
 
-    Attributes:
-        here: The equilibrium there.
-        linear: The command linearised there; None without derivatives.
-        decision: What followed from its last step.
-        outcome: How it ended; None while it can go on.
-        records: Its steps.
+    value: Float[HostArray, " n_a"]
+    solution: EquilibriumSolution
+    state: ActuatorReadings
+
+
+class Arrival(NamedTuple):
+    """An equilibrium with its derivatives, which are nan where there is none."""
+
+    value: Float[HostArray, " n_a"]
+    solution: EquilibriumSolution
+    compliance: ActuatorCompliance
+
+    @property
+    def stands(self) -> bool:
+        return bool(np.isfinite(self.compliance.W_ea).all())
+
+
+class Descent(NamedTuple):
+    """Where a descent is, what followed from its last step, and how it ended.
+
+    `linear` is None without derivatives, `outcome` while it can go on.
     """
 
     here: Arrival
@@ -57,31 +83,49 @@ class Descent(NamedTuple):
 
     @property
     def met(self) -> bool:
-        """Whether it ended where all goals are met."""
         return self.outcome is not None and bool(self.outcome == OUTCOMES.met)
 
 
 def reached(
     command: Command,
-    value: Float[Array | HostArray, " n_a"],
-    guess: Float[Array | HostArray, "n_points 3"],
+    value: Float[HostArray, " n_a"],
+    guess: Float[HostArray, "n_points 3"],
 ) -> Reached:
-    """Solve for the equilibrium at inputs, which are clipped to their limits."""
-    box = command.box()
-    return reach(
-        command.model,
-        command.lane,
-        jnp.asarray(box),
-        jnp.asarray(np.clip(value, *box)),
-        jnp.asarray(guess),
-        command.settings.newton.as_arrays(),
-    )
+    """Solve for the equilibrium at inputs within their limits; wind up slack cables.
+
+    Winding them up until they are just taut does not change the equilibrium, but a
+    slack cable has no effect on the robot and so no derivative, whereas a taut one has.
+    """
+    lower, upper = command.box()
+    value = np.clip(value, lower, upper)
+    lane = with_inputs(command.lane, jnp.asarray(value))
+    newton = command.settings.newton.as_arrays()
+    solution, state = _equilibrium(command.model, lane, jnp.asarray(guess), newton)
+    wound = np.maximum(value, np.minimum(state.displacements, upper))
+    cable = command.model.mechanism.actuators.unilateral
+    cable = cable & np.asarray(lane.actuation.by_displacement) & (upper > lower)
+    return Reached(np.where(cable, wound, value), solution, state)
+
+
+@eqx.filter_jit
+def _equilibrium(
+    model: Model,
+    configuration: ConfigurationArrays,
+    guess: Float[Array, "n_points 3"],
+    newton: NewtonSettings,
+) -> tuple[EquilibriumSolution, ActuatorReadings]:
+    solution = solve_equilibrium(model, configuration, guess=guess, settings=newton)
+    return solution, actuator_readings(model, configuration, solution)
+
+
+_compliance = eqx.filter_jit(actuator_compliance)
 
 
 def differentiated(command: Command, there: Reached) -> Arrival:
-    """Add the derivatives to an equilibrium."""
-    found = differentiate(command.model, command.lane, there)
-    return found._replace(value=np.asarray(found.value))
+    """Add the derivatives; with a factorization, so not where a step is refused."""
+    lane = with_inputs(command.lane, jnp.asarray(there.value))
+    compliance = _compliance(command.model, lane, there.solution)
+    return Arrival(there.value, there.solution, compliance)
 
 
 def moved(command: Command, here: Arrival, change: Float[HostArray, " n_a"]) -> Reached:
@@ -92,7 +136,6 @@ def moved(command: Command, here: Arrival, change: Float[HostArray, " n_a"]) -> 
 
 
 def begin(command: Command, here: Arrival) -> Descent:
-    """Return the descent before its first step."""
     decision = Decision(
         accepted=True,
         step_bound=command.settings.step_bound,
@@ -111,12 +154,9 @@ def begin(command: Command, here: Arrival) -> Descent:
 def descend(command: Command, start: Descent, *, explore: bool = False) -> Descent:
     """Repeat: linearise, solve the QPs, try the step, keep it if it helps.
 
-    Args:
-        command: The command.
-        start: Where it begins or goes on.
-        explore: Stop where it hardly comes closer any more. Near a goal that is met,
-            the error falls tenfold with each step; at a fold of the map from inputs to
-            effectors, most steps are spent on the last digits of a minimum.
+    With `explore` it stops where it hardly comes closer any more. Near a goal that is
+    met, the error falls tenfold with each step; at a fold of the map from inputs to
+    effectors, most steps are spent on the last digits of a minimum.
     """
     here, linear, decision, outcome, records = start
     settings, records = command.settings, list(records)
@@ -151,7 +191,6 @@ def descend(command: Command, start: Descent, *, explore: bool = False) -> Desce
 
 
 def _slow(records: Sequence[StepRecord]) -> bool:
-    """Tell whether the last steps hardly came closer, and kept the limits before."""
     if len(records) <= PATIENCE:
         return False
     before, now = records[-1 - PATIENCE], records[-1]

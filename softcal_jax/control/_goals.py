@@ -25,9 +25,7 @@ number for a length, volume, angle or force; in SI units and radians."""
 def with_goals(configuration: Configuration, goals: Mapping[str, Goal]):
     """Replace the measured values of a configuration by goals.
 
-    Args:
-        configuration: The configuration; effectors without a goal keep their values.
-        goals: Goals by the names of effectors and markers.
+    Effectors without a goal keep their values.
 
     Raises:
         ValueError: If a name is unknown, a goal has the wrong number of coordinates, or
@@ -64,10 +62,8 @@ def _aimed(effector: AbstractEffector, goal: Goal) -> AbstractEffector:
     what = f"effector {effector.name!r}"
     if isinstance(effector, BodyFrame):
         if not isinstance(goal, Pose):
-            count = np.size(np.asarray(goal, dtype=object))
             raise ValueError(
-                f"the goal of {what} has {count} numbers, expected a Pose: its frame "
-                "has 6 coordinates."
+                f"the goal of {what} is {goal!r}, expected a Pose, of 6 coordinates."
             )
         return replace(effector, measured=goal)
     if isinstance(effector, AbstractScalar):
@@ -76,7 +72,6 @@ def _aimed(effector: AbstractEffector, goal: Goal) -> AbstractEffector:
 
 
 def _numbers(what: str, goal: Goal, count: int) -> Float[HostArray, " n"]:
-    """Convert a goal to an array of `count` numbers."""
     if isinstance(goal, Pose):
         raise ValueError(
             f"the goal of {what} is a Pose of 6 coordinates, expected {count} "

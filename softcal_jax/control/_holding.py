@@ -5,9 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
+from softcal_jax.control._descent import Arrival
 from softcal_jax.control._problem import Command, Linear, follow_room
 from softcal_jax.control._result import BlindDirection, coordinate_names
-from softcal_jax.control._step import FLAT_COSINE, ROUNDING, Arrival
+from softcal_jax.control._step import FLAT_COSINE, ROUNDING
 
 BLIND = 1e-2
 """Singular value of W_ea, relative to the largest, below which a direction is blind.
@@ -18,31 +19,11 @@ times less along it than along the best direction [-].
 
 
 class Holding(NamedTuple):
-    """Why no step comes closer to the goals.
+    """Why no step comes closer to the goals, as in `InverseResult`."""
 
-    Attributes:
-        active: Limits that are reached, in words.
-        limits: Those of them that hold the effectors back, the strongest first.
-        blind: The share of the errors that no commanded actuator changes.
-    """
-
-    active: tuple[str, ...]
-    limits: tuple[str, ...]
-    blind: BlindDirection | None
-
-
-class _Limit(NamedTuple):
-    """One limit of an actuator.
-
-    Attributes:
-        actuator: Index of the actuator.
-        of_input: Whether it limits the imposed quantity or the one that follows.
-        is_upper: Whether it is the highest or the lowest value.
-    """
-
-    actuator: int
-    of_input: bool
-    is_upper: bool
+    active_limits: tuple[str, ...] = ()
+    held_by: tuple[str, ...] = ()
+    blind: BlindDirection | None = None
 
 
 def what_holds(command: Command, here: Arrival, linear: Linear) -> Holding:
@@ -53,15 +34,18 @@ def what_holds(command: Command, here: Arrival, linear: Linear) -> Holding:
     limit holds where its mu is positive. What W does not reach at all is blind.
     """
     reached = _reached(command, here, linear)
-    active = tuple(_in_words(command, here, limit) for limit in reached)
+    active = tuple(_in_words(command, here, *limit) for limit in reached)
     off = command.residuals(here.compliance.state)
     unmet = np.abs(off).max(axis=1) > command.settings.tol
     if not unmet.any():
-        return Holding(active, (), None)
+        return Holding(active)
     level, n_e = int(np.argmax(unmet)), off.shape[1]
     moves = linear.limits.upper > linear.limits.lower
     W, r = linear.W[level] * moves, linear.error[level]
-    A = np.array([_gradient(linear, limit) for limit in reached])
+    unit = np.eye(len(moves))
+    # Changes of the limited quantities by y, whose products must not grow.
+    gradients = np.concatenate([-unit, unit, linear.limits.A]).reshape(4, *unit.shape)
+    A = np.array([gradients[limit] for limit in reached])
     A = A.reshape(-1, len(moves)) * moves
     mu = _multipliers(W.T @ r, A, linear.W[:level] * moves)
     # The step that each limit forbids: the cosine between the errors and its effect.
@@ -69,8 +53,8 @@ def what_holds(command: Command, here: Arrival, linear: Linear) -> Holding:
     cosine = mu * (A**2).sum(axis=1) / np.where(effect > 0.0, effect, np.inf)
     strongest = [i for i in np.argsort(-cosine) if cosine[i] > FLAT_COSINE]
     return Holding(
-        active=active,
-        limits=tuple(active[i] for i in strongest),
+        active_limits=active,
+        held_by=tuple(active[i] for i in strongest),
         blind=_blind(command, W[:n_e], off[level]),
     )
 
@@ -124,36 +108,25 @@ def _blind(
     )
 
 
-def _reached(command: Command, here: Arrival, linear: Linear) -> list[_Limit]:
-    """List the limits that are reached, actuator by actuator."""
+def _reached(command: Command, here: Arrival, linear: Linear) -> list[tuple[int, int]]:
+    """List the limits that are reached by kind and actuator, actuator by actuator.
+
+    Their kinds are the lower and the upper limit of the input, then of the other one.
+    """
     lower, upper = command.box()
     of_inputs = [here.value - lower, upper - here.value] / linear.scale
     of_others = follow_room(command, here.compliance.state, linear.length)
-    room = np.stack([of_inputs, of_others.reshape(2, -1)])
+    room = np.concatenate([of_inputs, of_others.reshape(2, -1)])
     active = (room <= 10.0 * ROUNDING) & (upper > lower)
-    return [
-        _Limit(int(a), of_input=other == 0, is_upper=side == 1)
-        for a, other, side in np.argwhere(np.moveaxis(active, -1, 0))
-    ]
+    return [(int(kind), int(a)) for a, kind in np.argwhere(active.T)]
 
 
-def _gradient(linear: Linear, limit: _Limit) -> Float[HostArray, " n_a"]:
-    """Return the change of the limited quantity by y, whose product must not grow."""
-    n_a = len(linear.scale)
-    if limit.of_input:
-        return np.eye(n_a)[limit.actuator] * (1.0 if limit.is_upper else -1.0)
-    lower, upper = np.asarray(linear.limits.A).reshape(2, n_a, n_a)
-    return (upper if limit.is_upper else lower)[limit.actuator]
-
-
-def _in_words(command: Command, here: Arrival, limit: _Limit) -> str:
-    """Say which limit of an actuator is reached."""
-    a = limit.actuator
-    step = command.limits.step[a] * (1.0 - 1e-12)
+def _in_words(command: Command, here: Arrival, kind: int, a: int) -> str:
+    of_input, side = kind < 2, ("lower", "upper")[kind % 2]
     by_displacement = bool(np.asarray(command.lane.actuation.by_displacement)[a])
-    what = "displacement" if by_displacement == limit.of_input else "force"
-    side = "upper" if limit.is_upper else "lower"
-    if limit.of_input and np.abs(here.value[a] - command.start[a]) >= step:
+    what = "displacement" if by_displacement == of_input else "force"
+    step = command.limits.step[a] * (1.0 - 1e-12)
+    if of_input and np.abs(here.value[a] - command.start[a]) >= step:
         what, side = f"step of the {what}", "longest"
     actuators = command.model.mechanism.actuators
     noun, name = actuators.kinds[a].noun, actuators.names[a]

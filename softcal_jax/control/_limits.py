@@ -33,10 +33,10 @@ class Limits(Module):
 
 
 class LimitArrays(NamedTuple):
-    """Limits of all actuators, on the imposed quantity (the input) and the other one.
+    """Lowest and highest values of inputs, the imposed quantities, and of the others.
 
-    Both have a row for the lowest and one for the highest values; those of inputs are
-    equal for actuators that are not commanded. `step` limits the change of an input.
+    Those of inputs are equal for actuators that are not commanded. `step` limits the
+    change of an input.
     """
 
     inputs: Float[HostArray, "2 n_a"]
@@ -47,16 +47,14 @@ class LimitArrays(NamedTuple):
 def limit_arrays(
     mechanism: Mechanism, configuration: Configuration, limits: Mapping[str, Limits]
 ) -> LimitArrays:
-    """Convert limits by name to arrays over all actuators, and check them."""
     actuators, actuation = mechanism.actuators, configuration.actuation
     for name in limits:
         if name not in actuators.names:
             raise unknown_name("actuator with limits", name, actuators.names)
         if name not in actuation:
             raise ValueError(
-                f"actuator {name!r} has limits, but configuration "
-                f"{configuration.name!r} asks nothing of it, so it is not commanded: "
-                "give it a start in `actuation`."
+                f"actuator {name!r} has limits, but is not commanded: give it a start "
+                f"in the `actuation` of configuration {configuration.name!r}."
             )
     n_a = len(actuators.names)
     inputs, following = np.zeros((2, n_a)), np.repeat(np.array([ANYTHING]).T, n_a, 1)
@@ -87,7 +85,6 @@ def limit_arrays(
 
 
 def _range(kind: Kind, what: str, quantity: str, given) -> Float[HostArray, "2"]:
-    """Check the lower and upper limit of a quantity and return them."""
     lower, upper = given
     unit = getattr(kind, f"{quantity}_unit")
     if unit is None:

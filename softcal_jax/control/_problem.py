@@ -13,23 +13,16 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.control._compliance import ActuatorCompliance, ActuatorReadings
 from softcal_jax.control._limits import LimitArrays
-from softcal_jax.control._qp import StepLimits
-from softcal_jax.control._step import ControlSettings
+from softcal_jax.control._step import ControlSettings, StepLimits
 from softcal_jax.equilibrium import Model
 
 
 class Command(NamedTuple):
     """A command as the user gave it, and as arrays.
 
-    Attributes:
-        model: The model.
-        configuration: The configuration; its actuation is where the command starts.
-        lane: The same as arrays; measured values are the goals.
-        effectors: Records of its effectors.
-        limits: Limits of the actuators.
-        priorities: Level of each effector; those not named have 1.
-        levels: 1 / standard deviation of each effector coordinate, level by level.
-        settings: Settings.
+    The actuation of `configuration` is where the command starts; the measured values of
+    `lane`, the same as arrays, are the goals. `levels` has 1 / standard deviation of
+    each effector coordinate, level by level.
     """
 
     model: Model
@@ -72,10 +65,8 @@ class Linear(NamedTuple):
     Attributes:
         scale: Change of an input for y = 1, which moves some node by the size of the
             robot; this makes inputs of different units comparable.
-        W: Compliances of each level, energy included, in units of std.
-        error: Errors of each level, likewise.
+        W: Compliances of each level, energy included, in units of std; so `error`.
         energy: Matrix that turns forces into the energy rows of the last level.
-        limits: Limits.
         length: Scale of the quantities that are not imposed.
     """
 

@@ -6,15 +6,10 @@ import numpy as np
 from softcal_jax._module import Module, Result
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable
-from softcal_jax.configurations import (
-    Configuration,
-    EffectorRecord,
-    ImposedDisplacement,
-)
+from softcal_jax.configurations import Configuration, EffectorRecord
 from softcal_jax.equilibrium import ActuatorState, EquilibriumSolution, Model
 
-LISTED = 4
-"""Goals that a message lists."""
+LISTED = 4  # goals that a message lists
 
 
 class OUTCOMES(eqx.Enumeration):
@@ -36,10 +31,9 @@ class OUTCOMES(eqx.Enumeration):
     max_steps = "the search did not end within max_steps; raise it"
     no_equilibrium = "the start has no equilibrium; start from another actuation"
     singular = (
-        "the tangent at the start is singular, so that no derivative by the inputs "
-        "exists: something moves freely or is about to buckle, or two actuators impose "
-        "the same displacement; hold it, command one of them by force, or start from "
-        "another actuation"
+        "the tangent at the start is singular: something moves freely or is about to "
+        "buckle, or two actuators impose the same displacement; hold it, command one "
+        "of them by force, or start from another actuation"
     )
 
 
@@ -90,11 +84,9 @@ class GoalFit(Module):
 
 def coordinate_names(effector: EffectorRecord) -> tuple[str, ...]:
     """Name the coordinates of an effector: axes, or nothing for a scalar."""
-    k = len(effector.std)
-    if k == 1:
+    if len(effector.std) == 1:
         return ("",)
-    turn = "turn " if effector.is_turn else ""
-    return tuple(f"{turn}{axis}" for axis in "xyz"[:k])
+    return tuple(f"{'turn ' * effector.is_turn}{axis}" for axis in "xyz")
 
 
 class BlindDirection(Module):
@@ -149,8 +141,7 @@ class StepRecord(Module):
     """One step of the search.
 
     Attributes:
-        size: Largest change of an input, as the displacement of a node that it causes,
-            relative to the size of the robot [-].
+        size: Largest displacement of a node that it causes, per size of the robot [-].
         cost: Half the squared errors after the step, energy included [-].
         violation: Violated limits of the quantities that are not imposed [-].
         kkt_residual: Optimality residual of its QPs [-].
@@ -174,8 +165,7 @@ class InverseResult(Result):
         configuration: The configuration with the actuation found.
         solution: Its equilibrium.
         goals: How close each effector with a goal came to it.
-        forces: lambda_a of every actuator, by name, in its unit.
-        displacements: delta_a likewise; 0 for an actuator without one.
+        actuators: What all actuators do; commanded are those in the actuation.
         active_limits: Limits that are reached, in words.
         held_by: Limits that keep the effectors from goals that are not met, in words,
             the strongest first.
@@ -191,8 +181,7 @@ class InverseResult(Result):
     configuration: Configuration
     solution: EquilibriumSolution
     goals: tuple[GoalFit, ...]
-    forces: dict[str, float]
-    displacements: dict[str, float]
+    actuators: tuple[ActuatorState, ...]
     active_limits: tuple[str, ...]
     held_by: tuple[str, ...]
     blind: BlindDirection | None
@@ -232,29 +221,14 @@ class InverseResult(Result):
         return self.message
 
     @property
-    def actuators(self) -> tuple[ActuatorState, ...]:
-        """What all actuators do, with units; commanded are those in the actuation."""
-        own = self.model.mechanism.actuators
-        asked = self.configuration.actuation
-        return tuple(
-            ActuatorState(
-                name=name,
-                kind=kind.noun,
-                imposed="displacement"
-                if isinstance(asked.get(name), ImposedDisplacement)
-                or (name not in asked and motor >= 0)  # it stays at its zero
-                else "force",
-                force=self.forces[name],
-                force_unit=kind.force_unit,
-                displacement=None
-                if kind.displacement_unit is None
-                else self.displacements[name],
-                displacement_unit=kind.displacement_unit,
-            )
-            for name, kind, motor in zip(
-                own.names, own.kinds, own.motor_body, strict=True
-            )
-        )
+    def forces(self) -> dict[str, float]:
+        """lambda_a of every actuator, by name, in its unit."""
+        return {own.name: own.force for own in self.actuators}
+
+    @property
+    def displacements(self) -> dict[str, float]:
+        """delta_a likewise; 0 for an actuator without one."""
+        return {own.name: own.displacement or 0.0 for own in self.actuators}
 
     @property
     def inputs(self) -> Float[HostArray, " n_inputs"]:

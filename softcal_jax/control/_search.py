@@ -1,17 +1,16 @@
 """The search of inverse control: descents from other starts and over a continuation.
 
-A descent ends at the optimum nearest to its start, which need not be the best one. So a
-goal counts as out of reach only after all ways to it were tried.
+A descent ends at the optimum nearest to its start, which need not be the best one.
 """
 
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping
 
 import equinox as eqx
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.control._descent import (
+    Arrival,
     Descent,
     begin,
     descend,
@@ -21,19 +20,13 @@ from softcal_jax.control._descent import (
 )
 from softcal_jax.control._problem import Command, parts
 from softcal_jax.control._result import Attempt
-from softcal_jax.control._step import ROUNDING, Arrival
+from softcal_jax.control._step import ROUNDING
 
-SHORTEST_PIECE = 1 / 8
-"""Smallest share of the way to the goal that a continuation takes at once [-]."""
-
-FIRST_PIECE = 1 / 4
-"""Share of the way to the goal that it takes first [-]."""
+SHORTEST_PIECE, FIRST_PIECE = 1 / 8, 1 / 4
+"""Smallest and first share of the way to the goal that a continuation takes [-]."""
 
 PIECES = 4
 """Number of pieces in which inputs are driven to another start if one is too far."""
-
-SEED = 0
-"""Seed of the other starts, so that a command gives the same answer every time."""
 
 EQUAL = 1e-3
 """Relative difference of costs below which two ends count as one minimum [-].
@@ -42,45 +35,35 @@ Of such ends the one found first counts; the descent from the start is the first
 """
 
 
-class Found(NamedTuple):
-    """The best descent, and all that were tried."""
-
-    best: Descent
-    attempts: tuple[Attempt, ...]
-
-
-def search(command: Command, guess: Float[HostArray, "n_points 3"]) -> Found:
+def search(
+    command: Command, guess: Float[HostArray, "n_points 3"]
+) -> tuple[Descent, tuple[Attempt, ...]]:
     """Descend from the start; unless the goals are met, explore all other ways, too.
 
     The other ways are other starts, then a continuation of the goals from where the
     start has the effectors. The search stops at the first that meets the goals. If none
     does, the best and the one from the start itself are taken to their ends, and the
-    better one counts.
+    better one counts. Returns it, with all attempts.
     """
-    first = begin(
-        command, differentiated(command, reached(command, command.start, guess))
-    )
+    at_start = reached(command, command.start, guess)
+    first = begin(command, differentiated(command, at_start))
     if first.linear is None:
-        return Found(first, ())
-    tried: list[Descent] = []
-    attempts: list[Attempt] = []
+        return first, ()
+    tried: dict[str, Descent] = {}
+    best = "the start"
     for way, found in _ways(command, first):
-        tried.append(found)
-        attempts.append(_attempt(command, way, found))
+        tried[way] = found
         if found.met:
-            return Found(found, tuple(attempts))
-    best = 0
-    for k, found in enumerate(tried):
-        best = k if _better(command, found, tried[best]) else best
-    for k in sorted({0, best}):
-        tried[k] = descend(command, tried[k])
-        attempts[k] = _attempt(command, attempts[k].way, tried[k])
-    best = best if _better(command, tried[best], tried[0]) else 0
-    return Found(tried[best], tuple(attempts))
+            return found, _attempts(command, tried)
+        best = way if _better(command, found, tried[best]) else best
+    for way in dict.fromkeys(("the start", best)):
+        tried[way] = descend(command, tried[way])
+    if not _better(command, tried[best], tried["the start"]):
+        best = "the start"
+    return tried[best], _attempts(command, tried)
 
 
 def _ways(command: Command, first: Descent) -> Iterator[tuple[str, Descent]]:
-    """Explore one way after the other, as long as the caller asks for more."""
     others = command.settings.other_starts > 0
     yield "the start", descend(command, first, explore=others)
     if not others:
@@ -137,7 +120,7 @@ def _other_starts(command: Command, first: Descent) -> Float[HostArray, "n_start
     low = np.maximum(lower, value - reach * scale)
     high = np.minimum(upper, value + reach * scale)
     shares = np.full((n, low.size), 0.5)
-    shares[1:] = LatinHypercube(low.size, rng=SEED).random(n - 1)
+    shares[1:] = LatinHypercube(low.size, rng=0).random(n - 1)
     starts = low + shares * (high - low)
     away = np.linalg.norm((starts - value) / scale, axis=1)
     # The middle may be the start itself.
@@ -164,10 +147,11 @@ def _driven(
     return None
 
 
-def _attempt(command: Command, way: str, found: Descent) -> Attempt:
-    error = np.abs(command.residuals(found.here.compliance.state)).max()
-    return Attempt(
-        way=way, outcome=found.outcome, error=float(error), n_steps=len(found.records)
+def _attempts(command: Command, tried: Mapping[str, Descent]) -> tuple[Attempt, ...]:
+    error = lambda found: np.abs(command.residuals(found.here.compliance.state)).max()
+    return tuple(
+        Attempt(way, found.outcome, float(error(found)), len(found.records))
+        for way, found in tried.items()
     )
 
 

@@ -17,19 +17,21 @@ from softcal_jax.configurations import (
     farthest,
     motions,
 )
+from softcal_jax.control._descent import Descent
 from softcal_jax.control._goals import Goal, goal_levels, with_goals
 from softcal_jax.control._holding import Holding, what_holds
 from softcal_jax.control._limits import Limits, limit_arrays
 from softcal_jax.control._problem import Command
 from softcal_jax.control._result import (
     OUTCOMES,
+    Attempt,
     GoalFit,
     InverseResult,
     TrajectoryResult,
 )
-from softcal_jax.control._search import Found, search
+from softcal_jax.control._search import search
 from softcal_jax.control._step import ControlSettings
-from softcal_jax.equilibrium import Model
+from softcal_jax.equilibrium import Model, actuator_states
 
 
 class ControlWarning(SoftcalWarning):
@@ -51,19 +53,16 @@ def solve_inverse(
 
     Repeats the bounded QP of Eq. (6), min ||W_ea dl + e - goal||^2 plus epsilon times
     the energy of the actuators, until the goals are met or no step comes closer. Each
-    step is tried on the true equilibrium, warm-started by the predicted displacement,
-    and kept only if it helps. If that does not meet the goals, they are approached from
-    other starts within the limits, and over a continuation; the best end counts.
-    Where none meets them, the result says how far off it is in each direction, and
-    which limits or blind direction hold it. Cables with an imposed displacement stay
-    taut: slack ones are wound up, and none becomes slack.
+    step is tried on the true equilibrium, and kept only if it helps. If that does not
+    meet the goals, they are approached from other starts within the limits, and over a
+    continuation; the best end counts, and says what holds it. Cables with an imposed
+    displacement stay taut: slack ones are wound up, and none becomes slack.
 
     Args:
         model: The model, calibrated or not.
-        configuration: The actuators in its `actuation` are commanded, by force or by
-            displacement as imposed there, and start there; the others stay. Measured
-            values of its effectors and markers are their goals, and errors are weighted
-            by 1 / `std`.
+        configuration: The actuators in its `actuation` are commanded and start there;
+            the others stay. Measured values of its effectors and markers are their
+            goals, and errors are weighted by 1 / `std`.
         goals: Goals by the names of effectors and markers, in place of measured values;
             see `Goal`.
         limits: Limits by the names of actuators.
@@ -72,9 +71,6 @@ def solve_inverse(
         settings: Settings.
         guess: Displacement near the equilibrium at the start; at rest by default [m].
         throw: Raise if the search fails; an unreachable goal is not a failure.
-
-    Returns:
-        The actuation, with its outcome.
 
     Raises:
         ValueError: If no actuator is commanded, no effector has a goal, a name is
@@ -88,7 +84,7 @@ def solve_inverse(
     command = _prepare(model, configuration, goals, limits, priorities, settings)
     if guess is None:
         guess = np.zeros((model.n_points, 3))
-    result = _result(command, search(command, np.asarray(guess)))
+    result = _result(command, *search(command, np.asarray(guess)))
     if throw and result.outcome == OUTCOMES.no_equilibrium:
         raise RuntimeError(f"{result.message} {RESULTS[result.solution.result]}.")
     if throw and not (result.met or result.outcome == OUTCOMES.nearest):
@@ -108,21 +104,11 @@ def follow_trajectory(
 ) -> TrajectoryResult:
     """Find the actuation for a sequence of goals, each from where the last one ended.
 
-    Args:
-        model: The model.
-        configuration: Where the first command starts.
-        goals: Goals by name, for each point of the trajectory.
-        limits: Limits of actuators; `step` holds between neighbouring points.
-        priorities: Level of each effector.
-        settings: Settings.
-        throw: As `solve_inverse`.
+    Arguments and errors are those of `solve_inverse`, with `goals` for each point of
+    the trajectory; the `step` of limits holds between neighbouring points.
 
     Returns:
         The commands, up to the first one whose start has no regular equilibrium.
-
-    Raises:
-        ValueError: As `solve_inverse`.
-        RuntimeError: As `solve_inverse`, at the first search that fails.
     """
     points: list[InverseResult] = []
     now, guess = configuration, None
@@ -145,12 +131,11 @@ def follow_trajectory(
 
 
 def _prepare(model, configuration, goals, limits, priorities, settings) -> Command:
-    """Check a command and build its arrays."""
     if not configuration.actuation:
         known = ", ".join(map(repr, model.mechanism.actuators.names)) or "none"
         raise ValueError(
-            f"configuration {configuration.name!r} commands no actuator: name those to "
-            f"be commanded in `actuation`, where they start. Actuators: {known}."
+            f"configuration {configuration.name!r} commands no actuator: name some in "
+            f"`actuation`, where they start. Actuators: {known}."
         )
     settings, priorities = settings or ControlSettings(), priorities or {}
     configuration = with_goals(configuration, goals or {})
@@ -173,14 +158,15 @@ def _prepare(model, configuration, goals, limits, priorities, settings) -> Comma
     )
 
 
-def _result(command: Command, found: Found) -> InverseResult:
-    here, linear, _, outcome, records = found.best
+def _result(
+    command: Command, best: Descent, attempts: tuple[Attempt, ...]
+) -> InverseResult:
+    here, linear, _, outcome, records = best
     assert outcome is not None
-    names = command.model.mechanism.actuators.names
-    by_name = lambda values: dict(zip(names, map(float, values), strict=True))
-    inputs, state = by_name(here.value), here.compliance.state
+    model, state = command.model, here.compliance.state
+    inputs = dict(zip(model.mechanism.actuators.names, here.value, strict=True))
     asked = command.configuration.actuation
-    actuation = {a: replace(asked[a], value=inputs[a]) for a in asked}
+    actuation = {a: replace(asked[a], value=float(inputs[a])) for a in asked}
     reached = np.asarray(state.effectors)
     # Every effector that has a goal is compared with it; frames have two rows.
     goals = tuple(
@@ -191,7 +177,7 @@ def _result(command: Command, found: Found) -> InverseResult:
         for effector in command.effectors
         if effector.seen.any()
     )
-    holding = Holding((), (), None)
+    holding = Holding()
     if linear is not None:
         holding = what_holds(command, here, linear)
     return InverseResult(
@@ -199,13 +185,12 @@ def _result(command: Command, found: Found) -> InverseResult:
         configuration=replace(command.configuration, actuation=actuation),
         solution=here.solution,
         goals=goals,
-        forces=by_name(state.forces),
-        displacements=by_name(state.displacements),
-        active_limits=holding.active,
-        held_by=holding.limits,
-        blind=holding.blind,
+        actuators=actuator_states(
+            model, command.lane, state.forces, state.displacements
+        ),
+        **holding._asdict(),
         steps=records,
-        attempts=found.attempts,
+        attempts=attempts,
         tol=command.settings.tol,
-        model=command.model,
+        model=model,
     )

@@ -1,28 +1,19 @@
-"""One step of inverse control: try inputs, and decide whether they helped."""
+"""One step of inverse control: its settings, its QP, and whether it is kept (Eq. 6)."""
 
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration import KKT_TOLERANCE
-from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.control._compliance import (
-    ActuatorCompliance,
-    ActuatorReadings,
-    actuator_compliance,
-    actuator_readings,
-    with_inputs,
-)
-from softcal_jax.equilibrium import (
-    EquilibriumSolution,
-    Model,
-    NewtonSettings,
-    solve_equilibrium,
-)
+from softcal_jax.calibration import KKT_TOLERANCE, QPStep, bounded_step
+from softcal_jax.equilibrium import NewtonSettings
+
+NULL = 1e-10
+"""Relative squared singular value below which a level does not see a direction [-]."""
 
 ROUNDING = 1e-6
 """Violation of a limit that is ignored, relative to the size of the robot [-]."""
@@ -67,83 +58,83 @@ class ControlSettings(Module):
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}.")
         if self.max_steps < 1:
             raise ValueError(f"max_steps must be at least 1, got {self.max_steps}.")
-        if self.other_starts < 0:
-            raise ValueError(
-                f"other_starts must not be negative, got {self.other_starts}."
+        for name in ("other_starts", "epsilon"):
+            if not getattr(self, name) >= 0.0:
+                value = getattr(self, name)
+                raise ValueError(f"{name} must not be negative, got {value}.")
+
+
+class StepLimits(NamedTuple):
+    """Limits of the scaled step y: lower <= y <= upper and A y <= b [-].
+
+    A y is the change of the quantities that are not imposed: less that change for their
+    lower limits, actuator by actuator, then the change for their upper limits.
+    """
+
+    lower: Float[Array | HostArray, " n_a"]
+    upper: Float[Array | HostArray, " n_a"]
+    A: Float[Array | HostArray, "n_rows n_a"]
+    b: Float[Array | HostArray, " n_rows"]
+
+
+@jax.jit
+def step_in_levels(
+    levels: tuple[tuple[Float[Array, "_ n_a"], Float[Array, " _"]], ...],
+    limits: StepLimits,
+    radius: Float[Array, ""],
+) -> QPStep:
+    """Minimise ||W y + error|| of the first level, then of the next among its minima.
+
+    All minima of a level share W y, so the next level moves only in the null space of
+    W, and priorities are strict whatever the weights. Each level is one bounded QP; the
+    optimality residual is the largest of all. The radius bounds every entry of y.
+    """
+    moves = limits.upper > limits.lower
+    lower = jnp.maximum(limits.lower, -radius)
+    upper = jnp.minimum(limits.upper, radius)
+    A = jnp.where(moves[None], limits.A, 0.0)
+    # A violated row is reduced only as far as the trust region allows.
+    reach = 0.9 * radius * jnp.sum(jnp.abs(A), axis=1)
+    b = jnp.maximum(limits.b, -reach)
+    y = jnp.zeros_like(lower)
+    P, kkt = jnp.eye(y.size, dtype=y.dtype), jnp.zeros((), y.dtype)
+    for level, (W, error) in enumerate(levels):
+        W = jnp.where(moves[None], W, 0.0)
+        if level == 0:
+            qp = bounded_step(W, error, lower, upper, A=A, b=b)
+            y = qp.lambda_p
+        else:
+            P = _within_null_space(P, levels[level - 1][0], moves)
+            far = jnp.full_like(y, 4.0 * y.size) * radius
+            qp = bounded_step(
+                W @ P,
+                error + W @ y,
+                -far,
+                far,
+                A=jnp.concatenate([P, -P, A @ P]),
+                b=jnp.concatenate([upper - y, y - lower, b - A @ y]),
             )
-        if not self.epsilon >= 0.0:
-            raise ValueError(f"epsilon must not be negative, got {self.epsilon}.")
+            y = jnp.clip(y + P @ qp.lambda_p, lower, upper)
+        kkt = jnp.maximum(kkt, qp.kkt_residual)
+    return QPStep(y, kkt)
 
 
-class Reached(NamedTuple):
-    """The equilibrium at some inputs, slack cables wound up, and the readings there."""
-
-    value: Float[Array | HostArray, " n_a"]
-    solution: EquilibriumSolution
-    state: ActuatorReadings
-
-
-class Arrival(NamedTuple):
-    """An equilibrium with its derivatives, which are nan where there is none."""
-
-    value: Float[Array | HostArray, " n_a"]
-    solution: EquilibriumSolution
-    compliance: ActuatorCompliance
-
-    @property
-    def stands(self) -> bool:
-        """Whether there is an equilibrium with derivatives."""
-        return bool(np.isfinite(self.compliance.W_ea).all())
-
-
-@eqx.filter_jit
-def reach(
-    model: Model,
-    configuration: ConfigurationArrays,
-    box: Float[Array, "2 n_a"],
-    value: Float[Array, " n_a"],
-    guess: Float[Array, "n_points 3"],
-    newton: NewtonSettings,
-) -> Reached:
-    """Solve for the equilibrium and wind up slack cables.
-
-    Winding them up until they are just taut does not change the equilibrium, but a
-    slack cable has no effect on the robot and so no derivative, whereas a taut one has.
-    """
-    configuration = with_inputs(configuration, value)
-    solution = solve_equilibrium(model, configuration, guess=guess, settings=newton)
-    state = actuator_readings(model, configuration, solution)
-    cable = jnp.asarray(model.mechanism.actuators.unilateral)
-    cable = cable & jnp.asarray(configuration.actuation.by_displacement)
-    lower, upper = box
-    wound = jnp.maximum(value, jnp.minimum(state.displacements, upper))
-    value = jnp.where(cable & (upper > lower), wound, value)
-    return Reached(value, solution, state)
-
-
-@eqx.filter_jit
-def differentiate(
-    model: Model, configuration: ConfigurationArrays, there: Reached
-) -> Arrival:
-    """Differentiate an equilibrium by its inputs.
-
-    This takes another factorization, so it is not done for steps that are refused.
-    """
-    configuration = with_inputs(configuration, jnp.asarray(there.value))
-    compliance = actuator_compliance(model, configuration, there.solution)
-    return Arrival(there.value, there.solution, compliance)
+def _within_null_space(P, W, moves):
+    """Restrict the projector P to the null space of W."""
+    W = jnp.where(moves[None], W, 0.0) @ P
+    values, vectors = jnp.linalg.eigh(W.T @ W)
+    blind = values <= NULL * jnp.max(values)
+    N = jnp.where(blind[None], vectors, 0.0)
+    P = P @ (N @ N.T) @ P
+    return jnp.where(moves[:, None] & moves[None], P, 0.0)
 
 
 class TriedStep(NamedTuple):
     """A step that was tried; its parts are violated limits, then each level's cost [-].
 
-    Attributes:
-        now: Parts before the step.
-        expected: Parts after the step, by the linear model.
-        tried: Parts after the step, at the true equilibrium; inf without one.
-        size: Largest entry of the step.
-        kkt_residual: Optimality residual of its QPs.
-        cosine: Cosine between the errors and their expected reduction.
+    They are those before the step, after it by the linear model, and after it at the
+    true equilibrium; inf without one. `size` is the largest entry of the step, `cosine`
+    that between the errors and their expected reduction.
     """
 
     now: Float[HostArray, " n_parts"]

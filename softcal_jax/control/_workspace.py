@@ -116,8 +116,6 @@ def sample_workspace(
 
 @eqx.filter_jit
 def _sample(model, configuration, values, newton):
-    """Solve all samples and read their effectors."""
-
     def one(value):
         lane = with_inputs(configuration, value)
         solution = solve_equilibrium(model, lane, settings=newton)

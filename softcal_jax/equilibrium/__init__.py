@@ -8,7 +8,6 @@ from softcal_jax.equilibrium._assembly import (
     field_forces,
     gravity_load,
     internal_force,
-    strain_energy,
     tangent_values,
     tet_states,
 )
@@ -40,6 +39,7 @@ from softcal_jax.equilibrium._robot_state import (
     BodyPlace,
     Reaction,
     RobotState,
+    actuator_states,
     robot_states,
 )
 from softcal_jax.equilibrium._sensitivity import (
@@ -62,11 +62,7 @@ from softcal_jax.equilibrium._solve import (
     solve_equilibrium,
     solve_from_rest,
 )
-from softcal_jax.equilibrium._workers import (
-    Program,
-    Workers,
-    usable_cores,
-)
+from softcal_jax.equilibrium._workers import Program, Workers, usable_cores
 
 __all__ = [
     "RESULTS",
@@ -88,6 +84,7 @@ __all__ = [
     "TetStates",
     "Workers",
     "actuator_forces",
+    "actuator_states",
     "add_weighted",
     "adjoint_rows",
     "begin_newton",
@@ -115,7 +112,6 @@ __all__ = [
     "solve_equilibrium",
     "solve_from_rest",
     "solved_forces",
-    "strain_energy",
     "tangent_values",
     "tet_states",
     "usable_cores",

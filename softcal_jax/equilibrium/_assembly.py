@@ -20,7 +20,7 @@ from softcal_jax.equilibrium._element import (
     mean_dilatation,
     mixed_newton,
 )
-from softcal_jax.equilibrium._model import Model, check_law, to_blocks
+from softcal_jax.equilibrium._model import Model, Nodal, check_law, to_blocks
 from softcal_jax.equilibrium._sparsity import element_entries
 from softcal_jax.materials import PointValues, is_point_values
 
@@ -33,7 +33,7 @@ def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, *
 
     The kernel is defined at module level so that its trace is cached; a closure would
     be traced at every call and keep its program alive. `per_tet` are further values of
-    each tet, in blocks; `own` are shared by all tets: arrays, or hashable options.
+    each tet, in blocks; `own` are arrays or hashable options that all tets share.
     """
     blocks = (model.shape_gradients, model.weights, model.law_blocks(), model.active)
     arrays = {name: value for name, value in own.items() if eqx.is_array(value)}
@@ -54,25 +54,8 @@ def _mapped(kernel, options, u, arrays, nodes, *of_tets):
     return jax.lax.map(block, (nodes, *of_tets))
 
 
-def strain_energy(
-    model: Model, u: Float[Array, "n_points 3"]
-) -> Float[Array, "n_blocks block"]:
-    """Compute the strain energy of each tet, in blocks [J]."""
-    return _map_blocks(model, u, _part, part=0, formulation=model.formulation)
-
-
-def _part(u, dN, w, law, active, part, formulation):
-    return active * element_energy_and_force(u, dN, w, law, formulation)[part]
-
-
 class TetStates(NamedTuple):
-    """Energy, stress and deformation of the tets, at rest or deformed.
-
-    Attributes:
-        energy: Strain energy of each tet [J].
-        cauchy: Mean Cauchy stress of each tet [Pa].
-        F: Deformation gradients at its quadrature points [-].
-    """
+    """Strain energy [J], mean Cauchy stress [Pa] and F at quadrature points of tets."""
 
     energy: Float[HostArray, " n_tets"]
     cauchy: Float[HostArray, "n_tets 3 3"]
@@ -81,7 +64,7 @@ class TetStates(NamedTuple):
     __repr__ = one_line
 
 
-def tet_states(model: Model, u: Float[Array, "n_points 3"]) -> TetStates:
+def tet_states(model: Model, u: Nodal) -> TetStates:
     """Compute energy, stress and deformation of each tet; zero energy if rigid."""
 
     def in_order(values: Float[Array, "n_blocks ... block"]) -> HostArray:
@@ -92,7 +75,7 @@ def tet_states(model: Model, u: Float[Array, "n_points 3"]) -> TetStates:
 
 
 @eqx.filter_jit
-def _states(model: Model, u: Float[Array, "n_points 3"]):
+def _states(model: Model, u: Nodal):
     return _map_blocks(model, u, _state, formulation=model.formulation)
 
 
@@ -101,15 +84,17 @@ def _state(u, dN, w, law, active, formulation):
     return active * energy, active * cauchy, F
 
 
-def internal_force(
-    model: Model, u: Float[Array, "n_points 3"]
-) -> Float[Array, "n_points 3"]:
+def internal_force(model: Model, u: Nodal) -> Nodal:
     """Compute the internal force f(u; p), the gradient of the strain energy [N]."""
-    forces = _map_blocks(model, u, _part, part=1, formulation=model.formulation)
+    forces = _map_blocks(model, u, _force, formulation=model.formulation)
     return _add_forces(model, forces)
 
 
-def energy_and_force(model: Model, u: Float[Array, "n_points 3"]):
+def _force(u, dN, w, law, active, formulation):
+    return active * element_energy_and_force(u, dN, w, law, formulation)[1]
+
+
+def energy_and_force(model: Model, u: Nodal):
     """Compute energy, sum of its absolute parts, internal force and smallest det F."""
     energy, forces, det = _map_blocks(
         model, u, _energy_and_force, formulation=model.formulation
@@ -125,14 +110,11 @@ def _energy_and_force(u, dN, w, law, active, formulation):
 
 
 def tangent_values(
-    model: Model,
-    u: Float[Array, "n_points 3"],
-    before: Float[Array, "n_points 3"] | None = None,
+    model: Model, u: Nodal, before: Nodal | None = None
 ) -> Float[Array, " nnz"]:
     """Compute the tangent K = df/du over all nodes, in the order of the pattern [N/m].
 
-    For a conservative model only its upper triangle is returned. For `before`, where
-    the step to `u` began, see `element_stiffness`; the mixed formulation ignores it.
+    For `before`, where the step to `u` began, see `element_stiffness`.
     """
     both, stepped = u, None
     if before is not None:
@@ -155,8 +137,8 @@ def _stiffness(u, dN, w, law, active, formulation, symmetric, stepped):
 
 
 def mixed_tangent(
-    model: Model, u: Float[Array, "n_points 3"], theta: Float[Array, "n_blocks block"]
-) -> tuple[Float[Array, " nnz"], Float[Array, "n_points 3"]]:
+    model: Model, u: Nodal, theta: Float[Array, "n_blocks block"]
+) -> tuple[Float[Array, " nnz"], Nodal]:
     """Compute tangent and force of the Newton step with independent volume ratios."""
     entries, forces = _map_blocks(
         model, u, _mixed_newton, theta, symmetric=model.pattern.symmetric
@@ -170,14 +152,13 @@ def _mixed_newton(u, dN, w, law, active, theta, symmetric):
 
 
 def _kept(K: Float[Array, "n_en 3 n_en 3"], symmetric: bool):
-    """Select the entries of an element matrix that the pattern stores."""
     n_en = K.shape[0]
     p, q = element_entries(n_en, symmetric)
     return K.reshape(3 * n_en, -1)[p, q]
 
 
 def predicted_dilatation(
-    model: Model, u: Float[Array, "n_points 3"], du: Float[Array, "n_points 3"]
+    model: Model, u: Nodal, du: Nodal
 ) -> Float[Array, "n_blocks block"]:
     """Predict the volume ratio of each tet after a step: J_bar + dJ_bar du [-]."""
     return _map_blocks(model, jnp.concatenate([u, du], axis=1), _predicted_dilatation)
@@ -192,13 +173,13 @@ def _predicted_dilatation(both, dN, w, law, active):
 
 
 def field_forces(
-    model: Model, u: Float[Array, "n_points 3"], fields: Mapping[str, FieldOfLaw]
+    model: Model, u: Nodal, fields: Mapping[str, FieldOfLaw]
 ) -> dict[str, Float[Array, "n_blocks m n_en 3 block"]]:
     """Differentiate each tet's internal force by its own values of some fields [N].
 
     One pass over the tets gives the derivatives by all values, m per tet: one, or one
     per quadrature point. Parameters that spread a field over the mesh are weighted sums
-    of them. `fields` are accessors by name; equal ones are traced once.
+    of them.
     """
     own = {"fields": tuple(fields.items()), "formulation": model.formulation}
     return _map_blocks(model, u, _field_forces, **own)
@@ -235,10 +216,7 @@ def add_weighted(
     forces: Mapping[str, Float[Array, "n_blocks _ n_en 3 block"]],
     weights: Mapping[str, Float[Array, "n_p n_tets _"]],
 ) -> Float[Array, "n_p n_points 3"]:
-    """Sum forces of tets from `field_forces` into nodal forces of each parameter [N].
-
-    `weights` are the changes of the fields in each tet per unit of each parameter.
-    """
+    """Sum `field_forces`, weighted by the change of each field per parameter [N]."""
 
     def of_tets(name, weight):
         n_blocks, *_, block = forces[name].shape
@@ -260,16 +238,12 @@ def _add_entries(
     return zero.at[model.destination].add(entries)
 
 
-def _add_forces(
-    model: Model, forces: Float[Array, "n_blocks n_en 3 block"]
-) -> Float[Array, "n_points 3"]:
+def _add_forces(model: Model, forces: Float[Array, "n_blocks n_en 3 block"]) -> Nodal:
     zero = jnp.zeros((model.n_points, 3), forces.dtype)
     return zero.at[model.nodes].add(jnp.moveaxis(forces, -1, 2))
 
 
-def gravity_load(
-    model: Model, gravity: Float[Array, "3"]
-) -> Float[Array, "n_points 3"]:
+def gravity_load(model: Model, gravity: Float[Array, "3"]) -> Nodal:
     """Compute the weight of mesh and rigid bodies as nodal forces [N]."""
     density = jnp.broadcast_to(model.density, (model.n_tets,))
     mass = density[:, None] * model.node_volumes

@@ -9,7 +9,7 @@ from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.actuators import actuator_rows, curvature_entries, displacement_rows
 from softcal_jax.equilibrium._assembly import energy_and_force, internal_force
 from softcal_jax.equilibrium._bordered import System
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import element_entries, mask_supports
 
@@ -18,19 +18,14 @@ _TAUT = 1e-6
 
 
 class Point(NamedTuple):
-    """A displacement with what balance and line search need to know there.
+    """A displacement with internal force and displacements of actuators there.
 
-    Attributes:
-        u: The displacement [m].
-        force: Internal force [N].
-        delta_a: Displacements of the actuators.
-        energy: Strain energy [J]; like the following None where nobody needs it.
-        energy_scale: Sum of its absolute parts, the scale of its rounding [J].
-        min_det_F: Smallest det F [-].
+    The energy, the sum of its absolute parts, which scales its rounding, and the
+    smallest det F are None where nobody needs them.
     """
 
-    u: Float[Array, "n_points 3"]
-    force: Float[Array, "n_points 3"]
+    u: Nodal
+    force: Nodal
     delta_a: Float[Array, " n_a"]
     energy: Any = None
     energy_scale: Any = None
@@ -38,23 +33,20 @@ class Point(NamedTuple):
 
     @property
     def finite(self) -> Bool[Array, ""]:
-        """Whether energy and force are finite."""
         return jnp.isfinite(self.energy) & jnp.all(jnp.isfinite(self.force))
 
 
-def deform(model: Model, u: Float[Array, "n_points 3"]) -> Point:
+def deform(model: Model, u: Nodal) -> Point:
     """Compute internal force and actuator displacements, without the energy."""
     return Point(u, internal_force(model, u), model.displacements(u))
 
 
-def evaluate(model: Model, u: Float[Array, "n_points 3"]) -> Point:
-    """Compute energy, internal force and actuator displacements."""
+def evaluate(model: Model, u: Nodal) -> Point:
     energy, scale, force, det = energy_and_force(model, u)
     return Point(u, force, model.displacements(u), energy, scale, det)
 
 
 def at_rest(model: Model) -> Point:
-    """Return the undeformed state, where every law is free of energy and stress."""
     none = jnp.zeros((model.n_points, 3))
     delta_a = jnp.zeros(model.mechanism.n_actuators) - model.mechanism.motor_zero
     zero, one = jnp.zeros(()), jnp.ones(())
@@ -64,7 +56,6 @@ def at_rest(model: Model) -> Point:
 def actuator_loads(
     posed: Posed, lambda_a: Float[Array, " n_a"]
 ) -> Float[Array, " n_a"]:
-    """Return the forces of all actuators: solved for, or imposed at this load."""
     imposed = posed.configuration.actuation.forces
     return jnp.where(posed.by_multiplier, lambda_a, posed.load * imposed)
 
@@ -80,19 +71,15 @@ def unbalanced(posed: Posed, at: Point, lambda_a: Float[Array, " n_a"]):
 
 
 def rows_on_free(
-    posed: Posed, u: Float[Array, "n_points 3"], rows: Float[Array, "n n_points 3"]
+    posed: Posed, u: Nodal, rows: Float[Array, "n n_points 3"]
 ) -> Float[Array, "n n_dof"]:
-    """Reduce rows of forces on all nodes to forces on the free unknowns."""
     if rows.shape[0] == 0:
         return jnp.zeros((0, posed.model.n_dof), rows.dtype)
     return jax.vmap(lambda row: posed.on_free(u, row))(rows)
 
 
 def nodal_tangent(
-    posed: Posed,
-    u: Float[Array, "n_points 3"],
-    lambda_a: Float[Array, " n_a"],
-    mesh: Float[Array, " nnz"],
+    posed: Posed, u: Nodal, lambda_a: Float[Array, " n_a"], mesh: Float[Array, " nnz"]
 ) -> Float[Array, " nnz"]:
     """Add actuators and springs to the tangent of the mesh over all nodes [N/m]."""
     model, nodal = posed.model, mesh
@@ -123,7 +110,7 @@ class Tangent(NamedTuple):
     stiffness: Float[Array, ""]
     system: System
     H_a: Float[Array, "n_m n_points 3"]
-    g: Float[Array, "n_points 3"]
+    g: Nodal
 
 
 def assemble(
@@ -134,10 +121,9 @@ def assemble(
     mesh: Float[Array, " nnz"],
     active: Bool[Array, " n_a"],
 ) -> Tangent:
-    """Assemble the tangent over all nodes; reduce it to the unknowns and border it.
+    """Add actuators and springs to the tangent of the mesh, reduce it and border it.
 
-    `mesh` is the tangent of the mesh over all nodes, `active` flags the actuators with
-    an imposed displacement that acts.
+    `active` flags the actuators with an imposed displacement that acts.
     """
     model, u = posed.model, at.u
     actuators, which = model.mechanism.actuators, model.with_multiplier
@@ -155,7 +141,6 @@ def assemble(
 
 
 def _wanting(posed: Posed, at: Point) -> tuple[Float[Array, " n_a"], Array]:
-    """Return imposed minus current displacements, and which actuators only pull."""
     wanted = posed.load * jnp.asarray(posed.configuration.actuation.value)
     unilateral = jnp.asarray(posed.model.mechanism.actuators.unilateral)
     return wanted - at.delta_a, unilateral
@@ -182,7 +167,7 @@ def taut(posed: Posed, at: Point) -> Bool[Array, " n_a"]:
 def estimated_forces(posed: Posed, at: Point) -> Float[Array, " n_a"]:
     """Estimate the forces behind imposed displacements by least squares.
 
-    This first-order multiplier estimate is exact at equilibrium; 0 for slack cables.
+    Exact at equilibrium; 0 for slack cables.
     """
     if posed.model.with_multiplier.size == 0:
         return jnp.zeros_like(at.delta_a)
@@ -219,17 +204,15 @@ class Residual(NamedTuple):
         return self.size <= jnp.maximum(rtol, self.rounding)
 
     def at_rounding(self, rtol) -> Bool[Array, ""]:
-        """Tell whether Newton stops, but not at `rtol`."""
         return self.settled(rtol) & (self.size > rtol)
 
 
 def relative(posed: Posed, at: Point, merit, stiffness) -> Residual:
     """Divide a merit by the larger of external and internal force.
 
-    `stiffness` is the mean stiffness of an unknown [N/m]. Times the rounding of the
-    displacements, it is that of the internal forces. A region that is stiffer than the
-    others by orders of magnitude sets it for all; without any load, also in a robot
-    that is rotated as a whole, nothing else remains.
+    The mean stiffness of an unknown [N/m], times the rounding of the displacements, is
+    the rounding of the internal forces. A region that is stiffer than the others by
+    orders of magnitude sets it for all; without load nothing else remains.
     """
     points = jnp.asarray(posed.model.mechanism.points)
     size = jnp.maximum(jnp.max(jnp.ptp(points, axis=0)), jnp.max(jnp.abs(at.u)))

@@ -26,15 +26,10 @@ T = TypeVar("T")
 
 
 class Bordered(NamedTuple):
-    """Solution of bordered systems that share the matrix of a `System`.
+    """Steps of unknowns [m] and of actuators' forces, one row per right-hand side.
 
-    Attributes:
-        x: Steps of the unknowns, one row per right-hand side [m].
-        lambda_a: Steps of the forces of its actuators; 0 where they are imposed.
-        W_aa: Compliance of its actuators.
-        n_negative: Number of negative eigenvalues of the tangent restricted to steps
-            that keep the imposed displacements; -1 if the solver does not count them.
-        ok: Whether the solutions exist.
+    `n_negative` is the number of negative eigenvalues of the tangent restricted to
+    steps that keep the imposed displacements; -1 if the solver does not count them.
     """
 
     x: Float[Array, "n_rhs n_dof"]
@@ -47,11 +42,8 @@ class Bordered(NamedTuple):
 class System(NamedTuple):
     """The matrix of a bordered system, with the actuators `Model.with_multiplier`.
 
-    Attributes:
-        values: Tangent of the unknowns, supports masked.
-        F_a: Forces of the actuators on the unknowns by rows, zero on held ones.
-        active: Which of these actuators have an imposed displacement that acts.
-        H_own: H_a of these actuators; None if it equals F_a.
+    `values` is the tangent with supports masked; F_a is zero on held unknowns, `H_own`
+    is H_a, None if that equals F_a. `active`: the imposed displacement acts.
     """
 
     values: Float[Array, " nnz_reduced"]
@@ -61,7 +53,6 @@ class System(NamedTuple):
 
     @property
     def H_a(self) -> Float[Array, "n_m n_dof"]:
-        """Derivatives of these actuators' displacements by the unknowns, by rows."""
         return self.F_a if self.H_own is None else self.H_own
 
     def solve(
@@ -72,10 +63,7 @@ class System(NamedTuple):
         *,
         transpose: bool = False,
     ) -> Bordered:
-        """Solve for the steps of unknowns and multipliers, given forces and gaps.
-
-        `transpose` solves with K^T, with F_a and H_a exchanged.
-        """
+        """Solve for steps, given forces and gaps; `transpose`: with K^T, F_a as H_a."""
         solve = jax.custom_batching.custom_vmap(partial(_solve, transpose=transpose))
 
         @solve.def_vmap
@@ -113,7 +101,6 @@ def _solve(
     *,
     transpose: bool,
 ) -> Bordered:
-    """Do the work of `System.solve`, eliminating the unknowns first."""
     n_rhs, n_m = gap.shape
     if n_m == 0:
         solved = solver.factor_solve(system.values, force, transpose=transpose)
@@ -147,6 +134,5 @@ def _solve(
 
 
 def zeros_of(function: Callable[..., T], *arguments: Any) -> T:
-    """Return zeros in place of a function's result, without computing it."""
     shapes = jax.eval_shape(function, *arguments)
     return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)

@@ -64,7 +64,7 @@ def build_model(
         law: Constitutive law; its arrays hold one value, or one per tet.
         density: Mass density, one value or one per tet [kg/m3].
         bodies: The rigid bodies.
-        actuators: Cables, chambers, motors and other actuators.
+        actuators: The actuators.
         formulation: How the volume change enters. "auto" takes "mean-dilatation" for
             quadratic tets whose law has a Poisson's ratio `nu` of 0.49 or more, and
             "displacement" otherwise; `Model.formulation` says which.
@@ -74,10 +74,9 @@ def build_model(
             solved.
 
     Raises:
-        ValueError: If JAX is not in float64, the mesh is not sound, the density is
-            negative, a per-tet array has the wrong length, a body or an actuator does
-            not fit the mesh, the formulation is unknown or needs a potential that the
-            law lacks, or the solver is unknown or cannot run where JAX computes.
+        ValueError: If JAX is not in float64, mesh or density are not sound, a per-tet
+            array has the wrong length, a body or an actuator does not fit the mesh, or
+            formulation or solver are unknown or do not suit the law or the machine.
         ImportError: If the package of the solver is not installed.
         RuntimeError: If this process was forked from one that had computed.
     """
@@ -131,9 +130,8 @@ def refined_model(model: Model) -> tuple[Model, Refinement]:
 def model_for_law(model: Model, law: AbstractLaw) -> Model:
     """Prepare the same robot for another law, with or without a potential.
 
-    Where only constants change, or the law has a potential as before,
-    `Model.with_law` does the same at no cost. A law without a potential takes the
-    displacement formulation.
+    `Model.with_law` is cheaper where the law has a potential as before. A law without
+    one takes the displacement formulation.
 
     Raises:
         ValueError: If a per-tet array has the wrong length.
@@ -158,7 +156,6 @@ def _prepared(
     formulation: Formulation,
     solver: Callable[[Sparsity], AbstractLinearSolver],
 ) -> Model:
-    """Assemble a model of parts that fit each other, see `build_model`."""
     n_tets, n_en = mesh.tets.shape
     check_law(law, law.conservative, formulation)
     n_blocks = -(-n_tets // BLOCK)

@@ -1,8 +1,7 @@
 """Equilibrium from a good guess, with the last factors kept for sensitivities.
 
 After a step of the parameters, x + (dx/dp) dp is close to the new equilibrium, and one
-or two full Newton steps reach it. The factors of the last one then also serve the
-right-hand sides of the sensitivities.
+or two full Newton steps reach it.
 """
 
 from typing import NamedTuple
@@ -31,7 +30,7 @@ from softcal_jax.equilibrium._direction import (
     newton_direction,
 )
 from softcal_jax.equilibrium._linearisation import Linearisation, linearise
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonSettings, newton
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._solution import EquilibriumSolution
@@ -58,10 +57,7 @@ Newton's method converges quadratically there, and this tangent is cheaper.
 
 
 class Continuation(NamedTuple):
-    """An equilibrium, and the linear system there.
-
-    The system has the factors of the last Newton step if possible.
-    """
+    """An equilibrium, and the linear system there, if possible with its factors."""
 
     equilibrium: EquilibriumSolution
     linearisation: Linearisation
@@ -78,7 +74,7 @@ class _Quick(NamedTuple):
 
     solution: EquilibriumSolution
     at: Point
-    before: Float[Array, "n_points 3"]
+    before: Nodal
     lambda_a: Float[Array, " n_a"]
     factor: Factor
     chord: Bool[Array, ""]
@@ -91,21 +87,21 @@ class _Quick(NamedTuple):
 def continue_equilibrium(
     model: Model,
     configuration: ConfigurationArrays,
-    guess: Float[Array, "n_points 3"],
+    guess: Nodal,
     *,
     settings: NewtonSettings,
-    before: Float[Array, "n_points 3"] | None = None,
+    before: Nodal | None = None,
     precise: bool | Bool[Array, ""] = False,
 ) -> Continuation:
     """Find the equilibrium near a guess, and keep its last factors for sensitivities.
 
     Full Newton steps are taken as long as each reduces the residual, the state is
     stable and no tet is inverted; otherwise the careful method of `solve_equilibrium`
-    takes over, with the same `settings`. The last digits come from steps on the last
-    factor (chord steps). The linear system is stated at the equilibrium, but its
-    tangent is that before the last Newton step, so its error is of the order of that
-    step; one more step if `precise` makes it exact. (The rows of the parameters are not
-    taken from there, or a direction without any effect would seem to have one.)
+    takes over. The last digits come from steps on the last factor (chord steps). The
+    linear system is stated at the equilibrium, but its tangent is that before the last
+    Newton step, so its error is of the order of that step; one more step if `precise`
+    makes it exact. (The rows of the parameters are not taken from there, or a direction
+    without any effect would seem to have one.)
 
     `before` is the equilibrium from which the guess was extrapolated to first order; it
     saves slender robots a Newton step [m].
@@ -146,8 +142,7 @@ class _QuickSteps(NamedTuple):
     def model(self) -> Model:
         return self.posed.model
 
-    def start(self, guess: Float[Array, "n_points 3"], before) -> _Quick:
-        """Return the state before the first step, with held nodes in place."""
+    def start(self, guess: Nodal, before) -> _Quick:
         posed = self.posed
         rigid = posed.rigid(guess)
         at = evaluate(self.model, posed.held_at(rigid))
@@ -187,7 +182,6 @@ class _QuickSteps(NamedTuple):
         )
 
     def careful(self, s: _Quick) -> tuple[EquilibriumSolution, Point, Array]:
-        """Run Newton with line search and load steps from the state's displacement."""
         state = newton(self.model, self.posed.configuration, s.at.u, self.settings)
         return as_solution(state, self.settings), state.at, state.lambda_a
 
@@ -197,12 +191,10 @@ class _QuickSteps(NamedTuple):
         return relative(self.posed, at, size, jnp.zeros((), at.u.dtype)).size
 
     def newton_step(self, at: Point, lambda_a, before) -> tuple[Step, Factor]:
-        """Compute a Newton step and its factor."""
         found = newton_direction(self.posed, at, lambda_a, before=before)
         return found.step, found.factor
 
     def chord_step(self, s: _Quick) -> tuple[Step, Factor]:
-        """Compute a step on the factor of the last Newton step, without multipliers."""
         g, _ = unbalanced(self.posed, s.at, s.lambda_a)
         rhs = -self.posed.on_free(s.at.u, g)
         d = self.model.solver.solve_again(s.factor.system.values, rhs[None])[0]

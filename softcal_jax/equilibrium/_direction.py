@@ -26,7 +26,7 @@ from softcal_jax.equilibrium._balance import (
 )
 from softcal_jax.equilibrium._bordered import System
 from softcal_jax.equilibrium._element import is_mixed
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import product
 
@@ -35,14 +35,9 @@ _LARGEST_TURN = 0.5
 
 
 class Factor(NamedTuple):
-    """A factorized tangent, and what its factorization reported.
+    """A factorized tangent, the mean stiffness of an unknown, and what was reported.
 
-    Attributes:
-        system: The matrix.
-        stiffness: Mean stiffness of an unknown [N/m].
-        gap_stiffness: Force per displacement of each actuator with an imposed one.
-        n_negative: Number of negative eigenvalues, see `Bordered`.
-        ok: Whether the factorization succeeded.
+    `gap_stiffness` is the force per displacement of each actuator with an imposed one.
     """
 
     system: System
@@ -65,14 +60,10 @@ class Step(NamedTuple):
 
 
 class NewtonDirection(NamedTuple):
-    """A Newton step with its slope and longest sensible share.
+    """A Newton step with its slope, the out-of-balance force times the step [J].
 
-    Attributes:
-        step: The whole step.
-        slope: Out-of-balance force times the step [J].
-        moving: Whether held nodes or bodies still have to move into place.
-        reach: Longest share of the step that is worth trying [-].
-        factor: The factorized tangent.
+    `moving`: held nodes or bodies still have to move into place. `reach` is the longest
+    share of the step that is worth trying [-].
     """
 
     step: Step
@@ -83,7 +74,6 @@ class NewtonDirection(NamedTuple):
 
 
 def has_volume_unknowns(model: Model) -> bool:
-    """Whether the volume ratios are unknowns of the Newton step."""
     return is_mixed(model.formulation, model.weights.shape[1])
 
 
@@ -99,7 +89,7 @@ def newton_direction(
     *,
     theta=None,
     strict=None,
-    before: Float[Array, "n_points 3"] | None = None,
+    before: Nodal | None = None,
 ) -> NewtonDirection:
     """Compute the Newton step at a deformed state.
 
@@ -180,17 +170,10 @@ def _on_hinges(posed: Posed, twists, slope, moving):
 
 
 class LineSearchTrial(NamedTuple):
-    """A point along a Newton step, with multipliers and norm of the residual [N]."""
-
     at: Point
     lambda_a: Float[Array, " n_a"]
     merit: Float[Array, ""]
     good: Bool[Array, ""]
-
-
-def always_potential(model: Model) -> bool:
-    """Tell whether the line search uses the potential in every configuration."""
-    return model.conservative and model.with_multiplier.size == 0
 
 
 def line_search(
@@ -248,8 +231,7 @@ def _lower(posed: Posed, at: Point, direction: NewtonDirection, reference):
     The residual must fall below the larger of the last two, `reference`, which a Newton
     direction can always reach (Grippo, Lampariello and Lucidi, SIAM J. Numer. Anal. 23,
     1986). A rotation completed only to first order stretches a slender body, so the
-    residual rises by orders of magnitude for one step. Monotone descent would take very
-    short steps even under gravity alone.
+    residual rises for one step. Monotone descent would take very short steps.
     """
     before, scale = _potential(posed, at)
     slope, d = direction.slope, direction.step.d

@@ -7,7 +7,7 @@ from softcal_jax._typing import Array, Float
 from softcal_jax.bodies import frames_at, rotation_vector
 from softcal_jax.configurations import ConfigurationArrays, EffectorArrays
 from softcal_jax.equilibrium._linearisation import residual, solved_forces
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._solution import EquilibriumSolution
 
@@ -15,15 +15,14 @@ from softcal_jax.equilibrium._solution import EquilibriumSolution
 def effector_values(
     model: Model,
     configuration: ConfigurationArrays,
-    u: Float[Array, "n_points 3"],
+    u: Nodal,
     multipliers: Float[Array, " n_a"] | None = None,
-    unbalanced: Float[Array, "n_points 3"] | None = None,
+    unbalanced: Nodal | None = None,
 ) -> Float[Array, "n_rows 3"]:
     """Compute all effectors: positions [m], rotations [rad], scalars and forces [N].
 
-    Rows are ordered as in `EffectorArrays`. The forces of actuators whose displacement
-    is imposed are estimated from the balance unless `multipliers` gives them;
-    `unbalanced` is `residual`, if already known [N].
+    Rows are ordered as in `EffectorArrays`. The `multipliers` are estimated from the
+    balance unless given; `unbalanced` is `residual`, if already known [N].
     """
     effectors = configuration.effectors
     rows = [_positions(model, effectors, u)]
@@ -45,13 +44,12 @@ def effector_values(
 
 
 def _in_first_column(value: Float[Array, " n"]) -> Float[Array, "n 3"]:
-    """Write scalars as rows of three."""
     none = jnp.zeros_like(value)
     return jnp.stack([value, none, none], axis=1)
 
 
 def _positions(
-    model: Model, effectors: EffectorArrays, u: Float[Array, "n_points 3"]
+    model: Model, effectors: EffectorArrays, u: Nodal
 ) -> Float[Array, "n_rows_of_positions 3"]:
     """Compute the rows that depend on positions alone: points, rotations, scalars."""
     x = model.positions(u)
@@ -62,7 +60,6 @@ def _positions(
     if effectors.only_points:
         return rows[0]
     bodies = model.mechanism.bodies
-    n_scalars = effectors.scalar_index.shape[0]
     if bodies.n_bodies > 0:
         rotation = frames_at(bodies, x[model.mesh.n_nodes :]).rotation
         reference = jnp.asarray(effectors.turn_reference)
@@ -72,7 +69,7 @@ def _positions(
         rows.append(jax.vmap(rotation_vector)(turns))
     else:
         rotation = jnp.broadcast_to(jnp.eye(3)[None], (1, 3, 3))
-    if n_scalars > 0:
+    if effectors.scalar_index.shape[0] > 0:
         first, second = effectors.scalar_index[:, 0], effectors.scalar_index[:, 1]
         axes = jnp.asarray(effectors.scalar_axis)
         angle = jax.vmap(_angle)(rotation[first], rotation[second], axes)
@@ -87,10 +84,9 @@ def _positions(
 def marker_positions(
     model: Model, configuration: ConfigurationArrays, solution: EquilibriumSolution
 ) -> Float[Array, "n_markers 3"]:
-    """Compute the simulated marker positions of one configuration [m].
+    """Compute the positions of markers, then of points of other effectors [m].
 
-    In the frame of the mesh, markers first, then points of other effectors; nan without
-    equilibrium.
+    In the frame of the mesh; nan without equilibrium.
     """
     effectors = configuration.effectors
     n_points = effectors.nodes.shape[0]
@@ -117,14 +113,13 @@ def _angle(
 def actuator_forces(
     model: Model,
     configuration: ConfigurationArrays,
-    u: Float[Array, "n_points 3"],
+    u: Nodal,
     multipliers: Float[Array, " n_a"],
-    unbalanced: Float[Array, "n_points 3"],
+    unbalanced: Nodal,
 ) -> Float[Array, " n_a"]:
-    """Compute the forces lambda_a of all actuators, in their units.
+    """Compute the forces lambda_a of all actuators; arguments as `effector_values`.
 
-    For a motor with an imposed angle this is the torque that holds its body. Arguments
-    as for `effector_values`.
+    For a motor with an imposed angle this is the torque that holds its body.
     """
     forces = configuration.actuation.forces
     posed = Posed.of(model, configuration)

@@ -46,7 +46,6 @@ def _scaled_to(theta: Float[Array, ""], F: Float[Array, "n_qp 3 3"]):
 
 
 def _at_points(law: AbstractLaw, method: str, F: Float[Array, "n_qp 3 3"]):
-    """Call a method of the law with F at each quadrature point of a tet."""
     plain, axes = law_at_points(law)
     call = lambda law, F: getattr(law, method)(F)
     return jax.vmap(call, in_axes=(axes, 0))(plain, F)
@@ -63,7 +62,6 @@ def mean_dilatation(
 
 
 def is_mixed(formulation: Formulation, n_qp: int) -> bool:
-    """Tell whether the mean volume ratio replaces several different ones."""
     return formulation == "mean-dilatation" and n_qp > 1
 
 
@@ -180,14 +178,12 @@ def _foreseen(
 
 
 def _each(a: Float[Array, " n_qp"]) -> Float[Array, "n_qp 1 1"]:
-    """Reshape one number per quadrature point to multiply a tensor per point."""
     return a[:, None, None]
 
 
 def _push(
     P: Float[Array, "n_qp 3 3"], dN: Float[Array, "n_qp n_en 3"]
 ) -> Float[Array, "n_en 3"]:
-    """Sum weighted stresses at the quadrature points into nodal forces."""
     return sum_of(
         P[q, None, :, J] * dN[q, :, None, J]
         for q in range(P.shape[0])
@@ -209,7 +205,6 @@ def _pull(
 
 
 def _outer(a: Float[Array, "*q m 3"], b: Float[Array, "*q n 3"]):
-    """Compute the tensor product over the last two axes."""
     return a[..., :, :, None, None] * b[..., None, None, :, :]
 
 

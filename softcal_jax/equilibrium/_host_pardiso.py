@@ -1,8 +1,6 @@
-"""PARDISO on the host, called from a program that runs on a GPU.
+"""PARDISO on the host, called back from a program that runs on a GPU.
 
-It takes the matrix through a callback that JAX supports on every platform. Such
-programs must run one at a time: on a CPU, as many of them as JAX has threads would
-deadlock.
+On a CPU, as many such programs at a time as JAX has threads would deadlock.
 """
 
 import os
@@ -10,7 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from threading import Lock
-from typing import Any, NamedTuple
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -23,8 +21,7 @@ from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver, fix_thr
 from softcal_jax.equilibrium._sparsity import Sparsity
 
 _ANALYSE, _FACTORIZE, _SOLVE = 11, 22, 33
-_SYMMETRIC_INDEFINITE, _STRUCTURALLY_SYMMETRIC = -2, 1
-_ZERO_PIVOT = -4
+_SYMMETRIC_INDEFINITE, _STRUCTURALLY_SYMMETRIC, _ZERO_PIVOT = -2, 1, -4
 """PARDISO's codes of phases, matrix types and an error."""
 
 # As in `_linear_solver`, but indices count from 1 as in oneMKL: no default settings,
@@ -45,17 +42,16 @@ class HostPardiso(AbstractLinearSolver):
     sparsity: Sparsity
     name: str = eqx.field(static=True, default="PARDISO on the host (pypardiso)")
     counts_negative: bool = eqx.field(static=True, default=True)
+    runs_in_threads: ClassVar[bool] = False
 
     @classmethod
     def analyse(cls, sparsity: Sparsity) -> "HostPardiso":
-        """Store the pattern; the first matrix triggers its analysis."""
-        told = os.environ.get("PJRT_NPROC", os.environ.get("NPROC", ""))
-        threads = int(told) if told.isdigit() else available_cores()
+        limit = os.environ.get("PJRT_NPROC", os.environ.get("NPROC", ""))
+        threads = int(limit) if limit.isdigit() else available_cores()
         if jax.default_backend() == "cpu" and threads < 2:
             raise ValueError(
-                "The solver 'pardiso-host' is called back from JAX, which needs two "
-                f"threads for that and has {threads}: set PJRT_NPROC=2 before Python "
-                "starts."
+                f"solver='pardiso-host' needs two threads of JAX, which has {threads}: "
+                "set PJRT_NPROC=2 before Python starts."
             )
         if find_spec("pypardiso") is None:
             raise ImportError(
@@ -74,11 +70,6 @@ class HostPardiso(AbstractLinearSolver):
         return jax.pure_callback(
             _on_host, results, s.symmetric, s.indptr, s.indices, values, rhs
         )
-
-    @property
-    def runs_in_threads(self):
-        """Whether several threads may run it: never."""
-        return False
 
 
 @dataclass
@@ -107,14 +98,12 @@ class _Slot:
         self.kept = matrix
 
     def call(self, phase: int, matrix: sparse.csr_array, b: HostArray) -> HostArray:
-        """Run a phase of PARDISO; the solve phase returns solutions by columns."""
         self.pardiso.set_phase(phase)
         return self.pardiso._call_pardiso(matrix, np.asfortranarray(b))
 
 
 @cache
 def _slot(symmetric: bool) -> _Slot:
-    """Return the slot for symmetric matrices, or the one for all others."""
     # Do not let idle threads spin: the assembly needs their cores.
     os.environ.setdefault("KMP_BLOCKTIME", "1")
     from pypardiso import PyPardisoSolver
@@ -128,15 +117,7 @@ def _slot(symmetric: bool) -> _Slot:
     return _Slot(pardiso, Lock())
 
 
-class _Solved(NamedTuple):
-    """Result of the callback."""
-
-    x: HostArray
-    n_negative: np.int32
-    ok: np.bool_
-
-
-def _on_host(symmetric, indptr, indices, values, rhs) -> _Solved:
+def _on_host(symmetric, indptr, indices, values, rhs):
     from pypardiso.pardiso_wrapper import PyPardisoError
 
     # Copies: the kept matrix outlives the buffers of JAX.
@@ -151,7 +132,7 @@ def _on_host(symmetric, indptr, indices, values, rhs) -> _Solved:
         except PyPardisoError as error:
             if error.value != _ZERO_PIVOT:
                 raise
-            return _Solved(np.zeros_like(rhs), np.int32(0), np.bool_(False))
+            return np.zeros_like(rhs), np.int32(0), np.bool_(False)
         regular = slot.pardiso.get_iparm(_PERTURBED) == 0
         n_negative = slot.pardiso.get_iparm(_NEGATIVE) if symmetric else -1
-    return _Solved(np.ascontiguousarray(x), np.int32(n_negative), np.bool_(regular))
+    return np.ascontiguousarray(x), np.int32(n_negative), np.bool_(regular)

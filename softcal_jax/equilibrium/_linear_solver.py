@@ -8,7 +8,7 @@ import os
 from abc import abstractmethod
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -21,12 +21,9 @@ from softcal_jax.equilibrium._sparsity import Sparsity
 
 
 class LinearSolution(NamedTuple):
-    """Solution of a linear system and what its factorization reports.
+    """Solutions by rows, zero if the matrix was singular or not finite: not `ok`.
 
-    Attributes:
-        x: Solutions, one row per right-hand side; zero if not `ok`.
-        n_negative: Number of negative eigenvalues; -1 if not counted.
-        ok: False if the matrix was singular or not finite.
+    `n_negative` is the number of negative eigenvalues; -1 if not counted.
     """
 
     x: Float[Array, "n_rhs n_dof"]
@@ -40,6 +37,7 @@ class AbstractLinearSolver(Module):
     sparsity: eqx.AbstractVar[Sparsity]
     name: eqx.AbstractVar[str]
     counts_negative: eqx.AbstractVar[bool]
+    runs_in_threads: ClassVar[bool] = True
 
     @abstractmethod
     def _factor_solve(
@@ -54,11 +52,7 @@ class AbstractLinearSolver(Module):
         *,
         transpose: bool = False,
     ) -> LinearSolution:
-        """Factorize once and solve for every right-hand side, with K^T if `transpose`.
-
-        `values` are in the order of the pattern; each row of `rhs` is a right-hand
-        side.
-        """
+        """Factorize once and solve for all rows of `rhs`, with K^T if `transpose`."""
         if transpose and self.sparsity.mirror is not None:
             values = values[self.sparsity.mirror]
         finite = jnp.all(jnp.isfinite(values)) & jnp.all(jnp.isfinite(rhs))
@@ -70,24 +64,13 @@ class AbstractLinearSolver(Module):
         ok = ok & finite & jnp.all(jnp.isfinite(x))
         return LinearSolution(jnp.where(ok, x, 0.0), n_negative, ok)
 
-    @property
-    def runs_in_threads(self) -> bool:
-        """Whether several threads may run programs with this kind of solver."""
-        return True
-
     def another(self, number: int) -> "AbstractLinearSolver":
-        """Return a solver for thread `number`: same pattern, its own factors.
-
-        Solvers that keep no factors or do not run in threads return themselves.
-        """
+        """Return a solver for a thread; if this one keeps factors, with other ones."""
         del number
         return self
 
     def on_one_core(self) -> AbstractContextManager[None]:
-        """Enter a context in which new solvers use one core each.
-
-        Solvers made outside must not be used inside, nor the new ones outside.
-        """
+        """Enter a context in which new solvers, and only those, use one core each."""
         return nullcontext()
 
     def solve_again(
@@ -95,8 +78,8 @@ class AbstractLinearSolver(Module):
     ) -> Float[Array, "n_rhs n_dof"]:
         """Solve with the factors of the last `factor_solve`, for its matrix `values`.
 
-        Another program may have replaced them in the meantime, so the caller must check
-        the solution. A solver that keeps no factors factorizes again.
+        Another program may have replaced them, so the caller must check the solution. A
+        solver that keeps no factors factorizes again.
         """
         return self._factor_solve(values, rhs)[0]
 
@@ -109,11 +92,8 @@ _Options = tuple[tuple[int, int], ...]
 # supports minimum degree and reports its work, and a process that mixes both can crash.
 _COMMON: _Options = ((7, 0), (20, 0), (23, 0), (18, -1))
 
-_NESTED: _Options = (*_COMMON, (1, 2))
-"""Nested dissection (METIS), for bulky bodies."""
-
-_MINIMUM_DEGREE: _Options = (*_COMMON, (1, 0))
-"""Minimum degree, for slender bodies and sheets."""
+_NESTED: _Options = (*_COMMON, (1, 2))  # dissection (METIS), for bulky bodies
+_MINIMUM_DEGREE: _Options = (*_COMMON, (1, 0))  # for slender bodies and sheets
 
 _MFLOP = 18
 """Index into iparm of the work of a factorization, which the analysis reports."""
@@ -125,9 +105,8 @@ _MKL_DOMAIN_PARDISO = 4
 def fix_threads(mkl: ctypes.CDLL) -> None:
     """Fix the number of threads of PARDISO at what it would take now.
 
-    Otherwise `torch.set_num_threads`, or whatever sets it for OpenMP or all of oneMKL,
-    would change it, and PARDISO crashes where a factorization has fewer threads than
-    its analysis.
+    Otherwise `torch.set_num_threads` would change it, and PARDISO crashes where a
+    factorization has fewer threads than its analysis.
     """
     n = mkl.MKL_Domain_Get_Max_Threads(_MKL_DOMAIN_PARDISO)
     mkl.MKL_Domain_Set_Num_Threads(n, _MKL_DOMAIN_PARDISO)
@@ -135,10 +114,8 @@ def fix_threads(mkl: ctypes.CDLL) -> None:
 
 @cache
 def _mkl() -> ctypes.CDLL:
-    """Load oneMKL with OpenMP threads that do not spin, and a fixed number of them.
-
-    They would spin after each call, but the assembly needs their cores.
-    """
+    """Load oneMKL with a fixed number of OpenMP threads."""
+    # Do not let idle threads spin: the assembly needs their cores.
     os.environ.setdefault("KMP_BLOCKTIME", "1")
     from pardiso_mkl_jax._mkl_loader import libmkl_rt
 
@@ -147,7 +124,6 @@ def _mkl() -> ctypes.CDLL:
 
 
 def _load_pardiso(sparsity: Sparsity):
-    """Import pardiso-mkl-jax, once oneMKL is loaded as it should be."""
     _mkl()
     from pardiso_mkl_jax import MatrixType, primitive
 
@@ -183,11 +159,8 @@ class Pardiso(AbstractLinearSolver):
     Other matrices use the structurally symmetric type, because the general one scales
     and matches by values, which are unknown when the pattern is analysed.
 
-    Attributes:
-        token: The analysis.
-        options: Settings of PARDISO.
-        spare: Fallback with nested dissection, because minimum degree can meet a zero
-            pivot in a regular, indefinite matrix; None if this solver uses it already.
+    `token` is the analysis. `spare` uses nested dissection, because minimum degree can
+    meet a zero pivot in a regular, indefinite matrix; None if this solver uses it.
     """
 
     sparsity: Sparsity
@@ -231,15 +204,11 @@ class Pardiso(AbstractLinearSolver):
         return x, negative_eigenvalues, perturbed_pivots == 0
 
     def another(self, number):
-        """Return a solver of the same pattern with its own factors."""
         return self._of(self.sparsity, self.options, number)
 
     @contextmanager
     def on_one_core(self):
-        """Enter a context in which new solvers use one core each.
-
-        PARDISO plans for a number of threads, and fails if it differs later.
-        """
+        # PARDISO plans for a number of threads, and fails if it differs later.
         mkl = _mkl()
         before = mkl.MKL_Domain_Get_Max_Threads(_MKL_DOMAIN_PARDISO)
         mkl.MKL_Domain_Set_Num_Threads(1, _MKL_DOMAIN_PARDISO)
@@ -249,7 +218,6 @@ class Pardiso(AbstractLinearSolver):
             mkl.MKL_Domain_Set_Num_Threads(before, _MKL_DOMAIN_PARDISO)
 
     def solve_again(self, values, rhs):
-        """Solve with the factors of the last `factor_solve`."""
         return self._call("solve_stateful", values, rhs)[0]
 
     def _call(self, function: str, values, rhs):
@@ -304,7 +272,6 @@ class Klu(AbstractLinearSolver):
 
     @classmethod
     def analyse(cls, sparsity: Sparsity) -> "Klu":
-        """Complete the pattern to both triangles."""
         rows, cols = sparsity.rows, sparsity.indices
         off = np.flatnonzero((rows != cols) & sparsity.symmetric)
         source = np.concatenate([np.arange(rows.size), off])

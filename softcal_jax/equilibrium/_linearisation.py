@@ -20,7 +20,7 @@ from softcal_jax.equilibrium._balance import (
 )
 from softcal_jax.equilibrium._bordered import Bordered, System, zeros_of
 from softcal_jax.equilibrium._linear_solver import LinearSolution
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import product
 
@@ -31,9 +31,9 @@ SAME_MATRIX = 1e-6
 def residual(
     model: Model,
     configuration: ConfigurationArrays,
-    u: Float[Array, "n_points 3"],
+    u: Nodal,
     lambda_a: Float[Array, " n_a"] | None = None,
-) -> Float[Array, "n_points 3"]:
+) -> Nodal:
     """Compute the out-of-balance force f - f_ext - F_a^T lambda_a [N]; Eq. (1).
 
     At equilibrium it is zero on free coordinates; on held ones it is the reaction, the
@@ -48,21 +48,18 @@ def residual(
 
 
 def solved_forces(
-    model: Model, configuration: ConfigurationArrays, u: Float[Array, "n_points 3"]
+    model: Model, configuration: ConfigurationArrays, u: Nodal
 ) -> Float[Array, " n_a"]:
     """Compute the forces of actuators with imposed displacement at an equilibrium."""
     return estimated_forces(Posed.of(model, configuration), deform(model, u))
 
 
 class Linearisation(Module):
-    """The bordered system at an equilibrium, with its solver.
+    """The bordered system of a model at an equilibrium under full load.
 
     Attributes:
-        posed: Model and configuration at full load.
-        at: Displacement at the equilibrium and internal force there.
         lambda_a: Forces of actuators whose displacement is imposed.
-        nodal: Tangent there over all nodes, held ones included [N/m].
-        system: The matrix.
+        nodal: Tangent over all nodes, held ones included [N/m].
         regular: False if a factorization is known to have failed.
         factorized: Whether the solver may still hold the factors of this matrix.
         differentiable: Whether autodiff can transpose `solve`; where there is no
@@ -79,26 +76,20 @@ class Linearisation(Module):
     differentiable: bool = eqx.field(static=True, default=False)
 
     @property
-    def u(self) -> Float[Array, "n_points 3"]:
+    def u(self) -> Nodal:
         """Displacement at the equilibrium [m]."""
         return self.at.u
 
-    def unbalanced(
-        self, u: Float[Array, "n_points 3"], lambda_a: Float[Array, " n_a"]
-    ) -> Float[Array, "n_points 3"]:
-        """Compute `residual` near the equilibrium, to first order in u [N].
-
-        The derivative by u is the assembled tangent, so that none passes through the
-        tets.
-        """
+    def unbalanced(self, u: Nodal, lambda_a: Float[Array, " n_a"]) -> Nodal:
+        """Compute `residual` near the equilibrium, to first order in u [N]."""
         return unbalanced(self.posed, self.at, lambda_a)[0] + self.stiffness(u - self.u)
 
-    def stiffness(self, du: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
+    def stiffness(self, du: Nodal) -> Nodal:
         """Compute the change of the forces on all nodes in a small motion [N]."""
         change = product(self.posed.model.pattern, self.nodal, du.ravel())
         return change.reshape(du.shape)
 
-    def free(self, forces: Float[Array, "n_points 3"]) -> Float[Array, " n_dof"]:
+    def free(self, forces: Nodal) -> Float[Array, " n_dof"]:
         """Reduce nodal forces to the free unknowns, 0 on the others [N]."""
         return self.posed.on_free(self.u, forces)
 
@@ -160,7 +151,6 @@ def _solve_linearly(
     force: Float[Array, "n n_dof"],
     gap: Float[Array, "n n_m"],
 ) -> Bordered:
-    """Solve the bordered system in a way that autodiff can transpose."""
     n_dof, n_m = force.shape[1], gap.shape[1]
     values, active = system.values, system.active
     # With an empty array JAX 0.10.2 would drop the call of the solver.
@@ -203,15 +193,12 @@ def _solve_linearly(
 def linearise(
     model: Model,
     configuration: ConfigurationArrays,
-    u: Float[Array, "n_points 3"],
+    u: Nodal,
     lambda_a: Float[Array, " n_a"] | None = None,
     *,
     differentiable: bool = False,
 ) -> Linearisation:
-    """Assemble the tangent and the actuator rows at an equilibrium.
-
-    `lambda_a` as for `residual`, `differentiable` as in `Linearisation`.
-    """
+    """Assemble the tangent and the actuator rows; `lambda_a` as for `residual`."""
     posed, at = Posed.of(model, configuration), deform(model, u)
     if lambda_a is None:
         lambda_a = estimated_forces(posed, at)
@@ -231,16 +218,15 @@ def linearise(
 def factor_solve(
     model: Model,
     configuration: ConfigurationArrays,
-    u: Float[Array, "n_points 3"],
+    u: Nodal,
     rhs: Float[Array, "n_rhs n_points 3"],
     *,
     transpose: bool = False,
 ) -> LinearSolution:
     """Solve K(u) dx = rhs on the free unknowns, with one factorization for all rows.
 
-    Imposed actuator displacements are kept: the inverse is that of the bordered system,
-    which gives W_ep - W_ea W_aa^-1 W_ap in place of W_ep. Entries of `rhs` on held
-    nodes are ignored [N], where `x` is zero [m]. `transpose` solves with K^T.
+    Imposed actuator displacements are kept. Entries of `rhs` on held nodes are ignored
+    [N], where `x` is zero [m]. `transpose` solves with K^T.
     """
     lin = linearise(model, configuration, u)
     gap = jnp.zeros((rhs.shape[0], lin.system.active.size))

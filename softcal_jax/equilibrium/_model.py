@@ -17,12 +17,14 @@ from softcal_jax.equilibrium._sparsity import Reduction, Sparsity
 from softcal_jax.materials import AbstractLaw
 from softcal_jax.mesh import TetMesh, volumes
 
+Nodal = Float[Array, "n_points 3"]
+"""One vector per node, those of the rigid bodies' frames included."""
+
 
 class Model(Module):
     """A mesh with its law and mechanism; its arrays are traced arguments of the solver.
 
     Attributes:
-        mesh: The mesh [m].
         law: Constitutive law; its arrays hold one value, or one per tet.
         density: Mass density, one value or one per tet [kg/m3].
         mechanism: Rigid bodies and actuators.
@@ -31,7 +33,6 @@ class Model(Module):
         pattern: Sparsity of the tangent over all nodes.
         curvature_at: Positions in the pattern of the actuators' tangents.
         reduction: How the tangent is reduced to the unknowns; None without bodies.
-        solver: Sparse solver for the unknowns.
         formulation: "displacement" or "mean-dilatation"; see `build_model`.
     """
 
@@ -83,11 +84,11 @@ class Model(Module):
         none = jnp.zeros((*values.shape[:-1], self.mechanism.n_actuators), values.dtype)
         return none.at[..., self.with_multiplier].set(values, unique_indices=True)
 
-    def positions(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
+    def positions(self, u: Nodal) -> Nodal:
         """Return the positions of all nodes [m]."""
         return jnp.asarray(self.mechanism.points) + u
 
-    def displacements(self, u: Float[Array, "n_points 3"]) -> Float[Array, " n_a"]:
+    def displacements(self, u: Nodal) -> Float[Array, " n_a"]:
         """Return the displacements delta_a of the actuators."""
         return self.mechanism.displacements(self.positions(u))
 
@@ -112,7 +113,7 @@ class Model(Module):
         return self.solver.sparsity.symmetric
 
     def with_law(self, law: AbstractLaw) -> "Model":
-        """Return the model with another law, of the same or another class.
+        """Return the model with another law.
 
         Raises:
             ValueError: If a per-tet array has the wrong length, or the law has no
@@ -128,7 +129,6 @@ class Model(Module):
         return eqx.tree_at(lambda m: m.law, self, law)
 
     def law_blocks(self) -> AbstractLaw:
-        """Return the law with per-tet arrays cut into blocks for the assembly."""
         n_blocks, _, block = self.weights.shape
         cut = lambda leaf: to_blocks(leaf, self.n_tets, n_blocks, block)
         return jax.tree.map(cut, self.law)
@@ -137,10 +137,7 @@ class Model(Module):
 def to_blocks(
     leaf: Shaped[Array | HostArray, "..."], n_tets: int, n_blocks: int, block: int
 ) -> Shaped[Array | HostArray, "n_blocks block ..."]:
-    """Cut per-tet values into blocks; a single value is repeated for all tets.
-
-    An array of the host stays there, where each shape need not be compiled.
-    """
+    """Cut per-tet values into blocks, those of the host on the host, uncompiled."""
     xp: Any = np if isinstance(leaf, np.ndarray) else jnp
     if leaf.ndim == 0:
         return xp.broadcast_to(leaf, (n_blocks, block))
@@ -150,7 +147,6 @@ def to_blocks(
 
 
 def check_fields(law: AbstractLaw, n_tets: int) -> None:
-    """Raise unless each array of the law holds one value, or one per tet."""
     for path, leaf in jax.tree_util.tree_leaves_with_path(law):
         if jnp.ndim(leaf) > 0 and jnp.shape(leaf)[0] != n_tets:
             raise ValueError(
@@ -160,12 +156,11 @@ def check_fields(law: AbstractLaw, n_tets: int) -> None:
 
 
 def check_law(law: AbstractLaw, conservative: bool, formulation: Formulation) -> None:
-    """Raise unless the law has the potential that tangent or formulation requires."""
     name = type(law).__name__
     if conservative and not law.conservative:
         raise ValueError(
-            f"{name} has no potential, so its tangent is not symmetric, but the model "
-            "was built for a law that has one; call build_model with this law."
+            f"{name} has no potential, but the model was built for a law that has one; "
+            "call build_model with this law."
         )
     if formulation == "mean-dilatation" and not law.conservative:
         raise ValueError(

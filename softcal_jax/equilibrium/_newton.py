@@ -2,8 +2,7 @@
 
 Minimises Pi(x) = sum_e V_e psi(F_e) - t (f_ext . u + lambda_a . delta_a) over the free
 unknowns, while the load factor t goes from 0 to 1 (paper Eqs. 1-3; equilibrium is a
-minimum of Pi when forces are imposed). Each iteration of a single `while_loop` is a
-Newton step; the end or failure of a load step only changes t.
+minimum of Pi when forces are imposed), by steps of a single `while_loop`.
 """
 
 from dataclasses import dataclass
@@ -27,13 +26,8 @@ from softcal_jax.equilibrium._balance import (
     merit,
     relative,
 )
-from softcal_jax.equilibrium._direction import (
-    always_potential,
-    dilatation,
-    line_search,
-    newton_direction,
-)
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._direction import dilatation, line_search, newton_direction
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed, turned_by_motors
 
 _HELD_TURN = 0.5
@@ -47,7 +41,6 @@ _NEAR = 1e-3
 
 _MOST = np.iinfo(np.int32).max
 """Largest number of iterations that can be counted."""
-
 
 Number = float | Float[Array | HostArray, ""]
 Count = int | Int[Array | HostArray, ""]
@@ -167,8 +160,9 @@ class NewtonLoop:
         return 1.0 / jnp.ceil(jnp.maximum(turn / _HELD_TURN, 1.0))
 
     def remembered(self, merit):
-        """Return the norm of a residual, or None if the line search never needs it."""
-        return None if always_potential(self.model) else jnp.asarray(merit)
+        if self.model.conservative and self.model.with_multiplier.size == 0:
+            return None  # the line search uses the potential
+        return jnp.asarray(merit)
 
     def step(self, s: NewtonState) -> NewtonState:
         """Do one Newton iteration, then keep, raise or cut the load."""
@@ -228,7 +222,6 @@ class NewtonLoop:
         return jax.lax.cond(failed, self.back, lambda s: s, s)
 
     def run(self, s: NewtonState, most: Count) -> NewtonState:
-        """Iterate until the end, or until so many iterations are done in all."""
         keep_going = lambda s: ~s.done & (s.step < most)
         return jax.lax.while_loop(keep_going, self.step, s)
 
@@ -244,7 +237,6 @@ class NewtonLoop:
         return jumped
 
     def next_load(self, s: NewtonState) -> NewtonState:
-        """Store the equilibrium, then raise the load or finish."""
         longest = jnp.minimum(2.0 * s.increment, self.longest)
         increment = jnp.minimum(longest, 1.0 - s.load)
         finished = s.load >= 1.0
@@ -295,8 +287,7 @@ class NewtonLoop:
             done=give_up,
         )
 
-    def start(self, u0: Float[Array, "n_points 3"]) -> NewtonState:
-        """Return the state before the first iteration, from a guess at full load."""
+    def start(self, u0: Nodal) -> NewtonState:
         zero, one = jnp.zeros((), u0.dtype), jnp.ones((), u0.dtype)
         rest, count = at_rest(self.model), jnp.zeros((), jnp.int32)
         guess = evaluate(self.model, self.posed.rigid(u0))
@@ -335,7 +326,7 @@ class NewtonLoop:
 def newton(
     model: Model,
     configuration: ConfigurationArrays,
-    u0: Float[Array, "n_points 3"],
+    u0: Nodal,
     settings: NewtonSettings,
 ) -> NewtonState:
     """Solve one configuration from the guess `u0`, first at full load.

@@ -37,7 +37,7 @@ from softcal_jax.equilibrium._balance import (
 )
 from softcal_jax.equilibrium._direction import dilatation, has_volume_unknowns
 from softcal_jax.equilibrium._effectors import effector_values
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonSettings
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import product
@@ -98,22 +98,6 @@ class EquilibriumPath(Module):
     readings: Float[HostArray, "n n_rows 3"]
     result: RESULTS
 
-    @property
-    def limits(self) -> Float[HostArray, " k"]:
-        """Load factors of the limit points, where the load turns, in their order [-].
-
-        Each is the top or bottom of the parabola through the three states about it, by
-        the length of the path between them.
-        """
-        turns = np.flatnonzero(np.diff(np.sign(np.diff(self.load))) != 0.0) + 1
-        return np.array([self._vertex(int(k)) for k in turns])
-
-    def _vertex(self, k: int) -> float:
-        load, u = self.load[k - 1 : k + 2], self.displacement[k - 1 : k + 2]
-        lengths = np.linalg.norm(np.diff(u, axis=0), axis=(1, 2))
-        curve = np.polyfit(np.array([-lengths[0], 0.0, lengths[1]]), load, 2)
-        return float(curve[2] - curve[1] ** 2 / (4.0 * curve[0]))
-
 
 class _State(NamedTuple):
     """A state on the path with its tangent, per unit of load.
@@ -122,11 +106,11 @@ class _State(NamedTuple):
     whether the state is one of equilibrium.
     """
 
-    u: Float[Array, "n_points 3"]
+    u: Nodal
     theta: Float[Array, "..."]
     lambda_a: Float[Array, " n_a"]
     load: Float[Array, ""]
-    du: Float[Array, "n_points 3"]
+    du: Nodal
     dx: Float[Array, " n_dof"]
     d_lambda: Float[Array, " n_a"]
     sense: Float[Array, ""]
@@ -139,7 +123,6 @@ class _State(NamedTuple):
 
     @property
     def length(self) -> Float[Array, ""]:
-        """Length of the tangent (du, 1) [-]."""
         return jnp.sqrt(self.weight * jnp.sum(self.du**2) + 1.0)
 
 
@@ -151,11 +134,9 @@ def _displaced(posed: Posed, u, d, load):
 
 
 def _both_steps(posed: Posed, at: Point, lambda_a, theta):
-    """Solve for the steps that restore balance and that follow the load.
+    """Solve for two rows: the steps that restore balance and that follow the load.
 
-    `theta` are the volume ratios of the mixed formulation, see `newton_direction`.
-    Returns the tangent, the solution with these two rows, and the motion of what is
-    held, per unit of load.
+    Also returns the tangent, and the motion of what is held, per unit of load.
     """
     model, configuration, u = posed.model, posed.configuration, at.u
     to_go, active = gap(posed, at, lambda_a, jnp.ones(()))
@@ -283,7 +264,6 @@ _step = eqx.filter_jit(_next_state)
 def _begin(
     model: Model, configuration: ConfigurationArrays, settings: NewtonSettings
 ) -> _State:
-    """Return the unloaded state with its tangent."""
     rest = at_rest(model)
     n_rows = configuration.effectors.measured.shape[0]
     zero, count = jnp.zeros(()), jnp.zeros((), jnp.int32)
@@ -317,9 +297,7 @@ def trace(
 ) -> EquilibriumPath:
     """Trace the equilibria of a configuration from rest along its load.
 
-    Raises:
-        ValueError: If the model or the configuration is traced: how many states a path
-            has is only known while it is followed.
+    Not under `jit`: how many states a path has is only known while it is followed.
     """
     if any(map(is_traced, jax.tree.leaves((model, configuration)))):
         raise ValueError(

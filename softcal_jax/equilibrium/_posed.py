@@ -1,9 +1,8 @@
 """A configuration of a model at a share of its load, and its unknowns.
 
-The unknowns are three per node and six per rigid body. A state is the displacement u
-of all nodes, including those of bodies and their frames. A step d of the unknowns moves
-free nodes by d, the nodes of a body by the exact rigid motion of its twist, and held
-nodes and bodies to their imposed positions.
+The unknowns are three per node and six per rigid body. A step d of them moves free
+nodes by d, the nodes of a body by the exact rigid motion of its twist, and held nodes
+and bodies to their imposed positions.
 """
 
 from typing import NamedTuple
@@ -29,7 +28,7 @@ from softcal_jax.bodies import (
 )
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._assembly import gravity_load
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._sparsity import reduce_values
 
 _UNMOVED = 1e-12
@@ -86,15 +85,12 @@ def _arms_from_supports(
 
 
 def turned_by_motors(model: Model) -> Bool[Array, " n_b"]:
-    """Tell which bodies motors turn, by an angle or a torque."""
     mechanism = model.mechanism
     bodies = np.arange(mechanism.bodies.n_bodies)
     return jnp.asarray(np.isin(bodies, mechanism.actuators.motor_body))
 
 
-def external_force(
-    model: Model, configuration: ConfigurationArrays
-) -> Float[Array, "n_points 3"]:
+def external_force(model: Model, configuration: ConfigurationArrays) -> Nodal:
     """Compute dead loads and weight as nodal forces, f_ext(p) [N]."""
     return configuration.dead_loads + gravity_load(model, configuration.acceleration)
 
@@ -102,18 +98,13 @@ def external_force(
 class Posed(NamedTuple):
     """One configuration of a model under a share of its load; built by `of`.
 
-    Attributes:
-        model: The model, with friction opposing the motion of the configuration.
-        configuration: Supports, loads, and states of bodies and actuators.
-        f_ext: External forces at full load [N].
-        load: Share of the load that is applied [-].
-        states: How configuration and motors constrain the bodies; None without bodies.
-        mounted: Frames of the bodies at this load; None without bodies.
+    `f_ext` are the forces at full load [N]. How configuration and motors constrain the
+    bodies, and their frames at this load, are None without bodies.
     """
 
     model: Model
     configuration: ConfigurationArrays
-    f_ext: Float[Array, "n_points 3"]
+    f_ext: Nodal
     load: Float[Array, ""]
     states: BodyStateArrays | None
     mounted: Mounted | None
@@ -137,7 +128,6 @@ class Posed(NamedTuple):
         return cls(model, configuration, f_ext, load, states, frames)
 
     def at_load(self, load: Float[Array, ""]) -> "Posed":
-        """Return the same configuration under another share of its load."""
         if self.mounted is None:
             return self._replace(load=load)
         frames = mounted(self.model.mechanism.bodies, load, self.mounted.arm)
@@ -150,7 +140,7 @@ class Posed(NamedTuple):
         may_be = np.isin(np.arange(model.mechanism.n_actuators), model.with_multiplier)
         return jnp.asarray(actuation.by_displacement) & may_be
 
-    def spring_force(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
+    def spring_force(self, u: Nodal) -> Nodal:
         """Compute the forces of the nodes on the springs of elastic supports [N]."""
         springs = self.configuration.springs
         if not springs.names:
@@ -158,8 +148,7 @@ class Posed(NamedTuple):
         stretch = u - self.load * jnp.asarray(springs.rest)
         return springs.coefficients() * stretch
 
-    def spring_energy(self, u: Float[Array, "n_points 3"]) -> Float[Array, ""]:
-        """Compute the energy of the springs of elastic supports [J]."""
+    def spring_energy(self, u: Nodal) -> Float[Array, ""]:
         stretch = u - self.load * jnp.asarray(self.configuration.springs.rest)
         return 0.5 * jnp.sum(self.spring_force(u) * stretch)
 
@@ -172,9 +161,7 @@ class Posed(NamedTuple):
         twists = blocked(states, self.model.mechanism.bodies)
         return jnp.concatenate([held.at[plan.rigid].set(True).ravel(), twists.ravel()])
 
-    def gather(
-        self, u: Float[Array, "n_points 3"], forces: Float[Array, "n_points 3"]
-    ) -> Float[Array, " n_dof"]:
+    def gather(self, u: Nodal, forces: Nodal) -> Float[Array, " n_dof"]:
         """Gather forces on all nodes at u into forces on the unknowns, G^T f [N]."""
         plan = self.model.reduction
         if plan is None:
@@ -185,15 +172,10 @@ class Posed(NamedTuple):
         free = forces.at[plan.rigid].set(0.0, unique_indices=True)
         return jnp.concatenate([free.ravel(), wrench.ravel()])
 
-    def on_free(
-        self, u: Float[Array, "n_points 3"], forces: Float[Array, "n_points 3"]
-    ) -> Float[Array, " n_dof"]:
-        """Gather forces on the free unknowns, 0 on the others; see `gather`."""
+    def on_free(self, u: Nodal, forces: Nodal) -> Float[Array, " n_dof"]:
         return jnp.where(self.fixed(), 0.0, self.gather(u, forces))
 
-    def scatter(
-        self, u: Float[Array, "n_points 3"], d: Float[Array, " n_dof"]
-    ) -> Float[Array, "n_points 3"]:
+    def scatter(self, u: Nodal, d: Float[Array, " n_dof"]) -> Nodal:
         """Spread a small step of the unknowns over all nodes, G d [m]."""
         plan = self.model.reduction
         if plan is None:
@@ -202,15 +184,13 @@ class Posed(NamedTuple):
         along = jnp.sum(self._follow(u) * twists[plan.owner][:, None, :], axis=2)
         return free.at[plan.rigid].set(along, unique_indices=True)
 
-    def rigid(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
+    def rigid(self, u: Nodal) -> Nodal:
         """Make every body of a guess rigid again, as its frame is placed [m]."""
         if self.model.reduction is None:
             return u
         return self._with_bodies(u, self._frames(u))
 
-    def move(
-        self, u: Float[Array, "n_points 3"], d: Float[Array, " n_dof"]
-    ) -> Float[Array, "n_points 3"]:
+    def move(self, u: Nodal, d: Float[Array, " n_dof"]) -> Nodal:
         """Apply a step of the unknowns to a displacement; bodies move rigidly [m].
 
         Held bodies go to their imposed pose at this load; the step of supported nodes
@@ -223,9 +203,7 @@ class Posed(NamedTuple):
         frames = place(bodies, self.states, self.mounted, self._frames(u), twists)
         return self._with_bodies(u + d[: u.size].reshape(u.shape), frames)
 
-    def swing(
-        self, u: Float[Array, "n_points 3"], d: Float[Array, " n_dof"]
-    ) -> Float[Array, "n_points 3"]:
+    def swing(self, u: Nodal, d: Float[Array, " n_dof"]) -> Nodal:
         """Do as `move`, but rotate a robot that only hangs on one hinge as a whole.
 
         In `move`, free nodes follow a rotation of the hinge along straight lines, which
@@ -256,7 +234,7 @@ class Posed(NamedTuple):
         around = centre + (arms - centre) @ rotation_matrix(turn).T - points
         return jnp.where(alone, around, v)
 
-    def imposed(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
+    def imposed(self, u: Nodal) -> Nodal:
         """Return the remaining motion of held nodes to their imposed positions [m]."""
         gap = self.held_at(u) - u
         plan = self.model.reduction
@@ -266,7 +244,7 @@ class Posed(NamedTuple):
         rounding = _UNMOVED * self.model.mechanism.bodies.length
         return gap.at[plan.rigid].set(jnp.where(jnp.abs(far) > rounding, far, 0.0))
 
-    def held_at(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_points 3"]:
+    def held_at(self, u: Nodal) -> Nodal:
         """Move held nodes and bodies to their imposed positions, no others [m]."""
         held = jnp.asarray(self.configuration.fixed)
         target = self.load * jnp.asarray(self.configuration.imposed)
@@ -276,10 +254,7 @@ class Posed(NamedTuple):
         return self.move(there, jnp.zeros(u.size + 6 * self._n_bodies))
 
     def reduce(
-        self,
-        u: Float[Array, "n_points 3"],
-        values: Float[Array, " nnz"],
-        unbalanced: Float[Array, "n_points 3"],
+        self, u: Nodal, values: Float[Array, " nnz"], unbalanced: Nodal
     ) -> Float[Array, " nnz_reduced"]:
         """Reduce the tangent over all nodes to the unknowns [N/m].
 
@@ -296,12 +271,11 @@ class Posed(NamedTuple):
     def _n_bodies(self) -> int:
         return self.model.mechanism.bodies.n_bodies
 
-    def _frames(self, u: Float[Array, "n_points 3"]) -> Frames:
+    def _frames(self, u: Nodal) -> Frames:
         n_nodes = self.model.mesh.n_nodes
         return frames_at(self.model.mechanism.bodies, self.model.positions(u)[n_nodes:])
 
-    def _with_bodies(self, u: Float[Array, "n_points 3"], frames: Frames):
-        """Place all nodes of bodies according to their frames."""
+    def _with_bodies(self, u: Nodal, frames: Frames):
         bodies, n_nodes = self.model.mechanism.bodies, self.model.mesh.n_nodes
         points = jnp.asarray(self.model.mechanism.points)
         ends = frame_nodes(bodies, frames)
@@ -310,7 +284,7 @@ class Posed(NamedTuple):
         moved = attached - points[bodies.attached]
         return u.at[bodies.attached].set(moved, unique_indices=True)
 
-    def _arms(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_rigid 3"]:
+    def _arms(self, u: Nodal) -> Float[Array, "n_rigid 3"]:
         """Return the vectors from the owning body's origin to each rigid node [m]."""
         plan = self.model.reduction
         assert plan is not None
@@ -318,7 +292,7 @@ class Posed(NamedTuple):
         origins = x[self.model.mesh.n_nodes :: 4]
         return x[plan.rigid] - origins[plan.owner]
 
-    def _follow(self, u: Float[Array, "n_points 3"]) -> Float[Array, "n_rigid 3 6"]:
+    def _follow(self, u: Nodal) -> Float[Array, "n_rigid 3 6"]:
         """Return G: motion of rigid nodes per unit twist of their bodies [-]."""
         plan, bodies = self.model.reduction, self.model.mechanism.bodies
         assert plan is not None
@@ -330,7 +304,7 @@ class Posed(NamedTuple):
         return jnp.swapaxes(jnp.concatenate([axes, turns], axis=1), 1, 2)
 
     def _geometric(self, u, unbalanced) -> Float[Array, "n_b 6 6"]:
-        """Return the second derivatives of the forces' work by the twists.
+        """Return second derivatives of the forces' work by the twists.
 
         For x(w) = exp(hat(w)) r and a force g: sym(g r^T) - (g . r) I at w = 0.
         """

@@ -20,7 +20,7 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium._effectors import actuator_forces
 from softcal_jax.equilibrium._linearisation import residual
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._solution import EquilibriumSolution
 
@@ -29,7 +29,6 @@ class BodyPlace(Module):
     """Pose of a rigid body at equilibrium.
 
     Attributes:
-        name: Its name.
         state: "free", "hinged", "held", or "tied" to another body.
         position: Origin of its frame [m].
         translation: How far the origin has moved from rest [m].
@@ -44,16 +43,9 @@ class BodyPlace(Module):
 
 
 class ActuatorState(Module):
-    """Force and displacement of an actuator.
+    """Force lambda_a and displacement delta_a of an actuator, which may have none.
 
-    Attributes:
-        name: Its name.
-        kind: Kind of actuator, like "cable".
-        imposed: Which of the two the configuration imposes; the other follows.
-        force: lambda_a.
-        force_unit: Its unit.
-        displacement: delta_a; None if the actuator has none.
-        displacement_unit: Its unit.
+    `kind` is like "cable"; the one that is not `imposed` follows.
     """
 
     name: str
@@ -69,7 +61,6 @@ class Reaction(Module):
     """Force with which the ground holds a support or a rigid body.
 
     Attributes:
-        name: Group of the support, or name of the rigid body.
         force: Force on the robot [N].
     """
 
@@ -81,10 +72,7 @@ class RobotState(Module):
     """Rigid bodies, actuators and reactions at an equilibrium.
 
     Attributes:
-        bodies: The rigid bodies.
-        actuators: The actuators.
-        reactions: Supports of the configuration, then rigid bodies that are held or
-            turn on a hinge.
+        reactions: Of supports, then of rigid bodies that are held or turn on a hinge.
         displacement: Displacement of the nodes of mesh and body frames [m].
     """
 
@@ -95,26 +83,27 @@ class RobotState(Module):
 
 
 class _Balance(NamedTuple):
-    """Results of the balance of forces of one configuration."""
-
-    ground: Float[Array, "n_points 3"]
+    ground: Nodal
     forces: Float[Array, " n_a"]
     displacements: Float[Array, " n_a"]
     rotation: Float[Array, "n_b 3 3"]
+    kind: Int[Array | HostArray, " n_b"]
 
 
 @eqx.filter_jit
 def _balance(model: Model, lane: ConfigurationArrays, u, multipliers) -> _Balance:
     unbalanced = residual(model, lane, u, multipliers)
     bodies, x = model.mechanism.bodies, model.positions(u)
+    posed = Posed.of(model, lane)
     return _Balance(
         # What springs of the ground hold is balanced already.
-        ground=unbalanced - Posed.of(model, lane).spring_force(u),
+        ground=unbalanced - posed.spring_force(u),
         forces=actuator_forces(model, lane, u, multipliers, unbalanced),
         displacements=model.displacements(u),
         rotation=frames_at(bodies, x[model.mesh.n_nodes :]).rotation
         if bodies.n_bodies
         else jnp.zeros((0, 3, 3)),
+        kind=posed.states.kind if posed.states else jnp.zeros(0, int),
     )
 
 
@@ -153,7 +142,11 @@ def _state(
     u, multipliers = solution.displacement, solution.multipliers
     found = jax.tree.map(np.asarray, _balance(model, lane, u, multipliers))
     u = np.asarray(u)
-    bodies, kinds = model.mechanism.bodies, _kinds(model, lane)
+    bodies = model.mechanism.bodies
+    kinds = [
+        KINDS[int(kind)] if owner == k else "tied"
+        for k, (kind, owner) in enumerate(zip(found.kind, bodies.owner, strict=True))
+    ]
     moved = u[model.mesh.n_nodes :: 4]
     places = (
         BodyPlace(
@@ -165,42 +158,41 @@ def _state(
         )
         for k, kind in enumerate(kinds)
     )
-    known, delta_a = model.mechanism.actuators, found.displacements
-    displacement = lambda a, unit: None if unit is None else float(delta_a[a])
-    actuators = (
-        ActuatorState(
-            name=name,
-            kind=kind.noun,
-            imposed="displacement" if lane.actuation.by_displacement[a] else "force",
-            force=float(found.forces[a]),
-            force_unit=kind.force_unit,
-            displacement=displacement(a, kind.displacement_unit),
-            displacement_unit=kind.displacement_unit,
-        )
-        for a, (name, kind) in enumerate(zip(known.names, known.kinds, strict=True))
-    )
+    actuators = actuator_states(model, lane, found.forces, found.displacements)
     reactions = (
         Reaction(name, np.asarray(found.ground)[nodes].sum(axis=0))
         for name, nodes in _grounds(model, configuration, kinds).items()
     )
-    return RobotState(tuple(places), tuple(actuators), tuple(reactions), u)
+    return RobotState(tuple(places), actuators, tuple(reactions), u)
 
 
-def _kinds(model: Model, lane: ConfigurationArrays) -> list[str]:
-    """Return the state of each rigid body; motors hold or hinge theirs."""
-    bodies, actuators = model.mechanism.bodies, model.mechanism.actuators
-    kinds = [KINDS[int(kind)] for kind in lane.bodies.kind]
-    for a, k in enumerate(actuators.motor_body):
-        if k >= 0:
-            kinds[k] = "held" if lane.actuation.by_displacement[a] else "hinged"
-    own = enumerate(bodies.owner)
-    return ["tied" if owner != k else kinds[k] for k, owner in own]
+def actuator_states(
+    model: Model,
+    lane: ConfigurationArrays,
+    forces: Float[Array | HostArray, " n_a"],
+    displacements: Float[Array | HostArray, " n_a"],
+) -> tuple[ActuatorState, ...]:
+    """Say what all actuators do, and which of the two is imposed."""
+    actuators = model.mechanism.actuators
+    by_displacement = lane.actuation.by_displacement
+    named = zip(actuators.names, actuators.kinds, strict=True)
+    return tuple(
+        ActuatorState(
+            name=name,
+            kind=kind.noun,
+            imposed="displacement" if by_displacement[a] else "force",
+            force=float(forces[a]),
+            force_unit=kind.force_unit,
+            displacement=float(displacements[a]) if kind.displacement_unit else None,
+            displacement_unit=kind.displacement_unit,
+        )
+        for a, (name, kind) in enumerate(named)
+    )
 
 
 def _grounds(
     model: Model, configuration: Configuration, kinds: list[str]
 ) -> dict[str, Int[HostArray, " n"]]:
-    """List what holds the robot, by name, with the nodes held."""
     mesh, mechanism = model.mesh, model.mechanism
     bodies = mechanism.bodies
     nodes_of = lambda where: (

@@ -1,9 +1,7 @@
 """Derivatives of an equilibrium by its inputs, Eqs. (4) to (9).
 
 An input is a parameter, a value imposed on an actuator or a leaf of the model that a
-user differentiates. Three rows at a fixed state describe each: the force per unit input
-on the free unknowns, the motion of held nodes and bodies, and the direct change of the
-readings. One function turns them into derivatives by the linearised equilibrium.
+user differentiates.
 """
 
 from collections.abc import Callable
@@ -16,24 +14,17 @@ from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._linearisation import Linearisation, residual
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
 
 OfInputs = Callable[[Model, ConfigurationArrays], Any]
 Readings = Callable[
-    [
-        Model,
-        ConfigurationArrays,
-        Float[Array, "n_points 3"],
-        Float[Array, " n_a"],
-        Float[Array, "n_points 3"],
-    ],
+    [Model, ConfigurationArrays, Nodal, Float[Array, " n_a"], Nodal],
     Float[Array, "..."],
 ]
-"""Function that reads values off a state (u, multipliers) and its `residual`.
+"""Function, such as `effector_values`, of a state (u, multipliers) and its `residual`.
 
-Such as `effector_values`. Internal forces are read off the residual alone: its change
-is a product with the assembled tangent, and needs no pass over the tets per input.
+Internal forces are read off the residual alone, which needs no pass over the tets.
 """
 
 
@@ -45,8 +36,7 @@ class InputRows(NamedTuple):
     Attributes:
         force: -dR/dp, the force on the free unknowns [N].
         held: Motion of held nodes and bodies [m].
-        gap: Change of imposed minus current displacement of the actuators whose force
-            may be an unknown.
+        gap: Change of imposed minus current displacement `Model.with_multiplier`.
         reading: Direct change of the readings; empty if nothing is read.
     """
 
@@ -106,14 +96,10 @@ def input_rows(
 
 
 class Sensitivity(NamedTuple):
-    """Derivatives of an equilibrium by its inputs.
+    """Derivatives of an equilibrium by its inputs; zero if the tangent is not `ok`.
 
-    Attributes:
-        W_ep: Change of each reading per unit of each input, in its unit.
-        ok: Whether the tangent is regular; if not, the solutions are zero.
-        displacement: Change of the displacement, by rows [m]; None if adjoint.
-        unknowns: Change of the free unknowns [m]; likewise.
-        multipliers: Change of the multipliers; likewise.
+    W_ep is the change of each reading per unit of each input, in its unit. Changes of
+    displacement, free unknowns [m] and multipliers, by rows, are None if adjoint.
     """
 
     W_ep: Float[Array, "*batch n_e n"]
@@ -135,13 +121,8 @@ def sensitivity(
     """Turn the rows of inputs into derivatives of state and readings; Eq. (9).
 
     W_ep = H_e K^-1 H_p^T + de/dp, with one factorization; K is bordered by the rows of
-    actuators whose displacement is imposed.
-
-    Args:
-        linearisation: The system at the equilibrium.
-        rows: Rows of all inputs, stacked.
-        readings: What is read off; nothing by default.
-        adjoint: Solve for K^-T H_e^T instead; faster if there are fewer readings.
+    actuators whose displacement is imposed. `adjoint` solves for K^-T H_e^T instead,
+    faster if there are fewer readings.
     """
     lin = linearisation
     if adjoint:
@@ -167,13 +148,7 @@ def sensitivity(
 
 
 class AdjointRows(NamedTuple):
-    """K^-T H_e^T: derivatives of readings by forces and gaps.
-
-    Attributes:
-        state: Change of each reading per unit force on each free unknown.
-        gap: Change of each reading per unit gap.
-        ok: Whether the tangent is regular.
-    """
+    """K^-T H_e^T: derivatives of readings by forces on free unknowns, and by gaps."""
 
     state: Float[Array, "n_e n_dof"]
     gap: Float[Array, "n_e n_m"]
@@ -191,7 +166,6 @@ def adjoint_rows(linearisation: Linearisation, readings: Readings) -> AdjointRow
 
 
 def _at_fixed_inputs(lin: Linearisation, readings: Readings):
-    """Return the readings as a flat function of the state alone."""
     at = (lin.posed.model, lin.posed.configuration)
     forces = lin.unbalanced
     return lambda u, lambda_a: readings(*at, u, lambda_a, forces(u, lambda_a)).ravel()

@@ -51,34 +51,20 @@ class EquilibriumSolution(Module):
 
 
 def no_equilibrium(solution: EquilibriumSolution, names: tuple[str, ...]) -> str:
-    """Say which configurations of a batch have no equilibrium, and why; empty if none.
-
-    One line for each, with its outcome and the share of the load that it carries.
-    """
+    """Say which lanes of a batch have no equilibrium, and why; empty if none."""
     bad = np.flatnonzero(~np.atleast_1d(np.asarray(solution.converged)))
 
     def why(lane):
         of = lambda leaf: np.atleast_1d(np.asarray(leaf))[lane]
         result = jax.tree.map(lambda a: jnp.asarray(of(a)), solution.result)
-        negative, share = int(of(solution.n_negative)), of(solution.load_reached)
-        what = RESULTS[result]
+        negative = int(of(solution.n_negative))
         count = f"{negative} negative eigenvalue{'s' * (negative != 1)}"
-        if result == RESULTS.limit_point:
-            what = (
-                f"at {100 * share:.3g} % of the load the body balloons or buckles: "
-                f"{count}. This is {what}"
-            )
-        elif result == RESULTS.unstable:
-            what += f": {count}"
-        elif result == RESULTS.load_step_too_small and negative < 0:
-            what += (
-                "; whether it is a limit point is not known, since negative "
-                "eigenvalues are counted by PARDISO alone, of a symmetric tangent"
-            )
+        if negative < 0:  # so a limit point would not be noticed
+            count = "negative eigenvalues unknown"
         return (
-            f"configuration {names[lane]!r}: {what} "
-            f"({of(solution.steps)} Newton steps, "
-            f"{100 * share:.3g} % of the load carried, residual "
+            f"configuration {names[lane]!r}: {RESULTS[result]} "
+            f"({100 * of(solution.load_reached):.3g} % of the load carried, {count}, "
+            f"{of(solution.steps)} Newton steps, residual "
             f"{of(solution.residual):.1e} with rounding at "
             f"{of(solution.rounding):.1e}, smallest det F "
             f"{of(solution.min_det_F):.3g})"
@@ -88,10 +74,10 @@ def no_equilibrium(solution: EquilibriumSolution, names: tuple[str, ...]) -> str
 
 
 def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> None:
-    """Raise an error that names every configuration of a batch without an equilibrium.
+    """Check that all configurations of a batch have an equilibrium.
 
     Raises:
-        RuntimeError: If a lane did not converge; the message says which and why.
+        RuntimeError: If one has none; the message says which, and why.
     """
     if text := no_equilibrium(solution, names):
         raise RuntimeError(text)

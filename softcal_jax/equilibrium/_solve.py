@@ -8,10 +8,10 @@ import jax.numpy as jnp
 
 from softcal_jax._process import check_process
 from softcal_jax._results import RESULTS
-from softcal_jax._typing import Array, Float, Int
+from softcal_jax._typing import Array, Int
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._linearisation import linearise
-from softcal_jax.equilibrium._model import Model
+from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import (
     NewtonLoop,
     NewtonSettings,
@@ -25,7 +25,6 @@ from softcal_jax.equilibrium._solution import EquilibriumSolution
 
 
 def as_solution(state: NewtonState, settings: NewtonSettings) -> EquilibriumSolution:
-    """Turn the final state of Newton's loop into a solution."""
     carried = state.done & (state.load_ok >= 1.0)
     beyond = state.result == RESULTS.limit_point
     return EquilibriumSolution(
@@ -47,7 +46,7 @@ def as_solution(state: NewtonState, settings: NewtonSettings) -> EquilibriumSolu
 def begin_newton(
     model: Model,
     configuration: ConfigurationArrays,
-    guess: Float[Array, "n_points 3"],
+    guess: Nodal,
     settings: NewtonSettings,
 ) -> NewtonState:
     """Return the state before the first iteration, for `continue_newton`."""
@@ -64,9 +63,7 @@ def continue_newton(
 ) -> tuple[NewtonState, EquilibriumSolution]:
     """Do some more iterations, for a caller that reports in between.
 
-    Returns:
-        The state, and the solution, which is one if the state is `done` or no
-        iterations are left.
+    The solution is one if the state is `done` or no iterations are left.
     """
     loop = NewtonLoop(Posed.of(model.tabulated(), configuration), settings)
     most = jnp.minimum(state.step + steps, settings.max_steps)
@@ -124,14 +121,6 @@ def solve_from_rest(
 
     All start from rest; with rigid bodies, each from the one before: poses of a robot
     lie near each other, and far from its parts before they are mounted.
-
-    Args:
-        model: The model.
-        configurations: One lane per configuration.
-        settings: Settings of Newton's method.
-
-    Returns:
-        The solutions, see `solve_equilibrium`, one lane per configuration.
     """
     solve = lambda c, u: solve_equilibrium(model, c, guess=u, settings=settings)
     rest = jnp.zeros((model.n_points, 3))
@@ -150,7 +139,7 @@ def solve_equilibrium(
     model: Model,
     configuration: ConfigurationArrays,
     *,
-    guess: Float[Array, "n_points 3"] | None = None,
+    guess: Nodal | None = None,
     settings: NewtonSettings | None = None,
     path: None = None,
 ) -> EquilibriumSolution: ...
@@ -171,7 +160,7 @@ def solve_equilibrium(
     model: Model,
     configuration: ConfigurationArrays,
     *,
-    guess: Float[Array, "n_points 3"] | None = None,
+    guess: Nodal | None = None,
     settings: NewtonSettings | None = None,
     path: LoadPath | None = None,
 ) -> EquilibriumSolution | EquilibriumPath:
@@ -189,8 +178,8 @@ def solve_equilibrium(
             points where a body balloons or buckles; not under `jit`.
 
     Returns:
-        The solution with its outcome. Nothing is raised here, since some lanes of a
-        batch may fail; `check_converged` raises. With `path` the states along the load.
+        The solution with its outcome, which `check_converged` raises; with `path` the
+        states along the load.
 
     Raises:
         ValueError: If a path is asked for together with a guess, or under `jit`, or

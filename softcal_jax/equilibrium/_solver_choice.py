@@ -24,8 +24,7 @@ class NoSolver(AbstractLinearSolver):
 
     def _factor_solve(self, values, rhs):
         raise RuntimeError(
-            'this model was built to be looked at, with solver="none": build it again '
-            "without, to solve it."
+            'this model was built with solver="none": build it again without.'
         )
 
 
@@ -33,18 +32,8 @@ _ON_CPU = {"pardiso": Pardiso, "klu": Klu}
 _PACKAGES = {"pardiso_mkl_jax": Pardiso, "klujax": Klu}
 _NAMES = ["klu", "none", "pardiso", "pardiso-host"]
 
-_REMOVED = ("auto", "multigrid")
-"""Names of former solvers. With six parameters at 58 719 and 106 624 nodes, one
-calibration step with multigrid took 1.5 times as long as with PARDISO."""
-
 
 def check_solver(name: str | None) -> None:
-    """Raise unless a solver of this name exists."""
-    if name in _REMOVED:
-        raise ValueError(
-            f"solver {name!r} was removed with multigrid, which was slower in "
-            "calibrations: leave solver out for the direct solver of the platform."
-        )
     if name is not None and name not in _NAMES:
         raise ValueError(
             f"solver must be one of {_NAMES}, or left out for that of the platform, "
@@ -82,9 +71,6 @@ def choose_solver(name: str | None, unknowns: Sparsity) -> AbstractLinearSolver:
     )
 
 
-def same_solver(
-    solver: AbstractLinearSolver, unknowns: Sparsity
-) -> AbstractLinearSolver:
+def same_solver(solver: Any, unknowns: Sparsity) -> AbstractLinearSolver:
     """Prepare a solver of the same kind for another pattern."""
-    kind: Any = type(solver)
-    return kind.analyse(unknowns)
+    return type(solver).analyse(unknowns)

@@ -1,8 +1,7 @@
 """Sparsity of the tangent: one pattern for every configuration of a mesh.
 
-All degrees of freedom keep their rows. A support is a mask that replaces rows and
-columns by those of a scaled identity, so configurations with different supports share
-one symbolic analysis and one compiled program.
+A support is a mask that replaces rows and columns by those of a scaled identity, so
+configurations with different supports share one analysis and one compiled program.
 """
 
 from collections.abc import Sequence
@@ -19,15 +18,9 @@ from softcal_jax.bodies import BodyArrays
 class Sparsity(Module):
     """A matrix with a symmetric pattern in compressed rows, diagonal included.
 
-    Symmetric matrices are stored as their upper triangle, all others in full.
-
-    Attributes:
-        indptr: Start of each row.
-        indices: Column of each entry, ascending within a row.
-        rows: Row of each entry.
-        diagonal: Position of each diagonal entry.
-        mirror: Position of the transposed entry, so that `values[mirror]` is the
-            transposed matrix; None for an upper triangle.
+    Symmetric matrices are stored as their upper triangle, all others in full, with the
+    position of each transposed entry: `values[mirror]` is the transposed matrix.
+    Columns ascend within a row.
     """
 
     indptr: Int[HostArray, " n_dof_plus_1"]
@@ -38,17 +31,14 @@ class Sparsity(Module):
 
     @property
     def symmetric(self) -> bool:
-        """Whether the matrix is symmetric and stored as its upper triangle."""
         return self.mirror is None
 
     @property
     def n_dof(self) -> int:
-        """Number of rows."""
         return self.diagonal.shape[0]
 
     @property
     def nnz(self) -> int:
-        """Number of stored entries."""
         return self.indices.shape[0]
 
     def positions(
@@ -83,10 +73,7 @@ def _distinct(keys: Int[HostArray, "..."]) -> Int[HostArray, " n"]:
 def build_sparsity(
     cliques: Sequence[Int[HostArray, "_ _"]], n_nodes: int, *, symmetric: bool = True
 ) -> Sparsity:
-    """Build the pattern of a matrix that couples the nodes of each clique, like a tet.
-
-    Each array of `cliques` holds sets of equal size; a node has three unknowns.
-    """
+    """Build the pattern of a matrix that couples the nodes of cliques, like tets."""
     # Sort pairs of nodes first: nine times fewer keys than pairs of unknowns.
     own = np.arange(n_nodes, dtype=np.int64)
     found = [own * n_nodes + own]
@@ -110,10 +97,7 @@ def from_entries(
     *,
     symmetric: bool,
 ) -> Sparsity:
-    """Build a pattern from entries in any order, duplicates allowed.
-
-    Every diagonal entry must be given; a symmetric pattern leaves out those below.
-    """
+    """Build a pattern from entries in any order, all diagonal ones among them."""
     keys = rows.astype(np.int64) * n_dof + columns
     keys = _distinct(keys[rows <= columns] if symmetric else keys)
     rows, indices = keys // n_dof, keys % n_dof
@@ -183,19 +167,14 @@ class Reduction(Module):
 
     Attributes:
         reduced: Pattern over the unknowns: three per node, then six per body.
-        rigid: Nodes that belong to bodies, frame nodes included.
-        owner: Index of the body whose unknowns move each.
-        kept: Entries between free nodes.
-        kept_at: Where they go.
+        rigid: Nodes that belong to bodies, frame nodes included, each with its `owner`,
+            the body whose unknowns move it.
+        kept: Entries between free nodes, which go to `kept_at`; so with the others.
         mixed: Blocks between a free and a rigid node; of a matrix that is not
             symmetric, those between a rigid and a free node too, transposed.
         mixed_rigid: Index in `rigid` of the rigid node.
-        mixed_at: Where they go, likewise transposed.
-        inner: Blocks between two rigid nodes.
-        inner_first: Index in `rigid` of the first node.
-        inner_second: Index in `rigid` of the second node.
+        inner: Blocks between two rigid nodes, with their indices in `rigid`.
         bodies: Entries of the matrix between bodies that the pattern stores.
-        bodies_at: Where they go.
     """
 
     reduced: Sparsity
@@ -218,10 +197,7 @@ def build_reduction(
     cliques: Sequence[Int[HostArray, "_ _"]],
     bodies: BodyArrays,
 ) -> Reduction:
-    """Plan the reduction once, on the host.
-
-    `cliques` are sets of nodes that the tangent couples, except within one body.
-    """
+    """Plan the reduction once, on the host; no clique is all within one body."""
     n_nodes, n_bodies = full.n_dof // 3, bodies.n_bodies
     frames = np.arange(n_nodes - 4 * n_bodies, n_nodes)
     rigid = np.concatenate([bodies.attached, frames])
@@ -279,7 +255,6 @@ def build_reduction(
 
 
 def _ordered_pairs(cliques, n_nodes: int) -> tuple[HostArray, HostArray]:
-    """List every ordered pair of coupled nodes once."""
     keys = [
         _distinct(nodes[:, :, None].astype(np.int64) * n_nodes + nodes[:, None, :])
         for nodes in cliques
@@ -293,7 +268,6 @@ def _node_rows(nodes: HostArray) -> HostArray:
 
 
 def _entries(rows: HostArray, columns: HostArray) -> list[HostArray]:
-    """List rows and columns of the entries of dense blocks."""
     return list(np.broadcast_arrays(rows[:, :, None], columns[:, None, :]))
 
 
@@ -308,10 +282,7 @@ def reduce_values(
     G: Float[Array, "n_rigid 3 6"],
     extra: Float[Array, "n_b 6 6"],
 ) -> Float[Array, " nnz_reduced"]:
-    """Compute the tangent of the unknowns, G^T K G plus a block `extra` for each body.
-
-    G is the motion of the rigid nodes per unit of their bodies' unknowns.
-    """
+    """Compute G^T K G, plus a block `extra` for each body."""
     n_b = extra.shape[0]
     out = jnp.zeros(plan.reduced.nnz, values.dtype)
     out = out.at[plan.kept_at].set(values[plan.kept])

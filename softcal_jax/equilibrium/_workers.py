@@ -42,34 +42,26 @@ def _remembered():
 
 
 def _forget_as_jax() -> None:
-    """Forget the programs that have run if `jax.clear_caches` was called."""
     if _remembered._cache_size() == 0:  # pyright: ignore[reportAttributeAccessIssue]
         _COMPILED.clear()
         _remembered()
 
 
 class Program:
-    """A compiled function of lanes, with what all of them share.
+    """A compiled function of what is shared and of lanes, all of one shape.
 
-    One thread compiles it, while the others wait.
+    One thread compiles it, while the others wait. Sparse solvers in what is shared are
+    replaced by that of the thread.
     """
 
     __repr__ = one_line
 
     def __init__(self, function: Callable[..., Any], *shared: Any):
-        """Take a function of what is shared and of the values of a lane.
-
-        Args:
-            function: The compiled function; all its lanes must be of one shape.
-            shared: Its first arguments, without names; sparse solvers among them are
-                replaced by that of the thread.
-        """
         self._function, self._shared = function, shared
         self._key: Hashable = None
         self._on: dict[int, tuple[AbstractLinearSolver, Any]] = {}
 
     def run(self, solver: AbstractLinearSolver, lane: Sequence[Any]) -> Any:
-        """Run one lane with a solver, and block until it ends."""
         if self._key is None:
             self._key = _key(self._function, self._shared, lane)
         if self._key not in _COMPILED:
@@ -115,11 +107,9 @@ def usable_cores() -> int:
 class _Run(NamedTuple):
     """What a thread of `Workers.side_by_side` needs to know.
 
-    Attributes:
-        thinks: Held by the one thread that computes between its lanes. So what runs
-            share needs no locks, and what they compile is compiled once.
-        stopped: Set when no result is wanted any more.
-        outer: The run within which these are side by side, if any.
+    `thinks` is held by the one thread that computes between its lanes: what runs share
+    needs no locks, and what they compile is compiled once. `stopped` is set when no
+    result is wanted any more, of these runs or of the one around them, `outer`.
     """
 
     thinks: Lock
@@ -127,7 +117,6 @@ class _Run(NamedTuple):
     outer: "_Run | None"
 
     def check(self) -> None:
-        """Raise CancelledError if no result is wanted any more."""
         if self.stopped.is_set():
             raise CancelledError
         if self.outer is not None:
@@ -135,8 +124,6 @@ class _Run(NamedTuple):
 
 
 class _Thread(threading.local):
-    """What a thread is to the workers: whether it shares their turn, and its run."""
-
     shares_turn: bool = False
     run: _Run | None = None
 
@@ -181,12 +168,10 @@ class Workers:
     depend on the thread. Where several threads of a program open such a context, each
     waits for its turn.
 
-    Measured for 16 evaluations of the beam of `benchmarks.batch`, two rounds on two
-    cores on which two independent processes would take 119 ms: threads took 126 and
-    141 ms. A batching rule that calls back to host threads took 135 and 137 ms, but
-    deadlocks if two user threads call such a program. `shard_map` over two CPU devices
-    took 117 and 159 ms, but needs the devices before JAX starts, and confines PARDISO
-    to one core even for a single lane.
+    For 16 evaluations of the beam of `benchmarks.batch` on two cores, on which two
+    processes would take 119 ms, threads took 126 to 141 ms; as did a batching rule that
+    calls back to host threads, which can deadlock, and `shard_map` over two CPU
+    devices, which confines PARDISO to one core even for a single lane.
 
     Attributes:
         n: Number of threads. With one, everything runs in the caller's thread and the
@@ -197,12 +182,7 @@ class Workers:
     __repr__ = one_line
 
     def __init__(self, model: Model, lanes: int, n: int | None = None):
-        """Prepare copies of the model's sparse solver; see the class.
-
-        Args:
-            model: The model.
-            lanes: Number of lanes that may run at once, an upper limit of the threads.
-            n: Number of threads; by default that of usable cores.
+        """Prepare `n` threads, by default that of usable cores, and at most `lanes`.
 
         Raises:
             ValueError: If `n` is less than one, or float64 is off in JAX.
@@ -236,12 +216,7 @@ class Workers:
         self._opened.close()
 
     def map(self, program: Program, lanes: Iterable[Sequence[Any]]) -> list[Any]:
-        """Run all lanes of a program and return their results in order.
-
-        Args:
-            program: The program.
-            lanes: Arguments of its function after those that are shared.
-        """
+        """Run all lanes of a program and return their results in order."""
         lanes, run = list(lanes), _THREAD.run
         jax.block_until_ready(lanes)  # so that no thread waits for them
 
@@ -276,13 +251,8 @@ class Workers:
 
         They begin in order, in threads that mostly wait for their lanes, and few are
         under way at once: little is lost if this is interrupted. Between their lanes
-        they compute one at a time. If some of them raise, the error is that of the
-        first in their order, as with one worker.
-
-        Args:
-            runs: The functions.
-            ended: Called with the index and the result of each in their order, in the
-                caller's thread.
+        they compute one at a time. The error is that of the first that raises, in their
+        order, in which `ended` is called in the caller's thread with index and result.
         """
         results: list[T] = []
 
@@ -319,5 +289,4 @@ class Workers:
         return results
 
     def _on_one_core(self) -> AbstractContextManager[None]:
-        """Return the context in which the workers' solvers must run."""
         return self._solver.on_one_core() if self.n > 1 else nullcontext()

@@ -22,7 +22,7 @@ from softcal_jax.control import (
     sample_workspace,
     solve_inverse,
 )
-from softcal_jax.control import _qp as qp_module
+from softcal_jax.control import _step as step_module
 
 FINE = ControlSettings(tol=1e-6)
 # A bend upwards is positive.
@@ -243,9 +243,9 @@ def test_one_program_for_all_goals_and_models(monkeypatch):
     """A traced QP is a compilation; other goals, materials and limits need none."""
     solve_inverse(arm(), robot(top=0.0), goals={"bend": 0.1})
     traced = []
-    plain = qp_module.bounded_step
+    plain = step_module.bounded_step
     monkeypatch.setattr(
-        qp_module, "bounded_step", lambda *a, **k: traced.append(1) or plain(*a, **k)
+        step_module, "bounded_step", lambda *a, **k: traced.append(1) or plain(*a, **k)
     )
     stiff = arm(4e5)
     with Compilations() as seen:

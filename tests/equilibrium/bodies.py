@@ -13,9 +13,9 @@ from softcal_jax.equilibrium import (
     Model,
     NewtonSettings,
     build_model,
+    energy_and_force,
     internal_force,
     solve_equilibrium,
-    strain_energy,
     tangent_values,
 )
 from softcal_jax.materials import Corotational, Isotropic
@@ -61,7 +61,7 @@ def imposed_on(mesh, nodes, u) -> object:
 
 
 force = jax.jit(internal_force)
-energy = jax.jit(lambda model, u: jnp.sum(strain_energy(model, u)))
+energy = jax.jit(lambda model, u: energy_and_force(model, u)[0])
 energy_gradient = jax.jit(jax.grad(energy, argnums=1))
 force_jacobian = jax.jit(jax.jacfwd(internal_force, argnums=1))
 _values = jax.jit(tangent_values)

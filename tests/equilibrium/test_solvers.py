@@ -216,13 +216,6 @@ def test_unknown_solver():
         build_model(mesh, NeoHookean(1.0, 0.3), density=1.0, solver="mumps")
 
 
-@pytest.mark.parametrize("solver", ["auto", "multigrid"])
-def test_removed_solvers_say_what_to_do(solver):
-    mesh = beam(1.0, 1.0, 1.0, (1, 1, 1))
-    with pytest.raises(ValueError, match=f"'{solver}' was removed.*leave solver out"):
-        build_model(mesh, NeoHookean(1.0, 0.3), density=1.0, solver=solver)
-
-
 @pytest.mark.parametrize("solver", ["pardiso", "klu"])
 def test_solvers_of_the_cpu_have_a_clear_error_on_a_gpu(solver, monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
