@@ -169,9 +169,9 @@ class Workers:
     waits for its turn.
 
     For 16 evaluations of the beam of `benchmarks.batch` on two cores, on which two
-    processes would take 119 ms, threads took 126 to 141 ms; as did a batching rule that
-    calls back to host threads, which can deadlock, and `shard_map` over two CPU
-    devices, which confines PARDISO to one core even for a single lane.
+    processes would take 119 ms, threads took 126 to 141 ms. A batching rule that calls
+    back to host threads took 135 to 137 ms, but can deadlock; `shard_map` over two CPU
+    devices took 117 to 159 ms, but confines PARDISO to one core even for a single lane.
 
     Attributes:
         n: Number of threads. With one, everything runs in the caller's thread and the
