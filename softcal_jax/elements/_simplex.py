@@ -38,10 +38,8 @@ def shape_functions(
 ) -> Float[HostArray, "*points n_nodes"]:
     """Evaluate the shape functions at points of a simplex, corners first [-].
 
-    Args:
-        barycentric: Barycentric coordinates; rows sum to one. Coordinates outside
-            [0, 1] extrapolate.
-        n_nodes: Nodes of the element (3 or 6, 4 or 10; 2 or 3 for an edge).
+    Rows of barycentric coordinates sum to one; those outside [0, 1] extrapolate. The
+    element has 3 or 6 nodes, 4 or 10, and as an edge 2 or 3.
 
     Raises:
         ValueError: If no simplex of that dimension has `n_nodes` nodes.
@@ -61,10 +59,6 @@ def shape_gradients(
     """Compute dN_a / d xi_j, shape functions by reference coordinates [-].
 
     The reference coordinates are L_1, ..., L_d, with L_0 = 1 - sum(L_1..L_d).
-
-    Args:
-        barycentric: Barycentric coordinates of the points.
-        n_nodes: Nodes of the element.
 
     Raises:
         ValueError: If no simplex of that dimension has `n_nodes` nodes.

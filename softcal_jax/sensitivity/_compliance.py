@@ -21,7 +21,7 @@ from softcal_jax.equilibrium import (
     sensitivity,
 )
 from softcal_jax.fields import ParameterSpace
-from softcal_jax.sensitivity._rows import Derivative, parameter_rows
+from softcal_jax.sensitivity._rows import parameter_rows
 
 FEW_PARAMETERS = 12
 """Number of parameters up to which the direct method is always used.
@@ -39,7 +39,6 @@ def parameter_compliance(
     z: Float[Array, " n_p"],
     *,
     method: Literal["auto", "direct", "adjoint"] = "auto",
-    derivative: Derivative = "autodiff",
 ) -> Sensitivity:
     """Compute W_ep = H_e K^-1 H_p^T at an equilibrium, with one factorization; Eq. (9).
 
@@ -53,10 +52,9 @@ def parameter_compliance(
         z: Their scaled values [-].
         method: "direct" solves for the n_p columns of H_p^T, "adjoint" for the n_e rows
             of H_e; "auto" chooses the fewer right-hand sides.
-        derivative: How H_p is computed, see `parameter_forces`.
     """
     lin = linearise(*space.apply(model, configuration, z), u)
-    rows = parameter_rows(lin, space, z, derivative=derivative)
+    rows = parameter_rows(lin, space, z)
     fewer = z.shape[0] > configuration.effectors.measured.size
     adjoint = method == "adjoint" or (method == "auto" and fewer)
     return sensitivity(lin, rows, effector_values, adjoint=adjoint)
