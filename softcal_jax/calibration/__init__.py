@@ -1,6 +1,5 @@
 """Calibration: stacked errors, bounded QP, outer loop (paper Eqs. 9 to 11)."""
 
-from softcal_jax.calibration._begin import EquilibriumProgress, reports_of
 from softcal_jax.calibration._build import as_sequence, build_problem
 from softcal_jax.calibration._calibrate import calibrate
 from softcal_jax.calibration._checked_intervals import LEVEL
@@ -20,12 +19,14 @@ from softcal_jax.calibration._considered import MESH, considered_errors
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, at_rest, evaluate
 from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._intervals import profile_intervals
-from softcal_jax.calibration._lanes import effectors_of, equilibria, lane_of
-from softcal_jax.calibration._linear import linear_model
 from softcal_jax.calibration._noise import CorrelatedNoise, correlated_noise
 from softcal_jax.calibration._notes import CalibrationWarning
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
+    effectors_of,
+    equilibria,
+    lane_of,
+    linear_model,
     n_measured,
     without_names,
 )
@@ -41,21 +42,26 @@ from softcal_jax.calibration._result import (
     ParameterEstimate,
 )
 from softcal_jax.calibration._runs import Run, best_of, descend, images_of, run_start
-from softcal_jax.calibration._search import (
+from softcal_jax.calibration._source import ProjectSource, SourceFile
+from softcal_jax.calibration._starts import (
     FROM_ANYWHERE,
+    EquilibriumProgress,
     SearchProgress,
     check_starts,
     default_starts,
     multi_start,
     random_starts,
+    reports_of,
 )
-from softcal_jax.calibration._source import ProjectSource, SourceFile
-from softcal_jax.calibration._state import (
+from softcal_jax.calibration._step import (
+    FLAT,
+    KKT_TOLERANCE,
+    SMALLEST_FALL,
     CalibrationSettings,
     CalibrationState,
     initial_state,
+    propose,
 )
-from softcal_jax.calibration._step import FLAT, KKT_TOLERANCE, SMALLEST_FALL, propose
 
 __all__ = [
     "FLAT",

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Literal
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.calibration._begin import EquilibriumProgress
 from softcal_jax.calibration._build import as_sequence
 from softcal_jax.calibration._checked_intervals import (
     LEVEL,
@@ -19,12 +18,13 @@ from softcal_jax.calibration._result import (
     CalibrationResult,
     HistoryEntry,
 )
-from softcal_jax.calibration._search import (
+from softcal_jax.calibration._starts import (
+    EquilibriumProgress,
     SearchProgress,
     check_starts,
     default_starts,
 )
-from softcal_jax.calibration._state import CalibrationSettings
+from softcal_jax.calibration._step import CalibrationSettings
 from softcal_jax.configurations import (
     Configuration,
 )

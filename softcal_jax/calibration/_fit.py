@@ -18,7 +18,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration._begin import Beginning, EquilibriumProgress, begin
 from softcal_jax.calibration._build import build
 from softcal_jax.calibration._checked_intervals import Fitted
 from softcal_jax.calibration._checkpoint import Clock, Journal
@@ -29,7 +28,6 @@ from softcal_jax.calibration._configuration_result import (
 from softcal_jax.calibration._considered import ConsideredErrors, considered_errors
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, effector_errors
 from softcal_jax.calibration._held_out import held_out_responses
-from softcal_jax.calibration._linear import linear_model
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._notes import (
     fit_notes,
@@ -42,7 +40,7 @@ from softcal_jax.calibration._nothing_to_learn import (
     check_sensitive,
 )
 from softcal_jax.calibration._offsets import attachment_offsets, with_offsets
-from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._problem import CalibrationProblem, linear_model
 from softcal_jax.calibration._references import check_references, independent_recordings
 from softcal_jax.calibration._residual_checks import ResidualChecks, residual_checks
 from softcal_jax.calibration._result import (
@@ -52,13 +50,16 @@ from softcal_jax.calibration._result import (
     parameter_estimates,
 )
 from softcal_jax.calibration._runs import admissible
-from softcal_jax.calibration._search import (
+from softcal_jax.calibration._starts import (
     FROM_ANYWHERE,
+    Beginning,
+    EquilibriumProgress,
     SearchProgress,
+    begin,
     random_starts,
     search,
 )
-from softcal_jax.calibration._state import CalibrationSettings, initial_state
+from softcal_jax.calibration._step import CalibrationSettings, initial_state
 from softcal_jax.calibration._weighing import (
     SoughtNoise,
     Weighed,

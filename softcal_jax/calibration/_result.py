@@ -14,7 +14,7 @@ from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._residual_checks import ResidualChecks
 from softcal_jax.calibration._runs import best_of
 from softcal_jax.calibration._source import ProjectSource
-from softcal_jax.calibration._state import CalibrationSettings
+from softcal_jax.calibration._step import CalibrationSettings
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import PRECISION, ParameterSpace
 from softcal_jax.inference import ErrorBudget, LinearModel, Uncertainty

@@ -13,12 +13,13 @@ from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._problem import CalibrationProblem
-from softcal_jax.calibration._state import (
+from softcal_jax.calibration._step import (
     CalibrationSettings,
     CalibrationState,
+    decide,
     initial_state,
+    propose,
 )
-from softcal_jax.calibration._step import decide, propose
 from softcal_jax.fields import ParameterSpace
 
 NOTHING_LEFT = 1e-6

@@ -7,6 +7,7 @@ highest of the last few (`MEMORY`). The model is linear in the errors (Gauss-New
 includes their curvature from past steps where that predicts the cost better.
 """
 
+import math
 from functools import partial
 from typing import NamedTuple
 
@@ -16,20 +17,207 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._typing import Array, Bool, Float
-from softcal_jax.calibration._curvature import Curvature, convex_model, learned
+from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.calibration._evaluation import Evaluation
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._qp import (
+    DAMPING,
     QPLimits,
     QPStep,
     ScaledQP,
     scaled_qp,
     solved_qp,
 )
-from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import Whitened
+
+QUICK = 0.2
+"""Relative fall of the cost from which plain Gauss-Newton is used [-]."""
+
+BOUNDED = 1e-4
+"""Smallest cosine between step and residual of the update: keeps it bounded [-]."""
+
+FLATTEST = 1e-8
+"""Smallest curvature of the convex model, relative to the largest [-]."""
+
+
+class Curvature(Module):
+    """What Gauss-Newton leaves out of the Hessian, and whether a step uses it.
+
+    The Hessian of ||error||^2 / 2 is W^T W + sum_i error_i H_i, with H_i the Hessian of
+    each error. The second term vanishes with the errors. Where errors remain, from
+    noise or an imperfect model, it dominates along directions that the data hardly see,
+    and Gauss-Newton steps converge slowly there, if at all. It is estimated at no extra
+    cost from the gradients at both ends of each step (Dennis, Gay and Welsch, ACM
+    Trans. Math. Softw. 7, 1981), by the symmetric rank-one update, which can become
+    indefinite, as the true term can (Conn, Gould and Toint, Math. Prog. 50, 1991). It
+    is used while the cost falls slowly (Fletcher and Xu, IMA J. Numer. Anal. 7, 1987)
+    and only if it predicted the last step better than Gauss-Newton.
+    """
+
+    matrix: Float[Array, "n_p n_p"]
+    used: Bool[Array, ""]
+
+
+def no_curvature(z: Float[Array, " n_p"]) -> Curvature:
+    """Return the estimate before the first step: zero, unused."""
+    return Curvature(jnp.zeros((z.shape[0], z.shape[0]), z.dtype), jnp.zeros((), bool))
+
+
+def learned(
+    curvature: Curvature,
+    step: Float[Array, " n_p"],
+    change: Float[Array, " n_p"],
+    before: Float[Array, ""],
+    after: Float[Array, ""],
+    predicted: Float[Array, "2"],
+) -> Curvature:
+    """Update the estimate after a step, accepted or refused.
+
+    `change` is that of W along the step, transposed, times the errors. The cost `after`
+    is infinite if there is no equilibrium; `predicted` are those by the linear model of
+    the errors, without and with the curvature.
+    """
+    left = change - curvature.matrix @ step
+    along = jnp.sum(left * step)
+    norm = jnp.linalg.norm
+    bounded = jnp.abs(along) > BOUNDED * norm(left) * norm(step)
+    update = jnp.outer(left, left) / jnp.where(bounded, along, 1.0)
+    sound = bounded & jnp.all(jnp.isfinite(update)) & jnp.isfinite(after)
+    matrix = curvature.matrix + jnp.where(sound, update, 0.0)
+    miss = jnp.abs(after - predicted)
+    slow = jnp.isfinite(after) & (before - after < QUICK * before)
+    return Curvature(matrix, slow & (miss[1] < miss[0]))
+
+
+def convex_model(
+    W: Float[Array, "n_e n_p"],
+    error: Float[Array, " n_e"],
+    matrix: Float[Array, "n_p n_p"],
+) -> tuple[Float[Array, "n_p n_p"], Float[Array, " n_p"]]:
+    """Return W' and error' that have the cost's gradient and, if convex, its Hessian.
+
+    The Hessian is taken apart into eigenvalues, with the columns of W scaled to unit
+    length. Negative ones are replaced by their size, so that a step goes downhill.
+    """
+    size = jnp.linalg.norm(W, axis=0)
+    size = jnp.where(size > 0.0, size, 1.0)
+    unit = W / size[None, :]
+    hessian = unit.T @ unit + matrix / size[:, None] / size[None, :]
+    curvatures, axes = jnp.linalg.eigh(hessian)
+    curvatures = jnp.abs(curvatures)
+    root = jnp.sqrt(jnp.maximum(curvatures, FLATTEST * jnp.max(curvatures)))
+    gradient = axes.T @ (unit.T @ error)
+    return root[:, None] * axes.T * size[None, :], gradient / root
+
+
+MEMORY = 5
+"""Number of steps over which, rather than at each of which, the cost must fall.
+
+The data often leave a narrow, curved valley. A Gauss-Newton step along it climbs its
+wall a little, and the next one returns to its floor further down; if every step had to
+lower the cost, the loop would creep (Grippo, Lampariello and Lucidi, SIAM J. Numer.
+Anal. 23, 1986).
+"""
+
+
+MOST_STEPS = 1_000_000
+"""Largest `max_steps`: the history of every run has room for so many."""
+
+
+class CalibrationSettings(Module):
+    """Settings of the outer loop.
+
+    Attributes:
+        tol: Largest entry of lambda_p at which the loop stops, without that step; with
+            `adapt` also where it would lower the cost by less than `SMALLEST_FALL` [-].
+        max_steps: Steps after which it gives up.
+        step_bound: First bound on every entry of lambda_p; 1 is a factor e on a log
+            scale and the whole range on a linear one [-].
+        max_step_bound: Largest bound on a step; beyond a factor of two the linear model
+            says little, and the guess of the equilibria is poor [-].
+        damping: Levenberg damping of the QP, for columns of W of unit length. It holds
+            back directions that the data hardly see; the minimum stays the same, but
+            takes more steps [-].
+        adapt: Adapt the bound, refuse steps that do not help over `MEMORY` steps, and
+            learn the curvature of the errors. Without it, every step is that of the
+            linear model within a fixed bound, as in the paper.
+    """
+
+    tol: float = eqx.field(static=True, default=1e-6)
+    max_steps: int = eqx.field(static=True, default=50)
+    step_bound: float = eqx.field(static=True, default=0.3)
+    max_step_bound: float = eqx.field(static=True, default=0.5)
+    damping: float = eqx.field(static=True, default=DAMPING)
+    adapt: bool = eqx.field(static=True, default=True)
+
+    def __check_init__(self):
+        if not 0.0 < self.tol < 1.0:
+            raise ValueError(f"tol must lie in (0, 1), got {self.tol}.")
+        if not 1 <= self.max_steps <= MOST_STEPS:
+            raise ValueError(
+                f"max_steps must lie between 1 and {MOST_STEPS}, got {self.max_steps}."
+            )
+        if not 0.0 < self.damping <= 1.0:
+            # More, and every step would be too short to tell from none.
+            raise ValueError(f"damping must lie in (0, 1], got {self.damping}.")
+        for name in ("step_bound", "max_step_bound"):
+            value = getattr(self, name)
+            if not 0.0 < value < math.inf:
+                raise ValueError(f"{name} must be positive and finite, got {value}.")
+
+
+class CalibrationState(Module):
+    """State of the outer loop.
+
+    Attributes:
+        z: Scaled parameters [-].
+        evaluation: Equilibria, errors and compliances at `z`.
+        curvature: Curvature of the errors, estimated from past steps.
+        recent_costs: Costs of the last accepted steps, the latest first [-].
+        step_bound: Bound on the next step [-].
+        lambda_p: Last QP step, accepted or refused [-].
+        kkt_residual: Its optimality residual [-].
+        accepted: Whether it was accepted.
+        step: Number of steps so far.
+        converged: Whether lambda_p has vanished, not shortened by the step bound, or
+            steps were refused at a minimum.
+        stalled: Whether steps were refused until the step bound was below `tol`, away
+            from a minimum.
+    """
+
+    z: Float[Array, " n_p"]
+    evaluation: Evaluation
+    curvature: Curvature
+    recent_costs: Float[Array, " memory"]
+    step_bound: Float[Array, ""]
+    lambda_p: Float[Array, " n_p"]
+    kkt_residual: Float[Array, ""]
+    accepted: Bool[Array, ""]
+    step: Int[Array, ""]
+    converged: Bool[Array, ""]
+    stalled: Bool[Array, ""]
+
+
+def initial_state(
+    settings: CalibrationSettings, z: Float[Array, " n_p"], evaluation: Evaluation
+) -> CalibrationState:
+    """Return the state before the first step."""
+    costs = jnp.full((MEMORY,), -jnp.inf, z.dtype)
+    return CalibrationState(
+        z=z,
+        evaluation=evaluation,
+        curvature=no_curvature(z),
+        recent_costs=costs.at[0].set(evaluation.cost),
+        step_bound=jnp.full((), settings.step_bound, z.dtype),
+        lambda_p=jnp.full_like(z, jnp.inf),
+        kkt_residual=jnp.zeros((), z.dtype),
+        accepted=jnp.ones((), bool),
+        step=jnp.zeros((), jnp.int32),
+        converged=jnp.zeros((), bool),
+        stalled=jnp.zeros((), bool),
+    )
+
 
 KKT_TOLERANCE = 1e-6
 """Largest optimality residual with which a vanishing QP step is trusted [-]."""

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softcal_jax.calibration._curvature import (
+from softcal_jax.calibration._step import (
     QUICK,
     convex_model,
     learned,

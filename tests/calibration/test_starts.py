@@ -33,7 +33,7 @@ from softcal_jax.calibration._runs import (
     run_start,
     wanted,
 )
-from softcal_jax.calibration._search import FROM_ANYWHERE, SEVERAL, _optima
+from softcal_jax.calibration._starts import FROM_ANYWHERE, SEVERAL, _optima
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import (
     ControlPointParameters,
@@ -292,7 +292,7 @@ def test_mirror_images_find_the_better_optimum(measured, plain, mirrored):
 
 def test_calibrate_goes_on_from_the_best_of_several_starts(measured, monkeypatch):
     """The user's start is the one that ends wrong; several are the default."""
-    monkeypatch.setattr("softcal_jax.calibration._search.SEVERAL", 3)
+    monkeypatch.setattr("softcal_jax.calibration._starts.SEVERAL", 3)
     beam, space = measured.beam, measured.beam.space
     p = space.from_scaled(measured.starts[2])
     wrong = [p[E_T], p[E_L], p[THETA]]

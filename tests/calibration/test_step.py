@@ -19,7 +19,7 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.calibration._notes import warn_if_too_few_data
 from softcal_jax.calibration._runs import _decide
-from softcal_jax.calibration._state import MEMORY
+from softcal_jax.calibration._step import MEMORY
 from softcal_jax.fields import exactly_known
 from softcal_jax.robots import anisotropic_beam
 
