@@ -1,7 +1,7 @@
 """Calibration: stacked errors, bounded QP, outer loop (paper Eqs. 9 to 11)."""
 
-from softcal_jax.calibration._build import as_sequence, build_problem
-from softcal_jax.calibration._calibrate import calibrate
+from softcal_jax._files import ProjectSource, SourceFile
+from softcal_jax.calibration._calibrate import as_sequence, build_problem, calibrate
 from softcal_jax.calibration._checked_intervals import LEVEL
 from softcal_jax.calibration._checkpoint import Clock
 from softcal_jax.calibration._checks import (
@@ -42,7 +42,6 @@ from softcal_jax.calibration._result import (
     ParameterEstimate,
 )
 from softcal_jax.calibration._runs import Run, best_of, descend, images_of, run_start
-from softcal_jax.calibration._source import ProjectSource, SourceFile
 from softcal_jax.calibration._starts import (
     FROM_ANYWHERE,
     EquilibriumProgress,

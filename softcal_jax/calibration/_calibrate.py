@@ -5,19 +5,21 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
+from softcal_jax._process import check_process
 from softcal_jax._typing import Array, Float
-from softcal_jax.calibration._build import as_sequence
 from softcal_jax.calibration._checked_intervals import (
     LEVEL,
     Fitted,
     check_level,
     with_intervals,
 )
-from softcal_jax.calibration._fit import Resume, Task, Watch, fit
-from softcal_jax.calibration._result import (
-    CalibrationResult,
-    HistoryEntry,
-)
+from softcal_jax.calibration._fit import Batch, Resume, Task, Watch, fit
+from softcal_jax.calibration._noise import correlated_noise
+from softcal_jax.calibration._notes import warn_if_locking, warn_if_too_few_data
+from softcal_jax.calibration._nothing_to_learn import check_effects
+from softcal_jax.calibration._problem import CalibrationProblem, lane_of
+from softcal_jax.calibration._references import check_references
+from softcal_jax.calibration._result import CalibrationResult, HistoryEntry
 from softcal_jax.calibration._starts import (
     EquilibriumProgress,
     SearchProgress,
@@ -27,6 +29,8 @@ from softcal_jax.calibration._starts import (
 from softcal_jax.calibration._step import CalibrationSettings
 from softcal_jax.configurations import (
     Configuration,
+    ConfigurationLanes,
+    configuration_lanes,
 )
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import (
@@ -35,7 +39,10 @@ from softcal_jax.fields import (
     ParameterSpace,
     Uncertain,
     as_space,
+    check_parameters,
     check_precision,
+    check_scopes,
+    exactly_known,
 )
 
 
@@ -142,8 +149,9 @@ def calibrate(
         seed=seed,
         start=start,
     )
+    batch = _batch(task)
     watch = Watch(checkpoint, progress, search_progress, equilibrium_progress)
-    first = fit(task, watch)
+    first = fit(task, batch, watch)
     if intervals is None or first.result.interrupted:
         return first.result
 
@@ -156,12 +164,12 @@ def calibrate(
             seconds=entry.seconds + last.seconds,
         )
 
-        def told(entry: HistoryEntry) -> None:
+        def report(entry: HistoryEntry) -> None:
             if progress is not None and entry.step:
                 progress(later(entry))
 
-        again = Watch(progress=told)
-        new = fit(task._replace(starts=1), again, Resume(z, old.noise))
+        again = Watch(progress=report)
+        new = fit(task._replace(starts=1), batch, again, Resume(z, old.noise))
         history = (*old.history, *map(later, new.result.history[1:]))
         timing = {k: s + new.result.timing_s[k] for k, s in old.timing_s.items()}
         changed = {"history": history, "starts": old.starts, "timing_s": timing}
@@ -173,3 +181,86 @@ def calibrate(
         note = "Interrupted before the intervals of the parameters were known."
         notes = (*first.result.notes, note)
         return replace(first.result, notes=notes, interrupted=True)
+
+
+def _batch(task: Task) -> Batch:
+    """Stack all configurations, and check them before the first solve."""
+    everything, lanes = _stacked(
+        task.model, task.space, task.configurations, task.newton, task.uncertain
+    )
+    fitted = everything.of_first(len(task.fitted))
+    check_scopes(task.space, task.fitted)
+    check_effects(fitted)
+    check_references(task.configurations, lanes.effectors, fitted=task.fitted)
+    names = [c.name for c in task.configurations]
+    for c in task.held_out:
+        if names.count(c.name) > 1:
+            raise ValueError(f"configuration {c.name!r} is named more than once.")
+    warn_if_too_few_data(fitted)
+    return Batch(everything, fitted, lanes)
+
+
+def build_problem(
+    model: Model,
+    parameters: ParameterSpace | Entry | Sequence[Entry],
+    configurations: Configuration | Sequence[Configuration],
+    newton: NewtonSettings | None = None,
+    *,
+    uncertain: Uncertain | None = None,
+) -> CalibrationProblem:
+    """Stack a calibration into arrays, for `evaluate` and `multi_start`.
+
+    Args:
+        model: The body.
+        parameters: What is calibrated.
+        configurations: Posed robots; each with markers and measured positions.
+        newton: Settings of the equilibrium.
+        uncertain: How well everything is known that is not calibrated, of which the
+            offsets of recordings belong to the noise; by default nothing is uncertain.
+
+    Raises:
+        ValueError: If a configuration has no measurement, a parameter no field, or
+            `displacement_from` names no configuration with the same effectors.
+    """
+    posed, uncertain = as_sequence(configurations), uncertain or exactly_known()
+    space, newton = as_space(parameters), newton or NewtonSettings()
+    problem, lanes = _stacked(model, space, posed, newton, uncertain)
+    check_references(posed, lanes.effectors)
+    return problem
+
+
+def _stacked(
+    model: Model,
+    space: ParameterSpace,
+    configurations: Sequence[Configuration],
+    newton: NewtonSettings,
+    uncertain: Uncertain,
+) -> tuple[CalibrationProblem, ConfigurationLanes]:
+    """Stack a calibration into arrays, and return its lanes with effector records."""
+    check_process()
+    for configuration in configurations:
+        if not configuration.is_measured:
+            raise ValueError(
+                f"configuration {configuration.name!r} has no measured positions: give "
+                "`markers` and `measured`, or `effectors` with measured values."
+            )
+    lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
+    check_parameters(model, space, lane_of(lanes.arrays, 0))
+    warn_if_locking(model, space)
+    noise = correlated_noise(
+        configurations,
+        model=model,
+        space=space,
+        arrays=lanes.arrays,
+        records=lanes.effectors,
+        uncertain=uncertain,
+    )
+    return CalibrationProblem(model, space, lanes.arrays, newton, noise), lanes
+
+
+def as_sequence(
+    configurations: Configuration | Sequence[Configuration],
+) -> tuple[Configuration, ...]:
+    """Return configurations as a tuple; a single one may be given by itself."""
+    one = isinstance(configurations, Configuration)
+    return (configurations,) if one else tuple(configurations)

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from softcal_jax._files import ProjectSource
 from softcal_jax._module import Module, Result
 from softcal_jax._names import listed, unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
@@ -13,7 +14,6 @@ from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._residual_checks import ResidualChecks
 from softcal_jax.calibration._runs import best_of
-from softcal_jax.calibration._source import ProjectSource
 from softcal_jax.calibration._step import CalibrationSettings
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import PRECISION, ParameterSpace

@@ -17,6 +17,7 @@ from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax._units import readable
 from softcal_jax.calibration._checkpoint import Journal
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator
+from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._problem import CalibrationProblem, Report
 from softcal_jax.calibration._result import MultiStartResult, Optimum
 from softcal_jax.calibration._runs import (
@@ -69,47 +70,50 @@ class EquilibriumProgress(NamedTuple):
         )
 
 
-Progress = Callable[[EquilibriumProgress], None]
-
-
-class Beginning(NamedTuple):
-    """Where a fit begins.
+class Start(NamedTuple):
+    """Where a fit starts.
 
     Attributes:
+        evaluate: Evaluator of the configurations that are fitted.
         z: Scaled parameters [-].
         evaluation: Evaluation at these parameters.
         notes: What was changed to find equilibria.
     """
 
+    evaluate: Evaluator
     z: Float[Array, " n_p"]
     evaluation: Evaluation
     notes: tuple[str, ...]
+
+    @property
+    def noise(self) -> CorrelatedNoise:
+        """The noise that weighs the data in the beginning."""
+        assert self.evaluate.problem.noise is not None
+        return self.evaluate.problem.noise
 
 
 def begin(
     evaluate: Evaluator,
     z: Float[Array, " n_p"],
     names: Sequence[str],
-    progress: Progress | None = None,
-) -> Beginning:
+    progress: Callable[[EquilibriumProgress], None] | None = None,
+) -> Start:
     """Evaluate a start, with moduli raised until every configuration is in equilibrium.
 
-    Args:
-        evaluate: Evaluator of the calibration.
-        z: Scaled start [-].
-        names: Names of the configurations.
-        progress: Called while the equilibria are solved.
+    A body that is too soft balloons, buckles or collapses under the measured loads, and
+    a fit needs an equilibrium of every configuration to begin with.
 
     Raises:
         RuntimeError: If a configuration has no equilibrium within the bounds; the text
             names it, the load that it reached, and why.
     """
-    space, names = evaluate.problem.space, tuple(names)
+    space, raised, factor = evaluate.problem.space, z, 1.0
     report = partial(reports_of, progress, names)
-    first, evaluation = _first_equilibria(evaluate, z, report())
+    solution, evaluation = _first_equilibria(evaluate, z, report())
     if evaluation is not None:
-        return Beginning(z, evaluation, ())
-    solution, raised, factor = first, z, 1.0
+        return Start(evaluate, z, evaluation, ())
+    without = no_equilibrium(solution, tuple(names))
+    note = f"No equilibrium at the start values. {_reached(solution, names)}"
     for _ in range(MOST_RAISES):
         stiffer = _stiffer(space, raised)
         if np.array_equal(stiffer, raised):
@@ -117,25 +121,14 @@ def begin(
         raised, factor = stiffer, STIFFER * factor
         solution, evaluation = _first_equilibria(evaluate, raised, report(factor))
         if evaluation is not None:
-            return Beginning(raised, evaluation, (_note(space, first, names, raised),))
-    raise RuntimeError(_nowhere(space, (first, solution), names, (z, raised)))
-
-
-def _nowhere(
-    space: ParameterSpace,
-    solutions: tuple[EquilibriumSolution, EquilibriumSolution],
-    names: tuple[str, ...],
-    z: tuple[Float[Array, " n_p"], Float[Array, " n_p"]],
-) -> str:
-    """Say why there is no equilibrium at the start, nor with the stiffest moduli."""
-    first, last = solutions
-    text = no_equilibrium(first, names)
-    if np.array_equal(*z):
-        return text
-    return (
-        f"{text}\nNor is there one with stiffer moduli up to their bounds "
-        f"({_values(space, z[1])}).\n{_reached(last, names)}\nRaise the upper bounds, "
-        "or check loads, units and supports."
+            note += f" The fit began with stiffer moduli: {_values(space, raised)}."
+            return Start(evaluate, raised, evaluation, (note,))
+    if raised is z:
+        raise RuntimeError(without)
+    raise RuntimeError(
+        f"{without}\nNor is there one with stiffer moduli up to their bounds "
+        f"({_values(space, raised)}).\n{_reached(solution, names)}\nRaise the upper "
+        "bounds, or check loads, units and supports."
     )
 
 
@@ -154,7 +147,9 @@ def _first_equilibria(
 
 
 def reports_of(
-    progress: Progress | None, names: Sequence[str], factor: float = 1.0
+    progress: Callable[[EquilibriumProgress], None] | None,
+    names: Sequence[str],
+    factor: float = 1.0,
 ) -> Report | None:
     """Return a report for `equilibria`, which knows configurations by index alone."""
     if progress is None:
@@ -189,19 +184,7 @@ def _values(space: ParameterSpace, z: Float[Array, " n_p"]) -> str:
     return listed(texts)
 
 
-def _note(
-    space: ParameterSpace,
-    first: EquilibriumSolution,
-    names: tuple[str, ...],
-    raised: Float[Array, " n_p"],
-) -> str:
-    return (
-        f"No equilibrium at the start values. {_reached(first, names)} The fit began "
-        f"with stiffer moduli: {_values(space, raised)}."
-    )
-
-
-def _reached(solution: EquilibriumSolution, names: tuple[str, ...]) -> str:
+def _reached(solution: EquilibriumSolution, names: Sequence[str]) -> str:
     """Say how far configurations without an equilibrium came."""
     load = np.asarray(solution.load_reached)
     lost = np.flatnonzero(~np.asarray(solution.converged))
