@@ -22,7 +22,6 @@ from softcal_jax.calibration._problem import CalibrationProblem, Report
 from softcal_jax.calibration._result import MultiStartResult, Optimum
 from softcal_jax.calibration._runs import (
     Begun,
-    Ends,
     Run,
     admissible,
     images_of,
@@ -30,11 +29,7 @@ from softcal_jax.calibration._runs import (
     run_start,
 )
 from softcal_jax.calibration._step import CalibrationSettings
-from softcal_jax.equilibrium import (
-    EquilibriumSolution,
-    Workers,
-    no_equilibrium,
-)
+from softcal_jax.equilibrium import EquilibriumSolution, Workers, no_equilibrium
 from softcal_jax.fields import ParameterSpace, unnamed
 
 STIFFER = 2.0
@@ -43,15 +38,26 @@ STIFFER = 2.0
 MOST_RAISES = 20
 """Most raises, a factor of a million in all."""
 
+SAME_OPTIMUM = 1e-3
+"""Largest difference of scaled parameters within one optimum [-]."""
+
+FROM_ANYWHERE = CalibrationSettings(max_steps=12)
+"""Settings of runs from many starts: few steps, as a good start converges quickly."""
+
+SEVERAL = 6
+"""Number of starts by default where there may be several optima."""
+
+# One row at a time, so that the programs do not depend on the number of rows.
+_to_scaled = eqx.filter_jit(lambda space, p: space.admissible(space.to_scaled(p)))
+_from_scaled = eqx.filter_jit(lambda space, z: space.from_scaled(z))
+_distance = eqx.filter_jit(lambda space, a, b: space.distance(a, b))
+
 
 class EquilibriumProgress(NamedTuple):
-    """Progress of the first equilibrium of a configuration.
+    """Progress of the first equilibrium of a configuration: Newton iterations so far.
 
-    Attributes:
-        configuration: Its name.
-        load: Share of the load that is carried so far [-].
-        steps: Newton iterations so far.
-        stiffer: Factor on the moduli of the start [-].
+    `load` is the share of the load that is carried, `stiffer` the factor on the moduli
+    of the start [-].
     """
 
     configuration: str
@@ -71,14 +77,7 @@ class EquilibriumProgress(NamedTuple):
 
 
 class Start(NamedTuple):
-    """Where a fit starts.
-
-    Attributes:
-        evaluate: Evaluator of the configurations that are fitted.
-        z: Scaled parameters [-].
-        evaluation: Evaluation at these parameters.
-        notes: What was changed to find equilibria.
-    """
+    """Where a fit starts: scaled parameters, and how they had to be changed."""
 
     evaluate: Evaluator
     z: Float[Array, " n_p"]
@@ -136,14 +135,11 @@ def _first_equilibria(
     evaluate: Evaluator, z: Float[Array, " n_p"], report: Report | None
 ) -> tuple[EquilibriumSolution, Evaluation | None]:
     """Return the equilibria, and their evaluation if all configurations have one."""
-    if report is None:
-        evaluation = evaluate.from_rest(z)
-        solution = evaluation.equilibrium
-        return solution, evaluation if bool(jnp.all(solution.converged)) else None
-    solution = evaluate.equilibria(z, report)
+    evaluation = evaluate.from_rest(z) if report is None else None
+    solution = evaluation.equilibrium if evaluation else evaluate.equilibria(z, report)
     if not bool(jnp.all(solution.converged)):
         return solution, None
-    return solution, evaluate(z, solution.displacement)
+    return solution, evaluation or evaluate(z, solution.displacement)
 
 
 def reports_of(
@@ -161,10 +157,8 @@ def reports_of(
 
 def _moduli(space: ParameterSpace) -> Bool[HostArray, " n_p"]:
     """Flag the moduli: fields of the law on a log scale, without the density."""
-    of_law = np.asarray(space.sets_fields)
-    fields = [q.field.rpartition(".")[2] for q in space.parameters]
-    scales = [q.scale == "log" for q in space.parameters]
-    return of_law & np.array(scales) & (np.array(fields) != "density")
+    modulus = lambda q: q.scale == "log" and q.field.rpartition(".")[2] != "density"
+    return np.asarray(space.sets_fields) & [modulus(q) for q in space.parameters]
 
 
 def _stiffer(space: ParameterSpace, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
@@ -175,13 +169,9 @@ def _stiffer(space: ParameterSpace, z: Float[Array, " n_p"]) -> Float[Array, " n
 
 def _values(space: ParameterSpace, z: Float[Array, " n_p"]) -> str:
     """Write the moduli, with their units."""
-    p = np.asarray(space.from_scaled(z))
-    chosen = np.flatnonzero(_moduli(space))
-    texts = [
-        f"{space.names[i]} = {readable(float(p[i]), space.parameters[i].unit)}"
-        for i in chosen
-    ]
-    return listed(texts)
+    values = zip(space.parameters, space.from_scaled(z), _moduli(space), strict=True)
+    moduli = [(q, float(value)) for q, value, is_modulus in values if is_modulus]
+    return listed([f"{q.name} = {readable(value, q.unit)}" for q, value in moduli])
 
 
 def _reached(solution: EquilibriumSolution, names: Sequence[str]) -> str:
@@ -193,29 +183,10 @@ def _reached(solution: EquilibriumSolution, names: Sequence[str]) -> str:
     )
 
 
-SAME_OPTIMUM = 1e-3
-"""Largest difference of scaled parameters within one optimum [-]."""
-
-FROM_ANYWHERE = CalibrationSettings(max_steps=12)
-"""Settings of runs from many starts: few steps, as a good start converges quickly."""
-
-SEVERAL = 6
-"""Number of starts by default where there may be several optima."""
-
-# One row at a time, so that the programs do not depend on the number of rows.
-_to_scaled = eqx.filter_jit(lambda space, p: space.admissible(space.to_scaled(p)))
-_from_scaled = eqx.filter_jit(lambda space, z: space.from_scaled(z))
-_distance = eqx.filter_jit(lambda space, a, b: space.distance(a, b))
-
-
 class SearchProgress(NamedTuple):
-    """Progress of a search from many starts.
+    """Progress of a search: runs that have ended, runs in all, and converged ones.
 
-    Attributes:
-        ended: Runs that have ended.
-        starts: Runs in all.
-        converged: How many of the ended ones converged.
-        cost: Lowest cost of the ended ones; infinite if none has an equilibrium [-].
+    `cost` is the lowest of those that ended; infinite without an equilibrium [-].
     """
 
     ended: int
@@ -245,17 +216,18 @@ def multi_start(
 ) -> MultiStartResult:
     """Calibrate from many starts, side by side, and list the distinct optima.
 
+    Ctrl-C returns what was found so far, once a run has come to an end.
+
     Args:
         problem: The calibration, from `build_problem`.
         starts: Scaled parameters to start from, or the number of random ones.
         seed: Seed of the random ones.
-        settings: Settings of the outer loop; by default `FROM_ANYWHERE`, at most 12
-            steps for each image.
+        settings: Settings of the outer loop; by default `FROM_ANYWHERE`.
         mirror: Whether runs that end with an error continue from mirror images.
         checkpoint: File in which the best end of each run is saved after each image. If
             it exists, the search resumes from it, with the same result.
-        progress: Called when a run has ended. Other runs occupy all cores then, so it
-            must not solve anything itself.
+        progress: Called when a run has ended; it must not solve anything itself, since
+            other runs occupy all cores.
 
     Raises:
         ValueError: If there are no starts, they do not fit the parameters, or the
@@ -263,8 +235,6 @@ def multi_start(
         OSError: If the checkpoint cannot be written, or another process is writing to
             it.
         RuntimeError: If no start has an equilibrium.
-        KeyboardInterrupt: If it is interrupted before a run has come to an end; later
-            the result holds what was found so far.
     """
     space = problem.space
     if isinstance(starts, int):
@@ -316,8 +286,7 @@ def search(
         begun[i] = journal.kept(f"run{i}", none) or none
         if begun[i].images == len(images):
             ended[i] = begun[i].best
-        note = partial(keep, i)
-        tasks.append(partial(run_from, start, begun=begun[i], note=note))
+        tasks.append(partial(run_from, start, begun=begun[i], note=partial(keep, i)))
 
     def count(i: int, run: Run) -> None:
         if i in ended:  # it had ended before this search was resumed
@@ -329,84 +298,85 @@ def search(
             progress(SearchProgress(len(ended), len(starts), converged, lowest))
 
     try:
-        runs = evaluate.workers.side_by_side(tasks, count)
+        evaluate.workers.side_by_side(tasks, count)
     except KeyboardInterrupt:
-        runs = [begun[i].best for i in range(len(tasks))]
-        if not any(np.isfinite(run.cost) for run in runs):
+        if not any(np.isfinite(own.best.cost) for own in begun.values()):
             raise
         journal.interrupted = True
-    if not any(np.isfinite(run.cost) for run in runs):
+    if not any(np.isfinite(own.best.cost) for own in begun.values()):
         raise RuntimeError(
             f"none of {len(starts)} starts has an equilibrium in every configuration: "
             "check loads, units and bounds, or `softcal simulate`."
         )
-    return _result(space, starts, runs, [begun[i].ends for i in range(len(runs))])
+    return _result(space, starts, list(begun.values()))
 
 
 def _result(
     space: ParameterSpace,
     starts: Float[Array, "n_starts n_p"],
-    runs: Sequence[Run],
-    ends: Sequence[Ends],
+    runs: Sequence[Begun],
 ) -> MultiStartResult:
-    """List the ends of all runs, and the optima among these and those on their way."""
+    """List the ends of all runs, and the optima among these and those on their way.
+
+    Where runs came by counts, too: a mirror image may fit nearly as well.
+    """
     numbered = unnamed(space)
     in_si = lambda z: np.array([_from_scaled(numbered, row) for row in np.asarray(z)])
-    z = np.stack([run.z for run in runs])
-    values, cost = in_si(z), np.array([run.cost for run in runs])
-    converged = np.array([run.converged for run in runs])
-    # Where runs came by on their way, too: a mirror image may fit nearly as well.
-    passed = np.concatenate([of_run.cost for of_run in ends])
-    which = np.isfinite(passed)
-    passed_z, passed = (
-        np.concatenate([of_run.z for of_run in ends])[which],
-        passed[which],
-    )
+    best = [run.best for run in runs]
+    z = np.stack([run.z for run in best])
+    cost = np.array([run.cost for run in best])
+    converged = np.array([run.converged for run in best])
+    passed = np.concatenate([run.ends.cost for run in runs])
     return MultiStartResult(
         names=tuple(space.names),
         starts=in_si(starts),
-        values=values,
+        values=in_si(z),
         z=z,
         cost=cost,
-        steps=np.array([run.steps for run in runs]),
+        steps=np.array([run.steps for run in best]),
         converged=converged,
-        errors=np.stack([run.errors for run in runs]),
+        errors=np.stack([run.errors for run in best]),
         optima=_optima(
             space,
-            np.concatenate([z, passed_z]),
-            np.append(values, in_si(passed_z)).reshape(-1, len(space.names)),
+            np.concatenate([z, *(run.ends.z for run in runs)]),
             np.append(cost, passed),
-            np.append(converged, np.ones(len(passed), bool)),
+            np.append(converged, np.isfinite(passed)),
             n_starts=len(runs),
         ),
     )
 
 
-def _optima(space, z, values, cost, converged, *, n_starts: int) -> tuple[Optimum, ...]:
+def _optima(
+    space: ParameterSpace,
+    z: Float[HostArray, "n n_p"],
+    cost: Float[HostArray, " n"],
+    converged: Bool[HostArray, " n"],
+    *,
+    n_starts: int,
+) -> tuple[Optimum, ...]:
     """Group converged ends by where they are, the lowest cost first.
 
     The first `n_starts` are ends of starts; others were passed.
     """
-    found: list[tuple[int, list[int]]] = []
+    groups: list[list[int]] = []
     numbered = unnamed(space)
-    for i in np.argsort(cost, kind="stable"):
-        if not converged[i]:
-            continue
-        for first, members in found:
+    order = np.argsort(cost, kind="stable")
+    for i in order[converged[order]].tolist():
+        for group in groups:
             # The distance wraps: an angle just below 90 deg is close to one above -90.
-            if np.max(_distance(numbered, z[i], z[first])) <= SAME_OPTIMUM:
-                members.append(int(i))
+            if np.max(_distance(numbered, z[i], z[group[0]])) <= SAME_OPTIMUM:
+                group.append(i)
                 break
         else:
-            found.append((int(i), [int(i)]))
-    ended = range(n_starts)
+            groups.append([i])
+    values = lambda z: map(float, _from_scaled(numbered, z))
     return tuple(
         Optimum(
-            float(cost[first]),
-            dict(zip(space.names, map(float, values[first]), strict=True)),
-            tuple(sorted(member for member in members if member in ended)),
+            float(cost[group[0]]),
+            dict(zip(space.names, values(z[group[0]]), strict=True)),
+            tuple(sorted(i for i in group if i < n_starts)),
         )
-        for first, members in found
+        for group in groups
     )
 
 
@@ -414,14 +384,13 @@ def default_starts(space: ParameterSpace) -> int:
     """Return how many starts a calibration takes unless the user says otherwise.
 
     `SEVERAL` where the angle of an axis or more than one control point of a field is
-    calibrated, since there the cost has several optima; 1 elsewhere. Runs are side by
-    side, but each goes on from its mirror images, so a search takes several times as
-    long as a single fit for each of its starts: a sweep of thousands of calibrations
-    from good start values may say `starts = 1`.
+    calibrated, since there the cost has several optima; 1 elsewhere. Each start goes on
+    from its mirror images, so it takes several times as long as a single fit: a sweep
+    of thousands of calibrations from good start values may say `starts = 1`.
     """
-    of_fields = [entry.parameters for entry in space.entries if entry.fields]
-    angle = any(q.unit == "rad" or q.periodic for own in of_fields for q in own)
-    several = any(len(own) > 1 for own in of_fields)
+    fields = [entry.parameters for entry in space.entries if entry.fields]
+    angle = any(q.unit == "rad" or q.periodic for field in fields for q in field)
+    several = any(len(field) > 1 for field in fields)
     return SEVERAL if space.axes or angle or several else 1
 
 
@@ -439,18 +408,13 @@ def random_starts(
 
     Pairs that break their order are swapped.
 
-    Args:
-        space: The parameters.
-        n: Number of starts.
-        seed: Seed.
-
     Raises:
         ValueError: If n is less than one, or above a limit.
     """
     check_starts(n)
     random = np.random.default_rng(seed)
-    bounds = space.lower(), space.upper()
-    low, high = (np.asarray(space.from_scaled(z)) for z in bounds)
+    low = np.asarray(space.from_scaled(space.lower()))
+    high = np.asarray(space.from_scaled(space.upper()))
     p = low + (high - low) * random.random((n, len(low)))
     names, chart = space.names, space.chart
     pairs = [

@@ -375,7 +375,7 @@ def ends(thetas, costs, converged=None):
         steps=np.full(len(thetas), 7),
         converged=flags,
         errors=np.zeros((len(thetas), 13)),
-        optima=_optima(SPACE, z, p, cost, flags, n_starts=len(z)),
+        optima=_optima(SPACE, z, cost, flags, n_starts=len(z)),
     )
 
 
@@ -386,7 +386,7 @@ def test_optima_on_both_sides_of_the_seam_are_one():
     # The lower of the two stands for both.
     assert found[0].cost == 1.0
     assert found[0].values["theta of CP 1"] == pytest.approx(np.deg2rad(-89.99))
-    assert found[0].values["E_t of CP 2"] == 7e5
+    assert found[0].values["E_t of CP 2"] == pytest.approx(7e5)
 
 
 def test_optima_come_with_the_lowest_cost_first():
