@@ -23,6 +23,7 @@ from softcal_jax.calibration._noise import CorrelatedNoise, correlated_noise
 from softcal_jax.calibration._notes import CalibrationWarning
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
+    CalibrationSettings,
     effectors_of,
     equilibria,
     lane_of,
@@ -56,7 +57,6 @@ from softcal_jax.calibration._step import (
     FLAT,
     KKT_TOLERANCE,
     SMALLEST_FALL,
-    CalibrationSettings,
     CalibrationState,
     initial_state,
     propose,

@@ -17,7 +17,11 @@ from softcal_jax.calibration._fit import Batch, Resume, Task, Watch, fit
 from softcal_jax.calibration._noise import correlated_noise
 from softcal_jax.calibration._notes import warn_if_locking, warn_if_too_few_data
 from softcal_jax.calibration._nothing_to_learn import check_effects
-from softcal_jax.calibration._problem import CalibrationProblem, lane_of
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
+    CalibrationSettings,
+    lane_of,
+)
 from softcal_jax.calibration._references import check_references
 from softcal_jax.calibration._result import CalibrationResult, HistoryEntry
 from softcal_jax.calibration._starts import (
@@ -26,7 +30,6 @@ from softcal_jax.calibration._starts import (
     check_starts,
     default_starts,
 )
-from softcal_jax.calibration._step import CalibrationSettings
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationLanes,

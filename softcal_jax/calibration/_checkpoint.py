@@ -26,9 +26,9 @@ from softcal_jax._places import cause, only_writer, partial_of
 from softcal_jax._typing import HostArray
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._notes import CalibrationWarning
-from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
 from softcal_jax.calibration._result import HistoryEntry
-from softcal_jax.calibration._step import CalibrationSettings, CalibrationState
+from softcal_jax.calibration._step import CalibrationState
 
 _UNREADABLE = (
     AttributeError,

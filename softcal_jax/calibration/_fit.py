@@ -29,7 +29,11 @@ from softcal_jax.calibration._held_out import held_out_responses
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._notes import fit_notes, result_notes
 from softcal_jax.calibration._nothing_to_learn import check_cost, check_sensitive
-from softcal_jax.calibration._problem import CalibrationProblem, linear_model
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
+    CalibrationSettings,
+    linear_model,
+)
 from softcal_jax.calibration._references import attachments, independent_recordings
 from softcal_jax.calibration._residual_checks import ResidualChecks, residual_checks
 from softcal_jax.calibration._result import (
@@ -48,7 +52,7 @@ from softcal_jax.calibration._starts import (
     random_starts,
     search,
 )
-from softcal_jax.calibration._step import CalibrationSettings, initial_state
+from softcal_jax.calibration._step import initial_state
 from softcal_jax.calibration._weighing import (
     SoughtNoise,
     Weighed,

@@ -1,6 +1,8 @@
 """A calibration as arrays: its lanes, their equilibria, and its linear model."""
 
+import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -11,6 +13,7 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.calibration._noise import CorrelatedNoise, noise_columns
+from softcal_jax.calibration._qp import DAMPING
 from softcal_jax.configurations import Configuration, ConfigurationArrays
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
@@ -34,6 +37,9 @@ from softcal_jax.inference import (
 
 T = TypeVar("T")
 
+MOST_STEPS = 1_000_000
+"""Largest `max_steps`: the history of every run has room for so many."""
+
 STEPS_BETWEEN = 2
 """Newton iterations of a configuration between two reports."""
 
@@ -56,14 +62,7 @@ def stacked(lanes: Sequence[T]) -> T:
     return jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *lanes))
 
 
-@eqx.filter_jit
-def _begin(
-    model: Model,
-    newton: NewtonSettings,
-    configuration: ConfigurationArrays,
-    guess: Float[Array, "n_points 3"],
-):
-    return begin_newton(model, configuration, guess, newton)
+_begin = eqx.filter_jit(begin_newton)
 
 
 @eqx.filter_jit
@@ -90,11 +89,10 @@ def equilibria(
 
     One of three ways to solve a batch. The others are `solve_from_rest`, inside a
     compiled or differentiated program, and `Evaluator`, which adds the errors and
-    compliances of a calibration.
+    compliances of a calibration. The program is compiled once for any number of lanes.
 
     Args:
-        workers: Run the configurations, by a program that is compiled once for any
-            number of them.
+        workers: Run the configurations.
         model: The body, with its parameters set.
         configurations: One lane per configuration.
         newton: Settings of the equilibrium.
@@ -109,9 +107,8 @@ def equilibria(
     solutions: dict[int, EquilibriumSolution] = {}
 
     def solve(starts: dict[int, Float[Array, "n_points 3"]]) -> None:
-        """Solve the configurations with these indices, from these displacements."""
         states = {
-            c: _begin(model, settings, lanes[c], start) for c, start in starts.items()
+            c: _begin(model, lanes[c], start, settings) for c, start in starts.items()
         }
         while states:
             under_way = list(states)
@@ -156,15 +153,56 @@ def effectors_of(
     model: Model, configurations: ConfigurationArrays, solution: EquilibriumSolution
 ) -> Float[Array, "n_c n_rows 3"]:
     """Compute the effector coordinates of a batch, inside a compiled program too."""
-    values = lambda c, u, forces: effector_values(model, c, u, forces)
     states = solution.displacement, solution.multipliers
-    return jax.vmap(values)(configurations, *states)
+    return jax.vmap(partial(effector_values, model))(configurations, *states)
 
 
 def as_guess(solution: EquilibriumSolution) -> Float[Array, "n_c n_points 3"]:
     """Return displacements to start from, rest where there was no equilibrium [m]."""
     converged = solution.converged[:, None, None]
     return jnp.where(converged, solution.displacement, 0.0)
+
+
+class CalibrationSettings(Module):
+    """Settings of the outer loop.
+
+    Attributes:
+        tol: Largest entry of lambda_p at which the loop stops, without that step; with
+            `adapt` also where it would lower the cost by less than `SMALLEST_FALL` [-].
+        max_steps: Steps after which it gives up.
+        step_bound: First bound on every entry of lambda_p; 1 is a factor e on a log
+            scale and the whole range on a linear one [-].
+        max_step_bound: Largest bound on a step; beyond a factor of two the linear model
+            says little, and the guess of the equilibria is poor [-].
+        damping: Levenberg damping of the QP, for columns of W of unit length. It holds
+            back directions that the data hardly see; the minimum stays the same, but
+            takes more steps [-].
+        adapt: Adapt the bound, refuse steps that do not help over `MEMORY` steps, and
+            learn the curvature of the errors. Without it, every step is that of the
+            linear model within a fixed bound, as in the paper.
+    """
+
+    tol: float = eqx.field(static=True, default=1e-6)
+    max_steps: int = eqx.field(static=True, default=50)
+    step_bound: float = eqx.field(static=True, default=0.3)
+    max_step_bound: float = eqx.field(static=True, default=0.5)
+    damping: float = eqx.field(static=True, default=DAMPING)
+    adapt: bool = eqx.field(static=True, default=True)
+
+    def __check_init__(self):
+        if not 0.0 < self.tol < 1.0:
+            raise ValueError(f"tol must lie in (0, 1), got {self.tol}.")
+        if not 1 <= self.max_steps <= MOST_STEPS:
+            raise ValueError(
+                f"max_steps must lie between 1 and {MOST_STEPS}, got {self.max_steps}."
+            )
+        if not 0.0 < self.damping <= 1.0:
+            # More, and every step would be too short to tell from none.
+            raise ValueError(f"damping must lie in (0, 1], got {self.damping}.")
+        for name in ("step_bound", "max_step_bound"):
+            value = getattr(self, name)
+            if not 0.0 < value < math.inf:
+                raise ValueError(f"{name} must be positive and finite, got {value}.")
 
 
 class CalibrationProblem(Module):
@@ -208,12 +246,7 @@ class CalibrationProblem(Module):
     ) -> Whitened:
         """Return errors and their derivatives in units of the noise, priors behind.
 
-        The QP of Eq. (10) is of these rows.
-
-        Args:
-            z: Scaled parameters [-].
-            delta_e: Simulated minus measured values.
-            compliance: W_ep in the units of the effectors.
+        The QP of Eq. (10) is of these rows; the compliance is W_ep.
         """
         weight = jnp.ravel(jnp.asarray(self.configurations.effectors.inverse_std))
         return whitened_rows(
@@ -235,17 +268,15 @@ class CalibrationProblem(Module):
 
     def of_first(self, n: int) -> "CalibrationProblem":
         """Return the calibration to the first few configurations."""
-        of_lanes = self.with_noise(None).of_lanes(slice(n))
-        return of_lanes.with_noise(self.noise and self.noise.of_first(n))
+        return self._of(slice(n)).with_noise(self.noise and self.noise.of_first(n))
 
     def without_first(self, n: int) -> "CalibrationProblem":
         """Return the calibration to the others, without a noise."""
-        return self.with_noise(None).of_lanes(slice(n, None))
+        return self._of(slice(n, None))
 
-    def of_lanes(self, which: slice) -> "CalibrationProblem":
-        """Return the calibration to some configurations; it must have no noise."""
-        some = lane_of(self.configurations, which)
-        return eqx.tree_at(lambda p: p.configurations, self, some)
+    def _of(self, lanes: slice) -> "CalibrationProblem":
+        some = lane_of(self.configurations, lanes)
+        return eqx.tree_at(lambda p: p.configurations, self.with_noise(None), some)
 
     def with_noise(self, noise: CorrelatedNoise | None) -> "CalibrationProblem":
         """Return the calibration with another noise."""
@@ -258,8 +289,8 @@ def without_names(problem: CalibrationProblem) -> CalibrationProblem:
 
     These are names, and settings that are no arrays.
     """
-    own = unnamed(problem.space), problem.newton.as_arrays()
-    return eqx.tree_at(lambda p: (p.space, p.newton), problem, own)
+    without = unnamed(problem.space), problem.newton.as_arrays()
+    return eqx.tree_at(lambda p: (p.space, p.newton), problem, without)
 
 
 def n_measured(problem: CalibrationProblem) -> int:
@@ -285,21 +316,10 @@ def linear_model(
 ) -> LinearModel:
     """Make the linear model of measured coordinates, in stated standard deviations.
 
-    Rows of a held-out configuration that has no equilibrium, or no regular tangent, are
-    left out.
-
-    Args:
-        problem: The calibration, with the noise that weighed its data.
-        configurations: Its configurations.
-        z: Scaled parameters [-].
-        W_ep: Compliances there, in the units of the effectors.
-        ok: Which configurations have an equilibrium with a regular tangent.
-        delta_e: Simulated minus measured values.
-        rows: Rows of the fit, of which the last are the distances from the priors; none
-            where nothing was fitted.
-        n_fitted: Number of configurations that were fitted, which come first; all by
-            default.
-        considered: Errors that are considered, of all rows; none by default.
+    The problem has the noise that weighed its data. Rows of a held-out configuration
+    that is not `ok`, without an equilibrium or a regular tangent, are left out. The
+    last `rows` of a fit are the distances from the priors; there are none where nothing
+    was fitted. The first `n_fitted` configurations were fitted, by default all.
     """
     space, n_c, level = problem.space, len(configurations), float(problem.level)
     from_prior = np.zeros(len(space.names))

@@ -1,4 +1,4 @@
-"""The constrained QP step on the stacked errors (paper Eqs. 10 and 11)."""
+"""The constrained QP step on the stacked errors (paper Eqs. 10, 11), and curvature."""
 
 from typing import NamedTuple
 
@@ -35,9 +35,12 @@ ROUNDING = 1e-14
 SOLVED = 1e-12
 """Optimality residual at which a point is not polished any further [-]."""
 
+FLATTEST = 1e-8
+"""Smallest curvature of the convex model, relative to the largest [-]."""
+
 
 class QPStep(NamedTuple):
-    """Solution of the QP, in scaled units, and its check [-].
+    """Solution of the QP, in scaled units [-].
 
     `kkt_residual` is the largest violation of the optimality conditions, for columns of
     W, rows of A and an error of unit length.
@@ -71,10 +74,7 @@ class _Scaled(NamedTuple):
 
 
 class ScaledQP(NamedTuple):
-    """A QP in scaled form, and how to return to its units.
-
-    Its size is that of the step and of the rows, whatever the number of errors.
-    """
+    """A QP in scaled form, of any number of errors, and how to return to its units."""
 
     qp: _Scaled
     unit: Float[Array, " n_p"]
@@ -91,9 +91,9 @@ class _Point(NamedTuple):
 
 
 class _Descent(NamedTuple):
-    """State of the active-set method.
+    """State of the active-set method, where `active` holds bounds, then rows.
 
-    `active` holds bounds, then rows: -1 at the lower limit, 1 at the upper, 0 inactive.
+    It is -1 at the lower limit, 1 at the upper, and 0 where inactive.
     """
 
     active: Int[Array, " n_p+n_rows"]
@@ -118,10 +118,8 @@ def bounded_step(
     `jaxopt.BoxOSQP` solves the problem scaled to unit columns, rows and error. An
     active-set method gives its starting point and polishes its solution, by solving
     with the constraints that are active at the end as equalities, which is exact. The
-    starting point is nearly always the optimum, whether a step of zero satisfies the
-    rows, as in a calibration, or not (`python -m benchmarks run qp` measures which
-    stage decides). BoxOSQP solves with LU, since its default, conjugate gradients, can
-    end far from the optimum in a flat valley.
+    starting point is nearly always the optimum (`python -m benchmarks run qp` measures
+    which stage decides).
 
     Args:
         W: Stacked compliances in noise units [-].
@@ -133,10 +131,9 @@ def bounded_step(
         damping: Damping of the step, positive, for columns of W of unit length [-].
 
     Returns:
-        The step with its KKT residual. The step is clipped to its bounds; active rows
-        hold to rounding, or else the residual shows the violation. Bounds or rows that
-        exclude each other give a finite step and a large residual; data that are not
-        finite give an infinite residual.
+        The step, clipped to its bounds. Active rows hold to rounding, or else the
+        residual shows the violation. Bounds or rows that exclude each other give a
+        finite step and a large residual; data that are not finite an infinite one.
 
     Raises:
         ValueError: If only one of `A` and `b` is given, or `damping` is not positive.
@@ -182,7 +179,7 @@ def scaled_qp(
 def solved_qp(scaled: ScaledQP) -> QPStep:
     """Solve a QP and return the step in its own units."""
     best = _solve(scaled.qp)
-    # Clipped once more, since scaling back rounds.
+    # Scaling back rounds.
     step = jnp.clip(best.y * scaled.unit, scaled.lower, scaled.upper)
     return QPStep(step, best.kkt)
 
@@ -212,6 +209,7 @@ def _iterated(qp: _Scaled, start: _Point) -> _Point:
         jnp.concatenate([qp.high, qp.r]),
     )
     dual = jnp.concatenate([-_gradient(qp, start.y, start.mu), start.mu])
+    # LU: conjugate gradients, the default, can end far off in a flat valley.
     solver = BoxOSQP(
         eq_qp_solve="lu", tol=1e-10, maxiter=4000, check_primal_dual_infeasability=False
     )
@@ -279,9 +277,9 @@ def _descended(qp: _Scaled, start: _Point) -> _Point:
 
     The primal active-set method (Nocedal and Wright, Numerical Optimization, 2006, Alg.
     16.3) changes one active constraint at a time, so the cost never rises. It needs a
-    start that satisfies the rows, see `_elastic`. All rows are also shifted outwards by
-    different small amounts, since the method could cycle where more rows meet than
-    there are parameters. The last active set is solved with the unshifted rows.
+    start that satisfies the rows, see `_elastic`. All rows are shifted outwards by
+    different small amounts until its end, since it could cycle where more rows meet
+    than there are parameters.
     """
     n_rows = qp.r.shape[0]
     relaxed, y = _elastic(qp, start.y)
@@ -370,3 +368,24 @@ def _equality_solution(qp: _Scaled, active, passes: int):
     improve = lambda _, x: x + lu_solve(factors, right - K @ x)
     solution = jax.lax.fori_loop(0, passes, improve, jnp.zeros_like(right))
     return solution[:n], solution[n:]
+
+
+def convex_model(
+    W: Float[Array, "n_e n_p"],
+    error: Float[Array, " n_e"],
+    matrix: Float[Array, "n_p n_p"],
+) -> tuple[Float[Array, "n_p n_p"], Float[Array, " n_p"]]:
+    """Return W' and error' that have the cost's gradient and, if convex, its Hessian.
+
+    The Hessian is taken apart into eigenvalues, with the columns of W scaled to unit
+    length. Negative ones are replaced by their size, so that a step goes downhill.
+    """
+    size = jnp.linalg.norm(W, axis=0)
+    size = jnp.where(size > 0.0, size, 1.0)
+    unit = W / size[None, :]
+    hessian = unit.T @ unit + matrix / size[:, None] / size[None, :]
+    curvatures, axes = jnp.linalg.eigh(hessian)
+    curvatures = jnp.abs(curvatures)
+    root = jnp.sqrt(jnp.maximum(curvatures, FLATTEST * jnp.max(curvatures)))
+    gradient = axes.T @ (unit.T @ error)
+    return root[:, None] * axes.T * size[None, :], gradient / root

@@ -12,9 +12,9 @@ from softcal_jax._units import readable_estimate
 from softcal_jax.calibration._configuration_result import ConfigurationResult
 from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._noise import CorrelatedNoise
+from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._residual_checks import ResidualChecks
 from softcal_jax.calibration._runs import best_of
-from softcal_jax.calibration._step import CalibrationSettings
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import PRECISION, ParameterSpace
 from softcal_jax.inference import ErrorBudget, LinearModel, Uncertainty

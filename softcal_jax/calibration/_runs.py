@@ -12,9 +12,8 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator
-from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
 from softcal_jax.calibration._step import (
-    CalibrationSettings,
     CalibrationState,
     decide,
     initial_state,
@@ -37,9 +36,6 @@ They go to and fro there if the best body is isotropic.
 NO_FALL = 1e-6
 """Relative fall of the cost that is no way down [-]."""
 
-# Several programs instead of one per step: the evaluation, which takes seconds to
-# compile, serves the start and every step.
-_decide = eqx.filter_jit(decide)
 admissible = eqx.filter_jit(lambda space, z: space.admissible(z))
 
 
@@ -72,12 +68,9 @@ def descend(
 ) -> CalibrationState:
     """Take steps until lambda_p vanishes, every step is refused, or `max_steps`.
 
-    Args:
-        evaluate: Evaluator of the calibration.
-        settings: Settings of the outer loop.
-        state: State to begin with, its evaluation included.
-        note: Called with the state after each step.
-        enough: Whether to stop at a state before that.
+    Steps are several programs instead of one: the evaluation, which takes seconds to
+    compile, serves the start and every step. `note` is called after each step, and
+    `enough` says whether to stop before the end.
     """
     problem = evaluate.numbered
     while not (state.converged or state.stalled or not state.evaluation.ok) and (
@@ -88,7 +81,7 @@ def descend(
         if not proposal.vanishes:
             before = tried.equilibrium.displacement
             tried = evaluate(proposal.z, proposal.guess, before, proposal.precise)
-        state = _decide(problem, settings, state, proposal, tried)
+        state = decide(problem, settings, state, proposal, tried)
         note(state)
     return state
 
@@ -102,12 +95,8 @@ def minimise(
 ) -> Run:
     """Run the outer loop from one start, in scaled parameters, to its end.
 
-    Args:
-        evaluate: Evaluator of the calibration.
-        settings: Settings of the outer loop.
-        start: Scaled parameters to start from [-].
-        steady: Steps, and the fall of twice the cost over them at which the run may
-            stop before it has converged; none by default.
+    `steady` are steps, and the fall of twice the cost over them at which the run may
+    stop before it has converged.
     """
     z = admissible(evaluate.numbered.space, start)
     state = initial_state(settings, z, evaluate.from_rest(z))
@@ -172,9 +161,8 @@ def settle(
     plain = evaluate.with_space(in_plain_steps(space))
 
     def again(state: CalibrationState) -> CalibrationState:
-        """Begin anew, but count on."""
         new = initial_state(settings, state.z, state.evaluation)
-        return eqx.tree_at(lambda s: s.step, new, state.step)
+        return eqx.tree_at(lambda s: s.step, new, state.step)  # count on
 
     for _ in range(MOST_SETTLED):
         done = state.converged or state.step >= settings.max_steps
@@ -202,6 +190,12 @@ class Image(NamedTuple):
     plus: Float[HostArray, " n_p"]
     elsewhere: bool = False
     of_start: bool = False
+
+    def origin(
+        self, best: Run, start: Float[HostArray, " n_p"]
+    ) -> Float[HostArray, " n_p"]:
+        """Return the scaled parameters from which it is run."""
+        return self.signs * (start if self.of_start else best.z) + self.plus
 
 
 def images_of(space: ParameterSpace, mirror: bool) -> list[Image]:
@@ -240,13 +234,6 @@ def images_of(space: ParameterSpace, mirror: bool) -> list[Image]:
     ]
 
 
-def origin(
-    best: Run, image: Image, start: Float[HostArray, " n_p"]
-) -> Float[HostArray, " n_p"]:
-    """Return the scaled parameters from which an image is run."""
-    return image.signs * (start if image.of_start else best.z) + image.plus
-
-
 def wanted(problem: CalibrationProblem, best: Run, image: Image) -> bool:
     """Return whether an image is worth a run."""
     # A start without equilibrium has no end to continue from.
@@ -272,33 +259,25 @@ def better(best: Run, new: Run) -> Run:
     return replace(lower, steps=best.steps + new.steps, errors=errors)
 
 
-def nothing_yet(settings: CalibrationSettings, start: Float[Array, " n_p"]) -> Run:
-    """Return a run before its first step."""
-    z, none = np.asarray(start), np.full(settings.max_steps + 1, np.nan)
-    return Run(z=z, cost=np.inf, steps=0, converged=False, errors=none)
-
-
-class Ends(NamedTuple):
-    """Where each image of a run converged: scaled, and its cost; infinite if not."""
-
-    z: Float[HostArray, "n_images n_p"]
-    cost: Float[HostArray, " n_images"]
-
-
 class Begun(NamedTuple):
-    """A run between two images: the number done, the best end so far, all ends."""
+    """A run between two images: the number done, and the best end so far.
+
+    `z` and `cost` say where each image converged; the cost is infinite if it did not.
+    """
 
     images: int
     best: Run
-    ends: Ends
+    z: Float[HostArray, "n_images n_p"]
+    cost: Float[HostArray, " n_images"]
 
 
 def not_begun(
     settings: CalibrationSettings, start: Float[Array, " n_p"], n_images: int
 ) -> Begun:
     """Return a run before its first image."""
-    none = Ends(np.zeros((n_images, len(start))), np.full(n_images, np.inf))
-    return Begun(0, nothing_yet(settings, start), none)
+    z, errors = np.asarray(start), np.full(settings.max_steps + 1, np.nan)
+    best = Run(z=z, cost=np.inf, steps=0, converged=False, errors=errors)
+    return Begun(0, best, np.zeros((n_images, len(z))), np.full(n_images, np.inf))
 
 
 def run_start(
@@ -312,25 +291,20 @@ def run_start(
 ) -> Run:
     """Run the outer loop from a start and its images, and return the best end.
 
-    Args:
-        evaluate: Evaluator of the calibration.
-        settings: Settings of the outer loop.
-        start: Scaled parameters to start from [-].
-        images: Images in the order of `images_of`.
-        begun: Progress of the run so far; none by default.
-        note: Called after each image, whether it was run or skipped.
+    `begun` is the progress of the run so far; `note` is called after each image,
+    whether it was run or skipped.
     """
-    tried, best, ends = begun or not_begun(settings, start, len(images))
+    tried, best, z, cost = begun or not_begun(settings, start, len(images))
     for i, image in enumerate(images[tried:], start=tried):
         if wanted(evaluate.problem, best, image):
-            z = jnp.asarray(origin(best, image, np.asarray(start)))
-            end = minimise(evaluate, settings, z)
+            origin = jnp.asarray(image.origin(best, np.asarray(start)))
+            end = minimise(evaluate, settings, origin)
             best = better(best, end)
             if end.converged:
                 here = np.arange(len(images)) == i
-                z_of = np.where(here[:, None], end.z, ends.z)
-                ends = Ends(z_of, np.where(here, end.cost, ends.cost))
-        note(Begun(i + 1, best, ends))
+                z = np.where(here[:, None], end.z, z)
+                cost = np.where(here, end.cost, cost)
+        note(Begun(i + 1, best, z, cost))
     return best
 
 

@@ -18,7 +18,11 @@ from softcal_jax._units import readable
 from softcal_jax.calibration._checkpoint import Journal
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator
 from softcal_jax.calibration._noise import CorrelatedNoise
-from softcal_jax.calibration._problem import CalibrationProblem, Report
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
+    CalibrationSettings,
+    Report,
+)
 from softcal_jax.calibration._result import MultiStartResult, Optimum
 from softcal_jax.calibration._runs import (
     Begun,
@@ -28,7 +32,6 @@ from softcal_jax.calibration._runs import (
     not_begun,
     run_start,
 )
-from softcal_jax.calibration._step import CalibrationSettings
 from softcal_jax.equilibrium import EquilibriumSolution, Workers, no_equilibrium
 from softcal_jax.fields import ParameterSpace, unnamed
 
@@ -326,7 +329,7 @@ def _result(
     z = np.stack([run.z for run in best])
     cost = np.array([run.cost for run in best])
     converged = np.array([run.converged for run in best])
-    passed = np.concatenate([run.ends.cost for run in runs])
+    passed = np.concatenate([run.cost for run in runs])
     return MultiStartResult(
         names=tuple(space.names),
         starts=in_si(starts),
@@ -338,7 +341,7 @@ def _result(
         errors=np.stack([run.errors for run in best]),
         optima=_optima(
             space,
-            np.concatenate([z, *(run.ends.z for run in runs)]),
+            np.concatenate([z, *(run.z for run in runs)]),
             np.append(cost, passed),
             np.append(converged, np.isfinite(passed)),
             n_starts=len(runs),

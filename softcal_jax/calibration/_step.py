@@ -7,7 +7,6 @@ highest of the last few (`MEMORY`). The model is linear in the errors (Gauss-New
 includes their curvature from past steps where that predicts the cost better.
 """
 
-import math
 from functools import partial
 from typing import NamedTuple
 
@@ -19,26 +18,51 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.calibration._evaluation import Evaluation
-from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
 from softcal_jax.calibration._qp import (
-    DAMPING,
     QPLimits,
     QPStep,
     ScaledQP,
+    convex_model,
     scaled_qp,
     solved_qp,
 )
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import Whitened
 
+MEMORY = 5
+"""Number of steps over which, rather than at each of which, the cost must fall.
+
+The data often leave a narrow, curved valley. A Gauss-Newton step along it climbs its
+wall a little, and the next one returns to its floor further down; if every step had to
+lower the cost, the loop would creep (Grippo, Lampariello and Lucidi, SIAM J. Numer.
+Anal. 23, 1986).
+"""
+
+KKT_TOLERANCE = 1e-6
+"""Largest optimality residual with which a vanishing QP step is trusted [-]."""
+
+SMALLEST_FALL = 1e-8
+"""Relative fall of the cost that is not worth a step [-].
+
+Where the fit leaves an error, Gauss-Newton converges linearly, and many small steps
+would follow that hardly change the fit.
+"""
+
+SLOW = 1e-2
+"""Predicted relative fall of the cost below which gradients must be exact [-].
+
+The errors nearly cancel in the gradient there, and errors of W_ep do not.
+"""
+
+FLAT = 1e-3
+"""Largest relative slope of the cost at which a refused step means a minimum [-]."""
+
 QUICK = 0.2
 """Relative fall of the cost from which plain Gauss-Newton is used [-]."""
 
 BOUNDED = 1e-4
 """Smallest cosine between step and residual of the update: keeps it bounded [-]."""
-
-FLATTEST = 1e-8
-"""Smallest curvature of the convex model, relative to the largest [-]."""
 
 
 class Curvature(Module):
@@ -57,11 +81,6 @@ class Curvature(Module):
 
     matrix: Float[Array, "n_p n_p"]
     used: Bool[Array, ""]
-
-
-def no_curvature(z: Float[Array, " n_p"]) -> Curvature:
-    """Return the estimate before the first step: zero, unused."""
-    return Curvature(jnp.zeros((z.shape[0], z.shape[0]), z.dtype), jnp.zeros((), bool))
 
 
 def learned(
@@ -90,83 +109,6 @@ def learned(
     return Curvature(matrix, slow & (miss[1] < miss[0]))
 
 
-def convex_model(
-    W: Float[Array, "n_e n_p"],
-    error: Float[Array, " n_e"],
-    matrix: Float[Array, "n_p n_p"],
-) -> tuple[Float[Array, "n_p n_p"], Float[Array, " n_p"]]:
-    """Return W' and error' that have the cost's gradient and, if convex, its Hessian.
-
-    The Hessian is taken apart into eigenvalues, with the columns of W scaled to unit
-    length. Negative ones are replaced by their size, so that a step goes downhill.
-    """
-    size = jnp.linalg.norm(W, axis=0)
-    size = jnp.where(size > 0.0, size, 1.0)
-    unit = W / size[None, :]
-    hessian = unit.T @ unit + matrix / size[:, None] / size[None, :]
-    curvatures, axes = jnp.linalg.eigh(hessian)
-    curvatures = jnp.abs(curvatures)
-    root = jnp.sqrt(jnp.maximum(curvatures, FLATTEST * jnp.max(curvatures)))
-    gradient = axes.T @ (unit.T @ error)
-    return root[:, None] * axes.T * size[None, :], gradient / root
-
-
-MEMORY = 5
-"""Number of steps over which, rather than at each of which, the cost must fall.
-
-The data often leave a narrow, curved valley. A Gauss-Newton step along it climbs its
-wall a little, and the next one returns to its floor further down; if every step had to
-lower the cost, the loop would creep (Grippo, Lampariello and Lucidi, SIAM J. Numer.
-Anal. 23, 1986).
-"""
-
-
-MOST_STEPS = 1_000_000
-"""Largest `max_steps`: the history of every run has room for so many."""
-
-
-class CalibrationSettings(Module):
-    """Settings of the outer loop.
-
-    Attributes:
-        tol: Largest entry of lambda_p at which the loop stops, without that step; with
-            `adapt` also where it would lower the cost by less than `SMALLEST_FALL` [-].
-        max_steps: Steps after which it gives up.
-        step_bound: First bound on every entry of lambda_p; 1 is a factor e on a log
-            scale and the whole range on a linear one [-].
-        max_step_bound: Largest bound on a step; beyond a factor of two the linear model
-            says little, and the guess of the equilibria is poor [-].
-        damping: Levenberg damping of the QP, for columns of W of unit length. It holds
-            back directions that the data hardly see; the minimum stays the same, but
-            takes more steps [-].
-        adapt: Adapt the bound, refuse steps that do not help over `MEMORY` steps, and
-            learn the curvature of the errors. Without it, every step is that of the
-            linear model within a fixed bound, as in the paper.
-    """
-
-    tol: float = eqx.field(static=True, default=1e-6)
-    max_steps: int = eqx.field(static=True, default=50)
-    step_bound: float = eqx.field(static=True, default=0.3)
-    max_step_bound: float = eqx.field(static=True, default=0.5)
-    damping: float = eqx.field(static=True, default=DAMPING)
-    adapt: bool = eqx.field(static=True, default=True)
-
-    def __check_init__(self):
-        if not 0.0 < self.tol < 1.0:
-            raise ValueError(f"tol must lie in (0, 1), got {self.tol}.")
-        if not 1 <= self.max_steps <= MOST_STEPS:
-            raise ValueError(
-                f"max_steps must lie between 1 and {MOST_STEPS}, got {self.max_steps}."
-            )
-        if not 0.0 < self.damping <= 1.0:
-            # More, and every step would be too short to tell from none.
-            raise ValueError(f"damping must lie in (0, 1], got {self.damping}.")
-        for name in ("step_bound", "max_step_bound"):
-            value = getattr(self, name)
-            if not 0.0 < value < math.inf:
-                raise ValueError(f"{name} must be positive and finite, got {value}.")
-
-
 class CalibrationState(Module):
     """State of the outer loop.
 
@@ -176,9 +118,7 @@ class CalibrationState(Module):
         curvature: Curvature of the errors, estimated from past steps.
         recent_costs: Costs of the last accepted steps, the latest first [-].
         step_bound: Bound on the next step [-].
-        lambda_p: Last QP step, accepted or refused [-].
-        kkt_residual: Its optimality residual [-].
-        accepted: Whether it was accepted.
+        lambda_p: Last QP step [-]; `kkt_residual` and `accepted` are of it.
         step: Number of steps so far.
         converged: Whether lambda_p has vanished, not shortened by the step bound, or
             steps were refused at a minimum.
@@ -204,10 +144,11 @@ def initial_state(
 ) -> CalibrationState:
     """Return the state before the first step."""
     costs = jnp.full((MEMORY,), -jnp.inf, z.dtype)
+    no_curvature = jnp.zeros((z.shape[0], z.shape[0]), z.dtype)
     return CalibrationState(
         z=z,
         evaluation=evaluation,
-        curvature=no_curvature(z),
+        curvature=Curvature(no_curvature, jnp.zeros((), bool)),
         recent_costs=costs.at[0].set(evaluation.cost),
         step_bound=jnp.full((), settings.step_bound, z.dtype),
         lambda_p=jnp.full_like(z, jnp.inf),
@@ -217,26 +158,6 @@ def initial_state(
         converged=jnp.zeros((), bool),
         stalled=jnp.zeros((), bool),
     )
-
-
-KKT_TOLERANCE = 1e-6
-"""Largest optimality residual with which a vanishing QP step is trusted [-]."""
-
-SMALLEST_FALL = 1e-8
-"""Relative fall of the cost that is not worth a step [-].
-
-Where the fit leaves an error, Gauss-Newton converges linearly, and many small steps
-would follow that hardly change the fit.
-"""
-
-SLOW = 1e-2
-"""Predicted relative fall of the cost below which gradients must be exact [-].
-
-The errors nearly cancel in the gradient there, and errors of W_ep do not.
-"""
-
-FLAT = 1e-3
-"""Largest relative slope of the cost at which a refused step means a minimum [-]."""
 
 
 class Proposal(Module):
@@ -266,21 +187,19 @@ def propose(
     of the parameters alone, it serves calibrations with any number of errors.
     """
     models = _models(problem, settings, state)
-    both = _solved_each(models.qps, models.needed)
+    both = _solved_each(models.qps, state.curvature.used)
     return _proposal(problem, settings, state, models, both)
 
 
 class _Models(NamedTuple):
-    """The rows of a step, and two QPs stacked: of them, and with curvature.
+    """The rows of a step, the change J of z per step coordinate, and two QPs stacked.
 
-    `J` is the change of z per step coordinate; `needed` tells which of the QPs have to
-    be solved.
+    They are of the rows alone, and with curvature.
     """
 
     rows: Whitened
     J: Float[Array, "n_p n_p"]
     qps: ScaledQP
-    needed: Bool[Array, "2"]
 
 
 @eqx.filter_jit
@@ -288,21 +207,20 @@ def _models(
     problem: CalibrationProblem, settings: CalibrationSettings, state: CalibrationState
 ) -> _Models:
     J = _step_coordinates(problem.space, state.z)
-    rows = _along(state.evaluation.rows, J)
-    error, W = map(jnp.asarray, rows)
-    limits = _limits(problem, settings, state, J)
+    error, W = map(jnp.asarray, state.evaluation.rows)
+    W = W @ J
+    limits = _limits(problem.space, settings, state, J)
     models = (W, error), convex_model(W, error, state.curvature.matrix)
     scaled = [scaled_qp(*model, limits) for model in models]
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *scaled)
-    needed = jnp.stack([jnp.array(True), state.curvature.used])
-    return _Models(rows, J, stacked, needed)
+    return _Models(Whitened(error, W), J, stacked)
 
 
 @jax.jit
-def _solved_each(qps: ScaledQP, needed: Bool[Array, "2"]) -> QPStep:
-    """Solve those QPs that are needed, and stack the steps; the others' are zero.
+def _solved_each(qps: ScaledQP, curved: Bool[Array, ""]) -> QPStep:
+    """Solve both QPs in one loop, so that a QP is compiled only once.
 
-    In one loop, so that the QP is compiled only once here.
+    The step of the one with curvature is zero unless it is used.
     """
 
     def one(each: tuple[ScaledQP, Bool[Array, ""]]) -> QPStep:
@@ -311,7 +229,7 @@ def _solved_each(qps: ScaledQP, needed: Bool[Array, "2"]) -> QPStep:
         nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shape)
         return jax.lax.cond(wanted, solved_qp, lambda _: nothing, qp)
 
-    return jax.lax.map(one, (qps, needed))
+    return jax.lax.map(one, (qps, jnp.stack([jnp.array(True), curved])))
 
 
 @eqx.filter_jit
@@ -336,8 +254,8 @@ def _proposal(
     cost = predicted[used]
     # A wrong curvature may shorten a step: both models must find it small.
     linear = jax.tree.map(lambda steps: steps[0], both)
-    vanishes = _small(problem, settings, state, qp, cost) & now.ok
-    vanishes &= _small(problem, settings, state, linear, costs(linear.lambda_p)[0])
+    small = partial(_small, space, settings, state)
+    vanishes = small(qp, cost) & small(linear, costs(linear.lambda_p)[0]) & now.ok
     guess = before = now.equilibrium.displacement
     if now.response.displacement is not None:
         dz = J @ qp.lambda_p
@@ -363,11 +281,6 @@ def _step_coordinates(
     return jax.jacfwd(space.chart.from_tensor)(space.chart.to_tensor(z))
 
 
-def _along(rows: Whitened, J: Float[Array, "n_p n_p"]) -> Whitened:
-    """Return rows by step coordinates."""
-    return Whitened(rows.error, rows.W @ J)
-
-
 def _moved(
     space: ParameterSpace, z: Float[Array, " n_p"], step: Float[Array, " n_p"]
 ) -> Float[Array, " n_p"]:
@@ -379,13 +292,13 @@ def _moved(
 
 
 def _limits(
-    problem: CalibrationProblem,
+    space: ParameterSpace,
     settings: CalibrationSettings,
     state: CalibrationState,
     J: Float[Array, "n_p n_p"],
 ) -> QPLimits:
     """Return the constraints of a step, and its damping."""
-    space, chart = problem.space, problem.space.chart
+    chart = space.chart
     limit = jnp.minimum(state.step_bound, space.max_step())
     down, up = space.room(state.z)
     low, high = jnp.maximum(down, -limit), jnp.minimum(up, limit)
@@ -403,7 +316,7 @@ def _limits(
 
 
 def _small(
-    problem: CalibrationProblem,
+    space: ParameterSpace,
     settings: CalibrationSettings,
     state: CalibrationState,
     qp: QPStep,
@@ -413,18 +326,19 @@ def _small(
     size = jnp.max(jnp.abs(qp.lambda_p))
     fall = state.evaluation.cost - cost
     no_gain = settings.adapt & (fall <= SMALLEST_FALL * state.evaluation.cost)
-    free = ~_is_at_bound(problem, state, qp) & (qp.kkt_residual <= KKT_TOLERANCE)
+    free = ~_is_at_bound(space, state, qp) & (qp.kkt_residual <= KKT_TOLERANCE)
     return ((size <= settings.tol) | no_gain) & free
 
 
 def _is_at_bound(
-    problem: CalibrationProblem, state: CalibrationState, qp: QPStep
+    space: ParameterSpace, state: CalibrationState, qp: QPStep
 ) -> Bool[Array, ""]:
     """Return whether a step is as long as the trust region allows."""
-    limit = jnp.minimum(state.step_bound, problem.space.max_step())
+    limit = jnp.minimum(state.step_bound, space.max_step())
     return jnp.any(jnp.abs(qp.lambda_p) >= 0.99 * limit)
 
 
+@eqx.filter_jit
 def decide(
     problem: CalibrationProblem,
     settings: CalibrationSettings,
@@ -440,7 +354,7 @@ def decide(
     reference = jnp.max(state.recent_costs)
     lowered = tried.cost <= reference - 1e-4 * predicted
     size = jnp.max(jnp.abs(lambda_p))
-    at_bound = _is_at_bound(problem, state, proposal.qp)
+    at_bound = _is_at_bound(problem.space, state, proposal.qp)
     no_harm = tried.cost <= now.cost + SMALLEST_FALL * now.cost
     vanished = proposal.vanishes & tried.ok & ((size <= settings.tol) | no_harm)
     accepted = tried.ok & (lowered | vanished | (not settings.adapt))
@@ -449,7 +363,7 @@ def decide(
         grown = jnp.minimum(2.0 * bound, most)
         grown = jnp.where((gain > 0.75) & at_bound, grown, bound)
         bound = jnp.where(accepted, grown, 0.25 * size)
-        curvature = _after(problem, state, proposal, tried)
+        curvature = _after(problem.space, state, proposal, tried)
     # A bound that shrank to nothing means a minimum only where the slope vanishes too.
     collapsed = ~vanished & (bound < settings.tol)
     # The slope is the relative fall of the cost per unit of lambda_p, predicted within
@@ -473,21 +387,20 @@ def decide(
 
 
 def _after(
-    problem: CalibrationProblem,
+    space: ParameterSpace,
     state: CalibrationState,
     proposal: Proposal,
     tried: Evaluation,
 ) -> Curvature:
     """Update the curvature from the compliances at both ends of a step."""
     now = state.evaluation
-    J = partial(_step_coordinates, problem.space)
-    here = _along(now.rows, J(state.z))
-    there = _along(tried.rows, J(proposal.z))
-    error = jnp.where(tried.cost <= now.cost, there.error, here.error)
+    W_now = now.rows.W @ _step_coordinates(space, state.z)
+    W_tried = tried.rows.W @ _step_coordinates(space, proposal.z)
+    error = jnp.where(tried.cost <= now.cost, tried.rows.error, now.rows.error)
     new = learned(
         state.curvature,
         step=proposal.qp.lambda_p,
-        change=jnp.asarray(there.W - here.W).T @ error,
+        change=jnp.asarray(W_tried - W_now).T @ error,
         before=now.cost,
         after=tried.cost,
         predicted=proposal.costs,

@@ -19,13 +19,9 @@ from softcal_jax.calibration._noise import (
     CorrelatedNoise,
     creep_of,
 )
-from softcal_jax.calibration._problem import linear_model
+from softcal_jax.calibration._problem import CalibrationSettings, linear_model
 from softcal_jax.calibration._runs import settle
-from softcal_jax.calibration._step import (
-    CalibrationSettings,
-    CalibrationState,
-    initial_state,
-)
+from softcal_jax.calibration._step import CalibrationState, initial_state
 from softcal_jax.configurations import Configuration
 from softcal_jax.fields import OFFSET
 from softcal_jax.inference import (

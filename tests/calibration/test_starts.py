@@ -28,8 +28,7 @@ from softcal_jax.calibration._runs import (
     Run,
     better,
     images_of,
-    nothing_yet,
-    origin,
+    not_begun,
     run_start,
     wanted,
 )
@@ -222,14 +221,14 @@ def test_images_of_the_end_and_of_the_start(measured):
     np.testing.assert_array_equal(kept, [[1.0] * 4] * 5 + [[0.0] * 4] + [[1.0] * 4] * 2)
     middle = np.asarray(space.start())
     start, end = middle - 0.1, middle + 0.1
-    errors = nothing_yet(FROM_ANYWHERE, jnp.asarray(end)).errors
+    errors = not_begun(FROM_ANYWHERE, jnp.asarray(end), 1).best.errors
     run = lambda cost, converged: Run(
         z=end, cost=cost, steps=3, converged=converged, errors=errors
     )
     of_start = [False, False, True, True, True, False, False, False]
     for row, from_start in enumerate(of_start):
         image = images[row]
-        begin = origin(run(1.0, True), image, start)
+        begin = image.origin(run(1.0, True), start)
         wished = signs[row] * (start if from_start else end)
         if row == 5:
             wished = np.concatenate([middle[:4], end[4:]])
@@ -264,7 +263,7 @@ def test_which_of_two_ends_counts():
     lower = end(1.0, False)
     for first, second in ((done, lower), (lower, done)):
         assert better(first, second).cost == 1.0
-    nothing = nothing_yet(FROM_ANYWHERE, jnp.zeros(1))
+    nothing = not_begun(FROM_ANYWHERE, jnp.zeros(1), 1).best
     assert better(nothing, done).cost == 2.0
 
 
