@@ -24,12 +24,12 @@ from softcal_jax.calibration._notes import CalibrationWarning
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     CalibrationSettings,
+    EquilibriumProgress,
     effectors_of,
     equilibria,
     lane_of,
     linear_model,
-    n_measured,
-    without_names,
+    reports_of,
 )
 from softcal_jax.calibration._profile import LowerCostFound, profile_ends
 from softcal_jax.calibration._qp import QPStep, bounded_step
@@ -45,13 +45,11 @@ from softcal_jax.calibration._result import (
 from softcal_jax.calibration._runs import Run, best_of, descend, images_of, run_start
 from softcal_jax.calibration._starts import (
     FROM_ANYWHERE,
-    EquilibriumProgress,
     SearchProgress,
     check_starts,
     default_starts,
     multi_start,
     random_starts,
-    reports_of,
 )
 from softcal_jax.calibration._step import (
     FLAT,
@@ -115,7 +113,6 @@ __all__ = [
     "levenberg_marquardt",
     "linear_model",
     "multi_start",
-    "n_measured",
     "profile_ends",
     "profile_intervals",
     "propose",
@@ -126,5 +123,4 @@ __all__ = [
     "simulation_result",
     "synthetic_measurements",
     "with_measured",
-    "without_names",
 ]

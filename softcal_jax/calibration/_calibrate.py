@@ -20,16 +20,12 @@ from softcal_jax.calibration._nothing_to_learn import check_effects
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     CalibrationSettings,
+    EquilibriumProgress,
     lane_of,
 )
 from softcal_jax.calibration._references import check_references
 from softcal_jax.calibration._result import CalibrationResult, HistoryEntry
-from softcal_jax.calibration._starts import (
-    EquilibriumProgress,
-    SearchProgress,
-    check_starts,
-    default_starts,
-)
+from softcal_jax.calibration._starts import SearchProgress, check_starts, default_starts
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationLanes,
@@ -84,17 +80,16 @@ def calibrate(
         noise: "stated" takes the markers' standard deviations as they are; "estimated"
             takes their ratios and finds the level from the residuals, by restricted
             maximum likelihood beside the offsets of recordings.
-        uncertain: How well everything is known that is not calibrated; by default see
-            `Uncertain`. It widens the standard errors, and `result.budget` splits them.
-            Offsets of recordings, and a `relative_std` of the configurations, weigh the
-            data.
-        precision: Standard error that is asked for, relative to the value: 0.1 for
-            10 %, and 0.1 rad of an axis. Verdicts compare with it, see `assess` [-].
+        uncertain: How well everything is known that is not calibrated. It widens the
+            standard errors, and `result.budget` splits them. Offsets of recordings, and
+            a `relative_std` of the configurations, weigh the data.
+        precision: Standard error that verdicts ask for, relative to the value: 0.1 for
+            10 %, and 0.1 rad of an axis [-].
         settings: Settings of the outer loop.
         newton: Settings of the equilibrium.
-        starts: Number of starts of the search: that of the parameters, and random ones
-            within the bounds; see `multi_start`. The fit then continues from the best.
-            By default see `default_starts`; 1 where `start` is given.
+        starts: Number of starts: that of the parameters, and random ones within the
+            bounds; see `multi_start`. The fit then continues from the best. By default
+            see `default_starts`; 1 where `start` is given.
         seed: Seed of the random starts.
         start: Scaled parameters to start from, instead of the start of the parameters;
             priors stay centred on the latter [-].
@@ -106,10 +101,8 @@ def calibrate(
             resumes from it, with the same result. Where it cannot be written any more,
             as on a full disk, the calibration goes on with a warning and a note.
         progress: Called after the first evaluation and after each step.
-        search_progress: Called when a run of a search from many starts has ended, see
-            `multi_start`.
-        equilibrium_progress: Called while the first equilibria are solved, every few
-            Newton iterations of a configuration.
+        search_progress: Called when a run from one of many starts has ended.
+        equilibrium_progress: Called while the first equilibria are solved.
         profiling: Called with the result so far before profiles of the likelihood are
             computed, which takes a while.
 
@@ -132,15 +125,16 @@ def calibrate(
     """
     if noise not in ("estimated", "stated"):
         raise ValueError(f'noise must be "estimated" or "stated", got {noise!r}.')
+    space = as_space(parameters)
     if starts is None:
-        starts = 1 if start is not None else default_starts(as_space(parameters))
+        starts = 1 if start is not None else default_starts(space)
     check_starts(starts)
     check_precision(precision)
     if intervals is not None:
         check_level(intervals)
     task = Task(
         model=model,
-        space=as_space(parameters),
+        space=space,
         fitted=as_sequence(configurations),
         held_out=as_sequence(validation),
         noise=noise,
@@ -162,9 +156,7 @@ def calibrate(
         old, last = done.result, done.result.history[-1]
         assert old.noise is not None
         later = lambda entry: replace(
-            entry,
-            step=entry.step + last.step,
-            seconds=entry.seconds + last.seconds,
+            entry, step=entry.step + last.step, seconds=entry.seconds + last.seconds
         )
 
         def report(entry: HistoryEntry) -> None:
@@ -213,20 +205,15 @@ def build_problem(
 ) -> CalibrationProblem:
     """Stack a calibration into arrays, for `evaluate` and `multi_start`.
 
-    Args:
-        model: The body.
-        parameters: What is calibrated.
-        configurations: Posed robots; each with markers and measured positions.
-        newton: Settings of the equilibrium.
-        uncertain: How well everything is known that is not calibrated, of which the
-            offsets of recordings belong to the noise; by default nothing is uncertain.
+    By default nothing is uncertain that is not calibrated; offsets of recordings that
+    are belong to the noise.
 
     Raises:
         ValueError: If a configuration has no measurement, a parameter no field, or
             `displacement_from` names no configuration with the same effectors.
     """
-    posed, uncertain = as_sequence(configurations), uncertain or exactly_known()
-    space, newton = as_space(parameters), newton or NewtonSettings()
+    posed, space = as_sequence(configurations), as_space(parameters)
+    newton, uncertain = newton or NewtonSettings(), uncertain or exactly_known()
     problem, lanes = _stacked(model, space, posed, newton, uncertain)
     check_references(posed, lanes.effectors)
     return problem

@@ -5,15 +5,12 @@ import json
 import os
 import time
 import warnings
-import zlib
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
-from tokenize import TokenError
 from typing import Any, NamedTuple, TypeVar
-from zipfile import BadZipFile
 
 import equinox as eqx
 import jax
@@ -30,22 +27,7 @@ from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSett
 from softcal_jax.calibration._result import HistoryEntry
 from softcal_jax.calibration._step import CalibrationState
 
-_UNREADABLE = (
-    AttributeError,
-    BadZipFile,
-    EOFError,
-    KeyError,
-    MemoryError,
-    NotImplementedError,
-    OSError,
-    RuntimeError,
-    SyntaxError,
-    TokenError,
-    TypeError,
-    ValueError,
-    zlib.error,
-)
-"""What reading a file that is no checkpoint, or was edited by hand, may raise."""
+T = TypeVar("T")
 
 
 class Saved(NamedTuple):
@@ -56,22 +38,16 @@ class Saved(NamedTuple):
 
 
 def write_checkpoint(path: Path, mark: str, saved: Saved) -> None:
-    """Replace a file whole, or leave it as it is.
-
-    Args:
-        path: The file.
-        mark: `fingerprint` of the calibration.
-        saved: What it holds.
+    """Replace the file of a calibration with this `fingerprint` whole, or leave it.
 
     Raises:
         OSError: If it cannot be written.
     """
-    texts = {
-        "version": version("softcal-jax"),
-        "mark": mark,
-        "history": json.dumps([*map(vars, saved.history)]),
+    content = saved.arrays | {
+        "version": np.array(version("softcal-jax")),
+        "mark": np.array(mark),
+        "history": np.array(json.dumps([*map(vars, saved.history)])),
     }
-    content = saved.arrays | {name: np.array(text) for name, text in texts.items()}
     digests = {name: _digest([array]) for name, array in content.items()}
     partial = partial_of(path)
     try:
@@ -85,11 +61,7 @@ def write_checkpoint(path: Path, mark: str, saved: Saved) -> None:
 
 
 def read_checkpoint(path: Path, mark: str) -> Saved:
-    """Read the checkpoint of a calibration.
-
-    Args:
-        path: The file.
-        mark: `fingerprint` of the calibration.
+    """Read the checkpoint of the calibration with this `fingerprint`.
 
     Raises:
         ValueError: If it is no checkpoint, one of another calibration or version, or
@@ -100,9 +72,11 @@ def read_checkpoint(path: Path, mark: str) -> Saved:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             content = {name: file[name] for name in file.files}
         digests = dict(json.loads(str(content.pop("digests"))))
-        written_by, own_mark = str(content["version"]), str(content["mark"])
-        history = tuple(map(_entry, json.loads(str(content["history"]))))
-    except _UNREADABLE as error:
+        changed = {n for n, a in content.items() if digests.pop(n, "") != _digest([a])}
+        texts = [str(content.pop(name)) for name in ("version", "mark", "history")]
+        written_by, its_mark, history = texts
+        entries = tuple(map(_entry, json.loads(history)))
+    except Exception as error:  # a dozen kinds, of a file that is anything
         raise ValueError(
             f"{path} is not a checkpoint of a calibration ({error}); give another "
             "path, or remove it."
@@ -113,21 +87,20 @@ def read_checkpoint(path: Path, mark: str) -> Saved:
             f"{path} was written by softcal_jax {written_by}, and this is {here}: "
             "remove it to start anew, or give another path."
         )
-    found = {name: _digest([array]) for name, array in content.items()}
-    changed = sorted(dict(found.items() ^ digests.items()))
+    changed |= set(digests)
     if changed:
         raise ValueError(
-            f"{path} is not as a calibration wrote it: {listed(changed)} differ. Take "
-            "an earlier copy of it, remove it to start anew, or give another path."
+            f"{path} is not as a calibration wrote it: {listed(sorted(changed))} "
+            "differ. Take an earlier copy of it, remove it to start anew, or give "
+            "another path."
         )
-    if own_mark != mark:
+    if its_mark != mark:
         raise ValueError(
             f"{path} is a checkpoint of another calibration: mesh, material, "
             "parameters, configurations, measurements, noise, solver and settings must "
             "be the same. Remove it to start anew, or give another path."
         )
-    texts = ("version", "mark", "history")
-    return Saved({n: a for n, a in content.items() if n not in texts}, history)
+    return Saved(content, entries)
 
 
 def _entry(saved: Any) -> HistoryEntry:
@@ -159,17 +132,11 @@ def _digest(arrays: Iterable[HostArray], text: str = "") -> str:
     return digest.hexdigest()
 
 
-T = TypeVar("T")
-
-
 class Clock:
-    """Context that splits its wall time into compiling by JAX and everything else.
+    """Context whose `seconds` are its wall time, "compile" by JAX and "solve" [s].
 
     JAX reports the duration of each trace, lowering and compilation when it ends;
     nested ones are counted once.
-
-    Attributes:
-        seconds: "compile" and "solve", after the context has ended [s].
     """
 
     __repr__ = one_line
@@ -210,23 +177,24 @@ class Journal:
         history: Steps so far.
         interrupted: Whether the user has ended the calibration.
         last: State of the last step, and the noise in whose units it was taken.
-        unsaved: Why the file is older than the history; empty if it is not.
+        notes: Why the file is older than the history, if it is.
     """
+
+    last: tuple[CalibrationState, CorrelatedNoise]
 
     def __init__(
         self,
         problem: CalibrationProblem,
         settings: CalibrationSettings,
-        checkpoint: str | os.PathLike[str] | None,
+        checkpoint: str | os.PathLike[str] | None = None,
         progress: Callable[[HistoryEntry], None] | None = None,
         *,
-        search: tuple,
+        search: tuple = (),
     ):
         """Take what is reported where; `search` is what else the fit depends on."""
         self.history: list[HistoryEntry] = []
         self.interrupted = False
-        self.last: tuple[CalibrationState, CorrelatedNoise | None] | None = None
-        self.unsaved = ""
+        self.notes: tuple[str, ...] = ()
         self._problem, self._progress = problem, progress
         self._depends_on = problem, settings, search
         self._path = None if checkpoint is None else Path(checkpoint)
@@ -235,12 +203,7 @@ class Journal:
         self._open = ExitStack()
 
     def __enter__(self) -> "Journal":
-        """Begin with what the file holds, if there is one.
-
-        Raises:
-            ValueError: If the file is no checkpoint, or one of another calibration.
-            OSError: If the file cannot be written, or another calibration writes to it.
-        """
+        """Begin with what the file holds, if there is one."""
         if self._path is None:
             return self
         with ExitStack() as opened:
@@ -258,30 +221,32 @@ class Journal:
         self._open.close()
 
     @property
-    def stands(self) -> str:
-        """Say that the calibration can go on from the file; empty if it cannot."""
-        if self._path is None or not self._path.exists():
-            return ""
-        return f" The checkpoint {self._path} stands: the same call goes on from it."
+    def interruption(self) -> str:
+        """Say where the user has interrupted it, and how to go on from the file."""
+        text = (
+            f"Interrupted after step {self.history[-1].step}: the values are those of "
+            "that step, and the noise is that which weighed it. Do not use them as a "
+            "result."
+        )
+        if self._path is not None and self._path.exists():
+            text += (
+                f" The checkpoint {self._path} stands: the same call goes on from it."
+            )
+        return text
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Say that the file is behind, if it is."""
-        return (self.unsaved,) if self.unsaved else ()
-
-    def note(self, state: CalibrationState, noise: CorrelatedNoise | None) -> None:
+    def note(self, state: CalibrationState, noise: CorrelatedNoise) -> None:
         """Record a step, and the noise in whose units it was taken."""
         self.last = state, noise
         seconds = time.perf_counter() - self._begin
-        entry = _history_entry(state, self._problem.with_noise(noise), seconds)
+        entry = _history_entry(state, self._problem, noise, seconds)
         self.history.append(replace(entry, step=len(self.history)))
         self.keep("state", (state, noise))
         if self._progress:
             self._progress(self.history[-1])
 
     def begin(
-        self, state: CalibrationState, noise: CorrelatedNoise | None
-    ) -> tuple[CalibrationState, CorrelatedNoise | None]:
+        self, state: CalibrationState, noise: CorrelatedNoise
+    ) -> tuple[CalibrationState, CorrelatedNoise]:
         """Return the saved state and noise; record and return these without them."""
         kept = self.kept("state", (state, noise))
         if kept is None:
@@ -303,41 +268,32 @@ class Journal:
         saved = Saved(self._arrays, tuple(self.history))
         try:
             write_checkpoint(self._path, self._mark, saved)
-            self.unsaved = ""
+            self.notes = ()
         except OSError as error:
-            self._tell_unsaved(cause(error))
-
-    def _tell_unsaved(self, why: str) -> None:
-        """Note that the file is behind, and warn once."""
-        text = (
-            f"The checkpoint {self._path} could not be written ({why}), and holds an "
-            "earlier state or none."
-        )
-        if text != self.unsaved:
-            more = f"{text} The calibration goes on: make room for it."
-            warnings.warn(more, CalibrationWarning, stacklevel=3)
-        self.unsaved = text
+            note = (
+                f"The checkpoint {self._path} could not be written ({cause(error)}), "
+                "and holds an earlier state or none."
+            )
+            if note not in self.notes:
+                more = f"{note} The calibration goes on: make room for it."
+                warnings.warn(more, CalibrationWarning, stacklevel=2)
+            self.notes = (note,)
 
     def kept(self, name: str, like: T) -> T | None:
         """Return what was saved, with the types of one like it; None if nothing was."""
-        found = {n for n in self._arrays if n.rpartition("_")[0] == name}
-        if not found:
+        saved = {k: a for k, a in self._arrays.items() if k.rpartition("_")[0] == name}
+        if not saved:
             return None
         leaves, tree = jax.tree.flatten(like)
-        kinds = {f"{name}_{i}": _kind(leaf) for i, leaf in enumerate(leaves)}
-        if {key: _kind(self._arrays[key]) for key in found} != kinds:
+        wanted = {f"{name}_{i}": leaf for i, leaf in enumerate(leaves)}
+        kind = lambda leaf: (np.shape(leaf), np.asarray(leaf).dtype)
+        if jax.tree.map(kind, saved) != jax.tree.map(kind, wanted):
             raise ValueError(
                 f"{self._path} was written by another version of softcal_jax: remove "
                 "it to start anew, or give another path."
             )
-        kept = [self._arrays[key] for key in kinds]
-        return jax.tree.unflatten(tree, map(_alike, leaves, kept))
-
-
-def _kind(leaf) -> tuple:
-    """Return what a saved array must have in common with the leaf it replaces."""
-    array = np.asarray(leaf)
-    return array.shape, array.dtype
+        values = [_alike(leaf, saved[key]) for key, leaf in wanted.items()]
+        return jax.tree.unflatten(tree, values)
 
 
 def _alike(leaf, array: HostArray):
@@ -348,17 +304,18 @@ def _alike(leaf, array: HostArray):
 
 
 def _history_entry(
-    state: CalibrationState, problem: CalibrationProblem, seconds: float
+    state: CalibrationState,
+    problem: CalibrationProblem,
+    noise: CorrelatedNoise,
+    seconds: float,
 ) -> HistoryEntry:
     """Summarise a step for the history."""
     evaluation = state.evaluation
     effectors = problem.configurations.effectors
     n_points = effectors.nodes.shape[-2]  # rms of distances: leave out angles, forces
     # On the host: on the device, each shape of the data would be more programs.
-    weight, delta_e = np.asarray(effectors.inverse_std), np.asarray(evaluation.delta_e)
-    if problem.noise is not None:
-        delta_e = problem.noise.without_attachments(effectors, delta_e)
-    seen = weight[:, :n_points] > 0.0
+    delta_e = noise.without_attachments(effectors, np.asarray(evaluation.delta_e))
+    seen = np.asarray(effectors.inverse_std)[:, :n_points] > 0.0
     squares = np.sum(np.where(seen, delta_e[:, :n_points], 0.0) ** 2)
     markers = max(int(np.sum(np.any(seen, axis=-1))), 1)
     p = problem.space.from_scaled(state.z)
@@ -372,6 +329,6 @@ def _history_entry(
         kkt_residual=float(state.kkt_residual),
         newton_steps=tuple(int(n) for n in evaluation.equilibrium.steps),
         values={n: float(v) for n, v in zip(problem.space.names, p, strict=True)},
-        noise_level=1.0 if problem.noise is None else float(problem.noise.jitter),
+        noise_level=float(noise.jitter),
         seconds=seconds,
     )

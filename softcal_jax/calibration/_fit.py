@@ -2,9 +2,8 @@
 
     Task -> Batch -> Start -> Place -> Weighed -> Predicted -> Judged -> result
 
-One batch holds all configurations, the fitted ones first. The steps evaluate these
-alone; those held out are solved once with what was found, by the same program, and are
-rows without weight in the linear model.
+One batch holds all configurations, the fitted ones first. Those held out are solved
+once with what was found, and are rows without weight in the linear model.
 """
 
 import os
@@ -16,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checked_intervals import Fitted
 from softcal_jax.calibration._checkpoint import Clock, Journal
 from softcal_jax.calibration._configuration_result import (
@@ -32,6 +31,7 @@ from softcal_jax.calibration._nothing_to_learn import check_cost, check_sensitiv
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     CalibrationSettings,
+    EquilibriumProgress,
     linear_model,
 )
 from softcal_jax.calibration._references import attachments, independent_recordings
@@ -45,16 +45,14 @@ from softcal_jax.calibration._result import (
 from softcal_jax.calibration._runs import admissible
 from softcal_jax.calibration._starts import (
     FROM_ANYWHERE,
-    EquilibriumProgress,
     SearchProgress,
     Start,
     begin,
     random_starts,
     search,
 )
-from softcal_jax.calibration._step import initial_state
+from softcal_jax.calibration._step import CalibrationState, initial_state
 from softcal_jax.calibration._weighing import (
-    SoughtNoise,
     Weighed,
     sought_noise,
     weighed_fit,
@@ -133,7 +131,6 @@ class _Predicted(NamedTuple):
 
     problem: CalibrationProblem
     response: Response
-    delta_e: Float[HostArray, "n_c n_rows 3"]
     fits: tuple[ConfigurationResult, ...]
     notes: tuple[str, ...]
 
@@ -150,7 +147,12 @@ class _Judged(NamedTuple):
 
 def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) -> Fitted:
     """Calibrate as `calibrate` does, without intervals, or go on from a `resume`."""
-    journal = _journal(task, watch, batch)
+    # A checkpoint is of one set of starts and one noise.
+    own = () if task.start is None else tuple(task.start.tolist())
+    mark = (task.starts, task.seed, *own, task.noise, task.uncertain.recordings)
+    journal = Journal(
+        batch.fitted, task.settings, watch.checkpoint, watch.progress, search=mark
+    )
     most = task.starts * max(len(task.fitted), 2 * len(task.held_out))
     with journal, Clock() as clock, Workers(task.model, most) as workers:
         start = _start(task, watch, batch, workers)
@@ -188,15 +190,6 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
     return Fitted(result, problem, task.fitted, state.evaluation)
 
 
-def _journal(task: Task, watch: Watch, batch: Batch) -> Journal:
-    """Open the history; a checkpoint is of one set of starts and one noise."""
-    start = () if task.start is None else tuple(task.start.tolist())
-    mark = (task.starts, task.seed, *start, task.noise, task.uncertain.recordings)
-    return Journal(
-        batch.fitted, task.settings, watch.checkpoint, watch.progress, search=mark
-    )
-
-
 def _start(task: Task, watch: Watch, batch: Batch, workers: Workers) -> Start:
     """Solve the first equilibria, with moduli raised where there are none."""
     z = task.space.start() if task.start is None else task.start
@@ -215,19 +208,15 @@ def _start(task: Task, watch: Watch, batch: Batch, workers: Workers) -> Start:
 
 
 def _place(
-    task: Task,
-    watch: Watch,
-    start: Start,
-    journal: Journal,
-    resume: Resume | None,
+    task: Task, watch: Watch, start: Start, journal: Journal, resume: Resume | None
 ) -> _Place:
     """Return where the steps begin: after a search, where one is asked for."""
-    evaluate, noise = start.evaluate, start.noise
+    evaluate = start.evaluate
     if resume is not None:
         evaluate = evaluate.with_noise(resume.noise)
         return _Place(resume.z, evaluate.from_rest(resume.z), resume.noise, None)
     if task.starts == 1:
-        return _Place(start.z, start.evaluation, noise, None)
+        return _Place(start.z, start.evaluation, start.noise, None)
     others = random_starts(task.space, task.starts - 1, seed=task.seed)
     runs = search(
         evaluate,
@@ -238,7 +227,7 @@ def _place(
         progress=watch.search_progress,
     )
     z = jnp.asarray(runs.z[runs.best])
-    return _Place(z, evaluate.from_rest(z), noise, runs)
+    return _Place(z, evaluate.from_rest(z), start.noise, runs)
 
 
 def _descended(task: Task, start: Start, place: _Place, journal: Journal) -> Weighed:
@@ -267,36 +256,24 @@ def _descended(task: Task, start: Start, place: _Place, journal: Journal) -> Wei
         )
         of_steps = fit_notes(weighed.state, task.settings)
     except KeyboardInterrupt:
-        journal.interrupted = True
-        weighed, of_steps = _interrupted(journal, sought), []
+        journal.interrupted, of_steps = True, []
+        state, noise = journal.last
+        weighed = Weighed(
+            state=state,
+            noise=noise,
+            sought=sought,
+            scale=None,
+            notes=(journal.interruption,),
+            settled=True,
+        )
     return weighed._replace(notes=(*of_steps, *journal.notes, *weighed.notes))
-
-
-def _interrupted(journal: Journal, sought: SoughtNoise) -> Weighed:
-    """Return the end of a fit that the user has interrupted."""
-    assert journal.last is not None
-    state, noise = journal.last
-    assert noise is not None
-    note = (
-        f"Interrupted after step {journal.history[-1].step}: the values are those of "
-        "that step, and the noise is that which weighed it. Do not use them as a "
-        f"result.{journal.stands}"
-    )
-    return Weighed(
-        state=state,
-        noise=noise,
-        sought=sought,
-        scale=None,
-        notes=(note,),
-        settled=True,
-    )
 
 
 def _predicted(task: Task, batch: Batch, start: Start, weighed: Weighed) -> _Predicted:
     """Describe all configurations at the optimum; solve those that were held out."""
     z, n_fitted, everything = weighed.state.z, len(task.fitted), batch.everything
-    at, notes = weighed.state.evaluation, ()
-    before, response = start.evaluation.response.effectors, at.response
+    before, response = start.evaluation.effectors, weighed.state.evaluation.response
+    notes = ()
     if task.held_out:
         others = Evaluator(everything.without_first(n_fitted), start.evaluate.workers)
         held = held_out_responses(others, task.held_out, start=start.z, z=z)
@@ -305,39 +282,34 @@ def _predicted(task: Task, batch: Batch, start: Start, weighed: Weighed) -> _Pre
         response = jax.device_put(jax.tree.map(join, response, held.response))
     assert everything.noise is not None
     noise = weighed.of_all(everything.noise, task.configurations)
-    problem = everything.with_noise(noise)
-    lanes = batch.lanes._replace(arrays=everything.at(z)[1])
     fits = configuration_results(
         task.space.model_at(task.model, z),
         task.configurations,
-        _with_offsets(task, batch, lanes, at.delta_e),
+        _calibrated_lanes(task, batch, weighed.state),
         n_fitted=n_fitted,
         before=before,
         response=response,
         noise=noise,
     )
-    delta_e = np.asarray(effector_errors(problem, response.effectors))
-    return _Predicted(problem, response, delta_e, fits, notes)
+    return _Predicted(everything.with_noise(noise), response, fits, notes)
 
 
-def _with_offsets(
-    task: Task,
-    batch: Batch,
-    lanes: ConfigurationLanes,
-    delta_e: Float[Array, "n_c n_rows 3"],
+def _calibrated_lanes(
+    task: Task, batch: Batch, state: CalibrationState
 ) -> ConfigurationLanes:
-    """Return records with the offsets of effectors whose displacement was fitted.
+    """Return lanes with the calibrated parameters.
 
-    What is left between measured and simulated values are then the errors of the
-    displacements, which were fitted; `delta_e` are the errors of the fitted ones.
+    Measured values are moved by the offsets of effectors whose displacement was fitted:
+    what is left between measured and simulated values are the errors of that.
     """
+    lanes = batch.lanes._replace(arrays=batch.everything.at(state.z)[1])
     effectors, noise = batch.fitted.configurations.effectors, batch.fitted.noise
     n_rows = effectors.measured.shape[1]
     of_row, axes, keys = attachments(task.configurations, lanes.effectors, n_rows)
     if not keys:
         return lanes
     assert noise is not None
-    offsets = noise.attachment_offsets(effectors, delta_e)
+    offsets = noise.attachment_offsets(effectors, state.evaluation.delta_e)
 
     def moved(lane: int, e: EffectorRecord) -> EffectorRecord:
         row = lane, e.index
@@ -404,7 +376,7 @@ def _linear(
         z=weighed.state.z,
         W_ep=predicted.response.W_ep,
         ok=predicted.response.ok,
-        delta_e=predicted.delta_e,
+        delta_e=effector_errors(problem, predicted.response.effectors),
         rows=weighed.state.evaluation.rows,
         n_fitted=n_fitted,
         considered=doubts.in_std(n_fitted, weight),

@@ -3,14 +3,14 @@
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._module import Module
+from softcal_jax._module import Module, one_line
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.calibration._noise import CorrelatedNoise, noise_columns
 from softcal_jax.calibration._qp import DAMPING
@@ -45,6 +45,42 @@ STEPS_BETWEEN = 2
 
 Report = Callable[[int, float, int], None]
 """Takes the index of a configuration, the share of its load, and its iterations."""
+
+
+class EquilibriumProgress(NamedTuple):
+    """Progress of the first equilibrium of a configuration: Newton iterations so far.
+
+    `load` is the share of the load that is carried, `stiffer` the factor on the moduli
+    of the start [-].
+    """
+
+    configuration: str
+    load: float
+    steps: int
+    stiffer: float
+
+    __repr__ = one_line
+
+    def __str__(self) -> str:
+        """Write it in one line."""
+        raised = f", moduli {self.stiffer:g} times the start" * (self.stiffer > 1.0)
+        return (
+            f"equilibrium of {self.configuration}: {100.0 * self.load:.0f} % of the "
+            f"load, step {self.steps}{raised}"
+        )
+
+
+def reports_of(
+    progress: Callable[[EquilibriumProgress], None] | None,
+    names: Sequence[str],
+    factor: float = 1.0,
+) -> Report | None:
+    """Return a report for `equilibria`, which knows configurations by index alone."""
+    if progress is None:
+        return None
+    return lambda c, load, steps: progress(
+        EquilibriumProgress(names[c], load, steps, factor)
+    )
 
 
 def lane_of(batch: T, index: int | slice | Int[HostArray, " n"]) -> T:
@@ -87,18 +123,12 @@ def equilibria(
 ) -> EquilibriumSolution:
     """Solve the equilibria of all configurations on all cores.
 
-    One of three ways to solve a batch. The others are `solve_from_rest`, inside a
-    compiled or differentiated program, and `Evaluator`, which adds the errors and
-    compliances of a calibration. The program is compiled once for any number of lanes.
+    The program is compiled once for any number of lanes. `solve_from_rest` solves a
+    batch inside a compiled or differentiated program, and `Evaluator` adds the errors
+    and compliances of a calibration.
 
-    Args:
-        workers: Run the configurations.
-        model: The body, with its parameters set.
-        configurations: One lane per configuration.
-        newton: Settings of the equilibrium.
-        guess: Displacements to start from [m]; by default rest, and with rigid bodies
-            for each configuration the one before, as in `solve_from_rest`.
-        report: Called after every few iterations of a configuration.
+    By default each begins at rest, with rigid bodies at the configuration before, as in
+    `solve_from_rest`. `report` is called after every few iterations of one of them.
     """
     lanes, settings = _lanes_of(configurations), newton.as_arrays()
     most = int(newton.max_steps)
@@ -175,8 +205,7 @@ class CalibrationSettings(Module):
         max_step_bound: Largest bound on a step; beyond a factor of two the linear model
             says little, and the guess of the equilibria is poor [-].
         damping: Levenberg damping of the QP, for columns of W of unit length. It holds
-            back directions that the data hardly see; the minimum stays the same, but
-            takes more steps [-].
+            back directions that the data hardly see, without moving the minimum [-].
         adapt: Adapt the bound, refuse steps that do not help over `MEMORY` steps, and
             learn the curvature of the errors. Without it, every step is that of the
             linear model within a fixed bound, as in the paper.
@@ -208,13 +237,8 @@ class CalibrationSettings(Module):
 class CalibrationProblem(Module):
     """Model, parameters and a batch of configurations that share them.
 
-    Attributes:
-        model: The body.
-        space: The parameters.
-        configurations: One lane per configuration.
-        newton: Settings of the equilibrium.
-        noise: Covariance of the errors; None where they are independent, with the
-            standard deviations of the effectors.
+    Without a `noise` the errors are independent, with the standard deviations of the
+    effectors.
     """
 
     model: Model
@@ -261,8 +285,7 @@ class CalibrationProblem(Module):
     def level(self) -> Float[Array | HostArray, ""] | float:
         """Factor on the stated standard deviations that an error of one stands for [-].
 
-        Errors count in stated units whatever the noise is found to be, so that what is
-        added to their squares must be multiplied by it.
+        What is added to the squares of errors must be multiplied by it.
         """
         return 1.0 if self.noise is None else self.noise.jitter
 
@@ -285,10 +308,7 @@ class CalibrationProblem(Module):
 
 
 def without_names(problem: CalibrationProblem) -> CalibrationProblem:
-    """Return the calibration without what would compile other programs.
-
-    These are names, and settings that are no arrays.
-    """
+    """Return the calibration without names and settings that compile other programs."""
     without = unnamed(problem.space), problem.newton.as_arrays()
     return eqx.tree_at(lambda p: (p.space, p.newton), problem, without)
 

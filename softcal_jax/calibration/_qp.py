@@ -13,8 +13,7 @@ DAMPING = 1e-10
 """Damping of the step, for columns of W of unit length [-].
 
 Along a direction that the data do not see, rounding in the errors would move the
-parameters arbitrarily; damping leaves them unchanged there. The minimum does not shift,
-because the step is damped, not the parameters.
+parameters arbitrarily. The minimum does not shift: the step is damped, not they.
 """
 
 ROW_REGULARISATION = 1e-12
@@ -126,14 +125,13 @@ def bounded_step(
         error: Stacked errors before the step, Delta_e0, in noise units [-].
         lower: Lower bounds of the step [-].
         upper: Upper bounds of the step [-].
-        A: Rows of linear inequalities on the step, as E_l <= E_t; none by default [-].
+        A: Rows of linear inequalities on the step, as E_l <= E_t [-].
         b: Their right-hand sides, given with `A` [-].
         damping: Damping of the step, positive, for columns of W of unit length [-].
 
     Returns:
-        The step, clipped to its bounds. Active rows hold to rounding, or else the
-        residual shows the violation. Bounds or rows that exclude each other give a
-        finite step and a large residual; data that are not finite an infinite one.
+        The step, clipped to its bounds. Active rows hold to rounding. Where bounds or
+        rows exclude each other the residual is large, for infinite data infinite.
 
     Raises:
         ValueError: If only one of `A` and `b` is given, or `damping` is not positive.
@@ -243,8 +241,8 @@ def _kkt_residual(qp: _Scaled, y, mu):
     """Return the largest violation of the KKT conditions: zero only at the optimum.
 
     A component of the gradient must vanish, or push against a bound that y has reached:
-    the smaller of push and distance counts. The same holds for the multiplier of a row
-    and its slack. In a tight box all distances are short, so they count relative to it.
+    the smaller of push and distance counts, and likewise of the multiplier of a row and
+    its slack. In a tight box all distances are short, so they count relative to it.
     """
     eps = jnp.finfo(y.dtype).eps
     gradient, slack = _gradient(qp, y, mu), qp.r - qp.R @ y

@@ -28,10 +28,7 @@ MOST_SETTLED = 3
 """How often steps of tensors and plain ones take turns."""
 
 LITTLE = 1e-3
-"""Relative contrast of an axis and change of the cost at which steps of tensors end.
-
-They go to and fro there if the best body is isotropic.
-"""
+"""Relative contrast of an axis and change of the cost at which steps of tensors end."""
 
 NO_FALL = 1e-6
 """Relative fall of the cost that is no way down [-]."""
@@ -40,16 +37,10 @@ admissible = eqx.filter_jit(lambda space, z: space.admissible(z))
 
 
 class Run(Module):
-    """End of the outer loop.
+    """End of the outer loop: scaled parameters and cost, infinite without equilibrium.
 
-    Attributes:
-        z: Scaled parameters [-].
-        cost: Half the sum of squared errors in noise units; infinite if the start has
-            no equilibrium [-].
-        steps: QP steps, those of mirrored runs included.
-        converged: Whether lambda_p vanished.
-        errors: Root of twice the cost after each step of the first run; nan after its
-            end [-].
+    `steps` are those of mirrored runs, too; `errors` are the roots of twice the cost
+    after each step of the first run, nan after its end [-].
     """
 
     z: Float[HostArray, " n_p"]
@@ -142,9 +133,9 @@ def settle(
 ) -> CalibrationState:
     """Take steps to an optimum, also to one where both moduli of an axis are equal.
 
-    Steps of tensors do not end there, see `in_plain_steps`: plain ones go on where they
-    gave up. These cannot leave a body that is isotropic, right or wrong, since the
-    angle has no effect on it; so their end only counts if tensors find no way down.
+    Steps of tensors go to and fro there, see `in_plain_steps`: plain ones go on where
+    they gave up. These cannot leave an isotropic body, right or wrong, since the angle
+    has no effect on it; so their end only counts if tensors find no way down.
     """
     space = evaluate.numbered.space
     if space.chart is None:
@@ -182,8 +173,8 @@ def settle(
 class Image(NamedTuple):
     """A further run, from `signs` * (best end so far, or start) + `plus`.
 
-    `elsewhere` marks one that looks for another optimum; without it, the run continues
-    one that reached `max_steps`.
+    Unless it looks for another optimum `elsewhere`, it continues one that reached
+    `max_steps`.
     """
 
     signs: Float[HostArray, " n_p"]
@@ -204,11 +195,9 @@ def images_of(space: ParameterSpace, mirror: bool) -> list[Image]:
     A body that is loaded in or across its print plane hardly distinguishes an axis from
     its reflection (theta to -theta), and each has an optimum. So a run that ends with
     an error continues from its end with all axes reflected, then from its start with
-    all of them reflected, then from its start with each of them alone. The end is
-    reflected only as a whole: if that fails, the run is far from any optimum, and the
-    start is the better origin. Then it takes the axes of its end with all other
-    parameters reset, in case the moduli went astray. Finally a best end that has not
-    converged is continued, twice.
+    all of them, then with each of them. If that fails, it takes the axes of its end
+    with all other parameters reset, in case the moduli went astray. Finally a best end
+    that has not converged is continued, twice.
     """
     angles = [] if space.chart is None else list(space.chart.angle)
     n = len(space.names)
@@ -246,9 +235,9 @@ def wanted(problem: CalibrationProblem, best: Run, image: Image) -> bool:
 def better(best: Run, new: Run) -> Run:
     """Return the lower of two ends, with the steps of both, the errors of the first.
 
-    Of two ends at the same place, within rounding, a converged one counts. Elsewhere an
-    end that is lower counts even if it has not converged: it shows that the other is
-    not the best optimum, and the last images go on from it.
+    Of two ends at the same place, within rounding, a converged one counts. Elsewhere
+    one that is lower counts even if it has not converged: the last images go on from
+    it.
     """
     same = math.isclose(new.cost, best.cost, rel_tol=1e-6, abs_tol=1e-9)
     if same and new.converged != best.converged:

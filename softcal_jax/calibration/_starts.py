@@ -1,6 +1,5 @@
 """Where a fit starts: first equilibria, and the search from many starts."""
 
-import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import NamedTuple
@@ -21,7 +20,9 @@ from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     CalibrationSettings,
+    EquilibriumProgress,
     Report,
+    reports_of,
 )
 from softcal_jax.calibration._result import MultiStartResult, Optimum
 from softcal_jax.calibration._runs import (
@@ -29,6 +30,7 @@ from softcal_jax.calibration._runs import (
     Run,
     admissible,
     images_of,
+    in_plain_steps,
     not_begun,
     run_start,
 )
@@ -54,29 +56,6 @@ SEVERAL = 6
 _to_scaled = eqx.filter_jit(lambda space, p: space.admissible(space.to_scaled(p)))
 _from_scaled = eqx.filter_jit(lambda space, z: space.from_scaled(z))
 _distance = eqx.filter_jit(lambda space, a, b: space.distance(a, b))
-
-
-class EquilibriumProgress(NamedTuple):
-    """Progress of the first equilibrium of a configuration: Newton iterations so far.
-
-    `load` is the share of the load that is carried, `stiffer` the factor on the moduli
-    of the start [-].
-    """
-
-    configuration: str
-    load: float
-    steps: int
-    stiffer: float
-
-    __repr__ = one_line
-
-    def __str__(self) -> str:
-        """Write it in one line."""
-        raised = f", moduli {self.stiffer:g} times the start" * (self.stiffer > 1.0)
-        return (
-            f"equilibrium of {self.configuration}: {100.0 * self.load:.0f} % of the "
-            f"load, step {self.steps}{raised}"
-        )
 
 
 class Start(NamedTuple):
@@ -145,19 +124,6 @@ def _first_equilibria(
     return solution, evaluation or evaluate(z, solution.displacement)
 
 
-def reports_of(
-    progress: Callable[[EquilibriumProgress], None] | None,
-    names: Sequence[str],
-    factor: float = 1.0,
-) -> Report | None:
-    """Return a report for `equilibria`, which knows configurations by index alone."""
-    if progress is None:
-        return None
-    return lambda c, load, steps: progress(
-        EquilibriumProgress(names[c], load, steps, factor)
-    )
-
-
 def _moduli(space: ParameterSpace) -> Bool[HostArray, " n_p"]:
     """Flag the moduli: fields of the law on a log scale, without the density."""
     modulus = lambda q: q.scale == "log" and q.field.rpartition(".")[2] != "density"
@@ -214,8 +180,6 @@ def multi_start(
     seed: int = 0,
     settings: CalibrationSettings | None = None,
     mirror: bool = True,
-    checkpoint: str | os.PathLike[str] | None = None,
-    progress: Callable[[SearchProgress], None] | None = None,
 ) -> MultiStartResult:
     """Calibrate from many starts, side by side, and list the distinct optima.
 
@@ -227,16 +191,9 @@ def multi_start(
         seed: Seed of the random ones.
         settings: Settings of the outer loop; by default `FROM_ANYWHERE`.
         mirror: Whether runs that end with an error continue from mirror images.
-        checkpoint: File in which the best end of each run is saved after each image. If
-            it exists, the search resumes from it, with the same result.
-        progress: Called when a run has ended; it must not solve anything itself, since
-            other runs occupy all cores.
 
     Raises:
-        ValueError: If there are no starts, they do not fit the parameters, or the
-            checkpoint is of another search.
-        OSError: If the checkpoint cannot be written, or another process is writing to
-            it.
+        ValueError: If there are no starts, or they do not fit the parameters.
         RuntimeError: If no start has an equilibrium.
     """
     space = problem.space
@@ -248,18 +205,11 @@ def multi_start(
             f"got {starts.shape}."
         )
     settings = settings or FROM_ANYWHERE
-    mark = ("starts", mirror, *np.ravel(starts).tolist())
-    journal = Journal(problem, settings, checkpoint, search=mark)
+    journal = Journal(problem, settings)
     lanes = len(starts) * len(problem.configurations.gravity)
-    with journal, Workers(problem.model, lanes) as workers:
-        return search(
-            Evaluator(problem, workers),
-            settings,
-            starts,
-            mirror=mirror,
-            journal=journal,
-            progress=progress,
-        )
+    with Workers(problem.model, lanes) as workers:
+        evaluate = Evaluator(problem, workers)
+        return search(evaluate, settings, starts, mirror=mirror, journal=journal)
 
 
 def search(
@@ -269,11 +219,12 @@ def search(
     *,
     mirror: bool,
     journal: Journal,
-    progress: Callable[[SearchProgress], None] | None,
+    progress: Callable[[SearchProgress], None] | None = None,
 ) -> MultiStartResult:
     """Run the search of `multi_start`; the journal returns the runs saved before.
 
-    Ctrl-C ends it with the best ends so far, which the journal then knows.
+    Ctrl-C ends it with the best ends so far, which the journal then knows. `progress`
+    must not solve anything itself, since other runs occupy all cores.
     """
     space, images = evaluate.problem.space, images_of(evaluate.problem.space, mirror)
     run_from = partial(run_start, evaluate, settings, images=images)
@@ -419,14 +370,12 @@ def random_starts(
     low = np.asarray(space.from_scaled(space.lower()))
     high = np.asarray(space.from_scaled(space.upper()))
     p = low + (high - low) * random.random((n, len(low)))
-    names, chart = space.names, space.chart
+    names = space.names
     pairs = [
         (names.index(small), names.index(large))
-        for small, large in space.order_names()
-        if small in names and large in names
+        for small, large in in_plain_steps(space).order_names()
+        if small in names and large in names  # one may be known
     ]
-    if chart is not None:
-        pairs += list(zip(map(int, chart.small), map(int, chart.large), strict=True))
     for small, large in pairs * len(pairs):  # repeated, for chains a <= b <= c
         p[:, [small, large]] = np.sort(p[:, [small, large]], axis=1)
         p = np.clip(p, low, high)

@@ -110,20 +110,13 @@ def learned(
 
 
 class CalibrationState(Module):
-    """State of the outer loop.
+    """State of the outer loop, with the evaluation at z and the bound on the next step.
 
-    Attributes:
-        z: Scaled parameters [-].
-        evaluation: Equilibria, errors and compliances at `z`.
-        curvature: Curvature of the errors, estimated from past steps.
-        recent_costs: Costs of the last accepted steps, the latest first [-].
-        step_bound: Bound on the next step [-].
-        lambda_p: Last QP step [-]; `kkt_residual` and `accepted` are of it.
-        step: Number of steps so far.
-        converged: Whether lambda_p has vanished, not shortened by the step bound, or
-            steps were refused at a minimum.
-        stalled: Whether steps were refused until the step bound was below `tol`, away
-            from a minimum.
+    `recent_costs` are those of the last accepted steps, the latest first; `lambda_p` is
+    the last QP step, with its residual, and whether it was accepted. It has `converged`
+    where lambda_p has vanished, not shortened by the step bound, or steps were refused
+    at a minimum, and has `stalled` where they were refused until the bound was below
+    `tol`, away from a minimum.
     """
 
     z: Float[Array, " n_p"]
@@ -260,10 +253,16 @@ def _proposal(
     if now.response.displacement is not None:
         dz = J @ qp.lambda_p
         guess = before + jnp.einsum("p,cpni->cni", dz, now.response.displacement)
+    chart = space.chart
+    if chart is None:
+        moved = space.wrap(state.z + qp.lambda_p)
+    else:
+        tensors = chart.to_tensor(state.z) + qp.lambda_p
+        moved = space.admissible(chart.from_tensor(tensors))
     stay = lambda new, old: jnp.where(vanishes, old, new)
     return Proposal(
         qp=qp,
-        z=stay(_moved(space, state.z, qp.lambda_p), state.z),
+        z=stay(moved, state.z),
         guess=stay(guess, before),
         cost=cost,
         costs=predicted,
@@ -279,16 +278,6 @@ def _step_coordinates(
     if space.chart is None:
         return jnp.eye(z.shape[0])
     return jax.jacfwd(space.chart.from_tensor)(space.chart.to_tensor(z))
-
-
-def _moved(
-    space: ParameterSpace, z: Float[Array, " n_p"], step: Float[Array, " n_p"]
-) -> Float[Array, " n_p"]:
-    """Return parameters after a step, which moves tensors where axes have a chart."""
-    if space.chart is None:
-        return space.wrap(z + step)
-    chart = space.chart
-    return space.admissible(chart.from_tensor(chart.to_tensor(z) + step))
 
 
 def _limits(
