@@ -52,11 +52,7 @@ from softcal_jax.calibration._starts import (
     search,
 )
 from softcal_jax.calibration._step import CalibrationState, initial_state
-from softcal_jax.calibration._weighing import (
-    Weighed,
-    sought_noise,
-    weighed_fit,
-)
+from softcal_jax.calibration._weighing import Weighed, sought_noise, weighed_fit
 from softcal_jax.configurations import Configuration, ConfigurationLanes, EffectorRecord
 from softcal_jax.equilibrium import Model, NewtonSettings, Workers
 from softcal_jax.fields import ParameterSpace, Uncertain, unnamed
@@ -199,7 +195,7 @@ def _start(task: Task, watch: Watch, batch: Batch, workers: Workers) -> Start:
             f"parameters, got shape {z.shape}."
         )
     first = admissible(unnamed(task.space), z)
-    names = [c.name for c in task.fitted]
+    names = tuple(c.name for c in task.fitted)
     evaluate = Evaluator(batch.fitted, workers)
     start = begin(evaluate, first, names, watch.equilibrium_progress)
     check_cost(batch.fitted, start.evaluation, names)
@@ -231,10 +227,7 @@ def _place(
 
 
 def _descended(task: Task, start: Start, place: _Place, journal: Journal) -> Weighed:
-    """Take steps to the optimum, and weigh the data by the noise that they show.
-
-    To the last step before the user interrupts it, if so.
-    """
+    """Take steps to the optimum, or to an interruption, and weigh the data."""
     first = initial_state(task.settings, place.z, place.evaluation)
     state, noise = journal.begin(first, place.noise)
     sought = sought_noise(

@@ -255,13 +255,6 @@ class CalibrationProblem(Module):
             configurations = jax.vmap(apply)(configurations)
         return model, configurations
 
-    def noise_columns(self) -> Float[Array, "n_e n_columns"]:
-        """Return A of the noise in a program, see `CorrelatedNoise` [-]."""
-        effectors = self.configurations.effectors
-        if self.noise is None:
-            return jnp.zeros((effectors.inverse_std.size, 0))
-        return jnp.asarray(self.noise.columns(effectors))
-
     def rows(
         self,
         z: Float[Array, " n_p"],
@@ -272,9 +265,13 @@ class CalibrationProblem(Module):
 
         The QP of Eq. (10) is of these rows; the compliance is W_ep.
         """
-        weight = jnp.ravel(jnp.asarray(self.configurations.effectors.inverse_std))
+        effectors = self.configurations.effectors
+        weight = jnp.ravel(jnp.asarray(effectors.inverse_std))
+        columns = jnp.zeros((weight.size, 0))
+        if self.noise is not None:
+            columns = jnp.asarray(self.noise.columns(effectors))
         return whitened_rows(
-            self.noise_columns(),
+            columns,
             error=weight * jnp.ravel(delta_e),
             W=weight[:, None] * compliance,
             from_prior=jnp.asarray(self.level) * self.space.from_prior(z),

@@ -90,10 +90,7 @@ class _Point(NamedTuple):
 
 
 class _Descent(NamedTuple):
-    """State of the active-set method, where `active` holds bounds, then rows.
-
-    It is -1 at the lower limit, 1 at the upper, and 0 where inactive.
-    """
+    """State of the active-set method; `active` is -1 at lower limits, 1 at upper."""
 
     active: Int[Array, " n_p+n_rows"]
     y: Float[Array, " n_p"]
@@ -326,9 +323,9 @@ def _elastic(qp: _Scaled, y) -> tuple[_Scaled, Float[Array, " n_p_plus_1"]]:
     Its cost is so high that it vanishes wherever the rows can be satisfied. Rows that
     are violated by rounding alone are relaxed for good.
     """
-    there = qp.R @ y
-    far = there > qp.r + SLIGHT
-    violation = jnp.where(far, there - qp.r, 0.0)
+    left = qp.R @ y
+    far = left > qp.r + SLIGHT
+    violation = jnp.where(far, left - qp.r, 0.0)
     worst = jnp.max(violation, initial=0.0)
     share = violation / jnp.where(worst > 0.0, worst, 1.0)
     more = lambda array, value: jnp.append(array, jnp.asarray(value, array.dtype))
@@ -338,7 +335,7 @@ def _elastic(qp: _Scaled, y) -> tuple[_Scaled, Float[Array, " n_p_plus_1"]]:
         low=more(qp.low, 0.0),
         high=more(qp.high, worst),
         R=jnp.column_stack([qp.R, -share]),
-        r=jnp.where(far, qp.r, jnp.maximum(qp.r, there)),
+        r=jnp.where(far, qp.r, jnp.maximum(qp.r, left)),
     ), more(y, worst)
 
 

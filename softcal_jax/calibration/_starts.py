@@ -76,7 +76,7 @@ class Start(NamedTuple):
 def begin(
     evaluate: Evaluator,
     z: Float[Array, " n_p"],
-    names: Sequence[str],
+    names: tuple[str, ...],
     progress: Callable[[EquilibriumProgress], None] | None = None,
 ) -> Start:
     """Evaluate a start, with moduli raised until every configuration is in equilibrium.
@@ -93,7 +93,7 @@ def begin(
     solution, evaluation = _first_equilibria(evaluate, z, report())
     if evaluation is not None:
         return Start(evaluate, z, evaluation, ())
-    without = no_equilibrium(solution, tuple(names))
+    without = no_equilibrium(solution, names)
     note = f"No equilibrium at the start values. {_reached(solution, names)}"
     for _ in range(MOST_RAISES):
         stiffer = _stiffer(space, raised)
@@ -143,7 +143,7 @@ def _values(space: ParameterSpace, z: Float[Array, " n_p"]) -> str:
     return listed([f"{q.name} = {readable(value, q.unit)}" for q, value in moduli])
 
 
-def _reached(solution: EquilibriumSolution, names: Sequence[str]) -> str:
+def _reached(solution: EquilibriumSolution, names: tuple[str, ...]) -> str:
     """Say how far configurations without an equilibrium came."""
     load = np.asarray(solution.load_reached)
     lost = np.flatnonzero(~np.asarray(solution.converged))

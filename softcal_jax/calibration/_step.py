@@ -1,10 +1,9 @@
 """One step of the outer loop: what the bounded QP proposes is accepted or refused.
 
 The paper repeats the QP of Eqs. (10) and (11) with a fixed bound on the step until
-lambda_p vanishes. Here the bound is a trust region: it shrinks when a step is refused
-and grows when the model was right. A step is refused if its cost is no lower than the
-highest of the last few (`MEMORY`). The model is linear in the errors (Gauss-Newton), or
-includes their curvature from past steps where that predicts the cost better.
+lambda_p vanishes. Here the bound is a trust region, which shrinks when a step is
+refused and grows when the model was right. The model is linear in the errors
+(Gauss-Newton), or includes their curvature where that predicts the cost better.
 """
 
 from functools import partial
@@ -156,10 +155,9 @@ def initial_state(
 class Proposal(Module):
     """A step that the QP proposes: parameters after it, and a guess of the equilibria.
 
-    `cost` is that after it by the model that the QP used, `costs` by the linear model
-    of the errors, and with curvature. `precise` asks for exact compliances after it.
-    A step that `vanishes` is too small to be worth an evaluation: the loop ends, and
-    `z` and `guess` are those before the step.
+    `cost` is that by the model that the QP used, `costs` by the linear model of the
+    errors, and with curvature. `precise` asks for exact compliances after it. A step
+    that `vanishes` is too small to be worth an evaluation: nothing moves any more.
     """
 
     qp: QPStep
@@ -185,10 +183,7 @@ def propose(
 
 
 class _Models(NamedTuple):
-    """The rows of a step, the change J of z per step coordinate, and two QPs stacked.
-
-    They are of the rows alone, and with curvature.
-    """
+    """Rows of a step, the change J of z per step coordinate, and both QPs stacked."""
 
     rows: Whitened
     J: Float[Array, "n_p n_p"]

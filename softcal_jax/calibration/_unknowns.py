@@ -42,15 +42,13 @@ class Unknown(NamedTuple):
 
     Attributes:
         cause: What it is called in the budget.
-        name: Its own name.
+        name: Its name among those of the same cause.
         entry: What it sets; None for the depth of clamps.
-        prior: Its standard deviation, in SI units or relative; nan where the entry of a
-            fitted one says it.
+        prior: Its standard deviation, in SI units or relative; nan where it is fitted.
         role: Whether it is fitted, considered or part of the noise.
         scope: For each configuration, a key that those with the same error have in
             common; None where it cannot occur, or another role has it.
-        motions: For clamps, motion of the reference points in each configuration, see
-            `clamp_row` [m]; empty for other errors.
+        motions: For clamps, motion of the points in each configuration [m].
     """
 
     cause: str

@@ -77,7 +77,7 @@ def shape_gradients(
 
 
 class QuadratureRule(NamedTuple):
-    """Points and weights on a reference simplex of unit measure."""
+    """Points and weights on a reference simplex; weights sum to one."""
 
     barycentric: Float[HostArray, "n_points n_corners"]
     weights: Float[HostArray, " n_points"]
@@ -96,8 +96,7 @@ def tet_rule(degree: int) -> QuadratureRule:
     """Return the rule on the tet that is exact for polynomials of `degree`, 1 to 4.
 
     Degree 1: the centroid. Degree 2: the four-point rule. Degree 3 and 4: the
-    eleven-point rule of Keast (Comput. Methods Appl. Mech. Eng. 55, 1986), used
-    for errors and loads, not for stiffness. Weights sum to one.
+    eleven-point rule of Keast (Comput. Methods Appl. Mech. Eng. 55, 1986).
 
     Raises:
         ValueError: If there is no rule of that degree.
@@ -113,10 +112,8 @@ def tet_rule(degree: int) -> QuadratureRule:
         for row, pair in enumerate(combinations(range(4), 2)):
             edge[row, pair] = a
         points = np.vstack([np.full((1, 4), 0.25), _permuted(4, 1.0 / 14.0), edge])
-        weights = np.array(
-            [-148.0 / 1875.0] + [343.0 / 7500.0] * 4 + [56.0 / 375.0] * 6
-        )
-        return QuadratureRule(points, weights)
+        weights = [-148.0 / 1875.0] + [343.0 / 7500.0] * 4 + [56.0 / 375.0] * 6
+        return QuadratureRule(points, np.array(weights))
     raise ValueError(f"tet rules exist for degree 1 to 4, got {degree}.")
 
 
@@ -124,8 +121,7 @@ def triangle_rule(degree: int) -> QuadratureRule:
     """Return the rule on the triangle that is exact to a `degree` of 1 to 4.
 
     Degree 1: the centroid. Degree 2: the three-point rule. Degree 3 and 4: the
-    six-point rule of Dunavant (Int. J. Numer. Methods Eng. 21, 1985). Weights sum to
-    one.
+    six-point rule of Dunavant (Int. J. Numer. Methods Eng. 21, 1985).
 
     Raises:
         ValueError: If there is no rule of that degree.
@@ -135,9 +131,8 @@ def triangle_rule(degree: int) -> QuadratureRule:
     if degree == 2:
         return QuadratureRule(_permuted(3, 1.0 / 6.0), np.full(3, 1.0 / 3.0))
     if degree in (3, 4):
-        points = np.vstack(
-            [_permuted(3, 0.445948490915965), _permuted(3, 0.091576213509771)]
-        )
+        inner = 0.445948490915965, 0.091576213509771
+        points = np.vstack([_permuted(3, a) for a in inner])
         weights = np.array([0.223381589678011] * 3 + [0.109951743655322] * 3)
         return QuadratureRule(points, weights / weights.sum())
     raise ValueError(f"triangle rules exist for degree 1 to 4, got {degree}.")

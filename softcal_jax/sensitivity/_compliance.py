@@ -24,10 +24,9 @@ from softcal_jax.fields import ParameterSpace
 from softcal_jax.sensitivity._rows import parameter_rows
 
 FEW_PARAMETERS = 12
-"""Number of parameters up to which the direct method is always used.
+"""Number of parameters up to which the direct method is used, which yields dx/dp too.
 
-It also yields dx/dp, from which the next equilibria start, and a dozen right-hand sides
-cost only about as much as one factorization.
+The next equilibria start from that; a dozen right-hand sides cost one factorization.
 """
 
 
@@ -42,16 +41,9 @@ def parameter_compliance(
 ) -> Sensitivity:
     """Compute W_ep = H_e K^-1 H_p^T at an equilibrium, with one factorization; Eq. (9).
 
-    Effector coordinates are in the order effector, axis.
-
-    Args:
-        model: The model.
-        configuration: One configuration with its effectors.
-        u: Displacement at its equilibrium with the parameters of `z` [m].
-        space: The parameters.
-        z: Their scaled values [-].
-        method: "direct" solves for the n_p columns of H_p^T, "adjoint" for the n_e rows
-            of H_e; "auto" chooses the fewer right-hand sides.
+    Effector coordinates are in the order effector, axis. The displacement u is that at
+    the equilibrium with the parameters of z [m]. "direct" solves for the n_p columns of
+    H_p^T, "adjoint" for the n_e rows of H_e; "auto" chooses the fewer right-hand sides.
     """
     lin = linearise(*space.apply(model, configuration, z), u)
     rows = parameter_rows(lin, space, z)
@@ -129,8 +121,6 @@ class Response(NamedTuple):
     """Equilibrium of one configuration, with its effectors and their compliance.
 
     Attributes:
-        equilibrium: The equilibrium.
-        effectors: Effector coordinates there.
         W_ep: Change of each effector coordinate per unit of lambda_p, in its unit.
         displacement: dx/dz by rows [m]; None if adjoint.
         ok: False if there is no equilibrium or no tangent; W_ep is then zero.
@@ -158,11 +148,9 @@ def equilibrium_response(
 ) -> Response:
     """Find the equilibrium near a guess, and W_ep = H_e K^-1 H_p^T there; Eq. (9).
 
-    Combines `solve_equilibrium` and `parameter_compliance` and saves a factorization:
     W_ep reuses the factor of the last Newton step, and is exact only if `precise`.
     `vmap` runs configurations sequentially, each to its own convergence. Arguments as
-    for `continue_equilibrium`, with the settings of `newton`, and
-    `parameter_compliance`.
+    for `continue_equilibrium` and `parameter_compliance`.
     """
 
     @jax.custom_batching.sequential_vmap

@@ -73,9 +73,8 @@ def parameter_rows(
 ) -> InputRows:
     """Compute the rows of all parameters at an equilibrium, per unit of lambda_p.
 
-    Whatever the kind of parameter, they follow from `space.apply`. Parameters that set
-    fields of the law need one pass over the tets per field and move nothing held. The
-    parameters of `z` are applied in the linearisation already.
+    Parameters that set fields of the law need one pass over the tets per field and move
+    nothing held. Those of `z` are applied in the linearisation already.
     """
     lin = linearisation
     model, configuration = lin.posed.model, lin.posed.configuration
@@ -100,10 +99,7 @@ def _by_others(
     space: ParameterSpace,
     z: Float[Array, " n_p"],
 ) -> Callable[[Callable], Any]:
-    """Return what differentiates by each parameter that sets more than fields.
-
-    Only these parameters vary, so autodiff does not pass through fields.
-    """
+    """Return what differentiates by these parameters alone, not through fields."""
     others = _others(space)
     changed = lambda w: space.apply(model, configuration, z, others, w)
     return lambda function: derivatives(lambda w: function(*changed(w)), z[others])
@@ -220,7 +216,6 @@ class DerivativeCheck(Module):
     """Error of the finite-difference H_p against autodiff, per step and parameter.
 
     Attributes:
-        names: Names of the parameters.
         steps: Steps, in scaled units [-].
         errors: Largest difference over the nodes, relative to the largest force [-].
         orders: Order of each error, from steps above rounding [-]; 2 is expected.
