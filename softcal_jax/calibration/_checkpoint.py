@@ -7,7 +7,6 @@ import time
 import warnings
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack, suppress
-from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -237,12 +236,35 @@ class Journal:
     def note(self, state: CalibrationState, noise: CorrelatedNoise) -> None:
         """Record a step, and the noise in whose units it was taken."""
         self.last = state, noise
-        seconds = time.perf_counter() - self._begin
-        entry = _history_entry(state, self._problem, noise, seconds)
-        self.history.append(replace(entry, step=len(self.history)))
+        self.history.append(self._summary(state, noise))
         self.keep("state", (state, noise))
         if self._progress:
             self._progress(self.history[-1])
+
+    def _summary(self, state: CalibrationState, noise: CorrelatedNoise) -> HistoryEntry:
+        """Summarise a step for the history."""
+        evaluation, space = state.evaluation, self._problem.space
+        effectors = self._problem.configurations.effectors
+        n_points = effectors.nodes.shape[-2]  # rms of distances: not angles, forces
+        # On the host: on the device, each shape of the data would be more programs.
+        delta_e = noise.without_attachments(effectors, np.asarray(evaluation.delta_e))
+        seen = np.asarray(effectors.inverse_std)[:, :n_points] > 0.0
+        squares = np.sum(np.where(seen, delta_e[:, :n_points], 0.0) ** 2)
+        markers = max(int(np.sum(np.any(seen, axis=-1))), 1)
+        p = space.from_scaled(state.z)
+        return HistoryEntry(
+            step=len(self.history),
+            cost=float(evaluation.cost),
+            rms=float(np.sqrt(squares / markers)),
+            lambda_p=tuple(float(v) for v in state.lambda_p),
+            step_bound=float(state.step_bound),
+            accepted=bool(state.accepted),
+            kkt_residual=float(state.kkt_residual),
+            newton_steps=tuple(int(n) for n in evaluation.equilibrium.steps),
+            values={n: float(v) for n, v in zip(space.names, p, strict=True)},
+            noise_level=float(noise.jitter),
+            seconds=time.perf_counter() - self._begin,
+        )
 
     def begin(
         self, state: CalibrationState, noise: CorrelatedNoise
@@ -301,34 +323,3 @@ def _alike(leaf, array: HostArray):
     if isinstance(leaf, np.ndarray):
         return array
     return jnp.asarray(array) if isinstance(leaf, jax.Array) else type(leaf)(array)
-
-
-def _history_entry(
-    state: CalibrationState,
-    problem: CalibrationProblem,
-    noise: CorrelatedNoise,
-    seconds: float,
-) -> HistoryEntry:
-    """Summarise a step for the history."""
-    evaluation = state.evaluation
-    effectors = problem.configurations.effectors
-    n_points = effectors.nodes.shape[-2]  # rms of distances: leave out angles, forces
-    # On the host: on the device, each shape of the data would be more programs.
-    delta_e = noise.without_attachments(effectors, np.asarray(evaluation.delta_e))
-    seen = np.asarray(effectors.inverse_std)[:, :n_points] > 0.0
-    squares = np.sum(np.where(seen, delta_e[:, :n_points], 0.0) ** 2)
-    markers = max(int(np.sum(np.any(seen, axis=-1))), 1)
-    p = problem.space.from_scaled(state.z)
-    return HistoryEntry(
-        step=int(state.step),
-        cost=float(evaluation.cost),
-        rms=float(np.sqrt(squares / markers)),
-        lambda_p=tuple(float(v) for v in state.lambda_p),
-        step_bound=float(state.step_bound),
-        accepted=bool(state.accepted),
-        kkt_residual=float(state.kkt_residual),
-        newton_steps=tuple(int(n) for n in evaluation.equilibrium.steps),
-        values={n: float(v) for n, v in zip(problem.space.names, p, strict=True)},
-        noise_level=float(noise.jitter),
-        seconds=seconds,
-    )

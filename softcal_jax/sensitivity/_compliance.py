@@ -78,11 +78,10 @@ def energy_compliance(
     """Compute W_ep and W_pp = H_p K^-1 H_p^T at an equilibrium, with one factorization.
 
     Paper Eq. (9) and Sec. V-C. Row i of u' = K^-1 H_p^T is the motion of the nodes per
-    unit of lambda_p,i, and the rows h_i of H_p^T are the forces that cause it (sign as
-    in `parameter_forces`). So W_pp,ij = h_i . u'_j = u'_i . K u'_j is positive definite
-    if K is. With m(z) = min_u Pi(u; z), it is the curvature of the energy lost by
-    relaxation: W_pp = d2 Pi/dz2 at fixed u minus d2 m/dz2. Arguments as for
-    `parameter_compliance`.
+    unit of lambda_p,i, and the rows h_i of H_p^T are the forces that cause it. So
+    W_pp,ij = h_i . u'_j = u'_i . K u'_j is positive definite if K is. With m(z) =
+    min_u Pi(u; z), it is the curvature of the energy lost by relaxation: W_pp =
+    d2 Pi/dz2 at fixed u minus d2 m/dz2. Arguments as for `parameter_compliance`.
     """
     lin = linearise(*space.apply(model, configuration, z), u)
     rows = parameter_rows(lin, space, z)
