@@ -1,10 +1,13 @@
 """Checks of a file before it is opened, and of whether it is still the same."""
 
 import hashlib
+from collections.abc import Iterable, Mapping
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from softcal_jax._limits import MEGABYTES
+from softcal_jax._module import Module
 from softcal_jax._names import suggestion
 
 _LOOKED_AT = 1000
@@ -50,3 +53,42 @@ def similar_file(path: Path) -> str:
         return f" There is no folder {path.parent}."
     others = islice(path.parent.iterdir(), _LOOKED_AT)
     return suggestion(path.name, (other.name for other in others if other.is_file()))
+
+
+class SourceFile(Module):
+    """A file, and what it held.
+
+    Attributes:
+        path: Where it is; absolute.
+        sha256: SHA-256 of its content.
+    """
+
+    path: Path
+    sha256: str
+
+    @classmethod
+    def of(cls, path: Path) -> "SourceFile":
+        """Digest a file as it is now; a link keeps its own name."""
+        return cls(path.parent.resolve() / path.name, sha256_of(path))
+
+
+class ProjectSource(Module):
+    """A project file, and the files that it names.
+
+    Attributes:
+        project: The project file.
+        files: Mesh and measurements that it names.
+        changes: Values that replaced those of the file, by key, see `load_project`.
+    """
+
+    project: SourceFile
+    files: tuple[SourceFile, ...]
+    changes: Mapping[str, Any]
+
+    @classmethod
+    def of(
+        cls, project: Path, files: Iterable[Path], changes: Mapping[str, Any] | None
+    ) -> "ProjectSource":
+        """Digest a project file and those that it names as they are now."""
+        named = tuple(SourceFile.of(file) for file in files)
+        return cls(SourceFile.of(project), named, dict(changes or {}))

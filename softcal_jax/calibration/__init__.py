@@ -1,8 +1,7 @@
 """Calibration: stacked errors, bounded QP, outer loop (paper Eqs. 9 to 11)."""
 
-from softcal_jax.calibration._begin import EquilibriumProgress, reports_of
-from softcal_jax.calibration._build import as_sequence, build_problem
-from softcal_jax.calibration._calibrate import calibrate
+from softcal_jax._files import ProjectSource, SourceFile
+from softcal_jax.calibration._calibrate import as_sequence, build_problem, calibrate
 from softcal_jax.calibration._checked_intervals import LEVEL
 from softcal_jax.calibration._checkpoint import Clock
 from softcal_jax.calibration._checks import (
@@ -20,14 +19,17 @@ from softcal_jax.calibration._considered import MESH, considered_errors
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, at_rest, evaluate
 from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._intervals import profile_intervals
-from softcal_jax.calibration._lanes import effectors_of, equilibria, lane_of
-from softcal_jax.calibration._linear import linear_model
 from softcal_jax.calibration._noise import CorrelatedNoise, correlated_noise
 from softcal_jax.calibration._notes import CalibrationWarning
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
-    n_measured,
-    without_names,
+    CalibrationSettings,
+    EquilibriumProgress,
+    effectors_of,
+    equilibria,
+    lane_of,
+    linear_model,
+    reports_of,
 )
 from softcal_jax.calibration._profile import LowerCostFound, profile_ends
 from softcal_jax.calibration._qp import QPStep, bounded_step
@@ -41,7 +43,7 @@ from softcal_jax.calibration._result import (
     ParameterEstimate,
 )
 from softcal_jax.calibration._runs import Run, best_of, descend, images_of, run_start
-from softcal_jax.calibration._search import (
+from softcal_jax.calibration._starts import (
     FROM_ANYWHERE,
     SearchProgress,
     check_starts,
@@ -49,13 +51,14 @@ from softcal_jax.calibration._search import (
     multi_start,
     random_starts,
 )
-from softcal_jax.calibration._source import ProjectSource, SourceFile
-from softcal_jax.calibration._state import (
-    CalibrationSettings,
+from softcal_jax.calibration._step import (
+    FLAT,
+    KKT_TOLERANCE,
+    SMALLEST_FALL,
     CalibrationState,
     initial_state,
+    propose,
 )
-from softcal_jax.calibration._step import FLAT, KKT_TOLERANCE, SMALLEST_FALL, propose
 
 __all__ = [
     "FLAT",
@@ -110,7 +113,6 @@ __all__ = [
     "levenberg_marquardt",
     "linear_model",
     "multi_start",
-    "n_measured",
     "profile_ends",
     "profile_intervals",
     "propose",
@@ -121,5 +123,4 @@ __all__ = [
     "simulation_result",
     "synthetic_measurements",
     "with_measured",
-    "without_names",
 ]

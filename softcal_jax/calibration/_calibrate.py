@@ -5,28 +5,31 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
+from softcal_jax._process import check_process
 from softcal_jax._typing import Array, Float
-from softcal_jax.calibration._begin import EquilibriumProgress
-from softcal_jax.calibration._build import as_sequence
 from softcal_jax.calibration._checked_intervals import (
     LEVEL,
     Fitted,
     check_level,
     with_intervals,
 )
-from softcal_jax.calibration._fit import Resume, Task, Watch, fit
-from softcal_jax.calibration._result import (
-    CalibrationResult,
-    HistoryEntry,
+from softcal_jax.calibration._fit import Batch, Resume, Task, Watch, fit
+from softcal_jax.calibration._noise import correlated_noise
+from softcal_jax.calibration._notes import warn_if_locking, warn_if_too_few_data
+from softcal_jax.calibration._nothing_to_learn import check_effects
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
+    CalibrationSettings,
+    EquilibriumProgress,
+    lane_of,
 )
-from softcal_jax.calibration._search import (
-    SearchProgress,
-    check_starts,
-    default_starts,
-)
-from softcal_jax.calibration._state import CalibrationSettings
+from softcal_jax.calibration._references import check_references
+from softcal_jax.calibration._result import CalibrationResult, HistoryEntry
+from softcal_jax.calibration._starts import SearchProgress, check_starts, default_starts
 from softcal_jax.configurations import (
     Configuration,
+    ConfigurationLanes,
+    configuration_lanes,
 )
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import (
@@ -35,7 +38,10 @@ from softcal_jax.fields import (
     ParameterSpace,
     Uncertain,
     as_space,
+    check_parameters,
     check_precision,
+    check_scopes,
+    exactly_known,
 )
 
 
@@ -74,17 +80,16 @@ def calibrate(
         noise: "stated" takes the markers' standard deviations as they are; "estimated"
             takes their ratios and finds the level from the residuals, by restricted
             maximum likelihood beside the offsets of recordings.
-        uncertain: How well everything is known that is not calibrated; by default see
-            `Uncertain`. It widens the standard errors, and `result.budget` splits them.
-            Offsets of recordings, and a `relative_std` of the configurations, weigh the
-            data.
-        precision: Standard error that is asked for, relative to the value: 0.1 for
-            10 %, and 0.1 rad of an axis. Verdicts compare with it, see `assess` [-].
+        uncertain: How well everything is known that is not calibrated. It widens the
+            standard errors, and `result.budget` splits them. Offsets of recordings, and
+            a `relative_std` of the configurations, weigh the data.
+        precision: Standard error that verdicts ask for, relative to the value: 0.1 for
+            10 %, and 0.1 rad of an axis [-].
         settings: Settings of the outer loop.
         newton: Settings of the equilibrium.
-        starts: Number of starts of the search: that of the parameters, and random ones
-            within the bounds; see `multi_start`. The fit then continues from the best.
-            By default see `default_starts`; 1 where `start` is given.
+        starts: Number of starts: that of the parameters, and random ones within the
+            bounds; see `multi_start`. The fit then continues from the best. By default
+            see `default_starts`; 1 where `start` is given.
         seed: Seed of the random starts.
         start: Scaled parameters to start from, instead of the start of the parameters;
             priors stay centred on the latter [-].
@@ -96,10 +101,8 @@ def calibrate(
             resumes from it, with the same result. Where it cannot be written any more,
             as on a full disk, the calibration goes on with a warning and a note.
         progress: Called after the first evaluation and after each step.
-        search_progress: Called when a run of a search from many starts has ended, see
-            `multi_start`.
-        equilibrium_progress: Called while the first equilibria are solved, every few
-            Newton iterations of a configuration.
+        search_progress: Called when a run from one of many starts has ended.
+        equilibrium_progress: Called while the first equilibria are solved.
         profiling: Called with the result so far before profiles of the likelihood are
             computed, which takes a while.
 
@@ -122,15 +125,16 @@ def calibrate(
     """
     if noise not in ("estimated", "stated"):
         raise ValueError(f'noise must be "estimated" or "stated", got {noise!r}.')
+    space = as_space(parameters)
     if starts is None:
-        starts = 1 if start is not None else default_starts(as_space(parameters))
+        starts = 1 if start is not None else default_starts(space)
     check_starts(starts)
     check_precision(precision)
     if intervals is not None:
         check_level(intervals)
     task = Task(
         model=model,
-        space=as_space(parameters),
+        space=space,
         fitted=as_sequence(configurations),
         held_out=as_sequence(validation),
         noise=noise,
@@ -142,8 +146,9 @@ def calibrate(
         seed=seed,
         start=start,
     )
+    batch = _batch(task)
     watch = Watch(checkpoint, progress, search_progress, equilibrium_progress)
-    first = fit(task, watch)
+    first = fit(task, batch, watch)
     if intervals is None or first.result.interrupted:
         return first.result
 
@@ -151,17 +156,15 @@ def calibrate(
         old, last = done.result, done.result.history[-1]
         assert old.noise is not None
         later = lambda entry: replace(
-            entry,
-            step=entry.step + last.step,
-            seconds=entry.seconds + last.seconds,
+            entry, step=entry.step + last.step, seconds=entry.seconds + last.seconds
         )
 
-        def told(entry: HistoryEntry) -> None:
+        def report(entry: HistoryEntry) -> None:
             if progress is not None and entry.step:
                 progress(later(entry))
 
-        again = Watch(progress=told)
-        new = fit(task._replace(starts=1), again, Resume(z, old.noise))
+        again = Watch(progress=report)
+        new = fit(task._replace(starts=1), batch, again, Resume(z, old.noise))
         history = (*old.history, *map(later, new.result.history[1:]))
         timing = {k: s + new.result.timing_s[k] for k, s in old.timing_s.items()}
         changed = {"history": history, "starts": old.starts, "timing_s": timing}
@@ -173,3 +176,81 @@ def calibrate(
         note = "Interrupted before the intervals of the parameters were known."
         notes = (*first.result.notes, note)
         return replace(first.result, notes=notes, interrupted=True)
+
+
+def _batch(task: Task) -> Batch:
+    """Stack all configurations, and check them before the first solve."""
+    everything, lanes = _stacked(
+        task.model, task.space, task.configurations, task.newton, task.uncertain
+    )
+    fitted = everything.of_first(len(task.fitted))
+    check_scopes(task.space, task.fitted)
+    check_effects(fitted)
+    check_references(task.configurations, lanes.effectors, fitted=task.fitted)
+    names = [c.name for c in task.configurations]
+    for c in task.held_out:
+        if names.count(c.name) > 1:
+            raise ValueError(f"configuration {c.name!r} is named more than once.")
+    warn_if_too_few_data(fitted)
+    return Batch(everything, fitted, lanes)
+
+
+def build_problem(
+    model: Model,
+    parameters: ParameterSpace | Entry | Sequence[Entry],
+    configurations: Configuration | Sequence[Configuration],
+    newton: NewtonSettings | None = None,
+    *,
+    uncertain: Uncertain | None = None,
+) -> CalibrationProblem:
+    """Stack a calibration into arrays, for `evaluate` and `multi_start`.
+
+    By default nothing is uncertain that is not calibrated; offsets of recordings that
+    are belong to the noise.
+
+    Raises:
+        ValueError: If a configuration has no measurement, a parameter no field, or
+            `displacement_from` names no configuration with the same effectors.
+    """
+    posed, space = as_sequence(configurations), as_space(parameters)
+    newton, uncertain = newton or NewtonSettings(), uncertain or exactly_known()
+    problem, lanes = _stacked(model, space, posed, newton, uncertain)
+    check_references(posed, lanes.effectors)
+    return problem
+
+
+def _stacked(
+    model: Model,
+    space: ParameterSpace,
+    configurations: Sequence[Configuration],
+    newton: NewtonSettings,
+    uncertain: Uncertain,
+) -> tuple[CalibrationProblem, ConfigurationLanes]:
+    """Stack a calibration into arrays, and return its lanes with effector records."""
+    check_process()
+    for configuration in configurations:
+        if not configuration.is_measured:
+            raise ValueError(
+                f"configuration {configuration.name!r} has no measured positions: give "
+                "`markers` and `measured`, or `effectors` with measured values."
+            )
+    lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
+    check_parameters(model, space, lane_of(lanes.arrays, 0))
+    warn_if_locking(model, space)
+    noise = correlated_noise(
+        configurations,
+        model=model,
+        space=space,
+        arrays=lanes.arrays,
+        records=lanes.effectors,
+        uncertain=uncertain,
+    )
+    return CalibrationProblem(model, space, lanes.arrays, newton, noise), lanes
+
+
+def as_sequence(
+    configurations: Configuration | Sequence[Configuration],
+) -> tuple[Configuration, ...]:
+    """Return configurations as a tuple; a single one may be given by itself."""
+    one = isinstance(configurations, Configuration)
+    return (configurations,) if one else tuple(configurations)

@@ -1,44 +1,141 @@
 """Time and progress of a calibration, saved so that it can be stopped and resumed."""
 
+import hashlib
+import json
 import os
 import time
 import warnings
-from collections.abc import Callable
-from contextlib import ExitStack
-from dataclasses import replace
+from collections.abc import Callable, Iterable
+from contextlib import ExitStack, suppress
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import one_line
-from softcal_jax._places import cause, only_writer
+from softcal_jax._names import listed
+from softcal_jax._places import cause, only_writer, partial_of
 from softcal_jax._typing import HostArray
-from softcal_jax.calibration._checkpoint_file import (
-    Saved,
-    fingerprint,
-    read_checkpoint,
-    write_checkpoint,
-)
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._notes import CalibrationWarning
-from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
 from softcal_jax.calibration._result import HistoryEntry
-from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
+from softcal_jax.calibration._step import CalibrationState
 
 T = TypeVar("T")
 
 
+class Saved(NamedTuple):
+    """What a calibration saves: arrays by name, and its history."""
+
+    arrays: dict[str, HostArray]
+    history: tuple[HistoryEntry, ...]
+
+
+def write_checkpoint(path: Path, mark: str, saved: Saved) -> None:
+    """Replace the file of a calibration with this `fingerprint` whole, or leave it.
+
+    Raises:
+        OSError: If it cannot be written.
+    """
+    content = saved.arrays | {
+        "version": np.array(version("softcal-jax")),
+        "mark": np.array(mark),
+        "history": np.array(json.dumps([*map(vars, saved.history)])),
+    }
+    digests = {name: _digest([array]) for name, array in content.items()}
+    partial = partial_of(path)
+    try:
+        with partial.open("wb") as file:
+            np.savez(file, digests=json.dumps(digests), **content)  # type: ignore[arg-type]
+        os.replace(partial, path)
+    except BaseException:
+        with suppress(OSError):
+            partial.unlink()
+        raise
+
+
+def read_checkpoint(path: Path, mark: str) -> Saved:
+    """Read the checkpoint of the calibration with this `fingerprint`.
+
+    Raises:
+        ValueError: If it is no checkpoint, one of another calibration or version, or
+            has been changed; the text says what to do.
+    """
+    try:
+        # Opened here, since np.load does not close a file that it cannot read.
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            content = {name: file[name] for name in file.files}
+        digests = dict(json.loads(str(content.pop("digests"))))
+        changed = {n for n, a in content.items() if digests.pop(n, "") != _digest([a])}
+        texts = [str(content.pop(name)) for name in ("version", "mark", "history")]
+        written_by, its_mark, history = texts
+        entries = tuple(map(_entry, json.loads(history)))
+    except Exception as error:  # a dozen kinds, of a file that is anything
+        raise ValueError(
+            f"{path} is not a checkpoint of a calibration ({error}); give another "
+            "path, or remove it."
+        ) from error
+    here = version("softcal-jax")
+    if written_by != here:
+        raise ValueError(
+            f"{path} was written by softcal_jax {written_by}, and this is {here}: "
+            "remove it to start anew, or give another path."
+        )
+    changed |= set(digests)
+    if changed:
+        raise ValueError(
+            f"{path} is not as a calibration wrote it: {listed(sorted(changed))} "
+            "differ. Take an earlier copy of it, remove it to start anew, or give "
+            "another path."
+        )
+    if its_mark != mark:
+        raise ValueError(
+            f"{path} is a checkpoint of another calibration: mesh, material, "
+            "parameters, configurations, measurements, noise, solver and settings must "
+            "be the same. Remove it to start anew, or give another path."
+        )
+    return Saved(content, entries)
+
+
+def _entry(saved: Any) -> HistoryEntry:
+    """Return an entry of the history with its lists as tuples again."""
+    as_tuples = {name: tuple(saved[name]) for name in ("lambda_p", "newton_steps")}
+    return HistoryEntry(**(saved | as_tuples))
+
+
+def fingerprint(
+    problem: CalibrationProblem, settings: CalibrationSettings, search: tuple
+) -> str:
+    """Digest everything that a calibration depends on; `search` is what else does.
+
+    A sparse solver counts by its name and pattern, since it holds a handle that differs
+    from one process to the next.
+    """
+    solver = problem.model.solver
+    kind = solver.name, solver.sparsity
+    problem = eqx.tree_at(lambda p: p.model.solver, problem, kind)
+    arrays, static = eqx.partition(problem, eqx.is_array_like)
+    text = eqx.tree_pformat((settings, search, static))  # not repr, which shortens
+    return _digest(map(np.asarray, jax.tree.leaves(arrays)), text)
+
+
+def _digest(arrays: Iterable[HostArray], text: str = "") -> str:
+    digest = hashlib.sha256(text.encode())
+    for array in arrays:
+        digest.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
+    return digest.hexdigest()
+
+
 class Clock:
-    """Context that splits its wall time into compiling by JAX and everything else.
+    """Context whose `seconds` are its wall time, "compile" by JAX and "solve" [s].
 
     JAX reports the duration of each trace, lowering and compilation when it ends;
     nested ones are counted once.
-
-    Attributes:
-        seconds: "compile" and "solve", after the context has ended [s].
     """
 
     __repr__ = one_line
@@ -79,23 +176,24 @@ class Journal:
         history: Steps so far.
         interrupted: Whether the user has ended the calibration.
         last: State of the last step, and the noise in whose units it was taken.
-        unsaved: Why the file is older than the history; empty if it is not.
+        notes: Why the file is older than the history, if it is.
     """
+
+    last: tuple[CalibrationState, CorrelatedNoise]
 
     def __init__(
         self,
         problem: CalibrationProblem,
         settings: CalibrationSettings,
-        checkpoint: str | os.PathLike[str] | None,
+        checkpoint: str | os.PathLike[str] | None = None,
         progress: Callable[[HistoryEntry], None] | None = None,
         *,
-        search: tuple,
+        search: tuple = (),
     ):
         """Take what is reported where; `search` is what else the fit depends on."""
         self.history: list[HistoryEntry] = []
         self.interrupted = False
-        self.last: tuple[CalibrationState, CorrelatedNoise | None] | None = None
-        self.unsaved = ""
+        self.notes: tuple[str, ...] = ()
         self._problem, self._progress = problem, progress
         self._depends_on = problem, settings, search
         self._path = None if checkpoint is None else Path(checkpoint)
@@ -104,12 +202,7 @@ class Journal:
         self._open = ExitStack()
 
     def __enter__(self) -> "Journal":
-        """Begin with what the file holds, if there is one.
-
-        Raises:
-            ValueError: If the file is no checkpoint, or one of another calibration.
-            OSError: If the file cannot be written, or another calibration writes to it.
-        """
+        """Begin with what the file holds, if there is one."""
         if self._path is None:
             return self
         with ExitStack() as opened:
@@ -127,30 +220,55 @@ class Journal:
         self._open.close()
 
     @property
-    def stands(self) -> str:
-        """Say that the calibration can go on from the file; empty if it cannot."""
-        if self._path is None or not self._path.exists():
-            return ""
-        return f" The checkpoint {self._path} stands: the same call goes on from it."
+    def interruption(self) -> str:
+        """Say where the user has interrupted it, and how to go on from the file."""
+        text = (
+            f"Interrupted after step {self.history[-1].step}: the values are those of "
+            "that step, and the noise is that which weighed it. Do not use them as a "
+            "result."
+        )
+        if self._path is not None and self._path.exists():
+            text += (
+                f" The checkpoint {self._path} stands: the same call goes on from it."
+            )
+        return text
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Say that the file is behind, if it is."""
-        return (self.unsaved,) if self.unsaved else ()
-
-    def note(self, state: CalibrationState, noise: CorrelatedNoise | None) -> None:
+    def note(self, state: CalibrationState, noise: CorrelatedNoise) -> None:
         """Record a step, and the noise in whose units it was taken."""
         self.last = state, noise
-        seconds = time.perf_counter() - self._begin
-        entry = _history_entry(state, self._problem.with_noise(noise), seconds)
-        self.history.append(replace(entry, step=len(self.history)))
+        self.history.append(self._summary(state, noise))
         self.keep("state", (state, noise))
         if self._progress:
             self._progress(self.history[-1])
 
+    def _summary(self, state: CalibrationState, noise: CorrelatedNoise) -> HistoryEntry:
+        """Summarise a step for the history."""
+        evaluation, space = state.evaluation, self._problem.space
+        effectors = self._problem.configurations.effectors
+        n_points = effectors.nodes.shape[-2]  # rms of distances: not angles, forces
+        # On the host: on the device, each shape of the data would be more programs.
+        delta_e = noise.without_attachments(effectors, np.asarray(evaluation.delta_e))
+        seen = np.asarray(effectors.inverse_std)[:, :n_points] > 0.0
+        squares = np.sum(np.where(seen, delta_e[:, :n_points], 0.0) ** 2)
+        markers = max(int(np.sum(np.any(seen, axis=-1))), 1)
+        p = space.from_scaled(state.z)
+        return HistoryEntry(
+            step=len(self.history),
+            cost=float(evaluation.cost),
+            rms=float(np.sqrt(squares / markers)),
+            lambda_p=tuple(float(v) for v in state.lambda_p),
+            step_bound=float(state.step_bound),
+            accepted=bool(state.accepted),
+            kkt_residual=float(state.kkt_residual),
+            newton_steps=tuple(int(n) for n in evaluation.equilibrium.steps),
+            values={n: float(v) for n, v in zip(space.names, p, strict=True)},
+            noise_level=float(noise.jitter),
+            seconds=time.perf_counter() - self._begin,
+        )
+
     def begin(
-        self, state: CalibrationState, noise: CorrelatedNoise | None
-    ) -> tuple[CalibrationState, CorrelatedNoise | None]:
+        self, state: CalibrationState, noise: CorrelatedNoise
+    ) -> tuple[CalibrationState, CorrelatedNoise]:
         """Return the saved state and noise; record and return these without them."""
         kept = self.kept("state", (state, noise))
         if kept is None:
@@ -172,41 +290,32 @@ class Journal:
         saved = Saved(self._arrays, tuple(self.history))
         try:
             write_checkpoint(self._path, self._mark, saved)
-            self.unsaved = ""
+            self.notes = ()
         except OSError as error:
-            self._tell_unsaved(cause(error))
-
-    def _tell_unsaved(self, why: str) -> None:
-        """Note that the file is behind, and warn once."""
-        text = (
-            f"The checkpoint {self._path} could not be written ({why}), and holds an "
-            "earlier state or none."
-        )
-        if text != self.unsaved:
-            more = f"{text} The calibration goes on: make room for it."
-            warnings.warn(more, CalibrationWarning, stacklevel=3)
-        self.unsaved = text
+            note = (
+                f"The checkpoint {self._path} could not be written ({cause(error)}), "
+                "and holds an earlier state or none."
+            )
+            if note not in self.notes:
+                more = f"{note} The calibration goes on: make room for it."
+                warnings.warn(more, CalibrationWarning, stacklevel=2)
+            self.notes = (note,)
 
     def kept(self, name: str, like: T) -> T | None:
         """Return what was saved, with the types of one like it; None if nothing was."""
-        found = {n for n in self._arrays if n.rpartition("_")[0] == name}
-        if not found:
+        saved = {k: a for k, a in self._arrays.items() if k.rpartition("_")[0] == name}
+        if not saved:
             return None
         leaves, tree = jax.tree.flatten(like)
-        kinds = {f"{name}_{i}": _kind(leaf) for i, leaf in enumerate(leaves)}
-        if {key: _kind(self._arrays[key]) for key in found} != kinds:
+        wanted = {f"{name}_{i}": leaf for i, leaf in enumerate(leaves)}
+        kind = lambda leaf: (np.shape(leaf), np.asarray(leaf).dtype)
+        if jax.tree.map(kind, saved) != jax.tree.map(kind, wanted):
             raise ValueError(
                 f"{self._path} was written by another version of softcal_jax: remove "
                 "it to start anew, or give another path."
             )
-        kept = [self._arrays[key] for key in kinds]
-        return jax.tree.unflatten(tree, map(_alike, leaves, kept))
-
-
-def _kind(leaf) -> tuple:
-    """Return what a saved array must have in common with the leaf it replaces."""
-    array = np.asarray(leaf)
-    return array.shape, array.dtype
+        values = [_alike(leaf, saved[key]) for key, leaf in wanted.items()]
+        return jax.tree.unflatten(tree, values)
 
 
 def _alike(leaf, array: HostArray):
@@ -214,33 +323,3 @@ def _alike(leaf, array: HostArray):
     if isinstance(leaf, np.ndarray):
         return array
     return jnp.asarray(array) if isinstance(leaf, jax.Array) else type(leaf)(array)
-
-
-def _history_entry(
-    state: CalibrationState, problem: CalibrationProblem, seconds: float
-) -> HistoryEntry:
-    """Summarise a step for the history."""
-    evaluation = state.evaluation
-    effectors = problem.configurations.effectors
-    n_points = effectors.nodes.shape[-2]  # rms of distances: leave out angles, forces
-    # On the host: on the device, each shape of the data would be more programs.
-    weight, delta_e = np.asarray(effectors.inverse_std), np.asarray(evaluation.delta_e)
-    if problem.noise is not None:
-        delta_e = problem.noise.without_attachments(effectors, delta_e)
-    seen = weight[:, :n_points] > 0.0
-    squares = np.sum(np.where(seen, delta_e[:, :n_points], 0.0) ** 2)
-    markers = max(int(np.sum(np.any(seen, axis=-1))), 1)
-    p = problem.space.from_scaled(state.z)
-    return HistoryEntry(
-        step=int(state.step),
-        cost=float(evaluation.cost),
-        rms=float(np.sqrt(squares / markers)),
-        lambda_p=tuple(float(v) for v in state.lambda_p),
-        step_bound=float(state.step_bound),
-        accepted=bool(state.accepted),
-        kkt_residual=float(state.kkt_residual),
-        newton_steps=tuple(int(n) for n in evaluation.equilibrium.steps),
-        values={n: float(v) for n, v in zip(problem.space.names, p, strict=True)},
-        noise_level=1.0 if problem.noise is None else float(problem.noise.jitter),
-        seconds=seconds,
-    )

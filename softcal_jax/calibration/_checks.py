@@ -9,13 +9,13 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._evaluation import effector_errors
-from softcal_jax.calibration._lanes import (
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
     as_guess,
     effectors_of,
     effectors_on_all_cores,
     equilibria,
 )
-from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,

@@ -9,16 +9,17 @@ import jax.numpy as jnp
 
 from softcal_jax._module import Module, one_line
 from softcal_jax._typing import Array, Bool, Float
-from softcal_jax.calibration._lanes import (
+from softcal_jax.calibration._noise import CorrelatedNoise
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
     Report,
     as_guess,
     effectors_on_all_cores,
     equilibria,
     lane_of,
     stacked,
+    without_names,
 )
-from softcal_jax.calibration._noise import CorrelatedNoise
-from softcal_jax.calibration._problem import CalibrationProblem, without_names
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
     EquilibriumSolution,

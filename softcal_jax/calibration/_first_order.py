@@ -9,8 +9,7 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator
-from softcal_jax.calibration._linear import linear_model
-from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._problem import CalibrationProblem, linear_model
 from softcal_jax.calibration._profile import LOWER, LowerCostFound, room_beside
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Workers

@@ -1,25 +1,21 @@
 """One fit, stage by stage: start, search, descend, predict, judge.
 
-    Task -> Batch -> Start -> Place -> Weighed -> Predicted -> LinearModel -> result
+    Task -> Batch -> Start -> Place -> Weighed -> Predicted -> Judged -> result
 
-One batch holds all configurations, the fitted ones first. The steps evaluate these
-alone; those held out are solved once with what was found, by the same program, and are
-rows without weight in the linear model.
+One batch holds all configurations, the fitted ones first. Those held out are solved
+once with what was found, and are rows without weight in the linear model.
 """
 
 import os
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration._begin import Beginning, EquilibriumProgress, begin
-from softcal_jax.calibration._build import build
+from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checked_intervals import Fitted
 from softcal_jax.calibration._checkpoint import Clock, Journal
 from softcal_jax.calibration._configuration_result import (
@@ -29,21 +25,16 @@ from softcal_jax.calibration._configuration_result import (
 from softcal_jax.calibration._considered import ConsideredErrors, considered_errors
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, effector_errors
 from softcal_jax.calibration._held_out import held_out_responses
-from softcal_jax.calibration._linear import linear_model
 from softcal_jax.calibration._noise import CorrelatedNoise
-from softcal_jax.calibration._notes import (
-    fit_notes,
-    result_notes,
-    warn_if_too_few_data,
+from softcal_jax.calibration._notes import fit_notes, result_notes
+from softcal_jax.calibration._nothing_to_learn import check_cost, check_sensitive
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
+    CalibrationSettings,
+    EquilibriumProgress,
+    linear_model,
 )
-from softcal_jax.calibration._nothing_to_learn import (
-    check_cost,
-    check_effects,
-    check_sensitive,
-)
-from softcal_jax.calibration._offsets import attachment_offsets, with_offsets
-from softcal_jax.calibration._problem import CalibrationProblem
-from softcal_jax.calibration._references import check_references, independent_recordings
+from softcal_jax.calibration._references import attachments, independent_recordings
 from softcal_jax.calibration._residual_checks import ResidualChecks, residual_checks
 from softcal_jax.calibration._result import (
     CalibrationResult,
@@ -52,22 +43,19 @@ from softcal_jax.calibration._result import (
     parameter_estimates,
 )
 from softcal_jax.calibration._runs import admissible
-from softcal_jax.calibration._search import (
+from softcal_jax.calibration._starts import (
     FROM_ANYWHERE,
     SearchProgress,
+    Start,
+    begin,
     random_starts,
     search,
 )
-from softcal_jax.calibration._state import CalibrationSettings, initial_state
-from softcal_jax.calibration._weighing import (
-    SoughtNoise,
-    Weighed,
-    sought_noise,
-    weighed_fit,
-)
-from softcal_jax.configurations import Configuration, ConfigurationLanes
+from softcal_jax.calibration._step import CalibrationState, initial_state
+from softcal_jax.calibration._weighing import Weighed, sought_noise, weighed_fit
+from softcal_jax.configurations import Configuration, ConfigurationLanes, EffectorRecord
 from softcal_jax.equilibrium import Model, NewtonSettings, Workers
-from softcal_jax.fields import ParameterSpace, Uncertain, check_scopes, unnamed
+from softcal_jax.fields import ParameterSpace, Uncertain, unnamed
 from softcal_jax.inference import (
     ErrorBudget,
     LinearModel,
@@ -111,28 +99,18 @@ class Watch(NamedTuple):
 
 
 class Resume(NamedTuple):
-    """Where a loop goes on: scaled parameters, and the noise that weighs the data.
-
-    What a result reports as its start is still that of the task.
-    """
+    """Where a loop goes on; what a result reports as its start is still the task's."""
 
     z: Float[Array, " n_p"]
     noise: CorrelatedNoise
 
 
-class _Batch(NamedTuple):
+class Batch(NamedTuple):
     """All configurations as arrays, and the calibration to those that are fitted."""
 
     everything: CalibrationProblem
     fitted: CalibrationProblem
     lanes: ConfigurationLanes
-
-
-class _Start(NamedTuple):
-    """The first equilibria: an evaluator of the fitted configurations, and where."""
-
-    evaluate: Evaluator
-    begun: Beginning
 
 
 class _Place(NamedTuple):
@@ -149,7 +127,6 @@ class _Predicted(NamedTuple):
 
     problem: CalibrationProblem
     response: Response
-    delta_e: Float[HostArray, "n_c n_rows 3"]
     fits: tuple[ConfigurationResult, ...]
     notes: tuple[str, ...]
 
@@ -164,10 +141,14 @@ class _Judged(NamedTuple):
     notes: list[str]
 
 
-def fit(task: Task, watch: Watch, resume: Resume | None = None) -> Fitted:
+def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) -> Fitted:
     """Calibrate as `calibrate` does, without intervals, or go on from a `resume`."""
-    batch = _batch(task)
-    journal = _journal(task, watch, batch)
+    # A checkpoint is of one set of starts and one noise.
+    own = () if task.start is None else tuple(task.start.tolist())
+    mark = (task.starts, task.seed, *own, task.noise, task.uncertain.recordings)
+    journal = Journal(
+        batch.fitted, task.settings, watch.checkpoint, watch.progress, search=mark
+    )
     most = task.starts * max(len(task.fitted), 2 * len(task.held_out))
     with journal, Clock() as clock, Workers(task.model, most) as workers:
         start = _start(task, watch, batch, workers)
@@ -176,9 +157,9 @@ def fit(task: Task, watch: Watch, resume: Resume | None = None) -> Fitted:
         predicted = _predicted(task, batch, start, weighed)
         judged = _judged(task, weighed, predicted, workers)
     state, space = weighed.state, task.space
-    spread, budget, begun = judged.spread, judged.budget, start.begun
-    first = begun.z if begun.notes else task.start
-    stages = begun, weighed, predicted, judged
+    spread, budget = judged.spread, judged.budget
+    first = start.z if start.notes else task.start
+    stages = start, weighed, predicted, judged
     result = CalibrationResult(
         converged=bool(state.converged),
         parameters=parameter_estimates(space, state.z, spread, budget, first),
@@ -205,39 +186,8 @@ def fit(task: Task, watch: Watch, resume: Resume | None = None) -> Fitted:
     return Fitted(result, problem, task.fitted, state.evaluation)
 
 
-def _batch(task: Task) -> _Batch:
-    """Stack all configurations, and check them before the first solve."""
-    everything, lanes = build(
-        task.model,
-        task.space,
-        task.configurations,
-        task.newton,
-        uncertain=task.uncertain,
-    )
-    fitted = everything.of_first(len(task.fitted))
-    check_scopes(task.space, task.fitted)
-    check_effects(fitted)
-    check_references(task.configurations, lanes.effectors, fitted=task.fitted)
-    names = [c.name for c in task.configurations]
-    for c in task.held_out:
-        if names.count(c.name) > 1:
-            raise ValueError(f"configuration {c.name!r} is named more than once.")
-    warn_if_too_few_data(fitted)
-    return _Batch(everything, fitted, lanes)
-
-
-def _journal(task: Task, watch: Watch, batch: _Batch) -> Journal:
-    """Open the history; a checkpoint is of one set of starts and one noise."""
-    start = () if task.start is None else tuple(task.start.tolist())
-    mark = (task.starts, task.seed, *start, task.noise, task.uncertain.recordings)
-    return Journal(
-        batch.fitted, task.settings, watch.checkpoint, watch.progress, search=mark
-    )
-
-
-def _start(task: Task, watch: Watch, batch: _Batch, workers: Workers) -> _Start:
+def _start(task: Task, watch: Watch, batch: Batch, workers: Workers) -> Start:
     """Solve the first equilibria, with moduli raised where there are none."""
-    evaluate = Evaluator(batch.fitted, workers)
     z = task.space.start() if task.start is None else task.start
     if z.shape != (len(task.space.names),):
         raise ValueError(
@@ -245,127 +195,126 @@ def _start(task: Task, watch: Watch, batch: _Batch, workers: Workers) -> _Start:
             f"parameters, got shape {z.shape}."
         )
     first = admissible(unnamed(task.space), z)
-    names = [c.name for c in task.fitted]
-    begun = begin(evaluate, first, names, watch.equilibrium_progress)
-    check_cost(batch.fitted, begun.evaluation, names)
-    check_sensitive(batch.fitted, begun.evaluation)
-    return _Start(evaluate, begun)
+    names = tuple(c.name for c in task.fitted)
+    evaluate = Evaluator(batch.fitted, workers)
+    start = begin(evaluate, first, names, watch.equilibrium_progress)
+    check_cost(batch.fitted, start.evaluation, names)
+    check_sensitive(batch.fitted, start.evaluation)
+    return start
 
 
 def _place(
-    task: Task,
-    watch: Watch,
-    start: _Start,
-    journal: Journal,
-    resume: Resume | None,
+    task: Task, watch: Watch, start: Start, journal: Journal, resume: Resume | None
 ) -> _Place:
     """Return where the steps begin: after a search, where one is asked for."""
-    evaluate, (first, evaluation, _) = start
-    noise = evaluate.problem.noise
-    assert noise is not None
+    evaluate = start.evaluate
     if resume is not None:
         evaluate = evaluate.with_noise(resume.noise)
         return _Place(resume.z, evaluate.from_rest(resume.z), resume.noise, None)
     if task.starts == 1:
-        return _Place(first, evaluation, noise, None)
+        return _Place(start.z, start.evaluation, start.noise, None)
     others = random_starts(task.space, task.starts - 1, seed=task.seed)
     runs = search(
         evaluate,
         FROM_ANYWHERE,
-        jnp.concatenate([first[None], others]),
+        jnp.concatenate([start.z[None], others]),
         mirror=True,
         journal=journal,
         progress=watch.search_progress,
     )
     z = jnp.asarray(runs.z[runs.best])
-    return _Place(z, evaluate.from_rest(z), noise, runs)
+    return _Place(z, evaluate.from_rest(z), start.noise, runs)
 
 
-def _descended(task: Task, start: _Start, place: _Place, journal: Journal) -> Weighed:
-    """Take steps to the optimum, and weigh the data by the noise that they show."""
-    state, noise = journal.begin(
-        initial_state(task.settings, place.z, place.evaluation), place.noise
-    )
+def _descended(task: Task, start: Start, place: _Place, journal: Journal) -> Weighed:
+    """Take steps to the optimum, or to an interruption, and weigh the data."""
+    first = initial_state(task.settings, place.z, place.evaluation)
+    state, noise = journal.begin(first, place.noise)
     sought = sought_noise(
         task.fitted,
         jitter=task.noise == "estimated",
         offset=task.uncertain.recordings == "estimated",
     )
-    as_measured = start.evaluate.problem.noise
-    assert as_measured is not None
-    to_its_end = partial(
-        weighed_fit,
-        start.evaluate.with_noise(noise),
-        task.settings,
-        state,
-        configurations=task.fitted,
-        sought=sought,
-        motion=np.asarray(as_measured.motion),
-        note=journal.note,
-    )
-    weighed = _to_its_end(to_its_end, journal, sought)
-    of_steps = [] if journal.interrupted else fit_notes(weighed.state, task.settings)
+    try:
+        if journal.interrupted:  # in the search
+            raise KeyboardInterrupt
+        weighed = weighed_fit(
+            start.evaluate.with_noise(noise),
+            task.settings,
+            state,
+            configurations=task.fitted,
+            sought=sought,
+            motion=np.asarray(start.noise.motion),
+            note=journal.note,
+        )
+        of_steps = fit_notes(weighed.state, task.settings)
+    except KeyboardInterrupt:
+        journal.interrupted, of_steps = True, []
+        state, noise = journal.last
+        weighed = Weighed(
+            state=state,
+            noise=noise,
+            sought=sought,
+            scale=None,
+            notes=(journal.interruption,),
+            settled=True,
+        )
     return weighed._replace(notes=(*of_steps, *journal.notes, *weighed.notes))
 
 
-def _to_its_end(
-    run: Callable[[], Weighed], journal: Journal, sought: SoughtNoise
-) -> Weighed:
-    """Run a fit to its end, or to its last step before the user interrupts it."""
-    if not journal.interrupted:
-        try:
-            return run()
-        except KeyboardInterrupt:
-            journal.interrupted = True
-    assert journal.last is not None
-    state, noise = journal.last
-    assert noise is not None
-    note = (
-        f"Interrupted after step {journal.history[-1].step}: the values are those of "
-        "that step, and the noise is that which weighed it. Do not use them as a "
-        f"result.{journal.stands}"
-    )
-    return Weighed(
-        state=state,
-        noise=noise,
-        sought=sought,
-        scale=None,
-        notes=(note,),
-        settled=True,
-    )
-
-
-def _predicted(
-    task: Task, batch: _Batch, start: _Start, weighed: Weighed
-) -> _Predicted:
+def _predicted(task: Task, batch: Batch, start: Start, weighed: Weighed) -> _Predicted:
     """Describe all configurations at the optimum; solve those that were held out."""
     z, n_fitted, everything = weighed.state.z, len(task.fitted), batch.everything
-    at, notes = weighed.state.evaluation, ()
-    before, response = start.begun.evaluation.response.effectors, at.response
+    before, response = start.evaluation.effectors, weighed.state.evaluation.response
+    notes = ()
     if task.held_out:
         others = Evaluator(everything.without_first(n_fitted), start.evaluate.workers)
-        held = held_out_responses(others, task.held_out, start=start.begun.z, z=z)
+        held = held_out_responses(others, task.held_out, start=start.z, z=z)
         join = lambda *parts: np.concatenate([*map(np.asarray, parts)])
         before, notes = join(before, held.before), held.notes
         response = jax.device_put(jax.tree.map(join, response, held.response))
     assert everything.noise is not None
     noise = weighed.of_all(everything.noise, task.configurations)
-    problem = everything.with_noise(noise)
-    offsets = attachment_offsets(
-        batch.fitted, task.configurations, batch.lanes, at.delta_e
-    )
-    lanes = batch.lanes._replace(arrays=everything.at(z)[1])
     fits = configuration_results(
         task.space.model_at(task.model, z),
         task.configurations,
-        with_offsets(task.configurations, lanes, offsets),
+        _calibrated_lanes(task, batch, weighed.state),
         n_fitted=n_fitted,
         before=before,
         response=response,
         noise=noise,
     )
-    delta_e = np.asarray(effector_errors(problem, response.effectors))
-    return _Predicted(problem, response, delta_e, fits, notes)
+    return _Predicted(everything.with_noise(noise), response, fits, notes)
+
+
+def _calibrated_lanes(
+    task: Task, batch: Batch, state: CalibrationState
+) -> ConfigurationLanes:
+    """Return lanes with the calibrated parameters.
+
+    Measured values are moved by the offsets of effectors whose displacement was fitted:
+    what is left between measured and simulated values are the errors of that.
+    """
+    lanes = batch.lanes._replace(arrays=batch.everything.at(state.z)[1])
+    effectors, noise = batch.fitted.configurations.effectors, batch.fitted.noise
+    n_rows = effectors.measured.shape[1]
+    of_row, axes, keys = attachments(task.configurations, lanes.effectors, n_rows)
+    if not keys:
+        return lanes
+    assert noise is not None
+    offsets = noise.attachment_offsets(effectors, state.evaluation.delta_e)
+
+    def moved(lane: int, e: EffectorRecord) -> EffectorRecord:
+        row = lane, e.index
+        if of_row[row] < 0:
+            return e
+        return replace(e, measured=e.measured + axes[row] @ offsets[of_row[row]])
+
+    records = tuple(
+        tuple(moved(lane, e) for e in of_lane)
+        for lane, of_lane in enumerate(lanes.effectors)
+    )
+    return lanes._replace(effectors=records)
 
 
 def _judged(
@@ -420,7 +369,7 @@ def _linear(
         z=weighed.state.z,
         W_ep=predicted.response.W_ep,
         ok=predicted.response.ok,
-        delta_e=predicted.delta_e,
+        delta_e=effector_errors(problem, predicted.response.effectors),
         rows=weighed.state.evaluation.rows,
         n_fitted=n_fitted,
         considered=doubts.in_std(n_fitted, weight),

@@ -9,8 +9,8 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator
-from softcal_jax.calibration._lanes import lane_of
 from softcal_jax.calibration._notes import unscoped_notes
+from softcal_jax.calibration._problem import lane_of
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import EquilibriumSolution, LoadPath, solve_equilibrium
 from softcal_jax.sensitivity import Response

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from softcal_jax._names import unknown_name
-from softcal_jax.calibration._build import as_sequence, build_problem
+from softcal_jax.calibration._calibrate import as_sequence, build_problem
 from softcal_jax.calibration._checked_intervals import (
     LEVEL,
     check_level,

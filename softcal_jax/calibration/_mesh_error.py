@@ -24,8 +24,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray
-from softcal_jax.calibration._lanes import lane_of
-from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._problem import CalibrationProblem, lane_of
 from softcal_jax.configurations import (
     Centroid,
     Configuration,

@@ -9,8 +9,12 @@ import numpy as np
 from softcal_jax._typing import Array, Float
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.calibration._configuration_result import ConfigurationResult
-from softcal_jax.calibration._problem import CalibrationProblem, n_measured
-from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
+    CalibrationSettings,
+    n_measured,
+)
+from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model
 from softcal_jax.fields import ParameterSpace, SetupParameter

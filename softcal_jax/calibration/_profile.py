@@ -12,9 +12,8 @@ import numpy as np
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._interval import ProfileEnd
-from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
 from softcal_jax.calibration._runs import Run, in_plain_steps, minimise
-from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import ParameterSpace, Pin
 from softcal_jax.inference import Whitened

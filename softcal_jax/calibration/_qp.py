@@ -1,4 +1,4 @@
-"""The constrained QP step on the stacked errors (paper Eqs. 10 and 11)."""
+"""The constrained QP step on the stacked errors (paper Eqs. 10, 11), and curvature."""
 
 from typing import NamedTuple
 
@@ -13,8 +13,7 @@ DAMPING = 1e-10
 """Damping of the step, for columns of W of unit length [-].
 
 Along a direction that the data do not see, rounding in the errors would move the
-parameters arbitrarily; damping leaves them unchanged there. The minimum does not shift,
-because the step is damped, not the parameters.
+parameters arbitrarily. The minimum does not shift: the step is damped, not they.
 """
 
 ROW_REGULARISATION = 1e-12
@@ -35,9 +34,12 @@ ROUNDING = 1e-14
 SOLVED = 1e-12
 """Optimality residual at which a point is not polished any further [-]."""
 
+FLATTEST = 1e-8
+"""Smallest curvature of the convex model, relative to the largest [-]."""
+
 
 class QPStep(NamedTuple):
-    """Solution of the QP, in scaled units, and its check [-].
+    """Solution of the QP, in scaled units [-].
 
     `kkt_residual` is the largest violation of the optimality conditions, for columns of
     W, rows of A and an error of unit length.
@@ -71,10 +73,7 @@ class _Scaled(NamedTuple):
 
 
 class ScaledQP(NamedTuple):
-    """A QP in scaled form, and how to return to its units.
-
-    Its size is that of the step and of the rows, whatever the number of errors.
-    """
+    """A QP in scaled form, of any number of errors, and how to return to its units."""
 
     qp: _Scaled
     unit: Float[Array, " n_p"]
@@ -91,10 +90,7 @@ class _Point(NamedTuple):
 
 
 class _Descent(NamedTuple):
-    """State of the active-set method.
-
-    `active` holds bounds, then rows: -1 at the lower limit, 1 at the upper, 0 inactive.
-    """
+    """State of the active-set method; `active` is -1 at lower limits, 1 at upper."""
 
     active: Int[Array, " n_p+n_rows"]
     y: Float[Array, " n_p"]
@@ -118,25 +114,21 @@ def bounded_step(
     `jaxopt.BoxOSQP` solves the problem scaled to unit columns, rows and error. An
     active-set method gives its starting point and polishes its solution, by solving
     with the constraints that are active at the end as equalities, which is exact. The
-    starting point is nearly always the optimum, whether a step of zero satisfies the
-    rows, as in a calibration, or not (`python -m benchmarks run qp` measures which
-    stage decides). BoxOSQP solves with LU, since its default, conjugate gradients, can
-    end far from the optimum in a flat valley.
+    starting point is nearly always the optimum (`python -m benchmarks run qp` measures
+    which stage decides).
 
     Args:
         W: Stacked compliances in noise units [-].
         error: Stacked errors before the step, Delta_e0, in noise units [-].
         lower: Lower bounds of the step [-].
         upper: Upper bounds of the step [-].
-        A: Rows of linear inequalities on the step, as E_l <= E_t; none by default [-].
+        A: Rows of linear inequalities on the step, as E_l <= E_t [-].
         b: Their right-hand sides, given with `A` [-].
         damping: Damping of the step, positive, for columns of W of unit length [-].
 
     Returns:
-        The step with its KKT residual. The step is clipped to its bounds; active rows
-        hold to rounding, or else the residual shows the violation. Bounds or rows that
-        exclude each other give a finite step and a large residual; data that are not
-        finite give an infinite residual.
+        The step, clipped to its bounds. Active rows hold to rounding. Where bounds or
+        rows exclude each other the residual is large, for infinite data infinite.
 
     Raises:
         ValueError: If only one of `A` and `b` is given, or `damping` is not positive.
@@ -182,7 +174,7 @@ def scaled_qp(
 def solved_qp(scaled: ScaledQP) -> QPStep:
     """Solve a QP and return the step in its own units."""
     best = _solve(scaled.qp)
-    # Clipped once more, since scaling back rounds.
+    # Scaling back rounds.
     step = jnp.clip(best.y * scaled.unit, scaled.lower, scaled.upper)
     return QPStep(step, best.kkt)
 
@@ -212,6 +204,7 @@ def _iterated(qp: _Scaled, start: _Point) -> _Point:
         jnp.concatenate([qp.high, qp.r]),
     )
     dual = jnp.concatenate([-_gradient(qp, start.y, start.mu), start.mu])
+    # LU: conjugate gradients, the default, can end far off in a flat valley.
     solver = BoxOSQP(
         eq_qp_solve="lu", tol=1e-10, maxiter=4000, check_primal_dual_infeasability=False
     )
@@ -245,8 +238,8 @@ def _kkt_residual(qp: _Scaled, y, mu):
     """Return the largest violation of the KKT conditions: zero only at the optimum.
 
     A component of the gradient must vanish, or push against a bound that y has reached:
-    the smaller of push and distance counts. The same holds for the multiplier of a row
-    and its slack. In a tight box all distances are short, so they count relative to it.
+    the smaller of push and distance counts, and likewise of the multiplier of a row and
+    its slack. In a tight box all distances are short, so they count relative to it.
     """
     eps = jnp.finfo(y.dtype).eps
     gradient, slack = _gradient(qp, y, mu), qp.r - qp.R @ y
@@ -279,9 +272,9 @@ def _descended(qp: _Scaled, start: _Point) -> _Point:
 
     The primal active-set method (Nocedal and Wright, Numerical Optimization, 2006, Alg.
     16.3) changes one active constraint at a time, so the cost never rises. It needs a
-    start that satisfies the rows, see `_elastic`. All rows are also shifted outwards by
-    different small amounts, since the method could cycle where more rows meet than
-    there are parameters. The last active set is solved with the unshifted rows.
+    start that satisfies the rows, see `_elastic`. All rows are shifted outwards by
+    different small amounts until its end, since it could cycle where more rows meet
+    than there are parameters.
     """
     n_rows = qp.r.shape[0]
     relaxed, y = _elastic(qp, start.y)
@@ -330,9 +323,9 @@ def _elastic(qp: _Scaled, y) -> tuple[_Scaled, Float[Array, " n_p_plus_1"]]:
     Its cost is so high that it vanishes wherever the rows can be satisfied. Rows that
     are violated by rounding alone are relaxed for good.
     """
-    there = qp.R @ y
-    far = there > qp.r + SLIGHT
-    violation = jnp.where(far, there - qp.r, 0.0)
+    left = qp.R @ y
+    far = left > qp.r + SLIGHT
+    violation = jnp.where(far, left - qp.r, 0.0)
     worst = jnp.max(violation, initial=0.0)
     share = violation / jnp.where(worst > 0.0, worst, 1.0)
     more = lambda array, value: jnp.append(array, jnp.asarray(value, array.dtype))
@@ -342,7 +335,7 @@ def _elastic(qp: _Scaled, y) -> tuple[_Scaled, Float[Array, " n_p_plus_1"]]:
         low=more(qp.low, 0.0),
         high=more(qp.high, worst),
         R=jnp.column_stack([qp.R, -share]),
-        r=jnp.where(far, qp.r, jnp.maximum(qp.r, there)),
+        r=jnp.where(far, qp.r, jnp.maximum(qp.r, left)),
     ), more(y, worst)
 
 
@@ -370,3 +363,24 @@ def _equality_solution(qp: _Scaled, active, passes: int):
     improve = lambda _, x: x + lu_solve(factors, right - K @ x)
     solution = jax.lax.fori_loop(0, passes, improve, jnp.zeros_like(right))
     return solution[:n], solution[n:]
+
+
+def convex_model(
+    W: Float[Array, "n_e n_p"],
+    error: Float[Array, " n_e"],
+    matrix: Float[Array, "n_p n_p"],
+) -> tuple[Float[Array, "n_p n_p"], Float[Array, " n_p"]]:
+    """Return W' and error' that have the cost's gradient and, if convex, its Hessian.
+
+    The Hessian is taken apart into eigenvalues, with the columns of W scaled to unit
+    length. Negative ones are replaced by their size, so that a step goes downhill.
+    """
+    size = jnp.linalg.norm(W, axis=0)
+    size = jnp.where(size > 0.0, size, 1.0)
+    unit = W / size[None, :]
+    hessian = unit.T @ unit + matrix / size[:, None] / size[None, :]
+    curvatures, axes = jnp.linalg.eigh(hessian)
+    curvatures = jnp.abs(curvatures)
+    root = jnp.sqrt(jnp.maximum(curvatures, FLATTEST * jnp.max(curvatures)))
+    gradient = axes.T @ (unit.T @ error)
+    return root[:, None] * axes.T * size[None, :], gradient / root

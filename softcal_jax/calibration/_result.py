@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from softcal_jax._files import ProjectSource
 from softcal_jax._module import Module, Result
 from softcal_jax._names import listed, unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
@@ -11,10 +12,9 @@ from softcal_jax._units import readable_estimate
 from softcal_jax.calibration._configuration_result import ConfigurationResult
 from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._noise import CorrelatedNoise
+from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._residual_checks import ResidualChecks
 from softcal_jax.calibration._runs import best_of
-from softcal_jax.calibration._source import ProjectSource
-from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import PRECISION, ParameterSpace
 from softcal_jax.inference import ErrorBudget, LinearModel, Uncertainty

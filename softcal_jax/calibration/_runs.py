@@ -12,13 +12,13 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator
-from softcal_jax.calibration._problem import CalibrationProblem
-from softcal_jax.calibration._state import (
-    CalibrationSettings,
+from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
+from softcal_jax.calibration._step import (
     CalibrationState,
+    decide,
     initial_state,
+    propose,
 )
-from softcal_jax.calibration._step import decide, propose
 from softcal_jax.fields import ParameterSpace
 
 NOTHING_LEFT = 1e-6
@@ -28,31 +28,19 @@ MOST_SETTLED = 3
 """How often steps of tensors and plain ones take turns."""
 
 LITTLE = 1e-3
-"""Relative contrast of an axis and change of the cost at which steps of tensors end.
-
-They go to and fro there if the best body is isotropic.
-"""
+"""Relative contrast of an axis and change of the cost at which steps of tensors end."""
 
 NO_FALL = 1e-6
 """Relative fall of the cost that is no way down [-]."""
 
-# Several programs instead of one per step: the evaluation, which takes seconds to
-# compile, serves the start and every step.
-_decide = eqx.filter_jit(decide)
 admissible = eqx.filter_jit(lambda space, z: space.admissible(z))
 
 
 class Run(Module):
-    """End of the outer loop.
+    """End of the outer loop: scaled parameters and cost, infinite without equilibrium.
 
-    Attributes:
-        z: Scaled parameters [-].
-        cost: Half the sum of squared errors in noise units; infinite if the start has
-            no equilibrium [-].
-        steps: QP steps, those of mirrored runs included.
-        converged: Whether lambda_p vanished.
-        errors: Root of twice the cost after each step of the first run; nan after its
-            end [-].
+    `steps` are those of mirrored runs, too; `errors` are the roots of twice the cost
+    after each step of the first run, nan after its end [-].
     """
 
     z: Float[HostArray, " n_p"]
@@ -71,12 +59,9 @@ def descend(
 ) -> CalibrationState:
     """Take steps until lambda_p vanishes, every step is refused, or `max_steps`.
 
-    Args:
-        evaluate: Evaluator of the calibration.
-        settings: Settings of the outer loop.
-        state: State to begin with, its evaluation included.
-        note: Called with the state after each step.
-        enough: Whether to stop at a state before that.
+    Steps are several programs instead of one: the evaluation, which takes seconds to
+    compile, serves the start and every step. `note` is called after each step, and
+    `enough` says whether to stop before the end.
     """
     problem = evaluate.numbered
     while not (state.converged or state.stalled or not state.evaluation.ok) and (
@@ -87,7 +72,7 @@ def descend(
         if not proposal.vanishes:
             before = tried.equilibrium.displacement
             tried = evaluate(proposal.z, proposal.guess, before, proposal.precise)
-        state = _decide(problem, settings, state, proposal, tried)
+        state = decide(problem, settings, state, proposal, tried)
         note(state)
     return state
 
@@ -101,12 +86,8 @@ def minimise(
 ) -> Run:
     """Run the outer loop from one start, in scaled parameters, to its end.
 
-    Args:
-        evaluate: Evaluator of the calibration.
-        settings: Settings of the outer loop.
-        start: Scaled parameters to start from [-].
-        steady: Steps, and the fall of twice the cost over them at which the run may
-            stop before it has converged; none by default.
+    `steady` are steps, and the fall of twice the cost over them at which the run may
+    stop before it has converged.
     """
     z = admissible(evaluate.numbered.space, start)
     state = initial_state(settings, z, evaluate.from_rest(z))
@@ -152,9 +133,9 @@ def settle(
 ) -> CalibrationState:
     """Take steps to an optimum, also to one where both moduli of an axis are equal.
 
-    Steps of tensors do not end there, see `in_plain_steps`: plain ones go on where they
-    gave up. These cannot leave a body that is isotropic, right or wrong, since the
-    angle has no effect on it; so their end only counts if tensors find no way down.
+    Steps of tensors go to and fro there, see `in_plain_steps`: plain ones go on where
+    they gave up. These cannot leave an isotropic body, right or wrong, since the angle
+    has no effect on it; so their end only counts if tensors find no way down.
     """
     space = evaluate.numbered.space
     if space.chart is None:
@@ -171,9 +152,8 @@ def settle(
     plain = evaluate.with_space(in_plain_steps(space))
 
     def again(state: CalibrationState) -> CalibrationState:
-        """Begin anew, but count on."""
         new = initial_state(settings, state.z, state.evaluation)
-        return eqx.tree_at(lambda s: s.step, new, state.step)
+        return eqx.tree_at(lambda s: s.step, new, state.step)  # count on
 
     for _ in range(MOST_SETTLED):
         done = state.converged or state.step >= settings.max_steps
@@ -193,14 +173,20 @@ def settle(
 class Image(NamedTuple):
     """A further run, from `signs` * (best end so far, or start) + `plus`.
 
-    `elsewhere` marks one that looks for another optimum; without it, the run continues
-    one that reached `max_steps`.
+    Unless it looks for another optimum `elsewhere`, it continues one that reached
+    `max_steps`.
     """
 
     signs: Float[HostArray, " n_p"]
     plus: Float[HostArray, " n_p"]
     elsewhere: bool = False
     of_start: bool = False
+
+    def origin(
+        self, best: Run, start: Float[HostArray, " n_p"]
+    ) -> Float[HostArray, " n_p"]:
+        """Return the scaled parameters from which it is run."""
+        return self.signs * (start if self.of_start else best.z) + self.plus
 
 
 def images_of(space: ParameterSpace, mirror: bool) -> list[Image]:
@@ -209,11 +195,9 @@ def images_of(space: ParameterSpace, mirror: bool) -> list[Image]:
     A body that is loaded in or across its print plane hardly distinguishes an axis from
     its reflection (theta to -theta), and each has an optimum. So a run that ends with
     an error continues from its end with all axes reflected, then from its start with
-    all of them reflected, then from its start with each of them alone. The end is
-    reflected only as a whole: if that fails, the run is far from any optimum, and the
-    start is the better origin. Then it takes the axes of its end with all other
-    parameters reset, in case the moduli went astray. Finally a best end that has not
-    converged is continued, twice.
+    all of them, then with each of them. If that fails, it takes the axes of its end
+    with all other parameters reset, in case the moduli went astray. Finally a best end
+    that has not converged is continued, twice.
     """
     angles = [] if space.chart is None else list(space.chart.angle)
     n = len(space.names)
@@ -239,13 +223,6 @@ def images_of(space: ParameterSpace, mirror: bool) -> list[Image]:
     ]
 
 
-def origin(
-    best: Run, image: Image, start: Float[HostArray, " n_p"]
-) -> Float[HostArray, " n_p"]:
-    """Return the scaled parameters from which an image is run."""
-    return image.signs * (start if image.of_start else best.z) + image.plus
-
-
 def wanted(problem: CalibrationProblem, best: Run, image: Image) -> bool:
     """Return whether an image is worth a run."""
     # A start without equilibrium has no end to continue from.
@@ -258,9 +235,9 @@ def wanted(problem: CalibrationProblem, best: Run, image: Image) -> bool:
 def better(best: Run, new: Run) -> Run:
     """Return the lower of two ends, with the steps of both, the errors of the first.
 
-    Of two ends at the same place, within rounding, a converged one counts. Elsewhere an
-    end that is lower counts even if it has not converged: it shows that the other is
-    not the best optimum, and the last images go on from it.
+    Of two ends at the same place, within rounding, a converged one counts. Elsewhere
+    one that is lower counts even if it has not converged: the last images go on from
+    it.
     """
     same = math.isclose(new.cost, best.cost, rel_tol=1e-6, abs_tol=1e-9)
     if same and new.converged != best.converged:
@@ -271,33 +248,25 @@ def better(best: Run, new: Run) -> Run:
     return replace(lower, steps=best.steps + new.steps, errors=errors)
 
 
-def nothing_yet(settings: CalibrationSettings, start: Float[Array, " n_p"]) -> Run:
-    """Return a run before its first step."""
-    z, none = np.asarray(start), np.full(settings.max_steps + 1, np.nan)
-    return Run(z=z, cost=np.inf, steps=0, converged=False, errors=none)
-
-
-class Ends(NamedTuple):
-    """Where each image of a run converged: scaled, and its cost; infinite if not."""
-
-    z: Float[HostArray, "n_images n_p"]
-    cost: Float[HostArray, " n_images"]
-
-
 class Begun(NamedTuple):
-    """A run between two images: the number done, the best end so far, all ends."""
+    """A run between two images: the number done, and the best end so far.
+
+    `z` and `cost` say where each image converged; the cost is infinite if it did not.
+    """
 
     images: int
     best: Run
-    ends: Ends
+    z: Float[HostArray, "n_images n_p"]
+    cost: Float[HostArray, " n_images"]
 
 
 def not_begun(
     settings: CalibrationSettings, start: Float[Array, " n_p"], n_images: int
 ) -> Begun:
     """Return a run before its first image."""
-    none = Ends(np.zeros((n_images, len(start))), np.full(n_images, np.inf))
-    return Begun(0, nothing_yet(settings, start), none)
+    z, errors = np.asarray(start), np.full(settings.max_steps + 1, np.nan)
+    best = Run(z=z, cost=np.inf, steps=0, converged=False, errors=errors)
+    return Begun(0, best, np.zeros((n_images, len(z))), np.full(n_images, np.inf))
 
 
 def run_start(
@@ -311,25 +280,20 @@ def run_start(
 ) -> Run:
     """Run the outer loop from a start and its images, and return the best end.
 
-    Args:
-        evaluate: Evaluator of the calibration.
-        settings: Settings of the outer loop.
-        start: Scaled parameters to start from [-].
-        images: Images in the order of `images_of`.
-        begun: Progress of the run so far; none by default.
-        note: Called after each image, whether it was run or skipped.
+    `begun` is the progress of the run so far; `note` is called after each image,
+    whether it was run or skipped.
     """
-    tried, best, ends = begun or not_begun(settings, start, len(images))
+    tried, best, z, cost = begun or not_begun(settings, start, len(images))
     for i, image in enumerate(images[tried:], start=tried):
         if wanted(evaluate.problem, best, image):
-            z = jnp.asarray(origin(best, image, np.asarray(start)))
-            end = minimise(evaluate, settings, z)
+            origin = jnp.asarray(image.origin(best, np.asarray(start)))
+            end = minimise(evaluate, settings, origin)
             best = better(best, end)
             if end.converged:
                 here = np.arange(len(images)) == i
-                z_of = np.where(here[:, None], end.z, ends.z)
-                ends = Ends(z_of, np.where(here, end.cost, ends.cost))
-        note(Begun(i + 1, best, ends))
+                z = np.where(here[:, None], end.z, z)
+                cost = np.where(here, end.cost, cost)
+        note(Begun(i + 1, best, z, cost))
     return best
 
 

@@ -1,10 +1,9 @@
 """One step of the outer loop: what the bounded QP proposes is accepted or refused.
 
 The paper repeats the QP of Eqs. (10) and (11) with a fixed bound on the step until
-lambda_p vanishes. Here the bound is a trust region: it shrinks when a step is refused
-and grows when the model was right. A step is refused if its cost is no lower than the
-highest of the last few (`MEMORY`). The model is linear in the errors (Gauss-Newton), or
-includes their curvature from past steps where that predicts the cost better.
+lambda_p vanishes. Here the bound is a trust region, which shrinks when a step is
+refused and grows when the model was right. The model is linear in the errors
+(Gauss-Newton), or includes their curvature where that predicts the cost better.
 """
 
 from functools import partial
@@ -16,20 +15,28 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._typing import Array, Bool, Float
-from softcal_jax.calibration._curvature import Curvature, convex_model, learned
+from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.calibration._evaluation import Evaluation
-from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
 from softcal_jax.calibration._qp import (
     QPLimits,
     QPStep,
     ScaledQP,
+    convex_model,
     scaled_qp,
     solved_qp,
 )
-from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import Whitened
+
+MEMORY = 5
+"""Number of steps over which, rather than at each of which, the cost must fall.
+
+The data often leave a narrow, curved valley. A Gauss-Newton step along it climbs its
+wall a little, and the next one returns to its floor further down; if every step had to
+lower the cost, the loop would creep (Grippo, Lampariello and Lucidi, SIAM J. Numer.
+Anal. 23, 1986).
+"""
 
 KKT_TOLERANCE = 1e-6
 """Largest optimality residual with which a vanishing QP step is trusted [-]."""
@@ -50,14 +57,107 @@ The errors nearly cancel in the gradient there, and errors of W_ep do not.
 FLAT = 1e-3
 """Largest relative slope of the cost at which a refused step means a minimum [-]."""
 
+QUICK = 0.2
+"""Relative fall of the cost from which plain Gauss-Newton is used [-]."""
+
+BOUNDED = 1e-4
+"""Smallest cosine between step and residual of the update: keeps it bounded [-]."""
+
+
+class Curvature(Module):
+    """What Gauss-Newton leaves out of the Hessian, and whether a step uses it.
+
+    The Hessian of ||error||^2 / 2 is W^T W + sum_i error_i H_i, with H_i the Hessian of
+    each error. The second term vanishes with the errors. Where errors remain, from
+    noise or an imperfect model, it dominates along directions that the data hardly see,
+    and Gauss-Newton steps converge slowly there, if at all. It is estimated at no extra
+    cost from the gradients at both ends of each step (Dennis, Gay and Welsch, ACM
+    Trans. Math. Softw. 7, 1981), by the symmetric rank-one update, which can become
+    indefinite, as the true term can (Conn, Gould and Toint, Math. Prog. 50, 1991). It
+    is used while the cost falls slowly (Fletcher and Xu, IMA J. Numer. Anal. 7, 1987)
+    and only if it predicted the last step better than Gauss-Newton.
+    """
+
+    matrix: Float[Array, "n_p n_p"]
+    used: Bool[Array, ""]
+
+
+def learned(
+    curvature: Curvature,
+    step: Float[Array, " n_p"],
+    change: Float[Array, " n_p"],
+    before: Float[Array, ""],
+    after: Float[Array, ""],
+    predicted: Float[Array, "2"],
+) -> Curvature:
+    """Update the estimate after a step, accepted or refused.
+
+    `change` is that of W along the step, transposed, times the errors. The cost `after`
+    is infinite if there is no equilibrium; `predicted` are those by the linear model of
+    the errors, without and with the curvature.
+    """
+    left = change - curvature.matrix @ step
+    along = jnp.sum(left * step)
+    norm = jnp.linalg.norm
+    bounded = jnp.abs(along) > BOUNDED * norm(left) * norm(step)
+    update = jnp.outer(left, left) / jnp.where(bounded, along, 1.0)
+    sound = bounded & jnp.all(jnp.isfinite(update)) & jnp.isfinite(after)
+    matrix = curvature.matrix + jnp.where(sound, update, 0.0)
+    miss = jnp.abs(after - predicted)
+    slow = jnp.isfinite(after) & (before - after < QUICK * before)
+    return Curvature(matrix, slow & (miss[1] < miss[0]))
+
+
+class CalibrationState(Module):
+    """State of the outer loop, with the evaluation at z and the bound on the next step.
+
+    `recent_costs` are those of the last accepted steps, the latest first; `lambda_p` is
+    the last QP step, with its residual, and whether it was accepted. It has `converged`
+    where lambda_p has vanished, not shortened by the step bound, or steps were refused
+    at a minimum, and has `stalled` where they were refused until the bound was below
+    `tol`, away from a minimum.
+    """
+
+    z: Float[Array, " n_p"]
+    evaluation: Evaluation
+    curvature: Curvature
+    recent_costs: Float[Array, " memory"]
+    step_bound: Float[Array, ""]
+    lambda_p: Float[Array, " n_p"]
+    kkt_residual: Float[Array, ""]
+    accepted: Bool[Array, ""]
+    step: Int[Array, ""]
+    converged: Bool[Array, ""]
+    stalled: Bool[Array, ""]
+
+
+def initial_state(
+    settings: CalibrationSettings, z: Float[Array, " n_p"], evaluation: Evaluation
+) -> CalibrationState:
+    """Return the state before the first step."""
+    costs = jnp.full((MEMORY,), -jnp.inf, z.dtype)
+    no_curvature = jnp.zeros((z.shape[0], z.shape[0]), z.dtype)
+    return CalibrationState(
+        z=z,
+        evaluation=evaluation,
+        curvature=Curvature(no_curvature, jnp.zeros((), bool)),
+        recent_costs=costs.at[0].set(evaluation.cost),
+        step_bound=jnp.full((), settings.step_bound, z.dtype),
+        lambda_p=jnp.full_like(z, jnp.inf),
+        kkt_residual=jnp.zeros((), z.dtype),
+        accepted=jnp.ones((), bool),
+        step=jnp.zeros((), jnp.int32),
+        converged=jnp.zeros((), bool),
+        stalled=jnp.zeros((), bool),
+    )
+
 
 class Proposal(Module):
     """A step that the QP proposes: parameters after it, and a guess of the equilibria.
 
-    `cost` is that after it by the model that the QP used, `costs` by the linear model
-    of the errors, and with curvature. `precise` asks for exact compliances after it.
-    A step that `vanishes` is too small to be worth an evaluation: the loop ends, and
-    `z` and `guess` are those before the step.
+    `cost` is that by the model that the QP used, `costs` by the linear model of the
+    errors, and with curvature. `precise` asks for exact compliances after it. A step
+    that `vanishes` is too small to be worth an evaluation: nothing moves any more.
     """
 
     qp: QPStep
@@ -78,21 +178,16 @@ def propose(
     of the parameters alone, it serves calibrations with any number of errors.
     """
     models = _models(problem, settings, state)
-    both = _solved_each(models.qps, models.needed)
+    both = _solved_each(models.qps, state.curvature.used)
     return _proposal(problem, settings, state, models, both)
 
 
 class _Models(NamedTuple):
-    """The rows of a step, and two QPs stacked: of them, and with curvature.
-
-    `J` is the change of z per step coordinate; `needed` tells which of the QPs have to
-    be solved.
-    """
+    """Rows of a step, the change J of z per step coordinate, and both QPs stacked."""
 
     rows: Whitened
     J: Float[Array, "n_p n_p"]
     qps: ScaledQP
-    needed: Bool[Array, "2"]
 
 
 @eqx.filter_jit
@@ -100,21 +195,20 @@ def _models(
     problem: CalibrationProblem, settings: CalibrationSettings, state: CalibrationState
 ) -> _Models:
     J = _step_coordinates(problem.space, state.z)
-    rows = _along(state.evaluation.rows, J)
-    error, W = map(jnp.asarray, rows)
-    limits = _limits(problem, settings, state, J)
+    error, W = map(jnp.asarray, state.evaluation.rows)
+    W = W @ J
+    limits = _limits(problem.space, settings, state, J)
     models = (W, error), convex_model(W, error, state.curvature.matrix)
     scaled = [scaled_qp(*model, limits) for model in models]
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *scaled)
-    needed = jnp.stack([jnp.array(True), state.curvature.used])
-    return _Models(rows, J, stacked, needed)
+    return _Models(Whitened(error, W), J, stacked)
 
 
 @jax.jit
-def _solved_each(qps: ScaledQP, needed: Bool[Array, "2"]) -> QPStep:
-    """Solve those QPs that are needed, and stack the steps; the others' are zero.
+def _solved_each(qps: ScaledQP, curved: Bool[Array, ""]) -> QPStep:
+    """Solve both QPs in one loop, so that a QP is compiled only once.
 
-    In one loop, so that the QP is compiled only once here.
+    The step of the one with curvature is zero unless it is used.
     """
 
     def one(each: tuple[ScaledQP, Bool[Array, ""]]) -> QPStep:
@@ -123,7 +217,7 @@ def _solved_each(qps: ScaledQP, needed: Bool[Array, "2"]) -> QPStep:
         nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shape)
         return jax.lax.cond(wanted, solved_qp, lambda _: nothing, qp)
 
-    return jax.lax.map(one, (qps, needed))
+    return jax.lax.map(one, (qps, jnp.stack([jnp.array(True), curved])))
 
 
 @eqx.filter_jit
@@ -148,16 +242,22 @@ def _proposal(
     cost = predicted[used]
     # A wrong curvature may shorten a step: both models must find it small.
     linear = jax.tree.map(lambda steps: steps[0], both)
-    vanishes = _small(problem, settings, state, qp, cost) & now.ok
-    vanishes &= _small(problem, settings, state, linear, costs(linear.lambda_p)[0])
+    small = partial(_small, space, settings, state)
+    vanishes = small(qp, cost) & small(linear, costs(linear.lambda_p)[0]) & now.ok
     guess = before = now.equilibrium.displacement
     if now.response.displacement is not None:
         dz = J @ qp.lambda_p
         guess = before + jnp.einsum("p,cpni->cni", dz, now.response.displacement)
+    chart = space.chart
+    if chart is None:
+        moved = space.wrap(state.z + qp.lambda_p)
+    else:
+        tensors = chart.to_tensor(state.z) + qp.lambda_p
+        moved = space.admissible(chart.from_tensor(tensors))
     stay = lambda new, old: jnp.where(vanishes, old, new)
     return Proposal(
         qp=qp,
-        z=stay(_moved(space, state.z, qp.lambda_p), state.z),
+        z=stay(moved, state.z),
         guess=stay(guess, before),
         cost=cost,
         costs=predicted,
@@ -175,29 +275,14 @@ def _step_coordinates(
     return jax.jacfwd(space.chart.from_tensor)(space.chart.to_tensor(z))
 
 
-def _along(rows: Whitened, J: Float[Array, "n_p n_p"]) -> Whitened:
-    """Return rows by step coordinates."""
-    return Whitened(rows.error, rows.W @ J)
-
-
-def _moved(
-    space: ParameterSpace, z: Float[Array, " n_p"], step: Float[Array, " n_p"]
-) -> Float[Array, " n_p"]:
-    """Return parameters after a step, which moves tensors where axes have a chart."""
-    if space.chart is None:
-        return space.wrap(z + step)
-    chart = space.chart
-    return space.admissible(chart.from_tensor(chart.to_tensor(z) + step))
-
-
 def _limits(
-    problem: CalibrationProblem,
+    space: ParameterSpace,
     settings: CalibrationSettings,
     state: CalibrationState,
     J: Float[Array, "n_p n_p"],
 ) -> QPLimits:
     """Return the constraints of a step, and its damping."""
-    space, chart = problem.space, problem.space.chart
+    chart = space.chart
     limit = jnp.minimum(state.step_bound, space.max_step())
     down, up = space.room(state.z)
     low, high = jnp.maximum(down, -limit), jnp.minimum(up, limit)
@@ -215,7 +300,7 @@ def _limits(
 
 
 def _small(
-    problem: CalibrationProblem,
+    space: ParameterSpace,
     settings: CalibrationSettings,
     state: CalibrationState,
     qp: QPStep,
@@ -225,18 +310,19 @@ def _small(
     size = jnp.max(jnp.abs(qp.lambda_p))
     fall = state.evaluation.cost - cost
     no_gain = settings.adapt & (fall <= SMALLEST_FALL * state.evaluation.cost)
-    free = ~_is_at_bound(problem, state, qp) & (qp.kkt_residual <= KKT_TOLERANCE)
+    free = ~_is_at_bound(space, state, qp) & (qp.kkt_residual <= KKT_TOLERANCE)
     return ((size <= settings.tol) | no_gain) & free
 
 
 def _is_at_bound(
-    problem: CalibrationProblem, state: CalibrationState, qp: QPStep
+    space: ParameterSpace, state: CalibrationState, qp: QPStep
 ) -> Bool[Array, ""]:
     """Return whether a step is as long as the trust region allows."""
-    limit = jnp.minimum(state.step_bound, problem.space.max_step())
+    limit = jnp.minimum(state.step_bound, space.max_step())
     return jnp.any(jnp.abs(qp.lambda_p) >= 0.99 * limit)
 
 
+@eqx.filter_jit
 def decide(
     problem: CalibrationProblem,
     settings: CalibrationSettings,
@@ -252,7 +338,7 @@ def decide(
     reference = jnp.max(state.recent_costs)
     lowered = tried.cost <= reference - 1e-4 * predicted
     size = jnp.max(jnp.abs(lambda_p))
-    at_bound = _is_at_bound(problem, state, proposal.qp)
+    at_bound = _is_at_bound(problem.space, state, proposal.qp)
     no_harm = tried.cost <= now.cost + SMALLEST_FALL * now.cost
     vanished = proposal.vanishes & tried.ok & ((size <= settings.tol) | no_harm)
     accepted = tried.ok & (lowered | vanished | (not settings.adapt))
@@ -261,7 +347,7 @@ def decide(
         grown = jnp.minimum(2.0 * bound, most)
         grown = jnp.where((gain > 0.75) & at_bound, grown, bound)
         bound = jnp.where(accepted, grown, 0.25 * size)
-        curvature = _after(problem, state, proposal, tried)
+        curvature = _after(problem.space, state, proposal, tried)
     # A bound that shrank to nothing means a minimum only where the slope vanishes too.
     collapsed = ~vanished & (bound < settings.tol)
     # The slope is the relative fall of the cost per unit of lambda_p, predicted within
@@ -285,21 +371,20 @@ def decide(
 
 
 def _after(
-    problem: CalibrationProblem,
+    space: ParameterSpace,
     state: CalibrationState,
     proposal: Proposal,
     tried: Evaluation,
 ) -> Curvature:
     """Update the curvature from the compliances at both ends of a step."""
     now = state.evaluation
-    J = partial(_step_coordinates, problem.space)
-    here = _along(now.rows, J(state.z))
-    there = _along(tried.rows, J(proposal.z))
-    error = jnp.where(tried.cost <= now.cost, there.error, here.error)
+    W_now = now.rows.W @ _step_coordinates(space, state.z)
+    W_tried = tried.rows.W @ _step_coordinates(space, proposal.z)
+    error = jnp.where(tried.cost <= now.cost, tried.rows.error, now.rows.error)
     new = learned(
         state.curvature,
         step=proposal.qp.lambda_p,
-        change=jnp.asarray(there.W - here.W).T @ error,
+        change=jnp.asarray(W_tried - W_now).T @ error,
         before=now.cost,
         after=tried.cost,
         predicted=proposal.costs,

@@ -1,16 +1,14 @@
 """Every unknown of a calibration, once: fitted, considered, or part of the noise.
 
-All come from the same kinds, `QUANTITIES` and the fields of the law; what differs is
-the role. Two of them are estimates of different things. An error that is considered is
-held at its nominal value, and the values are those of a fit that does not know of it:
-they move with it, and their standard errors say by how much. One that is part of the
-noise is marginalised: it weighs the data, and takes the information along its direction
-out of the fit. Consider what the data cannot tell from the parameters, like a load that
-is 1 % off in all poses; marginalise what differs from one recording to the next, so
-that poses that disagree by it do not pull at the values.
+An error that is considered is held at its nominal value: the values move with it, and
+their standard errors say by how much. One that is part of the noise is marginalised: it
+weighs the data, and takes the information along its direction out of the fit. Consider
+what the data cannot tell from the parameters, like a load that is 1 % off in all poses;
+marginalise what differs from one recording to the next, so that poses that disagree by
+it do not pull at the values.
 """
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import jax
@@ -44,15 +42,13 @@ class Unknown(NamedTuple):
 
     Attributes:
         cause: What it is called in the budget.
-        name: Its own name.
+        name: Its name among those of the same cause.
         entry: What it sets; None for the depth of clamps.
-        prior: Its standard deviation, in SI units or relative; nan where the entry of a
-            fitted one says it.
+        prior: Its standard deviation, in SI units or relative; nan where it is fitted.
         role: Whether it is fitted, considered or part of the noise.
         scope: For each configuration, a key that those with the same error have in
             common; None where it cannot occur, or another role has it.
-        motions: For clamps, motion of the reference points in each configuration, see
-            `clamp_row` [m]; empty for other errors.
+        motions: For clamps, motion of the points in each configuration [m].
     """
 
     cause: str
@@ -71,9 +67,7 @@ class Unknown(NamedTuple):
     def groups(self, n_fitted: int) -> Iterator[tuple[str, Bool[HostArray, " n_c"]]]:
         """List its independent errors: their names, and which configurations share.
 
-        Args:
-            n_fitted: Number of configurations that are fitted, which come first; names
-                do not depend on the others.
+        Names depend on the configurations that are fitted alone, which come first.
         """
         fitted = set(self.scope[:n_fitted]) - {None}
         keys = [key for key in dict.fromkeys(self.scope) if key is not None]
@@ -90,6 +84,7 @@ class _Setting(NamedTuple):
     space: ParameterSpace
     configurations: Sequence[Configuration]
     poses: Poses
+    uncertain: Uncertain
 
 
 def unknowns(
@@ -104,22 +99,15 @@ def unknowns(
     Those that cannot occur in any configuration are among them, in the scope of none:
     which errors are computed is part of a compiled program, and so one serves all
     poses.
-
-    Args:
-        model: The body.
-        space: The parameters that are fitted.
-        configurations: The configurations.
-        arrays: The same as arrays.
-        uncertain: Standard deviations of everything else.
     """
     on_host = jax.tree.map(np.asarray, arrays)
     poses = Poses(model, on_host, recording_names(configurations))
-    setting = _Setting(model, space, configurations, poses)
+    setting = _Setting(model, space, configurations, poses, uncertain)
     return (
         *_fitted(setting),
-        *_of_fields(uncertain, setting),
-        *_of_setup(uncertain, setting),
-        _of_clamps(uncertain, setting),
+        *_of_fields(setting),
+        *_of_setup(setting),
+        _of_clamps(setting),
     )
 
 
@@ -133,31 +121,24 @@ def _fitted(setting: _Setting) -> Iterator[Unknown]:
     everywhere = ("",) * len(setting.configurations)
     for entry in setting.space.entries:
         if isinstance(entry, SetupParameter):
-            occurs = entry.quantity.occurs(setting.poses)
-            scope = occurs.get(entry.of, everywhere)
+            scope = entry.quantity.occurs(setting.poses).get(entry.of, everywhere)
             yield Unknown(entry.label, entry.label, entry, np.nan, "fitted", scope)
 
 
-def _of_setup(uncertain: Uncertain, setting: _Setting) -> Iterator[Unknown]:
+def _of_setup(setting: _Setting) -> Iterator[Unknown]:
     """List errors of the setup, the loads and the recordings that are not fitted."""
     for kind, quantity in QUANTITIES.items():
         if quantity.role not in ("considered", "noise"):
             continue
-        stated = getattr(uncertain, quantity.uncertain)
+        stated = getattr(setting.uncertain, quantity.uncertain)
         std = OFFSET if stated == "estimated" else stated
         for of, scope in quantity.occurs(setting.poses).items():
             for axis in quantity.components or ("",):
                 name = " ".join(word for word in (kind, of, axis) if word)
                 entry = SetupError(name=name, std=std, kind=kind, of=of, axis=axis)
-                free = _not_fitted(setting, entry)
-                yield Unknown(
-                    quantity.uncertain,
-                    name,
-                    entry,
-                    std,
-                    quantity.role,
-                    _where(scope, free & (std > 0.0)),
-                )
+                where = _where(scope, _not_fitted(setting, entry) & (std > 0.0))
+                cause, role = quantity.uncertain, quantity.role
+                yield Unknown(cause, name, entry, std, role, where)
 
 
 def _not_fitted(setting: _Setting, error: SetupError) -> Bool[HostArray, " n_c"]:
@@ -177,9 +158,9 @@ def _where(scope: Scope, flags: Bool[HostArray, " n_c"]) -> Scope:
     return tuple(key if flag else None for key, flag in zip(scope, flags, strict=True))
 
 
-def _of_fields(uncertain: Uncertain, setting: _Setting) -> Iterator[Unknown]:
+def _of_fields(setting: _Setting) -> Iterator[Unknown]:
     """List errors of Poisson's ratios, and of the density where there is gravity."""
-    model, poses = setting.model, setting.poses
+    model, uncertain = setting.model, setting.uncertain
     everywhere: Scope = ("",) * len(setting.configurations)
     for field, value in _ratios(model):
         name = field.rpartition(".")[2]
@@ -193,7 +174,7 @@ def _of_fields(uncertain: Uncertain, setting: _Setting) -> Iterator[Unknown]:
     share, std = _share_not_fitted(setting, "density"), uncertain.density
     heavy = np.any(share * np.asarray(model.density) > 0.0) and std > 0.0
     entry = FieldError("density", std, "density", jax.device_put(share), relative=True)
-    falls = np.any(poses.arrays.gravity, axis=1) & heavy
+    falls = np.any(setting.poses.arrays.gravity, axis=1) & heavy
     scope = _where(everywhere, falls)
     yield Unknown("density", "density", entry, std, "considered", scope)
 
@@ -218,16 +199,13 @@ def _share_not_fitted(setting: _Setting, field: str) -> HostArray:
     return share
 
 
-def _of_clamps(uncertain: Uncertain, setting: _Setting) -> Unknown:
+def _of_clamps(setting: _Setting) -> Unknown:
     """Return the error of the depth of clamps, one for all that hold alike."""
-    model, std = setting.model, uncertain.clamp
+    model, std = setting.model, setting.uncertain.clamp
     held = held_nodes(model, setting.poses.arrays)
-    keys: list[Hashable] = [nodes.tobytes() for nodes in held]
-    motion_of = {
-        key: std * outward_motion(model.mesh, nodes)
-        for key, nodes in zip(keys, held, strict=True)
-    }
+    keys = tuple(nodes.tobytes() for nodes in held)
+    each = dict(zip(keys, held, strict=True))
+    motion_of = {k: std * outward_motion(model.mesh, own) for k, own in each.items()}
     motions = tuple(motion_of[key] for key in keys)
-    moving = np.array([bool(np.any(motion)) for motion in motions])
-    scope = _where(tuple(keys), moving)
+    scope = _where(keys, np.any(motions, axis=(1, 2)))
     return Unknown("clamp", "clamp", None, std, "considered", scope, motions)

@@ -13,19 +13,15 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator, in_other_units
-from softcal_jax.calibration._linear import linear_model
 from softcal_jax.calibration._noise import (
     FIRST_SHARE,
     RECORDINGS,
     CorrelatedNoise,
     creep_of,
 )
+from softcal_jax.calibration._problem import CalibrationSettings, linear_model
 from softcal_jax.calibration._runs import settle
-from softcal_jax.calibration._state import (
-    CalibrationSettings,
-    CalibrationState,
-    initial_state,
-)
+from softcal_jax.calibration._step import CalibrationState, initial_state
 from softcal_jax.configurations import Configuration
 from softcal_jax.fields import OFFSET
 from softcal_jax.inference import (

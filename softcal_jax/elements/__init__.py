@@ -16,8 +16,6 @@ from softcal_jax.elements._tensors import (
     matmul,
     rotation,
     skew,
-    solve3,
-    spin,
     sum_of,
     symmetric,
 )
@@ -34,8 +32,6 @@ __all__ = [
     "shape_functions",
     "shape_gradients",
     "skew",
-    "solve3",
-    "spin",
     "sum_of",
     "symmetric",
     "tet_rule",

@@ -38,10 +38,8 @@ def shape_functions(
 ) -> Float[HostArray, "*points n_nodes"]:
     """Evaluate the shape functions at points of a simplex, corners first [-].
 
-    Args:
-        barycentric: Barycentric coordinates; rows sum to one. Coordinates outside
-            [0, 1] extrapolate.
-        n_nodes: Nodes of the element (3 or 6, 4 or 10; 2 or 3 for an edge).
+    Rows of barycentric coordinates sum to one; those outside [0, 1] extrapolate. The
+    element has 3 or 6 nodes, 4 or 10, and as an edge 2 or 3.
 
     Raises:
         ValueError: If no simplex of that dimension has `n_nodes` nodes.
@@ -62,10 +60,6 @@ def shape_gradients(
 
     The reference coordinates are L_1, ..., L_d, with L_0 = 1 - sum(L_1..L_d).
 
-    Args:
-        barycentric: Barycentric coordinates of the points.
-        n_nodes: Nodes of the element.
-
     Raises:
         ValueError: If no simplex of that dimension has `n_nodes` nodes.
     """
@@ -83,7 +77,7 @@ def shape_gradients(
 
 
 class QuadratureRule(NamedTuple):
-    """Points and weights on a reference simplex of unit measure."""
+    """Points and weights on a reference simplex; weights sum to one."""
 
     barycentric: Float[HostArray, "n_points n_corners"]
     weights: Float[HostArray, " n_points"]
@@ -102,8 +96,7 @@ def tet_rule(degree: int) -> QuadratureRule:
     """Return the rule on the tet that is exact for polynomials of `degree`, 1 to 4.
 
     Degree 1: the centroid. Degree 2: the four-point rule. Degree 3 and 4: the
-    eleven-point rule of Keast (Comput. Methods Appl. Mech. Eng. 55, 1986), used
-    for errors and loads, not for stiffness. Weights sum to one.
+    eleven-point rule of Keast (Comput. Methods Appl. Mech. Eng. 55, 1986).
 
     Raises:
         ValueError: If there is no rule of that degree.
@@ -119,31 +112,25 @@ def tet_rule(degree: int) -> QuadratureRule:
         for row, pair in enumerate(combinations(range(4), 2)):
             edge[row, pair] = a
         points = np.vstack([np.full((1, 4), 0.25), _permuted(4, 1.0 / 14.0), edge])
-        weights = np.array(
-            [-148.0 / 1875.0] + [343.0 / 7500.0] * 4 + [56.0 / 375.0] * 6
-        )
-        return QuadratureRule(points, weights)
+        weights = [-148.0 / 1875.0] + [343.0 / 7500.0] * 4 + [56.0 / 375.0] * 6
+        return QuadratureRule(points, np.array(weights))
     raise ValueError(f"tet rules exist for degree 1 to 4, got {degree}.")
 
 
 def triangle_rule(degree: int) -> QuadratureRule:
     """Return the rule on the triangle that is exact to a `degree` of 1 to 4.
 
-    Degree 1: the centroid. Degree 2: the three-point rule. Degree 3 and 4: the
-    six-point rule of Dunavant (Int. J. Numer. Methods Eng. 21, 1985). Weights sum to
-    one.
+    Degree 1: the centroid. Degree 2 to 4: the six-point rule of Dunavant (Int. J.
+    Numer. Methods Eng. 21, 1985).
 
     Raises:
         ValueError: If there is no rule of that degree.
     """
     if degree == 1:
         return QuadratureRule(np.full((1, 3), 1.0 / 3.0), np.ones(1))
-    if degree == 2:
-        return QuadratureRule(_permuted(3, 1.0 / 6.0), np.full(3, 1.0 / 3.0))
-    if degree in (3, 4):
-        points = np.vstack(
-            [_permuted(3, 0.445948490915965), _permuted(3, 0.091576213509771)]
-        )
+    if degree in (2, 3, 4):
+        inner = 0.445948490915965, 0.091576213509771
+        points = np.vstack([_permuted(3, a) for a in inner])
         weights = np.array([0.223381589678011] * 3 + [0.109951743655322] * 3)
         return QuadratureRule(points, weights / weights.sum())
     raise ValueError(f"triangle rules exist for degree 1 to 4, got {degree}.")

@@ -58,13 +58,6 @@ def skew(a: Float[Array, "3"]) -> Float[Array, "3 3"]:
     return jnp.stack([jnp.stack(row) for row in rows])
 
 
-def solve3(M: Float[Array, "3 3"], b: Float[Array, "3"]) -> Float[Array, "3"]:
-    """Solve the 3x3 system M x = b by Cramer's rule."""
-    C = cofactor(M)
-    det = jnp.sum(M[0] * C[0])
-    return jnp.sum(C * b[:, None], axis=0) / det
-
-
 def _scaled_newton_step(R: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     C = cofactor(R)
     det = jnp.sum(R[0] * C[0])
@@ -96,13 +89,11 @@ def _rotation_jvp(primals, tangents):
     (F,), (dF,) = primals, tangents
     R = rotation(F)
     S = matmul(R.T, F)
-    omega = spin(S, matmul(R.T, dF))
+    M = jnp.trace(S) * jnp.eye(3) - S
+    C = cofactor(M)  # Cramer's rule
+    det = jnp.sum(M[0] * C[0])
+    omega = jnp.sum(C * axial(matmul(R.T, dF))[:, None], axis=0) / det
     return R, matmul(R, skew(omega))
-
-
-def spin(S: Float[Array, "3 3"], A: Float[Array, "3 3"]) -> Float[Array, "3"]:
-    """Compute the rate omega of R, R^T dR = hat(omega), for R^T dF = A."""
-    return solve3(jnp.trace(S) * jnp.eye(3) - S, axial(A))
 
 
 def symmetric(A: Float[Array, "3 3"]) -> Float[Array, "3 3"]:

@@ -21,13 +21,12 @@ from softcal_jax.equilibrium import (
     sensitivity,
 )
 from softcal_jax.fields import ParameterSpace
-from softcal_jax.sensitivity._rows import Derivative, parameter_rows
+from softcal_jax.sensitivity._rows import parameter_rows
 
 FEW_PARAMETERS = 12
-"""Number of parameters up to which the direct method is always used.
+"""Number of parameters up to which the direct method is used, which yields dx/dp too.
 
-It also yields dx/dp, from which the next equilibria start, and a dozen right-hand sides
-cost only about as much as one factorization.
+The next equilibria start from that; a dozen right-hand sides cost one factorization.
 """
 
 
@@ -39,24 +38,15 @@ def parameter_compliance(
     z: Float[Array, " n_p"],
     *,
     method: Literal["auto", "direct", "adjoint"] = "auto",
-    derivative: Derivative = "autodiff",
 ) -> Sensitivity:
     """Compute W_ep = H_e K^-1 H_p^T at an equilibrium, with one factorization; Eq. (9).
 
-    Effector coordinates are in the order effector, axis.
-
-    Args:
-        model: The model.
-        configuration: One configuration with its effectors.
-        u: Displacement at its equilibrium with the parameters of `z` [m].
-        space: The parameters.
-        z: Their scaled values [-].
-        method: "direct" solves for the n_p columns of H_p^T, "adjoint" for the n_e rows
-            of H_e; "auto" chooses the fewer right-hand sides.
-        derivative: How H_p is computed, see `parameter_forces`.
+    Effector coordinates are in the order effector, axis. The displacement u is that at
+    the equilibrium with the parameters of z [m]. "direct" solves for the n_p columns of
+    H_p^T, "adjoint" for the n_e rows of H_e; "auto" chooses the fewer right-hand sides.
     """
     lin = linearise(*space.apply(model, configuration, z), u)
-    rows = parameter_rows(lin, space, z, derivative=derivative)
+    rows = parameter_rows(lin, space, z)
     fewer = z.shape[0] > configuration.effectors.measured.size
     adjoint = method == "adjoint" or (method == "auto" and fewer)
     return sensitivity(lin, rows, effector_values, adjoint=adjoint)
@@ -88,11 +78,10 @@ def energy_compliance(
     """Compute W_ep and W_pp = H_p K^-1 H_p^T at an equilibrium, with one factorization.
 
     Paper Eq. (9) and Sec. V-C. Row i of u' = K^-1 H_p^T is the motion of the nodes per
-    unit of lambda_p,i, and the rows h_i of H_p^T are the forces that cause it (sign as
-    in `parameter_forces`). So W_pp,ij = h_i . u'_j = u'_i . K u'_j is positive definite
-    if K is. With m(z) = min_u Pi(u; z), it is the curvature of the energy lost by
-    relaxation: W_pp = d2 Pi/dz2 at fixed u minus d2 m/dz2. Arguments as for
-    `parameter_compliance`.
+    unit of lambda_p,i, and the rows h_i of H_p^T are the forces that cause it. So
+    W_pp,ij = h_i . u'_j = u'_i . K u'_j is positive definite if K is. With m(z) =
+    min_u Pi(u; z), it is the curvature of the energy lost by relaxation: W_pp =
+    d2 Pi/dz2 at fixed u minus d2 m/dz2. Arguments as for `parameter_compliance`.
     """
     lin = linearise(*space.apply(model, configuration, z), u)
     rows = parameter_rows(lin, space, z)
@@ -131,8 +120,6 @@ class Response(NamedTuple):
     """Equilibrium of one configuration, with its effectors and their compliance.
 
     Attributes:
-        equilibrium: The equilibrium.
-        effectors: Effector coordinates there.
         W_ep: Change of each effector coordinate per unit of lambda_p, in its unit.
         displacement: dx/dz by rows [m]; None if adjoint.
         ok: False if there is no equilibrium or no tangent; W_ep is then zero.
@@ -160,11 +147,9 @@ def equilibrium_response(
 ) -> Response:
     """Find the equilibrium near a guess, and W_ep = H_e K^-1 H_p^T there; Eq. (9).
 
-    Combines `solve_equilibrium` and `parameter_compliance` and saves a factorization:
     W_ep reuses the factor of the last Newton step, and is exact only if `precise`.
     `vmap` runs configurations sequentially, each to its own convergence. Arguments as
-    for `continue_equilibrium`, with the settings of `newton`, and
-    `parameter_compliance`.
+    for `continue_equilibrium` and `parameter_compliance`.
     """
 
     @jax.custom_batching.sequential_vmap

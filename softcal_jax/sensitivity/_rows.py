@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from types import SimpleNamespace
-from typing import Any, Literal
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -35,11 +35,6 @@ from softcal_jax.equilibrium import (
 from softcal_jax.fields import ParameterSpace, find_field
 from softcal_jax.materials import is_point_values
 
-Derivative = Literal["autodiff", "finite-difference"]
-
-FINITE_DIFFERENCE_STEP = 6e-6
-"""Optimal step of a central difference: cube root of the float64 rounding unit."""
-
 
 def parameter_forces(
     model: Model,
@@ -48,19 +43,18 @@ def parameter_forces(
     space: ParameterSpace,
     z: Float[Array, " n_p"],
     *,
-    derivative: Derivative = "autodiff",
-    step: float | Float[Array, ""] = FINITE_DIFFERENCE_STEP,
+    step: float | Float[Array, ""] | None = None,
 ) -> Float[Array, "n_p n_points 3"]:
     """Compute H_p^T by rows: the force on the nodes per unit of each parameter [N].
 
-    H_p^T = -(d R / d p) S at fixed displacement u [m], by autodiff or by the paper's
-    finite differences of the internal force (Sec. III; central here, hence of second
-    order) with a step in scaled units [-]. Parameters that only move held nodes or
-    bodies, such as the zero of a motor, exert no force on a fixed state.
+    H_p^T = -(d R / d p) S at fixed displacement u [m], by autodiff or, where a `step`
+    in scaled units is given [-], by the paper's finite differences of the internal
+    force (Sec. III; central here, hence of second order). Parameters that only move
+    held nodes or bodies, such as the zero of a motor, exert no force on a fixed state.
     """
     lambda_a = solved_forces(*space.apply(model, configuration, z), u)
     force = lambda model, configuration: -residual(model, configuration, u, lambda_a)
-    if derivative == "finite-difference":
+    if step is not None:
         at = lambda z: force(*space.apply(model, configuration, z))
         return jax.lax.map(
             lambda d: (at(z + step * d) - at(z - step * d)) / (2.0 * step),
@@ -75,25 +69,16 @@ def parameter_forces(
 
 
 def parameter_rows(
-    linearisation: Linearisation,
-    space: ParameterSpace,
-    z: Float[Array, " n_p"],
-    *,
-    derivative: Derivative = "autodiff",
+    linearisation: Linearisation, space: ParameterSpace, z: Float[Array, " n_p"]
 ) -> InputRows:
     """Compute the rows of all parameters at an equilibrium, per unit of lambda_p.
 
-    Whatever the kind of parameter, they follow from `space.apply`. Parameters that set
-    fields of the law need one pass over the tets per field and move nothing held. The
-    parameters of `z` are applied in the linearisation already.
+    Parameters that set fields of the law need one pass over the tets per field and move
+    nothing held. Those of `z` are applied in the linearisation already.
     """
     lin = linearisation
-    model, configuration, u = lin.posed.model, lin.posed.configuration, lin.u
-    at = (model, configuration, u, space, z)
-    if derivative == "autodiff":
-        forces = _field_rows(*at)
-    else:
-        forces = parameter_forces(*at, derivative=derivative)
+    model, configuration = lin.posed.model, lin.posed.configuration
+    forces = _field_rows(model, configuration, lin.u, space, z)
     rows = rows_of_forces(lin, forces, held=jnp.zeros_like(forces))
     others = _others(space)
     if others.size == 0:
@@ -114,17 +99,10 @@ def _by_others(
     space: ParameterSpace,
     z: Float[Array, " n_p"],
 ) -> Callable[[Callable], Any]:
-    """Return what differentiates by each parameter that sets more than fields.
-
-    Only these parameters vary, so autodiff does not pass through fields.
-    """
+    """Return what differentiates by these parameters alone, not through fields."""
     others = _others(space)
-
-    def by_others(function: Callable) -> Any:
-        at = lambda w: function(*space.apply(model, configuration, z, others, w))
-        return derivatives(at, z[others])
-
-    return by_others
+    changed = lambda w: space.apply(model, configuration, z, others, w)
+    return lambda function: derivatives(lambda w: function(*changed(w)), z[others])
 
 
 def rows_of_forces(
@@ -133,29 +111,23 @@ def rows_of_forces(
     *,
     held: Float[Array, "n_p n_points 3"],
 ) -> InputRows:
-    """Build rows from forces on the nodes [N] and the motion of held nodes [m]."""
+    """Build rows from forces on the nodes [N] and the motion of held nodes [m].
+
+    The state is fixed, so of the readings only those of forces change directly.
+    """
+    effectors = lin.posed.configuration.effectors
+    reading = jnp.zeros((len(forces), effectors.measured.size))
+    if effectors.has_forces:
+        state = (lin.posed.model, lin.posed.configuration, lin.u, lin.lambda_a)
+        read = lambda unbalanced: effector_values(*state, unbalanced).ravel()
+        unbalanced = lin.unbalanced(lin.u, lin.lambda_a)
+        reading = jax.vmap(lambda f: jax.jvp(read, (unbalanced,), (-f,))[1])(forces)
     return InputRows(
         force=jax.vmap(lin.free)(forces),
         held=held,
         gap=jnp.zeros((len(forces), lin.system.active.size)),
-        reading=readings_of_forces(lin, forces),
+        reading=reading,
     )
-
-
-def readings_of_forces(
-    lin: Linearisation, forces: Float[Array, "n_p n_points 3"]
-) -> Float[Array, "n_p n_e"]:
-    """Compute the direct change of readings by forces on the nodes, one row each [N].
-
-    The state is fixed, so only readings of forces change.
-    """
-    effectors = lin.posed.configuration.effectors
-    if not effectors.has_forces:
-        return jnp.zeros((forces.shape[0], effectors.measured.size))
-    state = (lin.posed.model, lin.posed.configuration, lin.u, lin.lambda_a)
-    read = lambda unbalanced: effector_values(*state, unbalanced).ravel()
-    unbalanced = lin.unbalanced(lin.u, lin.lambda_a)
-    return jax.vmap(lambda f: jax.jvp(read, (unbalanced,), (-f,))[1])(forces)
 
 
 def _field_rows(
@@ -244,7 +216,6 @@ class DerivativeCheck(Module):
     """Error of the finite-difference H_p against autodiff, per step and parameter.
 
     Attributes:
-        names: Names of the parameters.
         steps: Steps, in scaled units [-].
         errors: Largest difference over the nodes, relative to the largest force [-].
         orders: Order of each error, from steps above rounding [-]; 2 is expected.
@@ -276,15 +247,8 @@ def check_parameter_derivatives(
     """Compare the paper's finite-difference H_p with autodiff over a sweep of steps.
 
     If the force is linear in a parameter, like a modulus on a linear scale, there is
-    only rounding and the order is nan.
-
-    Args:
-        model: The model.
-        configuration: One configuration.
-        u: Displacement at which forces are compared, not all zero [m].
-        space: The parameters.
-        z: Their scaled values [-].
-        steps: Decreasing steps in scaled units [-].
+    only rounding and the order is nan. Forces are compared at a displacement `u` that
+    is not all zero [m]; steps are in scaled units [-].
 
     Raises:
         ValueError: If fewer than two steps are given, or they do not decrease.
@@ -294,10 +258,7 @@ def check_parameter_derivatives(
     forces = partial(eqx.filter_jit(parameter_forces), model, configuration, u, space)
     exact = np.asarray(forces(z))
     largest = lambda rows: np.max(np.abs(rows), axis=(1, 2))
-    rows = [
-        np.asarray(forces(z, derivative="finite-difference", step=jnp.asarray(step)))
-        for step in steps
-    ]
+    rows = [np.asarray(forces(z, step=jnp.asarray(step))) for step in steps]
     with np.errstate(divide="ignore", invalid="ignore"):  # no effect here: nan or inf
         errors = np.stack([largest(row - exact) for row in rows]) / largest(exact)
     orders = np.full(len(space.names), np.nan)

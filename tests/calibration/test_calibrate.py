@@ -21,8 +21,7 @@ from softcal_jax.calibration import (
     propose,
 )
 from softcal_jax.calibration._notes import fit_notes
-from softcal_jax.calibration._runs import _decide
-from softcal_jax.calibration._step import SMALLEST_FALL
+from softcal_jax.calibration._step import SMALLEST_FALL, decide
 from softcal_jax.configurations import (
     Configuration,
     Markers,
@@ -326,7 +325,7 @@ def test_a_run_whose_steps_are_all_refused_is_not_converged(model, exact):
     failed = eqx.tree_at(lambda e: e.ok, evaluation, jnp.zeros((), bool))
     for _ in range(12):
         proposal = propose(problem, settings, state)
-        state = _decide(problem, settings, state, proposal, failed)
+        state = decide(problem, settings, state, proposal, failed)
     assert bool(state.stalled)
     assert not bool(state.converged)
     np.testing.assert_array_equal(state.z, z)
@@ -344,7 +343,7 @@ def test_a_step_held_short_by_its_bound_is_no_convergence(model, exact):
     held = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-7, float))
     proposal = propose(problem, settings, held)
     assert float(jnp.max(jnp.abs(proposal.qp.lambda_p))) <= settings.tol
-    state = _decide(problem, settings, held, proposal, evaluation)
+    state = decide(problem, settings, held, proposal, evaluation)
     assert not bool(state.converged)
 
 

@@ -16,9 +16,7 @@ from softcal_jax.calibration import (
     CalibrationWarning,
     Evaluator,
     SearchProgress,
-    build_problem,
     calibrate,
-    multi_start,
     synthetic_measurements,
     with_measured,
 )
@@ -204,15 +202,13 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_first_equilibrium(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_one_calibration_per_checkpoint(tmp_path, beam, data, fit):
+def test_one_calibration_per_checkpoint(tmp_path, fit):
     """The second ends at once; when the first has ended, the file is free."""
     path = tmp_path / "fit.npz"
-    problem = build_problem(beam.model, beam.space, data)
 
     def second(entry):
-        for run in (fit, lambda path: multi_start(problem, 2, checkpoint=path)):
-            with pytest.raises(BlockingIOError, match="another calibration is writing"):
-                run(path)
+        with pytest.raises(BlockingIOError, match="another calibration is writing"):
+            fit(path)
         raise Stopped
 
     with pytest.raises(Stopped):
@@ -329,24 +325,6 @@ def test_a_stopped_search_ends_as_if_nothing_had_stopped_it(
 
 
 @pytest.mark.slow
-def test_multi_start_keeps_its_runs_as_well(tmp_path, beam, data):
-    problem = build_problem(beam.model, beam.space, data)
-    path, told = tmp_path / "search.npz", []
-
-    def stop(progress):
-        told.append(progress)
-        if progress.ended == 2:
-            raise Stopped
-
-    with pytest.raises(Stopped):
-        multi_start(problem, 4, checkpoint=path, progress=stop)
-    resumed = multi_start(problem, 4, checkpoint=path, progress=told.append)
-    assert [p.ended for p in told] == [1, 2, 3, 4]
-    same_search(resumed, multi_start(problem, 4))
-    with pytest.raises(ValueError, match="a checkpoint of another calibration"):
-        multi_start(problem, 4, seed=1, checkpoint=path)
-
-
 def test_a_search_that_has_ended_is_not_forgotten(tmp_path, fit, searched, monkeypatch):
     """Stopped after a step of the fit; another number of starts is another search."""
     path = interrupted(fit, tmp_path / "fit.npz", 0, starts=STARTS)

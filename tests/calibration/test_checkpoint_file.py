@@ -7,7 +7,7 @@ import pytest
 from softcal_jax.actuators import Cable
 from softcal_jax.calibration import (
     CalibrationSettings,
-    _checkpoint_file,
+    _checkpoint,
     build_problem,
 )
 from softcal_jax.calibration._checkpoint import Journal
@@ -61,7 +61,7 @@ def test_checkpoint_of_another_robot_is_refused(tmp_path, changed):
 
 def test_a_checkpoint_names_the_version_that_wrote_it(tmp_path, monkeypatch):
     path = saved(tmp_path)
-    monkeypatch.setattr(_checkpoint_file, "version", lambda name: "9.0")
+    monkeypatch.setattr(_checkpoint, "version", lambda name: "9.0")
     message = r"fit\.npz.*softcal_jax .*9\.0.*remove"
     with pytest.raises(ValueError, match=message), journal(path):
         pass

@@ -5,16 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softcal_jax.calibration._curvature import (
-    QUICK,
-    convex_model,
-    learned,
-    no_curvature,
-)
+from softcal_jax.calibration._qp import convex_model
+from softcal_jax.calibration._step import QUICK, Curvature, learned
 
 RANDOM = np.random.default_rng(0)
 N = 4
 _learned = jax.jit(learned)
+NONE = Curvature(jnp.zeros((N, N)), jnp.zeros((), bool))
 
 
 def symmetric():
@@ -24,7 +21,7 @@ def symmetric():
 
 def test_as_many_steps_as_parameters_tell_a_constant_curvature():
     """Conn, Gould and Toint (1991): whatever the steps, if they are independent."""
-    true, known = symmetric(), no_curvature(jnp.zeros(N))
+    true, known = symmetric(), NONE
     for step in jnp.asarray(RANDOM.normal(size=(N, N))):
         known = _learned(known, step, true @ step, 1.0, 0.9, jnp.array([0.8, 0.85]))
     np.testing.assert_allclose(known.matrix, true, rtol=1e-9, atol=1e-9)
@@ -33,7 +30,7 @@ def test_as_many_steps_as_parameters_tell_a_constant_curvature():
 def test_a_step_that_tells_nothing_new_changes_nothing():
     true, step = symmetric(), jnp.asarray(RANDOM.normal(size=N))
     args = (1.0, 0.9, jnp.array([0.8, 0.85]))
-    once = _learned(no_curvature(step), step, true @ step, *args)
+    once = _learned(NONE, step, true @ step, *args)
     again = _learned(once, step, true @ step, *args)
     np.testing.assert_allclose(again.matrix, once.matrix, rtol=0, atol=1e-9)
     # What lies across the step would make the update infinite.
@@ -56,7 +53,7 @@ def test_it_is_used_where_the_cost_falls_slowly_and_it_told_better(
     after, predicted, used
 ):
     step = jnp.ones(N)
-    known = _learned(no_curvature(step), step, step, 1.0, after, jnp.array(predicted))
+    known = _learned(NONE, step, step, 1.0, after, jnp.array(predicted))
     assert bool(known.used) == used
     assert bool(jnp.any(known.matrix != 0.0)) == np.isfinite(after)
 

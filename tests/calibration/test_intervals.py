@@ -20,7 +20,7 @@ from softcal_jax.calibration import (
     synthetic_measurements,
 )
 from softcal_jax.calibration import calibrate as calibrate_with
-from softcal_jax.calibration._build import build_problem
+from softcal_jax.calibration._calibrate import build_problem
 from softcal_jax.calibration._notes import uncertainty_notes
 from softcal_jax.calibration._profile import NotFound, _end, bracket, root
 from softcal_jax.calibration._runs import in_plain_steps, minimise

@@ -18,8 +18,7 @@ from softcal_jax.calibration import (
     synthetic_measurements,
 )
 from softcal_jax.calibration._notes import warn_if_too_few_data
-from softcal_jax.calibration._runs import _decide
-from softcal_jax.calibration._state import MEMORY
+from softcal_jax.calibration._step import MEMORY, decide
 from softcal_jax.fields import exactly_known
 from softcal_jax.robots import anisotropic_beam
 
@@ -204,7 +203,7 @@ def test_paper_mode_limits_every_step(measured, evaluation):
         assert np.all(moves <= 1.0 + 1e-9)
         assert np.all(proposal.z[E_L] <= proposal.z[E_T] + 1e-12)
         longest = np.maximum(longest, moves)
-        after = _decide(paper, settings, state, proposal, state.evaluation)
+        after = decide(paper, settings, state, proposal, state.evaluation)
         assert float(after.step_bound) == settings.step_bound
     np.testing.assert_allclose(longest, 1.0, rtol=1e-9)
 
@@ -216,7 +215,7 @@ def test_paper_mode_takes_a_step_that_makes_the_fit_worse(problem, evaluation):
         settings = CalibrationSettings(adapt=adapt)
         state = random_state(problem, evaluation, 0, settings)
         proposal = propose(problem, settings, state)
-        after = _decide(problem, settings, state, proposal, worse)
+        after = decide(problem, settings, state, proposal, worse)
         assert bool(after.accepted) is not adapt
         if adapt:
             size = float(jnp.max(jnp.abs(proposal.qp.lambda_p)))
@@ -253,7 +252,7 @@ def tried(problem, state, cost):
         lambda p: p.cost, proposal, state.evaluation.cost * (1.0 - 1e-9)
     )
     here = costing(state.evaluation, cost)
-    return _decide(problem, settings, state, proposal, here)
+    return decide(problem, settings, state, proposal, here)
 
 
 def test_a_cost_below_one_of_the_recent_ones_is_kept(problem, evaluation):
@@ -310,7 +309,7 @@ def test_a_step_that_gains_next_to_nothing_ends_the_search(
     assert fall == pytest.approx(promised, rel=1e-3)
     assert bool(proposal.vanishes) == (adapt and promised < 1e-8)
     now = costing(state.evaluation, float(state.evaluation.cost) * (1.0 + worse))
-    after = _decide(problem, settings, state, proposal, now)
+    after = decide(problem, settings, state, proposal, now)
     assert bool(after.converged) == ends
     if proposal.vanishes:  # nothing was learned from a step that was not taken
         np.testing.assert_array_equal(after.curvature.matrix, 0.0)
@@ -327,7 +326,7 @@ def test_a_step_that_vanishes_is_not_tried(tensor, measured, problem):
     assert bool(proposal.vanishes)
     np.testing.assert_array_equal(proposal.z, z)
     np.testing.assert_array_equal(proposal.guess, there.equilibrium.displacement)
-    after = _decide(problem, settings, state, proposal, there)
+    after = decide(problem, settings, state, proposal, there)
     assert bool(after.converged)
     assert int(after.step) == 1
     np.testing.assert_array_equal(after.z, z)
@@ -344,7 +343,7 @@ def test_a_failed_equilibrium_is_refused_whatever_its_cost(problem, evaluation):
     failed = eqx.tree_at(lambda e: e.ok, costing(evaluation, 1.0), jnp.zeros((), bool))
     for adapt in (True, False):
         settings = CalibrationSettings(adapt=adapt)
-        after = _decide(problem, settings, state, proposal, failed)
+        after = decide(problem, settings, state, proposal, failed)
         assert not bool(after.accepted)
 
 
@@ -364,7 +363,7 @@ def test_rank_deficient_fit_ends_in_finite_bounded_steps(problem, evaluation):
         proposal = propose(problem, settings, state)
         now = evaluate(problem, proposal.z, proposal.guess)
         bound = float(state.step_bound)
-        state = _decide(problem, settings, state, proposal, now)
+        state = decide(problem, settings, state, proposal, now)
         assert np.all(np.isfinite(state.lambda_p))
         assert np.max(np.abs(state.lambda_p)) <= bound * (1.0 + 1e-9)
         assert np.all(state.z >= problem.space.lower())
@@ -414,7 +413,7 @@ def test_a_fit_that_leaves_an_error_converges_by_its_curvature(problem):
             now = evaluate(noisy, proposal.z, proposal.guess)
             if proposal.precise:
                 now = evaluate(noisy, proposal.z, now.equilibrium.displacement)
-            state = _decide(noisy, settings, state, proposal, now)
+            state = decide(noisy, settings, state, proposal, now)
         ends.append(state)
     curved, linear = ends
     assert bool(curved.converged)

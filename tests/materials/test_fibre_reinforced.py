@@ -141,9 +141,7 @@ def test_bad_fibres():
     with pytest.raises(ValueError, match="E_f must be not negative and finite"):
         FibreReinforced(MATRIX, -1.0, Fibre(0.0))
     classical = ClassicalCorotational(Isotropic(E, NU))
-    with pytest.raises(
-        ValueError, match=r"potential, .*ClassicalCorot"
-    ):
+    with pytest.raises(ValueError, match=r"potential, .*ClassicalCorot"):
         FibreReinforced(classical, 1.0, Fibre(0.0))
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_project import MARKERS, PROJECT, write_small_project
 
-from softcal_jax.calibration._checkpoint_file import (
+from softcal_jax.calibration._checkpoint import (
     Saved,
     read_checkpoint,
     write_checkpoint,

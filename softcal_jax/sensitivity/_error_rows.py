@@ -1,4 +1,4 @@
-"""Row of the depth at which a body is really held, behind its held faces."""
+"""Rows of errors of the whole body: where it is really held, and how stiff it is."""
 
 import equinox as eqx
 import jax
@@ -19,19 +19,13 @@ from softcal_jax.sensitivity._rows import rows_of_forces
 def clamp_row(
     linearisation: Linearisation, motion: Float[Array, "n_nodes 3"]
 ) -> InputRows:
-    """Compute the row of Eq. (9) of a clamp that holds the body farther out.
+    """Compute the row of Eq. (9) of a clamp that holds the body 1 m farther out.
 
     The held nodes of the reference shape move, and are held there; the tets that they
     share with free nodes become longer and heavier. Loads, cables and readings stay
     where they are; in these tets the error of that is of the order of their strain.
-
-    Args:
-        linearisation: The equilibrium.
-        motion: Motion of the reference position of each node per unit of the depth,
-            zero where nothing is held [-].
-
-    Returns:
-        One row, per metre of depth.
+    `motion` is that of the reference positions per unit of the depth, zero where
+    nothing is held [-].
     """
     lin = linearisation
     model, bodies = lin.posed.model, lin.posed.model.mechanism.bodies
@@ -42,9 +36,9 @@ def clamp_row(
         # What a body holds goes with it: its displacement is (R - 1) X, at any X.
         frames = (jnp.asarray(model.mechanism.points) + lin.u)[n_nodes:]
         R = frames_at(bodies, frames).rotation[bodies.body]
-        own = follow[bodies.attached]
+        moved = follow[bodies.attached]
         turned = turned.at[bodies.attached].set(
-            jnp.sum(R * own[:, None, :], axis=2) - own
+            jnp.sum(R * moved[:, None, :], axis=2) - moved
         )
 
     def force(depth: Float[Array, ""]) -> Float[Array, "n_points 3"]:
@@ -73,3 +67,17 @@ def _stretched(model: Model, v: Float[Array, "n_nodes 3"]) -> Model:
     )
     where = lambda m: (m.shape_gradients, m.weights, m.node_volumes)
     return eqx.tree_at(where, model, changed)
+
+
+def stiffness_row(
+    linearisation: Linearisation,
+    internal: Float[Array, "n_points 3"] | None = None,
+) -> InputRows:
+    """Compute the row of Eq. (9) of a factor of all moduli, per relative change.
+
+    The internal force [N] is proportional to them, so it is the row itself; by default
+    it is that of the equilibrium.
+    """
+    lin = linearisation
+    row = -internal_force(lin.posed.model, lin.u) if internal is None else -internal
+    return rows_of_forces(lin, row[None], held=jnp.zeros((1, *row.shape)))

@@ -1,0 +1,383 @@
+"""Where a fit starts: first equilibria, and the search from many starts."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._limits import TRIALS
+from softcal_jax._module import one_line
+from softcal_jax._names import listed
+from softcal_jax._typing import Array, Bool, Float, HostArray
+from softcal_jax._units import readable
+from softcal_jax.calibration._checkpoint import Journal
+from softcal_jax.calibration._evaluation import Evaluation, Evaluator
+from softcal_jax.calibration._noise import CorrelatedNoise
+from softcal_jax.calibration._problem import (
+    CalibrationProblem,
+    CalibrationSettings,
+    EquilibriumProgress,
+    Report,
+    reports_of,
+)
+from softcal_jax.calibration._result import MultiStartResult, Optimum
+from softcal_jax.calibration._runs import (
+    Begun,
+    Run,
+    admissible,
+    images_of,
+    in_plain_steps,
+    not_begun,
+    run_start,
+)
+from softcal_jax.equilibrium import EquilibriumSolution, Workers, no_equilibrium
+from softcal_jax.fields import ParameterSpace, unnamed
+
+STIFFER = 2.0
+"""Factor by which moduli are raised until all configurations have an equilibrium."""
+
+MOST_RAISES = 20
+"""Most raises, a factor of a million in all."""
+
+SAME_OPTIMUM = 1e-3
+"""Largest difference of scaled parameters within one optimum [-]."""
+
+FROM_ANYWHERE = CalibrationSettings(max_steps=12)
+"""Settings of runs from many starts: few steps, as a good start converges quickly."""
+
+SEVERAL = 6
+"""Number of starts by default where there may be several optima."""
+
+# One row at a time, so that the programs do not depend on the number of rows.
+_to_scaled = eqx.filter_jit(lambda space, p: space.admissible(space.to_scaled(p)))
+_from_scaled = eqx.filter_jit(lambda space, z: space.from_scaled(z))
+_distance = eqx.filter_jit(lambda space, a, b: jnp.abs(space.shorter(a - b)))
+
+
+class Start(NamedTuple):
+    """Where a fit starts: scaled parameters, and how they had to be changed."""
+
+    evaluate: Evaluator
+    z: Float[Array, " n_p"]
+    evaluation: Evaluation
+    notes: tuple[str, ...]
+
+    @property
+    def noise(self) -> CorrelatedNoise:
+        """The noise that weighs the data in the beginning."""
+        assert self.evaluate.problem.noise is not None
+        return self.evaluate.problem.noise
+
+
+def begin(
+    evaluate: Evaluator,
+    z: Float[Array, " n_p"],
+    names: tuple[str, ...],
+    progress: Callable[[EquilibriumProgress], None] | None = None,
+) -> Start:
+    """Evaluate a start, with moduli raised until every configuration is in equilibrium.
+
+    A body that is too soft balloons, buckles or collapses under the measured loads, and
+    a fit needs an equilibrium of every configuration to begin with.
+
+    Raises:
+        RuntimeError: If a configuration has no equilibrium within the bounds; the text
+            names it, the load that it reached, and why.
+    """
+    space, raised, factor = evaluate.problem.space, z, 1.0
+    report = partial(reports_of, progress, names)
+    solution, evaluation = _first_equilibria(evaluate, z, report())
+    if evaluation is not None:
+        return Start(evaluate, z, evaluation, ())
+    without = no_equilibrium(solution, names)
+    note = f"No equilibrium at the start values. {_reached(solution, names)}"
+    for _ in range(MOST_RAISES):
+        stiffer = _stiffer(space, raised)
+        if np.array_equal(stiffer, raised):
+            break
+        raised, factor = stiffer, STIFFER * factor
+        solution, evaluation = _first_equilibria(evaluate, raised, report(factor))
+        if evaluation is not None:
+            note += f" The fit began with stiffer moduli: {_values(space, raised)}."
+            return Start(evaluate, raised, evaluation, (note,))
+    if raised is z:
+        raise RuntimeError(without)
+    raise RuntimeError(
+        f"{without}\nNor is there one with stiffer moduli up to their bounds "
+        f"({_values(space, raised)}).\n{_reached(solution, names)}\nRaise the upper "
+        "bounds, or check loads, units and supports."
+    )
+
+
+def _first_equilibria(
+    evaluate: Evaluator, z: Float[Array, " n_p"], report: Report | None
+) -> tuple[EquilibriumSolution, Evaluation | None]:
+    """Return the equilibria, and their evaluation if all configurations have one."""
+    evaluation = evaluate.from_rest(z) if report is None else None
+    solution = evaluation.equilibrium if evaluation else evaluate.equilibria(z, report)
+    if not bool(jnp.all(solution.converged)):
+        return solution, None
+    return solution, evaluation or evaluate(z, solution.displacement)
+
+
+def _moduli(space: ParameterSpace) -> Bool[HostArray, " n_p"]:
+    """Flag the moduli: fields of the law on a log scale, without the density."""
+    modulus = lambda q: q.scale == "log" and q.field.rpartition(".")[2] != "density"
+    return np.asarray(space.sets_fields) & [modulus(q) for q in space.parameters]
+
+
+def _stiffer(space: ParameterSpace, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+    """Raise all moduli by a factor, within bounds and order."""
+    more = np.where(_moduli(space), np.log(STIFFER), 0.0)
+    return admissible(unnamed(space), jnp.asarray(np.asarray(z) + more))
+
+
+def _values(space: ParameterSpace, z: Float[Array, " n_p"]) -> str:
+    """Write the moduli, with their units."""
+    values = zip(space.parameters, space.from_scaled(z), _moduli(space), strict=True)
+    moduli = [(q, float(value)) for q, value, is_modulus in values if is_modulus]
+    return listed([f"{q.name} = {readable(value, q.unit)}" for q, value in moduli])
+
+
+def _reached(solution: EquilibriumSolution, names: tuple[str, ...]) -> str:
+    """Say how far configurations without an equilibrium came."""
+    load = np.asarray(solution.load_reached)
+    lost = np.flatnonzero(~np.asarray(solution.converged))
+    return " ".join(
+        f"{names[c]} carries {100.0 * load[c]:.3g} % of its load." for c in lost
+    )
+
+
+class SearchProgress(NamedTuple):
+    """Progress of a search: runs that have ended, runs in all, and converged ones.
+
+    `cost` is the lowest of those that ended; infinite without an equilibrium [-].
+    """
+
+    ended: int
+    starts: int
+    converged: int
+    cost: float
+
+    __repr__ = one_line
+
+    def __str__(self) -> str:
+        """Write it in one line."""
+        return (
+            f"{self.ended} of {self.starts} starts ended, {self.converged} converged, "
+            f"lowest cost {self.cost:.4g}"
+        )
+
+
+def multi_start(
+    problem: CalibrationProblem,
+    starts: int | Float[Array, "n_starts n_p"] = 30,
+    *,
+    seed: int = 0,
+    settings: CalibrationSettings | None = None,
+    mirror: bool = True,
+) -> MultiStartResult:
+    """Calibrate from many starts, side by side, and list the distinct optima.
+
+    Ctrl-C returns what was found so far, once a run has come to an end.
+
+    Args:
+        problem: The calibration, from `build_problem`.
+        starts: Scaled parameters to start from, or the number of random ones.
+        seed: Seed of the random ones.
+        settings: Settings of the outer loop; by default `FROM_ANYWHERE`.
+        mirror: Whether runs that end with an error continue from mirror images.
+
+    Raises:
+        ValueError: If there are no starts, or they do not fit the parameters.
+        RuntimeError: If no start has an equilibrium.
+    """
+    space = problem.space
+    if isinstance(starts, int):
+        starts = random_starts(space, starts, seed=seed)
+    if starts.ndim != 2 or starts.shape[1] != len(space.names) or not len(starts):
+        raise ValueError(
+            f"starts must have the shape (number, {len(space.names)}), at least one; "
+            f"got {starts.shape}."
+        )
+    settings = settings or FROM_ANYWHERE
+    journal = Journal(problem, settings)
+    lanes = len(starts) * len(problem.configurations.gravity)
+    with Workers(problem.model, lanes) as workers:
+        evaluate = Evaluator(problem, workers)
+        return search(evaluate, settings, starts, mirror=mirror, journal=journal)
+
+
+def search(
+    evaluate: Evaluator,
+    settings: CalibrationSettings,
+    starts: Float[Array, "n_starts n_p"],
+    *,
+    mirror: bool,
+    journal: Journal,
+    progress: Callable[[SearchProgress], None] | None = None,
+) -> MultiStartResult:
+    """Run the search of `multi_start`; the journal returns the runs saved before.
+
+    Ctrl-C ends it with the best ends so far, which the journal then knows. `progress`
+    must not solve anything itself, since other runs occupy all cores.
+    """
+    space, images = evaluate.problem.space, images_of(evaluate.problem.space, mirror)
+    run_from = partial(run_start, evaluate, settings, images=images)
+    tasks, ended, begun = [], {}, {}
+
+    def keep(i: int, now: Begun) -> None:
+        begun[i] = now
+        journal.keep(f"run{i}", now)
+
+    # Sliced on the host: on the device, the number of rows gives another program.
+    for i, start in enumerate(map(jnp.asarray, np.asarray(starts))):
+        none = not_begun(settings, start, len(images))
+        begun[i] = journal.kept(f"run{i}", none) or none
+        if begun[i].images == len(images):
+            ended[i] = begun[i].best
+        tasks.append(partial(run_from, start, begun=begun[i], note=partial(keep, i)))
+
+    def count(i: int, run: Run) -> None:
+        if i in ended:  # it had ended before this search was resumed
+            return
+        ended[i] = run
+        if progress is not None:
+            converged = sum(run.converged for run in ended.values())
+            lowest = min(run.cost for run in ended.values())
+            progress(SearchProgress(len(ended), len(starts), converged, lowest))
+
+    try:
+        evaluate.workers.side_by_side(tasks, count)
+    except KeyboardInterrupt:
+        if not any(np.isfinite(own.best.cost) for own in begun.values()):
+            raise
+        journal.interrupted = True
+    if not any(np.isfinite(own.best.cost) for own in begun.values()):
+        raise RuntimeError(
+            f"none of {len(starts)} starts has an equilibrium in every configuration: "
+            "check loads, units and bounds, or `softcal simulate`."
+        )
+    return _result(space, starts, list(begun.values()))
+
+
+def _result(
+    space: ParameterSpace,
+    starts: Float[Array, "n_starts n_p"],
+    runs: Sequence[Begun],
+) -> MultiStartResult:
+    """List the ends of all runs, and the optima among these and those on their way.
+
+    Where runs came by counts, too: a mirror image may fit nearly as well.
+    """
+    numbered = unnamed(space)
+    in_si = lambda z: np.array([_from_scaled(numbered, row) for row in np.asarray(z)])
+    best = [run.best for run in runs]
+    z = np.stack([run.z for run in best])
+    cost = np.array([run.cost for run in best])
+    converged = np.array([run.converged for run in best])
+    passed = np.concatenate([run.cost for run in runs])
+    return MultiStartResult(
+        names=tuple(space.names),
+        starts=in_si(starts),
+        values=in_si(z),
+        z=z,
+        cost=cost,
+        steps=np.array([run.steps for run in best]),
+        converged=converged,
+        errors=np.stack([run.errors for run in best]),
+        optima=_optima(
+            space,
+            np.concatenate([z, *(run.z for run in runs)]),
+            np.append(cost, passed),
+            np.append(converged, np.isfinite(passed)),
+            n_starts=len(runs),
+        ),
+    )
+
+
+def _optima(
+    space: ParameterSpace,
+    z: Float[HostArray, "n n_p"],
+    cost: Float[HostArray, " n"],
+    converged: Bool[HostArray, " n"],
+    *,
+    n_starts: int,
+) -> tuple[Optimum, ...]:
+    """Group converged ends by where they are, the lowest cost first.
+
+    The first `n_starts` are ends of starts; others were passed.
+    """
+    groups: list[list[int]] = []
+    numbered = unnamed(space)
+    order = np.argsort(cost, kind="stable")
+    for i in order[converged[order]].tolist():
+        for group in groups:
+            # The distance wraps: an angle just below 90 deg is close to one above -90.
+            if np.max(_distance(numbered, z[i], z[group[0]])) <= SAME_OPTIMUM:
+                group.append(i)
+                break
+        else:
+            groups.append([i])
+    values = lambda z: map(float, _from_scaled(numbered, z))
+    return tuple(
+        Optimum(
+            float(cost[group[0]]),
+            dict(zip(space.names, values(z[group[0]]), strict=True)),
+            tuple(sorted(i for i in group if i < n_starts)),
+        )
+        for group in groups
+    )
+
+
+def default_starts(space: ParameterSpace) -> int:
+    """Return how many starts a calibration takes unless the user says otherwise.
+
+    `SEVERAL` where the angle of an axis or more than one control point of a field is
+    calibrated, since there the cost has several optima; 1 elsewhere. Each start goes on
+    from its mirror images, so it takes several times as long as a single fit: a sweep
+    of thousands of calibrations from good start values may say `starts = 1`.
+    """
+    fields = [entry.parameters for entry in space.entries if entry.fields]
+    angle = any(q.unit == "rad" or q.periodic for field in fields for q in field)
+    several = any(len(field) > 1 for field in fields)
+    return SEVERAL if space.axes or angle or several else 1
+
+
+def check_starts(n: int) -> None:
+    """Raise ValueError unless there may be so many starts."""
+    if n < 1:
+        raise ValueError(f"starts must be at least 1, got {n}.")
+    TRIALS.check(f"starts = {n}", n)
+
+
+def random_starts(
+    space: ParameterSpace, n: int, *, seed: int = 0
+) -> Float[Array, "n p"]:
+    """Draw random scaled parameters within the bounds, uniform in SI units.
+
+    Pairs that break their order are swapped.
+
+    Raises:
+        ValueError: If n is less than one, or above a limit.
+    """
+    check_starts(n)
+    random = np.random.default_rng(seed)
+    low = np.asarray(space.from_scaled(space.lower()))
+    high = np.asarray(space.from_scaled(space.upper()))
+    p = low + (high - low) * random.random((n, len(low)))
+    names = space.names
+    pairs = [
+        (names.index(small), names.index(large))
+        for small, large in in_plain_steps(space).order_names()
+        if small in names and large in names  # one may be known
+    ]
+    for small, large in pairs * len(pairs):  # repeated, for chains a <= b <= c
+        p[:, [small, large]] = np.sort(p[:, [small, large]], axis=1)
+        p = np.clip(p, low, high)
+    numbered = unnamed(space)
+    return jax.device_put(np.stack([_to_scaled(numbered, row) for row in p]))
