@@ -6,7 +6,6 @@ from softcal_jax._units import (
     readable_unit,
     readable_values,
 )
-from softcal_jax.export._budget import budget_dict
 from softcal_jax.export._comparison import comparison_dict
 from softcal_jax.export._csv import (
     write_effectors_csv,
@@ -21,14 +20,20 @@ from softcal_jax.export._folder import (
 from softcal_jax.export._inverse import inverse_dict
 from softcal_jax.export._json import (
     RESULT_FORMAT,
+    budget_dict,
     identifiability_dict,
     outlook_dict,
     result_dict,
     simulation_dict,
 )
-from softcal_jax.export._made import Made, file_dict, made_dict, source_dict
-from softcal_jax.export._plain import plain, write_json
-from softcal_jax.export._pvd import write_pvd
+from softcal_jax.export._made import (
+    Made,
+    file_dict,
+    made_dict,
+    plain,
+    source_dict,
+    write_json,
+)
 from softcal_jax.export._tet_fields import (
     STANDARD_ERROR,
     fibre_directions,
@@ -37,8 +42,7 @@ from softcal_jax.export._tet_fields import (
     tet_fields,
     von_mises_stress,
 )
-from softcal_jax.export._vtu import write_vtu
-from softcal_jax.export._vtu_robot import write_robot_vtu
+from softcal_jax.export._vtu import write_pvd, write_robot_vtu, write_vtu
 
 __all__ = [
     "RESULT_FORMAT",

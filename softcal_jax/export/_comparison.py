@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from softcal_jax.export._made import Made, made_dict
-from softcal_jax.export._plain import pick, plain
+from softcal_jax.export._made import Made, made_dict, pick, plain
 from softcal_jax.layouts import LEVEL_OF_COMPARISON, ModelComparison, ModelScore
 
 

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from softcal_jax.control import OUTCOMES, GoalFit, InverseResult, TrajectoryResult
-from softcal_jax.export._made import Made, made_dict
-from softcal_jax.export._plain import pick, plain
+from softcal_jax.export._made import Made, made_dict, pick, plain
 
 
 def inverse_dict(

@@ -16,10 +16,16 @@ from softcal_jax.calibration import (
     SimulationResult,
 )
 from softcal_jax.equilibrium import Model, RobotState
-from softcal_jax.export._budget import budget_dict
-from softcal_jax.export._made import Made, made_dict, source_dict
-from softcal_jax.export._plain import pick, plain, versions
+from softcal_jax.export._made import (
+    Made,
+    made_dict,
+    pick,
+    plain,
+    source_dict,
+    versions,
+)
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
+from softcal_jax.inference import ErrorBudget
 
 RESULT_FORMAT = "softcal_jax.result/2"
 """Format of `result.json`."""
@@ -68,6 +74,37 @@ def result_dict(
     with np.errstate(invalid="ignore", divide="ignore"):  # an exact fit has no spread
         file = ResultFile.model_validate(content)
     return file.model_dump(exclude_unset=True)
+
+
+def budget_dict(budget: ErrorBudget) -> dict[str, Any]:
+    """Convert the error budget of a calibration to a dictionary, see `BudgetEntry`."""
+    by_cause = budget.by_cause()
+    total = budget.standard_errors
+    return plain(
+        {
+            "parameters": [
+                {
+                    "name": name,
+                    "unit": budget.units[i],
+                    "standard_error": total[i],
+                    "by_cause": {cause: std[i] for cause, std in by_cause.items()},
+                    "sentence": budget.sentence(name),
+                }
+                for i, name in enumerate(budget.names)
+            ],
+            "errors": [
+                {
+                    "cause": cause.name,
+                    "name": error,
+                    "deviations": budget.slopes * cause.deviations[:, k],
+                }
+                for cause in budget.causes
+                for k, error in enumerate(cause.errors)
+            ],
+            "unknown": budget.unknown,
+            "covariance": budget.covariance,
+        }
+    )
 
 
 def simulation_dict(

@@ -24,7 +24,7 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.configurations import EffectorRecord
 from softcal_jax.equilibrium import ActuatorState, BodyPlace, Reaction, RobotState
-from softcal_jax.export._plain import plain
+from softcal_jax.export._made import plain
 from softcal_jax.identifiability import Assessment, Identifiability, Prediction
 from softcal_jax.inference import LackOfFit, RecordingEstimate, Uncertainty
 
