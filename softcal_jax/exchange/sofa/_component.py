@@ -7,9 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import one_line
-from softcal_jax._typing import Float, HostArray
 from softcal_jax.exchange.sofa._plugin_elasticity import PluginElasticity
-from softcal_jax.exchange.sofa._units import Scale
 from softcal_jax.materials import (
     AbstractElasticity,
     AbstractLaw,
@@ -30,20 +28,44 @@ from softcal_jax.mesh import TetMesh
 SofaRelease = Literal["v25.12", "v26.06"]
 """Releases of SOFA that scenes are written for."""
 
+SofaUnits = Literal["mm-kg-s", "SI"]
+"""Unit systems that scenes are usually written in."""
+
 SofaLaw = Literal["same", "corotational"]
 """Whether SOFA gets the counterpart of the law, or its corotational one."""
 
 ELASTIC = "Sofa.Component.SolidMechanics.FEM.Elastic"
 HYPERELASTIC = "Sofa.Component.SolidMechanics.FEM.HyperElastic"
 
-_OTHER_VOLUME = (
-    "SOFA's law of that name has another term for the change of volume, k0/2 (ln J)^2"
-)
-_REASONS = {
-    "MooneyRivlin": _OTHER_VOLUME,
-    "Ogden": _OTHER_VOLUME,
-    "FibreReinforced": "SOFA has no fibres in a hyperelastic matrix of this kind",
+
+class Scale(NamedTuple):
+    """Factors from SI to the units of a scene, whose mass and time are kg and s."""
+
+    length: float
+    words: dict[str, str]
+    """Unit of each quantity, by its name."""
+
+    @property
+    def force(self) -> float:
+        """From newtons, kg m/s2."""
+        return self.length
+
+    @property
+    def pressure(self) -> float:
+        """From pascals, kg/(m s2)."""
+        return 1.0 / self.length
+
+    @property
+    def volume(self) -> float:
+        """From cubic metres."""
+        return self.length**3
+
+
+SCALES = {
+    "mm-kg-s": Scale(1e3, {"length": "mm", "force": "mN", "pressure": "kPa"}),
+    "SI": Scale(1.0, {"length": "m", "force": "N", "pressure": "Pa"}),
 }
+"""Unit systems by name; SOFA itself has none."""
 
 
 class Component(NamedTuple):
@@ -67,13 +89,7 @@ def law_for_sofa(
 ) -> AbstractLaw:
     """Return the law that SOFA computes in place of another, on a linear mesh.
 
-    Args:
-        law: The calibrated law.
-        mesh: The linear mesh of the scene.
-        choice: "same" takes the counterpart of the law, "corotational" the isotropic
-            corotational law, for laws with the constants E and nu.
-        rotation: Rotation of the corotational tets; with fibres it is always "large",
-            that of the plugin.
+    Corotational tets turn by `rotation`; with fibres it is "large", that of the plugin.
 
     Raises:
         ValueError: If SOFA has no counterpart; the text says why, and what to do.
@@ -128,7 +144,9 @@ def _no_counterpart(law: AbstractLaw) -> str:
             "calibrate a Corotational law"
         )
     else:
-        reason = _REASONS.get(name, "SOFA has no such law")
+        reason = "SOFA has no such law"
+        if name in ("MooneyRivlin", "Ogden"):
+            reason = "SOFA's has another term for the change of volume, k0/2 (ln J)^2"
         reason += ": calibrate a NeoHookean or a Corotational law"
     return f"{name} has no counterpart in SOFA: {reason}, and export that."
 
@@ -146,11 +164,11 @@ def component_of(
         if isinstance(law.elasticity, PluginElasticity):
             return _of_plugin(law.elasticity, n_tets, scale)
         assert isinstance(law.elasticity, Isotropic)
-        _check_ratio(law.elasticity.nu)
         data = {
             "youngModulus": _listed(scale.pressure * np.asarray(law.elasticity.E)),
             "poissonRatio": _listed(law.elasticity.nu),
         }
+        _check_ratio(data["poissonRatio"])
         if law.rotation == "procrustes":
             if release == "v25.12":
                 raise ValueError(
@@ -194,10 +212,9 @@ def _of_plugin(elasticity: PluginElasticity, n_tets: int, scale: Scale) -> Compo
     return Component("TetrahedronAnisotropicForceField", "Anisotropy", data)
 
 
-def _check_ratio(nu: Float[HostArray, "..."] | Any) -> None:
-    values = np.atleast_1d(np.asarray(nu))
-    bad = values[~((values >= 0.0) & (values < 0.5))]
-    if bad.size:
+def _check_ratio(nu: list[float]) -> None:
+    bad = [value for value in nu if not 0.0 <= value < 0.5]
+    if bad:
         raise ValueError(
             f"nu is {bad[0]:g}; SOFA takes a Poisson's ratio in [0, 0.5) and replaces "
             "others by 0.45, so this law cannot be written."
