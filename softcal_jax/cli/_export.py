@@ -4,7 +4,6 @@ import argparse
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from softcal_jax.cli._shared import (
     BAD_INPUT,
@@ -21,11 +20,7 @@ from softcal_jax.cli._shared import (
     with_care,
 )
 from softcal_jax.cli._steps import step_lines
-from softcal_jax.exchange.exporters import AbstractExporter, AbstractProgress
-
-if TYPE_CHECKING:
-    from softcal_jax.calibration import HistoryEntry
-    from softcal_jax.project import Project
+from softcal_jax.exchange.exporters import AbstractExporter, ExportProgress
 
 _EXAMPLES = """\
 examples:
@@ -99,35 +94,19 @@ def _export(
             source = load_result(args.results, project=args.project)
             project, doubts = source.project, source.doubts
     show.lap("reading")
+    said: list[str] = []
+    progress = ExportProgress(show.now, step_lines(project, show), said.append)
     with bad_input(), no_equilibrium("Nothing was written."):
-        progress = _Shown(project, show)
         notes = [*exporter.write(source, output, args, progress), *with_care(doubts)]
     show.lap("export")
-    if progress.said:
+    for text in said:
         show.line()
-        show.line(progress.said)
+        show.line(text)
     for note in notes:
         show.line(f"Note: {note}")
     more = f"; {exporter.next_step}" if exporter.next_step else ""
     show.line(f"Wrote {output}{more}.")
-    said = {"said": progress.said} if progress.said else {}
-    show.document({"output": str(output), **said, "notes": notes})
+    computed = {"said": "\n".join(said)} if said else {}
+    show.document({"output": str(output), **computed, "notes": notes})
     show.times()
     return OK
-
-
-class _Shown(AbstractProgress):
-    """The progress of an export on a display, which shows results at the end."""
-
-    def __init__(self, project: "Project", show: Display):
-        self.said = ""
-        self._show, self._step = show, step_lines(project, show)
-
-    def begins(self, what: str) -> None:
-        self._show.now(what)
-
-    def step(self, entry: "HistoryEntry") -> None:
-        self._step(entry)
-
-    def computed(self, text: str) -> None:
-        self.said = text

@@ -89,7 +89,6 @@ def export_sofa(
     law: SofaLaw = "same",
     rotation: SofaRotation = "edge",
     force: bool = False,
-    began: Callable[[], None] | None = None,
     progress: Callable[[HistoryEntry], None] | None = None,
 ) -> SofaExport:
     """Write a calibrated robot as a static scene of SOFA, calibrated again for it.
@@ -114,7 +113,6 @@ def export_sofa(
         rotation: Rotation of the corotational tets, see `SofaCorotational`; laws with a
             fibre take that of the plugin Anisotropy.
         force: Replace an earlier scene; files that a user added stay.
-        began: Called once nothing is left to refuse and the calibration begins.
         progress: Called after each step of the calibration.
 
     Raises:
@@ -142,8 +140,6 @@ def export_sofa(
     check_robot(project.model)
     model = _model_of_sofa(project, law, rotation)
     component_of(model.law, model.n_tets, release, scale)  # before the work is done
-    if began is not None:
-        began()
     refitted = _recalibrate(loaded, project, model, progress=progress)
     solved = {c.name: c for c in refitted.configurations if c.converged}
     posed = [c for c in project.configurations if c.name in solved]

@@ -100,11 +100,11 @@ def test_a_rigid_body_is_refused_before_a_calibration_begins(results, tmp_path):
     model = loaded.project.model
     plate = [sc.RigidBody("plate", "x_max")]
     model = sc.build_model(model.mesh, model.law, density=1000.0, bodies=plate)
-    project, begun = dataclasses.replace(loaded.project, model=model), []
+    project, steps = dataclasses.replace(loaded.project, model=model), []
     loaded = dataclasses.replace(loaded, project=project)
     with pytest.raises(ValueError, match=r"rigid bodies \(plate\)"):
-        export_sofa(loaded, tmp_path / "scene", began=lambda: begun.append(1))
-    assert begun == []
+        export_sofa(loaded, tmp_path / "scene", progress=steps.append)
+    assert steps == []
     assert not (tmp_path / "scene").exists()
 
 
