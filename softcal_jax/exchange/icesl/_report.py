@@ -58,8 +58,7 @@ class IceslResult(Module):
 def meaning(table: FoamTable, convention: Convention, plane: str) -> tuple[str, ...]:
     """Say what the numbers in a script mean."""
     turn = "clockwise" if convention.clockwise else "counter-clockwise"
-    offset = readable(convention.offset, "rad") if convention.offset else ""
-    more = f", plus {offset}" if offset else ""
+    more = f", plus {readable(convention.offset, 'rad')}" if convention.offset else ""
     return (
         f"Moduli of the foam: {table.source}.",
         f"Angles mark the {convention.marks} axis of the foam and count {turn} from x "

@@ -53,15 +53,7 @@ _LOWEST_PERCENTAGE = 20.0
 def script(
     title: str, comments: Iterable[str], part: str, infill: str, chosen: Chosen
 ) -> str:
-    """Write the script.
-
-    Args:
-        title: Its first line.
-        comments: Further lines, for the reader.
-        part: Name of the file of the part, beside the script.
-        infill: "Polyfoam" or "Phasor".
-        chosen: Density, angles and anisotropy.
-    """
+    """Write the script, with comments for its reader; `part` is the file beside it."""
     head = _HEAD.format(
         title=_one_line(title),
         comments="\n".join(f"-- {_one_line(line)}" for line in comments),
@@ -69,7 +61,7 @@ def script(
     )
     if any(setting.texture is not None for setting in chosen.settings):
         head += _TEXTURE.format(n=N_VOXELS)
-    constants = {
+    values = {
         "infill_type": f"'{infill}'",
         "num_shells": "0",
         "cover_thickness_mm": "0",
@@ -78,21 +70,17 @@ def script(
     lowest = 100.0 * float(chosen.foam.density.min())
     if infill == "Polyfoam" and lowest < _LOWEST_PERCENTAGE:
         # Below the lowest step of the texture as well.
-        constants["pfoam_min_percentage"] = str(max(int(lowest - 0.5), 0))
-    lines = [head, *(_set(name, value) for name, value in constants.items())]
+        values["pfoam_min_percentage"] = str(max(int(lowest - 0.5), 0))
     for setting in chosen.settings:
         if setting.texture is None:
-            lines.append(_set(setting.name, f"{setting.constant:.9g}"))
-            continue
-        rows = _rows(setting.texture)
-        box = "box:min_corner(), box:max_corner()"
-        lines.append(_set(setting.name, f"texture([[\n{rows}]]), {box}"))
-    return "\n".join(lines) + "\n"
-
-
-def _set(name: str, value: str) -> str:
-    """Write a line that sets something of the first brush."""
-    return f"set_setting_value('{name}_0', {value})"
+            values[setting.name] = f"{setting.constant:.9g}"
+        else:
+            field = f"texture([[\n{_rows(setting.texture)}]])"
+            box = "box:min_corner(), box:max_corner()"
+            values[setting.name] = f"{field}, {box}"
+    # Of the first brush.
+    lines = [f"set_setting_value('{name}_0', {v})" for name, v in values.items()]
+    return "\n".join([head, *lines]) + "\n"
 
 
 def _one_line(text: str) -> str:

@@ -26,13 +26,7 @@ ACROSS = "right in the print plane only"
 
 
 class Convention(NamedTuple):
-    """What an angle of the slicer means.
-
-    Attributes:
-        marks: Axis of the foam that the angle marks.
-        offset: Added to every angle [rad].
-        clockwise: Whether the slicer counts angles clockwise, seen from above.
-    """
+    """Which axis an angle of the slicer marks, what is added [rad], and which way."""
 
     marks: Literal["soft", "stiff"]
     offset: float = 0.0
@@ -44,13 +38,9 @@ class Convention(NamedTuple):
 
 
 class Setting(NamedTuple):
-    """One setting of the slicer.
+    """One setting of the slicer: a constant in its unit, or a texture by voxel.
 
-    Attributes:
-        name: Its name.
-        full: Its value, in its own unit, where a texture is 1.
-        constant: Its value, in its own unit; None for a texture.
-        texture: Its values in steps of 1/255, by voxel; None for a constant.
+    A texture has steps of 1/255 of `full`.
     """
 
     name: str
@@ -67,7 +57,7 @@ class Setting(NamedTuple):
 
 
 class Chosen(NamedTuple):
-    """The foam for each sample.
+    """The foam for each sample, and what is wrong with it.
 
     Attributes:
         settings: What the slicer is given.
@@ -78,8 +68,7 @@ class Chosen(NamedTuple):
         rounding: Largest relative error of a modulus by the 8 bits, where the foam
             reaches what was asked for [-].
         seams: Pairs of neighbouring voxels between which the angle jumps by half a
-            turn, though the axis does not: IceSL interpolates there the wrong way
-            round.
+            turn, though the axis does not: IceSL interpolates the wrong way round.
     """
 
     settings: tuple[Setting, ...]
@@ -97,13 +86,7 @@ class Chosen(NamedTuple):
 
 
 def choose(samples: Samples, table: FoamTable, convention: Convention) -> Chosen:
-    """Choose density, anisotropy and angles for each sample.
-
-    Args:
-        samples: The material.
-        table: What the foam can be.
-        convention: What the angle means.
-    """
+    """Choose density, anisotropy and angles for each sample."""
     stiff_fibre = samples.E_l > samples.E_t
     low = np.minimum(samples.E_t, samples.E_l)
     high = np.maximum(samples.E_t, samples.E_l)
@@ -210,11 +193,9 @@ class _Textures:
     def director(self, angle: Float[HostArray, " n"]) -> tuple[Setting, int]:
         """Make the setting of an axis, which is the same again after half a turn.
 
-        Of the angles of an axis those in [cut, cut + 180 degrees) are taken.
-
-        Returns:
-            The setting, without a name, and the number of seams, see `Chosen`: the cut
-            is where there are fewest.
+        Of the angles of an axis those in [cut, cut + 180 degrees) are taken, with the
+        cut where seams are fewest, see `Chosen`. Returns the setting, without a name,
+        and their number.
         """
         half = np.mod(angle, np.pi)
         degrees = np.full((N_VOXELS,) * 3, -1)
@@ -229,8 +210,7 @@ class _Textures:
 def _straddling(degrees: Int[HostArray, "n n n"]) -> Int[HostArray, "180"]:
     """Count the pairs of neighbours between which lies a cut at 0, 1, ..., 179 degrees.
 
-    Args:
-        degrees: Angles of axes, in whole degrees from 0 to 179; -1 for no voxel.
+    Angles are of axes, in whole degrees from 0 to 179; -1 where no voxel is.
     """
     change = np.zeros(360, int)
     for axis in range(3):
