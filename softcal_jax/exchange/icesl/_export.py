@@ -1,5 +1,6 @@
 """A field of moduli as a part with graded foam, for the slicer IceSL."""
 
+import csv
 import os
 from pathlib import Path
 from typing import Literal
@@ -7,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from softcal_jax.calibration import CalibrationResult
+from softcal_jax.configurations import read_table
 from softcal_jax.equilibrium import Model
 from softcal_jax.exchange.icesl._fields import (
     Design,
@@ -16,7 +18,6 @@ from softcal_jax.exchange.icesl._fields import (
     print_plane,
     sample,
 )
-from softcal_jax.exchange.icesl._foam_file import read_foam_table, write_foam_table
 from softcal_jax.exchange.icesl._report import (
     TABLE,
     UNREACHABLE,
@@ -35,6 +36,8 @@ from softcal_jax.project import Project
 from softcal_jax.report import LoadedResult, load_result
 
 _SCRIPT, _PART = "robot.lua", "robot.stl"
+
+_UNITS = {"kPa": 1e3, "Pa": 1.0, "MPa": 1e6}
 
 
 def export_icesl(
@@ -173,6 +176,56 @@ def _foam(
             "alike."
         )
     return table
+
+
+def read_foam_table(path: str | os.PathLike[str], infill: Infill) -> FoamTable:
+    """Read a foam table of the user, from own tests or homogenisation.
+
+    The file has one line per sample and the columns `density` (share of solid, 0.2 for
+    20 %), `shrink` for Polyfoam or `iso` for Phasor (from 0 to 1, where 1 is
+    isotropic), `E_soft_kPa` and `E_stiff_kPa` (or `_Pa`, `_MPa`). At each shrink or iso
+    there must be two densities or more. `write_foam_table` writes one to start from.
+
+    Args:
+        path: The file.
+        infill: "Polyfoam" or "Phasor".
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is no such table; the text says what is wrong where.
+    """
+    path = Path(path)
+    table = read_table(path, "density", None)
+    units = [unit for unit in _UNITS if f"E_soft_{unit}" in table.header]
+    unit = units[0] if units else "kPa"
+    setting = "iso" if infill == "Phasor" else "shrink"
+    columns = ["density", setting, f"E_soft_{unit}", f"E_stiff_{unit}"]
+    table.check_columns(columns)
+    density, anisotropy, soft, stiff = table.numbers(columns).T
+    try:
+        return FoamTable(
+            infill,
+            density,
+            anisotropy,
+            _UNITS[unit] * soft,
+            _UNITS[unit] * stiff,
+            source=path.name,
+        )
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def write_foam_table(path: Path, table: FoamTable) -> None:
+    """Write a foam table as `read_foam_table` reads it, in kPa."""
+    rows = zip(
+        table.density, table.anisotropy, table.E_soft, table.E_stiff, strict=True
+    )
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["density", table.setting, "E_soft_kPa", "E_stiff_kPa"])
+        for density, anisotropy, soft, stiff in rows:
+            cells = (density, anisotropy, 1e-3 * soft, 1e-3 * stiff)
+            writer.writerow([f"{value:.9g}" for value in cells])
 
 
 def _write_stl(path: Path, part: PrintedPart) -> None:

@@ -20,8 +20,12 @@ from softcal_jax.exchange.proposal._body import (
     read_body,
 )
 from softcal_jax.exchange.proposal._file import project_text
-from softcal_jax.exchange.proposal._findings import Findings, MarkerPlace
-from softcal_jax.exchange.proposal._recorded import Recorded, read_recorded
+from softcal_jax.exchange.proposal._recorded import (
+    Findings,
+    MarkerPlace,
+    Recorded,
+    read_recorded,
+)
 from softcal_jax.mesh import MaterialPoints, MeshWarning, TetMesh, locate, mesh_files
 from softcal_jax.project import ProjectWarning, load_project
 from softcal_jax.robots import ready_made_path
