@@ -40,7 +40,7 @@ Posts that carry markers are shorter; cameras stand farther away from the robot.
 
 
 def write_ready_made(name: str, folder: Path) -> tuple[str, ...]:
-    """Write the project file and the data of a ready-made robot into a new folder.
+    """Write project file and data of a ready-made robot into a new folder.
 
     Args:
         name: Name of the robot, see `softcal_jax.robots.READY_MADE`.

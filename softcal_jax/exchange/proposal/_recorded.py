@@ -38,12 +38,8 @@ _UNITS = ("mm", "cm", "m")
 class RecordedPose(NamedTuple):
     """A pose that was recorded.
 
-    Attributes:
-        name: Its name.
-        file: The file that it is in.
-        select: What a project file takes of the file, as TOML.
-        seen: Positions of the markers that were seen, by label, in the frame and unit
-            of the file [m].
+    `select` is what a project file takes of the file, as TOML; `seen` are the positions
+    of the markers that were seen, by label, in the frame of the file [m].
     """
 
     name: str
@@ -53,13 +49,9 @@ class RecordedPose(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """The poses of one or several files.
+    """The poses of one or several files, or of recordings over time.
 
-    Attributes:
-        rest: The pose that others are compared with; that it is at rest is a guess.
-        others: The others.
-        over_time: Whether the files are recordings over time.
-        unit: Length unit, where the files state none: a guess.
+    That `rest` is at rest is a guess, and `unit`, where the files state none.
     """
 
     rest: RecordedPose
@@ -142,9 +134,7 @@ class Findings(NamedTuple):
 def read_recorded(paths: Sequence[Path], across: float) -> Recorded:
     """Read the poses of a table of rows, or of recordings over time, a pose in each.
 
-    Args:
-        paths: A file that `read_markers` takes, or files that `read_recording` takes.
-        across: Size of the robot, by which a unit is guessed that no one states [m].
+    The size `across` of the robot [m] serves to guess a unit that no file states.
 
     Raises:
         FileNotFoundError: If there is no such file.
