@@ -163,7 +163,7 @@ def test_no_text_of_jax_or_xla_reaches_the_user(tmp_path):
         "    print(os.environ['TF_CPP_MIN_LOG_LEVEL'])\n"
         "    return 0\n"
         "assert 'jax' not in sys.modules\n"
-        "import softcal_jax.cli._tags as t; t.tags = run\n"
+        "import softcal_jax.cli._new as t; t.tags = run\n"
         "sys.exit(_main.main(['tags', '-o', 'x']))"
     )
     clean = {k: v for k, v in os.environ.items() if k != "TF_CPP_MIN_LOG_LEVEL"}

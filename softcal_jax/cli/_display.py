@@ -1,26 +1,62 @@
 """What a command says while it runs: lines, what is under way, and JSON."""
 
+import argparse
+import io
 import json
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from datetime import timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
-from rich.console import RenderableType
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task
+from rich.segment import Segment
 from rich.text import Text
 
+from softcal_jax._text import escaped
 from softcal_jax.cli._compiling import Compiling
-from softcal_jax.cli._console import PlainConsole
 
 FIRST_S, LONGEST_S = 2.0, 30.0
 """Silence after which a log says what is under way, first and at most [s].
 
 It doubles from one such line to the next.
 """
+
+
+class PlainConsole(Console):
+    """A console that shows control characters in a text, where others obey them."""
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
+        """Render as `Console` does; its own control codes are segments of their own."""
+        for segment in super().render(renderable, options):
+            if segment.control:
+                yield segment
+            else:
+                yield Segment(escaped(segment.text), segment.style)
+
+
+class PlainParser(argparse.ArgumentParser):
+    """A parser that quotes wrong arguments without their control characters."""
+
+    def error(self, message: str) -> NoReturn:
+        """End the program with a message."""
+        super().error(escaped(message))
+
+
+def escape_what_cannot_be_encoded() -> None:
+    """Let standard output and error show characters that their encoding lacks.
+
+    That of the locale C, or of a pipe on Windows, may have no "±" or "ö": a command
+    would end in a traceback once its work is done.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
 
 
 class Display:

@@ -18,7 +18,7 @@ from softcal_jax.cli._shared import (
     start_computing,
     with_care,
 )
-from softcal_jax.cli._writing import pictures_with_a_bar, write_results
+from softcal_jax.cli._steps import pictures_with_a_bar, write_results
 
 if TYPE_CHECKING:
     from softcal_jax.fields import ParameterSpace

@@ -12,20 +12,24 @@ from pathlib import Path
 
 import shtab
 
-from softcal_jax.cli._check import add_check
-from softcal_jax.cli._commands import calibrate, demo, identify, simulate
-from softcal_jax.cli._compare import add_compare
+from softcal_jax.cli._check import add_check, add_mesh
+from softcal_jax.cli._commands import (
+    add_compare,
+    calibrate,
+    demo,
+    identify,
+    simulate,
+)
 from softcal_jax.cli._compiling import silence
-from softcal_jax.cli._console import (
+from softcal_jax.cli._display import (
+    Display,
     PlainConsole,
     PlainParser,
     escape_what_cannot_be_encoded,
 )
-from softcal_jax.cli._display import Display
 from softcal_jax.cli._export import add_export
 from softcal_jax.cli._inverse import add_inverse
-from softcal_jax.cli._mesh import add_mesh
-from softcal_jax.cli._new import add_new
+from softcal_jax.cli._new import add_new, add_tags
 from softcal_jax.cli._shared import (
     INTERRUPTED,
     Stop,
@@ -35,7 +39,6 @@ from softcal_jax.cli._shared import (
     warnings_as_lines,
 )
 from softcal_jax.cli._sweep import add_sweep
-from softcal_jax.cli._tags import add_tags
 from softcal_jax.exchange.exporters import AbstractExporter, exporters
 
 _ABOUT = """\
