@@ -154,9 +154,8 @@ configuration. Nothing is solved, so it takes seconds.""",
     add_path(command, "project", "PROJECT.toml", "the project file")
     where = "the picture, .png or .svg (default: PROJECT_check.png, beside the project)"
     add_path(command, "--output", "FILE", where)
-    add_output(command, pictures=True)
     again = "replace a picture that is not of an earlier check"
-    command.add_argument("--force", action="store_true", help=again)
+    add_output(command, force=again, pictures=True)
     command.set_defaults(run=check)
 
 
@@ -278,7 +277,5 @@ are seen before anything is computed; with another mesh file, the groups of that
     command.add_argument("--size", metavar="LENGTH", help=size)
     unit = "unit of an STL or mesh file: m, cm, mm, um or inch"
     command.add_argument("--length-unit", metavar="UNIT", help=unit)
-    again = "replace earlier files"
-    command.add_argument("--force", action="store_true", help=again)
-    add_output(command, pictures=True)
+    add_output(command, force="replace earlier files", pictures=True)
     command.set_defaults(run=mesh)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from softcal_jax.cli._shared import (
-    BAD_INPUT,
     INTERRUPTED,
     NOT_CONVERGED,
     OK,
@@ -18,6 +17,7 @@ from softcal_jax.cli._shared import (
     add_path,
     bad_input,
     check_folder,
+    check_new,
     load,
     no_equilibrium,
 )
@@ -47,13 +47,7 @@ def demo(args: argparse.Namespace, show: Display) -> int:
         return calibrate(args, show, path)
     source = path.parent
     names = sorted(p.name for p in source.iterdir() if p.is_file())
-    there = [name for name in names if (args.write / name).exists()]
-    if there and not args.force:
-        raise Stop(
-            BAD_INPUT,
-            f"error: {args.write} has {', '.join(there)} already. Choose another "
-            "folder, or replace them with --force.",
-        )
+    check_new(*(args.write / name for name in names), force=args.force)
     with bad_input():
         args.write.mkdir(parents=True, exist_ok=True)
         for name in names:
@@ -73,21 +67,20 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
     project = load(path, show)
     with bad_input():
         project.check_calibration()
-    for role, group in (("fit", project.calibration), ("predict", project.validation)):
-        if group:
-            show.note(f"{role}: {_names(group)}")
+    show.note(f"fit: {_names(project.calibration)}")
+    if project.validation:
+        show.note(f"predict: {_names(project.validation)}")
     if project.registrations:
-        rms = {name: 1e3 * found.rms for name, found in project.registrations.items()}
-        listed = ", ".join(f"{name} {mm:.2f} mm" for name, mm in rms.items())
-        show.note(f"camera frame to mesh frame, rms left at the markers: {listed}")
+        left = (f"{n} {1e3 * r.rms:.2f} mm" for n, r in project.registrations.items())
+        show.note(f"camera frame to mesh frame, rms left at markers: {', '.join(left)}")
     early: list[bool] = []
 
     def write(
-        result: "CalibrationResult", own: "Assessment", where: Path, force: bool
+        result: "CalibrationResult", judged: "Assessment", where: Path, force: bool
     ) -> Path:
         more = {"traces": project.traces, **_options(project, show, force=force)}
         more |= pictures_with_a_bar(args, show)
-        return report.write_results(result, where, assessment=own, **more)
+        return report.write_results(result, where, assessment=judged, **more)
 
     def profiling(result: "CalibrationResult") -> None:
         # Written before, in case the user does not want to wait.
@@ -118,13 +111,13 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
     else:
         show.lap("solve", compiling=result.timing_s["compile"])
     assessment = assess(result)
-    show.line()
-    show.line(report.summary_table(result, assessment))
-    _print_held_out(result, show)
+    held_out = report.held_out_sentences(result.configurations)
+    for part in ("", report.summary_table(result, assessment), *held_out):
+        show.line(part)
     with interruptible(args):
         force = args.force or any(early)
-        own = partial(write, result, assessment)
-        write_results(own, args, show, index="result.json", force=force)
+        last = partial(write, result, assessment)
+        write_results(last, args, show, index="result.json", force=force)
     _stop_unless_finished(result, args)
     if not assessment.identified:
         show.line("Take the values with care: " + " ".join(assessment.reasons))
@@ -250,13 +243,6 @@ def _names(group: "Sequence[Configuration]") -> str:
     return ", ".join(c.name for c in group)
 
 
-def _print_held_out(result: "CalibrationResult", show: Display) -> None:
-    from softcal_jax.report import held_out_sentences
-
-    for line in held_out_sentences(result.configurations):
-        show.line(line)
-
-
 _COMPARE = """\
 examples:
   softcal compare neo_hookean.toml yeoh.toml gent.toml
@@ -324,7 +310,5 @@ The files have the same configurations with the same measured values, and differ
         "projects", metavar="PROJECT.toml", nargs="+", type=Path, help="project files"
     )
     add_path(command, "--output", "DIR", "folder for the results")
-    again = "replace earlier results in that folder"
-    command.add_argument("--force", action="store_true", help=again)
-    add_output(command)
+    add_output(command, force="replace earlier results in that folder")
     command.set_defaults(run=compare)

@@ -63,9 +63,7 @@ def add_export(
         text = "the project file, if it was moved"
         add_path(command, "--project", "PROJECT.toml", text)
         exporter.add_options(command)
-        again = "replace what is there"
-        command.add_argument("--force", action="store_true", help=again)
-        add_output(command)
+        add_output(command, force="replace what is there")
         command.set_defaults(run=partial(_export, exporter=exporter))
 
 

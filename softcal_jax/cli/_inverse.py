@@ -156,7 +156,5 @@ def add_inverse(commands: "argparse._SubParsersAction", raw: Callable) -> None:
     command.add_argument("--configuration", metavar="NAME", help=which)
     add_path(command, "--output", "DIR", "folder for the results", required=True)
     add_path(command, "--project", "PROJECT.toml", "the project file, if it was moved")
-    again = "replace earlier results in that folder"
-    command.add_argument("--force", action="store_true", help=again)
-    add_output(command, pictures=True)
+    add_output(command, force="replace earlier results in that folder", pictures=True)
     command.set_defaults(run=inverse)

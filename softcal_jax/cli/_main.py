@@ -210,8 +210,7 @@ ranked by what measuring them as well would add.""",
         add_path(command, "--output", "DIR", where, required=needed)
     for command in (beam, fit, forward, outlook):
         again = "replace earlier results in that folder"
-        command.add_argument("--force", action="store_true", help=again)
-        add_output(command, pictures=command is not outlook)
+        add_output(command, force=again, pictures=command is not outlook)
     add_new(commands, raw)
     add_check(commands, raw)
     add_mesh(commands, raw)

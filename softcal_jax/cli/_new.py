@@ -232,7 +232,5 @@ def add_tags(commands: "argparse._SubParsersAction", raw: Callable) -> None:
     parser.add_argument("--first", type=int, default=0, metavar="N", help=text)
     text = "size of the sheets (default: a4)"
     parser.add_argument("--paper", default="a4", choices=["a4", "letter"], help=text)
-    text = "replace a file that is there"
-    parser.add_argument("--force", action="store_true", help=text)
-    add_output(parser)
+    add_output(parser, force="replace a file that is there")
     parser.set_defaults(run=tags)

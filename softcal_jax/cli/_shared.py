@@ -80,14 +80,16 @@ def add_path(
     """Add an argument that is a path; `--output` is also `-o`."""
     names = ["-o", name] if name == "--output" else [name]
     added = parser.add_argument(*names, metavar=metavar, type=Path, help=text, **more)
-    folder = metavar == "DIR"
-    added.complete = (  # pyright: ignore[reportAttributeAccessIssue]
-        shtab.DIRECTORY if folder else shtab.FILE
-    )
+    kind = shtab.DIRECTORY if metavar == "DIR" else shtab.FILE
+    added.complete = kind  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def add_output(command: argparse.ArgumentParser, *, pictures: bool = False) -> None:
-    """Add the options on what is shown, and on `pictures` where some are written."""
+def add_output(
+    command: argparse.ArgumentParser, *, force: str = "", pictures: bool = False
+) -> None:
+    """Add the options on what is written over and shown, and on `pictures`."""
+    if force:
+        command.add_argument("--force", action="store_true", help=force)
     text = "no progress: only the result, warnings and errors"
     command.add_argument("--quiet", "-q", action="store_true", help=text)
     text = "the result as JSON on standard output; all else goes to standard error"

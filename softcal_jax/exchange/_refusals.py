@@ -23,14 +23,7 @@ def check_no_bodies(model: Model, format: str) -> None:
 def check_rim(
     model: Model, configuration: ConfigurationArrays, actuator: int, format: str
 ) -> None:
-    """Raise ValueError if a lid presses on a rim that is not held.
-
-    Args:
-        model: The model.
-        configuration: What holds it.
-        actuator: Index of the chamber.
-        format: What has no lids.
-    """
+    """Raise ValueError if the lid of a chamber presses on a rim that is not held."""
     actuators, fixed = model.mechanism.actuators, np.asarray(configuration.fixed)
     free = free_rim_nodes(actuators.groups, actuator, fixed)
     if free:

@@ -40,12 +40,9 @@ class GmshError(ValueError):
 class Filled(NamedTuple):
     """A volume filled with linear tets, in the length unit of the model.
 
-    Attributes:
-        points: Positions of the nodes.
-        tets: Nodes of the tets.
-        faces: Corners of the triangles on each face of the model that bounds the body.
-        solids: Indices of the tets of each solid.
-        volume: Volume of the model; nan if that is unknown.
+    `faces` are corners of the triangles on each face of the model that bounds the body,
+    `solids` indices of the tets of each solid; the volume of the model is nan if
+    unknown.
     """
 
     points: Float[HostArray, "n_nodes 3"]

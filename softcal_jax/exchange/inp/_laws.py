@@ -36,11 +36,9 @@ SMALLEST_D = 1e-10
 class InpLaw(NamedTuple):
     """A law in the terms of an input file.
 
-    Attributes:
-        keyword: The line that opens it, like "*HYPERELASTIC, YEOH".
-        constants: Its data, one row per tet, in SI.
-        note: What it has of the law of the model; empty if it is the same.
-        oriented: Whether its constants are those of axes, here those of the mesh.
+    `keyword` opens it, like "*HYPERELASTIC, YEOH"; constants are in SI. The note says
+    what it has of the law of the model, empty if all; oriented constants are those of
+    the axes of the mesh.
     """
 
     keyword: str

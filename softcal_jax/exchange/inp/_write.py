@@ -67,9 +67,10 @@ def write_inp(
             "is nearly 0.5. In Abaqus, write C3D10H for C3D10; for CalculiX, calibrate "
             'with formulation = "displacement" in [material], which has what it has.'
         )
+    wrapped = (line for note in notes for line in textwrap.wrap(note, 97))
     lines = [
         *("*HEADING", _comment(title), "** SI: m, kg, s, N, Pa"),
-        *(line for note in notes for line in _comments(note)),
+        *(f"** {line}" for line in wrapped),
         *_mesh(model.mesh),
         *materials,
         *_springs(model.mesh, configuration),
@@ -120,11 +121,6 @@ def export_inp(
 def _comment(text: str) -> str:
     """Write a text of users in one line that no program takes for a keyword."""
     return " ".join(text.encode("ascii", "replace").decode().split()).lstrip("*")[:80]
-
-
-def _comments(note: str) -> list[str]:
-    """Write a note in lines that the programs skip."""
-    return textwrap.wrap(note, 100, initial_indent="** ", subsequent_indent="** ")
 
 
 def _number(value: float) -> str:
