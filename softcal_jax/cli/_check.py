@@ -53,10 +53,7 @@ def check(args: argparse.Namespace, show: Display) -> int:
     from softcal_jax.project import quantities_as_read
     from softcal_jax.report import outline, roles_of
 
-    above = ""
-    if doubts:
-        n = len(doubts)
-        above = f", with the {'warning' if n == 1 else f'{n} warnings'} above"
+    above = f", with the warnings above: {len(doubts)}" if doubts else ""
     show.line(f"Nothing was solved; the project reads as follows{above}.")
     with bad_input():
         quantities = quantities_as_read(args.project)
@@ -78,15 +75,7 @@ def check(args: argparse.Namespace, show: Display) -> int:
             "tets": project.model.mesh.n_tets,
             "configurations": roles_of(project),
             "parameters": [q.name for q in project.parameters],
-            "quantities": [
-                {
-                    "key": own.key,
-                    "typed": own.typed,
-                    "values": list(own.values),
-                    "unit": own.unit,
-                }
-                for own in quantities
-            ],
+            "quantities": [quantity._asdict() for quantity in quantities],
             "warnings": list(doubts),
             "outline": lines,
             "picture": None if args.no_pictures else str(picture),
@@ -122,11 +111,10 @@ def _draw(project: "Project", picture: Path) -> None:
     left = len(posed) - MOST_PANELS
     more = f" {left} further configurations are not drawn." if left > 0 else ""
     sets = control_point_sets(project).values()
-    points = [np.asarray(own.positions) for own in sets]
-    roles = roles_of(project)
+    points = [np.asarray(layout.positions) for layout in sets]
     plot_plan(
         project.model,
-        {name: f"{name} ({role})" for name, role in roles.items()},
+        {name: f"{name} ({role})" for name, role in roles_of(project).items()},
         posed,
         picture,
         title=project.name,

@@ -64,22 +64,11 @@ class Display:
 
     In a log (a file, a pipe) that line becomes a plain one after some silence. All go
     to standard output; with `as_json` to standard error, and standard output holds
-    JSON alone.
-
-    Attributes:
-        laps: Wall time of the parts so far [s].
-        warnings: Warnings that were shown.
-        compiling: What JAX compiles.
+    JSON alone. The command began at `begin`, as of `time.time` [s]; `laps` are the wall
+    times of its parts so far [s].
     """
 
     def __init__(self, begin: float, *, quiet: bool = False, as_json: bool = False):
-        """Choose what is shown.
-
-        Args:
-            begin: When the command began, as of `time.time` [s].
-            quiet: Show the result, warnings and errors only.
-            as_json: Print JSON for programs.
-        """
         self._out = sys.stdout
         file = sys.stderr if as_json else sys.stdout
         self.console = PlainConsole(file=file)
@@ -92,9 +81,8 @@ class Display:
         self._moves = self.console.is_interactive and file.isatty() and not quiet
         self.progress = Progress(
             SpinnerColumn(),
-            _UnderWay(self.compiling),
+            _UnderWay(self.compiling, begin),
             _BarWhereCounted(bar_width=30),
-            _Elapsed(begin),
             console=self.console,
             transient=True,
             disable=not self._moves,
@@ -151,25 +139,17 @@ class Display:
         self.warnings.append(text)
         self.line(f"warning: {text}")
 
-    def document(self, content: Mapping[str, Any]) -> None:
-        """Print a result as JSON, if that is asked for."""
+    def document(self, content: Mapping[str, Any], *, indent: int | None = 2) -> None:
+        """Print a result, or a part in one line, as JSON, if that is asked for."""
         if self.as_json:
-            self._print_json(content, indent=2)
-
-    def row(self, content: Mapping[str, Any]) -> None:
-        """Print a part of a result as one line of JSON, if that is asked for."""
-        if self.as_json:
-            self._print_json(content)
+            self._printed = True
+            text = json.dumps(content, allow_nan=False, indent=indent)
+            print(text, file=self._out, flush=True)
 
     def failure(self, text: str, code: int) -> None:
         """Say in JSON why there is no result, unless some of it is there."""
-        if self.as_json and not self._printed:
-            self._print_json({"error": text, "exit_code": code}, indent=2)
-
-    def _print_json(self, content: Mapping[str, Any], **how: Any) -> None:
-        self._printed = True
-        text = json.dumps(content, allow_nan=False, **how)
-        print(text, file=self._out, flush=True)
+        if not self._printed:
+            self.document({"error": text, "exit_code": code})
 
     def lap(self, name: str, *, compiling: float | None = None) -> None:
         """End a part of the run, and record its wall time.
@@ -205,15 +185,16 @@ class Display:
 
 
 class _UnderWay(ProgressColumn):
-    """What is under way, and what is compiled for it."""
+    """Time since the command began, what is under way, and what is compiled for it."""
 
-    def __init__(self, compiling: Compiling):
+    def __init__(self, compiling: Compiling, begin: float):
         super().__init__()
-        self._compiling = compiling
+        self._compiling, self._begin = compiling, begin
 
     def render(self, task: Task) -> Text:
+        elapsed = timedelta(seconds=int(time.time() - self._begin))
         words = filter(None, [task.description, self._compiling.words()])
-        return Text(", ".join(words))
+        return Text(f"{elapsed} {', '.join(words)}")
 
 
 class _BarWhereCounted(BarColumn):
@@ -221,15 +202,3 @@ class _BarWhereCounted(BarColumn):
 
     def render(self, task: Task) -> Any:
         return Text() if task.total is None else super().render(task)
-
-
-class _Elapsed(ProgressColumn):
-    """Time since the command began."""
-
-    def __init__(self, begin: float):
-        super().__init__()
-        self._begin = begin
-
-    def render(self, task: Task) -> Text:
-        seconds = timedelta(seconds=int(time.time() - self._begin))
-        return Text(str(seconds), style="progress.elapsed")

@@ -109,14 +109,12 @@ def _pairs(option: str, texts: Sequence[str], example: str) -> list[tuple[str, s
     """Split texts like tip="(100, 10, 12) mm" at the first equals sign."""
     pairs = []
     for text in texts:
-        name, sign, value = text.partition("=")
-        if not (name.strip() and sign and value.strip()):
+        name, _, value = (part.strip() for part in text.partition("="))
+        if not (name and value):
             raise ValueError(f"{option}: got {text!r}; expected {option} {example}.")
-        pairs.append((name.strip(), value.strip()))
-    names = [name for name, _ in pairs]
-    if option != "--limit" and len(set(names)) < len(names):
-        twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"{option}: {twice!r} is given twice; give it once.")
+        if option != "--limit" and name in dict(pairs):
+            raise ValueError(f"{option}: {name!r} is given twice; give it once.")
+        pairs.append((name, value))
     return pairs
 
 

@@ -64,8 +64,7 @@ def _ready_made(args: argparse.Namespace, show: Display) -> bool:
     """Copy a ready-made robot, and say what it is; its readings are there."""
     from softcal_jax.exchange.proposal import write_ready_made
 
-    options = ("markers", "size", "length_unit")
-    for option in options:
+    for option in ("markers", "size", "length_unit"):
         if getattr(args, option):
             raise ValueError(
                 f"--{option.replace('_', '-')} is for a model of your own; a "
@@ -85,12 +84,11 @@ def _proposed(args: argparse.Namespace, show: Display) -> bool:
 
     start_computing(show)
     show.now(f"reading {args.model.name}")
-    size = None if args.size is None else quantity("--size", args.size, "m")
     findings = propose_project(
         args.model,
         args.folder,
         recordings=args.markers,
-        size=size,
+        size=None if args.size is None else quantity("--size", args.size, "m"),
         length_unit=args.length_unit,
     )
     files = sorted(path.name for path in args.folder.iterdir())
@@ -126,15 +124,13 @@ def _found(found: "Findings") -> Iterator[str]:
             "`softcal calibrate` once there are readings (`--markers` of this command)."
         )
         return
-    others = ", ".join(pose.name for pose in recorded.others)
-    yield f"Poses: {recorded.rest.name}, as the one at rest" + (
-        f", and {others}." if others else "; there is no other."
-    )
+    others = ", ".join(pose.name for pose in recorded.others) or "no other"
+    yield f"Poses: {recorded.rest.name}, as the one at rest, and {others}."
     yield "Markers at rest, and how far from the mesh they were recorded:"
-    width = max(len(own.name) for own in found.markers)
-    for own in found.markers:
-        off = readable_values([own.distance], "m", digits=3)
-        yield f"  {own.name:<{width}}  {off if own.distance else 'in it'}"
+    width = max(len(marker.name) for marker in found.markers)
+    for marker in found.markers:
+        off = readable_values([marker.distance], "m", digits=3)
+        yield f"  {marker.name:<{width}}  {off if marker.distance else 'in it'}"
     if found.own_frame:
         yield (
             "That is too far for markers on this robot: the recording has a frame of "
@@ -204,12 +200,11 @@ def tags(args: argparse.Namespace, show: Display) -> int:
         size = quantity("--size", args.size, "m")
         options = {"count": args.count, "first": args.first, "paper": args.paper}
         n = write_tags(args.output, size=size, **options)
-    last = args.first + args.count - 1
-    about = {"tags": [*range(args.first, last + 1)], "pages": n}
-    show.document({"file": str(args.output), **about})
+    numbers = [*range(args.first, args.first + args.count)]
+    show.document({"file": str(args.output), "tags": numbers, "pages": n})
     show.line(
-        f"Wrote tags {args.first} to {last} of {1e3 * size:g} mm and the board to "
-        f"{args.output}: {n} pages. Print them at 100 %."
+        f"Wrote tags {numbers[0]} to {numbers[-1]} of {1e3 * size:g} mm and the board "
+        f"to {args.output}: {n} pages. Print them at 100 %."
     )
     return OK
 

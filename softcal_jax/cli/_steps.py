@@ -99,25 +99,23 @@ def checkpoint_stands(args: argparse.Namespace) -> str:
 def step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], None]":
     """Return a callback that prints a line per step and says what comes next."""
     sees_points = any(c.has_points for c in project.calibration)
-
-    def misfit(entry: "HistoryEntry") -> str:
-        # Lengths, angles and forces have no distance, so show the cost.
-        if sees_points:
-            return f"rms {1e3 * entry.rms:7.3f} mm"
-        return f"cost {entry.cost:9.3g}"
-
-    before: dict[str, float] = {}
+    noise: float | None = None
 
     def progress(entry: "HistoryEntry") -> None:
+        nonlocal noise
+        # Lengths, angles and forces have no distance, so show the cost.
+        misfit = f"cost {entry.cost:9.3g}"
+        if sees_points:
+            misfit = f"rms {1e3 * entry.rms:7.3f} mm"
         size = max(abs(step) for step in entry.lambda_p)
         moved = f"|lambda_p| {size:.1e}" if entry.step else " " * 18
         values = _values(project.parameters, entry.values)
         note = "" if entry.accepted else "   (step refused)"
-        if entry.noise_level != before.setdefault("noise", entry.noise_level):
-            before["noise"] = entry.noise_level
+        if noise not in (None, entry.noise_level):
             note += "   (noise estimated anew)"
+        noise = entry.noise_level
         what = f"step {entry.step}" if entry.step else "start"
-        show.note(f"{what:<8} {misfit(entry)}   {moved}   {values}{note}")
+        show.note(f"{what:<8} {misfit}   {moved}   {values}{note}")
         last = entry.step == project.settings.max_steps
         finished = last or (entry.step > 0 and size <= project.settings.tol)
         if finished and project.validation:

@@ -77,13 +77,6 @@ def sweep(args: argparse.Namespace, show: Display) -> int:
     database = args.output or loaded.database
     with bad_input():
         check_sweep_page(database)
-    ended, tell = 0, _progress_lines(show)
-
-    def progress(now: "Progress") -> None:
-        nonlocal ended
-        ended = now.ended
-        tell(now)
-
     try:
         with bad_input():
             result = loaded.run(
@@ -92,18 +85,18 @@ def sweep(args: argparse.Namespace, show: Display) -> int:
                 cores_per_worker=args.cores_per_worker,
                 scheduler=args.scheduler,
                 retry_failed=args.retry_failed,
-                progress=progress,
+                progress=_progress_lines(show),
             )
     except KeyboardInterrupt:
-        text = (
-            f"interrupted: {ended} of {len(loaded.points)} trials are in {database}; "
-            "the same command goes on from there."
-        )
+        text = f"interrupted: the same command goes on from what is in {database}."
         with suppress(OSError, ValueError):  # of a disk that is full, or no database
-            page = write_sweep(
-                read_sweep(database), database, sweep=loaded, timing_s=show.laps
+            result = read_sweep(database)
+            page = write_sweep(result, database, sweep=loaded, timing_s=show.laps)
+            text = (
+                f"interrupted: {len(result.rows)} of {len(loaded.points)} trials are "
+                f"in {database}; the same command goes on from there. Their page is "
+                f"{page}."
             )
-            text += f" Their page is {page}."
         raise Stop(INTERRUPTED, text) from None
     except RuntimeError as error:
         raise Stop(BAD_INPUT, f"error: {error}") from error
@@ -122,30 +115,24 @@ def sweep(args: argparse.Namespace, show: Display) -> int:
     return OK
 
 
-def _progress_lines(show: Display):
+def _progress_lines(show: Display) -> "Callable[[Progress], None]":
     """Return a callback that prints each trial as it ends, and progress at times."""
-    last = -QUIET_S
+    last = time.monotonic()
 
     def progress(now: "Progress") -> None:
         nonlocal last
-        row = now.row
-        if row is None:
+        what = str(now)
+        if now.row is None:
             done = f", {now.before} of them before" if now.before else ""
             show.note(f"{now.total} trials{done}")
+            what += ", the first trial compiles"
         else:
-            show.row(_row_dict(row))
-            show.note(_row_line(row))
-        if now.ended == now.total:
-            return
-        tick = time.monotonic()
-        if row is None:
-            last = tick
-            text = f"{now}, the first trial compiles"
-            show.now(text, log=False, count=(now.ended, now.total))
-            return
-        due = tick - last >= QUIET_S
-        last = tick if due else last
-        show.now(str(now), log=due, count=(now.ended, now.total))
+            show.document(_row_dict(now.row), indent=None)
+            show.note(_row_line(now.row))
+        if now.ended < now.total:
+            due = time.monotonic() - last >= QUIET_S
+            last = time.monotonic() if due else last
+            show.now(what, log=due, count=(now.ended, now.total))
 
     return progress
 
