@@ -13,7 +13,6 @@ import numpy as np
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.exchange.proposal._body import (
     Body,
-    Held,
     far_end,
     find_chambers,
     propose_held,
@@ -126,6 +125,11 @@ def _find(model: Path, body: Body, recorded: Recorded | None) -> Findings:
     moving = None if recorded is None or own_frame else recorded.moving
     held = propose_held(mesh, moving)
     tip = far_end(mesh, held)
+    if recorded is None or at is None:
+        middle = _on_top(mesh, 0.5 * (tip + held.centre))
+        markers = MarkerPlace("tip", tip, 0.0), MarkerPlace("middle", middle, 0.0)
+    else:
+        markers = _markers(mesh, recorded, at, own_frame=own_frame)
     # A file that includes others would have to be copied with all of them.
     alone = len(mesh_files(model)) == 1
     return Findings(
@@ -136,25 +140,15 @@ def _find(model: Path, body: Body, recorded: Recorded | None) -> Findings:
         chambers=find_chambers(mesh, held),
         recorded=recorded,
         own_frame=own_frame,
-        markers=_markers(body, held, tip, recorded, at, own_frame=own_frame),
+        markers=markers,
     )
 
 
 def _markers(
-    body: Body,
-    held: Held,
-    tip: Float[HostArray, "3"],
-    recorded: Recorded | None,
-    at: MaterialPoints | None,
-    *,
-    own_frame: bool,
+    mesh: TetMesh, recorded: Recorded, at: MaterialPoints, *, own_frame: bool
 ) -> tuple[MarkerPlace, ...]:
     """Place markers where they were seen at rest, or at points of the mesh."""
-    mesh = body.mesh
-    if recorded is None or at is None:
-        places = {"tip": tip, "middle": _on_top(mesh, 0.5 * (tip + held.centre))}
-        return tuple(MarkerPlace(name, place, 0.0) for name, place in places.items())
-    places, off = recorded.positions, at.distance
+    places = recorded.positions
     if own_frame:
         box = lambda points: 0.5 * (points.min(axis=0) + points.max(axis=0))
         shifted = places + box(mesh.points) - box(places)
@@ -163,7 +157,9 @@ def _markers(
         places = at.foot
     return tuple(
         MarkerPlace(name, place, float(distance))
-        for name, place, distance in zip(recorded.labels, places, off, strict=True)
+        for name, place, distance in zip(
+            recorded.labels, places, at.distance, strict=True
+        )
     )
 
 

@@ -1,5 +1,6 @@
 """What files of markers tell, and all that a project is written from."""
 
+import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -243,9 +244,8 @@ def _seen(table: MarkerTable) -> dict[str, Float[HostArray, "3"]]:
 
 
 def quoted(text: str) -> str:
-    """Write a text as TOML has it."""
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\t", "\\t")
-    return f'"{escaped}"'
+    """Write a text as TOML has it, which escapes as JSON does."""
+    return json.dumps(text, ensure_ascii=False)
 
 
 def bare(key: str) -> str:
