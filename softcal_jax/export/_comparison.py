@@ -35,16 +35,16 @@ def comparison_dict(
             which they were given.
         directory: Folder that the file is for.
     """
-    own = {model: made_dict(of, directory) for model, of in (made or {}).items()}
+    by_model = {model: made_dict(of, directory) for model, of in (made or {}).items()}
     best = comparison.best
     return plain(
         {
             "format": "softcal_jax.comparison/1",
             "name": name,
-            "sources": {model: of["source"] for model, of in own.items()},
-            "settings": {model: of["settings"] for model, of in own.items()},
+            "sources": {model: of["source"] for model, of in by_model.items()},
+            "settings": {model: of["settings"] for model, of in by_model.items()},
             "versions": {
-                k: v for of in own.values() for k, v in of["versions"].items()
+                k: v for of in by_model.values() for k, v in of["versions"].items()
             },
             "verdict": comparison.verdict,
             "best": best and best.name,

@@ -2,7 +2,6 @@
 
 import dataclasses
 import operator
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -32,7 +31,7 @@ def tet_fields(
         standard_errors: Standard errors of fields in each tet, by the name of the
             field, see `field_standard_errors`.
     """
-    found = {find_field(model, name).path: own for name, own in standard_errors.items()}
+    errors = {find_field(model, name).path: e for name, e in standard_errors.items()}
     cells = {}
     for name, path, leaf in _named(model):
         if is_point_values(leaf):  # a cell of VTK holds one value
@@ -42,9 +41,8 @@ def tet_fields(
             values = np.full(model.n_tets, values)
         # VTK knows no tensors per tet.
         cells[name] = values if values.ndim == 1 else values.reshape(len(values), -1)
-        error = found.get(path)
-        if error is not None:
-            cells[name + STANDARD_ERROR] = error
+        if path in errors:
+            cells[name + STANDARD_ERROR] = errors[path]
     return cells
 
 
@@ -67,12 +65,11 @@ def _named(model: Model) -> Iterator[tuple[str, str, Any]]:
     leaves += [("law" + jax.tree_util.keystr(path), leaf) for path, leaf in law]
     # Entries of a tuple, the local axes of a fibre, are no fields: see its direction.
     leaves = [(path, leaf) for path, leaf in leaves if "[" not in path]
-    last = lambda path: path.rpartition(".")[2]
-    names = Counter(last(path) for path, _ in leaves)
-    for path, leaf in leaves:
+    shorts = [path.rpartition(".")[2] for path, _ in leaves]
+    for short, (path, leaf) in zip(shorts, leaves, strict=True):
         # A law with two elasticities has two E: use the whole path as the name then.
-        short = last(path)
-        yield short if names[short] == 1 else path.removeprefix("law."), path, leaf
+        alone = shorts.count(short) == 1
+        yield short if alone else path.removeprefix("law."), path, leaf
 
 
 def principal_stretches(states: TetStates) -> Float[HostArray, "n_tets 3"]:
@@ -98,9 +95,10 @@ def von_mises_stress(states: TetStates) -> Float[HostArray, " n_tets"]:
 
 def fibre_directions(model: Model) -> dict[str, Float[HostArray, "n_tets 3"]]:
     """Return the directions of the fibres at rest, by family [-]."""
-    names = (f"fibre_direction{f'_{k}' if k > 1 else ''}" for k in range(1, 100))
-    fibres = model.law.fibres()
-    return {n: _axes(f, model.n_tets) for n, f in zip(names, fibres, strict=False)}
+    return {
+        f"fibre_direction{f'_{k}' if k > 1 else ''}": _axes(fibre, model.n_tets)
+        for k, fibre in enumerate(model.law.fibres(), start=1)
+    }
 
 
 def _axes(fibre: Fibre, n_tets: int) -> Float[HostArray, "n_tets 3"]:
@@ -109,12 +107,12 @@ def _axes(fibre: Fibre, n_tets: int) -> Float[HostArray, "n_tets 3"]:
     As u and -u are one axis, it is the first principal axis of the mean of u u^T.
     """
     leaves, tree = jax.tree.flatten(fibre, is_leaf=is_point_values)
-    own = [
+    tables = [
         np.asarray(leaf.values if is_point_values(leaf) else jnp.reshape(leaf, (-1, 1)))
         for leaf in leaves
     ]
-    n_qp = max(values.shape[1] for values in own)
-    flat = [np.broadcast_to(values, (n_tets, n_qp)).ravel() for values in own]
+    n_qp = max(values.shape[1] for values in tables)
+    flat = [np.broadcast_to(values, (n_tets, n_qp)).ravel() for values in tables]
     at_points = jax.tree.unflatten(tree, map(jnp.asarray, flat))
     u = np.asarray(jax.vmap(Fibre.direction)(at_points)).reshape(n_tets, n_qp, 3)
     if n_qp == 1:
