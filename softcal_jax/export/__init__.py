@@ -20,7 +20,6 @@ from softcal_jax.export._folder import (
 from softcal_jax.export._inverse import inverse_dict
 from softcal_jax.export._json import (
     RESULT_FORMAT,
-    budget_dict,
     identifiability_dict,
     outlook_dict,
     result_dict,
@@ -31,7 +30,6 @@ from softcal_jax.export._made import (
     file_dict,
     made_dict,
     plain,
-    source_dict,
     write_json,
 )
 from softcal_jax.export._tet_fields import (
@@ -49,7 +47,6 @@ __all__ = [
     "STANDARD_ERROR",
     "Made",
     "Readable",
-    "budget_dict",
     "check_results_folder",
     "comparison_dict",
     "fibre_directions",
@@ -68,7 +65,6 @@ __all__ = [
     "result_dict",
     "results_folder",
     "simulation_dict",
-    "source_dict",
     "tet_fields",
     "von_mises_stress",
     "write_effectors_csv",

@@ -27,13 +27,7 @@ def comparison_dict(
     first (`name`, `difference`, `standard_error`, `half_width`, `n`, `told_apart`);
     `timing_s` [s]. Scores and differences are squares in units of the noise.
 
-    Args:
-        comparison: The comparison.
-        name: Its name.
-        timing_s: Wall time per part [s].
-        made: What each model was computed from and with, by its name, in the order in
-            which they were given.
-        directory: Folder that the file is for.
+    What the models were computed from, `made`, is in the order that they had.
     """
     by_model = {model: made_dict(of, directory) for model, of in (made or {}).items()}
     best = comparison.best

@@ -31,13 +31,6 @@ def inverse_dict(
     `active_limits` and `held_by` in words; `blind` (null without; `coordinates`,
     `units`, `direction`, `off`, `gain`); `attempts` (`way`, `outcome`, `error` in
     standard deviations, `n_steps`); `steps` of the search. Then `timing_s` [s].
-
-    Args:
-        result: The command, or those along a trajectory.
-        name: Its name.
-        timing_s: Wall time per part [s].
-        made: What it was computed from and with.
-        directory: Folder that the file is for.
     """
     points = [result] if isinstance(result, InverseResult) else result.points
     model = points[0].model if points else None

@@ -41,12 +41,8 @@ def result_dict(
 ) -> dict[str, Any]:
     """Convert a calibration to the content of `result.json`, see `ResultFile`.
 
-    Args:
-        result: The calibration.
-        name: Its name.
-        assessment: Its assessment, if known already.
-        timing_s: Wall time of further parts, added to `result.timing_s` [s].
-        directory: Folder that the file is for.
+    Its assessment is made if it is not given; `timing_s` are wall times of further
+    parts [s], and paths of files are relative to `directory`.
     """
     # Here, since pydantic takes a third of a second, which a calibration does not need.
     from softcal_jax.export.result_file import ResultFile
@@ -119,14 +115,12 @@ def simulation_dict(
 
     Keys: `format`, `name`, `converged` (whether all did); `source`, `settings` and
     `versions` (see `made_dict`; without `made`, the first two say nothing);
-    `configurations` (`name`,
-    `converged`, `outcome`, `newton_steps`, `load_steps`, `residual`, `rounding`,
-    `at_rounding`, `min_det_F`, `largest_displacement_mm`, `markers` and other points
-    with `name`, `at_rest_mm`, `simulated_mm`, `effectors` that are not points with
-    `name`, `unit`, `is_turn`, `simulated`, `robot`, see `RobotEntry`); `solver`;
-    `timing_s` [s].
-    Where there is no equilibrium, positions and displacement are null, and `outcome`
-    says why.
+    `configurations` (`name`, `converged`, `outcome`, `newton_steps`, `load_steps`,
+    `residual`, `rounding`, `at_rounding`, `min_det_F`, `largest_displacement_mm`,
+    `markers` and other points with `name`, `at_rest_mm`, `simulated_mm`, `effectors`
+    that are not points with `name`, `unit`, `is_turn`, `simulated`, `robot`, see
+    `RobotEntry`); `solver`; `timing_s` [s]. Where there is no equilibrium, positions
+    and displacement are null, and `outcome` says why.
     """
     return plain(
         {

@@ -83,13 +83,10 @@ class Made(Module):
 
 
 def made_dict(made: Made | None, directory: str | Path = ".") -> dict[str, Any]:
-    """Convert what a result was computed from and with to a dictionary.
+    """Convert what a result was computed from and with, if that is known.
 
-    Keys: `source` (see `source_dict`), `settings`, `versions`.
-
-    Args:
-        made: What it was; None if that is not known.
-        directory: Folder of the results.
+    Keys: `source` (see `source_dict`), `settings`, `versions`. Paths are relative to
+    `directory`, the folder of the results.
     """
     if made is None:
         return {"source": None, "settings": {}, "versions": {}}
@@ -105,14 +102,9 @@ def source_dict(
 ) -> dict[str, Any] | None:
     """Convert the files that a calibration was made from to a dictionary.
 
-    Keys: `project` (`file`, relative to the folder of the results, and `sha256`);
-    `files`, mesh and measurements (likewise, relative to the folder of the project);
-    `changes` of the project file, by key. None for a calibration without a project
-    file.
-
-    Args:
-        source: The files.
-        directory: Folder of the results.
+    Keys: `project` (`file`, relative to `directory`, the folder of the results, and
+    `sha256`); `files`, mesh and measurements (likewise, relative to the folder of the
+    project); `changes` of the project file, by key. None without a project file.
     """
     if source is None:
         return None

@@ -23,13 +23,8 @@ def tet_fields(
 ) -> dict[str, HostArray]:
     """Return density and fields of the law, one value or vector per tet, in SI.
 
-    Values at quadrature points are averaged. Fields that have standard errors are
-    followed by these, as `E_standard_error`.
-
-    Args:
-        model: The model.
-        standard_errors: Standard errors of fields in each tet, by the name of the
-            field, see `field_standard_errors`.
+    Values at quadrature points are averaged. Fields that have standard errors in each
+    tet, see `field_standard_errors`, are followed by these, as `E_standard_error`.
     """
     errors = {find_field(model, name).path: e for name, e in standard_errors.items()}
     cells = {}

@@ -34,7 +34,7 @@ _REGULAR = 1.0 / (6.0 * sqrt(2.0))
 
 
 class GmshError(ValueError):
-    """Gmsh does not fill a model; the text is what it says."""
+    """Gmsh does not fill a model, or its surface is open; the text is what it says."""
 
 
 class Filled(NamedTuple):
@@ -56,12 +56,8 @@ class Filled(NamedTuple):
 def _gmsh_model() -> Iterator[Any]:
     """Start gmsh silently with an empty model, and end it in any case.
 
-    Ctrl-C and SIGTERM stay with Python. One thread makes the same mesh each time.
-
-    Raises:
-        ImportError: If gmsh is not installed, or lacks a library of the system.
-        RuntimeError: If the program uses gmsh already.
-        GmshError: If gmsh raises inside the block.
+    Ctrl-C and SIGTERM stay with Python. One thread makes the same mesh each time. What
+    gmsh raises inside the block becomes a GmshError.
     """
     gmsh = _load()
     if gmsh.isInitialized():
@@ -115,12 +111,7 @@ def _load() -> Any:
 
 
 def fill_step(path: Path, size: float | None) -> Filled:
-    """Fill the solids of a STEP file; the size and the result are in mm.
-
-    Raises:
-        ValueError: If gmsh cannot read or fill it, it has no solid, or the size makes
-            too many tets.
-    """
+    """Fill the solids of a STEP file; the size and the result are in mm."""
     with _gmsh_model() as gmsh:
         gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
         shape = gmsh.model.occ
@@ -140,12 +131,7 @@ def fill_step(path: Path, size: float | None) -> Filled:
 
 
 def fill_stl(path: Path, triangles: Triangles, size: float) -> Filled:
-    """Fill the inside of an STL surface; lengths are in the unit of the file.
-
-    Raises:
-        GmshError: If the surface is not closed, or gmsh cannot fill it.
-        ValueError: If the size makes too many tets.
-    """
+    """Fill the inside of an STL surface; lengths are in the unit of the file."""
     if n := triangles.n_open_edges:
         raise GmshError(f"it is not closed, {n} edges do not join two triangles.")
     with _gmsh_model() as gmsh:

@@ -29,13 +29,9 @@ np.savez(sys.argv[2], points=points, tets=tets)
 
 
 def fill_wild(triangles: Triangles, size: float) -> Filled:
-    """Fill a surface with holes, crossings or repeated triangles.
+    """Fill a surface with holes, crossings or repeated triangles, by pytetwild.
 
     FTetWild, Y. Hu et al., ACM Trans. Graph. 39 (2020).
-
-    Raises:
-        ImportError: If pytetwild is not installed.
-        ValueError: If it makes no tets.
     """
     if importlib.util.find_spec("pytetwild") is None:
         raise ImportError("No module named 'pytetwild'", name="pytetwild")

@@ -1,6 +1,5 @@
 """Printed tags on photographs: the pose of one tag in the frame of another."""
 
-from softcal_jax.exchange.camera._adjustment import CameraModel
 from softcal_jax.exchange.camera._detection import Photo, read_photo
 from softcal_jax.exchange.camera._photos import TagPose, find_photos, tag_pose
 from softcal_jax.exchange.camera._sheet import (
@@ -13,7 +12,6 @@ from softcal_jax.exchange.camera._sheet import (
 
 __all__ = [
     "BOARD_IDS",
-    "CameraModel",
     "Photo",
     "TagPose",
     "board_corners",

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softcal_jax._module import one_line
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.exchange.camera._sheet import opencv
 
@@ -28,18 +27,14 @@ _LEAST_NOISE = 1e-4
 
 
 class CameraModel(NamedTuple):
-    """A camera with square pixels, and what is known of it.
+    """A camera with square pixels, and the covariance of what is known of it.
 
-    Attributes:
-        values: Focal length f, principal point cx, cy [px], and the distortion k1, k2,
-            p1, p2, k3 [-].
-        covariance: Their covariance.
+    Its values are the focal length f, principal point cx, cy [px], and the distortion
+    k1, k2, p1, p2, k3 [-].
     """
 
     values: Float[HostArray, "8"]
     covariance: Float[HostArray, "8 8"]
-
-    __repr__ = one_line
 
     @classmethod
     def unknown(cls, size: tuple[int, int], focal: float) -> "CameraModel":
@@ -122,11 +117,7 @@ def adjust(
     poses: Sequence[Placement],
     targets: Sequence[Placement],
 ) -> Adjustment:
-    """Fit camera, poses and targets to what was seen, beginning at those given.
-
-    Raises:
-        ValueError: If the corners are too few for an estimate of their noise.
-    """
+    """Fit camera, poses and targets to what was seen, beginning at those given."""
     # Here, so that commands which do not need it do not wait for it.
     from scipy.optimize import least_squares
 

@@ -55,11 +55,7 @@ _SCALE = 0.1
 
 
 def opencv() -> Any:
-    """Import OpenCV with its tags.
-
-    Raises:
-        ImportError: If it is not installed, or without the module of tags.
-    """
+    """Import OpenCV with its tags."""
     try:
         import cv2
 

@@ -47,7 +47,6 @@ class InpExporter(AbstractExporter):
     ) -> Sequence[str]:
         from softcal_jax.exchange.inp import export_inp
 
-        del progress
         return export_inp(source, output, configuration=options.configuration)
 
 
@@ -101,13 +100,12 @@ class IceslExporter(AbstractExporter):
         from softcal_jax.exchange.icesl import export_icesl
         from softcal_jax.materials import published_foam
 
-        del progress
         table = options.table
         if options.solid_modulus is not None:
             if table is not None:
                 raise ValueError(
-                    "--solid-modulus scales the published table; a table of your own, "
-                    "--table, has the moduli of your foam already. Give one of the two."
+                    "--solid-modulus scales the published table, and --table has the "
+                    "moduli of your foam already. Give one of the two."
                 )
             modulus = quantity("--solid-modulus", options.solid_modulus, "Pa")
             table = published_foam(modulus)

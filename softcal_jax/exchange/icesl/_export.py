@@ -186,10 +186,6 @@ def read_foam_table(path: str | os.PathLike[str], infill: Infill) -> FoamTable:
     isotropic), `E_soft_kPa` and `E_stiff_kPa` (or `_Pa`, `_MPa`). At each shrink or iso
     there must be two densities or more. `write_foam_table` writes one to start from.
 
-    Args:
-        path: The file.
-        infill: "Polyfoam" or "Phasor".
-
     Raises:
         FileNotFoundError: If there is no such file.
         ValueError: If it is no such table; the text says what is wrong where.

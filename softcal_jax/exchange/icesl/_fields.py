@@ -70,11 +70,7 @@ class PrintedPart(NamedTuple):
 
 
 def part_on_bed(mesh: TetMesh, *, plane: PrintPlane, region: str | None) -> PrintedPart:
-    """Lay a body, or one tet group of it, on the bed.
-
-    Raises:
-        ValueError: If the plane or the region is unknown.
-    """
+    """Lay a body, or one tet group of it, on the bed."""
     if plane not in _BEDS:
         raise ValueError(
             f'the print plane must be "xy", "xz" or "yz", got {plane!r}: the axes of '
@@ -117,9 +113,6 @@ def sample(design: Design, part: PrintedPart) -> Samples:
     """Take moduli and fibre of a model at the centres of the voxels that a part fills.
 
     Fields with control points are evaluated there; others have the value of the tet.
-
-    Raises:
-        ValueError: If the law has no such moduli.
     """
     grid = Grid.around(part.mesh.points, N_VOXELS)
     filled = fill(part.mesh, grid)

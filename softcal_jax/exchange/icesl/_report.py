@@ -96,13 +96,12 @@ def print_notes(samples: Samples, chosen: Chosen, table: FoamTable) -> tuple[str
             f"its projection.{remedy} {UNREACHABLE} lists every voxel."
         )
     if chosen.across.any():
-        other = "E_l > E_t" if table.axis == "soft" else "E_l < E_t"
-        plane = "stiff" if table.axis == "soft" else "soft"
+        soft = table.axis == "soft"
+        other, plane = ("E_l > E_t", "stiff") if soft else ("E_l < E_t", "soft")
         notes.append(
-            f"{share(chosen.across)} has {other}, and {table.infill} has a "
-            f"{table.axis} axis and is {plane} across it: the print is right in its "
-            f"plane, but {plane} along the bed's z too. {UNREACHABLE} lists every "
-            "voxel."
+            f"{share(chosen.across)} has {other}, and {table.infill} is {plane} across "
+            f"its {table.axis} axis: the print is right in its plane, but {plane} "
+            f"along the bed's z too. {UNREACHABLE} lists every voxel."
         )
     if chosen.rounding > RTOL:
         notes.append(
@@ -159,9 +158,7 @@ def icesl_dict(
     along each axis, `filled`, `beyond`, `tilted`, `across`); `worst` and `rounding`,
     see `IceslResult`; `notes`.
     """
-    counts = {
-        key: getattr(result, f"n_{key}") for key in ("beyond", "tilted", "across")
-    }
+    counts = {k: getattr(result, f"n_{k}") for k in ("beyond", "tilted", "across")}
     return plain(
         {
             "format": "softcal_jax.icesl/1",

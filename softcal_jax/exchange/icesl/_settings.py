@@ -110,20 +110,16 @@ def choose(samples: Samples, table: FoamTable, convention: Convention) -> Chosen
     angle = convention.setting(marked)
 
     as_texture = _Textures(samples)
-    around, seams = as_texture.director(angle)
-    settings = [as_texture("infill_percentage", 100.0, foam.density)]
-    if table.infill == "Polyfoam":
-        settings += [
-            around._replace(name="infill_angle"),
-            as_texture("kgon_x_shrink", 1.0, foam.anisotropy),
-        ]
+    polyfoam = table.infill == "Polyfoam"
+    around = "infill_angle" if polyfoam else "phasor_infill_theta"
+    direction, seams = as_texture.director(around, angle)
+    settings = [as_texture("infill_percentage", 100.0, foam.density), direction]
+    if polyfoam:
+        settings.append(as_texture("kgon_x_shrink", 1.0, foam.anisotropy))
     else:
         inclination = np.where(turned | (not leaves), 0.0, elevation) / (2.0 * np.pi)
-        settings += [
-            around._replace(name="phasor_infill_theta"),
-            as_texture("phasor_infill_phi", 360.0, inclination),
-            as_texture("phasor_infill_iso", 100.0, foam.anisotropy),
-        ]
+        settings.append(as_texture("phasor_infill_phi", 360.0, inclination))
+        settings.append(as_texture("phasor_infill_iso", 100.0, foam.anisotropy))
     beyond = foam.error > RTOL
     return Chosen(
         tuple(settings),
@@ -152,8 +148,8 @@ def _rounding(
     if table.infill == "Polyfoam":
         anisotropy = np.maximum(anisotropy, 0.5 / _STEPS)
     given = table.moduli(density, anisotropy)
-    found = np.stack([foam.E_soft, foam.E_stiff], axis=1)[reached]
-    return float(np.abs(given / found - 1.0).max())
+    exact = np.stack([foam.E_soft, foam.E_stiff], axis=1)[reached]
+    return float(np.abs(given / exact - 1.0).max())
 
 
 class _Textures:
@@ -190,12 +186,11 @@ class _Textures:
         texture[tuple(self.voxels.T)] = steps
         return Setting(name, full, texture=texture[tuple(self.nearest)])
 
-    def director(self, angle: Float[HostArray, " n"]) -> tuple[Setting, int]:
+    def director(self, name: str, angle: Float[HostArray, " n"]) -> tuple[Setting, int]:
         """Make the setting of an axis, which is the same again after half a turn.
 
         Of the angles of an axis those in [cut, cut + 180 degrees) are taken, with the
-        cut where seams are fewest, see `Chosen`. Returns the setting, without a name,
-        and their number.
+        cut where seams, see `Chosen`, are fewest; returns their number, too.
         """
         half = np.mod(angle, np.pi)
         degrees = np.full((N_VOXELS,) * 3, -1)
@@ -203,7 +198,7 @@ class _Textures:
         straddling = _straddling(degrees)
         cut = np.deg2rad(np.argmin(straddling))
         unwound = cut + np.mod(half - cut, np.pi)
-        setting = self("", 360.0, unwound / (2.0 * np.pi))
+        setting = self(name, 360.0, unwound / (2.0 * np.pi))
         return setting, int(straddling.min())
 
 

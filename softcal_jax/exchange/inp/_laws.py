@@ -47,12 +47,7 @@ class InpLaw(NamedTuple):
 
 
 def inp_law(model: Model) -> InpLaw:
-    """Convert the law of a model.
-
-    Raises:
-        ValueError: If neither program has such a law, or it varies within a tet; the
-            text gives the reason.
-    """
+    """Convert the law of a model; a ValueError says why neither program has it."""
     leaves = jax.tree.leaves(model.law, is_leaf=is_point_values)
     if any(map(is_point_values, leaves)):
         raise ValueError(
@@ -150,11 +145,7 @@ def _anisotropic(elasticity: AbstractElasticity) -> list[HostArray]:
 
 
 def _D(bulk: Float[Array, "..."]) -> HostArray:
-    """Compute D_1 = 2 / K [1/Pa].
-
-    Raises:
-        ValueError: If CalculiX would take another number.
-    """
+    """Compute D_1 = 2 / K [1/Pa], if CalculiX takes it as it is."""
     D = np.asarray(2.0 / bulk)
     if np.any(D < SMALLEST_D):
         raise ValueError(

@@ -97,20 +97,17 @@ def export_inp(
 
     The file has the law with its calibrated values where it has a counterpart, the
     supports, loads and pressures of the configuration, and one static step; in SI. See
-    `write_inp` for its content.
+    `write_inp` for its content and what is returned.
 
     Args:
         result: The results folder, its `result.json`, or what `load_result` returned.
         path: The file, ending in .inp.
         configuration: Name of the configuration; may be left out where there is one.
 
-    Returns:
-        What the programs do otherwise than the model, in sentences.
-
     Raises:
         ResultError: If the result cannot be loaded, see `load_result`.
-        ValueError: If there is no such configuration, the name does not end in .inp,
-            or something has no counterpart; the text gives the reason.
+        ValueError: If there is no such configuration, the name does not end in .inp, or
+            something has no counterpart; the text gives the reason.
     """
     loaded = result if isinstance(result, LoadedResult) else load_result(result)
     posed, arrays = loaded.posed(configuration)
@@ -237,11 +234,7 @@ def _loads(model: Model, c: ConfigurationArrays) -> Iterator[str]:
 
 
 def _pressures(model: Model, c: ConfigurationArrays) -> Iterator[str]:
-    """Write the pressures in chambers and on surfaces, face by face.
-
-    Raises:
-        ValueError: If another actuator acts, or the volume of a chamber is imposed.
-    """
+    """Write the pressures of chambers and surfaces; no other actuator may act."""
     actuators = model.mechanism.actuators
     forces = np.asarray(c.actuation.forces)
     acting = forces != 0.0

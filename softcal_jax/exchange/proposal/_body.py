@@ -74,13 +74,7 @@ class Held(NamedTuple):
 
 
 def read_body(path: Path, *, size: float | None, length_unit: str | None) -> Body:
-    """Read a mesh, or fill a CAD model with tets of a size, by default a twentieth.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it cannot be read or filled.
-        ImportError: If a CAD model needs a package that is not installed.
-    """
+    """Read a mesh, or fill a CAD model with tets of a size, by default a twentieth."""
     suffix = path.suffix.lower()
     guessed = length_unit is None and suffix not in _STATED
     unit = _guess_unit(path) if guessed else length_unit

@@ -39,14 +39,9 @@ Posts that carry markers are shorter; cameras stand farther away from the robot.
 
 
 def write_ready_made(name: str, folder: Path) -> tuple[str, ...]:
-    """Write project file and data of a ready-made robot into a new folder.
+    """Write the project file and the data of a ready-made robot into a new folder.
 
-    Args:
-        name: Name of the robot, see `softcal_jax.robots.READY_MADE`.
-        folder: The folder, which must not be there.
-
-    Returns:
-        Names of the files.
+    Returns the names of the files; those of robots are `softcal_jax.robots.READY_MADE`.
 
     Raises:
         ValueError: If there is no such robot, or the folder is there.

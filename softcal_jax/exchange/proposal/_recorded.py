@@ -136,12 +136,6 @@ def read_recorded(paths: Sequence[Path], across: float) -> Recorded:
     """Read the poses of a table of rows, or of recordings over time, a pose in each.
 
     The size `across` of the robot [m] serves to guess a unit that no file states.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If one cannot be read, tables of rows are several, or no marker was
-            seen in the first pose.
-        ImportError: If one is a .c3d file and ezc3d is not installed.
     """
     kinds = [is_recording(path) for path in paths]
     over_time = all(kinds)

@@ -1,7 +1,6 @@
 """Scenes of SOFA: a calibrated robot, calibrated again for what SOFA will run."""
 
 from softcal_jax.exchange.sofa._component import (
-    Component,
     SofaLaw,
     SofaRelease,
     SofaUnits,
@@ -14,7 +13,6 @@ from softcal_jax.exchange.sofa._export import (
 from softcal_jax.exchange.sofa._plugin_elasticity import PluginElasticity
 
 __all__ = [
-    "Component",
     "NotConvergedError",
     "PluginElasticity",
     "SofaExport",

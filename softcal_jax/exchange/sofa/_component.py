@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax.exchange.sofa._plugin_elasticity import PluginElasticity
 from softcal_jax.materials import (
     AbstractElasticity,
@@ -69,19 +68,11 @@ SCALES = {
 
 
 class Component(NamedTuple):
-    """A component of a scene and its data, in the units of the scene.
-
-    Attributes:
-        component: Its class.
-        plugin: The plugin that has it.
-        data: Its data by name.
-    """
+    """A component of a scene, its plugin, and its data in the units of the scene."""
 
     component: str
     plugin: str
     data: dict[str, Any]
-
-    __repr__ = one_line
 
 
 def law_for_sofa(
@@ -90,11 +81,10 @@ def law_for_sofa(
     """Return the law that SOFA computes in place of another, on a linear mesh.
 
     Corotational tets turn by `rotation`; with fibres it is "large", that of the plugin.
-
-    Raises:
-        ValueError: If SOFA has no counterpart; the text says why, and what to do.
+    A ValueError says why there is no counterpart, and what to do.
     """
-    if any(is_point_values(leaf) for leaf in _constants(law)):
+    leaves = jax.tree.leaves(law, is_leaf=is_point_values)
+    if any(map(is_point_values, leaves)):
         raise ValueError(
             "the law has constants that differ within a tet, and SOFA knows one per "
             'tet; take sampling = "centroids" for the parameters, the default.'
@@ -104,34 +94,25 @@ def law_for_sofa(
         if isinstance(elasticity, Isotropic):
             return SofaCorotational.of_mesh(mesh, elasticity, rotation)
         if isinstance(elasticity, TransverseIsotropic | ReducedTransverseIsotropic):
-            own = PluginElasticity(elasticity)
-            return SofaCorotational.of_mesh(mesh, own, "large")
-    if choice == "corotational" and (found := _isotropic(law)) is not None:
-        return SofaCorotational.of_mesh(mesh, found, rotation)
+            of_plugin = PluginElasticity(elasticity)
+            return SofaCorotational.of_mesh(mesh, of_plugin, "large")
+    if choice == "corotational":
+        for constants in (law, elasticity):
+            if isinstance(constants, NeoHookean | Isotropic):
+                hooke = Isotropic(constants.E, constants.nu)
+                return SofaCorotational.of_mesh(mesh, hooke, rotation)
     of_body = isinstance(law, NeoHookean) or (
         isinstance(law, StVenantKirchhoff) and isinstance(elasticity, Isotropic)
     )
     if not of_body:
         raise ValueError(_no_counterpart(law))
-    if any(np.ndim(leaf) > 0 for leaf in _constants(law)):
+    if any(np.ndim(leaf) > 0 for leaf in leaves):
         raise ValueError(
             f"{type(law).__name__} differs from tet to tet here, and the hyperelastic "
             "component of SOFA takes one set of constants for the whole body; take "
             'law="corotational" (--law corotational), whose moduli SOFA takes per tet.'
         )
     return law
-
-
-def _constants(law: AbstractLaw) -> list[Any]:
-    return jax.tree.leaves(law, is_leaf=is_point_values)
-
-
-def _isotropic(law: AbstractLaw) -> Isotropic | None:
-    """Return Hooke's law of the same E and nu; None for a law without these."""
-    for own in (law, getattr(law, "elasticity", None)):
-        if isinstance(own, NeoHookean | Isotropic):
-            return Isotropic(own.E, own.nu)
-    return None
 
 
 def _no_counterpart(law: AbstractLaw) -> str:
@@ -156,9 +137,7 @@ def component_of(
 ) -> Component:
     """Write a law from `law_for_sofa` as a component of a scene.
 
-    Raises:
-        ValueError: If the release lacks it, or a constant lies where SOFA would replace
-            it by another.
+    Not where the release lacks it, or SOFA would replace a constant by another.
     """
     if isinstance(law, SofaCorotational):
         if isinstance(law.elasticity, PluginElasticity):
@@ -168,7 +147,12 @@ def component_of(
             "youngModulus": _listed(scale.pressure * np.asarray(law.elasticity.E)),
             "poissonRatio": _listed(law.elasticity.nu),
         }
-        _check_ratio(data["poissonRatio"])
+        for nu in data["poissonRatio"]:
+            if not 0.0 <= nu < 0.5:
+                raise ValueError(
+                    f"nu is {nu:g}; SOFA takes a Poisson's ratio in [0, 0.5) and "
+                    "replaces others by 0.45, so this law cannot be written."
+                )
         if law.rotation == "procrustes":
             if release == "v25.12":
                 raise ValueError(
@@ -210,15 +194,6 @@ def _of_plugin(elasticity: PluginElasticity, n_tets: int, scale: Scale) -> Compo
         "anisotropyDirections": np.asarray(u).tolist(),
     }
     return Component("TetrahedronAnisotropicForceField", "Anisotropy", data)
-
-
-def _check_ratio(nu: list[float]) -> None:
-    bad = [value for value in nu if not 0.0 <= value < 0.5]
-    if bad:
-        raise ValueError(
-            f"nu is {bad[0]:g}; SOFA takes a Poisson's ratio in [0, 0.5) and replaces "
-            "others by 0.45, so this law cannot be written."
-        )
 
 
 def _listed(values: Any) -> list[float]:

@@ -68,9 +68,6 @@ def scene_configurations(
 
     `displacements` are what the linear model predicts in each [m]. The parameters, of
     scaled values `z`, may also belong to loads and supports.
-
-    Raises:
-        ValueError: If one has a support that cannot be written.
     """
     lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
     written = {}

@@ -206,10 +206,6 @@ def _recalibrate(
     """Fit the model of SOFA to the same measurements, from the calibrated values.
 
     Standard errors are left out: the values make up for the mesh, and belong to it.
-
-    Raises:
-        NotConvergedError: If the fit does not converge.
-        RuntimeError: If a configuration has no equilibrium; the text names it.
     """
     assert project.space is not None  # it has been calibrated
     found = calibrate(

@@ -234,7 +234,7 @@ def test_the_published_foam_in_both_conventions(tmp_path):
     )
     assert turned == soft | {"infill_angle_0": pytest.approx(30.0)}
     assert written.n_across == written.n_voxels
-    assert says(written.notes[0], "Polyfoam has a soft axis")
+    assert says(written.notes[0], "Polyfoam is stiff across its soft axis")
     rows = unreachable(written)
     assert len(rows) == COARSE**3
     assert {row["why"] for row in rows} == {"right in the print plane only"}
