@@ -1,11 +1,6 @@
 """Results as files that other programs read: JSON, CSV and VTK."""
 
-from softcal_jax._units import (
-    Readable,
-    readable_estimate,
-    readable_unit,
-    readable_values,
-)
+from softcal_jax._units import readable_estimate, readable_unit, readable_values
 from softcal_jax.export._comparison import comparison_dict
 from softcal_jax.export._csv import (
     write_effectors_csv,
@@ -46,7 +41,6 @@ __all__ = [
     "RESULT_FORMAT",
     "STANDARD_ERROR",
     "Made",
-    "Readable",
     "check_results_folder",
     "comparison_dict",
     "fibre_directions",

@@ -38,9 +38,8 @@ def file_stems(names: Sequence[str]) -> list[str]:
     """Make one file name per configuration, without extension, safe on every system.
 
     Anything but letters, digits, ".", "-" and "_" is replaced. A number is added where
-    two would be the same file on a system that ignores case, or where the name with
-    "_robot" or "_recording" after it, of the files of its actuators and its markers
-    over time, would be another's.
+    two would be the same file on a system that ignores case, or where that of the
+    actuators ("_robot") or of the markers over time ("_recording") would be another's.
     """
     taken = set(_RESERVED)
     stems = []

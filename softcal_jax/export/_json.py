@@ -15,7 +15,7 @@ from softcal_jax.calibration import (
     ConfigurationResult,
     SimulationResult,
 )
-from softcal_jax.equilibrium import Model, RobotState
+from softcal_jax.equilibrium import Model
 from softcal_jax.export._made import (
     Made,
     made_dict,
@@ -178,6 +178,8 @@ def outlook_dict(
 
 
 def _simulated(result: ConfigurationResult) -> dict[str, Any]:
+    from softcal_jax.export.result_file import RobotEntry
+
     largest = 1e3 * result.largest_displacement if result.converged else None
     return {
         **pick(result, "name", "converged", "outcome"),
@@ -199,15 +201,8 @@ def _simulated(result: ConfigurationResult) -> dict[str, Any]:
             }
             for effector in result.others
         ],
-        "robot": _robot(result.robot),
+        "robot": result.robot and RobotEntry.model_validate(result.robot).model_dump(),
     }
-
-
-def _robot(state: RobotState | None) -> dict[str, Any] | None:
-    """Convert rigid bodies, actuators and reactions."""
-    from softcal_jax.export.result_file import RobotEntry
-
-    return state and RobotEntry.model_validate(state).model_dump()
 
 
 def _solver(model: Model) -> dict[str, Any]:

@@ -192,11 +192,11 @@ def _check_shown(photos: Sequence[Photo], numbers: Sequence[int]) -> None:
                     f"{photo.path}; expected {SMALLEST:.0f} or more."
                 )
     if wrong:
-        remedy = (
-            "Leave out what does not, or take it anew: sharp, with the white rim of "
+        wrong.append(
+            "Leave out what does not, or take it anew: sharp, nearer, less aslant, "
+            "with the white rim of the tag, or printed larger."
         )
-        remedy += "the tag, nearer and less aslant, or with a larger print."
-        raise ValueError(" ".join([*wrong, remedy]))
+        raise ValueError(" ".join(wrong))
 
 
 def _fitted(

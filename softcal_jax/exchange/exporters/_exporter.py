@@ -4,18 +4,26 @@ import argparse
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 
-class ExportProgress(NamedTuple):
-    """What an export says while it runs."""
+class ExportProgress:
+    """What an export says while it runs.
 
-    begins: Callable[[str], None]
-    """Say what begins, like "calibrating the model of SOFA"."""
-    step: Callable[[Any], None]
-    """Show a step of a calibration, a `HistoryEntry`."""
-    computed: Callable[[str], None]
-    """Show what was computed for the export, in lines."""
+    Attributes:
+        begins: Says what begins, like "calibrating the model of SOFA".
+        step: Shows a step of a calibration, a `HistoryEntry`.
+        computed: Shows what was computed for the export, in lines.
+    """
+
+    def __init__(
+        self,
+        begins: Callable[[str], None],
+        step: Callable[[Any], None],
+        computed: Callable[[str], None],
+    ):
+        """Take what shows each of these."""
+        self.begins, self.step, self.computed = begins, step, computed
 
 
 class AbstractExporter(ABC):

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import one_line
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.elements import TET_EDGES
 from softcal_jax.equilibrium import Model
@@ -64,18 +65,11 @@ class PrintedPart(NamedTuple):
     rotation: Float[HostArray, "3 3"]
     shift: Float[HostArray, "3"]
 
-    def in_model(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, "n 3"]:
-        """Return places of the bed in the frame of the model [m]."""
-        return (points - self.shift) @ self.rotation
-
 
 def part_on_bed(mesh: TetMesh, *, plane: PrintPlane, region: str | None) -> PrintedPart:
     """Lay a body, or one tet group of it, on the bed."""
     if plane not in _BEDS:
-        raise ValueError(
-            f'the print plane must be "xy", "xz" or "yz", got {plane!r}: the axes of '
-            "the mesh that lie along x and y of the print bed."
-        )
+        raise unknown_name("print plane", plane, _BEDS)
     tets = np.arange(mesh.n_tets)
     if region is not None:
         tets = np.asarray(mesh.tets_of(region))
@@ -116,7 +110,7 @@ def sample(design: Design, part: PrintedPart) -> Samples:
     """
     grid = Grid.around(part.mesh.points, N_VOXELS)
     filled = fill(part.mesh, grid)
-    places = part.in_model(filled.places)
+    places = (filled.places - part.shift) @ part.rotation
     law = _law_at(design, places, part.tets[filled.tets])
     E_t, E_l, fibre = _axis_moduli(law, len(places))
     if fibre is not None:

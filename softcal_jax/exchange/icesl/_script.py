@@ -5,7 +5,6 @@ from collections.abc import Iterable
 import numpy as np
 
 from softcal_jax._text import escaped
-from softcal_jax._typing import HostArray, Int
 from softcal_jax.exchange.icesl._fields import N_VOXELS
 from softcal_jax.exchange.icesl._settings import Chosen
 
@@ -75,9 +74,11 @@ def script(
         if setting.texture is None:
             values[setting.name] = f"{setting.constant:.9g}"
         else:
-            field = f"texture([[\n{_rows(setting.texture)}]])"
-            box = "box:min_corner(), box:max_corner()"
-            values[setting.name] = f"{field}, {box}"
+            # Two hexadecimal digits per voxel, one line per row along x.
+            voxels = setting.texture.astype(np.uint8).transpose(2, 1, 0)
+            rows = (row.tobytes().hex() for row in voxels.reshape(-1, len(voxels)))
+            field = "texture([[\n{}\n]])".format("\n".join(rows))
+            values[setting.name] = f"{field}, box:min_corner(), box:max_corner()"
     # Of the first brush.
     lines = [f"set_setting_value('{name}_0', {v})" for name, v in values.items()]
     return "\n".join([head, *lines]) + "\n"
@@ -85,9 +86,3 @@ def script(
 
 def _one_line(text: str) -> str:
     return escaped(" ".join(text.split()))
-
-
-def _rows(texture: Int[HostArray, "n n n"]) -> str:
-    """Write two hexadecimal digits per voxel, one line per row along x."""
-    rows = texture.astype(np.uint8).transpose(2, 1, 0).reshape(-1, len(texture))
-    return "".join(f"{row.tobytes().hex()}\n" for row in rows)

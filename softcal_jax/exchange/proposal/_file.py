@@ -32,17 +32,18 @@ _NEAR = 0.01
 
 
 def project_text(name: str, found: Findings) -> str:
-    """Write a project file, with a remark at each value that is a guess.
-
-    Args:
-        name: Name of the project.
-        found: What it is written from.
-    """
+    """Write a project file of a name, with a remark at each value that is a guess."""
     parts = (
         *(_title(name, found), _mesh(found), _material(), _actuators(found)),
-        *(_markers(found), _shared(found), _configurations(found), _settings()),
+        *(_markers(found), _shared(found), _configurations(found)),
     )
-    return "\n\n".join("\n".join(part) for part in parts) + "\n"
+    text = "\n\n".join("\n".join(part) for part in parts)
+    return f"""{text}
+
+{_ruler("the settings")}
+[settings]
+noise = "estimated" # from the residuals; "stated" takes the `std` as it is
+"""
 
 
 def _title(name: str, found: Findings) -> Iterator[str]:
@@ -276,12 +277,6 @@ def _measured(found: Findings, pose: RecordedPose) -> Iterator[str]:
     if pose.select != "{  }":
         check = " # CHANGE: when the robot stands still" * recorded.over_time
         yield f"{off}measured.select = {pose.select}{check}"
-
-
-def _settings() -> Iterator[str]:
-    yield _ruler("the settings")
-    yield """[settings]
-noise = "estimated" # from the residuals; "stated" takes the `std` as it is"""
 
 
 def _ruler(title: str) -> str:

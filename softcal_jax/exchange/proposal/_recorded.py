@@ -197,18 +197,15 @@ def _columns(header: Sequence[str], rows: Sequence[Mapping[str, str]]) -> tuple:
     """
     of_place = {*"xyz", *(f"{axis}_{unit}" for axis in "xyz" for unit in METRES)}
     others = [column for column in header if column not in {"marker", *of_place}]
-    found: tuple[int, tuple] | None = None
+    distinct = lambda columns: len({tuple(row[c] for c in columns) for row in rows})
     for n in range(min(3, len(others)) + 1):
-        for columns in combinations(others, n):
-            keys = [tuple(row[c] for c in columns) for row in rows]
-            markers = {
-                (*key, row["marker"]) for key, row in zip(keys, rows, strict=True)
-            }
-            many = len(set(keys))
-            if len(markers) == len(rows) and (found is None or many < found[0]):
-                found = many, columns
-        if found is not None:
-            return found[1]
+        telling = [
+            columns
+            for columns in combinations(others, n)
+            if distinct((*columns, "marker")) == len(rows)
+        ]
+        if telling:
+            return min(telling, key=distinct)
     return ()
 
 

@@ -1,6 +1,7 @@
 """Scenes of SOFA: a calibrated robot, calibrated again for what SOFA will run."""
 
 from softcal_jax.exchange.sofa._component import (
+    PluginElasticity,
     SofaLaw,
     SofaRelease,
     SofaUnits,
@@ -10,7 +11,6 @@ from softcal_jax.exchange.sofa._export import (
     SofaExport,
     export_sofa,
 )
-from softcal_jax.exchange.sofa._plugin_elasticity import PluginElasticity
 
 __all__ = [
     "NotConvergedError",

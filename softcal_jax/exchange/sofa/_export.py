@@ -15,6 +15,7 @@ from softcal_jax.calibration import CalibrationResult, HistoryEntry, calibrate
 from softcal_jax.equilibrium import Model, model_for_law
 from softcal_jax.exchange.sofa._component import (
     SCALES,
+    PluginElasticity,
     SofaLaw,
     SofaRelease,
     SofaUnits,
@@ -26,7 +27,6 @@ from softcal_jax.exchange.sofa._configurations import (
     scene_configurations,
     vertex_masses,
 )
-from softcal_jax.exchange.sofa._plugin_elasticity import PluginElasticity
 from softcal_jax.exchange.sofa._write import Scene, write_scene
 from softcal_jax.export import check_results_folder
 from softcal_jax.fields import exactly_known
@@ -136,7 +136,10 @@ def export_sofa(
     folder = Path(directory)
     check_results_folder(folder, force=force)
     loaded = result if isinstance(result, LoadedResult) else load_result(result)
-    project = _linear_project(loaded)
+    project = loaded.project
+    if project.model.mesh.order == 2:  # which SOFA does not run
+        changes = {**project.source.changes, "mesh.element": "linear"}
+        project = load_project(project.path, changes=changes)
     check_robot(project.model)
     model = _model_of_sofa(project, law, rotation)
     component_of(model.law, model.n_tets, release, scale)  # before the work is done
@@ -171,15 +174,6 @@ def export_sofa(
     )
     write_scene(folder, scene, text=export.lines, notes=export.notes, force=force)
     return export
-
-
-def _linear_project(result: LoadedResult) -> Project:
-    """Load the project of a result with linear tets in place of quadratic ones."""
-    project = result.project
-    if project.model.mesh.order == 1:
-        return project
-    changes = {**project.source.changes, "mesh.element": "linear"}
-    return load_project(project.path, changes=changes)
 
 
 def _model_of_sofa(project: Project, law: SofaLaw, rotation: SofaRotation) -> Model:
