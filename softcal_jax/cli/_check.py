@@ -75,7 +75,7 @@ def check(args: argparse.Namespace, show: Display) -> int:
             "tets": project.model.mesh.n_tets,
             "configurations": roles_of(project),
             "parameters": [q.name for q in project.parameters],
-            "quantities": [quantity._asdict() for quantity in quantities],
+            "quantities": [read._asdict() for read in quantities],
             "warnings": list(doubts),
             "outline": lines,
             "picture": None if args.no_pictures else str(picture),
@@ -87,17 +87,7 @@ def check(args: argparse.Namespace, show: Display) -> int:
 
 def _is_own(picture: Path) -> bool:
     """Whether a file is a picture of an earlier check."""
-    if not picture.is_file():
-        return False
-    from PIL import Image, UnidentifiedImageError
-
-    if picture.suffix.lower() == ".svg":
-        return _MARK.encode() in picture.read_bytes()[:4000]
-    try:
-        with Image.open(picture) as image:
-            return image.info.get("Software") == _MARK
-    except (UnidentifiedImageError, OSError):
-        return False
+    return picture.is_file() and _MARK.encode() in picture.read_bytes()[:4000]
 
 
 def _draw(project: "Project", picture: Path) -> None:

@@ -6,9 +6,7 @@ from typing import TYPE_CHECKING
 
 from softcal_jax.cli._display import Display
 from softcal_jax.cli._shared import (
-    BAD_INPUT,
     OK,
-    Stop,
     add_output,
     add_path,
     bad_input,
@@ -34,12 +32,6 @@ def new(args: argparse.Namespace, show: Display) -> int:
     """Write a project folder for a ready-made robot, or for a model."""
     from softcal_jax.project import guesses_left
 
-    if (args.robot is None) == (args.model is None):
-        raise Stop(
-            BAD_INPUT,
-            "error: expected either --robot, a ready-made one, or --model, a file of "
-            "yours.",
-        )
     with bad_input():
         run = _proposed if args.robot is None else _ready_made
         measured = run(args, show)
@@ -157,10 +149,10 @@ Each such guess has a remark, to be changed or confirmed.""",
         formatter_class=raw,
     )
     add_path(command, "folder", "DIR", "the folder, which must not be there")
-    text = "name of a ready-made robot"
-    command.add_argument("--robot", metavar="NAME", help=text)
+    source = command.add_mutually_exclusive_group(required=True)
+    source.add_argument("--robot", metavar="NAME", help="name of a ready-made robot")
     text = "a mesh (.msh, .vtu, .inp, ...) or CAD model (.step, .stl)"
-    add_path(command, "--model", "FILE", text)
+    add_path(source, "--model", "FILE", text)
     text = "a table of markers, or recordings over time (.c3d, ...), a pose in each"
     add_path(command, "--markers", "FILE", text, nargs="+", default=[])
     text = 'edges of the tets of a CAD model, like "3 mm" (default: a twentieth of it)'

@@ -145,6 +145,8 @@ def tag_pages(
     size: float, *, count: int, first: int, paper: str
 ) -> list["matplotlib.figure.Figure"]:
     """Draw the sheets with the tags; arguments and errors as for `write_tags`."""
+    from matplotlib.patches import Rectangle
+
     width, height = _sheet(paper)
     if not 0.0 < size < np.inf:
         raise ValueError(f"size of the tags is {size:g} m; expected a positive length.")
@@ -166,6 +168,7 @@ def tag_pages(
             f"tags of {1e3 * size:g} mm do not fit on {paper} paper: make them smaller."
         )
     numbers = range(first, first + count)
+    cut = {"fill": False, "edgecolor": "#b0b0b0", "lw": 0.3, "ls": (0, (4, 4))}
     pages = []
     for begin in range(0, count, columns * rows):
         figure, axes = _page(
@@ -178,7 +181,9 @@ def tag_pages(
             x = _MARGIN + pitch * (column + 0.5)
             y = height - _MARGIN - _HEAD - (pitch + _LABEL) * row - 0.5 * pitch
             _draw_tag(axes, number, (x, y), size)
-            _draw_cut(axes, (x, y), size * (1.0 + 3.0 / CELLS))
+            side = size * (1.0 + 3.0 / CELLS)
+            corner = x - 0.5 * side, y - 0.5 * side
+            axes.add_patch(Rectangle(corner, side, side, **cut))
             style = {"ha": "center", "va": "top", "fontsize": 8}
             axes.text(x, y - 0.5 * size * (1.0 + 3.4 / CELLS), f"{number}", **style)
         pages.append(figure)
@@ -260,13 +265,3 @@ def _runs(cells: Bool[HostArray, " n"]) -> Iterator[tuple[int, int]]:
     """Yield where runs of cells that are set begin, and where they end."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], cells.astype(int), [0]])))
     yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-
-
-def _draw_cut(
-    axes: "matplotlib.axes.Axes", middle: Sequence[float], side: float
-) -> None:
-    from matplotlib.patches import Rectangle
-
-    corner = middle[0] - 0.5 * side, middle[1] - 0.5 * side
-    style = {"fill": False, "edgecolor": "#b0b0b0", "lw": 0.3, "ls": (0, (4, 4))}
-    axes.add_patch(Rectangle(corner, side, side, **style))

@@ -4,10 +4,10 @@ import argparse
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 
-class ExportProgress:
+class ExportProgress(NamedTuple):
     """What an export says while it runs.
 
     Attributes:
@@ -16,14 +16,9 @@ class ExportProgress:
         computed: Shows what was computed for the export, in lines.
     """
 
-    def __init__(
-        self,
-        begins: Callable[[str], None],
-        step: Callable[[Any], None],
-        computed: Callable[[str], None],
-    ):
-        """Take what shows each of these."""
-        self.begins, self.step, self.computed = begins, step, computed
+    begins: Callable[[str], None]
+    step: Callable[[Any], None]
+    computed: Callable[[str], None]
 
 
 class AbstractExporter(ABC):

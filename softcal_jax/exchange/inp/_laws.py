@@ -36,13 +36,13 @@ class InpLaw(NamedTuple):
     """A law in the terms of an input file.
 
     `keyword` opens it, like "*HYPERELASTIC, YEOH"; constants are in SI. The note says
-    what it has of the law of the model, empty if all; oriented constants are those of
-    the axes of the mesh.
+    what it has of the law of the model; oriented constants are those of the axes of the
+    mesh.
     """
 
     keyword: str
     constants: Float[HostArray, "n_tets n_constants"]
-    note: str = ""
+    note: str
     oriented: bool = False
 
 

@@ -14,12 +14,9 @@ from softcal_jax.actuators import actuator_geometry
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Model
 from softcal_jax.exchange._refusals import check_no_bodies, check_rim
-from softcal_jax.exchange.inp._laws import inp_law
+from softcal_jax.exchange.inp._laws import InpLaw, inp_law
 from softcal_jax.mesh import TetMesh, tet_faces
 from softcal_jax.report import LoadedResult, load_result
-
-MANY_MATERIALS = 1000
-"""Materials of a file from which it is said that there are many."""
 
 _PER_LINE = 8
 """Numbers in a line of data, as Abaqus wants them for constants."""
@@ -59,7 +56,8 @@ def write_inp(
     if path.suffix != ".inp":
         raise ValueError(f"the file name must end in .inp, got {path.name!r}.")
     check_no_bodies(model, "a .inp file")
-    notes, materials = _materials(model)
+    law = inp_law(model)
+    notes = [law.note]
     if model.formulation == "mean-dilatation":
         notes.append(
             "The tets of the model have one mean change of volume each, those of the "
@@ -72,7 +70,7 @@ def write_inp(
         *("*HEADING", _comment(title), "** SI: m, kg, s, N, Pa"),
         *(f"** {line}" for line in wrapped),
         *_mesh(model.mesh),
-        *materials,
+        *_materials(model, law),
         *_springs(model.mesh, configuration),
         *("*STEP, NLGEOM, INC=1000", "*STATIC", "0.1, 1."),
         *_supports(model.mesh, configuration),
@@ -157,32 +155,24 @@ def _mesh(mesh: TetMesh) -> Iterator[str]:
         yield from _members(np.asarray(nodes))
 
 
-def _materials(model: Model) -> tuple[list[str], list[str]]:
-    """Return notes, and materials with the sets of tets that have them."""
-    law = inp_law(model)
+def _materials(model: Model, law: InpLaw) -> Iterator[str]:
+    """Write materials, and the sets of tets that have them."""
     density = np.broadcast_to(np.asarray(model.density, float), model.n_tets)
     table = np.column_stack([law.constants, density])
     distinct, of_tet = np.unique(table, axis=0, return_inverse=True)
     order = np.argsort(of_tet.ravel(), kind="stable")
     ends = np.cumsum(np.bincount(of_tet.ravel()))
-    notes = [law.note] if law.note else []
-    if len(distinct) > MANY_MATERIALS:
-        notes.append(
-            f"{len(distinct)} materials for {model.n_tets} tets, since the fields of "
-            "the law differ from tet to tet; programs take a while to read them."
-        )
-    lines = []
     if law.oriented:
-        lines += ["*ORIENTATION, NAME=AXES, SYSTEM=RECTANGULAR", "1, 0, 0, 0, 1, 0"]
+        yield from ("*ORIENTATION, NAME=AXES, SYSTEM=RECTANGULAR", "1, 0, 0, 0, 1, 0")
     axes = ", ORIENTATION=AXES" * law.oriented
     for k, (*constants, rho) in enumerate(distinct):
         tets = order[ends[k - 1] if k else 0 : ends[k]]
-        lines += [f"*ELSET, ELSET=E{k + 1}", *_members(tets)]
-        lines += [f"*MATERIAL, NAME=M{k + 1}", law.keyword]
-        lines += _rows(map(_number, constants))
-        lines += ["*DENSITY", _number(rho)] if rho > 0.0 else []
-        lines.append(f"*SOLID SECTION, ELSET=E{k + 1}, MATERIAL=M{k + 1}{axes}")
-    return notes, lines
+        yield from (f"*ELSET, ELSET=E{k + 1}", *_members(tets))
+        yield from (f"*MATERIAL, NAME=M{k + 1}", law.keyword)
+        yield from _rows(map(_number, constants))
+        if rho > 0.0:
+            yield from ("*DENSITY", _number(rho))
+        yield f"*SOLID SECTION, ELSET=E{k + 1}, MATERIAL=M{k + 1}{axes}"
 
 
 def _springs(mesh: TetMesh, c: ConfigurationArrays) -> Iterator[str]:
