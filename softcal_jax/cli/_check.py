@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal_jax.cli._shared import (
-    BAD_INPUT,
     OK,
     Display,
-    Stop,
     add_output,
     add_path,
     bad_input,
     check_new,
+    check_suffix,
     load,
 )
 from softcal_jax.exchange.exporters import quantity
@@ -40,12 +39,7 @@ def check(args: argparse.Namespace, show: Display) -> int:
     """Say what a project file describes, and draw it; nothing is solved."""
     name = f"{args.project.stem}_check.{args.pictures}"
     picture = args.output or args.project.with_name(name)
-    if picture.suffix.lower() not in (".png", ".svg"):
-        raise Stop(
-            BAD_INPUT,
-            f"error: {picture} ends in {picture.suffix!r}; expected a picture, .png or "
-            ".svg.",
-        )
+    check_suffix(picture, ".png", ".svg")
     if not args.no_pictures and not _is_own(picture):
         check_new(picture, force=args.force)
     project = load(args.project, show, solve=False)
@@ -168,12 +162,7 @@ def mesh(args: argparse.Namespace, show: Display) -> int:
     from softcal_jax.plotting import plot_groups
     from softcal_jax.report import mesh_lines
 
-    if args.output.suffix.lower() != ".msh":
-        raise Stop(
-            BAD_INPUT,
-            f"error: {args.output} ends in {args.output.suffix!r}; expected a name that"
-            " ends in .msh, like finger.msh.",
-        )
+    check_suffix(args.output, ".msh")
     picture = args.output.with_suffix(f".{args.pictures}")
     written = [args.output] if args.no_pictures else [args.output, picture]
     check_new(*written, force=args.force)

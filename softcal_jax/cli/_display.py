@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Iterable, Mapping
 from datetime import timedelta
-from pathlib import Path
 from typing import Any, NoReturn
 
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -166,13 +165,6 @@ class Display:
         """Print how long the parts took."""
         parts = ", ".join(f"{name} {s:.1f} s" for name, s in self.laps.items())
         self.note(f"Time: {parts}; {time.time() - self.begin:.1f} s in all.")
-
-    def results(self, where: Path) -> None:
-        """Print what was written where, and how long the parts took."""
-        files = sorted(p.name for p in where.iterdir())
-        self.line(f"Results in {where}: {', '.join(files)}")
-        self.line(f"Open {where / 'report.html'} in a browser to read them.")
-        self.times()
 
     def _beat(self) -> None:
         """Say what is under way where nothing was said for long."""

@@ -83,12 +83,7 @@ exit codes: 0 judged, whatever the verdict, 1 no equilibrium, 2 bad input
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command, with the arguments of the process by default.
-
-    Returns:
-        The exit code: 0 done, 1 not converged or no equilibrium, 2 bad input,
-        130 interrupted, by Ctrl-C or SIGTERM.
-    """
+    """Run one command, by default that of the process, and return its exit code."""
     # The start of the process will not do: a shell may have run in it before.
     begin = time.time() - (time.process_time() if argv is None else 0.0)
     if argv is None:

@@ -45,7 +45,10 @@ def write_results(
     show.lap("results and pictures")
     if show.as_json:
         show.document(json.loads((where / index).read_text(encoding="utf-8")))
-    show.results(where)
+    files = sorted(p.name for p in where.iterdir())
+    show.line(f"Results in {where}: {', '.join(files)}")
+    show.line(f"Open {where / 'report.html'} in a browser to read them.")
+    show.times()
 
 
 def pictures_with_a_bar(args: argparse.Namespace, show: Display) -> dict[str, Any]:

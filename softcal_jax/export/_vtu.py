@@ -59,7 +59,7 @@ def write_vtu(
     """
     import pyvista
 
-    path = vtu_path(path)
+    path = _ending_in(".vtu", path)
     mesh = model.mesh
     u = np.asarray(displacement, float)
     if u.shape != mesh.points.shape:
@@ -85,7 +85,7 @@ def write_vtu(
         grid.cell_data[name] = values
     for name, values in fibre_directions(model).items():
         grid.cell_data[name] = values
-    save_vtu(path, grid)
+    _save(path, grid)
 
 
 def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
@@ -109,7 +109,7 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
     import pyvista
     from pyvista import CellType
 
-    path = vtu_path(path)
+    path = _ending_in(".vtu", path)
     mechanism, first = model.mechanism, model.mesh.n_nodes
     rest = np.asarray(mechanism.points)
     moved = rest + state.displacement
@@ -154,7 +154,7 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
     grid.cell_data["rigid_body"] = body
     grid.cell_data["lambda_a"] = forces[owner]
     grid.cell_data["delta_a"] = moves[owner]
-    save_vtu(path, grid)
+    _save(path, grid)
 
 
 def write_pvd(path: str | Path, files: Sequence[Sequence[str]]) -> None:
@@ -170,9 +170,7 @@ def write_pvd(path: str | Path, files: Sequence[Sequence[str]]) -> None:
     Raises:
         ValueError: If the name does not end in .pvd.
     """
-    path = Path(path)
-    if path.suffix != ".pvd":
-        raise ValueError(f"the file name must end in .pvd, got {path.name!r}.")
+    path = _ending_in(".pvd", path)
     version = {"type": "Collection", "version": "0.1", "byte_order": "LittleEndian"}
     root = ElementTree.Element("VTKFile", version)
     collection = ElementTree.SubElement(root, "Collection")
@@ -185,18 +183,17 @@ def write_pvd(path: str | Path, files: Sequence[Sequence[str]]) -> None:
     tree.write(path, encoding="utf-8", xml_declaration=True)
 
 
-def save_vtu(path: Path, grid: "pyvista.UnstructuredGrid") -> None:
+def _save(path: Path, grid: "pyvista.UnstructuredGrid") -> None:
     """Write a grid."""
     grid.save(path)
     if not path.exists():  # VTK removes what it could not finish, and only prints it
         raise OSError(f"{path} could not be written: is the disk full?")
 
 
-def vtu_path(path: str | Path) -> Path:
-    """Check the ending of a file's name."""
+def _ending_in(suffix: str, path: str | Path) -> Path:
     path = Path(path)
-    if path.suffix != ".vtu":
-        raise ValueError(f"the file name must end in .vtu, got {path.name!r}.")
+    if path.suffix != suffix:
+        raise ValueError(f"the file name must end in {suffix}, got {path.name!r}.")
     return path
 
 

@@ -80,7 +80,7 @@ def part_on_bed(mesh: TetMesh, *, plane: PrintPlane, region: str | None) -> Prin
     shift = -points.min(axis=0)
     X, cells = points + shift, index.reshape(nodes.shape)
     # Where every mid node lies amid its edge, the corners tell all.
-    middle = X[cells][:, np.array(TET_EDGES)].mean(axis=2)[:, : cells.shape[1] - 4]
+    middle = X[cells][:, np.array(TET_EDGES)].mean(axis=2)[:, : nodes.shape[1] - 4]
     if np.allclose(X[cells[:, 4:]], middle, rtol=0.0, atol=1e-9 * mesh.size):
         corners, index = np.unique(cells[:, :4], return_inverse=True)
         X, cells = X[corners], index.reshape(-1, 4)
