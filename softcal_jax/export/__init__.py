@@ -1,7 +1,6 @@
 """Results as files that other programs read: JSON, CSV and VTK."""
 
 from softcal_jax._units import readable_estimate, readable_unit, readable_values
-from softcal_jax.export._comparison import comparison_dict
 from softcal_jax.export._csv import (
     write_effectors_csv,
     write_markers_csv,
@@ -12,10 +11,11 @@ from softcal_jax.export._folder import (
     file_stems,
     results_folder,
 )
-from softcal_jax.export._inverse import inverse_dict
 from softcal_jax.export._json import (
     RESULT_FORMAT,
+    comparison_dict,
     identifiability_dict,
+    inverse_dict,
     outlook_dict,
     result_dict,
     simulation_dict,
@@ -27,15 +27,17 @@ from softcal_jax.export._made import (
     plain,
     write_json,
 )
-from softcal_jax.export._tet_fields import (
+from softcal_jax.export._vtu import (
     STANDARD_ERROR,
     fibre_directions,
     field_units,
     principal_stretches,
     tet_fields,
     von_mises_stress,
+    write_pvd,
+    write_robot_vtu,
+    write_vtu,
 )
-from softcal_jax.export._vtu import write_pvd, write_robot_vtu, write_vtu
 
 __all__ = [
     "RESULT_FORMAT",

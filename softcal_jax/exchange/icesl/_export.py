@@ -25,9 +25,9 @@ from softcal_jax.exchange.icesl._report import (
     icesl_dict,
     meaning,
     print_notes,
+    script,
     write_unreachable,
 )
-from softcal_jax.exchange.icesl._script import script
 from softcal_jax.exchange.icesl._settings import Convention, choose
 from softcal_jax.export import results_folder, write_json
 from softcal_jax.materials import FoamTable, Infill, published_foam

@@ -19,7 +19,6 @@ from softcal_jax.exchange.icesl import (
     Design,
     _fields,
     _report,
-    _script,
     _settings,
     read_foam_table,
     write_foam_table,
@@ -50,7 +49,7 @@ COARSE = 16
 @pytest.fixture
 def coarse(monkeypatch):
     """Fewer voxels than the slicer takes, where they are not what is tested."""
-    for module in (_fields, _report, _script, _settings):
+    for module in (_fields, _report, _settings):
         monkeypatch.setattr(module, "N_VOXELS", COARSE)
 
 
