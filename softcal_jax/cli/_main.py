@@ -12,6 +12,7 @@ from pathlib import Path
 
 import shtab
 
+from softcal_jax.cli._calibrated import add_export, add_inverse
 from softcal_jax.cli._check import add_check, add_mesh
 from softcal_jax.cli._commands import (
     add_compare,
@@ -20,15 +21,13 @@ from softcal_jax.cli._commands import (
     identify,
     simulate,
 )
-from softcal_jax.cli._compiling import silence
 from softcal_jax.cli._display import (
     Display,
     PlainConsole,
     PlainParser,
     escape_what_cannot_be_encoded,
+    silence,
 )
-from softcal_jax.cli._export import add_export
-from softcal_jax.cli._inverse import add_inverse
 from softcal_jax.cli._new import add_new, add_tags
 from softcal_jax.cli._shared import (
     INTERRUPTED,
