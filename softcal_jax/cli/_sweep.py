@@ -140,8 +140,8 @@ def _progress_lines(show: Display) -> "Callable[[Progress], None]":
 def _row_dict(row: "TrialRow") -> dict[str, Any]:
     """Return a row as one line of JSON holds it."""
     keys = ("state", "reason", "notes", "seconds", "compile_seconds", "worker", "ended")
-    own = {key: getattr(row, key) for key in keys}
-    return {"point": dict(row.point), "figures": dict(row.figures), **own}
+    more = {key: getattr(row, key) for key in keys}
+    return {"point": dict(row.point), "figures": dict(row.figures), **more}
 
 
 def _row_line(row: "TrialRow") -> str:
@@ -149,13 +149,13 @@ def _row_line(row: "TrialRow") -> str:
     point = ", ".join(f"{axis} = {value}" for axis, value in row.point.items())
     if row.state == "failed":
         return f"failed: {point}: {row.reason.splitlines()[0]}"
-    shown = [
+    figures = [
         f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"
         for name, value in row.figures.items()
         if value is not None
     ]
-    found = ", ".join(shown[:MOST_SHOWN])
-    return f"{row.state}: {point}: {found} ({row.seconds:.1f} s)"
+    shown = ", ".join(figures[:MOST_SHOWN])
+    return f"{row.state}: {point}: {shown} ({row.seconds:.1f} s)"
 
 
 def show_sweep(args: argparse.Namespace, show: Display) -> int:

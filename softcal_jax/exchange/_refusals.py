@@ -13,9 +13,8 @@ def check_no_bodies(model: Model, format: str) -> None:
     if names:
         raise ValueError(
             f"the robot has rigid bodies ({', '.join(names)}), which are not written "
-            f"to {format}: their nodes turn together, which it has to say by "
-            "constraints of its own. A body that is held: name its nodes in `supports` "
-            "instead. A plate that only carries markers: leave it out, give [markers] "
+            f"to {format}. A body that is held: name its nodes in `supports` instead. "
+            "A plate that only carries markers: leave it out, give [markers] "
             "`max_distance` and `base_radius`, and calibrate again."
         )
 

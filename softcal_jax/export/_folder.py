@@ -22,12 +22,6 @@ INDEX_FILES = (
 )
 """Files that mark a results folder; their `files` list what softcal_jax wrote."""
 
-_RESERVED = {"inverse", "markers", "report", "result", "simulation"}
-"""Stems of the other files of a results folder."""
-
-_ENDINGS = ("", "_robot", "_recording")
-"""What is put behind the stem of a configuration."""
-
 _REMEDY = "choose another folder"
 
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
@@ -41,7 +35,8 @@ def file_stems(names: Sequence[str]) -> list[str]:
     two would be the same file on a system that ignores case, or where that of the
     actuators ("_robot") or of the markers over time ("_recording") would be another's.
     """
-    taken = set(_RESERVED)
+    taken = {"inverse", "markers", "report", "result", "simulation"}  # other files
+    endings = ("", "_robot", "_recording")
     stems = []
     for name in names:
         stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._")[:80]
@@ -49,9 +44,9 @@ def file_stems(names: Sequence[str]) -> list[str]:
             stem = f"configuration_{stem}".strip("_")
         unique = stem
         copy = 2
-        while taken & (own := {unique.lower() + end for end in _ENDINGS}):
+        while taken & (files := {unique.lower() + end for end in endings}):
             unique, copy = f"{stem}_{copy}", copy + 1
-        taken |= own
+        taken |= files
         stems.append(unique)
     return stems
 

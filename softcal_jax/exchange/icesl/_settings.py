@@ -57,18 +57,13 @@ class Setting(NamedTuple):
 
 
 class Chosen(NamedTuple):
-    """The foam for each sample, and what is wrong with it.
+    """The foam for each sample as the table has it, and what the slicer is given.
 
-    Attributes:
-        settings: What the slicer is given.
-        foam: The foams as the table has them, before they are rounded to textures.
-        beyond: Samples whose moduli the foam does not reach.
-        tilted: Samples whose fibre leaves the print plane, which the infill cannot.
-        across: Samples whose single axis is not of the kind that the foam has.
-        rounding: Largest relative error of a modulus by the 8 bits, where the foam
-            reaches what was asked for [-].
-        seams: Pairs of neighbouring voxels between which the angle jumps by half a
-            turn, though the axis does not: IceSL interpolates the wrong way round.
+    Samples that it misses are `beyond` the table, `tilted` or `across`, see
+    `IceslResult`. `rounding` is the largest relative error of a modulus by the 8 bits
+    of a texture, where the foam reaches what was asked for [-]. `seams` are pairs of
+    neighbouring voxels between which the angle jumps by half a turn, though the axis
+    does not: IceSL interpolates there the wrong way round.
     """
 
     settings: tuple[Setting, ...]

@@ -18,9 +18,6 @@ from softcal_jax.exchange.inp._laws import InpLaw, inp_law
 from softcal_jax.mesh import TetMesh, tet_faces
 from softcal_jax.report import LoadedResult, load_result
 
-_PER_LINE = 8
-"""Numbers in a line of data, as Abaqus wants them for constants."""
-
 
 def write_inp(
     path: str | Path,
@@ -123,8 +120,8 @@ def _number(value: float) -> str:
     return f"{value:.12g}"
 
 
-def _rows(values: Iterable[str], per_line: int = _PER_LINE) -> Iterator[str]:
-    """Write data in lines that go on with a comma."""
+def _rows(values: Iterable[str], per_line: int = 8) -> Iterator[str]:
+    """Write data in lines that go on with a comma; Abaqus wants eight constants."""
     values = list(values)
     for i in range(0, len(values), per_line):
         more = "," if i + per_line < len(values) else ""

@@ -153,7 +153,7 @@ def law_for_sofa(
         isinstance(law, StVenantKirchhoff) and isinstance(elasticity, Isotropic)
     )
     if not of_body:
-        raise ValueError(_no_counterpart(law))
+        raise _no_counterpart(law)
     if any(np.ndim(leaf) > 0 for leaf in leaves):
         raise ValueError(
             f"{type(law).__name__} differs from tet to tet here, and the hyperelastic "
@@ -163,9 +163,8 @@ def law_for_sofa(
     return law
 
 
-def _no_counterpart(law: AbstractLaw) -> str:
-    name = type(law).__name__
-    elasticity = getattr(law, "elasticity", None)
+def _no_counterpart(law: AbstractLaw) -> ValueError:
+    name, elasticity = type(law).__name__, getattr(law, "elasticity", None)
     if isinstance(elasticity, AbstractElasticity):
         name += f" with {type(elasticity).__name__}"
         reason = (
@@ -177,7 +176,7 @@ def _no_counterpart(law: AbstractLaw) -> str:
         if name in ("MooneyRivlin", "Ogden"):
             reason = "SOFA's has another term for the change of volume, k0/2 (ln J)^2"
         reason += ": calibrate a NeoHookean or a Corotational law"
-    return f"{name} has no counterpart in SOFA: {reason}, and export that."
+    return ValueError(f"{name} has no counterpart in SOFA: {reason}, and export that.")
 
 
 def component_of(
