@@ -37,7 +37,7 @@ def write_vtu(
     *,
     standard_errors: Mapping[str, Float[HostArray, " n_tets"]] | None = None,
 ) -> None:
-    """Write a deformed body for ParaView; quadratic tets stay quadratic.
+    """Write a body, moved by `displacement` [m], for ParaView; quadratic tets stay so.
 
     Points are at rest [m]; "Warp By Vector" with `displacement` shows the deformed
     shape. Per tet: `cauchy_stress`, the mean over the tet, in the order XX, YY, ZZ, XY,
@@ -45,16 +45,9 @@ def write_vtu(
     `principal_stretches`, the largest first, mean over the quadrature points [-];
     `strain_energy_density` [J/m3], `density` [kg/m3] and every field of the law under
     its own name, in SI; `fibre_direction` at rest, and `fibre_direction_2` of a second
-    family [-]; `E_standard_error` and so on of fields that were calibrated. Per point
-    `rigid_body`, if there are any: the index of its rigid body plus 1, 0 for soft
-    points.
-
-    Args:
-        path: The file, ending in .vtu.
-        model: The model.
-        displacement: Nodal displacement [m].
-        standard_errors: Standard errors of fields in each tet, by the name of the
-            field, see `field_standard_errors`.
+    family [-]; `E_standard_error` and so on of fields that were calibrated, see
+    `field_standard_errors`. Per point `rigid_body`, if there are any: the index of its
+    rigid body plus 1, 0 for soft points.
 
     Raises:
         ValueError: If the name does not end in .vtu, or the shape is wrong.
@@ -99,11 +92,6 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
     `rigid_body` (index in the model plus 1, 0 for none), `lambda_a` and `delta_a` in
     SI. Per vertex: `arrow`, the axis of a motor or direction of a force, and `axis_1`
     to `axis_3`, the axes of a rigid body's frame [-].
-
-    Args:
-        path: The file, ending in .vtu.
-        model: The model.
-        state: State of its rigid bodies and actuators.
 
     Raises:
         ValueError: If the name does not end in .vtu.
@@ -162,12 +150,9 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
 def write_pvd(path: str | Path, files: Sequence[Sequence[str]]) -> None:
     """Write the list of the .vtu files of configurations, which ParaView opens at once.
 
-    Each configuration is a time, 0, 1, 2 and so on, and its files are parts. (VTK has
-    no writer for this format; see "ParaView file formats" in its documentation.)
-
-    Args:
-        path: The file, ending in .pvd.
-        files: The files of each configuration, relative to the folder of `path`.
+    Each configuration is a time, 0, 1, 2 and so on, and its files, relative to the
+    folder of `path`, are parts. (VTK has no writer for this format; see "ParaView file
+    formats" in its documentation.)
 
     Raises:
         ValueError: If the name does not end in .pvd.

@@ -117,15 +117,8 @@ def write_tags(
 ) -> int:
     """Write a PDF with tags, and with the board on its last page, to scale.
 
-    Args:
-        path: The file.
-        size: Side of the black square of a tag [m].
-        count: Number of tags.
-        first: Number of the first one.
-        paper: "a4" or "letter".
-
-    Returns:
-        Number of pages.
+    The black square of a tag has the side `size` [m], and the first one the number
+    `first`; paper is "a4" or "letter". Returns the number of pages.
 
     Raises:
         ImportError: If OpenCV is not installed.

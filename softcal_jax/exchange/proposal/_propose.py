@@ -75,9 +75,6 @@ def propose_project(
         size: Edges of the tets of a CAD model; a twentieth of it by default [m].
         length_unit: Unit of the model; guessed where it states none.
 
-    Returns:
-        What it was written from.
-
     Raises:
         FileNotFoundError: If a file is not there.
         ValueError: If the folder is there, a file cannot be read, or no project can be
