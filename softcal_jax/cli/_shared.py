@@ -131,8 +131,8 @@ def check_new(*paths: Path, force: bool) -> None:
 def check_suffix(path: Path, *allowed: str) -> None:
     """End the command if the name of a file to be written ends in something else."""
     if path.suffix.lower() not in allowed:
-        text = f"{path} ends in {path.suffix!r}; expected {' or '.join(allowed)}"
-        raise Stop(BAD_INPUT, f"error: {text}.")
+        text = f"error: {path} ends in {path.suffix!r}; expected a name that ends in "
+        raise Stop(BAD_INPUT, f"{text}{' or '.join(allowed)}.")
 
 
 def start_computing(show: Display) -> None:
