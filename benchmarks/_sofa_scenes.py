@@ -31,12 +31,11 @@ from softcal_jax.equilibrium import (
     solve_from_rest,
 )
 from softcal_jax.exchange.sofa import PluginElasticity
-from softcal_jax.exchange.sofa._component import SofaRelease, component_of
+from softcal_jax.exchange.sofa._component import SCALES, SofaRelease, component_of
 from softcal_jax.exchange.sofa._configurations import (
     scene_configurations,
     vertex_masses,
 )
-from softcal_jax.exchange.sofa._units import scale_of
 from softcal_jax.exchange.sofa._write import Scene, write_scene
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.materials import AbstractLaw, SofaCorotational, StVenantKirchhoff
@@ -98,13 +97,12 @@ class Posed(eqx.Module):
         self, folder: Path, *, release: SofaRelease = "v26.06", units: str = "mm-kg-s"
     ) -> Scene:
         """Write the scene to a folder."""
-        scale, model, space = scale_of(units), self.model, densities()
+        scale, model, space = SCALES[units], self.model, densities()
         scene = Scene(
             name="test",
             release=release,
-            units=scale.words,
+            scale=scale,
             mesh=model.mesh,
-            length=scale.length,
             elasticity=component_of(model.law, model.n_tets, release, scale),
             vertex_mass=vertex_masses(model),
             configurations=scene_configurations(

@@ -400,7 +400,7 @@ def test_demo_writes_its_project(tmp_path, capsys):
 
     (folder / "project.toml").write_text("mine")
     assert main(["demo", "--write", str(folder)]) == 2
-    assert f"has {', '.join(brought)} already." in capsys.readouterr().err
+    assert says(capsys.readouterr().err, "project.toml exist already ... --force")
     assert (folder / "project.toml").read_text() == "mine"
     assert main(["demo", "--write", str(folder), "--force"]) == 0
     assert (folder / "project.toml").read_text() != "mine"

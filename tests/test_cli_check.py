@@ -113,7 +113,7 @@ def test_what_is_doubted_comes_first(tmp_path, capsys):
     code, lines, _ = checked(path, capsys, "--no-pictures")
     assert code == 0
     warned = next(i for i, line in enumerate(lines) if line.startswith("warning: "))
-    (told,) = (i for i, line in enumerate(lines) if "with the warning above" in line)
+    (told,) = (i for i, line in enumerate(lines) if "warnings above: 1" in line)
     assert warned < told
     assert "material.density" in lines[warned]
     assert not (tmp_path / "project_check.png").exists()

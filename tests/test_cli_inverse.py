@@ -9,7 +9,7 @@ from test_page import Read, check_page
 from wording import says
 
 from softcal_jax._files import sha256_of
-from softcal_jax.cli import _inverse, main
+from softcal_jax.cli import _calibrated, main
 from softcal_jax.control import sample_workspace
 from softcal_jax.fields import load_factor
 from softcal_jax.report import load_result
@@ -170,4 +170,4 @@ def test_a_value_of_the_configurations_is_refused(calibrated):
     space = load_result(calibrated / "out").space
     entry = load_factor("weight", prior_std=None)
     with pytest.raises(ValueError, match="load factor of weight"):
-        _inverse._check_parameters(type(space)((*space.entries, entry)))
+        _calibrated._check_parameters(type(space)((*space.entries, entry)))

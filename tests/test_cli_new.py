@@ -312,8 +312,6 @@ def test_nothing_is_overwritten(tmp_path, body, capsys):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ([], "expected either --robot"),
-        (["--robot", "beam", "--model", "body.msh"], "expected either --robot"),
         (["--robot", "cable-baem"], "Did you mean 'cable-beam'?"),
         (["--robot", "beam", "--size", "3 mm"], "--size is for a model"),
         (["--model", "boddy.msh"], "Did you mean 'body.msh'?"),
@@ -339,6 +337,14 @@ def test_what_is_refused_leaves_nothing(
     assert new(tmp_path / "mine", *options) == 2
     assert message in capsys.readouterr().err
     assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("options", [[], ["--robot", "beam", "--model", "body.msh"]])
+def test_a_robot_or_a_model_is_needed(tmp_path, capsys, options):
+    with pytest.raises(SystemExit) as stopped:
+        new(tmp_path / "mine", *options)
+    assert stopped.value.code == 2
+    assert says(capsys.readouterr().err, "--robot ... --model")
 
 
 @pytest.mark.slow  # a minute, nearly all of it compiling

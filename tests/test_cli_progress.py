@@ -14,8 +14,7 @@ import pytest
 from small_project import write_small_project
 
 from softcal_jax.cli import _display, main
-from softcal_jax.cli._compiling import Compiling
-from softcal_jax.cli._display import Display
+from softcal_jax.cli._display import Compiling, Display
 
 
 @pytest.fixture
@@ -101,7 +100,7 @@ def test_compiling_is_told_while_it_lasts(monkeypatch):
 def test_a_program_from_the_disk_is_not_compiled(monkeypatch):
     """The first run alone compiles, and is told so."""
     compiling = Compiling()
-    monkeypatch.setattr("softcal_jax.cli._compiling.NOTICED_S", 0.0)
+    monkeypatch.setattr("softcal_jax.cli._display.NOTICED_S", 0.0)
     event = "/jax/core/compile/backend_compile_duration"
     compiling._begins(event, 0.0)
     assert compiling.words() == "compiling (first run only), 0 s"
@@ -163,7 +162,7 @@ def test_no_text_of_jax_or_xla_reaches_the_user(tmp_path):
         "    print(os.environ['TF_CPP_MIN_LOG_LEVEL'])\n"
         "    return 0\n"
         "assert 'jax' not in sys.modules\n"
-        "import softcal_jax.cli._tags as t; t.tags = run\n"
+        "import softcal_jax.cli._new as t; t.tags = run\n"
         "sys.exit(_main.main(['tags', '-o', 'x']))"
     )
     clean = {k: v for k, v in os.environ.items() if k != "TF_CPP_MIN_LOG_LEVEL"}

@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from softcal_jax.cli import main
-from softcal_jax.cli._console import PlainConsole
+from softcal_jax.cli._display import PlainConsole
 
 EVIL = "\x1b[2J\x9b\u202e"
 

@@ -23,8 +23,8 @@ from softcal_jax.mesh import Box
 from softcal_jax.project import load_project
 from softcal_jax.sweeps import Range
 
-NO_RECORDS = {"OUTCOMES", "RESULTS", "Readable", "Unstated"}
-"""Lists of outcomes, a pair of a number and a text, and a float."""
+NO_RECORDS = {"OUTCOMES", "RESULTS", "ExportProgress", "Unstated"}
+"""Lists of outcomes, three functions, and a float."""
 
 
 def public_classes():

@@ -1,23 +1,25 @@
-"""`softcal check`: what a project file says, in words and a picture, unsolved."""
+"""`softcal check` and `softcal mesh`: what is seen before anything is solved."""
 
 import argparse
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal_jax.cli._shared import (
-    BAD_INPUT,
     OK,
     Display,
-    Stop,
     add_output,
     add_path,
     bad_input,
     check_new,
+    check_suffix,
     load,
 )
+from softcal_jax.exchange.exporters import quantity
 
 if TYPE_CHECKING:
+    from softcal_jax.mesh import TetMesh
     from softcal_jax.project import Project
 
 _MARK = "softcal check"
@@ -37,12 +39,7 @@ def check(args: argparse.Namespace, show: Display) -> int:
     """Say what a project file describes, and draw it; nothing is solved."""
     name = f"{args.project.stem}_check.{args.pictures}"
     picture = args.output or args.project.with_name(name)
-    if picture.suffix.lower() not in (".png", ".svg"):
-        raise Stop(
-            BAD_INPUT,
-            f"error: {picture} ends in {picture.suffix!r}; expected a picture, .png or "
-            ".svg.",
-        )
+    check_suffix(picture, ".png", ".svg")
     if not args.no_pictures and not _is_own(picture):
         check_new(picture, force=args.force)
     project = load(args.project, show, solve=False)
@@ -50,10 +47,7 @@ def check(args: argparse.Namespace, show: Display) -> int:
     from softcal_jax.project import quantities_as_read
     from softcal_jax.report import outline, roles_of
 
-    above = ""
-    if doubts:
-        n = len(doubts)
-        above = f", with the {'warning' if n == 1 else f'{n} warnings'} above"
+    above = f", with the warnings above: {len(doubts)}" if doubts else ""
     show.line(f"Nothing was solved; the project reads as follows{above}.")
     with bad_input():
         quantities = quantities_as_read(args.project)
@@ -75,15 +69,7 @@ def check(args: argparse.Namespace, show: Display) -> int:
             "tets": project.model.mesh.n_tets,
             "configurations": roles_of(project),
             "parameters": [q.name for q in project.parameters],
-            "quantities": [
-                {
-                    "key": own.key,
-                    "typed": own.typed,
-                    "values": list(own.values),
-                    "unit": own.unit,
-                }
-                for own in quantities
-            ],
+            "quantities": [read._asdict() for read in quantities],
             "warnings": list(doubts),
             "outline": lines,
             "picture": None if args.no_pictures else str(picture),
@@ -95,17 +81,7 @@ def check(args: argparse.Namespace, show: Display) -> int:
 
 def _is_own(picture: Path) -> bool:
     """Whether a file is a picture of an earlier check."""
-    if not picture.is_file():
-        return False
-    from PIL import Image, UnidentifiedImageError
-
-    if picture.suffix.lower() == ".svg":
-        return _MARK.encode() in picture.read_bytes()[:4000]
-    try:
-        with Image.open(picture) as image:
-            return image.info.get("Software") == _MARK
-    except (UnidentifiedImageError, OSError):
-        return False
+    return picture.is_file() and _MARK.encode() in picture.read_bytes()[:4000]
 
 
 def _draw(project: "Project", picture: Path) -> None:
@@ -119,11 +95,10 @@ def _draw(project: "Project", picture: Path) -> None:
     left = len(posed) - MOST_PANELS
     more = f" {left} further configurations are not drawn." if left > 0 else ""
     sets = control_point_sets(project).values()
-    points = [np.asarray(own.positions) for own in sets]
-    roles = roles_of(project)
+    points = [np.asarray(layout.positions) for layout in sets]
     plot_plan(
         project.model,
-        {name: f"{name} ({role})" for name, role in roles.items()},
+        {name: f"{name} ({role})" for name, role in roles_of(project).items()},
         posed,
         picture,
         title=project.name,
@@ -151,7 +126,123 @@ configuration. Nothing is solved, so it takes seconds.""",
     add_path(command, "project", "PROJECT.toml", "the project file")
     where = "the picture, .png or .svg (default: PROJECT_check.png, beside the project)"
     add_path(command, "--output", "FILE", where)
-    add_output(command, pictures=True)
     again = "replace a picture that is not of an earlier check"
-    command.add_argument("--force", action="store_true", help=again)
+    add_output(command, force=again, pictures=True)
     command.set_defaults(run=check)
+
+
+_UNIT = "mm"
+"""Length unit of the mesh that is written."""
+
+_MESH = """\
+examples:
+  softcal mesh finger.step -o finger.msh --size "3 mm"
+  softcal mesh scan.stl -o scan.msh --length-unit mm
+  softcal mesh project.toml -o finger.msh     the mesh and the groups of a project file
+
+A project file needs no other table than [mesh] and, for names of your own, [groups]:
+
+  [mesh]
+  file = "finger.step"
+  size = "3 mm"
+
+  [groups.clamp]
+  face = { points = ["(0, 5, 5) mm"] }
+
+  [groups.chamber]
+  inside = { point = "(30, 0, 0) mm", stop_at = "clamp" }   # where its inlet is
+
+exit codes: 0 written, 2 bad input
+"""
+
+
+def mesh(args: argparse.Namespace, show: Display) -> int:
+    """Write the mesh of a CAD model, a project or another mesh file, and draw it."""
+    from softcal_jax.mesh import write_mesh
+    from softcal_jax.plotting import plot_groups
+    from softcal_jax.report import mesh_lines
+
+    check_suffix(args.output, ".msh")
+    picture = args.output.with_suffix(f".{args.pictures}")
+    written = [args.output] if args.no_pictures else [args.output, picture]
+    check_new(*written, force=args.force)
+    show.lap("import")
+    show.now(f"meshing {args.model.name}")
+    with bad_input():
+        made = _made(args)
+        show.lap("mesh")
+        write_mesh(made, args.output, length_unit=_UNIT)
+        if not args.no_pictures:
+            show.now("drawing")
+            plot_groups(made, picture, title=args.model.name)
+            show.lap("picture")
+    show.note(f"softcal {version('softcal-jax')}: {args.model.name}")
+    for line in mesh_lines(made):
+        show.line(line)
+    drawn = "" if args.no_pictures else f", picture in {picture}"
+    show.line(f"Mesh in {args.output} (Gmsh 2.2, linear, in {_UNIT}){drawn}.")
+    show.document(
+        {
+            "nodes": made.n_nodes,
+            "tets": made.n_tets,
+            "surface_groups": list(made.surface_groups),
+            "tet_groups": list(made.tet_groups),
+            "node_groups": list(made.node_groups),
+            "files": [str(path) for path in written],
+        }
+    )
+    show.times()
+    return OK
+
+
+def _made(args: argparse.Namespace) -> "TetMesh":
+    """Make or read the mesh."""
+    from softcal_jax.exchange.cad import CAD_FORMATS, mesh_cad
+    from softcal_jax.mesh import read_mesh
+    from softcal_jax.project import load_mesh
+
+    suffix = args.model.suffix.lower()
+    if suffix != ".toml" and suffix not in CAD_FORMATS and args.length_unit is None:
+        raise ValueError(
+            f"{args.model}: the file does not state its unit; give it, like "
+            "--length-unit mm."
+        )
+    if args.size is not None and suffix not in CAD_FORMATS:
+        raise ValueError(
+            f"--size is for CAD models ({', '.join(CAD_FORMATS)}), and {args.model} is "
+            "none. Leave it out."
+        )
+    if suffix in CAD_FORMATS:
+        size = None if args.size is None else quantity("--size", args.size, "m")
+        return mesh_cad(args.model, size=size, length_unit=args.length_unit, order=1)
+    if suffix != ".toml":
+        return read_mesh(args.model, length_unit=args.length_unit)
+    if args.length_unit is not None:
+        raise ValueError(
+            "--length-unit is for mesh and STL files; a project file states it in "
+            "[mesh]. Leave it out."
+        )
+    return load_mesh(args.model)
+
+
+def add_mesh(commands: "argparse._SubParsersAction", raw: Callable) -> None:
+    """Add the command to the parser."""
+    command = commands.add_parser(
+        "mesh",
+        help="from a CAD model to tets, with a picture of the groups",
+        description="""\
+Fills a CAD model (STEP or STL) with tets, names its faces, and draws them. With a
+project file, it makes the mesh of [mesh] and draws the groups of [groups], so that they
+are seen before anything is computed; with another mesh file, the groups of that.""",
+        epilog=_MESH,
+        formatter_class=raw,
+    )
+    add_path(command, "model", "MODEL", "CAD model, project file or mesh file")
+    where = "the mesh; the picture is FILE.png beside it"
+    add_path(command, "--output", "FILE.msh", where, required=True)
+    size = 'edges of the tets, like "3 mm" (default: a thirtieth of the diagonal)'
+    command.add_argument("--size", metavar="LENGTH", help=size)
+    unit = "unit of an STL or mesh file: m, cm, mm, um or inch"
+    command.add_argument("--length-unit", metavar="UNIT", help=unit)
+    add_output(command, force="replace earlier files", pictures=True)
+    command.set_defaults(run=mesh)

@@ -2,28 +2,31 @@
 
 import argparse
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from softcal_jax.cli._shared import (
-    BAD_INPUT,
     INTERRUPTED,
     NOT_CONVERGED,
     OK,
     Display,
     Stop,
+    add_output,
+    add_path,
     bad_input,
     check_folder,
+    check_new,
     load,
     no_equilibrium,
 )
-from softcal_jax.cli._steps import equilibrium_lines, step_lines
-from softcal_jax.cli._writing import (
+from softcal_jax.cli._steps import (
     checkpoint_stands,
+    equilibrium_lines,
     interruptible,
     pictures_with_a_bar,
+    step_lines,
     write_results,
 )
 
@@ -44,13 +47,7 @@ def demo(args: argparse.Namespace, show: Display) -> int:
         return calibrate(args, show, path)
     source = path.parent
     names = sorted(p.name for p in source.iterdir() if p.is_file())
-    there = [name for name in names if (args.write / name).exists()]
-    if there and not args.force:
-        raise Stop(
-            BAD_INPUT,
-            f"error: {args.write} has {', '.join(there)} already. Choose another "
-            "folder, or replace them with --force.",
-        )
+    check_new(*(args.write / name for name in names), force=args.force)
     with bad_input():
         args.write.mkdir(parents=True, exist_ok=True)
         for name in names:
@@ -70,21 +67,20 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
     project = load(path, show)
     with bad_input():
         project.check_calibration()
-    for role, group in (("fit", project.calibration), ("predict", project.validation)):
-        if group:
-            show.note(f"{role}: {_names(group)}")
+    show.note(f"fit: {_names(project.calibration)}")
+    if project.validation:
+        show.note(f"predict: {_names(project.validation)}")
     if project.registrations:
-        rms = {name: 1e3 * found.rms for name, found in project.registrations.items()}
-        listed = ", ".join(f"{name} {mm:.2f} mm" for name, mm in rms.items())
-        show.note(f"camera frame to mesh frame, rms left at the markers: {listed}")
+        left = (f"{n} {1e3 * r.rms:.2f} mm" for n, r in project.registrations.items())
+        show.note(f"camera frame to mesh frame, rms left at markers: {', '.join(left)}")
     early: list[bool] = []
 
     def write(
-        result: "CalibrationResult", own: "Assessment", where: Path, force: bool
+        result: "CalibrationResult", judged: "Assessment", where: Path, force: bool
     ) -> Path:
         more = {"traces": project.traces, **_options(project, show, force=force)}
         more |= pictures_with_a_bar(args, show)
-        return report.write_results(result, where, assessment=own, **more)
+        return report.write_results(result, where, assessment=judged, **more)
 
     def profiling(result: "CalibrationResult") -> None:
         # Written before, in case the user does not want to wait.
@@ -115,13 +111,13 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
     else:
         show.lap("solve", compiling=result.timing_s["compile"])
     assessment = assess(result)
-    show.line()
-    show.line(report.summary_table(result, assessment))
-    _print_held_out(result, show)
+    held_out = report.held_out_sentences(result.configurations)
+    for part in ("", report.summary_table(result, assessment), *held_out):
+        show.line(part)
     with interruptible(args):
         force = args.force or any(early)
-        own = partial(write, result, assessment)
-        write_results(own, args, show, index="result.json", force=force)
+        last = partial(write, result, assessment)
+        write_results(last, args, show, index="result.json", force=force)
     _stop_unless_finished(result, args)
     if not assessment.identified:
         show.line("Take the values with care: " + " ".join(assessment.reasons))
@@ -247,8 +243,72 @@ def _names(group: "Sequence[Configuration]") -> str:
     return ", ".join(c.name for c in group)
 
 
-def _print_held_out(result: "CalibrationResult", show: Display) -> None:
-    from softcal_jax.report import held_out_sentences
+_COMPARE = """\
+examples:
+  softcal compare neo_hookean.toml yeoh.toml gent.toml
+  softcal compare coarse.toml fine.toml -o compared   and as comparison.json and .txt
 
-    for line in held_out_sentences(result.configurations):
-        show.line(line)
+exit codes: 0 compared, whatever the verdict, 1 no model predicts every configuration,
+2 bad input
+"""
+
+
+def compare(args: argparse.Namespace, show: Display) -> int:
+    """Compare several project files of the same data."""
+    if args.output is not None:
+        check_folder(args)
+    from softcal_jax import report
+    from softcal_jax.export import Made, comparison_dict
+    from softcal_jax.project import compare_projects, projects_by_name
+
+    projects = [load(path, show) for path in args.projects]
+    n = sum(len(project.calibration) + 1 for project in projects)
+    show.note(f"{n} fits, each of all configurations but one, or of all")
+    with bad_input(), no_equilibrium("Nothing was written."):
+        comparison = compare_projects(
+            projects, progress=lambda name: show.now(f"fits of {name}")
+        )
+    show.lap("solve")
+    made = {
+        name: Made(project.model, {"newton": project.newton}, project.source)
+        for name, project in projects_by_name(projects).items()
+    }
+    show.line()
+    show.line(str(comparison))
+    if args.output is None:
+        more = {"timing_s": dict(show.laps), "made": made}
+        show.document(comparison_dict(comparison, **more))
+        show.times()
+    else:
+
+        def write(where: Path, force: bool) -> Path:
+            more = {"timing_s": dict(show.laps), "made": made}
+            return report.write_comparison(comparison, where, force=force, **more)
+
+        write_results(write, args, show, index="comparison.json", force=args.force)
+    if comparison.best is None:
+        raise Stop(NOT_CONVERGED, "no model predicts every configuration.")
+    return OK
+
+
+def add_compare(commands: "argparse._SubParsersAction", raw: Callable) -> None:
+    """Add the command to the parser."""
+    command = commands.add_parser(
+        "compare",
+        help="which law, or mesh, predicts best? fits of the same data",
+        description="""\
+Fits each project to all configurations but one and predicts that one, in turn. Ranks
+the projects by how well they do, and says whether the data can tell them apart: by the
+differences on the same configurations, with their scatter.
+
+The files have the same configurations with the same measured values, and differ in
+[material], [mesh] or [[parameters]].""",
+        epilog=_COMPARE,
+        formatter_class=raw,
+    )
+    command.add_argument(
+        "projects", metavar="PROJECT.toml", nargs="+", type=Path, help="project files"
+    )
+    add_path(command, "--output", "DIR", "folder for the results")
+    add_output(command, force="replace earlier results in that folder")
+    command.set_defaults(run=compare)

@@ -1,20 +1,24 @@
 """What a command says while it runs: lines, what is under way, and JSON."""
 
+import argparse
+import io
 import json
+import logging
+import os
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from datetime import timedelta
-from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
-from rich.console import RenderableType
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task
+from rich.segment import Segment
 from rich.text import Text
 
-from softcal_jax.cli._compiling import Compiling
-from softcal_jax.cli._console import PlainConsole
+from softcal_jax._text import escaped
 
 FIRST_S, LONGEST_S = 2.0, 30.0
 """Silence after which a log says what is under way, first and at most [s].
@@ -23,27 +27,137 @@ It doubles from one such line to the next.
 """
 
 
+_COMPILE = "/jax/core/compile/"
+_BACKEND = f"{_COMPILE}backend_compile_duration"
+_FROM_DISK = "/jax/compilation_cache/cache_hits"
+
+NOTICED_S = 0.5
+"""Time after which a program that is being made is worth a word [s]."""
+
+
+class PlainConsole(Console):
+    """A console that shows control characters in a text, where others obey them."""
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
+        """Render as `Console` does; its own control codes are segments of their own."""
+        for segment in super().render(renderable, options):
+            if segment.control:
+                yield segment
+            else:
+                yield Segment(escaped(segment.text), segment.style)
+
+
+class PlainParser(argparse.ArgumentParser):
+    """A parser that quotes wrong arguments without their control characters."""
+
+    def error(self, message: str) -> NoReturn:
+        """End the program with a message."""
+        super().error(escaped(message))
+
+
+def escape_what_cannot_be_encoded() -> None:
+    """Let standard output and error show characters that their encoding lacks.
+
+    That of the locale C, or of a pipe on Windows, may have no "±" or "ö": a command
+    would end in a traceback once its work is done.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+class Compiling:
+    """Listener of JAX: what is being compiled, from its beginning on.
+
+    JAX tells the beginning of each trace, lowering and compilation as a scalar, and the
+    end as a duration. Programs are compiled by several threads at once.
+    """
+
+    def __init__(self):
+        self._lock = threading.Lock()
+        self._open: Counter[tuple[int, str]] = Counter()
+        self._since = self._before = 0.0
+        self._kept = True
+        self._listening = False
+
+    def start(self) -> None:
+        """Listen to JAX, once it is imported and its cache is chosen."""
+        import jax
+
+        self._kept = bool(
+            jax.config.values["jax_enable_compilation_cache"]
+            and jax.config.values["jax_compilation_cache_dir"]
+        )
+        if not self._listening:
+            self._listening = True
+            jax.monitoring.register_scalar_listener(self._begins)
+            jax.monitoring.register_event_duration_secs_listener(self._ends)
+            jax.monitoring.register_event_listener(self._found)
+
+    def stop(self) -> None:
+        """Listen no more."""
+        if self._listening:
+            import jax
+
+            self._listening = False
+            jax.monitoring.unregister_scalar_listener(self._begins)
+            jax.monitoring.unregister_event_duration_listener(self._ends)
+            jax.monitoring.unregister_event_listener(self._found)
+
+    def words(self) -> str:
+        """Say what is being compiled, and the time of all compiling so far.
+
+        Empty where nothing is, or not for long yet.
+        """
+        now = time.time()
+        with self._lock:
+            if not self._open or now - self._since < NOTICED_S:
+                return ""
+            compiles = any(event == _BACKEND for _, event in self._open)
+            seconds = self._before + now - self._since
+        only = " (first run only)" if self._kept else ""
+        what = f"compiling{only}" if compiles else "preparing a program"
+        return f"{what}, {seconds:.0f} s"
+
+    def _begins(self, event: str, value: float, **_: Any) -> None:
+        if event.startswith(_COMPILE):
+            with self._lock:
+                if not self._open:
+                    self._since = time.time()
+                self._open[threading.get_ident(), event] += 1
+
+    def _ends(self, event: str, duration_secs: float, **_: Any) -> None:
+        if event.startswith(_COMPILE):
+            self._close((threading.get_ident(), event))
+
+    def _found(self, event: str, **_: Any) -> None:
+        """Forget a compilation whose program was read from disk instead."""
+        if event == _FROM_DISK:
+            self._close((threading.get_ident(), _BACKEND))
+
+    def _close(self, key: tuple[int, str]) -> None:
+        with self._lock:
+            if key not in self._open:
+                return
+            self._open[key] -= 1
+            if not self._open[key]:
+                del self._open[key]
+            if not self._open:  # threads that compile at once count once
+                self._before += time.time() - self._since
+
+
 class Display:
     """Lines for what is done; on a terminal, a moving line for what is under way.
 
     In a log (a file, a pipe) that line becomes a plain one after some silence. All go
     to standard output; with `as_json` to standard error, and standard output holds
-    JSON alone.
-
-    Attributes:
-        laps: Wall time of the parts so far [s].
-        warnings: Warnings that were shown.
-        compiling: What JAX compiles.
+    JSON alone. The command began at `begin`, as of `time.time` [s]; `laps` are the wall
+    times of its parts so far [s].
     """
 
     def __init__(self, begin: float, *, quiet: bool = False, as_json: bool = False):
-        """Choose what is shown.
-
-        Args:
-            begin: When the command began, as of `time.time` [s].
-            quiet: Show the result, warnings and errors only.
-            as_json: Print JSON for programs.
-        """
         self._out = sys.stdout
         file = sys.stderr if as_json else sys.stdout
         self.console = PlainConsole(file=file)
@@ -56,9 +170,8 @@ class Display:
         self._moves = self.console.is_interactive and file.isatty() and not quiet
         self.progress = Progress(
             SpinnerColumn(),
-            _UnderWay(self.compiling),
+            _UnderWay(self.compiling, begin),
             _BarWhereCounted(bar_width=30),
-            _Elapsed(begin),
             console=self.console,
             transient=True,
             disable=not self._moves,
@@ -115,25 +228,17 @@ class Display:
         self.warnings.append(text)
         self.line(f"warning: {text}")
 
-    def document(self, content: Mapping[str, Any]) -> None:
-        """Print a result as JSON, if that is asked for."""
+    def document(self, content: Mapping[str, Any], *, indent: int | None = 2) -> None:
+        """Print a result, or a part in one line, as JSON, if that is asked for."""
         if self.as_json:
-            self._print_json(content, indent=2)
-
-    def row(self, content: Mapping[str, Any]) -> None:
-        """Print a part of a result as one line of JSON, if that is asked for."""
-        if self.as_json:
-            self._print_json(content)
+            self._printed = True
+            text = json.dumps(content, allow_nan=False, indent=indent)
+            print(text, file=self._out, flush=True)
 
     def failure(self, text: str, code: int) -> None:
         """Say in JSON why there is no result, unless some of it is there."""
-        if self.as_json and not self._printed:
-            self._print_json({"error": text, "exit_code": code}, indent=2)
-
-    def _print_json(self, content: Mapping[str, Any], **how: Any) -> None:
-        self._printed = True
-        text = json.dumps(content, allow_nan=False, **how)
-        print(text, file=self._out, flush=True)
+        if not self._printed:
+            self.document({"error": text, "exit_code": code})
 
     def lap(self, name: str, *, compiling: float | None = None) -> None:
         """End a part of the run, and record its wall time.
@@ -151,13 +256,6 @@ class Display:
         parts = ", ".join(f"{name} {s:.1f} s" for name, s in self.laps.items())
         self.note(f"Time: {parts}; {time.time() - self.begin:.1f} s in all.")
 
-    def results(self, where: Path) -> None:
-        """Print what was written where, and how long the parts took."""
-        files = sorted(p.name for p in where.iterdir())
-        self.line(f"Results in {where}: {', '.join(files)}")
-        self.line(f"Open {where / 'report.html'} in a browser to read them.")
-        self.times()
-
     def _beat(self) -> None:
         """Say what is under way where nothing was said for long."""
         silence = FIRST_S
@@ -169,15 +267,16 @@ class Display:
 
 
 class _UnderWay(ProgressColumn):
-    """What is under way, and what is compiled for it."""
+    """Time since the command began, what is under way, and what is compiled for it."""
 
-    def __init__(self, compiling: Compiling):
+    def __init__(self, compiling: Compiling, begin: float):
         super().__init__()
-        self._compiling = compiling
+        self._compiling, self._begin = compiling, begin
 
     def render(self, task: Task) -> Text:
+        elapsed = timedelta(seconds=int(time.time() - self._begin))
         words = filter(None, [task.description, self._compiling.words()])
-        return Text(", ".join(words))
+        return Text(f"{elapsed} {', '.join(words)}")
 
 
 class _BarWhereCounted(BarColumn):
@@ -187,13 +286,13 @@ class _BarWhereCounted(BarColumn):
         return Text() if task.total is None else super().render(task)
 
 
-class _Elapsed(ProgressColumn):
-    """Time since the command began."""
+def silence() -> None:
+    """Keep what XLA and JAX write for their developers from the user's terminal.
 
-    def __init__(self, begin: float):
-        super().__init__()
-        self._begin = begin
-
-    def render(self, task: Task) -> Text:
-        seconds = timedelta(seconds=int(time.time() - self._begin))
-        return Text(str(seconds), style="progress.elapsed")
+    Call it before JAX is imported. What is set in the environment already is left, so
+    that a developer can ask for it: TF_CPP_MIN_LOG_LEVEL, JAX_LOGGING_LEVEL.
+    """
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    if not {"JAX_LOGGING_LEVEL", "JAX_LOG_COMPILES"} & set(os.environ):
+        for name in ("jax", "jaxlib", "absl"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)

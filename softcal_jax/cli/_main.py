@@ -12,20 +12,23 @@ from pathlib import Path
 
 import shtab
 
-from softcal_jax.cli._check import add_check
-from softcal_jax.cli._commands import calibrate, demo, identify, simulate
-from softcal_jax.cli._compare import add_compare
-from softcal_jax.cli._compiling import silence
-from softcal_jax.cli._console import (
+from softcal_jax.cli._calibrated import add_export, add_inverse
+from softcal_jax.cli._check import add_check, add_mesh
+from softcal_jax.cli._commands import (
+    add_compare,
+    calibrate,
+    demo,
+    identify,
+    simulate,
+)
+from softcal_jax.cli._display import (
+    Display,
     PlainConsole,
     PlainParser,
     escape_what_cannot_be_encoded,
+    silence,
 )
-from softcal_jax.cli._display import Display
-from softcal_jax.cli._export import add_export
-from softcal_jax.cli._inverse import add_inverse
-from softcal_jax.cli._mesh import add_mesh
-from softcal_jax.cli._new import add_new
+from softcal_jax.cli._new import add_new, add_tags
 from softcal_jax.cli._shared import (
     INTERRUPTED,
     Stop,
@@ -35,7 +38,6 @@ from softcal_jax.cli._shared import (
     warnings_as_lines,
 )
 from softcal_jax.cli._sweep import add_sweep
-from softcal_jax.cli._tags import add_tags
 from softcal_jax.exchange.exporters import AbstractExporter, exporters
 
 _ABOUT = """\
@@ -80,12 +82,7 @@ exit codes: 0 judged, whatever the verdict, 1 no equilibrium, 2 bad input
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command, with the arguments of the process by default.
-
-    Returns:
-        The exit code: 0 done, 1 not converged or no equilibrium, 2 bad input,
-        130 interrupted, by Ctrl-C or SIGTERM.
-    """
+    """Run one command, by default that of the process, and return its exit code."""
     # The start of the process will not do: a shell may have run in it before.
     begin = time.time() - (time.process_time() if argv is None else 0.0)
     if argv is None:
@@ -207,8 +204,7 @@ ranked by what measuring them as well would add.""",
         add_path(command, "--output", "DIR", where, required=needed)
     for command in (beam, fit, forward, outlook):
         again = "replace earlier results in that folder"
-        command.add_argument("--force", action="store_true", help=again)
-        add_output(command, pictures=command is not outlook)
+        add_output(command, force=again, pictures=command is not outlook)
     add_new(commands, raw)
     add_check(commands, raw)
     add_mesh(commands, raw)

@@ -1,4 +1,4 @@
-"""`softcal new`: a commented project that runs, from a model or a ready-made robot."""
+"""`softcal new` and `softcal tags`: what a measurement begins with."""
 
 import argparse
 from collections.abc import Callable, Iterator
@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING
 
 from softcal_jax.cli._display import Display
 from softcal_jax.cli._shared import (
-    BAD_INPUT,
     OK,
-    Stop,
     add_output,
     add_path,
     bad_input,
+    check_new,
     start_computing,
 )
 from softcal_jax.exchange.exporters import quantity
@@ -33,12 +32,6 @@ def new(args: argparse.Namespace, show: Display) -> int:
     """Write a project folder for a ready-made robot, or for a model."""
     from softcal_jax.project import guesses_left
 
-    if (args.robot is None) == (args.model is None):
-        raise Stop(
-            BAD_INPUT,
-            "error: expected either --robot, a ready-made one, or --model, a file of "
-            "yours.",
-        )
     with bad_input():
         run = _proposed if args.robot is None else _ready_made
         measured = run(args, show)
@@ -63,8 +56,7 @@ def _ready_made(args: argparse.Namespace, show: Display) -> bool:
     """Copy a ready-made robot, and say what it is; its readings are there."""
     from softcal_jax.exchange.proposal import write_ready_made
 
-    options = ("markers", "size", "length_unit")
-    for option in options:
+    for option in ("markers", "size", "length_unit"):
         if getattr(args, option):
             raise ValueError(
                 f"--{option.replace('_', '-')} is for a model of your own; a "
@@ -84,12 +76,11 @@ def _proposed(args: argparse.Namespace, show: Display) -> bool:
 
     start_computing(show)
     show.now(f"reading {args.model.name}")
-    size = None if args.size is None else quantity("--size", args.size, "m")
     findings = propose_project(
         args.model,
         args.folder,
         recordings=args.markers,
-        size=size,
+        size=None if args.size is None else quantity("--size", args.size, "m"),
         length_unit=args.length_unit,
     )
     files = sorted(path.name for path in args.folder.iterdir())
@@ -125,15 +116,13 @@ def _found(found: "Findings") -> Iterator[str]:
             "`softcal calibrate` once there are readings (`--markers` of this command)."
         )
         return
-    others = ", ".join(pose.name for pose in recorded.others)
-    yield f"Poses: {recorded.rest.name}, as the one at rest" + (
-        f", and {others}." if others else "; there is no other."
-    )
+    others = ", ".join(pose.name for pose in recorded.others) or "no other"
+    yield f"Poses: {recorded.rest.name}, as the one at rest, and {others}."
     yield "Markers at rest, and how far from the mesh they were recorded:"
-    width = max(len(own.name) for own in found.markers)
-    for own in found.markers:
-        off = readable_values([own.distance], "m", digits=3)
-        yield f"  {own.name:<{width}}  {off if own.distance else 'in it'}"
+    width = max(len(marker.name) for marker in found.markers)
+    for marker in found.markers:
+        off = readable_values([marker.distance], "m", digits=3)
+        yield f"  {marker.name:<{width}}  {off if marker.distance else 'in it'}"
     if found.own_frame:
         yield (
             "That is too far for markers on this robot: the recording has a frame of "
@@ -160,10 +149,10 @@ Each such guess has a remark, to be changed or confirmed.""",
         formatter_class=raw,
     )
     add_path(command, "folder", "DIR", "the folder, which must not be there")
-    text = "name of a ready-made robot"
-    command.add_argument("--robot", metavar="NAME", help=text)
+    source = command.add_mutually_exclusive_group(required=True)
+    source.add_argument("--robot", metavar="NAME", help="name of a ready-made robot")
     text = "a mesh (.msh, .vtu, .inp, ...) or CAD model (.step, .stl)"
-    add_path(command, "--model", "FILE", text)
+    add_path(source, "--model", "FILE", text)
     text = "a table of markers, or recordings over time (.c3d, ...), a pose in each"
     add_path(command, "--markers", "FILE", text, nargs="+", default=[])
     text = 'edges of the tets of a CAD model, like "3 mm" (default: a twentieth of it)'
@@ -172,3 +161,63 @@ Each such guess has a remark, to be changed or confirmed.""",
     command.add_argument("--length-unit", metavar="UNIT", help=text)
     add_output(command)
     command.set_defaults(run=new)
+
+
+_ABOUT_TAGS = """\
+Draws tags, and a board on the last page, to scale. Glue one tag on a rigid part of the
+robot and one on its base, photograph each pose with both in the picture from several
+sides, and name the photographs in the project file:
+
+  measured.effectors.sensor = { photos = "pose1/*.jpg", tag = 3, base_tag = 0,
+                                size = "20 mm", board = "board/*.jpg" }
+
+Photographs of the board calibrate the camera; without them the tags do.
+"""
+
+_TAGS = """\
+examples:
+  softcal tags -o tags.pdf
+  softcal tags -o tags.pdf --size "35 mm" --count 4 --paper letter
+
+exit codes: 0 written, 2 bad input
+"""
+
+
+def tags(args: argparse.Namespace, show: Display) -> int:
+    """Write a PDF with tags and a board."""
+    from softcal_jax.exchange.camera import write_tags
+
+    check_new(args.output, force=args.force)
+    with bad_input():
+        size = quantity("--size", args.size, "m")
+        options = {"count": args.count, "first": args.first, "paper": args.paper}
+        n = write_tags(args.output, size=size, **options)
+    numbers = [*range(args.first, args.first + args.count)]
+    show.document({"file": str(args.output), "tags": numbers, "pages": n})
+    show.line(
+        f"Wrote tags {numbers[0]} to {numbers[-1]} of {1e3 * size:g} mm and the board "
+        f"to {args.output}: {n} pages. Print them at 100 %."
+    )
+    return OK
+
+
+def add_tags(commands: "argparse._SubParsersAction", raw: Callable) -> None:
+    """Add the command to those of the parser."""
+    parser = commands.add_parser(
+        "tags",
+        help="print tags, which photographs then measure as a 6-D sensor does",
+        description=_ABOUT_TAGS,
+        epilog=_TAGS,
+        formatter_class=raw,
+    )
+    add_path(parser, "--output", "FILE.pdf", "the file", required=True)
+    text = 'side of the black square of a tag (default: "20 mm")'
+    parser.add_argument("--size", default="20 mm", metavar="LENGTH", help=text)
+    text = "how many tags (default: 12)"
+    parser.add_argument("--count", type=int, default=12, metavar="N", help=text)
+    text = "number of the first tag (default: 0)"
+    parser.add_argument("--first", type=int, default=0, metavar="N", help=text)
+    text = "size of the sheets (default: a4)"
+    parser.add_argument("--paper", default="a4", choices=["a4", "letter"], help=text)
+    add_output(parser, force="replace a file that is there")
+    parser.set_defaults(run=tags)

@@ -75,19 +75,25 @@ def warnings_as_lines(show: Display) -> Iterator[None]:
 
 
 def add_path(
-    parser: argparse.ArgumentParser, name: str, metavar: str, text: str, **more: Any
+    parser: argparse._ActionsContainer,
+    name: str,
+    metavar: str,
+    text: str,
+    **more: Any,
 ) -> None:
     """Add an argument that is a path; `--output` is also `-o`."""
     names = ["-o", name] if name == "--output" else [name]
     added = parser.add_argument(*names, metavar=metavar, type=Path, help=text, **more)
-    folder = metavar == "DIR"
-    added.complete = (  # pyright: ignore[reportAttributeAccessIssue]
-        shtab.DIRECTORY if folder else shtab.FILE
-    )
+    kind = shtab.DIRECTORY if metavar == "DIR" else shtab.FILE
+    added.complete = kind  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def add_output(command: argparse.ArgumentParser, *, pictures: bool = False) -> None:
-    """Add the options on what is shown, and on `pictures` where some are written."""
+def add_output(
+    command: argparse.ArgumentParser, *, force: str = "", pictures: bool = False
+) -> None:
+    """Add the options on what is written over and shown, and on `pictures`."""
+    if force:
+        command.add_argument("--force", action="store_true", help=force)
     text = "no progress: only the result, warnings and errors"
     command.add_argument("--quiet", "-q", action="store_true", help=text)
     text = "the result as JSON on standard output; all else goes to standard error"
@@ -120,6 +126,13 @@ def check_new(*paths: Path, force: bool) -> None:
             f"error: {' and '.join(there)} {verb} already. Choose another name, or "
             f"replace {them} with --force.",
         )
+
+
+def check_suffix(path: Path, *allowed: str) -> None:
+    """End the command if the name of a file to be written ends in something else."""
+    if path.suffix.lower() not in allowed:
+        text = f"error: {path} ends in {path.suffix!r}; expected a name that ends in "
+        raise Stop(BAD_INPUT, f"{text}{' or '.join(allowed)}.")
 
 
 def start_computing(show: Display) -> None:

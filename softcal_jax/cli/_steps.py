@@ -1,9 +1,19 @@
-"""Lines for the steps of a calibration, and for equilibria under way."""
+"""Lines for the steps of a calibration, and writing what it found.
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
+Neither an interruption nor a full disk loses it.
+"""
 
+import argparse
+import json
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from softcal_jax._places import cause
 from softcal_jax.cli._display import Display
+from softcal_jax.cli._shared import BAD_INPUT, INTERRUPTED, Stop, bad_input
 
 if TYPE_CHECKING:
     from softcal_jax.calibration import EquilibriumProgress, HistoryEntry
@@ -13,29 +23,102 @@ if TYPE_CHECKING:
 MOST_BY_NAME, MOST_IN_FIELD = 2, 4
 """Most parameters that a step shows by name, and most values of one field."""
 
+Write = Callable[[Path, bool], Path]
+"""Writes results to a folder, over earlier ones if the flag is set."""
+
+
+def write_results(
+    write: Write, args: argparse.Namespace, show: Display, *, index: str, force: bool
+) -> None:
+    """Write what is printed already, and say where it is, or print its `index`.
+
+    Where its folder cannot be written any more, as on a full disk, it goes to a
+    temporary one, and the command ends with a message.
+    """
+    show.now("writing results")
+    with bad_input():
+        try:
+            where = write(args.output, force)
+        except OSError as error:
+            more = f"{_elsewhere(write)} {checkpoint_stands(args)}".strip()
+            raise Stop(BAD_INPUT, f"error: {error}\n{more}") from error
+    show.lap("results and pictures")
+    if show.as_json:
+        show.document(json.loads((where / index).read_text(encoding="utf-8")))
+    files = sorted(p.name for p in where.iterdir())
+    show.line(f"Results in {where}: {', '.join(files)}")
+    show.line(f"Open {where / 'report.html'} in a browser to read them.")
+    show.times()
+
+
+def pictures_with_a_bar(args: argparse.Namespace, show: Display) -> dict[str, Any]:
+    """Return what results are written with: which pictures, and how they are told."""
+    told = lambda done, total: show.now(
+        "drawing pictures", log=False, count=(done, total)
+    )
+    return {"pictures": None if args.no_pictures else args.pictures, "told": told}
+
+
+def _elsewhere(write: Write) -> str:
+    """Write results to a temporary folder, and say what became of them."""
+    second = None
+    try:
+        second = Path(tempfile.mkdtemp(prefix="softcal_"))
+        write(second, False)
+    except OSError as error:
+        if second is not None:
+            with suppress(OSError):
+                second.rmdir()
+        return (
+            f"Nor could they be written to {tempfile.gettempdir()} ({cause(error)}): "
+            "what was found is printed above."
+        )
+    return f"The results are in {second} instead: copy them before it is emptied."
+
+
+@contextmanager
+def interruptible(args: argparse.Namespace) -> Iterator[None]:
+    """End an interrupted calibration with how to go on from its checkpoint."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        stands = checkpoint_stands(args)
+        if not stands:
+            raise
+        raise Stop(INTERRUPTED, f"interrupted. {stands}") from None
+
+
+def checkpoint_stands(args: argparse.Namespace) -> str:
+    """Say how to go on from the checkpoint; empty if there is none."""
+    path = getattr(args, "checkpoint", None)
+    if path is None or not path.is_file():
+        return ""
+    return (
+        f"The checkpoint {path} stands: the same command goes on from it, with --force "
+        "if the folder of the results is no longer empty."
+    )
+
 
 def step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], None]":
     """Return a callback that prints a line per step and says what comes next."""
     sees_points = any(c.has_points for c in project.calibration)
-
-    def misfit(entry: "HistoryEntry") -> str:
-        # Lengths, angles and forces have no distance, so show the cost.
-        if sees_points:
-            return f"rms {1e3 * entry.rms:7.3f} mm"
-        return f"cost {entry.cost:9.3g}"
-
-    before: dict[str, float] = {}
+    noise: float | None = None
 
     def progress(entry: "HistoryEntry") -> None:
+        nonlocal noise
+        # Lengths, angles and forces have no distance, so show the cost.
+        misfit = f"cost {entry.cost:9.3g}"
+        if sees_points:
+            misfit = f"rms {1e3 * entry.rms:7.3f} mm"
         size = max(abs(step) for step in entry.lambda_p)
         moved = f"|lambda_p| {size:.1e}" if entry.step else " " * 18
         values = _values(project.parameters, entry.values)
         note = "" if entry.accepted else "   (step refused)"
-        if entry.noise_level != before.setdefault("noise", entry.noise_level):
-            before["noise"] = entry.noise_level
+        if noise not in (None, entry.noise_level):
             note += "   (noise estimated anew)"
+        noise = entry.noise_level
         what = f"step {entry.step}" if entry.step else "start"
-        show.note(f"{what:<8} {misfit(entry)}   {moved}   {values}{note}")
+        show.note(f"{what:<8} {misfit}   {moved}   {values}{note}")
         last = entry.step == project.settings.max_steps
         finished = last or (entry.step > 0 and size <= project.settings.tol)
         if finished and project.validation:

@@ -77,13 +77,6 @@ def sweep(args: argparse.Namespace, show: Display) -> int:
     database = args.output or loaded.database
     with bad_input():
         check_sweep_page(database)
-    ended, tell = 0, _progress_lines(show)
-
-    def progress(now: "Progress") -> None:
-        nonlocal ended
-        ended = now.ended
-        tell(now)
-
     try:
         with bad_input():
             result = loaded.run(
@@ -92,18 +85,18 @@ def sweep(args: argparse.Namespace, show: Display) -> int:
                 cores_per_worker=args.cores_per_worker,
                 scheduler=args.scheduler,
                 retry_failed=args.retry_failed,
-                progress=progress,
+                progress=_progress_lines(show),
             )
     except KeyboardInterrupt:
-        text = (
-            f"interrupted: {ended} of {len(loaded.points)} trials are in {database}; "
-            "the same command goes on from there."
-        )
+        text = f"interrupted: the same command goes on from what is in {database}."
         with suppress(OSError, ValueError):  # of a disk that is full, or no database
-            page = write_sweep(
-                read_sweep(database), database, sweep=loaded, timing_s=show.laps
+            result = read_sweep(database)
+            page = write_sweep(result, database, sweep=loaded, timing_s=show.laps)
+            text = (
+                f"interrupted: {len(result.rows)} of {len(loaded.points)} trials are "
+                f"in {database}; the same command goes on from there. Their page is "
+                f"{page}."
             )
-            text += f" Their page is {page}."
         raise Stop(INTERRUPTED, text) from None
     except RuntimeError as error:
         raise Stop(BAD_INPUT, f"error: {error}") from error
@@ -122,30 +115,24 @@ def sweep(args: argparse.Namespace, show: Display) -> int:
     return OK
 
 
-def _progress_lines(show: Display):
+def _progress_lines(show: Display) -> "Callable[[Progress], None]":
     """Return a callback that prints each trial as it ends, and progress at times."""
-    last = -QUIET_S
+    last = time.monotonic()
 
     def progress(now: "Progress") -> None:
         nonlocal last
-        row = now.row
-        if row is None:
+        what = str(now)
+        if now.row is None:
             done = f", {now.before} of them before" if now.before else ""
             show.note(f"{now.total} trials{done}")
+            what += ", the first trial compiles"
         else:
-            show.row(_row_dict(row))
-            show.note(_row_line(row))
-        if now.ended == now.total:
-            return
-        tick = time.monotonic()
-        if row is None:
-            last = tick
-            text = f"{now}, the first trial compiles"
-            show.now(text, log=False, count=(now.ended, now.total))
-            return
-        due = tick - last >= QUIET_S
-        last = tick if due else last
-        show.now(str(now), log=due, count=(now.ended, now.total))
+            show.document(_row_dict(now.row), indent=None)
+            show.note(_row_line(now.row))
+        if now.ended < now.total:
+            due = time.monotonic() - last >= QUIET_S
+            last = time.monotonic() if due else last
+            show.now(what, log=due, count=(now.ended, now.total))
 
     return progress
 
@@ -153,8 +140,8 @@ def _progress_lines(show: Display):
 def _row_dict(row: "TrialRow") -> dict[str, Any]:
     """Return a row as one line of JSON holds it."""
     keys = ("state", "reason", "notes", "seconds", "compile_seconds", "worker", "ended")
-    own = {key: getattr(row, key) for key in keys}
-    return {"point": dict(row.point), "figures": dict(row.figures), **own}
+    more = {key: getattr(row, key) for key in keys}
+    return {"point": dict(row.point), "figures": dict(row.figures), **more}
 
 
 def _row_line(row: "TrialRow") -> str:
@@ -162,13 +149,13 @@ def _row_line(row: "TrialRow") -> str:
     point = ", ".join(f"{axis} = {value}" for axis, value in row.point.items())
     if row.state == "failed":
         return f"failed: {point}: {row.reason.splitlines()[0]}"
-    shown = [
+    figures = [
         f"{name} {value:.4g}" if isinstance(value, float) else f"{name} {value}"
         for name, value in row.figures.items()
         if value is not None
     ]
-    found = ", ".join(shown[:MOST_SHOWN])
-    return f"{row.state}: {point}: {found} ({row.seconds:.1f} s)"
+    shown = ", ".join(figures[:MOST_SHOWN])
+    return f"{row.state}: {point}: {shown} ({row.seconds:.1f} s)"
 
 
 def show_sweep(args: argparse.Namespace, show: Display) -> int:

@@ -13,9 +13,8 @@ def check_no_bodies(model: Model, format: str) -> None:
     if names:
         raise ValueError(
             f"the robot has rigid bodies ({', '.join(names)}), which are not written "
-            f"to {format}: their nodes turn together, which it has to say by "
-            "constraints of its own. A body that is held: name its nodes in `supports` "
-            "instead. A plate that only carries markers: leave it out, give [markers] "
+            f"to {format}. A body that is held: name its nodes in `supports` instead. "
+            "A plate that only carries markers: leave it out, give [markers] "
             "`max_distance` and `base_radius`, and calibrate again."
         )
 
@@ -23,14 +22,7 @@ def check_no_bodies(model: Model, format: str) -> None:
 def check_rim(
     model: Model, configuration: ConfigurationArrays, actuator: int, format: str
 ) -> None:
-    """Raise ValueError if a lid presses on a rim that is not held.
-
-    Args:
-        model: The model.
-        configuration: What holds it.
-        actuator: Index of the chamber.
-        format: What has no lids.
-    """
+    """Raise ValueError if the lid of a chamber presses on a rim that is not held."""
     actuators, fixed = model.mechanism.actuators, np.asarray(configuration.fixed)
     free = free_rim_nodes(actuators.groups, actuator, fixed)
     if free:

@@ -1,13 +1,6 @@
 """Results as files that other programs read: JSON, CSV and VTK."""
 
-from softcal_jax._units import (
-    Readable,
-    readable_estimate,
-    readable_unit,
-    readable_values,
-)
-from softcal_jax.export._budget import budget_dict
-from softcal_jax.export._comparison import comparison_dict
+from softcal_jax._units import readable_estimate, readable_unit, readable_values
 from softcal_jax.export._csv import (
     write_effectors_csv,
     write_markers_csv,
@@ -18,34 +11,38 @@ from softcal_jax.export._folder import (
     file_stems,
     results_folder,
 )
-from softcal_jax.export._inverse import inverse_dict
 from softcal_jax.export._json import (
     RESULT_FORMAT,
+    comparison_dict,
     identifiability_dict,
+    inverse_dict,
     outlook_dict,
     result_dict,
     simulation_dict,
 )
-from softcal_jax.export._made import Made, file_dict, made_dict, source_dict
-from softcal_jax.export._plain import plain, write_json
-from softcal_jax.export._pvd import write_pvd
-from softcal_jax.export._tet_fields import (
+from softcal_jax.export._made import (
+    Made,
+    file_dict,
+    made_dict,
+    plain,
+    write_json,
+)
+from softcal_jax.export._vtu import (
     STANDARD_ERROR,
     fibre_directions,
     field_units,
     principal_stretches,
     tet_fields,
     von_mises_stress,
+    write_pvd,
+    write_robot_vtu,
+    write_vtu,
 )
-from softcal_jax.export._vtu import write_vtu
-from softcal_jax.export._vtu_robot import write_robot_vtu
 
 __all__ = [
     "RESULT_FORMAT",
     "STANDARD_ERROR",
     "Made",
-    "Readable",
-    "budget_dict",
     "check_results_folder",
     "comparison_dict",
     "fibre_directions",
@@ -64,7 +61,6 @@ __all__ = [
     "result_dict",
     "results_folder",
     "simulation_dict",
-    "source_dict",
     "tet_fields",
     "von_mises_stress",
     "write_effectors_csv",

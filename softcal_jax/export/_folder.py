@@ -6,7 +6,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from softcal_jax._places import with_remedy
@@ -22,11 +22,7 @@ INDEX_FILES = (
 )
 """Files that mark a results folder; their `files` list what softcal_jax wrote."""
 
-_RESERVED = {"inverse", "markers", "report", "result", "simulation"}
-"""Stems of the other files of a results folder."""
-
-_ENDINGS = ("", "_robot", "_recording")
-"""What is put behind the stem of a configuration."""
+_REMEDY = "choose another folder"
 
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
 """Names that are devices on Windows, whatever follows a point."""
@@ -36,11 +32,11 @@ def file_stems(names: Sequence[str]) -> list[str]:
     """Make one file name per configuration, without extension, safe on every system.
 
     Anything but letters, digits, ".", "-" and "_" is replaced. A number is added where
-    two would be the same file on a system that ignores case, or where the name with
-    "_robot" or "_recording" after it, of the files of its actuators and its markers
-    over time, would be another's.
+    two would be the same file on a system that ignores case, or where that of the
+    actuators ("_robot") or of the markers over time ("_recording") would be another's.
     """
-    taken = set(_RESERVED)
+    taken = {"inverse", "markers", "report", "result", "simulation"}  # other files
+    endings = ("", "_robot", "_recording")
     stems = []
     for name in names:
         stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._")[:80]
@@ -48,9 +44,9 @@ def file_stems(names: Sequence[str]) -> list[str]:
             stem = f"configuration_{stem}".strip("_")
         unique = stem
         copy = 2
-        while taken & (own := {unique.lower() + end for end in _ENDINGS}):
+        while taken & (files := {unique.lower() + end for end in endings}):
             unique, copy = f"{stem}_{copy}", copy + 1
-        taken |= own
+        taken |= files
         stems.append(unique)
     return stems
 
@@ -64,7 +60,7 @@ def check_results_folder(directory: str | Path, *, force: bool = False) -> None:
         OSError: If nothing can be written there; the text says why.
     """
     directory = Path(directory)
-    with _with_remedy(directory):
+    with with_remedy(f"no results can be written to {directory}", _REMEDY):
         _check_contents(directory, force=force)
         with _partial_folder(directory.resolve()):
             if directory.exists():
@@ -76,18 +72,16 @@ def check_results_folder(directory: str | Path, *, force: bool = False) -> None:
 
 def _check_contents(directory: Path, *, force: bool) -> None:
     """Raise if a folder holds anything but earlier results that may be replaced."""
-    if not directory.exists():
-        return
-    if not directory.is_dir():
+    if directory.exists() and not directory.is_dir():
         raise FileExistsError(f"{directory} is a file; results need a folder.")
-    if not any(directory.iterdir()):
+    if not (directory.exists() and any(directory.iterdir())):
         return
     if not force:
         raise FileExistsError(
             f"the folder {directory} is not empty. Choose another one, or replace the "
             "results in it with --force (force=True)."
         )
-    if not _own_files(directory):
+    if not _earlier_files(directory):
         raise FileExistsError(
             f"the folder {directory} does not hold earlier results of softcal_jax "
             f"({', '.join(INDEX_FILES)}), so nothing in it is replaced. Choose "
@@ -109,16 +103,11 @@ def results_folder(directory: str | Path, *, force: bool = False) -> Iterator[Pa
         OSError: If the files cannot be written; the text says why.
     """
     directory = Path(directory).resolve()
-    with _with_remedy(directory):
+    with with_remedy(f"no results can be written to {directory}", _REMEDY):
         _check_contents(directory, force=force)
         with _partial_folder(directory) as partial:
             yield partial
             _move_into_place(partial, directory)
-
-
-def _with_remedy(directory: Path) -> AbstractContextManager[None]:
-    refused = f"no results can be written to {directory}"
-    return with_remedy(refused, "choose another folder")
 
 
 @contextmanager
@@ -145,23 +134,21 @@ def _partial_folder(directory: Path) -> Iterator[Path]:
                 parent.rmdir()
 
 
-def _own_files(directory: Path) -> set[str]:
+def _earlier_files(directory: Path) -> set[str]:
     """List the files of earlier results, as their index files name them."""
-    own: set[str] = set()
+    named: set[str] = set()
     for index in INDEX_FILES:
-        try:
+        with suppress(OSError, ValueError, KeyError, TypeError):  # no index of ours
             data = json.loads((directory / index).read_text(encoding="utf-8"))
-            own |= {index, *data["files"]}
-        except (OSError, ValueError, KeyError, TypeError):
-            continue  # not an index of ours
+            named |= {index, *data["files"]}
     # Ignore names that lead out of the folder, whatever the index says.
-    return {n for n in own if Path(n).name == n and (directory / n).is_file()}
+    return {n for n in named if Path(n).name == n and (directory / n).is_file()}
 
 
 def _move_into_place(partial: Path, directory: Path) -> None:
     # Move single files, so that a shell whose working folder this is keeps it.
     new = sorted(path.name for path in partial.iterdir())
-    old = _own_files(directory)
+    old = _earlier_files(directory)
     foreign = [n for n in new if (directory / n).exists() and n not in old]
     if foreign:
         raise FileExistsError(

@@ -15,11 +15,19 @@ from softcal_jax.calibration import (
     ConfigurationResult,
     SimulationResult,
 )
-from softcal_jax.equilibrium import Model, RobotState
-from softcal_jax.export._budget import budget_dict
-from softcal_jax.export._made import Made, made_dict, source_dict
-from softcal_jax.export._plain import pick, plain, versions
+from softcal_jax.control import OUTCOMES, GoalFit, InverseResult, TrajectoryResult
+from softcal_jax.equilibrium import Model
+from softcal_jax.export._made import (
+    Made,
+    made_dict,
+    pick,
+    plain,
+    source_dict,
+    versions,
+)
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
+from softcal_jax.inference import ErrorBudget
+from softcal_jax.layouts import LEVEL_OF_COMPARISON, ModelComparison, ModelScore
 
 RESULT_FORMAT = "softcal_jax.result/2"
 """Format of `result.json`."""
@@ -35,12 +43,8 @@ def result_dict(
 ) -> dict[str, Any]:
     """Convert a calibration to the content of `result.json`, see `ResultFile`.
 
-    Args:
-        result: The calibration.
-        name: Its name.
-        assessment: Its assessment, if known already.
-        timing_s: Wall time of further parts, added to `result.timing_s` [s].
-        directory: Folder that the file is for.
+    Its assessment is made if it is not given; `timing_s` are wall times of further
+    parts [s], and paths of files are relative to `directory`.
     """
     # Here, since pydantic takes a third of a second, which a calibration does not need.
     from softcal_jax.export.result_file import ResultFile
@@ -70,6 +74,37 @@ def result_dict(
     return file.model_dump(exclude_unset=True)
 
 
+def budget_dict(budget: ErrorBudget) -> dict[str, Any]:
+    """Convert the error budget of a calibration to a dictionary, see `BudgetEntry`."""
+    by_cause = budget.by_cause()
+    total = budget.standard_errors
+    return plain(
+        {
+            "parameters": [
+                {
+                    "name": name,
+                    "unit": budget.units[i],
+                    "standard_error": total[i],
+                    "by_cause": {cause: std[i] for cause, std in by_cause.items()},
+                    "sentence": budget.sentence(name),
+                }
+                for i, name in enumerate(budget.names)
+            ],
+            "errors": [
+                {
+                    "cause": cause.name,
+                    "name": error,
+                    "deviations": budget.slopes * cause.deviations[:, k],
+                }
+                for cause in budget.causes
+                for k, error in enumerate(cause.errors)
+            ],
+            "unknown": budget.unknown,
+            "covariance": budget.covariance,
+        }
+    )
+
+
 def simulation_dict(
     result: SimulationResult,
     *,
@@ -82,14 +117,12 @@ def simulation_dict(
 
     Keys: `format`, `name`, `converged` (whether all did); `source`, `settings` and
     `versions` (see `made_dict`; without `made`, the first two say nothing);
-    `configurations` (`name`,
-    `converged`, `outcome`, `newton_steps`, `load_steps`, `residual`, `rounding`,
-    `at_rounding`, `min_det_F`, `largest_displacement_mm`, `markers` and other points
-    with `name`, `at_rest_mm`, `simulated_mm`, `effectors` that are not points with
-    `name`, `unit`, `is_turn`, `simulated`, `robot`, see `RobotEntry`); `solver`;
-    `timing_s` [s].
-    Where there is no equilibrium, positions and displacement are null, and `outcome`
-    says why.
+    `configurations` (`name`, `converged`, `outcome`, `newton_steps`, `load_steps`,
+    `residual`, `rounding`, `at_rounding`, `min_det_F`, `largest_displacement_mm`,
+    `markers` and other points with `name`, `at_rest_mm`, `simulated_mm`, `effectors`
+    that are not points with `name`, `unit`, `is_turn`, `simulated`, `robot`, see
+    `RobotEntry`); `solver`; `timing_s` [s]. Where there is no equilibrium, positions
+    and displacement are null, and `outcome` says why.
     """
     return plain(
         {
@@ -147,6 +180,8 @@ def outlook_dict(
 
 
 def _simulated(result: ConfigurationResult) -> dict[str, Any]:
+    from softcal_jax.export.result_file import RobotEntry
+
     largest = 1e3 * result.largest_displacement if result.converged else None
     return {
         **pick(result, "name", "converged", "outcome"),
@@ -168,15 +203,8 @@ def _simulated(result: ConfigurationResult) -> dict[str, Any]:
             }
             for effector in result.others
         ],
-        "robot": _robot(result.robot),
+        "robot": result.robot and RobotEntry.model_validate(result.robot).model_dump(),
     }
-
-
-def _robot(state: RobotState | None) -> dict[str, Any] | None:
-    """Convert rigid bodies, actuators and reactions."""
-    from softcal_jax.export.result_file import RobotEntry
-
-    return state and RobotEntry.model_validate(state).model_dump()
 
 
 def _solver(model: Model) -> dict[str, Any]:
@@ -188,4 +216,148 @@ def _solver(model: Model) -> dict[str, Any]:
         "formulation": model.formulation,
         "element_order": model.mesh.order,
         **pick(model.mesh, "n_nodes", "n_tets"),
+    }
+
+
+def comparison_dict(
+    comparison: ModelComparison,
+    *,
+    name: str = "comparison",
+    timing_s: Mapping[str, float] | None = None,
+    made: Mapping[str, Made] | None = None,
+    directory: str | Path = ".",
+) -> dict[str, Any]:
+    """Build the content of `comparison.json`.
+
+    Keys: `format`, `name`; `sources` and `settings` by model (see `made_dict`),
+    `versions`; `verdict`, `best` (null if no model predicts everything),
+    `undecided`, `level`; `models`, the best first (`name`, `n_parameters`,
+    `held_out_rms_mm`, `held_out_noise_rms`, `score`, `standard_error`, `fit_rms_mm`,
+    `fit_noise_rms`, `fit_failure`, `verdict` of the identifiability, `folds` with
+    `held_out`, `rms_mm`, `noise_rms`, `fit_rms_mm`, `failure`); `differences` from the
+    first (`name`, `difference`, `standard_error`, `half_width`, `n`, `told_apart`);
+    `timing_s` [s]. Scores and differences are squares in units of the noise.
+
+    What the models were computed from, `made`, is in the order that they had.
+    """
+    by_model = {model: made_dict(of, directory) for model, of in (made or {}).items()}
+    best = comparison.best
+    return plain(
+        {
+            "format": "softcal_jax.comparison/1",
+            "name": name,
+            "sources": {model: of["source"] for model, of in by_model.items()},
+            "settings": {model: of["settings"] for model, of in by_model.items()},
+            "versions": {
+                k: v for of in by_model.values() for k, v in of["versions"].items()
+            },
+            "verdict": comparison.verdict,
+            "best": best and best.name,
+            "undecided": comparison.undecided,
+            "level": LEVEL_OF_COMPARISON,
+            "models": [_scored(model) for model in comparison.models],
+            "differences": [
+                {
+                    **pick(d, "name", "difference", "standard_error"),
+                    **pick(d, "half_width", "n", "told_apart"),
+                }
+                for d in comparison.differences
+            ],
+            "timing_s": timing_s or {},
+        }
+    )
+
+
+def _scored(model: ModelScore) -> dict[str, Any]:
+    return {
+        **pick(model, "name", "n_parameters"),
+        "held_out_rms_mm": 1e3 * model.held_out_rms,
+        **pick(model, "held_out_noise_rms", "score", "standard_error"),
+        "fit_rms_mm": 1e3 * model.fit_rms,
+        **pick(model, "fit_noise_rms", "fit_failure", "verdict"),
+        "folds": [
+            {
+                "held_out": fold.held_out,
+                "rms_mm": 1e3 * fold.rms,
+                "noise_rms": fold.noise_rms,
+                "fit_rms_mm": 1e3 * fold.fit_rms,
+                "failure": fold.failure,
+            }
+            for fold in model.folds
+        ],
+    }
+
+
+def inverse_dict(
+    result: InverseResult | TrajectoryResult,
+    *,
+    name: str = "inverse",
+    timing_s: Mapping[str, float] | None = None,
+    made: Made | None = None,
+    directory: str | Path = ".",
+) -> dict[str, Any]:
+    """Build the content of `inverse.json`, in SI and radians.
+
+    Keys: `format`, `name`, `met` (whether all goals are); `source`, `settings` and
+    `versions` (see `made_dict`); `points`, one for each goal of a trajectory, else one:
+    `configuration` (its name), `met`, `outcome` and `message` in words, `tol`, the
+    error at which a goal counts as met, in standard deviations; `goals` (`name`,
+    `unit`, `is_turn`, `priority`, `met`, `goal`, `reached`, `residual`, `std`,
+    `in_std`: residual over std; null for a coordinate without a goal; turns are counted
+    from the goal); `actuators` (`name`, `kind`, `commanded`, `imposed`, `force`,
+    `force_unit`, `displacement`, `displacement_unit`, null without one);
+    `active_limits` and `held_by` in words; `blind` (null without; `coordinates`,
+    `units`, `direction`, `off`, `gain`); `attempts` (`way`, `outcome`, `error` in
+    standard deviations, `n_steps`); `steps` of the search. Then `timing_s` [s].
+    """
+    points = [result] if isinstance(result, InverseResult) else result.points
+    model = points[0].model if points else None
+    if made is None and model is not None:
+        made = Made(model, {})
+    return plain(
+        {
+            "format": "softcal_jax.inverse/1",
+            "name": name,
+            "met": all(point.met for point in points),
+            **made_dict(made, directory),
+            "points": [_point(point) for point in points],
+            "timing_s": timing_s or {},
+        }
+    )
+
+
+def _point(result: InverseResult) -> dict[str, Any]:
+    return {
+        "configuration": result.configuration.name,
+        **pick(result, "met", "message", "tol"),
+        "outcome": OUTCOMES[result.outcome],
+        "goals": [_goal(fit, result.tol) for fit in result.goals],
+        "actuators": [
+            {"commanded": own.name in result.configuration.actuation, **plain(own)}
+            for own in result.actuators
+        ],
+        **pick(result, "active_limits", "held_by", "blind"),
+        "attempts": [
+            {
+                **pick(own, "way", "error", "n_steps"),
+                "outcome": None if own.outcome is None else OUTCOMES[own.outcome],
+            }
+            for own in result.attempts
+        ],
+        "steps": result.steps,
+    }
+
+
+def _goal(fit: GoalFit, tol: float) -> dict[str, Any]:
+    own, seen = fit.effector, fit.effector.seen
+    asked = lambda values: np.where(seen, values, np.nan)
+    return {
+        **pick(own, "name", "unit", "is_turn"),
+        "priority": fit.priority,
+        "met": bool(np.max(np.abs(fit.in_std), initial=0.0) <= tol),
+        "goal": asked(own.measured),
+        "reached": fit.reached,
+        "residual": asked(fit.residual),
+        "std": own.std,
+        "in_std": asked(fit.in_std),
     }

@@ -1,14 +1,71 @@
-"""What a result was computed from and with, as a dictionary for JSON."""
+"""What a result was computed from and with, and values as JSON can hold them."""
 
+import dataclasses
+import json
+import math
 import os
+import platform
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import jax
+import numpy as np
+
+from softcal_jax._machine import cpu_name, installed_version
 from softcal_jax._module import Module
 from softcal_jax.calibration import ProjectSource, SourceFile
 from softcal_jax.equilibrium import Model
-from softcal_jax.export._plain import plain, versions
+
+_PACKAGES = ("jax", "jaxlib", "numpy", "equinox", "optimistix", "jaxopt")
+
+
+def pick(owner: object, *names: str) -> dict[str, Any]:
+    """Return some attributes by name."""
+    return {name: getattr(owner, name) for name in names}
+
+
+def plain(value: Any) -> Any:
+    """Convert modules to dictionaries, arrays to lists, and non-finite numbers to None.
+
+    NumPy numbers become those of Python.
+    """
+    if dataclasses.is_dataclass(value):
+        value = pick(value, *(field.name for field in dataclasses.fields(value)))
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic | jax.Array):
+        value = np.asarray(value).tolist()
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def write_json(path: Path, data: Mapping[str, Any]) -> None:
+    """Write a dictionary, as from `result_dict`, as JSON that every parser reads.
+
+    Raises:
+        ValueError: If it holds a NaN or an infinity, which JSON lacks.
+    """
+    text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def versions(model: Model) -> dict[str, str]:
+    """List versions of Python and the numerical packages, and the machine.
+
+    The sparse solver of the model names its package.
+    """
+    packages = [*_PACKAGES, *re.findall(r"\((.+)\)", model.solver.name)]
+    return {
+        "python": platform.python_version(),
+        "softcal_jax": installed_version("softcal-jax"),
+        **{name: installed_version(name) for name in packages},
+        "platform": platform.platform(),
+        "cpu": cpu_name(),
+        "device": jax.devices()[0].device_kind,
+    }
 
 
 class Made(Module):
@@ -26,13 +83,10 @@ class Made(Module):
 
 
 def made_dict(made: Made | None, directory: str | Path = ".") -> dict[str, Any]:
-    """Convert what a result was computed from and with to a dictionary.
+    """Convert what a result was computed from and with, if that is known.
 
-    Keys: `source` (see `source_dict`), `settings`, `versions`.
-
-    Args:
-        made: What it was; None if that is not known.
-        directory: Folder of the results.
+    Keys: `source` (see `source_dict`), `settings`, `versions`. Paths are relative to
+    `directory`, the folder of the results.
     """
     if made is None:
         return {"source": None, "settings": {}, "versions": {}}
@@ -48,14 +102,9 @@ def source_dict(
 ) -> dict[str, Any] | None:
     """Convert the files that a calibration was made from to a dictionary.
 
-    Keys: `project` (`file`, relative to the folder of the results, and `sha256`);
-    `files`, mesh and measurements (likewise, relative to the folder of the project);
-    `changes` of the project file, by key. None for a calibration without a project
-    file.
-
-    Args:
-        source: The files.
-        directory: Folder of the results.
+    Keys: `project` (`file`, relative to `directory`, the folder of the results, and
+    `sha256`); `files`, mesh and measurements (likewise, relative to the folder of the
+    project); `changes` of the project file, by key. None without a project file.
     """
     if source is None:
         return None

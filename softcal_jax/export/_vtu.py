@@ -1,25 +1,29 @@
-"""Deformed bodies as VTK files for ParaView."""
+"""Deformed bodies, their fields in each tet, and what moves them, for ParaView."""
 
-from collections.abc import Mapping
+import dataclasses
+import operator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.equilibrium import Model, tet_states
-from softcal_jax.export._tet_fields import (
-    fibre_directions,
-    principal_stretches,
-    symmetric_part,
-    tet_fields,
-)
+from softcal_jax.actuators import ActuatorGeometry, actuator_geometry
+from softcal_jax.equilibrium import Model, RobotState, TetStates, tet_states
+from softcal_jax.fields import find_field
+from softcal_jax.materials import Fibre, is_point_values
 from softcal_jax.mesh import volumes
 
 if TYPE_CHECKING:
     import pyvista
+
+STANDARD_ERROR = "_standard_error"
+"""What follows the name of a field in that of its standard error."""
 
 _SYMMETRIC = {"XX": (0, 0), "YY": (1, 1), "ZZ": (2, 2)}
 _SYMMETRIC |= {"XY": (0, 1), "YZ": (1, 2), "XZ": (0, 2)}
@@ -33,7 +37,7 @@ def write_vtu(
     *,
     standard_errors: Mapping[str, Float[HostArray, " n_tets"]] | None = None,
 ) -> None:
-    """Write a deformed body for ParaView; quadratic tets stay quadratic.
+    """Write a body, moved by `displacement` [m], for ParaView; quadratic tets stay so.
 
     Points are at rest [m]; "Warp By Vector" with `displacement` shows the deformed
     shape. Per tet: `cauchy_stress`, the mean over the tet, in the order XX, YY, ZZ, XY,
@@ -41,23 +45,16 @@ def write_vtu(
     `principal_stretches`, the largest first, mean over the quadrature points [-];
     `strain_energy_density` [J/m3], `density` [kg/m3] and every field of the law under
     its own name, in SI; `fibre_direction` at rest, and `fibre_direction_2` of a second
-    family [-]; `E_standard_error` and so on of fields that were calibrated. Per point
-    `rigid_body`, if there are any: the index of its rigid body plus 1, 0 for soft
-    points.
-
-    Args:
-        path: The file, ending in .vtu.
-        model: The model.
-        displacement: Nodal displacement [m].
-        standard_errors: Standard errors of fields in each tet, by the name of the
-            field, see `field_standard_errors`.
+    family [-]; `E_standard_error` and so on of fields that were calibrated, see
+    `field_standard_errors`. Per point `rigid_body`, if there are any: the index of its
+    rigid body plus 1, 0 for soft points.
 
     Raises:
         ValueError: If the name does not end in .vtu, or the shape is wrong.
     """
     import pyvista
 
-    path = vtu_path(path)
+    path = _ending_in(".vtu", path)
     mesh = model.mesh
     u = np.asarray(displacement, float)
     if u.shape != mesh.points.shape:
@@ -83,25 +80,107 @@ def write_vtu(
         grid.cell_data[name] = values
     for name, values in fibre_directions(model).items():
         grid.cell_data[name] = values
-    save_vtu(path, grid)
+    _save(path, grid)
 
 
-def save_vtu(path: Path, grid: "pyvista.UnstructuredGrid") -> None:
-    """Write a grid.
+def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
+    """Write actuators and frames of rigid bodies for ParaView, beside the soft body.
+
+    Points are at rest [m]; "Warp By Vector" with `displacement` shows the state. Lines
+    are segments of cables, faces those of chambers and surface pressures, vertices the
+    origins of rigid bodies, then motors and forces. Per cell: `actuator` and
+    `rigid_body` (index in the model plus 1, 0 for none), `lambda_a` and `delta_a` in
+    SI. Per vertex: `arrow`, the axis of a motor or direction of a force, and `axis_1`
+    to `axis_3`, the axes of a rigid body's frame [-].
 
     Raises:
-        OSError: If it could not be written.
+        ValueError: If the name does not end in .vtu.
     """
+    import pyvista
+    from pyvista import CellType
+
+    path = _ending_in(".vtu", path)
+    mechanism, first = model.mechanism, model.mesh.n_nodes
+    rest = np.asarray(mechanism.points)
+    moved = rest + state.displacement
+    after = actuator_geometry(mechanism.actuators, moved)
+    used, faces = np.unique(after.faces, return_inverse=True)
+
+    def points(x: Float[HostArray, "n_all 3"], shown: ActuatorGeometry):
+        """Stack origins of frames, motors and forces, cables, then nodes of faces."""
+        return np.concatenate(
+            [x[first::4], shown.points, shown.segments.reshape(-1, 3), x[used]]
+        )
+
+    at_rest = points(rest, actuator_geometry(mechanism.actuators, rest))
+    n, n_b = len(at_rest), mechanism.bodies.n_bodies
+    n_v, n_l, n_fn = n_b + len(after.points), len(after.segments), after.faces.shape[-1]
+    frames = moved[first:].reshape(-1, 4, 3)
+    axes = (frames[:, 1:] - frames[:, :1]) / mechanism.bodies.length
+    vectors = {f"axis_{k + 1}": axes[:, k] for k in range(3)}
+    vectors["arrow"] = np.concatenate([np.zeros((n_b, 3)), after.arrows])
+
+    # Kind and points of the cells, and the index of the actuator of each, -1 for none.
+    vertex_owner = np.concatenate([np.full(n_b, -1), after.point_owner])
+    kind = CellType.TRIANGLE if n_fn == 3 else CellType.QUADRATIC_TRIANGLE
+    faces = n_v + 2 * n_l + faces.reshape(-1, n_fn)
+    blocks = (
+        (CellType.VERTEX, np.arange(n_v)[:, None], vertex_owner),
+        (CellType.LINE, n_v + np.arange(2 * n_l).reshape(-1, 2), after.segment_owner),
+        (kind, faces, after.face_owner),
+    )
+    there = [block for block in blocks if len(block[1])]
+    owner = 1 + np.concatenate([own for *_, own in there])
+    # Entry 0 is for cells that no actuator owns.
+    forces = np.array([0.0, *(a.force for a in state.actuators)])
+    moves = np.array([0.0, *(a.displacement or 0.0 for a in state.actuators)])
+    grid = pyvista.UnstructuredGrid({kind: cells for kind, cells, _ in there}, at_rest)
+    grid.point_data["displacement"] = points(moved, after) - at_rest
+    for name, values in vectors.items():  # zero at all points but the vertices
+        grid.point_data[name] = np.pad(values, ((0, n - len(values)), (0, 0)))
+    grid.cell_data["actuator"] = owner.astype(float)
+    body = np.zeros(len(owner))
+    body[:n_b] = 1.0 + np.arange(n_b)
+    grid.cell_data["rigid_body"] = body
+    grid.cell_data["lambda_a"] = forces[owner]
+    grid.cell_data["delta_a"] = moves[owner]
+    _save(path, grid)
+
+
+def write_pvd(path: str | Path, files: Sequence[Sequence[str]]) -> None:
+    """Write the list of the .vtu files of configurations, which ParaView opens at once.
+
+    Each configuration is a time, 0, 1, 2 and so on, and its files, relative to the
+    folder of `path`, are parts. (VTK has no writer for this format; see "ParaView file
+    formats" in its documentation.)
+
+    Raises:
+        ValueError: If the name does not end in .pvd.
+    """
+    path = _ending_in(".pvd", path)
+    version = {"type": "Collection", "version": "0.1", "byte_order": "LittleEndian"}
+    root = ElementTree.Element("VTKFile", version)
+    collection = ElementTree.SubElement(root, "Collection")
+    for time, parts in enumerate(files):
+        for part, file in enumerate(parts):
+            entry = {"timestep": str(time), "part": str(part), "file": file}
+            ElementTree.SubElement(collection, "DataSet", entry)
+    tree = ElementTree.ElementTree(root)
+    ElementTree.indent(tree)
+    tree.write(path, encoding="utf-8", xml_declaration=True)
+
+
+def _save(path: Path, grid: "pyvista.UnstructuredGrid") -> None:
+    """Write a grid."""
     grid.save(path)
     if not path.exists():  # VTK removes what it could not finish, and only prints it
         raise OSError(f"{path} could not be written: is the disk full?")
 
 
-def vtu_path(path: str | Path) -> Path:
-    """Check the ending of a file's name."""
+def _ending_in(suffix: str, path: str | Path) -> Path:
     path = Path(path)
-    if path.suffix != ".vtu":
-        raise ValueError(f"the file name must end in .vtu, got {path.name!r}.")
+    if path.suffix != suffix:
+        raise ValueError(f"the file name must end in {suffix}, got {path.name!r}.")
     return path
 
 
@@ -116,3 +195,101 @@ def _add(
     array = grid.GetCellData().GetArray(name)
     for k, component in enumerate(components):
         array.SetComponentName(k, component)
+
+
+def tet_fields(
+    model: Model, standard_errors: Mapping[str, Float[HostArray, " n_tets"]]
+) -> dict[str, HostArray]:
+    """Return density and fields of the law, one value or vector per tet, in SI.
+
+    Values at quadrature points are averaged. Fields that have standard errors in each
+    tet, see `field_standard_errors`, are followed by these, as `E_standard_error`.
+    """
+    errors = {find_field(model, name).path: e for name, e in standard_errors.items()}
+    cells = {}
+    for name, path, leaf in _named(model):
+        if is_point_values(leaf):  # a cell of VTK holds one value
+            leaf = jnp.mean(leaf.values, axis=1)
+        values = np.asarray(leaf, float)
+        if values.ndim == 0:
+            values = np.full(model.n_tets, values)
+        # VTK knows no tensors per tet.
+        cells[name] = values if values.ndim == 1 else values.reshape(len(values), -1)
+        if path in errors:
+            cells[name + STANDARD_ERROR] = errors[path]
+    return cells
+
+
+def field_units(model: Model) -> dict[str, str]:
+    """Return the SI units of `tet_fields` by name, where the law declares one."""
+    units = {"density": "kg/m3"}
+    for name, path, _ in _named(model):
+        owner, _, own = path.rpartition(".")
+        module = operator.attrgetter(owner)(model) if owner else model
+        metadata = {f.name: f.metadata for f in dataclasses.fields(module)}[own]
+        if "unit" in metadata:
+            units[name] = metadata["unit"]
+    return units
+
+
+def _named(model: Model) -> Iterator[tuple[str, str, Any]]:
+    """Yield name, path in the model and values of the density and the law's fields."""
+    law = jax.tree_util.tree_leaves_with_path(model.law, is_leaf=is_point_values)
+    leaves: list[tuple[str, Any]] = [("density", model.density)]
+    leaves += [("law" + jax.tree_util.keystr(path), leaf) for path, leaf in law]
+    # Entries of a tuple, the local axes of a fibre, are no fields: see its direction.
+    leaves = [(path, leaf) for path, leaf in leaves if "[" not in path]
+    shorts = [path.rpartition(".")[2] for path, _ in leaves]
+    for short, (path, leaf) in zip(shorts, leaves, strict=True):
+        # A law with two elasticities has two E: use the whole path as the name then.
+        alone = shorts.count(short) == 1
+        yield short if alone else path.removeprefix("law."), path, leaf
+
+
+def principal_stretches(states: TetStates) -> Float[HostArray, "n_tets 3"]:
+    """Compute the principal stretches, the singular values of F, largest first [-]."""
+    return np.linalg.svd(states.F, compute_uv=False).mean(axis=1)
+
+
+def symmetric_part(stress: Float[HostArray, "n_tets 3 3"]) -> HostArray:
+    """Return the symmetric part of a stress, of a law whose moments do not balance."""
+    return 0.5 * (stress + np.swapaxes(stress, 1, 2))
+
+
+def von_mises_stress(states: TetStates) -> Float[HostArray, " n_tets"]:
+    """Compute the von Mises stress of the mean Cauchy stress of each tet [Pa].
+
+    It is sqrt(3/2 s : s) with the deviatoric part s, so without the pressure, which
+    tets of a nearly incompressible law bear unevenly.
+    """
+    cauchy = symmetric_part(states.cauchy)
+    s = cauchy - np.trace(cauchy, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 3.0
+    return np.sqrt(1.5 * np.sum(s * s, axis=(1, 2)))
+
+
+def fibre_directions(model: Model) -> dict[str, Float[HostArray, "n_tets 3"]]:
+    """Return the directions of the fibres at rest, by family [-]."""
+    return {
+        f"fibre_direction{f'_{k}' if k > 1 else ''}": _axes(fibre, model.n_tets)
+        for k, fibre in enumerate(model.law.fibres(), start=1)
+    }
+
+
+def _axes(fibre: Fibre, n_tets: int) -> Float[HostArray, "n_tets 3"]:
+    """Compute one direction per tet: the mean axis of those at quadrature points.
+
+    As u and -u are one axis, it is the first principal axis of the mean of u u^T.
+    """
+    leaves, tree = jax.tree.flatten(fibre, is_leaf=is_point_values)
+    tables = [
+        np.asarray(leaf.values if is_point_values(leaf) else jnp.reshape(leaf, (-1, 1)))
+        for leaf in leaves
+    ]
+    n_qp = max(values.shape[1] for values in tables)
+    flat = [np.broadcast_to(values, (n_tets, n_qp)).ravel() for values in tables]
+    at_points = jax.tree.unflatten(tree, map(jnp.asarray, flat))
+    u = np.asarray(jax.vmap(Fibre.direction)(at_points)).reshape(n_tets, n_qp, 3)
+    if n_qp == 1:
+        return u[:, 0]
+    mean = np.linalg.eigh(np.einsum("eqi,eqj->eij", u, u))[1][:, :, -1]
+    return mean * np.where(np.sum(mean * u[:, 0], axis=1) < 0.0, -1.0, 1.0)[:, None]

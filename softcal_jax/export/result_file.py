@@ -1,8 +1,6 @@
-"""The content of `result.json`: what is written, what is read, and its table.
+"""The content of `result.json`: what is written, in SI, mm or %, and what is read.
 
-Written, keys are taken from the attributes of results, in SI units, and those in mm or
-percent are converted; read, they are taken as they stand. Only keys without a default
-are needed to load a result.
+Read, keys are taken as they stand; those without a default are needed to load a result.
 """
 
 import dataclasses
@@ -24,17 +22,15 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.configurations import EffectorRecord
 from softcal_jax.equilibrium import ActuatorState, BodyPlace, Reaction, RobotState
-from softcal_jax.export._plain import plain
+from softcal_jax.export._made import plain
 from softcal_jax.identifiability import Assessment, Identifiability, Prediction
 from softcal_jax.inference import LackOfFit, RecordingEstimate, Uncertainty
 
 
 class Keys:
-    """Mark of a key whose entries have attributes of a class as their keys.
+    """Mark of a key whose entries have attributes of the class `of` as their keys.
 
-    Attributes:
-        of: The class.
-        names: The keys; one that ends in _mm is converted from metres.
+    One that ends in _mm is converted from metres.
     """
 
     def __init__(self, of: type, names: str = ""):

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from softcal_jax.export import Readable, readable_estimate, readable_unit
+from softcal_jax._units import Readable, readable_estimate, readable_unit
 
 NAN = math.nan
 

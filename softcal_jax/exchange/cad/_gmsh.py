@@ -1,6 +1,13 @@
-"""Gmsh, which fills CAD models with tets: loaded, started and ended here alone."""
+"""What fills CAD models with tets: gmsh, and fTetWild where a surface is not clean.
 
+Gmsh is loaded, started and ended here alone.
+"""
+
+import importlib.util
 import signal
+import subprocess
+import sys
+import tempfile
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -33,19 +40,32 @@ _REGULAR = 1.0 / (6.0 * sqrt(2.0))
 """Volume of the regular tet over the cube of its edge [-]."""
 
 
+ENVELOPE = 1e-3
+"""How far the surface may move, over the diagonal of the model [-]."""
+
+_PROGRAM = """\
+import sys
+import numpy as np
+import pytetwild
+given = np.load(sys.argv[1])
+points, tets = pytetwild.tetrahedralize(
+    given["points"], given["triangles"], edge_length_abs=float(given["size"]),
+    epsilon=float(given["envelope"]), num_threads=1, quiet=True,
+)
+np.savez(sys.argv[2], points=points, tets=tets)
+"""
+
+
 class GmshError(ValueError):
-    """Gmsh does not fill a model; the text is what it says."""
+    """Gmsh does not fill a model, or its surface is open; the text is what it says."""
 
 
 class Filled(NamedTuple):
     """A volume filled with linear tets, in the length unit of the model.
 
-    Attributes:
-        points: Positions of the nodes.
-        tets: Nodes of the tets.
-        faces: Corners of the triangles on each face of the model that bounds the body.
-        solids: Indices of the tets of each solid.
-        volume: Volume of the model; nan if that is unknown.
+    `faces` are corners of the triangles on each face of the model that bounds the body,
+    `solids` indices of the tets of each solid; the volume of the model is nan if
+    unknown.
     """
 
     points: Float[HostArray, "n_nodes 3"]
@@ -59,12 +79,8 @@ class Filled(NamedTuple):
 def _gmsh_model() -> Iterator[Any]:
     """Start gmsh silently with an empty model, and end it in any case.
 
-    Ctrl-C and SIGTERM stay with Python. One thread makes the same mesh each time.
-
-    Raises:
-        ImportError: If gmsh is not installed, or lacks a library of the system.
-        RuntimeError: If the program uses gmsh already.
-        GmshError: If gmsh raises inside the block.
+    Ctrl-C and SIGTERM stay with Python. One thread makes the same mesh each time. What
+    gmsh raises inside the block becomes a GmshError.
     """
     gmsh = _load()
     if gmsh.isInitialized():
@@ -118,12 +134,7 @@ def _load() -> Any:
 
 
 def fill_step(path: Path, size: float | None) -> Filled:
-    """Fill the solids of a STEP file; the size and the result are in mm.
-
-    Raises:
-        ValueError: If gmsh cannot read or fill it, it has no solid, or the size makes
-            too many tets.
-    """
+    """Fill the solids of a STEP file; the size and the result are in mm."""
     with _gmsh_model() as gmsh:
         gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
         shape = gmsh.model.occ
@@ -143,12 +154,7 @@ def fill_step(path: Path, size: float | None) -> Filled:
 
 
 def fill_stl(path: Path, triangles: Triangles, size: float) -> Filled:
-    """Fill the inside of an STL surface; lengths are in the unit of the file.
-
-    Raises:
-        GmshError: If the surface is not closed, or gmsh cannot fill it.
-        ValueError: If the size makes too many tets.
-    """
+    """Fill the inside of an STL surface; lengths are in the unit of the file."""
     if n := triangles.n_open_edges:
         raise GmshError(f"it is not closed, {n} edges do not join two triangles.")
     with _gmsh_model() as gmsh:
@@ -163,6 +169,48 @@ def fill_stl(path: Path, triangles: Triangles, size: float) -> Filled:
     # Gmsh cuts round surfaces in patches, which are no faces of the body, and triangles
     # may be turned either way, so that what they enclose is not known.
     return filled._replace(faces=[], volume=np.nan)
+
+
+def fill_wild(triangles: Triangles, size: float) -> Filled:
+    """Fill a surface with holes, crossings or repeated triangles, by pytetwild.
+
+    FTetWild, Y. Hu et al., ACM Trans. Graph. 39 (2020).
+    """
+    if importlib.util.find_spec("pytetwild") is None:
+        raise ImportError("No module named 'pytetwild'", name="pytetwild")
+    # A process of its own: it leaves a file where it runs, and a crash would end ours.
+    with tempfile.TemporaryDirectory() as folder:
+        given, made = Path(folder, "given.npz"), Path(folder, "made.npz")
+        np.savez(
+            given,
+            points=triangles.points,
+            triangles=triangles.triangles,
+            size=size,
+            envelope=ENVELOPE,
+        )
+        done = subprocess.run(
+            [sys.executable, "-c", _PROGRAM, str(given), str(made)],
+            cwd=folder,
+            capture_output=True,
+            text=True,
+        )
+        if done.returncode != 0:
+            last = (done.stderr.strip().splitlines() or ["it crashed"])[-1]
+            raise ValueError(
+                f"gmsh cannot fill this surface, and fTetWild fails: {last}."
+            )
+        with np.load(made) as found:
+            points, tets = found["points"], found["tets"]
+    if not len(tets):
+        raise ValueError("gmsh cannot fill this surface, and fTetWild makes no tets.")
+    used, tets = np.unique(tets, return_inverse=True)
+    return Filled(
+        points=np.asarray(points, float)[used],
+        tets=tets.reshape(-1, 4),
+        faces=[],
+        solids=[],
+        volume=np.nan,  # that of the triangles, if they enclose one, is not known
+    )
 
 
 def usual_size(extent: Float[HostArray, "3"]) -> float:

@@ -8,17 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from softcal_jax._files import check_file
-from softcal_jax._names import METRES, unknown_name
+from softcal_jax._names import METRES
 from softcal_jax.exchange.cad._gmsh import (
+    ENVELOPE,
     Filled,
     GmshError,
     check_number,
     fill_step,
     fill_stl,
+    fill_wild,
     usual_size,
 )
 from softcal_jax.exchange.cad._stl import read_stl
-from softcal_jax.exchange.cad._wild import ENVELOPE, fill_wild
 from softcal_jax.mesh import (
     MeshWarning,
     TetMesh,
@@ -121,13 +122,11 @@ def _unit(path: Path, length_unit: str | None) -> str:
                 "its own. Leave it out."
             )
         return "mm"
-    if length_unit is None:
+    if length_unit not in METRES:
         raise ValueError(
             f"{path}: an STL file does not state its unit; expected a length unit, one "
-            f"of {', '.join(METRES)}."
+            f"of {', '.join(METRES)}, got {length_unit!r}."
         )
-    if length_unit not in METRES:
-        raise unknown_name("length unit", length_unit, METRES)
     return length_unit
 
 

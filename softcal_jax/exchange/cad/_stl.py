@@ -10,12 +10,7 @@ from softcal_jax.mesh import ParserError, parse_mesh_file
 
 
 class Triangles(NamedTuple):
-    """A surface of triangles, in the length unit of its file.
-
-    Attributes:
-        points: Positions of the corners, each once.
-        triangles: Corners of the triangles.
-    """
+    """A surface of triangles in the unit of its file, with each corner once."""
 
     points: Float[HostArray, "n_points 3"]
     triangles: Int[HostArray, "n_triangles 3"]

@@ -1,19 +1,17 @@
 """Printed tags on photographs: the pose of one tag in the frame of another."""
 
-from softcal_jax.exchange.camera._adjustment import CameraModel
 from softcal_jax.exchange.camera._detection import Photo, read_photo
 from softcal_jax.exchange.camera._photos import TagPose, find_photos, tag_pose
-from softcal_jax.exchange.camera._print import write_tags
 from softcal_jax.exchange.camera._sheet import (
     BOARD_IDS,
     board_corners,
     tag_cells,
     tag_corners,
+    write_tags,
 )
 
 __all__ = [
     "BOARD_IDS",
-    "CameraModel",
     "Photo",
     "TagPose",
     "board_corners",

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softcal_jax._module import one_line
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.exchange.camera._sheet import opencv
 
@@ -28,27 +27,18 @@ _LEAST_NOISE = 1e-4
 
 
 class CameraModel(NamedTuple):
-    """A camera with square pixels, and what is known of it.
+    """A camera with square pixels, and the covariance of what is known of it.
 
-    Attributes:
-        values: Focal length f, principal point cx, cy [px], and the distortion k1, k2,
-            p1, p2, k3 [-].
-        covariance: Their covariance.
+    Its values are the focal length f, principal point cx, cy [px], and the distortion
+    k1, k2, p1, p2, k3 [-].
     """
 
     values: Float[HostArray, "8"]
     covariance: Float[HostArray, "8 8"]
 
-    __repr__ = one_line
-
     @classmethod
     def unknown(cls, size: tuple[int, int], focal: float) -> "CameraModel":
-        """Return what is known of any phone from the size of its photographs.
-
-        Args:
-            size: Width and height [px].
-            focal: Where the focal length begins [px].
-        """
+        """Return what is known of any phone from the size of its photographs [px]."""
         longest = max(size)
         # Principal points lie within some percent of the middle, and the software of
         # phones leaves a few percent of distortion at the corners.
@@ -70,12 +60,7 @@ class CameraModel(NamedTuple):
 
 
 class Placement(NamedTuple):
-    """A rigid motion x -> R x + p.
-
-    Attributes:
-        R: Rotation [-].
-        p: Translation [m].
-    """
+    """A rigid motion x -> R x + p [m]."""
 
     R: Float[HostArray, "3 3"]
     p: Float[HostArray, "3"]
@@ -97,15 +82,9 @@ class Placement(NamedTuple):
 
 
 class Observations(NamedTuple):
-    """Corners on photographs.
+    """Corners, in the frames of their targets [m] and on photographs [px].
 
     Target 0 is on all of them; the others are rigidly placed in its frame.
-
-    Attributes:
-        photo: Photograph of each corner.
-        target: Its target.
-        points: Corners in the frames of their targets [m].
-        pixels: Where they are on the photographs [px].
     """
 
     photo: Int[HostArray, " n"]
@@ -117,14 +96,11 @@ class Observations(NamedTuple):
 class Adjustment(NamedTuple):
     """Result of a bundle adjustment.
 
-    Attributes:
-        camera: The camera.
-        poses: Pose of target 0 in the frame of the camera, for each photograph.
-        targets: Poses of the other targets in the frame of target 0.
-        covariance: Covariance of p and of rotation vectors of the other targets, in the
-            axes of target 0, six rows each [m, rad].
-        noise: Standard deviation of a coordinate of a corner [px].
-        rms: Root mean square of the reprojection errors of each photograph [px].
+    `poses` are those of target 0 in the frame of the camera, `targets` those of the
+    others in its frame. Their covariance has six rows each, of p and of a rotation
+    vector in the axes of target 0 [m, rad]; `noise` is the standard deviation of a
+    coordinate of a corner and `rms` the root mean square of the errors of each
+    photograph [px].
     """
 
     camera: CameraModel
@@ -141,17 +117,7 @@ def adjust(
     poses: Sequence[Placement],
     targets: Sequence[Placement],
 ) -> Adjustment:
-    """Fit camera, poses and targets to what was seen.
-
-    Args:
-        seen: The corners.
-        camera: What is known of the camera, also to begin with.
-        poses: Poses of target 0 to begin with.
-        targets: Poses of the other targets to begin with.
-
-    Raises:
-        ValueError: If the corners are too few for an estimate of their noise.
-    """
+    """Fit camera, poses and targets to what was seen, beginning at those given."""
     # Here, so that commands which do not need it do not wait for it.
     from scipy.optimize import least_squares
 
@@ -225,11 +191,8 @@ def projected(
 ) -> Float[HostArray, "n 2"]:
     """Project the corners onto the photographs [px].
 
-    Args:
-        seen: Which corners.
-        camera: Values of the camera.
-        placements: Poses of target 0 in the camera, then those of the others in it.
-        n_photos: How many of them are of target 0.
+    Placements are poses of target 0 in the camera, one per photograph, then those of
+    the other targets in target 0.
     """
     still = Placement(np.eye(3), np.zeros(3))
     targets = [still, *placements[n_photos:]]

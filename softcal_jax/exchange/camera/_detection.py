@@ -52,13 +52,10 @@ class Photo(NamedTuple):
 
 
 def read_photo(path: Path) -> Photo:
-    """Find the tags on a photograph.
+    """Find the tags on a photograph, which may be any file that OpenCV reads.
 
     Its orientation flag is ignored, so that all photographs of a camera have the axes
     of its sensor.
-
-    Args:
-        path: A file that OpenCV reads: JPEG, PNG, TIFF, ...
 
     Raises:
         FileNotFoundError: If there is no such file.

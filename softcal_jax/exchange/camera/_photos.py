@@ -65,21 +65,8 @@ class TagPose(Module):
     focal: float
 
 
-class _Target(NamedTuple):
-    """What is looked for on photographs: corners by the number of their tag [m]."""
-
-    name: str
-    corners: dict[int, Float[HostArray, "4 3"]]
-
-    def on(
-        self, photo: Photo
-    ) -> tuple[Float[HostArray, "n 3"], Float[HostArray, "n 2"]]:
-        """Return its corners that a photograph shows [m], and where [px]."""
-        there = [number for number in self.corners if number in photo.corners]
-        points = [self.corners[number] for number in there]
-        pixels = [photo.corners[number] for number in there]
-        empty = np.zeros((0, 3)), np.zeros((0, 2))
-        return (np.concatenate(points), np.concatenate(pixels)) if there else empty
+_Target = dict[int, Float[HostArray, "4 3"]]
+"""What is looked for on photographs: corners by the number of their tag [m]."""
 
 
 def find_photos(
@@ -146,16 +133,13 @@ def tag_pose(
     shown = [read_photo(Path(path)) for path in photos]
     boards = [read_photo(Path(path)) for path in board]
     _check_sizes([*shown, *boards])
-    base = _Target(f"tag {base_tag}", {base_tag: tag_corners(base_size)})
-    own = _Target(f"tag {tag}", {tag: tag_corners(size)})
     _check_shown(shown, (tag, base_tag))
-    cameras = [
-        CameraModel.unknown(shown[0].size, f * max(shown[0].size))
-        for f in _FOCAL_LENGTHS
-    ]
+    size_px = shown[0].size
+    cameras = [CameraModel.unknown(size_px, f * max(size_px)) for f in _FOCAL_LENGTHS]
     if boards:
         cameras = [_camera_of(boards, cameras)]
-    found = _fitted(shown, [base, own], cameras)
+    base, moved = {base_tag: tag_corners(base_size)}, {tag: tag_corners(size)}
+    found = _fitted(shown, [base, moved], cameras)
     (placed,) = found.targets
     return TagPose(
         position=placed.p,
@@ -169,9 +153,9 @@ def tag_pose(
 
 def _camera_of(boards: Sequence[Photo], cameras: Sequence[CameraModel]) -> CameraModel:
     """Calibrate the camera from photographs of the board."""
-    board = _Target("the board", {n: board_corners(n) for n in BOARD_IDS})
+    board = {number: board_corners(number) for number in BOARD_IDS}
     for photo in boards:
-        n = len(board.on(photo)[0]) // 4
+        n = len(board.keys() & photo.corners.keys())
         if n < _LEAST_ON_BOARD:
             raise ValueError(
                 f"photograph {photo.path} shows {n} tags of the board; expected "
@@ -193,29 +177,26 @@ def _check_sizes(photos: Sequence[Photo]) -> None:
 
 def _check_shown(photos: Sequence[Photo], numbers: Sequence[int]) -> None:
     """Raise ValueError, on all of them, unless photographs show tags large enough."""
-    absent, small = [], []
+    wrong = []
     for photo in photos:
         for number in numbers:
             if number not in photo.corners:
                 seen = listed([str(n) for n in sorted(photo.corners)]) or "none"
-                absent.append(
+                wrong.append(
                     f"photograph {photo.path} does not show tag {number}; tags there: "
                     f"{seen}."
                 )
             elif (low := height(photo.corners[number])) < SMALLEST:
-                small.append(
+                wrong.append(
                     f"tag {number} is only {low:.0f} px high on photograph "
                     f"{photo.path}; expected {SMALLEST:.0f} or more."
                 )
-    if absent:
-        absent.append(
-            "Leave out what does not, or take it anew: sharp, with the white rim of "
-            "the tag."
+    if wrong:
+        wrong.append(
+            "Leave out what does not, or take it anew: sharp, nearer, less aslant, "
+            "with the white rim of the tag, or printed larger."
         )
-    if small:
-        small.append("Go nearer, less aslant, or print it larger.")
-    if absent or small:
-        raise ValueError(" ".join([*absent, *small]))
+        raise ValueError(" ".join(wrong))
 
 
 def _fitted(
@@ -225,13 +206,14 @@ def _fitted(
 ) -> Adjustment:
     """Fit targets that all photographs show, from the best of some beginnings."""
     photo, target, points, pixels = [], [], [], []
-    for i, own in enumerate(photos):
-        for j, one in enumerate(targets):
-            corners, places = one.on(own)
-            photo.append(np.full(len(corners), i))
-            target.append(np.full(len(corners), j))
-            points.append(corners)
-            pixels.append(places)
+    for i, shown in enumerate(photos):
+        for j, corners in enumerate(targets):
+            for number in corners:
+                if number in shown.corners:
+                    photo.append(np.full(4, i))
+                    target.append(np.full(4, j))
+                    points.append(corners[number])
+                    pixels.append(shown.corners[number])
     seen = Observations(*map(np.concatenate, (photo, target, points, pixels)))
     starts = [start for camera in cameras for start in _starts(seen, camera, targets)]
     best = min(starts, key=lambda start: float(np.median(start.rms)))

@@ -1,15 +1,21 @@
-"""The printed tags and the board: their patterns, and where their corners are.
+"""The printed tags and the board: patterns, corners, and sheets to scale as a PDF.
 
 The tags are those of the family AprilTag 36h11 (Olson, ICRA 2011): a black border, one
 cell wide, around 6 x 6 cells. The frame of a tag has its origin in the middle, x to the
 right of the print, y up and z out of the paper.
 """
 
-from typing import Any
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+    import matplotlib.figure
 
 CELLS = 8
 """Cells along a side of a tag, with its border."""
@@ -30,12 +36,26 @@ BOARD_IDS = range(FIRST_OF_BOARD, FIRST_OF_BOARD + BOARD_SHAPE[0] * BOARD_SHAPE[
 """Numbers of the tags of the board."""
 
 
-def opencv() -> Any:
-    """Import OpenCV with its tags.
+INCH = 25.4e-3
 
-    Raises:
-        ImportError: If it is not installed, or without the module of tags.
-    """
+PAPERS = {"a4": (0.210, 0.297), "letter": (8.5 * INCH, 11.0 * INCH)}
+"""Width and height of sheets [m]."""
+
+_MARGIN = 12e-3
+"""What printers leave free on each side [m]."""
+
+_HEAD = 24e-3
+"""Height of the title, and of the scale at the bottom [m]."""
+
+_LABEL = 5e-3
+"""Room for the number below a tag [m]."""
+
+_SCALE = 0.1
+"""Length of the scale [m]."""
+
+
+def opencv() -> Any:
+    """Import OpenCV with its tags."""
     try:
         import cv2
 
@@ -85,3 +105,156 @@ def board_corners(number: int) -> Float[HostArray, "4 3"]:
     row, column = divmod(number - FIRST_OF_BOARD, BOARD_SHAPE[0])
     pitch = BOARD_TAG + BOARD_GAP
     return tag_corners(BOARD_TAG) + pitch * np.array([column, -row, 0.0])
+
+
+def write_tags(
+    path: str | Path,
+    *,
+    size: float = 20e-3,
+    count: int = 12,
+    first: int = 0,
+    paper: str = "a4",
+) -> int:
+    """Write a PDF with tags, and with the board on its last page, to scale.
+
+    The black square of a tag has the side `size` [m], and the first one the number
+    `first`; paper is "a4" or "letter". Returns the number of pages.
+
+    Raises:
+        ImportError: If OpenCV is not installed.
+        ValueError: If there are no such tags, they are those of the board, or they do
+            not fit on the paper.
+    """
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    pages = [*tag_pages(size, count=count, first=first, paper=paper), board_page(paper)]
+    with PdfPages(path) as pdf:
+        for page in pages:
+            pdf.savefig(page)
+    return len(pages)
+
+
+def tag_pages(
+    size: float, *, count: int, first: int, paper: str
+) -> list["matplotlib.figure.Figure"]:
+    """Draw the sheets with the tags; arguments and errors as for `write_tags`."""
+    from matplotlib.patches import Rectangle
+
+    width, height = _sheet(paper)
+    if not 0.0 < size < np.inf:
+        raise ValueError(f"size of the tags is {size:g} m; expected a positive length.")
+    if count < 1:
+        raise ValueError(f"count of the tags is {count}; expected one or more.")
+    for number in (first, first + count - 1):
+        check_tag(number)
+    if first + count > FIRST_OF_BOARD and first <= BOARD_IDS[-1]:
+        raise ValueError(
+            f"tags {BOARD_IDS[0]} to {BOARD_IDS[-1]} are those of the board; take "
+            f"others than {first} to {first + count - 1}."
+        )
+    # A rim of one cell, which must stay white, and as much for the scissors.
+    pitch = size * (1.0 + 4.0 / CELLS)
+    columns = int((width - 2.0 * _MARGIN) // pitch)
+    rows = int((height - 2.0 * (_MARGIN + _HEAD)) // (pitch + _LABEL))
+    if not (columns and rows):
+        raise ValueError(
+            f"tags of {1e3 * size:g} mm do not fit on {paper} paper: make them smaller."
+        )
+    numbers = range(first, first + count)
+    cut = {"fill": False, "edgecolor": "#b0b0b0", "lw": 0.3, "ls": (0, (4, 4))}
+    pages = []
+    for begin in range(0, count, columns * rows):
+        figure, axes = _page(
+            paper,
+            f"Tags of {1e3 * size:g} mm (AprilTag 36h11): the black square. Print at "
+            "100 %, leave the white rim, glue flat.",
+        )
+        for i, number in enumerate(numbers[begin : begin + columns * rows]):
+            row, column = divmod(i, columns)
+            x = _MARGIN + pitch * (column + 0.5)
+            y = height - _MARGIN - _HEAD - (pitch + _LABEL) * row - 0.5 * pitch
+            _draw_tag(axes, number, (x, y), size)
+            side = size * (1.0 + 3.0 / CELLS)
+            corner = x - 0.5 * side, y - 0.5 * side
+            axes.add_patch(Rectangle(corner, side, side, **cut))
+            style = {"ha": "center", "va": "top", "fontsize": 8}
+            axes.text(x, y - 0.5 * size * (1.0 + 3.4 / CELLS), f"{number}", **style)
+        pages.append(figure)
+    return pages
+
+
+def board_page(paper: str) -> "matplotlib.figure.Figure":
+    """Draw the board, by which cameras are calibrated."""
+    width, height = _sheet(paper)
+    figure, axes = _page(
+        paper,
+        "Board for the camera: glue it on something flat, and take ten photographs "
+        "that it fills, from all sides.",
+    )
+    pitch = BOARD_TAG + BOARD_GAP
+    columns, rows = BOARD_SHAPE
+    left = 0.5 * (width - pitch * (columns - 1))
+    top = 0.5 * (height + pitch * (rows - 1))
+    for number in BOARD_IDS:
+        row, column = divmod(number - FIRST_OF_BOARD, columns)
+        _draw_tag(axes, number, (left + pitch * column, top - pitch * row), BOARD_TAG)
+    return figure
+
+
+def _sheet(paper: str) -> tuple[float, float]:
+    if paper not in PAPERS:
+        raise ValueError(f"paper is {paper!r}; expected one of {', '.join(PAPERS)}.")
+    return PAPERS[paper]
+
+
+def _page(
+    paper: str, title: str
+) -> tuple["matplotlib.figure.Figure", "matplotlib.axes.Axes"]:
+    """Make a sheet whose coordinates are metres, with a title and a scale."""
+    from matplotlib.figure import Figure
+
+    width, height = _sheet(paper)
+    figure = Figure(figsize=(width / INCH, height / INCH))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0.0, width), ylim=(0.0, height))
+    axes.set_axis_off()
+    top = height - _MARGIN
+    axes.text(_MARGIN, top, title, va="top", fontsize=9, parse_math=False)
+    y = _MARGIN + 2e-3
+    axes.plot([_MARGIN, _MARGIN + _SCALE], [y, y], color="black", lw=0.5)
+    for x in np.linspace(_MARGIN, _MARGIN + _SCALE, 11):
+        axes.plot([x, x], [y, y + 2e-3], color="black", lw=0.5)
+    text = f"This line is {1e3 * _SCALE:g} mm long; if it is not, give the size that "
+    text += "you measure as size."
+    axes.text(_MARGIN, y + 3e-3, text, va="bottom", fontsize=8)
+    return figure, axes
+
+
+def _draw_tag(
+    axes: "matplotlib.axes.Axes", number: int, middle: Sequence[float], size: float
+) -> None:
+    """Draw a tag: white cells on a black square.
+
+    Both their rows and their columns are drawn, so that no seams show between them.
+    """
+    from matplotlib.patches import Rectangle
+
+    cell, white = size / CELLS, tag_cells(number)
+    left, top = middle[0] - 0.5 * size, middle[1] + 0.5 * size
+
+    def draw(row: int, column: int, rows: int, columns: int, colour: str) -> None:
+        corner = left + column * cell, top - (row + rows) * cell
+        style = {"facecolor": colour, "edgecolor": "none", "snap": False}
+        axes.add_patch(Rectangle(corner, columns * cell, rows * cell, **style))
+
+    draw(0, 0, CELLS, CELLS, "black")
+    for k in range(CELLS):
+        for first, stop in _runs(white[k]):
+            draw(k, first, 1, stop - first, "white")
+        for first, stop in _runs(white[:, k]):
+            draw(first, k, stop - first, 1, "white")
+
+
+def _runs(cells: Bool[HostArray, " n"]) -> Iterator[tuple[int, int]]:
+    """Yield where runs of cells that are set begin, and where they end."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], cells.astype(int), [0]])))
+    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)

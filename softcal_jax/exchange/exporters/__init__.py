@@ -8,21 +8,17 @@ A package of anyone adds a format by a class and an entry point in its pyproject
 Nothing here imports JAX before something is written, so that commands begin at once.
 """
 
+from softcal_jax.exchange.exporters._built_in import GROUP, ExporterWarning, exporters
 from softcal_jax.exchange.exporters._exporter import (
     AbstractExporter,
-    AbstractProgress,
+    ExportProgress,
     quantity,
-)
-from softcal_jax.exchange.exporters._registry import (
-    GROUP,
-    ExporterWarning,
-    exporters,
 )
 
 __all__ = [
     "GROUP",
     "AbstractExporter",
-    "AbstractProgress",
+    "ExportProgress",
     "ExporterWarning",
     "exporters",
     "quantity",

@@ -1,16 +1,21 @@
-"""The formats of this package; what writes one is imported when it is asked for."""
+"""The formats of this package, and those of installed ones.
+
+What writes one is imported when it is asked for.
+"""
 
 import argparse
+import warnings
 from collections.abc import Sequence
-from functools import partial
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 import shtab
 
+from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.exchange.exporters._exporter import (
     AbstractExporter,
-    AbstractProgress,
+    ExportProgress,
     quantity,
 )
 
@@ -30,7 +35,6 @@ class InpExporter(AbstractExporter):
     output = "FILE.inp", "the file"
 
     def add_options(self, command: argparse.ArgumentParser) -> None:
-        """Add the choice of a configuration."""
         which = "the configuration (may be left out if there is one)"
         command.add_argument("--configuration", metavar="NAME", help=which)
 
@@ -39,12 +43,10 @@ class InpExporter(AbstractExporter):
         source: Any,
         output: Path,
         options: argparse.Namespace,
-        progress: AbstractProgress,
+        progress: ExportProgress,
     ) -> Sequence[str]:
-        """Write the file; see `export_inp`."""
         from softcal_jax.exchange.inp import export_inp
 
-        del progress
         return export_inp(source, output, configuration=options.configuration)
 
 
@@ -63,7 +65,6 @@ class IceslExporter(AbstractExporter):
     takes_projects = True
 
     def add_options(self, command: argparse.ArgumentParser) -> None:
-        """Add the options of a printed foam."""
         add = command.add_argument
         add(
             "--infill",
@@ -94,19 +95,17 @@ class IceslExporter(AbstractExporter):
         source: Any,
         output: Path,
         options: argparse.Namespace,
-        progress: AbstractProgress,
+        progress: ExportProgress,
     ) -> Sequence[str]:
-        """Write script, part and table; see `export_icesl`."""
         from softcal_jax.exchange.icesl import export_icesl
         from softcal_jax.materials import published_foam
 
-        del progress
         table = options.table
         if options.solid_modulus is not None:
             if table is not None:
                 raise ValueError(
-                    "--solid-modulus scales the published table; a table of your own, "
-                    "--table, has the moduli of your foam already. Give one of the two."
+                    "--solid-modulus scales the published table, and --table has the "
+                    "moduli of your foam already. Give one of the two."
                 )
             modulus = quantity("--solid-modulus", options.solid_modulus, "Pa")
             table = published_foam(modulus)
@@ -142,7 +141,6 @@ class SofaExporter(AbstractExporter):
     next_step = "README.md there says how to run it"
 
     def add_options(self, command: argparse.ArgumentParser) -> None:
-        """Add release, units, law and rotation."""
         choices = {
             "--release": (["v26.06", "v25.12"], "release of SOFA"),
             "--units": (["mm-kg-s", "SI"], "unit system of the scene"),
@@ -167,11 +165,11 @@ class SofaExporter(AbstractExporter):
         source: Any,
         output: Path,
         options: argparse.Namespace,
-        progress: AbstractProgress,
+        progress: ExportProgress,
     ) -> Sequence[str]:
-        """Calibrate the model for SOFA, and write the scene; see `export_sofa`."""
         from softcal_jax.exchange.sofa import export_sofa
 
+        progress.begins("calibrating the model of SOFA")
         scene = export_sofa(
             source,
             output,
@@ -180,11 +178,47 @@ class SofaExporter(AbstractExporter):
             law=options.law,
             rotation=options.rotation,
             force=options.force,
-            began=partial(progress.begins, "calibrating the model of SOFA"),
             progress=progress.step,
         )
         progress.computed(str(scene))
         return ()
 
 
-BUILT_IN = {"inp": InpExporter, "sofa": SofaExporter, "icesl": IceslExporter}
+GROUP = "softcal_jax.exporters"
+"""Group of the entry points by which a package adds formats."""
+
+
+class ExporterWarning(SoftcalWarning):
+    """An installed exporter cannot be used."""
+
+
+def exporters() -> dict[str, AbstractExporter]:
+    """Return the exporters by name.
+
+    Warns:
+        ExporterWarning: If one of another package cannot be loaded, is no
+            `AbstractExporter`, or has a name that is taken.
+    """
+    known: dict[str, AbstractExporter] = {
+        "inp": InpExporter(),
+        "sofa": SofaExporter(),
+        "icesl": IceslExporter(),
+    }
+    for point in entry_points(group=GROUP):
+        try:
+            exporter = point.load()()
+        except Exception as error:  # the code of others may raise anything
+            _leave_out(point.name, f"{point.value} cannot be loaded: {error}")
+            continue
+        if point.name in known:
+            _leave_out(point.name, "another one has this name")
+        elif not isinstance(exporter, AbstractExporter):
+            _leave_out(point.name, f"{point.value} is no AbstractExporter")
+        else:
+            known[point.name] = exporter
+    return known
+
+
+def _leave_out(name: str, reason: str) -> None:
+    text = f"the installed exporter {name!r} is left out: {reason}."
+    warnings.warn(text, ExporterWarning, stacklevel=3)

@@ -2,25 +2,23 @@
 
 import argparse
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 
-class AbstractProgress(ABC):
-    """What an export says while it runs."""
+class ExportProgress(NamedTuple):
+    """What an export says while it runs.
 
-    @abstractmethod
-    def begins(self, what: str) -> None:
-        """Say what begins, like "calibrating the model of SOFA"."""
+    Attributes:
+        begins: Says what begins, like "calibrating the model of SOFA".
+        step: Shows a step of a calibration, a `HistoryEntry`.
+        computed: Shows what was computed for the export, in lines.
+    """
 
-    @abstractmethod
-    def step(self, entry: Any) -> None:
-        """Show a step of a calibration, a `HistoryEntry`."""
-
-    @abstractmethod
-    def computed(self, text: str) -> None:
-        """Show what was computed for the export, in lines."""
+    begins: Callable[[str], None]
+    step: Callable[[Any], None]
+    computed: Callable[[str], None]
 
 
 class AbstractExporter(ABC):
@@ -55,7 +53,7 @@ class AbstractExporter(ABC):
         source: Any,
         output: Path,
         options: argparse.Namespace,
-        progress: AbstractProgress,
+        progress: ExportProgress,
     ) -> Sequence[str]:
         """Write a model.
 

@@ -1,8 +1,11 @@
 """Fields of moduli as graded foam, for the slicer IceSL."""
 
-from softcal_jax.exchange.icesl._export import export_icesl
+from softcal_jax.exchange.icesl._export import (
+    export_icesl,
+    read_foam_table,
+    write_foam_table,
+)
 from softcal_jax.exchange.icesl._fields import Design
-from softcal_jax.exchange.icesl._foam_file import read_foam_table, write_foam_table
 from softcal_jax.exchange.icesl._report import IceslResult
 
 __all__ = [

@@ -1,22 +1,23 @@
 """A field of moduli as a part with graded foam, for the slicer IceSL."""
 
+import csv
 import os
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from softcal_jax._names import unknown_name
 from softcal_jax.calibration import CalibrationResult
+from softcal_jax.configurations import read_table
 from softcal_jax.equilibrium import Model
 from softcal_jax.exchange.icesl._fields import (
     Design,
-    PrintedPart,
     PrintPlane,
     part_on_bed,
     print_plane,
     sample,
 )
-from softcal_jax.exchange.icesl._foam_file import read_foam_table, write_foam_table
 from softcal_jax.exchange.icesl._report import (
     TABLE,
     UNREACHABLE,
@@ -24,9 +25,9 @@ from softcal_jax.exchange.icesl._report import (
     icesl_dict,
     meaning,
     print_notes,
+    script,
     write_unreachable,
 )
-from softcal_jax.exchange.icesl._script import script
 from softcal_jax.exchange.icesl._settings import Convention, choose
 from softcal_jax.export import results_folder, write_json
 from softcal_jax.materials import FoamTable, Infill, published_foam
@@ -35,6 +36,8 @@ from softcal_jax.project import Project
 from softcal_jax.report import LoadedResult, load_result
 
 _SCRIPT, _PART = "robot.lua", "robot.stl"
+
+_UNITS = {"kPa": 1e3, "Pa": 1.0, "MPa": 1e6}
 
 
 def export_icesl(
@@ -97,11 +100,10 @@ def export_icesl(
         ValueError: If the law has no moduli for a foam, the table is missing or does
             not fit the infill, or a region or choice is unknown.
     """
+    import pyvista
+
     if angle_marks not in (None, "soft", "stiff"):
-        raise ValueError(
-            f'angle_marks must be "soft" or "stiff", got {angle_marks!r}: the axis of '
-            "the foam that the angle of IceSL marks."
-        )
+        raise unknown_name("axis to mark", angle_marks, ("soft", "stiff"))
     if isinstance(result, str | os.PathLike):
         result = load_result(result)
     directory, design, foam = Path(directory), _design(result), _foam(infill, table)
@@ -128,7 +130,10 @@ def export_icesl(
         files = [_SCRIPT, _PART, TABLE]
         text = script(design.title, comments, _PART, foam.infill, chosen)
         (folder / _SCRIPT).write_text(text, encoding="utf-8")
-        _write_stl(folder / _PART, part)
+        cut = tessellate(part.mesh)
+        points = 1e3 * cut.interpolate(part.mesh.points)  # in mm
+        surface = pyvista.PolyData.from_regular_faces(points, cut.triangles)
+        surface.save(folder / _PART)
         write_foam_table(folder / TABLE, foam)
         if chosen.unreachable.any():
             write_unreachable(folder / UNREACHABLE, samples, chosen)
@@ -175,10 +180,38 @@ def _foam(
     return table
 
 
-def _write_stl(path: Path, part: PrintedPart) -> None:
-    """Write the surface as binary STL in mm."""
-    import pyvista
+def read_foam_table(path: str | os.PathLike[str], infill: Infill) -> FoamTable:
+    """Read a foam table of the user, from own tests or homogenisation.
 
-    cut = tessellate(part.mesh)
-    points = 1e3 * cut.interpolate(part.mesh.points)
-    pyvista.PolyData.from_regular_faces(points, cut.triangles).save(path)
+    The file has one line per sample and the columns `density` (share of solid, 0.2 for
+    20 %), `shrink` for Polyfoam or `iso` for Phasor (from 0 to 1, where 1 is
+    isotropic), `E_soft_kPa` and `E_stiff_kPa` (or `_Pa`, `_MPa`). At each shrink or iso
+    there must be two densities or more. `write_foam_table` writes one to start from.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it is no such table; the text says what is wrong where.
+    """
+    path = Path(path)
+    table = read_table(path, "density", None)
+    known = (unit for unit in _UNITS if f"E_soft_{unit}" in table.header)
+    unit = next(known, "kPa")
+    setting = "iso" if infill == "Phasor" else "shrink"
+    columns = ["density", setting, f"E_soft_{unit}", f"E_stiff_{unit}"]
+    table.check_columns(columns)
+    density, anisotropy, soft, stiff = table.numbers(columns).T
+    moduli = _UNITS[unit] * soft, _UNITS[unit] * stiff
+    try:
+        return FoamTable(infill, density, anisotropy, *moduli, source=path.name)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def write_foam_table(path: Path, table: FoamTable) -> None:
+    """Write a foam table as `read_foam_table` reads it, in kPa."""
+    moduli = 1e-3 * table.E_soft, 1e-3 * table.E_stiff
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["density", table.setting, "E_soft_kPa", "E_stiff_kPa"])
+        for row in zip(table.density, table.anisotropy, *moduli, strict=True):
+            writer.writerow([f"{value:.9g}" for value in row])

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import one_line
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.elements import TET_EDGES
 from softcal_jax.equilibrium import Model
@@ -53,13 +54,10 @@ class Design(NamedTuple):
 
 
 class PrintedPart(NamedTuple):
-    """A body, or a region of it, as it lies on the bed.
+    """A body, or a region of it, as it lies on the bed, in the corner of the axes [m].
 
-    Attributes:
-        mesh: Its tets [m], with straight sides linear ones; no groups.
-        tets: Their indices in the mesh of the model.
-        rotation: Rotation from the mesh of the model to the bed [-].
-        shift: Translation after it [m]; the part stands in the corner of the axes.
+    The mesh has linear tets where all sides are straight; `tets` are their indices in
+    that of the model, from whose frame `rotation` and then `shift` [m] lead to the bed.
     """
 
     mesh: TetMesh
@@ -67,58 +65,34 @@ class PrintedPart(NamedTuple):
     rotation: Float[HostArray, "3 3"]
     shift: Float[HostArray, "3"]
 
-    def in_model(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, "n 3"]:
-        """Return places of the bed in the frame of the model [m]."""
-        return (points - self.shift) @ self.rotation
-
 
 def part_on_bed(mesh: TetMesh, *, plane: PrintPlane, region: str | None) -> PrintedPart:
-    """Lay a body on the bed.
-
-    Args:
-        mesh: The mesh of the model [m].
-        plane: Axes of the mesh that lie along x and y of the bed.
-        region: Tet group that is printed; everything by default.
-
-    Raises:
-        ValueError: If the plane or the region is unknown.
-    """
+    """Lay a body, or one tet group of it, on the bed."""
     if plane not in _BEDS:
-        raise ValueError(
-            f'the print plane must be "xy", "xz" or "yz", got {plane!r}: the axes of '
-            "the mesh that lie along x and y of the print bed."
-        )
-    n = mesh.n_tets
-    tets = np.arange(n) if region is None else np.asarray(mesh.tets_of(region))
+        raise unknown_name("print plane", plane, _BEDS)
+    tets = np.arange(mesh.n_tets)
+    if region is not None:
+        tets = np.asarray(mesh.tets_of(region))
     nodes = mesh.tets[tets]
     rotation = np.array(_BEDS[plane], float)
     used, index = np.unique(nodes, return_inverse=True)
     points = mesh.points[used] @ rotation.T
     shift = -points.min(axis=0)
     X, cells = points + shift, index.reshape(nodes.shape)
-    if _is_straight(X[cells], mesh.size):
+    # Where every mid node lies amid its edge, the corners tell all.
+    middle = X[cells][:, np.array(TET_EDGES)].mean(axis=2)[:, : nodes.shape[1] - 4]
+    if np.allclose(X[cells[:, 4:]], middle, rtol=0.0, atol=1e-9 * mesh.size):
         corners, index = np.unique(cells[:, :4], return_inverse=True)
         X, cells = X[corners], index.reshape(-1, 4)
     return PrintedPart(TetMesh(X, cells), tets, rotation, shift)
 
 
-def _is_straight(X: Float[HostArray, "n n_en 3"], size: float) -> bool:
-    """Whether every mid node lies amid its edge."""
-    middle = X[:, np.array(TET_EDGES)].mean(axis=2)[:, : X.shape[1] - 4]
-    return bool(np.allclose(X[:, 4:], middle, rtol=0.0, atol=1e-9 * size))
-
-
 class Samples(NamedTuple):
-    """The voxels that a part fills, and the material in them.
+    """The voxels that a part fills, wholly or in part, and the material in them.
 
-    Attributes:
-        grid: All voxels, on the bed.
-        voxels: Indices of those that the part fills, wholly or in part.
-        places: Where the material was taken, in the frame of the model: at the centre
-            of the voxel, or elsewhere in it if that lies outside of the part [m].
-        E_t: Modulus across the fibre [Pa].
-        E_l: Modulus along it [Pa].
-        fibre: Unit vectors along it, on the bed [-]; None for an isotropic law.
+    A place, in the frame of the model, is the centre of its voxel [m], or elsewhere in
+    it if that lies outside of the part. Moduli are across and along the fibre [Pa], a
+    unit vector on the bed; None for an isotropic law.
     """
 
     grid: Grid
@@ -133,13 +107,10 @@ def sample(design: Design, part: PrintedPart) -> Samples:
     """Take moduli and fibre of a model at the centres of the voxels that a part fills.
 
     Fields with control points are evaluated there; others have the value of the tet.
-
-    Raises:
-        ValueError: If the law has no such moduli.
     """
     grid = Grid.around(part.mesh.points, N_VOXELS)
     filled = fill(part.mesh, grid)
-    places = part.in_model(filled.places)
+    places = (filled.places - part.shift) @ part.rotation
     law = _law_at(design, places, part.tets[filled.tets])
     E_t, E_l, fibre = _axis_moduli(law, len(places))
     if fibre is not None:
@@ -166,25 +137,25 @@ def _law_at(
         },
     )
 
-    def there(leaf: Any) -> Any:
+    def taken(leaf: Any) -> Any:
         # On the host, where each number of places compiles no program.
         if is_point_values(leaf):
             values = np.asarray(leaf.values)[tets].mean(axis=1, keepdims=True)
             return PointValues(jnp.asarray(values))
         return jnp.asarray(np.asarray(leaf)[tets]) if jnp.ndim(leaf) else leaf
 
-    law = jax.tree.map(there, model.law, is_leaf=is_point_values)
-    here = eqx.tree_at(
-        lambda m: (m.mesh, m.law, m.density), model, (specks, law, there(model.density))
+    law = jax.tree.map(taken, model.law, is_leaf=is_point_values)
+    sampled = eqx.tree_at(
+        lambda m: (m.mesh, m.law, m.density), model, (specks, law, taken(model.density))
     )
     if design.space is not None and design.z is not None:
-        here = design.space.model_at(here, design.z)
+        sampled = design.space.model_at(sampled, design.z)
 
     def by_place(leaf: Any) -> Any:
         values = np.asarray(leaf.values[:, 0] if is_point_values(leaf) else leaf)
         return jnp.asarray(values[:n] if values.ndim else values)
 
-    return jax.tree.map(by_place, here.law, is_leaf=is_point_values)
+    return jax.tree.map(by_place, sampled.law, is_leaf=is_point_values)
 
 
 def _axis_moduli(

@@ -1,5 +1,6 @@
-"""What is told of a part for IceSL: what its numbers mean, and what it lacks."""
+"""What is written of a part for IceSL: its script, what that means, what it lacks."""
 
+from collections.abc import Iterable
 from itertools import compress
 from pathlib import Path
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from softcal_jax._module import Module
+from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable, readable_values
 from softcal_jax.exchange.icesl._fields import N_VOXELS, PrintedPart, Samples
@@ -58,8 +60,7 @@ class IceslResult(Module):
 def meaning(table: FoamTable, convention: Convention, plane: str) -> tuple[str, ...]:
     """Say what the numbers in a script mean."""
     turn = "clockwise" if convention.clockwise else "counter-clockwise"
-    offset = readable(convention.offset, "rad") if convention.offset else ""
-    more = f", plus {offset}" if offset else ""
+    more = f", plus {readable(convention.offset, 'rad')}" if convention.offset else ""
     return (
         f"Moduli of the foam: {table.source}.",
         f"Angles mark the {convention.marks} axis of the foam and count {turn} from x "
@@ -97,13 +98,12 @@ def print_notes(samples: Samples, chosen: Chosen, table: FoamTable) -> tuple[str
             f"its projection.{remedy} {UNREACHABLE} lists every voxel."
         )
     if chosen.across.any():
-        other = "E_l > E_t" if table.axis == "soft" else "E_l < E_t"
-        plane = "stiff" if table.axis == "soft" else "soft"
+        soft = table.axis == "soft"
+        other, plane = ("E_l > E_t", "stiff") if soft else ("E_l < E_t", "soft")
         notes.append(
-            f"{share(chosen.across)} has {other}, and {table.infill} has a "
-            f"{table.axis} axis and is {plane} across it: the print is right in its "
-            f"plane, but {plane} along the bed's z too. {UNREACHABLE} lists every "
-            "voxel."
+            f"{share(chosen.across)} has {other}, and {table.infill} is {plane} across "
+            f"its {table.axis} axis: the print is right in its plane, but {plane} "
+            f"along the bed's z too. {UNREACHABLE} lists every voxel."
         )
     if chosen.rounding > RTOL:
         notes.append(
@@ -160,9 +160,7 @@ def icesl_dict(
     along each axis, `filled`, `beyond`, `tilted`, `across`); `worst` and `rounding`,
     see `IceslResult`; `notes`.
     """
-    counts = {
-        key: getattr(result, f"n_{key}") for key in ("beyond", "tilted", "across")
-    }
+    counts = {k: getattr(result, f"n_{k}") for k in ("beyond", "tilted", "across")}
     return plain(
         {
             "format": "softcal_jax.icesl/1",
@@ -192,3 +190,83 @@ def _setting_dict(own: Setting) -> dict[str, Any]:
         return {"name": own.name, "constant": own.constant}
     ends = own.full / 255.0 * np.array([own.texture.min(), own.texture.max()])
     return {"name": own.name, "lowest": ends[0], "highest": ends[1]}
+
+
+_HEAD = """\
+-- {title}
+-- Written by softcal_jax for IceSL, in the language of its releases of 2021 to 2025.
+-- Older releases take the texture first: set_setting_value(texture, min, max, name).
+--
+{comments}
+--
+-- Before the robot, print a small bar with the same settings and bend it both ways: the
+-- documents of IceSL do not say which axis of the foam the angle marks, nor which way
+-- it counts. If the bar is stiff where it should be soft, export again with the other
+-- convention.
+
+local part = load(Path .. '{part}')
+emit(part, 0)
+local box = bbox(part)
+"""
+
+_TEXTURE = """\
+-- Textures hold steps of 1/255: two hexadecimal digits per voxel along x, one line
+-- per row of voxels along y, layer by layer along z. A quarter of a step is added, so
+-- that the same step comes out whether IceSL rounds or cuts off.
+local function texture(rows)
+  local field = tex3d_r8f({n}, {n}, {n})
+  local row = 0
+  for line in string.gmatch(rows, '%x+') do
+    local j, k = row % {n}, math.floor(row / {n})
+    for i = 0, {n} - 1 do
+      local step = tonumber(string.sub(line, 2 * i + 1, 2 * i + 2), 16)
+      field:set(i, j, k, v(math.min((step + 0.25) / 255, 1), 0, 0))
+    end
+    row = row + 1
+  end
+  return field
+end
+"""
+
+
+_LOWEST_PERCENTAGE = 20.0
+"""Density below which Polyfoam does not go unless told so [%]."""
+
+
+def script(
+    title: str, comments: Iterable[str], part: str, infill: str, chosen: Chosen
+) -> str:
+    """Write the script, with comments for its reader; `part` is the file beside it."""
+    head = _HEAD.format(
+        title=_one_line(title),
+        comments="\n".join(f"-- {_one_line(line)}" for line in comments),
+        part=part,
+    )
+    if any(setting.texture is not None for setting in chosen.settings):
+        head += _TEXTURE.format(n=N_VOXELS)
+    values = {
+        "infill_type": f"'{infill}'",
+        "num_shells": "0",
+        "cover_thickness_mm": "0",
+        "print_perimeter": "false",
+    }
+    lowest = 100.0 * float(chosen.foam.density.min())
+    if infill == "Polyfoam" and lowest < _LOWEST_PERCENTAGE:
+        # Below the lowest step of the texture as well.
+        values["pfoam_min_percentage"] = str(max(int(lowest - 0.5), 0))
+    for setting in chosen.settings:
+        if setting.texture is None:
+            values[setting.name] = f"{setting.constant:.9g}"
+        else:
+            # Two hexadecimal digits per voxel, one line per row along x.
+            voxels = setting.texture.astype(np.uint8).transpose(2, 1, 0)
+            rows = (row.tobytes().hex() for row in voxels.reshape(-1, len(voxels)))
+            field = "texture([[\n{}\n]])".format("\n".join(rows))
+            values[setting.name] = f"{field}, box:min_corner(), box:max_corner()"
+    # Of the first brush.
+    lines = [f"set_setting_value('{name}_0', {v})" for name, v in values.items()]
+    return "\n".join([head, *lines]) + "\n"
+
+
+def _one_line(text: str) -> str:
+    return escaped(" ".join(text.split()))

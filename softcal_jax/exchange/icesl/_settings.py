@@ -26,13 +26,7 @@ ACROSS = "right in the print plane only"
 
 
 class Convention(NamedTuple):
-    """What an angle of the slicer means.
-
-    Attributes:
-        marks: Axis of the foam that the angle marks.
-        offset: Added to every angle [rad].
-        clockwise: Whether the slicer counts angles clockwise, seen from above.
-    """
+    """Which axis an angle of the slicer marks, what is added [rad], and which way."""
 
     marks: Literal["soft", "stiff"]
     offset: float = 0.0
@@ -44,13 +38,9 @@ class Convention(NamedTuple):
 
 
 class Setting(NamedTuple):
-    """One setting of the slicer.
+    """One setting of the slicer: a constant in its unit, or a texture by voxel.
 
-    Attributes:
-        name: Its name.
-        full: Its value, in its own unit, where a texture is 1.
-        constant: Its value, in its own unit; None for a texture.
-        texture: Its values in steps of 1/255, by voxel; None for a constant.
+    A texture has steps of 1/255 of `full`.
     """
 
     name: str
@@ -67,19 +57,13 @@ class Setting(NamedTuple):
 
 
 class Chosen(NamedTuple):
-    """The foam for each sample.
+    """The foam for each sample as the table has it, and what the slicer is given.
 
-    Attributes:
-        settings: What the slicer is given.
-        foam: The foams as the table has them, before they are rounded to textures.
-        beyond: Samples whose moduli the foam does not reach.
-        tilted: Samples whose fibre leaves the print plane, which the infill cannot.
-        across: Samples whose single axis is not of the kind that the foam has.
-        rounding: Largest relative error of a modulus by the 8 bits, where the foam
-            reaches what was asked for [-].
-        seams: Pairs of neighbouring voxels between which the angle jumps by half a
-            turn, though the axis does not: IceSL interpolates there the wrong way
-            round.
+    Samples that it misses are `beyond` the table, `tilted` or `across`, see
+    `IceslResult`. `rounding` is the largest relative error of a modulus by the 8 bits
+    of a texture, where the foam reaches what was asked for [-]. `seams` are pairs of
+    neighbouring voxels between which the angle jumps by half a turn, though the axis
+    does not: IceSL interpolates there the wrong way round.
     """
 
     settings: tuple[Setting, ...]
@@ -97,13 +81,7 @@ class Chosen(NamedTuple):
 
 
 def choose(samples: Samples, table: FoamTable, convention: Convention) -> Chosen:
-    """Choose density, anisotropy and angles for each sample.
-
-    Args:
-        samples: The material.
-        table: What the foam can be.
-        convention: What the angle means.
-    """
+    """Choose density, anisotropy and angles for each sample."""
     stiff_fibre = samples.E_l > samples.E_t
     low = np.minimum(samples.E_t, samples.E_l)
     high = np.maximum(samples.E_t, samples.E_l)
@@ -127,20 +105,16 @@ def choose(samples: Samples, table: FoamTable, convention: Convention) -> Chosen
     angle = convention.setting(marked)
 
     as_texture = _Textures(samples)
-    around, seams = as_texture.director(angle)
-    settings = [as_texture("infill_percentage", 100.0, foam.density)]
-    if table.infill == "Polyfoam":
-        settings += [
-            around._replace(name="infill_angle"),
-            as_texture("kgon_x_shrink", 1.0, foam.anisotropy),
-        ]
+    polyfoam = table.infill == "Polyfoam"
+    around = "infill_angle" if polyfoam else "phasor_infill_theta"
+    direction, seams = as_texture.director(around, angle)
+    settings = [as_texture("infill_percentage", 100.0, foam.density), direction]
+    if polyfoam:
+        settings.append(as_texture("kgon_x_shrink", 1.0, foam.anisotropy))
     else:
         inclination = np.where(turned | (not leaves), 0.0, elevation) / (2.0 * np.pi)
-        settings += [
-            around._replace(name="phasor_infill_theta"),
-            as_texture("phasor_infill_phi", 360.0, inclination),
-            as_texture("phasor_infill_iso", 100.0, foam.anisotropy),
-        ]
+        settings.append(as_texture("phasor_infill_phi", 360.0, inclination))
+        settings.append(as_texture("phasor_infill_iso", 100.0, foam.anisotropy))
     beyond = foam.error > RTOL
     return Chosen(
         tuple(settings),
@@ -169,8 +143,8 @@ def _rounding(
     if table.infill == "Polyfoam":
         anisotropy = np.maximum(anisotropy, 0.5 / _STEPS)
     given = table.moduli(density, anisotropy)
-    found = np.stack([foam.E_soft, foam.E_stiff], axis=1)[reached]
-    return float(np.abs(given / found - 1.0).max())
+    exact = np.stack([foam.E_soft, foam.E_stiff], axis=1)[reached]
+    return float(np.abs(given / exact - 1.0).max())
 
 
 class _Textures:
@@ -207,14 +181,11 @@ class _Textures:
         texture[tuple(self.voxels.T)] = steps
         return Setting(name, full, texture=texture[tuple(self.nearest)])
 
-    def director(self, angle: Float[HostArray, " n"]) -> tuple[Setting, int]:
+    def director(self, name: str, angle: Float[HostArray, " n"]) -> tuple[Setting, int]:
         """Make the setting of an axis, which is the same again after half a turn.
 
-        Of the angles of an axis those in [cut, cut + 180 degrees) are taken.
-
-        Returns:
-            The setting, without a name, and the number of seams, see `Chosen`: the cut
-            is where there are fewest.
+        Of the angles of an axis those in [cut, cut + 180 degrees) are taken, with the
+        cut where seams, see `Chosen`, are fewest; returns their number, too.
         """
         half = np.mod(angle, np.pi)
         degrees = np.full((N_VOXELS,) * 3, -1)
@@ -222,15 +193,14 @@ class _Textures:
         straddling = _straddling(degrees)
         cut = np.deg2rad(np.argmin(straddling))
         unwound = cut + np.mod(half - cut, np.pi)
-        setting = self("", 360.0, unwound / (2.0 * np.pi))
+        setting = self(name, 360.0, unwound / (2.0 * np.pi))
         return setting, int(straddling.min())
 
 
 def _straddling(degrees: Int[HostArray, "n n n"]) -> Int[HostArray, "180"]:
     """Count the pairs of neighbours between which lies a cut at 0, 1, ..., 179 degrees.
 
-    Args:
-        degrees: Angles of axes, in whole degrees from 0 to 179; -1 for no voxel.
+    Angles are of axes, in whole degrees from 0 to 179; -1 where no voxel is.
     """
     change = np.zeros(360, int)
     for axis in range(3):

@@ -1,6 +1,5 @@
 """Laws as Abaqus and CalculiX know them: a keyword and its constants."""
 
-from functools import singledispatch
 from typing import NamedTuple
 
 import jax
@@ -36,26 +35,19 @@ SMALLEST_D = 1e-10
 class InpLaw(NamedTuple):
     """A law in the terms of an input file.
 
-    Attributes:
-        keyword: The line that opens it, like "*HYPERELASTIC, YEOH".
-        constants: Its data, one row per tet, in SI.
-        note: What it has of the law of the model; empty if it is the same.
-        oriented: Whether its constants are those of axes, here those of the mesh.
+    `keyword` opens it, like "*HYPERELASTIC, YEOH"; constants are in SI. The note says
+    what it has of the law of the model; oriented constants are those of the axes of the
+    mesh.
     """
 
     keyword: str
     constants: Float[HostArray, "n_tets n_constants"]
-    note: str = ""
+    note: str
     oriented: bool = False
 
 
 def inp_law(model: Model) -> InpLaw:
-    """Convert the law of a model.
-
-    Raises:
-        ValueError: If neither program has such a law, or it varies within a tet; the
-            text gives the reason.
-    """
+    """Convert the law of a model; a ValueError says why neither program has it."""
     leaves = jax.tree.leaves(model.law, is_leaf=is_point_values)
     if any(map(is_point_values, leaves)):
         raise ValueError(
@@ -67,56 +59,75 @@ def inp_law(model: Model) -> InpLaw:
     return InpLaw(keyword, np.stack(columns, axis=1), *more)
 
 
-@singledispatch
-def _converted(law: AbstractLaw) -> tuple:
-    """Return keyword, columns of constants, note, and whether they have axes."""
-    raise ValueError(
-        f"{type(law).__name__} has no counterpart in Abaqus or CalculiX: it would need "
-        "a user subroutine (UMAT) there."
-    )
-
-
-@_converted.register
-def _(law: Gent) -> tuple:
-    raise ValueError(
-        "Gent has no counterpart in Abaqus or CalculiX, which have no law that locks "
-        "in this way; calibrate Yeoh, which stiffens too, and export that."
-    )
-
-
-@_converted.register(FibreReinforced)
-@_converted.register(TransverseHyperelastic)
-def _(law: AbstractLaw) -> tuple:
-    raise ValueError(
-        f"{type(law).__name__} has no counterpart in Abaqus or CalculiX: their laws "
-        "with fibres (Holzapfel) are exponential, and CalculiX has them as user "
-        "materials alone. For small strains calibrate Corotational of "
-        "TransverseIsotropic, and export that."
-    )
-
-
 _GREEN = (
     "*ELASTIC with NLGEOM is linear in the Green strain in CalculiX (St. Venant-"
     "Kirchhoff), and in the logarithmic strain in Abaqus. "
 )
 
+_STRETCH = (
+    " is linear in the stretch. Rotations may be large, but stresses differ by up to "
+    "about 1.5 times the strain: by 15 % where the strain is 10 %."
+)
 
-@_converted.register(Corotational)
-@_converted.register(ClassicalCorotational)
-@_converted.register(StVenantKirchhoff)
-def _(law: Corotational | ClassicalCorotational | StVenantKirchhoff) -> tuple:
-    note = _GREEN
-    if isinstance(law, StVenantKirchhoff):
-        note += "The former is the law of the model."
-    else:
-        note += (
-            f"{type(law).__name__} is linear in the stretch. Rotations may be large, "
-            "but stresses differ by up to about 1.5 times the strain: by 15 % where "
-            "the strain is 10 %."
+_NEO_HOOKE = (
+    "*HYPERELASTIC, NEO HOOKE splits off the change of volume, "
+    "U = C10 (J^(-2/3) I1 - 3) + (J - 1)^2 / D1, where NeoHookean has "
+    "mu/2 (I1 - 3) - mu ln J + lambda/2 (ln J)^2. They agree to second order in "
+    "the strain, and nearly so at any strain where the volume hardly changes."
+)
+
+_VOLUME = (
+    "The change of volume costs (J - 1)^2 / D1, D1 = 2 / K, in place of "
+    "K/4 (J^2 - 1 - 2 ln J): the same to second order."
+)
+
+
+def _converted(law: AbstractLaw) -> tuple:
+    """Return keyword, columns of constants, note, and whether they have axes."""
+    name = type(law).__name__
+    match law:
+        case Corotational() | ClassicalCorotational() | StVenantKirchhoff():
+            same = isinstance(law, StVenantKirchhoff)
+            note = "The former is the law of the model." if same else name + _STRETCH
+            if isinstance(law.elasticity, Isotropic):
+                constants = law.elasticity.E, law.elasticity.nu
+                return "*ELASTIC", constants, _GREEN + note, False
+            constants = _anisotropic(law.elasticity)
+            return "*ELASTIC, TYPE=ANISO", constants, _GREEN + note, True
+        case NeoHookean():
+            mu = law.E / (2.0 * (1.0 + law.nu))
+            bulk = law.E / (3.0 * (1.0 - 2.0 * law.nu))
+            return "*HYPERELASTIC, NEO HOOKE", (0.5 * mu, _D(bulk)), _NEO_HOOKE
+        case MooneyRivlin():
+            constants = law.c10, law.c01, _D(law.bulk_modulus())
+            return "*HYPERELASTIC, MOONEY-RIVLIN", constants, _VOLUME
+        case Yeoh():
+            volume = _D(law.bulk_modulus()), NO_TERM, NO_TERM
+            constants = law.c10, law.c20, law.c30, *volume
+            return "*HYPERELASTIC, YEOH", constants, _VOLUME
+        case Ogden():  # W has 2 mu / alpha^2 there, and mu / alpha here
+            terms = law.terms()
+            distortion = [c for mu, alpha in terms for c in (0.5 * mu * alpha, alpha)]
+            volume = _D(law.bulk_modulus()), *[NO_TERM] * (len(terms) - 1)
+            keyword = f"*HYPERELASTIC, OGDEN, N={len(terms)}"
+            return keyword, (*distortion, *volume), _VOLUME
+    raise ValueError(f"{name} has no counterpart in Abaqus or CalculiX{_without(law)}.")
+
+
+def _without(law: AbstractLaw) -> str:
+    """Say why there is no counterpart, and what to do."""
+    if isinstance(law, Gent):
+        return (
+            ", which have no law that locks in this way; calibrate Yeoh, which "
+            "stiffens too, and export that"
         )
-    if isinstance(law.elasticity, Isotropic):
-        return "*ELASTIC", (law.elasticity.E, law.elasticity.nu), note, False
-    return "*ELASTIC, TYPE=ANISO", _anisotropic(law.elasticity), note, True
+    if isinstance(law, FibreReinforced | TransverseHyperelastic):
+        return (
+            ": their laws with fibres (Holzapfel) are exponential, and CalculiX has "
+            "them as user materials alone. For small strains calibrate Corotational "
+            "of TransverseIsotropic, and export that"
+        )
+    return ": it would need a user subroutine (UMAT) there"
 
 
 def _anisotropic(elasticity: AbstractElasticity) -> list[HostArray]:
@@ -133,52 +144,8 @@ def _anisotropic(elasticity: AbstractElasticity) -> list[HostArray]:
     return [np.asarray(entries[a, b]) for a, b in pairs]
 
 
-@_converted.register
-def _(law: NeoHookean) -> tuple:
-    mu = law.E / (2.0 * (1.0 + law.nu))
-    bulk = law.E / (3.0 * (1.0 - 2.0 * law.nu))
-    note = (
-        "*HYPERELASTIC, NEO HOOKE splits off the change of volume, "
-        "U = C10 (J^(-2/3) I1 - 3) + (J - 1)^2 / D1, where NeoHookean has "
-        "mu/2 (I1 - 3) - mu ln J + lambda/2 (ln J)^2. They agree to second order in "
-        "the strain, and nearly so at any strain where the volume hardly changes."
-    )
-    return "*HYPERELASTIC, NEO HOOKE", (0.5 * mu, _D(bulk)), note
-
-
-_VOLUME = (
-    "The change of volume costs (J - 1)^2 / D1, D1 = 2 / K, in place of "
-    "K/4 (J^2 - 1 - 2 ln J): the same to second order."
-)
-
-
-@_converted.register
-def _(law: MooneyRivlin) -> tuple:
-    constants = law.c10, law.c01, _D(law.bulk_modulus())
-    return "*HYPERELASTIC, MOONEY-RIVLIN", constants, _VOLUME
-
-
-@_converted.register
-def _(law: Yeoh) -> tuple:
-    volume = _D(law.bulk_modulus()), NO_TERM, NO_TERM
-    return "*HYPERELASTIC, YEOH", (law.c10, law.c20, law.c30, *volume), _VOLUME
-
-
-@_converted.register
-def _(law: Ogden) -> tuple:
-    """W has 2 mu / alpha^2 there, and mu / alpha here."""
-    terms = law.terms()
-    distortion = [c for mu, alpha in terms for c in (0.5 * mu * alpha, alpha)]
-    volume = _D(law.bulk_modulus()), *[NO_TERM] * (len(terms) - 1)
-    return f"*HYPERELASTIC, OGDEN, N={len(terms)}", (*distortion, *volume), _VOLUME
-
-
 def _D(bulk: Float[Array, "..."]) -> HostArray:
-    """Compute D_1 = 2 / K [1/Pa].
-
-    Raises:
-        ValueError: If CalculiX would take another number.
-    """
+    """Compute D_1 = 2 / K [1/Pa], if CalculiX takes it as it is."""
     D = np.asarray(2.0 / bulk)
     if np.any(D < SMALLEST_D):
         raise ValueError(

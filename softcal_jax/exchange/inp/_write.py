@@ -14,15 +14,9 @@ from softcal_jax.actuators import actuator_geometry
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Model
 from softcal_jax.exchange._refusals import check_no_bodies, check_rim
-from softcal_jax.exchange.inp._laws import inp_law
+from softcal_jax.exchange.inp._laws import InpLaw, inp_law
 from softcal_jax.mesh import TetMesh, tet_faces
 from softcal_jax.report import LoadedResult, load_result
-
-MANY_MATERIALS = 1000
-"""Materials of a file from which it is said that there are many."""
-
-_PER_LINE = 8
-"""Numbers in a line of data, as Abaqus wants them for constants."""
 
 
 def write_inp(
@@ -59,7 +53,8 @@ def write_inp(
     if path.suffix != ".inp":
         raise ValueError(f"the file name must end in .inp, got {path.name!r}.")
     check_no_bodies(model, "a .inp file")
-    notes, materials = _materials(model)
+    law = inp_law(model)
+    notes = [law.note]
     if model.formulation == "mean-dilatation":
         notes.append(
             "The tets of the model have one mean change of volume each, those of the "
@@ -67,11 +62,12 @@ def write_inp(
             "is nearly 0.5. In Abaqus, write C3D10H for C3D10; for CalculiX, calibrate "
             'with formulation = "displacement" in [material], which has what it has.'
         )
+    wrapped = (line for note in notes for line in textwrap.wrap(note, 97))
     lines = [
         *("*HEADING", _comment(title), "** SI: m, kg, s, N, Pa"),
-        *(line for note in notes for line in _comments(note)),
+        *(f"** {line}" for line in wrapped),
         *_mesh(model.mesh),
-        *materials,
+        *_materials(model, law),
         *_springs(model.mesh, configuration),
         *("*STEP, NLGEOM, INC=1000", "*STATIC", "0.1, 1."),
         *_supports(model.mesh, configuration),
@@ -96,20 +92,17 @@ def export_inp(
 
     The file has the law with its calibrated values where it has a counterpart, the
     supports, loads and pressures of the configuration, and one static step; in SI. See
-    `write_inp` for its content.
+    `write_inp` for its content and what is returned.
 
     Args:
         result: The results folder, its `result.json`, or what `load_result` returned.
         path: The file, ending in .inp.
         configuration: Name of the configuration; may be left out where there is one.
 
-    Returns:
-        What the programs do otherwise than the model, in sentences.
-
     Raises:
         ResultError: If the result cannot be loaded, see `load_result`.
-        ValueError: If there is no such configuration, the name does not end in .inp,
-            or something has no counterpart; the text gives the reason.
+        ValueError: If there is no such configuration, the name does not end in .inp, or
+            something has no counterpart; the text gives the reason.
     """
     loaded = result if isinstance(result, LoadedResult) else load_result(result)
     posed, arrays = loaded.posed(configuration)
@@ -122,18 +115,13 @@ def _comment(text: str) -> str:
     return " ".join(text.encode("ascii", "replace").decode().split()).lstrip("*")[:80]
 
 
-def _comments(note: str) -> list[str]:
-    """Write a note in lines that the programs skip."""
-    return textwrap.wrap(note, 100, initial_indent="** ", subsequent_indent="** ")
-
-
 def _number(value: float) -> str:
     """Write a number in 20 characters at most, which is all that the programs read."""
     return f"{value:.12g}"
 
 
-def _rows(values: Iterable[str], per_line: int = _PER_LINE) -> Iterator[str]:
-    """Write data in lines that go on with a comma."""
+def _rows(values: Iterable[str], per_line: int = 8) -> Iterator[str]:
+    """Write data in lines that go on with a comma; Abaqus wants eight constants."""
     values = list(values)
     for i in range(0, len(values), per_line):
         more = "," if i + per_line < len(values) else ""
@@ -164,32 +152,24 @@ def _mesh(mesh: TetMesh) -> Iterator[str]:
         yield from _members(np.asarray(nodes))
 
 
-def _materials(model: Model) -> tuple[list[str], list[str]]:
-    """Return notes, and materials with the sets of tets that have them."""
-    law = inp_law(model)
+def _materials(model: Model, law: InpLaw) -> Iterator[str]:
+    """Write materials, and the sets of tets that have them."""
     density = np.broadcast_to(np.asarray(model.density, float), model.n_tets)
     table = np.column_stack([law.constants, density])
     distinct, of_tet = np.unique(table, axis=0, return_inverse=True)
     order = np.argsort(of_tet.ravel(), kind="stable")
     ends = np.cumsum(np.bincount(of_tet.ravel()))
-    notes = [law.note] if law.note else []
-    if len(distinct) > MANY_MATERIALS:
-        notes.append(
-            f"{len(distinct)} materials for {model.n_tets} tets, since the fields of "
-            "the law differ from tet to tet; programs take a while to read them."
-        )
-    lines = []
     if law.oriented:
-        lines += ["*ORIENTATION, NAME=AXES, SYSTEM=RECTANGULAR", "1, 0, 0, 0, 1, 0"]
+        yield from ("*ORIENTATION, NAME=AXES, SYSTEM=RECTANGULAR", "1, 0, 0, 0, 1, 0")
     axes = ", ORIENTATION=AXES" * law.oriented
     for k, (*constants, rho) in enumerate(distinct):
         tets = order[ends[k - 1] if k else 0 : ends[k]]
-        lines += [f"*ELSET, ELSET=E{k + 1}", *_members(tets)]
-        lines += [f"*MATERIAL, NAME=M{k + 1}", law.keyword]
-        lines += _rows(map(_number, constants))
-        lines += ["*DENSITY", _number(rho)] if rho > 0.0 else []
-        lines.append(f"*SOLID SECTION, ELSET=E{k + 1}, MATERIAL=M{k + 1}{axes}")
-    return notes, lines
+        yield from (f"*ELSET, ELSET=E{k + 1}", *_members(tets))
+        yield from (f"*MATERIAL, NAME=M{k + 1}", law.keyword)
+        yield from _rows(map(_number, constants))
+        if rho > 0.0:
+            yield from ("*DENSITY", _number(rho))
+        yield f"*SOLID SECTION, ELSET=E{k + 1}, MATERIAL=M{k + 1}{axes}"
 
 
 def _springs(mesh: TetMesh, c: ConfigurationArrays) -> Iterator[str]:
@@ -241,11 +221,7 @@ def _loads(model: Model, c: ConfigurationArrays) -> Iterator[str]:
 
 
 def _pressures(model: Model, c: ConfigurationArrays) -> Iterator[str]:
-    """Write the pressures in chambers and on surfaces, face by face.
-
-    Raises:
-        ValueError: If another actuator acts, or the volume of a chamber is imposed.
-    """
+    """Write the pressures of chambers and surfaces; no other actuator may act."""
     actuators = model.mechanism.actuators
     forces = np.asarray(c.actuation.forces)
     acting = forces != 0.0

@@ -48,14 +48,9 @@ _METRES = 2.0
 
 
 class Body(NamedTuple):
-    """The body of a robot, as it was read.
+    """The linear mesh of a robot, and how a project file says to read it.
 
-    Attributes:
-        mesh: Its mesh, linear.
-        unit: Length unit of the file, where the file does not state it.
-        unit_guessed: Whether that is a guess.
-        size: Edges of the tets, of a CAD model, as a project file writes it.
-        drop_unused: Whether the file has nodes that no cell uses.
+    The unit is None where the file states it, the size of the tets for a mesh file.
     """
 
     mesh: TetMesh
@@ -66,14 +61,10 @@ class Body(NamedTuple):
 
 
 class Held(NamedTuple):
-    """The part that is proposed to be held.
+    """The part that is proposed to be held, and the mean of its nodes [m].
 
-    Attributes:
-        group: Name of the group.
-        plane: Point [m], axis and kind ("faces" or "nodes") of the group, where the
-            project file has to define it; None for a group of the mesh.
-        tolerance: Distance from the plane that belongs to it [m].
-        centre: Mean of its nodes [m].
+    Where the project file has to define the group, `plane` is a point [m], an axis and
+    "faces" or "nodes", within `tolerance` [m].
     """
 
     group: str
@@ -83,18 +74,7 @@ class Held(NamedTuple):
 
 
 def read_body(path: Path, *, size: float | None, length_unit: str | None) -> Body:
-    """Read a mesh, or fill a CAD model with tets.
-
-    Args:
-        path: A file that `read_mesh` or `mesh_cad` takes.
-        size: Edges of the tets of a CAD model; a twentieth of it by default [m].
-        length_unit: Unit of the file; guessed where it states none.
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If it cannot be read or filled.
-        ImportError: If a CAD model needs a package that is not installed.
-    """
+    """Read a mesh, or fill a CAD model with tets of a size, by default a twentieth."""
     suffix = path.suffix.lower()
     guessed = length_unit is None and suffix not in _STATED
     unit = _guess_unit(path) if guessed else length_unit
@@ -139,33 +119,29 @@ def _read(path: Path, unit: str) -> tuple[TetMesh, bool]:
 
 
 def named_like(mesh: TetMesh, words: tuple[str, ...], *, surface: bool) -> list[str]:
-    """List the groups whose names contain one of some words.
-
-    Args:
-        mesh: The mesh.
-        words: Words in small letters.
-        surface: Whether only groups of surfaces count.
-    """
+    """List groups, maybe of surfaces alone, whose names contain one of some words."""
     groups = [*mesh.surface_groups] + ([] if surface else [*mesh.node_groups])
-    groups = [name for name in dict.fromkeys(groups) if name not in mesh.tet_groups]
-    return [name for name in groups if any(word in name.lower() for word in words)]
+    return [
+        name
+        for name in dict.fromkeys(groups)
+        if name not in mesh.tet_groups and any(word in name.lower() for word in words)
+    ]
 
 
 def propose_held(mesh: TetMesh, moving: Float[HostArray, "n 3"] | None) -> Held:
     """Propose what is held: a group by its name, or an end of the longest side.
 
-    Of both ends it is the lower one, or that which is farther from points that move.
-
-    Args:
-        mesh: The mesh.
-        moving: Points that were seen to move, if any [m].
+    Of both ends it is the lower one, or that which is farther from points that were
+    seen to move [m].
     """
     named = named_like(mesh, HELD_WORDS, surface=False)
     if named:
         nodes = node_indices(mesh, named[0], "a support")
         return Held(named[0], None, 0.0, mesh.points[nodes].mean(axis=0))
     low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
-    axis = _longest(high - low)
+    extent = high - low
+    # Among nearly equal sides the upright one.
+    axis = 2 if extent[2] > 0.9 * extent.max() else int(np.argmax(extent))
     end, middle = low[axis], 0.5 * (low + high)
     if moving is not None and moving.mean(axis=0)[axis] < middle[axis]:
         end = high[axis]
@@ -174,10 +150,8 @@ def propose_held(mesh: TetMesh, moving: Float[HostArray, "n 3"] | None) -> Held:
     for of, share in (("faces", _FLAT), ("nodes", _END)):
         region = Plane(point=point, normal=normal, tolerance=share * mesh.size)
         try:
-            if of == "faces":
-                nodes = np.unique(select_faces(mesh, region))
-            else:
-                nodes = select_nodes(mesh, region)
+            select = select_faces if of == "faces" else select_nodes
+            nodes = np.unique(select(mesh, region))
         except ValueError:  # no face lies in it: the end is round
             continue
         centre = mesh.points[nodes].mean(axis=0)
@@ -185,17 +159,10 @@ def propose_held(mesh: TetMesh, moving: Float[HostArray, "n 3"] | None) -> Held:
     raise AssertionError("the outermost node lies in its own plane")
 
 
-def _longest(extent: Float[HostArray, "3"]) -> int:
-    """Return the longest side; among nearly equal ones the upright one."""
-    near = extent > 0.9 * extent.max()
-    return 2 if near[2] else int(np.argmax(extent))
-
-
 def find_chambers(mesh: TetMesh, held: Held) -> dict[str, bool]:
     """Find the surfaces that are called like chambers, and are walls of a cavity.
 
-    Returns:
-        Whether each has a rim that a lid has to close, by the name of its group.
+    Returns whether each has a rim that a lid has to close, by the name of its group.
     """
     found = {}
     for name in named_like(mesh, CHAMBER_WORDS, surface=True):

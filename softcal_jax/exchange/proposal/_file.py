@@ -8,8 +8,12 @@ import numpy as np
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.configurations import STANDARD_GRAVITY
-from softcal_jax.exchange.proposal._findings import Findings
-from softcal_jax.exchange.proposal._recorded import RecordedPose, bare, quoted
+from softcal_jax.exchange.proposal._recorded import (
+    Findings,
+    RecordedPose,
+    bare,
+    quoted,
+)
 from softcal_jax.materials import LAWS
 from softcal_jax.mesh import volumes
 from softcal_jax.project import parse_in_si
@@ -28,17 +32,18 @@ _NEAR = 0.01
 
 
 def project_text(name: str, found: Findings) -> str:
-    """Write a project file, with a remark at each value that is a guess.
-
-    Args:
-        name: Name of the project.
-        found: What it is written from.
-    """
+    """Write a project file of a name, with a remark at each value that is a guess."""
     parts = (
         *(_title(name, found), _mesh(found), _material(), _actuators(found)),
-        *(_markers(found), _shared(found), _configurations(found), _settings()),
+        *(_markers(found), _shared(found), _configurations(found)),
     )
-    return "\n\n".join("\n".join(part) for part in parts) + "\n"
+    text = "\n\n".join("\n".join(part) for part in parts)
+    return f"""{text}
+
+{_ruler("the settings")}
+[settings]
+noise = "estimated" # from the residuals; "stated" takes the `std` as it is
+"""
 
 
 def _title(name: str, found: Findings) -> Iterator[str]:
@@ -100,11 +105,9 @@ def _held_group(found: Findings) -> Iterator[str]:
     held = found.held
     assert held.plane is not None
     point, axis, of = held.plane
-    at = f"{1e3 * point['xyz'.index(axis)] + 0.0:.4g} mm"
-    told = "the end farther from the markers that move"
     moved = found.recorded is not None and not found.own_frame
-    why = told if moved else "an end of its longest side"
-    yield f"[groups.{held.group}] # CHANGE: what is held, here {why}, {axis} = {at}"
+    why = ", farther from the markers that move" * moved
+    yield f"[groups.{held.group}] # CHANGE: what is held, here an end of the body{why}"
     yield f'plane = {{ point = {_mm(point)}, normal = "{axis}" }}'
     if of == "faces":
         yield 'of = "faces"'
@@ -154,32 +157,24 @@ def _markers(found: Findings) -> Iterator[str]:
     recorded = found.recorded
     yield _ruler("the markers")
     yield "# Where they stand at rest, in the frame of the mesh."
-    if recorded is None:
-        yield "# Nothing was recorded: these two are proposed, for `softcal identify`."
-    elif found.own_frame:
+    if found.own_frame:
         yield """# The recording has a frame of its own, off the mesh: measure where
 # these are on the robot. Here they are only somewhere on it."""
-    elif recorded.others:
-        yield f"# As recorded in {recorded.rest.name!r}, and how far off the mesh."
-    else:
-        yield "# The one pose does not tell: these are the nearest points of the mesh."
-    farthest = max(own.distance for own in found.markers)
+    farthest = max(marker.distance for marker in found.markers)
     yield "[markers]"
     yield 'std = "0.5 mm" # CHANGE: how well a pose repeats'
     if farthest > _NEAR and not found.own_frame:
         yield f'max_distance = "{1.1e3 * farthest:.3g} mm" # from the mesh, on posts'
     yield "\n[markers.positions]"
-    for own in found.markers:
-        line = f"{bare(own.name)} = {_mm(own.place)}"
-        off = readable_values([own.distance], "m", digits=3)
+    for marker in found.markers:
+        line = f"{bare(marker.name)} = {_mm(marker.place)}"
+        off = readable_values([marker.distance], "m", digits=3)
         if recorded is None:
             yield f"{line} # CHANGE: where you glue it, and what it is called"
-        elif found.own_frame:
-            yield f"{line} # CHANGE: where it is on the robot"
-        elif not recorded.others:
+        elif found.own_frame or not recorded.others:
             yield f"{line} # CHANGE: where it is at rest; recorded {off} from the mesh"
         else:
-            yield f"{line} # {f'{off} from' if own.distance else 'in'} the mesh"
+            yield f"{line} # recorded {off} from the mesh"
 
 
 def _shared(found: Findings) -> Iterator[str]:
@@ -199,21 +194,17 @@ def _shared(found: Findings) -> Iterator[str]:
 # CHANGE: the recording is not used yet: its frame is not that of the mesh
 # Write where its markers are, above, take the first `#` away here and below, and name
 # three or more markers that do not move, here the three that move least: the rigid
-# motion onto their positions takes one frame to the other. Compared are motions from
-# the first pose: where a marker is glued is known worse than how far it moves."""
-    else:
-        yield ""
+# motion onto their positions takes one frame to the other."""
     files = {pose.file for pose in found.poses}
-    yield f"{off}[shared.measured]"
+    yield f"\n{off}[shared.measured]"
     if len(files) == 1:
         yield f"{off}file = {quoted(recorded.rest.file.name)}"
     if recorded.unit is not None:
         guess = "# CHANGE: a guess, by the size of the mesh"
         yield f'{off}length_unit = "{recorded.unit}" {guess}'
-    if recorded.others and not found.own_frame:
+    if recorded.others:
         yield """# Compared are motions from this pose: where a marker is glued is known
 # worse than how far it moves."""
-    if recorded.others:
         yield f"{off}displacement_from = {quoted(recorded.rest.name)}"
     if found.own_frame:
         listed = ", ".join(map(quoted, recorded.stillest(3)))
@@ -231,20 +222,16 @@ def _configurations(found: Findings) -> Iterator[str]:
     if found.recorded is None:
         yield from _unmeasured(found, load)
         return
-    rest, others = found.recorded.rest, found.recorded.others
-    yield "[[configurations]]"
-    if others:
-        yield f"name = {quoted(rest.name)} # CHANGE: here nothing acts but gravity"
-    else:
-        yield f"name = {quoted(rest.name)}"
-        yield _driven(found, rest, load)
-    yield from _measured(found, rest)
-    for k, pose in enumerate(others):
-        yield "\n[[configurations]]"
-        yield f"name = {quoted(pose.name)}"
-        if 0 < k == len(others) - 1:
+    last = len(found.poses) - 1
+    for k, pose in enumerate(found.poses):
+        unloaded = k == 0 < last
+        yield "\n" * (k > 0) + "[[configurations]]"
+        remark = " # CHANGE: here nothing acts but gravity" * unloaded
+        yield f"name = {quoted(pose.name)}{remark}"
+        if 1 < k == last:
             yield 'role = "validation" # predicted after the fit, never used in it'
-        yield _driven(found, pose, load)
+        if not unloaded:
+            yield _driven(found, pose.name, load)
         yield from _measured(found, pose)
 
 
@@ -260,30 +247,20 @@ name = "hanging"
 
 [[configurations]]"""
     yield 'name = "loaded"'
-    yield _driven(found, None, load)
+    yield _driven(found, "", load)
 
 
-def _driven(found: Findings, pose: RecordedPose | None, load: str) -> str:
+def _driven(found: Findings, name: str, load: str) -> str:
     """Write what acts in a pose: a pressure where there is a chamber, else a load."""
-    name = None if pose is None else pose.name
-    pressed = name is not None and _is_quantity(name, "Pa")
     if not found.chambers:
-        hint = f", its name is a pressure: actuation = {{ air = {quoted(str(name))} }}"
-        return f"{load} # CHANGE: what acts in this pose{hint * pressed}"
+        return f"{load} # CHANGE: what acts in this pose"
     actuator = bare(f"air in {next(iter(found.chambers))}")
-    if pressed:
-        return f"actuation = {{ {actuator} = {quoted(str(name))} }} # by its name"
-    guess = f'actuation = {{ {actuator} = "{PRESSURE}" }}'
-    return f"{guess} # CHANGE: what acts in this pose"
-
-
-def _is_quantity(text: str, unit: str) -> bool:
-    """Tell whether a name is a quantity of a unit, like the pressure "20 kPa"."""
     try:
-        parse_in_si(text, unit)
+        parse_in_si(name, "Pa")
     except ValueError:
-        return False
-    return True
+        guess = f'actuation = {{ {actuator} = "{PRESSURE}" }}'
+        return f"{guess} # CHANGE: what acts in this pose"
+    return f"actuation = {{ {actuator} = {quoted(name)} }} # by its name"
 
 
 def _measured(found: Findings, pose: RecordedPose) -> Iterator[str]:
@@ -300,12 +277,6 @@ def _measured(found: Findings, pose: RecordedPose) -> Iterator[str]:
     if pose.select != "{  }":
         check = " # CHANGE: when the robot stands still" * recorded.over_time
         yield f"{off}measured.select = {pose.select}{check}"
-
-
-def _settings() -> Iterator[str]:
-    yield _ruler("the settings")
-    yield """[settings]
-noise = "estimated" # from the residuals; "stated" takes the `std` as it is"""
 
 
 def _ruler(title: str) -> str:

@@ -13,15 +13,18 @@ import numpy as np
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.exchange.proposal._body import (
     Body,
-    Held,
     far_end,
     find_chambers,
     propose_held,
     read_body,
 )
 from softcal_jax.exchange.proposal._file import project_text
-from softcal_jax.exchange.proposal._findings import Findings, MarkerPlace
-from softcal_jax.exchange.proposal._recorded import Recorded, read_recorded
+from softcal_jax.exchange.proposal._recorded import (
+    Findings,
+    MarkerPlace,
+    Recorded,
+    read_recorded,
+)
 from softcal_jax.mesh import MaterialPoints, MeshWarning, TetMesh, locate, mesh_files
 from softcal_jax.project import ProjectWarning, load_project
 from softcal_jax.robots import ready_made_path
@@ -38,12 +41,7 @@ Posts that carry markers are shorter; cameras stand farther away from the robot.
 def write_ready_made(name: str, folder: Path) -> tuple[str, ...]:
     """Write the project file and the data of a ready-made robot into a new folder.
 
-    Args:
-        name: Name of the robot, see `softcal_jax.robots.READY_MADE`.
-        folder: The folder, which must not be there.
-
-    Returns:
-        Names of the files.
+    Returns the names of the files; those of robots are `softcal_jax.robots.READY_MADE`.
 
     Raises:
         ValueError: If there is no such robot, or the folder is there.
@@ -76,9 +74,6 @@ def propose_project(
         recordings: A table of markers, or recordings over time, a pose in each.
         size: Edges of the tets of a CAD model; a twentieth of it by default [m].
         length_unit: Unit of the model; guessed where it states none.
-
-    Returns:
-        What it was written from.
 
     Raises:
         FileNotFoundError: If a file is not there.
@@ -122,6 +117,11 @@ def _find(model: Path, body: Body, recorded: Recorded | None) -> Findings:
     moving = None if recorded is None or own_frame else recorded.moving
     held = propose_held(mesh, moving)
     tip = far_end(mesh, held)
+    if recorded is None or at is None:
+        middle = _on_top(mesh, 0.5 * (tip + held.centre))
+        markers = MarkerPlace("tip", tip, 0.0), MarkerPlace("middle", middle, 0.0)
+    else:
+        markers = _markers(mesh, recorded, at, own_frame=own_frame)
     # A file that includes others would have to be copied with all of them.
     alone = len(mesh_files(model)) == 1
     return Findings(
@@ -132,25 +132,15 @@ def _find(model: Path, body: Body, recorded: Recorded | None) -> Findings:
         chambers=find_chambers(mesh, held),
         recorded=recorded,
         own_frame=own_frame,
-        markers=_markers(body, held, tip, recorded, at, own_frame=own_frame),
+        markers=markers,
     )
 
 
 def _markers(
-    body: Body,
-    held: Held,
-    tip: Float[HostArray, "3"],
-    recorded: Recorded | None,
-    at: MaterialPoints | None,
-    *,
-    own_frame: bool,
+    mesh: TetMesh, recorded: Recorded, at: MaterialPoints, *, own_frame: bool
 ) -> tuple[MarkerPlace, ...]:
     """Place markers where they were seen at rest, or at points of the mesh."""
-    mesh = body.mesh
-    if recorded is None or at is None:
-        places = {"tip": tip, "middle": _on_top(mesh, 0.5 * (tip + held.centre))}
-        return tuple(MarkerPlace(name, place, 0.0) for name, place in places.items())
-    places, off = recorded.positions, at.distance
+    places = recorded.positions
     if own_frame:
         box = lambda points: 0.5 * (points.min(axis=0) + points.max(axis=0))
         shifted = places + box(mesh.points) - box(places)
@@ -159,7 +149,9 @@ def _markers(
         places = at.foot
     return tuple(
         MarkerPlace(name, place, float(distance))
-        for name, place, distance in zip(recorded.labels, places, off, strict=True)
+        for name, place, distance in zip(
+            recorded.labels, places, at.distance, strict=True
+        )
     )
 
 

@@ -1,5 +1,6 @@
-"""What files of markers tell: which poses they hold, and where markers were."""
+"""What files of markers tell, and all that a project is written from."""
 
+import json
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -9,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softcal_jax._module import one_line
 from softcal_jax._names import METRES
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import (
@@ -18,6 +20,7 @@ from softcal_jax.configurations import (
     read_recording,
     read_table,
 )
+from softcal_jax.exchange.proposal._body import Body, Held
 
 _REST = re.compile(
     r"(?<![a-z])(rest|unloaded|zero|reference|initial|home)(?![a-z])"
@@ -36,12 +39,8 @@ _UNITS = ("mm", "cm", "m")
 class RecordedPose(NamedTuple):
     """A pose that was recorded.
 
-    Attributes:
-        name: Its name.
-        file: The file that it is in.
-        select: What a project file takes of the file, as TOML.
-        seen: Positions of the markers that were seen, by label, in the frame and unit
-            of the file [m].
+    `select` is what a project file takes of the file, as TOML; `seen` are the positions
+    of the markers that were seen, by label, in the frame of the file [m].
     """
 
     name: str
@@ -51,13 +50,9 @@ class RecordedPose(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """The poses of one or several files.
+    """The poses of one or several files, or of recordings over time.
 
-    Attributes:
-        rest: The pose that others are compared with; that it is at rest is a guess.
-        others: The others.
-        over_time: Whether the files are recordings over time.
-        unit: Length unit, where the files state none: a guess.
+    That `rest` is at rest is a guess, and `unit`, where the files state none.
     """
 
     rest: RecordedPose
@@ -97,18 +92,50 @@ class Recorded(NamedTuple):
         return far
 
 
+class MarkerPlace(NamedTuple):
+    """Where a marker is put, and how far from the mesh it was recorded [m]."""
+
+    name: str
+    place: Float[HostArray, "3"]
+    distance: float
+
+
+class Findings(NamedTuple):
+    """What a project is written from.
+
+    Attributes:
+        model: The model, as the project file names it.
+        body: Its mesh.
+        held: What is proposed to be held.
+        tip: Where a load is proposed to act [m].
+        chambers: Whether chambers have a rim, by the names of their surfaces.
+        recorded: The poses, if there is a recording.
+        own_frame: Whether the recording has another frame than the mesh.
+        markers: The markers.
+    """
+
+    model: str
+    body: Body
+    held: Held
+    tip: Float[HostArray, "3"]
+    chambers: dict[str, bool]
+    recorded: Recorded | None
+    own_frame: bool
+    markers: tuple[MarkerPlace, ...]
+
+    __repr__ = one_line
+
+    @property
+    def poses(self) -> tuple[RecordedPose, ...]:
+        """All poses that were recorded, the one at rest first."""
+        recorded = self.recorded
+        return () if recorded is None else (recorded.rest, *recorded.others)
+
+
 def read_recorded(paths: Sequence[Path], across: float) -> Recorded:
     """Read the poses of a table of rows, or of recordings over time, a pose in each.
 
-    Args:
-        paths: A file that `read_markers` takes, or files that `read_recording` takes.
-        across: Size of the robot, by which a unit is guessed that no one states [m].
-
-    Raises:
-        FileNotFoundError: If there is no such file.
-        ValueError: If one cannot be read, tables of rows are several, or no marker was
-            seen in the first pose.
-        ImportError: If one is a .c3d file and ezc3d is not installed.
+    The size `across` of the robot [m] serves to guess a unit that no file states.
     """
     kinds = [is_recording(path) for path in paths]
     over_time = all(kinds)
@@ -170,18 +197,15 @@ def _columns(header: Sequence[str], rows: Sequence[Mapping[str, str]]) -> tuple:
     """
     of_place = {*"xyz", *(f"{axis}_{unit}" for axis in "xyz" for unit in METRES)}
     others = [column for column in header if column not in {"marker", *of_place}]
-    found: tuple[int, tuple] | None = None
+    distinct = lambda columns: len({tuple(row[c] for c in columns) for row in rows})
     for n in range(min(3, len(others)) + 1):
-        for columns in combinations(others, n):
-            keys = [tuple(row[c] for c in columns) for row in rows]
-            markers = {
-                (*key, row["marker"]) for key, row in zip(keys, rows, strict=True)
-            }
-            many = len(set(keys))
-            if len(markers) == len(rows) and (found is None or many < found[0]):
-                found = many, columns
-        if found is not None:
-            return found[1]
+        telling = [
+            columns
+            for columns in combinations(others, n)
+            if distinct((*columns, "marker")) == len(rows)
+        ]
+        if telling:
+            return min(telling, key=distinct)
     return ()
 
 
@@ -211,9 +235,8 @@ def _seen(table: MarkerTable) -> dict[str, Float[HostArray, "3"]]:
 
 
 def quoted(text: str) -> str:
-    """Write a text as TOML has it."""
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\t", "\\t")
-    return f'"{escaped}"'
+    """Write a text as TOML has it, which escapes as JSON does."""
+    return json.dumps(text, ensure_ascii=False)
 
 
 def bare(key: str) -> str:

@@ -1,13 +1,18 @@
 """Scenes of SOFA: a calibrated robot, calibrated again for what SOFA will run."""
 
-from softcal_jax.exchange.sofa._component import Component, SofaLaw, SofaRelease
-from softcal_jax.exchange.sofa._export import SofaExport, export_sofa
-from softcal_jax.exchange.sofa._plugin_elasticity import PluginElasticity
-from softcal_jax.exchange.sofa._recalibrate import NotConvergedError
-from softcal_jax.exchange.sofa._units import SofaUnits
+from softcal_jax.exchange.sofa._component import (
+    PluginElasticity,
+    SofaLaw,
+    SofaRelease,
+    SofaUnits,
+)
+from softcal_jax.exchange.sofa._export import (
+    NotConvergedError,
+    SofaExport,
+    export_sofa,
+)
 
 __all__ = [
-    "Component",
     "NotConvergedError",
     "PluginElasticity",
     "SofaExport",

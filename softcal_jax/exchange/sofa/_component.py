@@ -1,4 +1,4 @@
-"""The component of SOFA that computes a law, and what it cannot do."""
+"""The component of SOFA that computes a law, and what it computes otherwise."""
 
 from typing import Any, Literal, NamedTuple
 
@@ -6,15 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._module import one_line
-from softcal_jax._typing import Float, HostArray
-from softcal_jax.exchange.sofa._plugin_elasticity import PluginElasticity
-from softcal_jax.exchange.sofa._units import Scale
+from softcal_jax._typing import Array, Float
 from softcal_jax.materials import (
     AbstractElasticity,
     AbstractLaw,
     ClassicalCorotational,
     Corotational,
+    Fibre,
     Isotropic,
     NeoHookean,
     ReducedTransverseIsotropic,
@@ -24,11 +22,15 @@ from softcal_jax.materials import (
     TransverseIsotropic,
     is_point_values,
     lame,
+    plane_stiffness,
 )
 from softcal_jax.mesh import TetMesh
 
 SofaRelease = Literal["v25.12", "v26.06"]
 """Releases of SOFA that scenes are written for."""
+
+SofaUnits = Literal["mm-kg-s", "SI"]
+"""Unit systems that scenes are usually written in."""
 
 SofaLaw = Literal["same", "corotational"]
 """Whether SOFA gets the counterpart of the law, or its corotational one."""
@@ -36,30 +38,89 @@ SofaLaw = Literal["same", "corotational"]
 ELASTIC = "Sofa.Component.SolidMechanics.FEM.Elastic"
 HYPERELASTIC = "Sofa.Component.SolidMechanics.FEM.HyperElastic"
 
-_OTHER_VOLUME = (
-    "SOFA's law of that name has another term for the change of volume, k0/2 (ln J)^2"
-)
-_REASONS = {
-    "MooneyRivlin": _OTHER_VOLUME,
-    "Ogden": _OTHER_VOLUME,
-    "FibreReinforced": "SOFA has no fibres in a hyperelastic matrix of this kind",
+
+class Scale(NamedTuple):
+    """Factors from SI to the units of a scene, whose mass and time are kg and s."""
+
+    length: float
+    words: dict[str, str]
+    """Unit of each quantity, by its name."""
+
+    @property
+    def force(self) -> float:
+        """From newtons, kg m/s2."""
+        return self.length
+
+    @property
+    def pressure(self) -> float:
+        """From pascals, kg/(m s2)."""
+        return 1.0 / self.length
+
+    @property
+    def volume(self) -> float:
+        """From cubic metres."""
+        return self.length**3
+
+
+SCALES = {
+    "mm-kg-s": Scale(1e3, {"length": "mm", "force": "mN", "pressure": "kPa"}),
+    "SI": Scale(1.0, {"length": "m", "force": "N", "pressure": "Pa"}),
 }
+"""Unit systems by name; SOFA itself has none."""
 
 
 class Component(NamedTuple):
-    """A component of a scene and its data, in the units of the scene.
-
-    Attributes:
-        component: Its class.
-        plugin: The plugin that has it.
-        data: Its data by name.
-    """
+    """A component of a scene, its plugin, and its data in the units of the scene."""
 
     component: str
     plugin: str
     data: dict[str, Any]
 
-    __repr__ = one_line
+
+class PluginElasticity(AbstractElasticity):
+    """Transverse isotropy of `TetrahedronAnisotropicForceField`, not of the textbook.
+
+    Two of its five stiffnesses differ (plugin Anisotropy, commit d36486e of 2026-05):
+    the shear modulus along the fibre is that across it, E_t / (2 (1 + nu_t)), whatever
+    is given for mu_l; and C13 = E_t g (nu_lt + nu_t nu_tl) with g = 1 / ((1 + nu_t)
+    (1 - nu_t - 2 nu_lt nu_tl)), where the inverse of the compliance has nu_t nu_lt in
+    the sum. A model for this plugin is therefore calibrated with what it computes.
+
+    Attributes:
+        base: The law whose E_t, E_l, ratios and fibre are handed over.
+    """
+
+    base: TransverseIsotropic | ReducedTransverseIsotropic
+
+    @property
+    def fibre(self) -> Fibre:
+        """Direction of the fibre in the rest shape."""
+        return self.base.fibre
+
+    def constants(self) -> dict[str, Float[Array, "..."]]:
+        """E_t and E_l [Pa], nu_t and nu_tl [-] of the base."""
+        E_t, E_l = self.base.E_t, self.base.E_l
+        if isinstance(self.base, TransverseIsotropic):
+            nu_t, nu_tl = self.base.nu_t, self.base.nu_tl
+        else:
+            nu_t, nu_tl = self.base.nu, self.base.nu * jnp.sqrt(E_t / E_l)
+        return {"E_t": E_t, "E_l": E_l, "nu_t": nu_t, "nu_tl": nu_tl}
+
+    def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+        """Stress C : strain for a symmetric strain [Pa]."""
+        E_t, E_l, nu_t, nu_tl = self.constants().values()
+        exact = plane_stiffness(E_t, E_l, nu_t, nu_tl)
+        nu_lt = nu_tl * E_l / E_t
+        C13 = exact.C13 * (nu_lt + nu_t * nu_tl) / (nu_lt + nu_t * nu_lt)
+        mu = E_t / (2.0 * (1.0 + nu_t))
+        textbook = TransverseIsotropic(E_t, E_l, nu_t, nu_tl, mu, self.fibre)
+        # psi gains (C13' - C13) (tr - e) e, with e the strain along the fibre u.
+        u = self.fibre.direction()
+        along = jnp.sum(u * jnp.sum(strain * u[None, :], axis=1))
+        trace = strain[0, 0] + strain[1, 1] + strain[2, 2]
+        uu = u[:, None] * u[None, :]
+        more = along * (jnp.eye(3) - uu) + (trace - along) * uu
+        return textbook.stress(strain) + (C13 - exact.C13) * more
 
 
 def law_for_sofa(
@@ -67,18 +128,11 @@ def law_for_sofa(
 ) -> AbstractLaw:
     """Return the law that SOFA computes in place of another, on a linear mesh.
 
-    Args:
-        law: The calibrated law.
-        mesh: The linear mesh of the scene.
-        choice: "same" takes the counterpart of the law, "corotational" the isotropic
-            corotational law, for laws with the constants E and nu.
-        rotation: Rotation of the corotational tets; with fibres it is always "large",
-            that of the plugin.
-
-    Raises:
-        ValueError: If SOFA has no counterpart; the text says why, and what to do.
+    Corotational tets turn by `rotation`; with fibres it is "large", that of the plugin.
+    A ValueError says why there is no counterpart, and what to do.
     """
-    if any(is_point_values(leaf) for leaf in _constants(law)):
+    leaves = jax.tree.leaves(law, is_leaf=is_point_values)
+    if any(map(is_point_values, leaves)):
         raise ValueError(
             "the law has constants that differ within a tet, and SOFA knows one per "
             'tet; take sampling = "centroids" for the parameters, the default.'
@@ -88,16 +142,19 @@ def law_for_sofa(
         if isinstance(elasticity, Isotropic):
             return SofaCorotational.of_mesh(mesh, elasticity, rotation)
         if isinstance(elasticity, TransverseIsotropic | ReducedTransverseIsotropic):
-            own = PluginElasticity(elasticity)
-            return SofaCorotational.of_mesh(mesh, own, "large")
-    if choice == "corotational" and (found := _isotropic(law)) is not None:
-        return SofaCorotational.of_mesh(mesh, found, rotation)
+            of_plugin = PluginElasticity(elasticity)
+            return SofaCorotational.of_mesh(mesh, of_plugin, "large")
+    if choice == "corotational":
+        for constants in (law, elasticity):
+            if isinstance(constants, NeoHookean | Isotropic):
+                hooke = Isotropic(constants.E, constants.nu)
+                return SofaCorotational.of_mesh(mesh, hooke, rotation)
     of_body = isinstance(law, NeoHookean) or (
         isinstance(law, StVenantKirchhoff) and isinstance(elasticity, Isotropic)
     )
     if not of_body:
-        raise ValueError(_no_counterpart(law))
-    if any(np.ndim(leaf) > 0 for leaf in _constants(law)):
+        raise _no_counterpart(law)
+    if any(np.ndim(leaf) > 0 for leaf in leaves):
         raise ValueError(
             f"{type(law).__name__} differs from tet to tet here, and the hyperelastic "
             "component of SOFA takes one set of constants for the whole body; take "
@@ -106,21 +163,8 @@ def law_for_sofa(
     return law
 
 
-def _constants(law: AbstractLaw) -> list[Any]:
-    return jax.tree.leaves(law, is_leaf=is_point_values)
-
-
-def _isotropic(law: AbstractLaw) -> Isotropic | None:
-    """Return Hooke's law of the same E and nu; None for a law without these."""
-    for own in (law, getattr(law, "elasticity", None)):
-        if isinstance(own, NeoHookean | Isotropic):
-            return Isotropic(own.E, own.nu)
-    return None
-
-
-def _no_counterpart(law: AbstractLaw) -> str:
-    name = type(law).__name__
-    elasticity = getattr(law, "elasticity", None)
+def _no_counterpart(law: AbstractLaw) -> ValueError:
+    name, elasticity = type(law).__name__, getattr(law, "elasticity", None)
     if isinstance(elasticity, AbstractElasticity):
         name += f" with {type(elasticity).__name__}"
         reason = (
@@ -128,9 +172,11 @@ def _no_counterpart(law: AbstractLaw) -> str:
             "calibrate a Corotational law"
         )
     else:
-        reason = _REASONS.get(name, "SOFA has no such law")
+        reason = "SOFA has no such law"
+        if name in ("MooneyRivlin", "Ogden"):
+            reason = "SOFA's has another term for the change of volume, k0/2 (ln J)^2"
         reason += ": calibrate a NeoHookean or a Corotational law"
-    return f"{name} has no counterpart in SOFA: {reason}, and export that."
+    return ValueError(f"{name} has no counterpart in SOFA: {reason}, and export that.")
 
 
 def component_of(
@@ -138,19 +184,22 @@ def component_of(
 ) -> Component:
     """Write a law from `law_for_sofa` as a component of a scene.
 
-    Raises:
-        ValueError: If the release lacks it, or a constant lies where SOFA would replace
-            it by another.
+    Not where the release lacks it, or SOFA would replace a constant by another.
     """
     if isinstance(law, SofaCorotational):
         if isinstance(law.elasticity, PluginElasticity):
             return _of_plugin(law.elasticity, n_tets, scale)
         assert isinstance(law.elasticity, Isotropic)
-        _check_ratio(law.elasticity.nu)
         data = {
             "youngModulus": _listed(scale.pressure * np.asarray(law.elasticity.E)),
             "poissonRatio": _listed(law.elasticity.nu),
         }
+        for nu in data["poissonRatio"]:
+            if not 0.0 <= nu < 0.5:
+                raise ValueError(
+                    f"nu is {nu:g}; SOFA takes a Poisson's ratio in [0, 0.5) and "
+                    "replaces others by 0.45, so this law cannot be written."
+                )
         if law.rotation == "procrustes":
             if release == "v25.12":
                 raise ValueError(
@@ -192,16 +241,6 @@ def _of_plugin(elasticity: PluginElasticity, n_tets: int, scale: Scale) -> Compo
         "anisotropyDirections": np.asarray(u).tolist(),
     }
     return Component("TetrahedronAnisotropicForceField", "Anisotropy", data)
-
-
-def _check_ratio(nu: Float[HostArray, "..."] | Any) -> None:
-    values = np.atleast_1d(np.asarray(nu))
-    bad = values[~((values >= 0.0) & (values < 0.5))]
-    if bad.size:
-        raise ValueError(
-            f"nu is {bad[0]:g}; SOFA takes a Poisson's ratio in [0, 0.5) and replaces "
-            "others by 0.45, so this law cannot be written."
-        )
 
 
 def _listed(values: Any) -> list[float]:

@@ -22,7 +22,7 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import Model
 from softcal_jax.exchange._refusals import check_no_bodies, check_rim
-from softcal_jax.exchange.sofa._units import Scale
+from softcal_jax.exchange.sofa._component import Scale
 from softcal_jax.fields import ParameterSpace
 
 CONVERGED = 1e-9
@@ -38,11 +38,7 @@ _IMPOSED = {
 
 
 def check_robot(model: Model) -> None:
-    """Raise unless a scene can hold what is attached to the body.
-
-    Raises:
-        ValueError: If there are rigid bodies, or actuators without a counterpart.
-    """
+    """Raise ValueError unless a scene can hold what is attached to the body."""
     check_no_bodies(model, "a scene of SOFA")
     actuators = model.mechanism.actuators
     known = (CableSegments, ChamberFaces, ChamberLids, PressureFaces)
@@ -70,31 +66,29 @@ def scene_configurations(
 ) -> dict[str, dict[str, Any]]:
     """Write configurations with the fitted parameters, by their names.
 
-    Args:
-        model: The linear model.
-        space: Its parameters, which may also belong to loads and supports.
-        z: Their scaled values [-].
-        configurations: The configurations.
-        displacements: Displacements of the nodes that the model predicts in each [m].
-        scale: Units of the scene.
-
-    Raises:
-        ValueError: If one has a support that cannot be written.
+    `displacements` are what the linear model predicts in each [m]. The parameters, of
+    scaled values `z`, may also belong to loads and supports.
     """
     lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
     written = {}
-    for i, (configuration, u) in enumerate(
-        zip(configurations, displacements, strict=True)
-    ):
+    for i, configuration in enumerate(configurations):
         lane = jax.tree.map(lambda leaf, i=i: leaf[i], lanes.arrays)
         _, lane = space.apply(model, lane, z)
+        force = np.asarray(lane.dead_loads)
+        loaded = np.flatnonzero(np.any(force != 0.0, axis=1))
         written[configuration.name] = {
             "gravity": (scale.length * np.asarray(lane.acceleration)).tolist(),
             **_supports(model, configuration, lane, scale),
-            "forces": _forces(lane, scale),
+            "forces": {
+                "indices": loaded.tolist(),
+                "forces": (scale.force * force[loaded]).tolist(),
+            },
             **_actuators(model, lane, scale),
             "effectors": _effectors(
-                lane, lanes.effectors[i], model.mesh.points + np.asarray(u), scale
+                lane,
+                lanes.effectors[i],
+                model.mesh.points + np.asarray(displacements[i]),
+                scale,
             ),
             "stop at residual": _stop(model, lane, scale),
         }
@@ -109,33 +103,28 @@ def vertex_masses(model: Model) -> Float[HostArray, " n_nodes"]:
     return np.bincount(nodes, mass.ravel(), model.mesh.n_nodes)
 
 
-def _chambers(model: Model) -> list[int]:
-    """Return the indices of chambers among the actuators."""
-    kinds = model.mechanism.actuators.kinds
-    return [k for k, kind in enumerate(kinds) if kind is Chamber.kind]
-
-
 def _supports(
     model: Model, configuration: Configuration, lane: ConfigurationArrays, scale: Scale
 ) -> dict[str, Any]:
     fixed, imposed = np.asarray(lane.fixed), np.asarray(lane.imposed)
-    rest = np.asarray(lane.springs.rest)
-    if np.any(rest):
+    if np.any(np.asarray(lane.springs.rest)):
         raise ValueError(
             f"configuration {configuration.name!r}: an elastic support that is moved "
             "is not written, since SOFA's springs pull towards the rest shape. Leave "
             "its displacement out."
         )
     moved = np.flatnonzero(np.any(fixed & (imposed != 0.0), axis=1))
-    by_volume = np.asarray(lane.actuation.by_displacement)
-    if moved.size and any(by_volume[_chambers(model)]):
+    kinds = model.mechanism.actuators.kinds
+    chambers = [k for k, kind in enumerate(kinds) if kind is Chamber.kind]
+    by_displacement = np.asarray(lane.actuation.by_displacement)
+    if moved.size and any(by_displacement[chambers]):
         raise ValueError(
             f"configuration {configuration.name!r}: a chamber with an imposed volume "
             "is not written beside a support that is moved, since SOFA counts its "
             "growth from there. Impose its pressure."
         )
     ways = [tuple(row) for row in np.unique(fixed, axis=0).tolist() if any(row)]
-    coefficients = np.asarray(lane.springs.coefficients())
+    stiffness = scale.force / scale.length * np.asarray(lane.springs.coefficients())
     return {
         "held": [
             {
@@ -151,58 +140,44 @@ def _supports(
         "springs": [
             {
                 "directions": [int(axis == k) for k in range(3)],
-                "indices": np.flatnonzero(coefficients[:, axis]).tolist(),
-                "stiffness": (
-                    scale.force
-                    / scale.length
-                    * coefficients[coefficients[:, axis] != 0.0, axis]
-                ).tolist(),
+                "indices": np.flatnonzero(values).tolist(),
+                "stiffness": values[values != 0.0].tolist(),
             }
-            for axis in range(3)
-            if np.any(coefficients[:, axis])
+            for axis, values in enumerate(stiffness.T)
+            if np.any(values)
         ],
-    }
-
-
-def _forces(lane: ConfigurationArrays, scale: Scale) -> dict[str, Any]:
-    force = np.asarray(lane.dead_loads)
-    loaded = np.flatnonzero(np.any(force != 0.0, axis=1))
-    return {
-        "indices": loaded.tolist(),
-        "forces": (scale.force * force[loaded]).tolist(),
     }
 
 
 def _actuators(model: Model, lane: ConfigurationArrays, scale: Scale) -> dict[str, Any]:
     """Write cables, chambers and pressures that are imposed in a configuration."""
-    found: dict[str, Any] = {"cables": [], "chambers": []}
+    written: dict[str, Any] = {"cables": [], "chambers": []}
+    by_displacement = np.asarray(lane.actuation.by_displacement)
     for group in model.mechanism.actuators.groups:
         if isinstance(group, ChamberLids):
             continue  # without material, like the opening that SOFA sees
         owners = np.asarray(group.owner)
         for owner in np.unique(owners).tolist():
-            by_displacement = bool(np.asarray(lane.actuation.by_displacement)[owner])
-            given = lane.actuation.value if by_displacement else lane.actuation.forces
+            moves = bool(by_displacement[owner])
+            given = lane.actuation.value if moves else lane.actuation.forces
             value = float(np.asarray(given)[owner])
-            if value == 0.0 and not by_displacement:
+            if value == 0.0 and not moves:
                 continue  # slack, or without pressure
             check_rim(model, lane, owner, "SOFA")
             name = model.mechanism.actuators.names[owner]
             mine = np.flatnonzero(owners == owner)
             own = jax.tree.map(lambda leaf, mine=mine: np.asarray(leaf)[mine], group)
             cable = isinstance(own, CableSegments)
-            kind, unit = _IMPOSED[cable, by_displacement]
-            where = _path(model, own, name, scale) if cable else _wall(own)
+            kind, unit = _IMPOSED[cable, moves]
+            if cable:
+                where = _path(model, own, name, scale)
+            else:  # SOFA pushes along the normals: into the body
+                where = {"triangles": own.nodes[:, ::-1].tolist()}
             imposed = {"value": getattr(scale, unit) * value, "value type": kind}
-            found["cables" if cable else "chambers"].append(
+            written["cables" if cable else "chambers"].append(
                 {"name": name, **where, **imposed}
             )
-    return found
-
-
-def _wall(faces: Any) -> dict[str, Any]:
-    """Return triangles along whose normals SOFA pushes: into the body."""
-    return {"triangles": np.asarray(faces.nodes)[:, ::-1].tolist()}
+    return written
 
 
 def _path(

@@ -3,6 +3,7 @@
 import math
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -10,25 +11,34 @@ from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
 from softcal_jax._text_table import text_table
 from softcal_jax._units import readable_estimate
-from softcal_jax.calibration import CalibrationResult, HistoryEntry
-from softcal_jax.exchange.sofa._component import SofaLaw, SofaRelease, component_of
+from softcal_jax.calibration import CalibrationResult, HistoryEntry, calibrate
+from softcal_jax.equilibrium import Model, model_for_law
+from softcal_jax.exchange.sofa._component import (
+    SCALES,
+    PluginElasticity,
+    SofaLaw,
+    SofaRelease,
+    SofaUnits,
+    component_of,
+    law_for_sofa,
+)
 from softcal_jax.exchange.sofa._configurations import (
     check_robot,
     scene_configurations,
     vertex_masses,
 )
-from softcal_jax.exchange.sofa._recalibrate import (
-    linear_project,
-    model_of_sofa,
-    recalibrate,
-)
-from softcal_jax.exchange.sofa._units import SofaUnits, scale_of
 from softcal_jax.exchange.sofa._write import Scene, write_scene
 from softcal_jax.export import check_results_folder
+from softcal_jax.fields import exactly_known
 from softcal_jax.materials import SofaRotation
+from softcal_jax.project import Project, load_project
 from softcal_jax.report import LoadedResult, load_result
 
 _MODELS = ("calibrated model", "SOFA, same values", "SOFA, own values")
+
+
+class NotConvergedError(RuntimeError):
+    """The model of SOFA could not be calibrated, so nothing is written."""
 
 
 class SofaExport(Module):
@@ -79,7 +89,6 @@ def export_sofa(
     law: SofaLaw = "same",
     rotation: SofaRotation = "edge",
     force: bool = False,
-    began: Callable[[], None] | None = None,
     progress: Callable[[HistoryEntry], None] | None = None,
 ) -> SofaExport:
     """Write a calibrated robot as a static scene of SOFA, calibrated again for it.
@@ -104,7 +113,6 @@ def export_sofa(
         rotation: Rotation of the corotational tets, see `SofaCorotational`; laws with a
             fibre take that of the plugin Anisotropy.
         force: Replace an earlier scene; files that a user added stay.
-        began: Called once nothing is left to refuse and the calibration begins.
         progress: Called after each step of the calibration.
 
     Raises:
@@ -117,21 +125,25 @@ def export_sofa(
         ValueError: If an option is unknown, or the law, the robot or a support has no
             counterpart in SOFA; the text says why, and what to do.
     """
-    scale = scale_of(units)
-    if release not in get_args(SofaRelease):
-        raise unknown_name("release", release, get_args(SofaRelease))
-    if law not in get_args(SofaLaw):
-        raise unknown_name("law", law, get_args(SofaLaw))
+    for kind, name, known in (
+        ("release", release, get_args(SofaRelease)),
+        ("unit system", units, get_args(SofaUnits)),
+        ("law", law, get_args(SofaLaw)),
+    ):
+        if name not in known:
+            raise unknown_name(kind, name, known)
+    scale = SCALES[units]
     folder = Path(directory)
     check_results_folder(folder, force=force)
     loaded = result if isinstance(result, LoadedResult) else load_result(result)
-    project = linear_project(loaded)
+    project = loaded.project
+    if project.model.mesh.order == 2:  # which SOFA does not run
+        changes = {**project.source.changes, "mesh.element": "linear"}
+        project = load_project(project.path, changes=changes)
     check_robot(project.model)
-    model = model_of_sofa(project, law, rotation)
+    model = _model_of_sofa(project, law, rotation)
     component_of(model.law, model.n_tets, release, scale)  # before the work is done
-    if began is not None:
-        began()
-    refitted = recalibrate(loaded, project, model, progress=progress)
+    refitted = _recalibrate(loaded, project, model, progress=progress)
     solved = {c.name: c for c in refitted.configurations if c.converged}
     posed = [c for c in project.configurations if c.name in solved]
     if not posed:
@@ -139,9 +151,8 @@ def export_sofa(
     scene = Scene(
         name=project.name,
         release=release,
-        units=scale.words,
+        scale=scale,
         mesh=model.mesh,
-        length=scale.length,
         elasticity=component_of(refitted.model.law, model.n_tets, release, scale),
         vertex_mass=vertex_masses(refitted.model),
         configurations=scene_configurations(
@@ -163,6 +174,55 @@ def export_sofa(
     )
     write_scene(folder, scene, text=export.lines, notes=export.notes, force=force)
     return export
+
+
+def _model_of_sofa(project: Project, law: SofaLaw, rotation: SofaRotation) -> Model:
+    """Return the model of a linear project with the law that SOFA computes."""
+    model = project.model
+    own = law_for_sofa(model.law, model.mesh, choice=law, rotation=rotation)
+    assert project.space is not None  # it has been calibrated
+    of_plugin = isinstance(getattr(own, "elasticity", None), PluginElasticity)
+    if of_plugin and "mu_l" in project.space.field_names:
+        raise ValueError(
+            "mu_l is a parameter, but the plugin Anisotropy takes the shear modulus "
+            "along the fibre from E_t; calibrate without it, and export that."
+        )
+    return model_for_law(model, own)
+
+
+def _recalibrate(
+    result: LoadedResult,
+    project: Project,
+    model: Model,
+    *,
+    progress: Callable[[HistoryEntry], None] | None = None,
+) -> CalibrationResult:
+    """Fit the model of SOFA to the same measurements, from the calibrated values.
+
+    Standard errors are left out: the values make up for the mesh, and belong to it.
+    """
+    assert project.space is not None  # it has been calibrated
+    found = calibrate(
+        model,
+        project.space,
+        project.calibration,
+        validation=project.validation,
+        noise=project.noise,
+        uncertain=replace(exactly_known(), recordings=project.uncertain.recordings),
+        precision=project.precision,
+        settings=project.settings,
+        newton=project.newton,
+        start=result.z,
+        intervals=None,
+        progress=progress,
+    )
+    if not found.converged:
+        raise NotConvergedError(
+            f"the calibration of the model of SOFA did not converge after "
+            f"{len(found.history) - 1} steps: "
+            f"{' '.join(found.notes) or 'raise max_steps under [settings].'}"
+        )
+    return found
 
 
 def _notes(refitted: CalibrationResult, scene: Scene) -> tuple[str, ...]:

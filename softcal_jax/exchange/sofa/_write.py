@@ -6,11 +6,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.exchange.sofa._component import Component
+from softcal_jax.exchange.sofa._component import Component, Scale
 from softcal_jax.export import file_stems, results_folder, write_json
 from softcal_jax.mesh import TetMesh
-
-FORMAT = "softcal_jax.sofa/1"
 
 _FULL_RELEASE = {"v25.12": "v25.12.00", "v26.06": "v26.06.00"}
 
@@ -23,24 +21,12 @@ _NEEDED = {
 
 
 class Scene(NamedTuple):
-    """All that is written of a scene, but for its script.
-
-    Attributes:
-        name: Name of the project.
-        release: Release of SOFA.
-        units: Unit of each quantity, by its name.
-        mesh: The linear mesh [m].
-        length: Factor from metres to the length unit.
-        elasticity: The component of the law.
-        vertex_mass: Mass of each node [kg].
-        configurations: Configurations by name, see `scene_configurations`.
-    """
+    """All of a scene but its script, with the mesh in m and masses in kg."""
 
     name: str
     release: str
-    units: dict[str, str]
+    scale: Scale
     mesh: TetMesh
-    length: float
     elasticity: Component
     vertex_mass: Float[HostArray, " n_nodes"]
     configurations: dict[str, dict[str, Any]]
@@ -48,12 +34,12 @@ class Scene(NamedTuple):
     @property
     def driven(self) -> list[str]:
         """Names of the configurations with cables or chambers."""
-        found = self.configurations.items()
-        return [name for name, own in found if own["cables"] or own["chambers"]]
+        posed = self.configurations.items()
+        return [name for name, own in posed if own["cables"] or own["chambers"]]
 
     @property
     def plugins(self) -> list[str]:
-        """Plugins that are not part of SOFA itself."""
+        """Those that are not part of SOFA itself."""
         own = self.elasticity.plugin
         return ["SoftRobots"] * bool(self.driven) + [own] * (own in _NEEDED)
 
@@ -68,18 +54,9 @@ def write_scene(
 ) -> None:
     """Write a scene to a folder, whole or not at all.
 
-    Args:
-        directory: The folder.
-        scene: The scene.
-        text: Lines on the calibration, for README.md, in columns.
-        notes: What to know of the scene, likewise.
-        force: Replace an earlier scene.
-
-    Raises:
-        FileExistsError: If the folder is not empty, and `force` is off or it does not
-            hold results of softcal_jax.
+    README.md quotes `text`, lines on the calibration in columns, and `notes`.
     """
-    points = scene.length * scene.mesh.points
+    points = scene.scale.length * scene.mesh.points
     stems = file_stems(list(scene.configurations))
     named = zip(scene.configurations.items(), stems, strict=True)
     files = ["robot.vtk", "scene.py", "README.md"]
@@ -89,10 +66,10 @@ def write_scene(
         lines = _readme(scene, text, notes)
         (folder / files[2]).write_text("\n".join(lines) + "\n", encoding="utf-8")
         data = {
-            "format": FORMAT,
+            "format": "softcal_jax.sofa/1",
             "name": scene.name,
             "release": scene.release,
-            "units": scene.units,
+            "units": scene.scale.words,
             "elasticity": scene.elasticity._asdict(),
             "positions": points.tolist(),
             "vertex mass": scene.vertex_mass.tolist(),
@@ -130,10 +107,16 @@ def _write_vtk(
 def _readme(scene: Scene, text: Sequence[str], notes: Sequence[str]) -> list[str]:
     """Say what is needed, how to run the scene, and what to expect of it."""
     first, *_ = scene.configurations
-    units = ", ".join(f"{what} {unit}" for what, unit in scene.units.items())
+    units = ", ".join(f"{what} {unit}" for what, unit in scene.scale.words.items())
     needed = [f"- {_NEEDED[plugin]}." for plugin in scene.plugins]
     loaded = "".join(f" -l {plugin}" for plugin in ["SofaPython3", *scene.plugins])
     steps = 100 if first in scene.driven else 1
+    on_driven = [
+        "",
+        f"With cables or chambers: {', '.join(scene.driven)}. SOFA solves these in "
+        "time, by long implicit steps that lose all motion: run on until the effectors "
+        "stand still. If they do not, shorten TIME_STEP in scene.py.",
+    ]
     return [
         f"# {scene.name} in SOFA",
         "",
@@ -154,7 +137,7 @@ def _readme(scene: Scene, text: Sequence[str], notes: Sequence[str]) -> list[str
         "",
         f"Configurations: {', '.join(scene.configurations)}. The first is run, another "
         "one with the environment variable SOFTCAL_CONFIGURATION set to its name.",
-        *_on_driven(scene.driven),
+        *(on_driven if scene.driven else []),
         "",
         f"Units: {units}, mass kg, time s. The law is that of "
         f"`{scene.elasticity.component}`.",
@@ -169,15 +152,4 @@ def _readme(scene: Scene, text: Sequence[str], notes: Sequence[str]) -> list[str
         *text,
         "```",
         *(line for note in notes for line in ("", note)),
-    ]
-
-
-def _on_driven(driven: Sequence[str]) -> list[str]:
-    if not driven:
-        return []
-    return [
-        "",
-        f"With cables or chambers: {', '.join(driven)}. SOFA solves these in time, by "
-        "long implicit steps that lose all motion: run on until the effectors stand "
-        "still. If they do not, shorten TIME_STEP in scene.py.",
     ]

@@ -14,8 +14,13 @@ from softcal_jax.exchange.camera import (
     tag_cells,
     write_tags,
 )
-from softcal_jax.exchange.camera._print import INCH, PAPERS, board_page, tag_pages
-from softcal_jax.exchange.camera._sheet import FIRST_OF_BOARD
+from softcal_jax.exchange.camera._sheet import (
+    FIRST_OF_BOARD,
+    INCH,
+    PAPERS,
+    board_page,
+    tag_pages,
+)
 
 DPI = 200.0
 

@@ -50,7 +50,7 @@ from softcal_jax.materials import (
     TransverseIsotropic,
     Yeoh,
 )
-from softcal_jax.mesh import beam, read_mesh
+from softcal_jax.mesh import read_mesh
 
 
 class Block(NamedTuple):
@@ -301,16 +301,6 @@ def test_what_differs_is_said_and_stands_in_the_file(law, said, tmp_path):
     text = (tmp_path / "job.inp").read_text()
     comments = [line[3:] for line in text.splitlines() if line.startswith("** ")]
     assert said in " ".join(comments)
-
-
-def test_many_materials_are_counted(tmp_path):
-    mesh = beam(*SIZE, (7, 5, 5))
-    model = build_model(
-        mesh, NeoHookean(np.linspace(1e5, 2e5, mesh.n_tets), 0.4), density=1e3
-    )
-    lane = lane_of(model, Configuration("droop", "x_min"))
-    notes = write_inp(tmp_path / "job.inp", model, lane)
-    assert f"{mesh.n_tets} materials for {mesh.n_tets} tets" in " ".join(notes)
 
 
 PER_POINT = PointValues(jnp.full((12, 4), 2e5))

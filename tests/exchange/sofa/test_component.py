@@ -7,8 +7,7 @@ import pytest
 
 import softcal_jax as sc
 from softcal_jax.exchange.sofa import PluginElasticity, export_sofa
-from softcal_jax.exchange.sofa._component import component_of, law_for_sofa
-from softcal_jax.exchange.sofa._units import scale_of
+from softcal_jax.exchange.sofa._component import SCALES, component_of, law_for_sofa
 from softcal_jax.materials import (
     ClassicalCorotational,
     Gent,
@@ -20,7 +19,7 @@ from softcal_jax.materials import (
 from softcal_jax.mesh import beam
 
 MESH = beam(1.0, 1.0, 1.0, (1, 1, 1))
-MM = scale_of("mm-kg-s")
+MM = SCALES["mm-kg-s"]
 FIBRE = sc.Fibre(0.3)
 
 

@@ -21,8 +21,8 @@ from benchmarks._sofa_scenes import (
     hollow_beam,
     posed,
 )
+from softcal_jax.exchange.sofa._component import SCALES
 from softcal_jax.exchange.sofa._configurations import check_robot, scene_configurations
-from softcal_jax.exchange.sofa._units import scale_of
 from softcal_jax.materials import SofaCorotational
 
 FACTORS = {"mm-kg-s": 1e3, "SI": 1.0}
@@ -155,7 +155,7 @@ def written(configuration, *actuators, mesh=None):
         space.start(),
         [configuration],
         [np.zeros(mesh.points.shape)],
-        scale_of("mm-kg-s"),
+        SCALES["mm-kg-s"],
     )
     return found[configuration.name]
 
