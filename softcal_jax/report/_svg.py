@@ -133,12 +133,6 @@ def circle(x: str, y: float, *, filled: bool = True) -> Html:
     return node("circle", cx=x, cy=f"{y:.1f}", r="5", **look)
 
 
-def dot(x: str, y: float) -> Html:
-    """Draw one of many points, through which others are seen."""
-    look = {"fill": BLUE, "fill_opacity": "0.55", "stroke": BLUE}
-    return node("circle", cx=x, cy=f"{y:.1f}", r="4", **look)
-
-
 def text(words: str, x: str, y: float, **look: str) -> Html:
     """Write words at a place."""
     return node("text", words, x=x, y=f"{y:.1f}", **look)

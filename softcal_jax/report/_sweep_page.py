@@ -6,10 +6,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from softcal_jax._text_table import TextTable
 from softcal_jax.export import file_dict, made_dict
 from softcal_jax.identifiability import RunVerdict
-from softcal_jax.report._html import Html, Section, bullets, node, page, table_html
+from softcal_jax.plotting import plot_trials
+from softcal_jax.report._html import (
+    Html,
+    Section,
+    bullets,
+    figure,
+    node,
+    page,
+    picture,
+    table_html,
+)
 from softcal_jax.report._provenance import (
     REPEATED,
     command_html,
@@ -18,8 +27,7 @@ from softcal_jax.report._provenance import (
     made_html,
     made_in_python,
 )
-from softcal_jax.report._trial_charts import value_charts
-from softcal_jax.sweeps import Sweep, SweepResult, SweepSummary, summarise
+from softcal_jax.sweeps import Sweep, SweepResult, SweepSummary, SweptAxis, summarise
 
 KIND = "Sweep"
 """What was done, as the page calls it; by it an earlier page is known."""
@@ -98,32 +106,29 @@ def _sweep_page(
     found = summarise(result)
     made = made_dict(None if sweep is None else sweep.made, database.parent)
     data = {**made, "timing_s": timing_s, "files": [database.name]}
-    best = [] if found.best is None else [node("p", found.best_in_words)]
-    best += [] if found.best is None else [table_html(found.best)]
-    means = "Mean ± standard deviation over the trials that converged."
+    notes = [bullets(found.notes)] if found.notes else []
+    best, means, spread, trials = [], [], [], []
+    if found.best is not None:
+        best = [node("p", found.best_in_words), table_html(found.best)]
+    if found.groups:
+        text = "Mean ± standard deviation over the trials that converged."
+        means = [node("p", text), table_html(found.groups)]
+    if result.rows:
+        trials = _trials(found)
+        spread = [node("p", "No trial has converged: there is nothing to average.")]
+    if found.spread.rows:
+        spread = [table_html(found.spread)]
     sections = [
-        Section("notes", "Notes", [bullets(found.notes)] if found.notes else []),
+        Section("notes", "Notes", notes),
         Section("varied", "What was varied", [table_html(found.varied)]),
         Section("best", "Best trials", best),
-        Section(
-            "means",
-            "Means over repetitions",
-            [node("p", means), table_html(found.groups)] if found.groups else [],
-        ),
-        Section(
-            "spread",
-            "Spread of all trials",
-            _spread(found.spread) if result.rows else [],
-        ),
+        Section("means", "Means over repetitions", means),
+        Section("spread", "Spread of all trials", spread),
         *(
-            Section(
-                f"axis{k}",
-                f"By {axis.name}",
-                [node("div", *value_charts(*axis), class_="charts")],
-            )
+            Section(f"axis{k}", f"By {axis.name}", [_drawn(axis)])
             for k, axis in enumerate(found.axes)
         ),
-        Section("trials", "All trials", _trials(found) if result.rows else []),
+        Section("trials", "All trials", trials),
         Section("repeat", "Repeat it", _repeat(sweep, made, database)),
         Section("made", "Settings, versions and times", made_html(data)),
     ]
@@ -131,10 +136,13 @@ def _sweep_page(
     return page(result.name, KIND, verdict, sections, index=database.name, units="SI")
 
 
-def _spread(found: TextTable) -> list[Html]:
-    if not found.rows:
-        return [node("p", "No trial has converged, so there is nothing to average.")]
-    return [table_html(found)]
+def _drawn(axis: SweptAxis) -> Html:
+    """Draw the trials over an axis, as `softcal sweep plot` does."""
+    what = f"{', '.join(axis.figures)} over {axis.name}"
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "trials.svg"
+        plot_trials({axis.name: axis.values}, axis.figures, path)
+        return figure(picture(path, what), f"{what}: one dot per trial.")
 
 
 def _trials(found: SweepSummary) -> list[Html]:
