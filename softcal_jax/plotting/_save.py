@@ -4,12 +4,32 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    import matplotlib.axes
     import matplotlib.figure
 
 DPI = 100
 """Pixels per inch of figures and of the images within them."""
 
 _FORMATS = {".png": "png", ".svg": "svg"}
+
+
+def pixel_figure(width: float, height: float) -> "matplotlib.figure.Figure":
+    """Make a white figure of a size in pixels."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor="white")
+
+
+def add_axes(
+    figure: "matplotlib.figure.Figure",
+    left: float,
+    bottom: float,
+    width: float,
+    height: float,
+) -> "matplotlib.axes.Axes":
+    """Add axes at a place in pixels, from the lower left corner."""
+    x, y = DPI * figure.get_size_inches()
+    return figure.add_axes((left / x, bottom / y, width / x, height / y))
 
 
 def save(
