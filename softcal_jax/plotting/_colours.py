@@ -35,6 +35,7 @@ MARKS = {
     "wall": WALL,
     "motor": MOTOR,
     "force": FORCE,
+    "load": FORCE,
     "gravity": GRAVITY,
     "rigid": RIGID,
     "frame": GRAVITY,

@@ -83,28 +83,6 @@ def budget_table(result: CalibrationResult) -> TextTable:
     return text_table("Standard errors by cause", columns, rows)
 
 
-def cause_table(result: CalibrationResult) -> TextTable:
-    """Tabulate the standard error of each parameter by each cause alone."""
-    budget, total = result.budget, result.budget.standard_errors
-    by_cause = budget.by_cause()
-
-    def cell(i: int, std: float) -> str:
-        return budget.readable(i, std) if np.isfinite(std) else "-"
-
-    rows = [
-        (
-            name,
-            cell(i, float(total[i])),
-            *(cell(i, float(own[i])) for own in by_cause.values()),
-        )
-        for i, name in enumerate(budget.names)
-    ]
-    columns = "parameter", "all causes", *by_cause
-    return text_table(
-        "Standard error over the value, by each cause alone", columns, rows
-    )
-
-
 def interval_tables(result: CalibrationResult) -> list[TextTable]:
     """Tabulate the intervals of the parameters, and how each was found."""
     if not result.intervals:

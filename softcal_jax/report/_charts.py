@@ -1,7 +1,11 @@
-"""Charts of a page; what colours tell apart, shapes, patterns or words tell too."""
+"""Charts of a page; what colours tell apart, shapes, patterns or words tell too.
+
+They are SVG whose text keeps its size, however wide the page is: places along the width
+are percentages, and those along the height pixels.
+"""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,16 +21,8 @@ from softcal_jax.identifiability import Identifiability, percent
 from softcal_jax.inference import ErrorBudget
 from softcal_jax.report._calibration import distance
 from softcal_jax.report._html import Html, figure, joined, node
-from softcal_jax.report._svg import (
-    BLUE,
-    INK,
-    circle,
-    line,
-    row,
-    row_line,
-    row_scale,
-    upright,
-)
+
+INK, BLUE, LINE, PAPER = "#1a1a1a", "#0b4f8a", "#c8c8c8", "#ffffff"
 
 MOST_BARS = 24
 """Most rows of a chart."""
@@ -212,3 +208,41 @@ def _ratios(rows: Sequence[_Ratio], caption: str) -> list[Html]:
     if len(rows) > MOST_BARS:
         caption += f" {len(rows) - MOST_BARS} more are in the table."
     return [figure(joined(drawn), caption)]
+
+
+def row(title: str, parts: Sequence[Html], words: str, *, height: int = 28) -> Html:
+    """Put a chart of one row between its title and the same in words."""
+    drawn = node("svg", *parts, height=str(height), aria_hidden="true")
+    head = node("p", node("strong", title))
+    return node("div", head, drawn, node("p", words), class_="row")
+
+
+def row_scale(low: float, high: float) -> Callable[[float], str]:
+    """Return what places a value in a row from its lowest and its highest."""
+    return lambda value: f"{2.0 + 96.0 * (value - low) / (high - low):.2f}%"
+
+
+def row_line() -> Html:
+    """Draw the line on which the values of a row stand."""
+    return line("2%", 14, "98%", 14, stroke=LINE)
+
+
+def upright(x: str) -> Html:
+    """Draw an upright mark across a row."""
+    return line(x, 3, x, 25, stroke=INK, stroke_width="3")
+
+
+def line(x1: str, y1: float, x2: str, y2: float, **look: str) -> Html:
+    """Draw a straight line."""
+    return node("line", x1=x1, y1=f"{y1:.1f}", x2=x2, y2=f"{y2:.1f}", **look)
+
+
+def circle(x: str, y: float, *, filled: bool = True) -> Html:
+    """Draw a circle, filled or open."""
+    look = {"fill": BLUE if filled else PAPER, "stroke": BLUE, "stroke_width": "2"}
+    return node("circle", cx=x, cy=f"{y:.1f}", r="5", **look)
+
+
+def text(words: str, x: str, y: float, **look: str) -> Html:
+    """Write words at a place."""
+    return node("text", words, x=x, y=f"{y:.1f}", **look)

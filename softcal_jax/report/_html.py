@@ -80,9 +80,15 @@ def joined(parts: Iterable[Html]) -> Html:
     return Html("\n".join(parts))
 
 
-def bullets(lines: Iterable[str], **attributes: str) -> Html:
-    """Make a list of sentences."""
-    return node("ul", *(node("li", line) for line in lines), **attributes)
+def bullets(lines: Iterable[str]) -> Html:
+    """Make a list of sentences; nothing of none."""
+    items = [node("li", line) for line in lines]
+    return node("ul", *items) if items else Html("")
+
+
+def sentences(lines: Iterable[str]) -> list[Html]:
+    """Make a paragraph of each sentence; empty ones are left out."""
+    return [node("p", line) for line in lines if line]
 
 
 def table_html(table: TextTable) -> Html:
@@ -169,7 +175,7 @@ def page(
     if script:
         digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
         policy += f"; script-src 'sha256-{digest}'"
-    shown = [own for own in sections if own.content]
+    shown = [own for own in sections if any(own.content)]
     head = node(
         "head",
         node("meta", charset="utf-8"),
@@ -218,15 +224,9 @@ def _style() -> Html:
 
 
 def verdict_html(verdict: RunVerdict) -> Html:
-    reasons = [bullets(verdict.reasons)] if verdict.reasons else []
-    sentence = node("p", node("strong", verdict.sentence))
-    return node(
-        "section",
-        node("h2", "Verdict"),
-        sentence,
-        *reasons,
-        class_=f"verdict {verdict.tone}",
-    )
+    said = node("p", node("strong", verdict.sentence)), bullets(verdict.reasons)
+    head = node("h2", "Verdict")
+    return node("section", head, *said, class_=f"verdict {verdict.tone}")
 
 
 def _section(own: Section) -> Html:

@@ -8,11 +8,10 @@ import numpy as np
 from softcal_jax._text_table import Cell, TextTable, text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.control import GoalFit, InverseResult, TrajectoryResult
-from softcal_jax.equilibrium import ActuatorState
 from softcal_jax.export import readable_values
 from softcal_jax.identifiability import RunVerdict
 from softcal_jax.report._charts import goal_chart
-from softcal_jax.report._html import Html, bullets, node, table_html
+from softcal_jax.report._html import Html, bullets, sentences, table_html
 from softcal_jax.report._robot import actuator_row
 
 
@@ -26,29 +25,21 @@ def inverse_verdict(result: InverseResult | TrajectoryResult) -> RunVerdict:
     return RunVerdict(result.message, "good" if result.met else "doubtful", reasons)
 
 
-def inverse_html(result: InverseResult) -> list[Html]:
-    """Show how close the goals are, and what the actuators do."""
-    drawn = goal_chart([(_titled(fit), fit) for fit in result.goals], result.tol)
-    tables = map(table_html, (goal_table(result.goals), actuator_table(result)))
-    limits = []
-    if result.active_limits:
-        limits = [node("p", "Limits that are reached:"), bullets(result.active_limits)]
-    return [*drawn, *tables, *limits]
-
-
-def trajectory_html(result: TrajectoryResult) -> list[Html]:
-    """Show the commands along a trajectory, and how close each goal is."""
-    rows = []
+def inverse_html(result: InverseResult | TrajectoryResult) -> list[Html]:
+    """Show how close the goals are, and what the actuators do there."""
+    if isinstance(result, InverseResult):
+        drawn = goal_chart([(_titled(fit), fit) for fit in result.goals], result.tol)
+        tables = map(table_html, (goal_table(result.goals), actuator_table(result)))
+        limits = "Limits that are reached:" if result.active_limits else ""
+        reached = [*sentences([limits]), bullets(result.active_limits)]
+        return [*drawn, *tables, *reached]
+    rows, goals = [], []
     for i, point in enumerate(result.points, 1):
         outcome = Cell(point.message, "good" if point.met else "bad")
         rows.append((str(i), _inputs(point), outcome))
+        goals += [(f"goal {i}, {_titled(fit)}", fit) for fit in point.goals]
+    drawn = goal_chart(goals, result.points[0].tol) if goals else []
     columns = "goal", "inputs", "outcome"
-    goals = [
-        (f"goal {i}, {_titled(fit)}", fit)
-        for i, point in enumerate(result.points, 1)
-        for fit in point.goals
-    ]
-    drawn = goal_chart(goals, result.points[0].tol) if result.points else []
     table = text_table("Commands", columns, rows, words=["inputs"])
     return [*drawn, table_html(table)]
 
@@ -66,10 +57,15 @@ def _titled(fit: GoalFit) -> str:
 
 def goal_table(goals: Sequence[GoalFit]) -> TextTable:
     """Tabulate goals, what is reached, and how far that is off."""
-    rows = []
-    for fit in goals:
-        goal, there = _coordinates(fit, fit.effector.measured), fit.reached
-        rows.append((_titled(fit), goal, _coordinates(fit, there), fit.off))
+    rows = [
+        (
+            _titled(fit),
+            _coordinates(fit, fit.effector.measured),
+            _coordinates(fit, fit.reached),
+            fit.off,
+        )
+        for fit in goals
+    ]
     return text_table("Goals", ("effector", "goal", "reached", "off by"), rows)
 
 
@@ -87,32 +83,26 @@ def actuator_table(result: InverseResult) -> TextTable:
     columns = "actuator", "kind", "force", "displacement"
     rows = []
     for own in result.actuators:
-        name, force, displacement = actuator_row(own)
+        name, *shown = actuator_row(own)
         commanded = name in result.configuration.actuation
-        tone = "strong" if commanded else "plain"
-        by_force = own.imposed == "force"
-        rows.append(
-            (
-                name,
-                own.kind if commanded else f"{own.kind}, not commanded",
-                Cell(force, tone if by_force else "plain"),
-                Cell(displacement, "plain" if by_force else tone),
-            )
-        )
+        cells = [Cell(text) for text in shown]
+        if commanded:
+            k = int(own.imposed == "displacement")
+            cells[k] = Cell(shown[k], "strong")
+        kind = own.kind if commanded else f"{own.kind}, not commanded"
+        rows.append((name, kind, *cells))
     return text_table("Actuators", columns, rows)
 
 
 def _inputs(result: InverseResult) -> str:
     """Write what is commanded."""
-    asked = result.configuration.actuation
-    return ", ".join(_input(own) for own in result.actuators if own.name in asked)
-
-
-def _input(own: ActuatorState) -> str:
-    """Write what is imposed on an actuator."""
-    value, unit = own.force, own.force_unit
-    if own.imposed == "displacement":
-        assert own.displacement is not None
-        assert own.displacement_unit is not None
-        value, unit = own.displacement, own.displacement_unit
-    return f"{own.name} = {readable_values([value], unit)}"
+    words = []
+    for own in result.actuators:
+        value, unit = own.force, own.force_unit
+        if own.imposed == "displacement":
+            assert own.displacement is not None
+            assert own.displacement_unit is not None
+            value, unit = own.displacement, own.displacement_unit
+        if own.name in result.configuration.actuation:
+            words.append(f"{own.name} = {readable_values([value], unit)}")
+    return ", ".join(words)

@@ -1,6 +1,7 @@
 """The folder of an inverse run: page, JSON, bodies and pictures."""
 
 from collections.abc import Mapping, Sequence
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +23,14 @@ from softcal_jax.export import (
     write_vtu,
 )
 from softcal_jax.plotting import render_body
-from softcal_jax.report._html import Section, bullets, page, table_html
+from softcal_jax.report._html import Html, Section, bullets, page, table_html
 from softcal_jax.report._inverse import (
     attempts_table,
     inverse_html,
     inverse_verdict,
-    trajectory_html,
 )
 from softcal_jax.report._pages import REPORT, shown_pictures
-from softcal_jax.report._provenance import inverse_repeat_html, made_html
+from softcal_jax.report._provenance import closing, files_of
 from softcal_jax.report._write import COLLECTION, Picture, Told, picture_problem
 
 
@@ -82,52 +82,52 @@ def write_inverse(
         raise ValueError("the trajectory has no goals, so there is nothing to write.")
     more: dict[str, Any] = {"made": made, "directory": directory}
     data = inverse_dict(result, name=name, timing_s=timing_s, **more)
-    names = [
-        "command" if len(points) == 1 else f"goal {i}"
-        for i in range(1, len(points) + 1)
-    ]
+    names = ["command"]
+    if len(points) > 1:
+        names = [f"goal {i}" for i in range(1, len(points) + 1)]
     stems = file_stems(names)
-    there = [
-        stem
-        for point, stem in zip(points, stems, strict=True)
-        if bool(point.solution.converged)
-    ]
-    problem = picture_problem(there, pictures)
+    solved = [bool(point.solution.converged) for point in points]
+    problem = picture_problem(list(compress(stems, solved)), pictures)
     data["notes"] = [*notes, *([problem] if problem else [])]
     own = None if calibration is None else SourceFile.of(Path(calibration))
     data["calibration"] = own and file_dict(own, directory)
     suffix = None if problem else pictures
-    files, bodies, entries = [], [], []
+    files, bodies, captions = [], [], {}
     with results_folder(directory, force=force) as folder:
         told(0, len(points))
-        for done, (point, title, stem) in enumerate(
-            zip(points, names, stems, strict=True), start=1
+        for k, (point, title, stem) in enumerate(
+            zip(points, names, stems, strict=True)
         ):
-            written = _write_body(folder, point, stem, title, suffix)
-            entries.append({"name": title, "files": written})
-            files += written
-            if written:
+            if solved[k]:
+                written = _write_body(folder, point, stem, title, suffix)
+                captions |= dict.fromkeys(written, f"{title}: {_SEEN}")
+                files += written
                 bodies.append([file for file in written if file.endswith(".vtu")])
-            told(done, len(points))
+            told(k + 1, len(points))
         if bodies:
             write_pvd(folder / COLLECTION, bodies)
             files.insert(0, COLLECTION)
         data["files"] = [REPORT, *files]
-        text = _page(result, data, entries, folder, options)
+        shown = shown_pictures(captions, folder)
+        text = _page(result, data, shown, options)
         (folder / REPORT).write_text(text, encoding="utf-8")
         write_json(folder / "inverse.json", data)
     return Path(directory)
+
+
+_SEEN = (
+    "the body at the commands found, coloured by displacement, with the goals "
+    "(circles) and what is reached (crosses)"
+)
+"""What a picture shows."""
 
 
 def _write_body(
     folder: Path, point: InverseResult, stem: str, title: str, suffix: Picture | None
 ) -> list[str]:
     """Write the equilibrium of a command, and return the names of the files."""
-    if not bool(point.solution.converged):
-        return []
     model = point.model
-    displacement = np.asarray(point.solution.displacement)
-    u = displacement[: model.mesh.n_nodes]
+    u = np.asarray(point.solution.displacement)[: model.mesh.n_nodes]
     files = [f"{stem}.vtu"]
     write_vtu(folder / files[0], model, u)
     # On the host: on the device, each shape would compile a program.
@@ -144,13 +144,12 @@ def _write_body(
             np.where(fit.effector.seen, fit.effector.measured, fit.reached)
             for fit in fits
         ]
-        words = "all goals are met" if point.met else "not all goals are met"
         render_body(
             model,
             u,
             folder / files[-1],
             title=f"{title} - inverse control from {point.configuration.name!r}",
-            subtitle=words,
+            subtitle="all goals are met" if point.met else "not all goals are met",
             measured=np.array(goals) if fits else None,
             simulated=np.array([fit.reached for fit in fits]) if fits else None,
             marker_names=[fit.name for fit in fits],
@@ -164,31 +163,23 @@ def _write_body(
 def _page(
     result: InverseResult | TrajectoryResult,
     data: Mapping[str, Any],
-    entries: Sequence[Mapping[str, Any]],
-    folder: Path,
+    pictures: Sequence[Html],
     options: Sequence[str],
 ) -> str:
-    words = (
-        "the body at the commands found, coloured by displacement, with the goals "
-        "(circles) and what is reached (crosses)"
-    )
-    captions = {
-        file: f"{own['name']}: {words}" for own in entries for file in own["files"]
-    }
-    if isinstance(result, InverseResult):
-        found = Section("goals", "Goals and actuators", inverse_html(result))
-        search = [table_html(attempts_table(result))] if result.attempts else []
-    else:
-        found = Section("goals", "Goals and commands", trajectory_html(result))
-        search = []
-    notes = data["notes"]
+    search = []
+    if isinstance(result, InverseResult) and result.attempts:
+        search = [table_html(attempts_table(result))]
+    loaded, source = data["calibration"], data["source"]
+    files = [] if source is None else files_of(source)
+    words = []
+    if loaded is not None:
+        words, files = ["inverse", loaded["file"], *options], [loaded, *files]
     sections = [
-        Section("notes", "Notes", [bullets(notes)] if notes else []),
-        found,
-        Section("pictures", "Pictures", shown_pictures(captions, folder)),
+        Section("notes", "Notes", [bullets(data["notes"])]),
+        Section("goals", "Goals and commands", inverse_html(result)),
+        Section("pictures", "Pictures", pictures),
         Section("search", "Course of the search", search),
-        Section("repeat", "Repeat it", inverse_repeat_html(data, options)),
-        Section("made", "Settings, versions and times", made_html(data)),
+        *closing(data, words, files=files),
     ]
     verdict = inverse_verdict(result)
     of = {"index": "inverse.json", "units": "SI"}

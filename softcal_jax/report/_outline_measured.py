@@ -20,9 +20,7 @@ def measured_rows(
 ) -> list[tuple[str, ...]]:
     """List what is measured in each configuration: markers together, others alone."""
     records = {c.name: seen for c, seen in zip(posed, lanes.effectors, strict=True)}
-    rows: list[tuple[str, ...]] = [
-        ("configuration", "what", "value", "standard deviation")
-    ]
+    rows: list[tuple[str, ...]] = []
     for c in posed:
         n = 0 if c.markers is None else len(c.markers.names)
         markers, others = records[c.name][:n], records[c.name][n:]

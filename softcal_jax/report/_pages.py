@@ -1,6 +1,6 @@
 """The page of each kind of run."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,6 @@ from softcal_jax.report._calibration import (
     beyond_prior,
     blindness,
     budget_table,
-    cause_table,
     correlation_table,
     error_tables,
     held_out_sentences,
@@ -34,10 +33,11 @@ from softcal_jax.report._html import (
     node,
     page,
     picture,
+    sentences,
     table_html,
 )
 from softcal_jax.report._outline import ROLES
-from softcal_jax.report._provenance import made_html, repeat_html
+from softcal_jax.report._provenance import closing_of
 from softcal_jax.report._robot import robot_tables
 from softcal_jax.report._tables import simulation_tables
 from softcal_jax.report._view import PageView
@@ -69,35 +69,27 @@ def calibration_page(
     """
     fits, own = result.configurations, found.identifiability
     agreement = result.checks.agreement if result.checks else ()
+    inner = [singular_value_table(own)]
+    if own.n_parameters > 1:
+        inner.insert(0, correlation_table(own))
+    course = [*course_charts(result), table_html(history_table(result))]
     sections = [
-        Section("notes", "Notes", _notes(data["notes"])),
+        Section("notes", "Notes", [bullets(data["notes"])]),
         Section("subject", "What was calibrated", [_subject(result, found)]),
         Section("errors", "Before and after", _errors(result, found)),
         Section("parameters", "Parameters", _parameters(result, found)),
-        Section(
-            "agreement",
-            "Do the recordings agree?",
-            [bullets(agreement)] if agreement else [],
-        ),
+        Section("agreement", "Do the recordings agree?", [bullets(agreement)]),
         Section("data", "What the data tell", _outlook(found)),
-        Section("next", "What to measure next", _sentences(own.advice)),
+        Section("next", "What to measure next", sentences(own.advice)),
         Section("pictures", "Pictures", _pictures(data, folder, view)),
         Section("robot", "Robot", [*map(table_html, robot_tables(fits))]),
-        Section("fit", "Course of the fit", _course(result)),
-        Section("inner", "Correlation and singular values", _inner(found)),
-        Section(
-            "repeat",
-            "Repeat it",
-            repeat_html("calibrate", "calibration", [data["source"]]),
-        ),
-        Section("made", "Settings, versions and times", made_html(data)),
+        Section("fit", "Course of the fit", course),
+        Section("inner", "Correlation and singular values", [*map(table_html, inner)]),
+        *closing_of("calibrate", data, [data["source"]]),
     ]
+    about = {"index": "result.json", "script": view.script if view else ""}
     verdict = verdict_of(result, found)
-    script = view.script if view else ""
-    index = "result.json"
-    return page(
-        data["name"], "Calibration", verdict, sections, index=index, script=script
-    )
+    return page(data["name"], "Calibration", verdict, sections, **about)
 
 
 def simulation_page(
@@ -108,31 +100,15 @@ def simulation_page(
 ) -> str:
     """Write the page of a simulation; arguments as of `calibration_page`."""
     sections = [
-        Section("notes", "Notes", _notes(data["notes"])),
+        Section("notes", "Notes", [bullets(data["notes"])]),
         Section("model", "Model", [node("p", f"{model_words(result.model)}.")]),
         Section("states", "States", [*map(table_html, simulation_tables(result))]),
         Section("pictures", "Pictures", _pictures(data, folder, view)),
-        Section(
-            "repeat",
-            "Repeat it",
-            repeat_html("simulate", "simulation", [data["source"]]),
-        ),
-        Section("made", "Settings, versions and times", made_html(data)),
+        *closing_of("simulate", data, [data["source"]]),
     ]
+    about = {"index": "simulation.json", "script": view.script if view else ""}
     verdict = RunVerdict(result.headline, "good" if result.converged else "bad")
-    script = view.script if view else ""
-    index = "simulation.json"
-    return page(
-        data["name"], "Simulation", verdict, sections, index=index, script=script
-    )
-
-
-def _notes(notes: Sequence[str]) -> list[Html]:
-    return [bullets(notes)] if notes else []
-
-
-def _sentences(lines: Sequence[str]) -> list[Html]:
-    return [node("p", line) for line in lines]
+    return page(data["name"], "Simulation", verdict, sections, **about)
 
 
 def _subject(result: CalibrationResult, found: Assessment) -> Html:
@@ -159,9 +135,9 @@ def _subject(result: CalibrationResult, found: Assessment) -> Html:
 def _errors(result: CalibrationResult, found: Assessment) -> list[Html]:
     """Show how far the model is off, before and after."""
     fits = result.configurations
-    lines = [*held_out_sentences(fits), *filter(None, [found.prediction])]
+    lines = [*held_out_sentences(fits), found.prediction or ""]
     tables = map(table_html, error_tables(fits, result.checks))
-    return [*_sentences(lines), *error_chart(fits), *tables]
+    return [*sentences(lines), *error_chart(fits), *tables]
 
 
 def _parameters(result: CalibrationResult, found: Assessment) -> list[Html]:
@@ -171,11 +147,9 @@ def _parameters(result: CalibrationResult, found: Assessment) -> list[Html]:
         budget_table(result),
     ]
     starts = [] if result.starts is None else [node("pre", str(result.starts))]
-    causes = table_html(cause_table(result))
     marked = any(cell.tone == "bad" for row in tables[0].rows for cell in row)
-    legend = [node("p", _MARKED)] if marked else []
-    shown = map(table_html, tables)
-    return [*legend, *shown, *budget_chart(result), causes, *starts]
+    legend = sentences([_MARKED if marked else ""])
+    return [*legend, *map(table_html, tables), *budget_chart(result), *starts]
 
 
 def _outlook(found: Assessment) -> list[Html]:
@@ -184,23 +158,11 @@ def _outlook(found: Assessment) -> list[Html]:
     first, *directions = blindness(found)
     return [
         node("p", first),
-        *([bullets(directions)] if directions else []),
-        *_sentences([*filter(None, [beyond_prior(own)])]),
+        bullets(directions),
+        *sentences([beyond_prior(own)]),
         table_html(outlook_table(found)),
         node("p", outlook_legend(own)),
     ]
-
-
-def _inner(found: Assessment) -> list[Html]:
-    own = found.identifiability
-    tables = [singular_value_table(own)]
-    if own.n_parameters > 1:
-        tables = [correlation_table(own), *tables]
-    return [*map(table_html, tables)]
-
-
-def _course(result: CalibrationResult) -> list[Html]:
-    return [*course_charts(result), table_html(history_table(result))]
 
 
 def _pictures(

@@ -4,7 +4,6 @@ import os
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from softcal_jax.export import file_dict, made_dict
 from softcal_jax.identifiability import RunVerdict
@@ -17,16 +16,10 @@ from softcal_jax.report._html import (
     node,
     page,
     picture,
+    sentences,
     table_html,
 )
-from softcal_jax.report._provenance import (
-    REPEATED,
-    command_html,
-    files_html,
-    files_of,
-    made_html,
-    made_in_python,
-)
+from softcal_jax.report._provenance import REPEATED, closing, files_of
 from softcal_jax.sweeps import Sweep, SweepResult, SweepSummary, SweptAxis, summarise
 
 KIND = "Sweep"
@@ -106,7 +99,6 @@ def _sweep_page(
     found = summarise(result)
     made = made_dict(None if sweep is None else sweep.made, database.parent)
     data = {**made, "timing_s": timing_s, "files": [database.name]}
-    notes = [bullets(found.notes)] if found.notes else []
     best, means, spread, trials = [], [], [], []
     if found.best is not None:
         best = [node("p", found.best_in_words), table_html(found.best)]
@@ -118,8 +110,12 @@ def _sweep_page(
         spread = [node("p", "No trial has converged: there is nothing to average.")]
     if found.spread.rows:
         spread = [table_html(found.spread)]
+    files, words = [], []
+    if sweep is not None:
+        own = file_dict(sweep.file, database.parent)
+        files, words = [own, *files_of(made["source"])], ["sweep", own["file"]]
     sections = [
-        Section("notes", "Notes", notes),
+        Section("notes", "Notes", [bullets(found.notes)]),
         Section("varied", "What was varied", [table_html(found.varied)]),
         Section("best", "Best trials", best),
         Section("means", "Means over repetitions", means),
@@ -129,8 +125,7 @@ def _sweep_page(
             for k, axis in enumerate(found.axes)
         ),
         Section("trials", "All trials", trials),
-        Section("repeat", "Repeat it", _repeat(sweep, made, database)),
-        Section("made", "Settings, versions and times", made_html(data)),
+        *closing(data, words, files=files, out=f"{REPEATED}.sqlite"),
     ]
     verdict = RunVerdict(found.headline, found.tone, found.doubts)
     return page(result.name, KIND, verdict, sections, index=database.name, units="SI")
@@ -146,21 +141,10 @@ def _drawn(axis: SweptAxis) -> Html:
 
 
 def _trials(found: SweepSummary) -> list[Html]:
-    content = [table_html(found.trials)]
+    more, others = "", ""
     if found.more_trials:
-        text = f"{found.more_trials} more are in the database; softcal sweep show lists"
-        content.append(node("p", f"{text} all of them with --all."))
+        more = f"{found.more_trials} more are in the database; softcal sweep show lists"
+        more += " all of them with --all."
     if found.not_drawn:
-        text = "Figures that are in this table, and not drawn: "
-        content.append(node("p", f"{text}{', '.join(found.not_drawn)}."))
-    return content
-
-
-def _repeat(sweep: Sweep | None, made: Mapping[str, Any], database: Path) -> list[Html]:
-    """Give the command that runs the sweep again, and what it read."""
-    if sweep is None:
-        return made_in_python("This sweep was made in Python, without a sweep file")
-    own = file_dict(sweep.file, database.parent)
-    files = files_of(made["source"])
-    words = ["sweep", own["file"], "-o", f"{REPEATED}.sqlite"]
-    return [command_html(words), files_html([own, *files])]
+        others = f"In this table, and not drawn: {', '.join(found.not_drawn)}."
+    return [table_html(found.trials), *sentences([more, others])]

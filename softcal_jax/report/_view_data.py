@@ -8,11 +8,10 @@ box: what a picture shows cannot tell it from the value itself.
 
 import base64
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import ConfigurationResult
@@ -28,24 +27,6 @@ _MOST = 65535
 
 _FIBRES = 600
 """Most fibres that are drawn."""
-
-
-class ViewBox(NamedTuple):
-    """The box of all positions.
-
-    Attributes:
-        low: Its lower corner [mm].
-        step: What positions are multiples of, from there [mm].
-    """
-
-    low: Float[HostArray, "3"]
-    step: float
-
-    __repr__ = one_line
-
-    def packed(self, points: Float[HostArray, "*n 3"]) -> str:
-        """Pack positions [mm]."""
-        return pack(np.rint((points - self.low) / self.step).astype("<u2"))
 
 
 def pack(values: HostArray) -> str:
@@ -77,14 +58,14 @@ def view_data(
     fibres = [_fibres(model, surface, u) for u in moved]
     robots = [robot_data(model, own) for own in shown]
     everything = np.concatenate([rest, *points, *(f.reshape(-1, 3) for f in fibres)])
-    low = everything.min(axis=0)
-    box = ViewBox(low, float(np.ptp(everything, axis=0).max()) / _MOST)
+    low, step = everything.min(axis=0), float(np.ptp(everything, axis=0).max()) / _MOST
+    placed = lambda x: pack(np.rint((x - low) / step).astype("<u2"))
     index = "<u2" if len(rest) <= _MOST else "<u4"
     entries = [
         {
             "drawn": own.converged,
-            "points": box.packed(x),
-            "fibres": box.packed(f),
+            "points": placed(x),
+            "fibres": placed(f),
             "markers": _markers(own),
             **{key: part for key, part in robot.items() if key != "reach"},
             "walls": pack(surface.having(robot["walls"]).astype("u1"))
@@ -94,8 +75,8 @@ def view_data(
         for own, x, f, robot in zip(shown, points, fibres, robots, strict=True)
     ]
     return {
-        "low": box.low.tolist(),
-        "step": box.step,
+        "low": low.tolist(),
+        "step": step,
         "wide": index == "<u4",
         "triangles": pack(surface.cut.triangles.astype(index)),
         "perFace": surface.per_face,
@@ -103,7 +84,7 @@ def view_data(
         "anyRigid": bool(surface.rigid.any()),
         "edges": pack(surface.edges.astype(index)),
         "sharp": surface.n_sharp,
-        "rest": box.packed(rest),
+        "rest": placed(rest),
         "map": pack(_colours()),
         "view": _first_view(model, shown, robots),
         "fields": [_field(own) for own in fields],
@@ -112,8 +93,7 @@ def view_data(
 
 
 def _field(own: Field) -> dict[str, Any]:
-    there = [v for v in own.values if v is not None]
-    finite = np.concatenate([v[np.isfinite(v)] for v in there])
+    finite = np.concatenate([v[np.isfinite(v)] for v in own.values if v is not None])
     low, high = float(finite.min()), float(finite.max())
     if own.place != "face":  # distances begin at none
         low = 0.0
@@ -132,14 +112,11 @@ def _field(own: Field) -> dict[str, Any]:
         "note": own.note,
         "range": [low, high],
         "values": [None if v is None else packed(v) for v in own.values],
-        "largest": [_largest(v) for v in own.values],
+        "largest": [
+            None if v is None or np.isnan(v).all() else float(np.nanmax(v))
+            for v in own.values
+        ],
     }
-
-
-def _largest(values: Float[HostArray, " n"] | None) -> float | None:
-    if values is None or not np.isfinite(values).any():
-        return None
-    return float(np.nanmax(values))
 
 
 def _markers(own: ConfigurationResult) -> list[dict[str, Any]]:

@@ -48,35 +48,28 @@ class Field(NamedTuple):
     __repr__ = one_line
 
 
-class StateField(NamedTuple):
-    """A field of the state of a body: its name, SI unit, and values in each tet."""
+_STATE = {"largest principal stretch": "", "von Mises stress": "Pa"}
+"""Fields of the state of a body, with their units."""
 
-    name: str
-    unit: str
-    values: Float[HostArray, " n_tets"] | None
-
-    __repr__ = one_line
+StateFields = Mapping[str, Float[HostArray, " n_tets"]]
 
 
-def state_fields(model: Model, own: ConfigurationResult) -> list[StateField]:
+def state_fields(model: Model, own: ConfigurationResult) -> StateFields:
     """Compute how far the tets are stretched, and their stress.
 
-    There are no values without an equilibrium.
+    There are none without an equilibrium.
     """
-    stretch = mises = None
-    if own.converged:
-        states = tet_states(model, jnp.asarray(own.displacement))
-        stretch, mises = principal_stretches(states)[:, 0], von_mises_stress(states)
-    return [
-        StateField("largest principal stretch", "", stretch),
-        StateField("von Mises stress", "Pa", mises),
-    ]
+    if not own.converged:
+        return {}
+    states = tet_states(model, jnp.asarray(own.displacement))
+    values = principal_stretches(states)[:, 0], von_mises_stress(states)
+    return dict(zip(_STATE, values, strict=True))
 
 
 def view_fields(
     model: Model,
     shown: Sequence[ConfigurationResult],
-    states: Sequence[Sequence[StateField]],
+    states: Sequence[StateFields],
     surface: Surface,
     errors: Mapping[str, Float[HostArray, " n_tets"]] | None,
 ) -> list[Field]:
@@ -96,11 +89,9 @@ def view_fields(
     moved = [_displacement(own, surface) for own in shown]
     fields = [Field("displacement [mm]", "mm", "point", tuple(moved))]
     fields += _law_fields(model, surface, errors)
-    for every in zip(*states, strict=True):
-        values = [
-            None if own.values is None else own.values[surface.tets] for own in every
-        ]
-        fields.append(_of_faces(every[0].name, every[0].unit, values, surface))
+    for name, unit in _STATE.items():
+        values = [own[name][surface.tets] if own else None for own in states]
+        fields.append(_of_faces(name, unit, values, surface))
     distances = [_distances(own) for own in shown]
     if any(d is not None and np.isfinite(d).any() for d in distances):
         label = "distance at markers [mm]"

@@ -33,31 +33,34 @@ def robot_data(model: Model, own: ConfigurationResult) -> dict[str, Any]:
         `axes`), `gravity`: its direction or None, and `reach`: points that must be in
         the view. Nothing but gravity without an equilibrium.
     """
-    found: dict[str, Any] = {"cables": [], "walls": np.zeros((0, 3), int)}
-    found |= {name: [] for name in ("wallNames", "arrows", "motors", "frames")}
+    found: dict[str, Any] = {"walls": np.zeros((0, 3), int)}
+    found |= {k: [] for k in ("cables", "wallNames", "arrows", "motors", "frames")}
+    if own.converged and own.robot is not None:
+        picture = robot_picture(model, own.robot)
+        found |= _actuators(picture)
+        found["frames"] += _bodies(model, picture)
     if own.converged:
-        if own.robot is not None:
-            picture = robot_picture(model, own.robot)
-            found |= _actuators(picture)
-            found["frames"] += _bodies(model, picture)
-        found["frames"] += _sensors(own)
-        if own.posed is not None:
-            x = model.mesh.points + own.displacement
-            found["arrows"] = [*found["arrows"], *_loads(own.posed, model.mesh, x)]
+        for frame in sensor_frames(own):
+            kind = "measured" if frame.is_measured else "simulated"
+            place = {"at": _mm(frame.position), "axes": frame.rotation.T.tolist()}
+            found["frames"].append({"kind": kind, "name": "", **place})
+    if own.converged and own.posed is not None:
+        x = model.mesh.points + own.displacement
+        found["arrows"] += _loads(own.posed, model.mesh, x)
     gravity = np.zeros(3) if own.posed is None else np.asarray(own.posed.gravity, float)
     size = np.linalg.norm(gravity)
     found["gravity"] = (gravity / size).tolist() if size > 0.0 else None
     ends = [end for c in found["cables"] for s in c["segments"] for end in s]
-    places = [part["tip"] for part in found["arrows"]]
-    places += [part["at"] for kind in ("motors", "frames") for part in found[kind]]
-    found["reach"] = [*ends, *places]
+    tips = [part["tip"] for part in found["arrows"]]
+    places = [part["at"] for part in (*found["motors"], *found["frames"])]
+    found["reach"] = [*ends, *tips, *places]
     return found
 
 
 def _actuators(picture: RobotPicture) -> dict[str, Any]:
-    geometry, actuators = picture.geometry, picture.state.actuators
+    geometry = picture.geometry
     cables, names, arrows, motors, walls = [], [], [], [], [np.zeros((0, 3), int)]
-    for a, actuator in enumerate(actuators):
+    for a, actuator in enumerate(picture.state.actuators):
         if not is_seen(actuator):
             continue
         name = escaped(actuator_words(actuator))
@@ -71,41 +74,29 @@ def _actuators(picture: RobotPicture) -> dict[str, Any]:
             walls.append(faces)
             names.append({"name": name, "at": _mm(picture.x[faces].mean(axis=(0, 1)))})
         for k in np.flatnonzero(geometry.point_owner == a)[:1]:
-            at, along = _mm(geometry.points[k]), geometry.arrows[k]
+            place, along = _mm(geometry.points[k]), geometry.arrows[k]
             if actuator.kind == "motor":
-                motors.append({"name": name, "at": at, "axis": along.tolist()})
+                motors.append({"name": name, "at": place, "axis": along.tolist()})
             else:
                 towards = (pushes(actuator) * along).tolist()
-                arrow = {"kind": "force", "tip": at, "towards": towards}
-                arrows.append({**arrow, "name": name})
+                arrows.append(_arrow("force", name, place, towards))
     joined = {"cables": cables, "walls": np.concatenate(walls), "wallNames": names}
     return {**joined, "arrows": arrows, "motors": motors}
 
 
-def _bodies(model: Model, picture: RobotPicture) -> list[dict[str, Any]]:
-    """List the frames of rigid bodies."""
-    bodies, first = model.mechanism.bodies, model.mesh.n_nodes
-    frames = picture.x[first:].reshape(-1, 4, 3)
-    axes = (frames[:, 1:] - frames[:, :1]) / bodies.length
-    places = zip(picture.state.bodies, frames[:, 0], axes, strict=True)
-    return [
-        {
-            "kind": "rigid body",
-            "name": escaped(b.name),
-            "at": _mm(x),
-            "axes": a.tolist(),
-        }
-        for b, x, a in places
-    ]
+def _arrow(
+    kind: str, name: str, tip: list[float], towards: list[float]
+) -> dict[str, Any]:
+    return {"kind": kind, "name": name, "tip": tip, "towards": towards}
 
 
-def _sensors(own: ConfigurationResult) -> Iterator[dict[str, Any]]:
-    """Yield measured and simulated poses of 6-D sensors."""
-    for frame in sensor_frames(own):
-        if np.isfinite(frame.position).all() and np.isfinite(frame.rotation).all():
-            kind = "measured" if frame.is_measured else "simulated"
-            axes = frame.rotation.T.tolist()
-            yield {"kind": kind, "name": "", "at": _mm(frame.position), "axes": axes}
+def _bodies(model: Model, picture: RobotPicture) -> Iterator[dict[str, Any]]:
+    """Yield the frames of rigid bodies."""
+    frames = picture.x[model.mesh.n_nodes :].reshape(-1, 4, 3)
+    axes = (frames[:, 1:] - frames[:, :1]) / model.mechanism.bodies.length
+    for body, x, a in zip(picture.state.bodies, frames[:, 0], axes, strict=True):
+        place = {"at": _mm(x), "axes": a.tolist()}
+        yield {"kind": "frame", "name": escaped(body.name), **place}
 
 
 def _loads(
@@ -116,10 +107,8 @@ def _loads(
         place, force = load_place(load, mesh, x)
         size = float(np.linalg.norm(force))
         if size > 0.0:
-            towards = (force / size).tolist()
             name = readable_values([size], "N", digits=3)
-            tip = _mm(place)
-            yield {"kind": "load", "name": name, "tip": tip, "towards": towards}
+            yield _arrow("load", name, _mm(place), (force / size).tolist())
 
 
 def _mm(x: Float[HostArray, "3"]) -> list[float]:
