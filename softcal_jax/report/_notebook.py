@@ -26,7 +26,7 @@ from softcal_jax.report._inverse import (
     inverse_html,
     inverse_verdict,
 )
-from softcal_jax.report._outlook_pages import next_html, outlook_sections
+from softcal_jax.report._pages import next_html, outlook_sections
 from softcal_jax.report._tables import simulation_tables
 
 

@@ -17,9 +17,8 @@ from softcal_jax.mesh import PARTS, boundary_tets
 from softcal_jax.plotting import MARKS, NOT_CONVERGED, motion_words
 from softcal_jax.report._html import Html, bullets, joined, node
 from softcal_jax.report._outline import ROLES
-from softcal_jax.report._surface import surface_of
 from softcal_jax.report._view_data import view_data
-from softcal_jax.report._view_fields import Field, state_fields, view_fields
+from softcal_jax.report._view_fields import Field, state_fields, surface_of, view_fields
 
 MOST_DATA = 1_500_000
 """Most bytes of what a view draws; curved faces are cut more coarsely to stay below."""

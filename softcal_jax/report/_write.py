@@ -38,8 +38,13 @@ from softcal_jax.plotting import (
     render_configuration,
     rendering_problem,
 )
-from softcal_jax.report._outlook_pages import comparison_page, identifiability_page
-from softcal_jax.report._pages import REPORT, calibration_page, simulation_page
+from softcal_jax.report._pages import (
+    REPORT,
+    calibration_page,
+    comparison_page,
+    identifiability_page,
+    simulation_page,
+)
 from softcal_jax.report._view import PageView, body_view
 
 COLLECTION = "configurations.pvd"
