@@ -403,7 +403,6 @@ def test_pictures_are_in_the_page_as_far_as_they_fit(tmp_path, monkeypatch):
     page, _ = written(tmp_path / "out", make_result())
     check_page(tmp_path / "out")
     first, second = page.of("img")
-    assert (first["width"], first["height"]) == ("40", "30")
     assert says(first["alt"], "droop (fitted)")
     assert says(second["alt"], "held out (held out)")
     size = (tmp_path / "out" / "droop.png").stat().st_size

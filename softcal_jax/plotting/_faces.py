@@ -15,12 +15,8 @@ if TYPE_CHECKING:
 class VisibleFaces(NamedTuple):
     """Faces that look towards the viewer, the farthest first.
 
-    Attributes:
-        nodes: Nodes at their corners.
-        corners: These corners [m].
-        normal: Unit normals, outwards [-].
-        light: Share of their area that is seen [-].
-        tet: Index of the tet that each bounds.
+    They have nodes at their corners [m], unit normals outwards, the share of their area
+    that is seen, and the tet that each bounds.
     """
 
     nodes: Int[HostArray, "n_faces 3"]

@@ -46,11 +46,8 @@ _LEAST = 30
 class _Faces(NamedTuple):
     """Faces that look towards the viewer, the farthest first.
 
-    Attributes:
-        corners: Their corners [m].
-        light: Share of their area that is seen [-].
-        group: Index of the group whose colour each has, -1 for none.
-        cut: Whether they lie within the body, where it is cut.
+    They have corners [m], the share of their area that is seen, the index of the group
+    whose colour they have, -1 for none, and lie within the body where it is cut.
     """
 
     corners: Float[HostArray, "n_faces 3 3"]

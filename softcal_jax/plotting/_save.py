@@ -40,12 +40,8 @@ def save(
 ) -> None:
     """Write a figure as PNG or SVG, whichever the name of the file ends in.
 
-    The same figure gives the same file: without a date, and with the same ids.
-
-    Args:
-        figure: The figure.
-        path: The file.
-        software: What drew it, which is kept in the file.
+    The same figure gives the same file: without a date, and with the same ids. What
+    drew it is kept in the file.
 
     Raises:
         ValueError: If the name ends in something else.

@@ -56,15 +56,8 @@ def draw_setup(
 ) -> list[str]:
     """Draw supports, dead loads and gravity, each with its name or size.
 
-    Args:
-        axes: Axes in metres, around the centre of the view.
-        view: The projection.
-        configuration: What is drawn.
-        mesh: The mesh at rest [m].
-        x: Positions of its nodes in the picture [m].
-
-    Returns:
-        What was drawn, for the legend.
+    The axes are in metres, around the centre of the view; x are positions of the nodes
+    in the picture [m]. Returns what was drawn, for the legend.
     """
     for support in configuration.supports:
         _draw_support(axes, view, support, mesh, x)

@@ -5,8 +5,7 @@ are percentages, and those along the height pixels.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -16,8 +15,6 @@ from softcal_jax.calibration import (
     ConfigurationResult,
     ParameterEstimate,
 )
-from softcal_jax.control import GoalFit
-from softcal_jax.identifiability import Identifiability, percent
 from softcal_jax.inference import ErrorBudget
 from softcal_jax.report._calibration import distance
 from softcal_jax.report._html import Html, figure, joined, node
@@ -152,62 +149,6 @@ def _pattern(k: int) -> Html:
         height="8",
         patternUnits="userSpaceOnUse",
     )
-
-
-def outlook_chart(found: Identifiability) -> list[Html]:
-    """Draw the standard error to expect of each parameter over the asked one."""
-    rows = [
-        _Ratio(p.name, p.ratio, f"{percent(p.ratio)} of the asked one: {p.verdict}")
-        for p in found.parameters
-    ]
-    caption = (
-        "Standard error to expect of each parameter, on one logarithmic scale. The "
-        "upright line is the asked one; a point on its right is not known as well."
-    )
-    return _ratios(rows, caption)
-
-
-def goal_chart(goals: Iterable[tuple[str, GoalFit]], tol: float) -> list[Html]:
-    """Draw how far effectors are from their goals over what counts as met.
-
-    Args:
-        goals: What to call each, and how close it came.
-        tol: Error at which a goal counts as met, in standard deviations [-].
-    """
-    rows = []
-    for title, fit in goals:
-        error = float(np.max(np.abs(fit.in_std), initial=0.0))
-        words = f"off by {fit.off}, {error:.2g} standard deviations"
-        rows.append(_Ratio(title, error / tol, words))
-    caption = (
-        "How far each effector is from its goal, on one logarithmic scale. The upright "
-        "line is what counts as met; a point on its right is off by more."
-    )
-    return _ratios(rows, caption)
-
-
-class _Ratio(NamedTuple):
-    """A row of `_ratios`: title, what is drawn, and the same in words."""
-
-    title: str
-    ratio: float
-    words: str
-
-
-def _ratios(rows: Sequence[_Ratio], caption: str) -> list[Html]:
-    """Draw a row with a point for each ratio, on one scale with a line at 1."""
-    if not rows:
-        return []
-    # Within four decades of 1: there zero and infinity end.
-    logs = [math.log10(min(max(entry.ratio, 1e-4), 1e4)) for entry in rows]
-    x = row_scale(min([*logs, -1.0]), max([*logs, 1.0]))
-    drawn = []
-    for entry, log in list(zip(rows, logs, strict=True))[:MOST_BARS]:
-        parts = [row_line(), upright(x(0.0)), circle(x(log), 14, filled=log <= 0.0)]
-        drawn.append(row(entry.title, parts, entry.words))
-    if len(rows) > MOST_BARS:
-        caption += f" {len(rows) - MOST_BARS} more are in the table."
-    return [figure(joined(drawn), caption)]
 
 
 def row(title: str, parts: Sequence[Html], words: str, *, height: int = 28) -> Html:

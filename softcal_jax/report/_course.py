@@ -22,14 +22,9 @@ _TOP, _BOTTOM, _LABELS, _HEIGHT = 30.0, 170.0, 190.0, 196
 
 
 class _Curve(NamedTuple):
-    """A number that changes with the steps.
+    """A number that changes with the steps: its value `at` one, with the title's unit.
 
-    Attributes:
-        title: What it is, with its unit.
-        at: Its value after a step.
-        ticks: The grid, in the same unit.
-        level: A value to be reached, and its name.
-        caption: What there is to say of it.
+    `ticks` are the grid; `level` is a value to be reached, and its name.
     """
 
     title: str

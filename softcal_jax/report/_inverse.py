@@ -27,7 +27,6 @@ from softcal_jax.export import (
 )
 from softcal_jax.identifiability import RunVerdict
 from softcal_jax.plotting import render_body
-from softcal_jax.report._charts import goal_chart
 from softcal_jax.report._html import Html, Section, bullets, page, sentences, table_html
 from softcal_jax.report._pages import REPORT, shown_pictures
 from softcal_jax.report._provenance import closing, files_of
@@ -51,20 +50,15 @@ def inverse_verdict(result: InverseResult | TrajectoryResult) -> RunVerdict:
 def inverse_html(result: InverseResult | TrajectoryResult) -> list[Html]:
     """Show how close the goals are, and what the actuators do there."""
     if isinstance(result, InverseResult):
-        drawn = goal_chart([(_titled(fit), fit) for fit in result.goals], result.tol)
         tables = map(table_html, (goal_table(result.goals), actuator_table(result)))
         limits = "Limits that are reached:" if result.active_limits else ""
-        reached = [*sentences([limits]), bullets(result.active_limits)]
-        return [*drawn, *tables, *reached]
-    rows, goals = [], []
+        return [*tables, *sentences([limits]), bullets(result.active_limits)]
+    rows = []
     for i, point in enumerate(result.points, 1):
         outcome = Cell(point.message, "good" if point.met else "bad")
         rows.append((str(i), _inputs(point), outcome))
-        goals += [(f"goal {i}, {_titled(fit)}", fit) for fit in point.goals]
-    drawn = goal_chart(goals, result.points[0].tol) if goals else []
     columns = "goal", "inputs", "outcome"
-    table = text_table("Commands", columns, rows, words=["inputs"])
-    return [*drawn, table_html(table)]
+    return [table_html(text_table("Commands", columns, rows, words=["inputs"]))]
 
 
 def attempts_table(result: InverseResult) -> TextTable:
@@ -97,10 +91,12 @@ def goal_table(goals: Sequence[GoalFit]) -> TextTable:
             _coordinates(fit, fit.effector.measured),
             _coordinates(fit, fit.reached),
             fit.off,
+            f"{np.max(np.abs(fit.in_std), initial=0.0):.2g}",
         )
         for fit in goals
     ]
-    return text_table("Goals", ("effector", "goal", "reached", "off by"), rows)
+    columns = "effector", "goal", "reached", "off by", "standard deviations"
+    return text_table("Goals", columns, rows)
 
 
 def _coordinates(fit: GoalFit, values: Float[HostArray, " k"]) -> str:
@@ -160,29 +156,13 @@ def write_inverse(
 
     The folder holds `report.html`, `inverse.json` (see `inverse_dict`) and for each
     goal that has an equilibrium a .vtu for ParaView and a picture, with circles where
-    the goals are. `configurations.pvd` opens all .vtu at once. Further arguments and
-    errors are those of `write_results`.
-
-    Args:
-        result: The command, or those along a trajectory.
-        directory: The folder.
-        name: Its name.
-        force: Replace earlier results.
-        timing_s: Wall time per part [s].
-        made: What it was computed from and with.
-        calibration: The `result.json` that the model was loaded from; the page then
-            gives the command that repeats it.
-        options: Further words of that command, like "--goal" and its value.
-        notes: What there is to doubt, for the page.
-        pictures: Format of the pictures, "png" or "svg"; None writes none.
-        told: Called with how many pictures are drawn, of how many.
-
-    Returns:
-        The folder.
+    the goals are. `configurations.pvd` opens all .vtu at once. With `calibration`, the
+    `result.json` that the model was loaded from, the page gives the command that
+    repeats it; `options` are further words of that, like "--goal" and its value, and
+    `notes` are what there is to doubt. Other arguments, errors and what is returned are
+    those of `write_results`.
 
     Raises:
-        FileExistsError: If the folder is not empty, and `force` is off or it is not a
-            results folder.
         ValueError: If a trajectory has no points.
     """
     points = [result] if isinstance(result, InverseResult) else list(result.points)

@@ -14,7 +14,6 @@ from softcal_jax.configurations import (
     STANDARD_GRAVITY,
     AbstractLoad,
     Configuration,
-    ConfigurationLanes,
     Support,
     configuration_lanes,
 )
@@ -81,7 +80,7 @@ def outline(
     rows = [(f"line {own.line}", own.text, own.remark) for own in guesses]
     yield from _section("Guesses, to be changed or confirmed", (), rows)
     lanes = configuration_lanes(mesh, posed, model.mechanism)
-    yield from _section("Model", (), _model(model, posed, lanes))
+    yield from _section("Model", (), _model(model))
     head = ("name", "nodes", "origin [mm]", "own mass", "tied to")
     yield from _section("Rigid bodies", head, _bodies(model))
     yield from _section("Actuators", ("name", "kind", "at rest"), _actuators(model))
@@ -120,9 +119,7 @@ def _section(title: str, head: Sequence[str], rows: Rows) -> Iterator[str]:
         yield from ("", title, *aligned([*([head] if head else []), *rows]))
 
 
-def _model(
-    model: Model, posed: Sequence[Configuration], lanes: ConfigurationLanes
-) -> Iterator[tuple[str, str]]:
+def _model(model: Model) -> Iterator[tuple[str, str]]:
     mesh = model.mesh
     kind = "quadratic" if mesh.order == 2 else "linear"
     size = " x ".join(f"{1e3 * x:.4g}" for x in np.ptp(mesh.points, axis=0))
@@ -133,34 +130,9 @@ def _model(
     density = np.unique(np.asarray(model.density))
     ends = dict.fromkeys([density[0], density[-1]])
     yield "density", f"{' to '.join(f'{d:.4g}' for d in ends)} kg/m3"
-    free: dict[int, list[str]] = {}
-    for c, n in zip(posed, _free_coordinates(model, posed, lanes), strict=True):
-        free.setdefault(n, []).append(c.name)
-    counted = "; ".join(f"{n} free in {', '.join(names)}" for n, names in free.items())
-    yield "unknowns", f"{3 * mesh.n_nodes} coordinates of nodes, {counted}"
+    yield "unknowns", f"{3 * mesh.n_nodes} coordinates of nodes"
     if mesh.order == 1:
         yield "note", "linear tets lock in bending: their moduli are those of this mesh"
-
-
-def _free_coordinates(
-    model: Model, posed: Sequence[Configuration], lanes: ConfigurationLanes
-) -> list[int]:
-    """Count what the balance finds: coordinates of nodes, six or one of each body."""
-    bodies, actuators = model.mechanism.bodies, model.mechanism.actuators
-    fixed = np.asarray(lanes.arrays.fixed)[:, : model.mesh.n_nodes].copy()
-    fixed[:, bodies.attached] = True
-    kinds = np.asarray(lanes.arrays.bodies.kind)
-    driven = np.asarray(lanes.arrays.actuation.by_displacement)
-    counts = []
-    for k in range(len(posed)):
-        n = int((~fixed[k]).sum())
-        for body in np.flatnonzero(bodies.owner == np.arange(bodies.n_bodies)):
-            if body in actuators.motor_body:
-                n += int(not driven[k, actuators.motor_body.index(body)])
-            else:
-                n += (6, 1, 0)[int(kinds[k, body])]
-        counts.append(n)
-    return counts
 
 
 def _bodies(model: Model) -> Iterator[tuple[str, ...]]:

@@ -32,7 +32,7 @@ from softcal_jax.report._calibration import (
     parameter_table,
     singular_value_table,
 )
-from softcal_jax.report._charts import budget_chart, error_chart, outlook_chart
+from softcal_jax.report._charts import budget_chart, error_chart
 from softcal_jax.report._course import course_charts
 from softcal_jax.report._html import (
     MOST_PICTURES,
@@ -70,12 +70,8 @@ def calibration_page(
 ) -> str:
     """Write the page of a calibration.
 
-    Args:
-        result: The calibration.
-        found: Its assessment.
-        data: The content of its `result.json`, with notes and files.
-        folder: Where its pictures are.
-        view: The body in three dimensions; None for a page without pictures.
+    `data` is the content of its `result.json`, with notes and files; pictures are in
+    `folder`. Without a view, the page has no body in three dimensions.
     """
     fits, own = result.configurations, found.identifiability
     agreement = result.checks.agreement if result.checks else ()
@@ -203,11 +199,9 @@ def shown_pictures(
 ) -> list[Html]:
     """Show the pictures among some files, as many as a page should hold.
 
-    Args:
-        captions: What each file shows, by its name.
-        folder: Where they are.
-        taken: Size of what the page shows beside them [bytes].
-        viewed: Pictures that stand for a view, and are hidden where it is drawn.
+    `captions` say what each file shows. `taken` is the size of what the page shows
+    beside them [bytes]. Pictures in `viewed` stand for a view, and are hidden where it
+    is drawn.
     """
     shown, left = [], MOST_PICTURES - taken
     for name, caption in captions.items():
@@ -294,7 +288,7 @@ def outlook_sections(found: Identifiability) -> list[Section]:
     if found.n_data:
         directions.append(node("p", str(found.conditioning).splitlines()[0]))
     return [
-        Section("parameters", "Parameters", [*outlook_chart(found), *known]),
+        Section("parameters", "Parameters", known),
         Section("directions", "What the data are blind to", directions),
         Section("inner", "Correlation and singular values", [*map(table_html, inner)]),
     ]

@@ -33,12 +33,9 @@ def closing(
 ) -> list[Section]:
     """Say how a run can be repeated, what it read, and what it was made with.
 
-    Args:
-        data: The content of its index.
-        words: The command, given in the folder of the page; empty if there is none.
-        sources: The project files, as `source_dict` converts them.
-        files: Other files that were read.
-        out: What the command is to write.
+    `words` are the command, given in the folder of the page, which writes `out`; empty
+    if there is none. It read the project files `sources`, as `source_dict` converts
+    them, and other files.
     """
     made_in_python = "This was made in Python, so there is no command that repeats it."
     content = [node("p", made_in_python)]

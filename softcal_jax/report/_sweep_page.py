@@ -78,15 +78,12 @@ def write_sweep(
     check_sweep_page(database)
     path = sweep_page_of(database)
     text = _sweep_page(result, Path(database), sweep, timing_s or {})
-    number, name = tempfile.mkstemp(prefix=".softcal.", dir=path.parent)
+    partial = path.with_name(f".softcal.{path.name}")
     try:
-        with open(number, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(name, 0o644)  # as any other file, not as one for its owner alone
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+        partial.write_text(text, encoding="utf-8")
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
     return path
 
 

@@ -44,11 +44,7 @@ HEADS: dict[Tone, str] = {
 def summary_table(
     result: CalibrationResult, assessment: Assessment | None = None
 ) -> "rich.console.Group":
-    """Tabulate a calibration for the terminal.
-
-    Args:
-        result: The calibration.
-        assessment: Its assessment, if known already.
+    """Tabulate a calibration for the terminal, with its assessment, if known already.
 
     Returns:
         Parameters, configurations, identifiability, verdict and notes.

@@ -58,12 +58,9 @@ _PATCH = '<rect x="4" y="2" width="20" height="10" fill="{0}"/>'
 
 
 class _Mark(NamedTuple):
-    """An entry of the legend.
+    """An entry of the legend: its words, and the SVG of its symbol, to be coloured.
 
-    Attributes:
-        words: What it says.
-        symbol: SVG of its symbol, to be filled with a colour.
-        boxes: Which of `_SHOWN` it belongs to; none where it is shown always.
+    It shows if one of its boxes of `_SHOWN` is ticked, or always if it has none.
     """
 
     words: str
@@ -112,12 +109,9 @@ _MARKS = {
 
 
 class PageView(NamedTuple):
-    """What a page needs to draw a body.
+    """What a page needs to draw a body: HTML, and the script that makes it work.
 
-    Attributes:
-        content: Controls, drawing area, words and data.
-        script: What makes them work; a page without it shows none of them.
-        names: Configurations that are in the view.
+    A page without the script shows nothing of it. `names` are the configurations in it.
     """
 
     content: Html
@@ -140,11 +134,8 @@ def body_view(
 
     What is too large for a page is drawn more coarsely or left out, and the view says
     so: first curved faces get fewer triangles, then the last configurations go.
-
-    Args:
-        result: The calibration or simulation.
-        errors: Standard errors of calibrated fields in each tet; None if nothing was
-            calibrated.
+    `errors` are standard errors of calibrated fields in each tet; None if nothing was
+    calibrated.
     """
     if not any(own.converged for own in result.configurations):
         text = "There is no body to turn: no configuration has an equilibrium."

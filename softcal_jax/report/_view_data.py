@@ -50,14 +50,7 @@ def view_data(
     surface: Surface,
     fields: Sequence[Field],
 ) -> dict[str, Any]:
-    """Collect what the view draws.
-
-    Args:
-        model: The model.
-        shown: The configurations; one without an equilibrium is at rest.
-        surface: The surface of the body.
-        fields: What may colour it.
-    """
+    """Collect what the view draws; at rest where there is no equilibrium."""
     rest = 1e3 * surface.cut.interpolate(model.mesh.points)
     # Without an equilibrium, what a solver left of a displacement means nothing.
     moved = [

@@ -25,10 +25,10 @@ _SHARP = np.cos(np.radians(30.0))
 
 
 class Surface(NamedTuple):
-    """Triangles of the boundary and the edges of its faces.
+    """Triangles of the boundary, face by face, and the edges of its faces.
 
     Attributes:
-        cut: The triangles, face by face.
+        cut: The triangles.
         per_face: How many triangles a face is cut into.
         faces: Nodes of each face.
         tets: The tet of each face.
@@ -55,12 +55,7 @@ class Surface(NamedTuple):
 
 
 def surface_of(model: Model, parts: int) -> Surface:
-    """Cut the boundary into triangles.
-
-    Args:
-        model: The model.
-        parts: Number of parts of every edge of a quadratic face.
-    """
+    """Cut the boundary into triangles; every edge of a quadratic face into parts."""
     tets = boundary_tets(model.mesh)
     cut = tessellate(model.mesh, parts=parts)
     per_face = len(cut.triangles) // len(tets)
@@ -105,13 +100,8 @@ _AS_THEY_ARE = ("rad", "m")
 class Field(NamedTuple):
     """A field, in the unit in which it is shown.
 
-    Attributes:
-        label: Name and unit.
-        unit: The unit.
-        place: What has a value.
-        values: Values in each configuration, nan where there is none, or None without
-            an equilibrium; a single entry for a field that is the same in all.
-        note: What to know about it.
+    Values are those in each configuration, nan where there is none, or None without an
+    equilibrium; there is a single entry for a field that is the same in all.
     """
 
     label: str
@@ -150,16 +140,8 @@ def view_fields(
 ) -> list[Field]:
     """Collect the fields: of the state of the body, of its law, and at markers.
 
-    Fields of the law are those that were calibrated, or that vary over the body; where
-    all faces belong to rigid bodies nothing has a value.
-
-    Args:
-        model: The model.
-        shown: The configurations.
-        states: Fields of the state in each of them, see `state_fields`.
-        surface: Its surface.
-        errors: Standard errors of calibrated fields in each tet, by their names; None
-            for a simulation.
+    Fields of the law are those that were calibrated, which have standard errors, or
+    that vary over the body; where all faces belong to rigid bodies nothing has a value.
     """
     moved = [_displacement(own, surface) for own in shown]
     fields = [Field("displacement [mm]", "mm", "point", tuple(moved))]
