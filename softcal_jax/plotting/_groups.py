@@ -16,7 +16,6 @@ from softcal_jax.plotting._view import View, choose_view
 
 if TYPE_CHECKING:
     import matplotlib.axes
-    import matplotlib.figure
 
 Colour = tuple[float, float, float]
 
@@ -81,6 +80,8 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
         path: PNG or SVG file.
         title: Title of the picture.
     """
+    from matplotlib.patches import Patch
+
     every = {**mesh.tet_groups, **mesh.surface_groups, **mesh.node_groups}
     # Those that a user has named get the colours that are farthest apart.
     groups = sorted(every, key=lambda name: CAD_FACE.fullmatch(name) is not None)
@@ -119,7 +120,10 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
         f"{name} (hidden)" if name in faced and not seen[:, k].any() else name
         for k, name in enumerate(groups)
     ]
-    _draw_legend(figure, names, colours, per_row, (_BOTTOM + 0.5 * legend) / total)
+    handles = [Patch(color=c, label=n) for n, c in zip(names, colours, strict=True)]
+    place = {"loc": "center", "bbox_to_anchor": (0.5, (_BOTTOM + 0.5 * legend) / total)}
+    look = {"ncols": per_row, "fontsize": 15, "frameon": False}
+    figure.legend(handles=handles, **look, **place)
     around = {"scale": 1.0 / frame.scale, "top": _TOP, "bottom": _BOTTOM}
     annotations.draw_frame(figure, front, **around, title=title)
     save(figure, path)
@@ -230,20 +234,3 @@ def _draw_nodes(
         axes.plot(*places.T, "o", ms=5, color=colours[name], mec="black", mew=0.5)
         highest = places[np.argmax(places[:, 1])]
         annotations.draw_name(axes, name, highest, (0, 14), ha="center")
-
-
-def _draw_legend(
-    figure: "matplotlib.figure.Figure",
-    names: list[str],
-    colours: list[Colour],
-    columns: int,
-    height: float,
-) -> None:
-    from matplotlib.patches import Patch
-
-    handles = [Patch(color=c, label=n) for n, c in zip(names, colours, strict=True)]
-    if handles:
-        place = {"loc": "center", "bbox_to_anchor": (0.5, height)}
-        figure.legend(
-            handles=handles, ncols=columns, fontsize=15, frameon=False, **place
-        )

@@ -128,8 +128,8 @@ def plot_plan(
             style = {"ha": "center", "va": "center", "fontsize": 10, "color": TEXT}
             own.text(*flat, str(i + 1), **style)
             drawn.add("control point")
-        heading = add_axes(figure, column * width, bottom + height, width, _HEADING)
-        _draw_heading(heading, panel.heading)
+        style = {"fontsize": 16, "color": TEXT, "parse_math": False}
+        annotations.shrink(own.set_title(panel.heading, **style), width - 40)
     words = {"title": title, "subtitle": subtitle}
     around = {"scale": scale, "top": _TOP, "bottom": _BOTTOM}
     annotations.draw_frame(figure, view, **around, **words)
@@ -148,16 +148,15 @@ class _Grid(NamedTuple):
 
 def _grid(view: View, n: int) -> _Grid:
     """Arrange panels so that the body is as large as the page allows."""
-
-    def arranged(columns: int) -> _Grid:
+    grids = []
+    for columns in range(1, n + 1):
         rows = math.ceil(n / columns)
         scale = (_WIDTH // columns - 2 * _MARGIN) / view.width
         most = max(_LOWEST, min(_HIGHEST, _PAGE // rows))
         height = int(np.clip(view.height * scale + 2 * _MARGIN, _LOWEST, most))
         scale = min(scale, (height - 2 * _MARGIN) / view.height)
-        return _Grid(columns, rows, height, scale)
-
-    return max(map(arranged, range(1, n + 1)), key=lambda grid: grid.scale)
+        grids.append(_Grid(columns, rows, height, scale))
+    return max(grids, key=lambda grid: grid.scale)
 
 
 def _panel(
@@ -308,10 +307,3 @@ def _draw_fibres(
     centres, along = faces.corners[own].mean(axis=1), half * fibres[faces.tet[own]]
     lines = view.project(np.stack([centres - along, centres + along], axis=1))
     axes.add_collection(LineCollection(list(lines), **SYMBOLS["fibre"], alpha=0.8))
-
-
-def _draw_heading(axes: "matplotlib.axes.Axes", text: str) -> None:
-    axes.set_axis_off()
-    style = {"fontsize": 16.0, "color": TEXT, "ha": "center", "va": "center"}
-    drawn = axes.text(0.5, 0.4, text, **style, parse_math=False)
-    annotations.shrink(drawn, axes.get_window_extent().width - 40)

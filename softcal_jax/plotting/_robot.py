@@ -116,23 +116,18 @@ def is_seen(actuator: ActuatorState) -> bool:
 
 
 def actuator_words(actuator: ActuatorState) -> str:
-    """Write the name of an actuator and what drives it."""
-    return f"{actuator.name}: {_force(actuator)}"
-
-
-def _force(actuator: ActuatorState) -> str:
-    """Say what drives an actuator; before a solve that is what is imposed."""
+    """Write the name of an actuator and what drives it; unsolved, what is imposed."""
+    words = [readable_values([actuator.force], actuator.force_unit, digits=3)]
+    value, unit = actuator.displacement, actuator.displacement_unit
     if actuator.kind == "cable" and actuator.force == 0.0:
-        return "slack"
-    force = readable_values([actuator.force], actuator.force_unit, digits=3)
-    unit = actuator.displacement_unit
-    if actuator.displacement is None or unit is None:
-        return force
-    displacement = readable_values([actuator.displacement], unit, digits=3)
-    if np.isnan(actuator.force):
-        return displacement
-    both = actuator.kind == "motor" and np.isfinite(actuator.displacement)
-    return f"{displacement}, {force}" if both else force
+        words = ["slack"]
+    elif value is not None and unit is not None:
+        displacement = readable_values([value], unit, digits=3)
+        if np.isnan(actuator.force):
+            words = [displacement]
+        elif actuator.kind == "motor" and np.isfinite(value):
+            words = [displacement, *words]
+    return f"{actuator.name}: {', '.join(words)}"
 
 
 def _draw_cable(axes, view: View, geometry: ActuatorGeometry, a: int, *, slack: bool):

@@ -5,7 +5,7 @@ are percentages, and those along the height pixels.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -59,18 +59,18 @@ def error_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
 
 def _errors(fit: ConfigurationResult, longest: float) -> Html:
     """Draw one row, with its numbers in words."""
-    x = row_scale(0.0, longest)
-    parts, before = [row_line()], "no equilibrium before"
+    x = lambda value: f"{2.0 + 96.0 * value / longest:.2f}%"
+    parts = [line("2%", 14, "98%", 14, stroke=LINE)]
+    before, after = "no equilibrium before", x(fit.rms_after)
     if math.isfinite(fit.motion):
-        parts.append(upright(x(fit.motion)))
+        moved = x(fit.motion)
+        parts.append(line(moved, 3, moved, 25, stroke=INK, stroke_width="3"))
     if math.isfinite(fit.rms_before):
         start = x(fit.rms_before)
-        parts.append(
-            line(x(fit.rms_after), 14, start, 14, stroke=BLUE, stroke_width="3")
-        )
+        parts.append(line(after, 14, start, 14, stroke=BLUE, stroke_width="3"))
         parts.append(circle(start, 14, filled=False))
         before = f"{distance(fit.rms_before)} before"
-    parts.append(circle(x(fit.rms_after), 14))
+    parts.append(circle(after, 14))
     held = " (held out)" if fit.role == "validation" else ""
     words = f"{before}, {distance(fit.rms_after)} after, moved {distance(fit.motion)}"
     return row(f"{fit.name}{held}", parts, words)
@@ -156,21 +156,6 @@ def row(title: str, parts: Sequence[Html], words: str, *, height: int = 28) -> H
     drawn = node("svg", *parts, height=str(height), aria_hidden="true")
     head = node("p", node("strong", title))
     return node("div", head, drawn, node("p", words), class_="row")
-
-
-def row_scale(low: float, high: float) -> Callable[[float], str]:
-    """Return what places a value in a row from its lowest and its highest."""
-    return lambda value: f"{2.0 + 96.0 * (value - low) / (high - low):.2f}%"
-
-
-def row_line() -> Html:
-    """Draw the line on which the values of a row stand."""
-    return line("2%", 14, "98%", 14, stroke=LINE)
-
-
-def upright(x: str) -> Html:
-    """Draw an upright mark across a row."""
-    return line(x, 3, x, 25, stroke=INK, stroke_width="3")
 
 
 def line(x1: str, y1: float, x2: str, y2: float, **look: str) -> Html:

@@ -2,12 +2,9 @@
 
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
-import numpy as np
-
-from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.calibration import CalibrationResult, HistoryEntry, ParameterEstimate
 from softcal_jax.identifiability import end_of
@@ -56,7 +53,7 @@ def _fit(result: CalibrationResult) -> _Curve:
     if not any(fit.points for fit in fitted):  # lengths, angles or forces alone
         title, at = "Cost [-]", lambda entry: entry.cost
     values = [v for v in map(at, result.history) if math.isfinite(v)]
-    return _Curve(title, at, round_ticks(0.0, max(values, default=0.0)))
+    return _Curve(title, at, round_ticks([0.0, *values]))
 
 
 def _step_size(result: CalibrationResult) -> _Curve:
@@ -77,7 +74,7 @@ def _parameter(result: CalibrationResult, q: ParameterEstimate) -> _Curve:
     series = [entry.values[q.name] for entry in result.history]
     factor, unit = readable_unit(series, q.unit)
     at = lambda entry: factor * entry.values[q.name]
-    ticks = round_ticks(*span(factor * np.array(series)))
+    ticks = round_ticks([factor * value for value in series])
     bounds = f"{factor * q.lower:.4g} to {factor * q.upper:.4g} {unit}".rstrip()
     bound = ", on a bound" if q.at_bound else ""
     words = f"Ends at {q}{bound}; bounds {bounds}."
@@ -126,20 +123,13 @@ def _noise_changes(result: CalibrationResult) -> list[float]:
     ]
 
 
-def round_ticks(low: float, high: float) -> dict[float, str]:
-    """Choose round numbers around two ends, for about three lines of a grid."""
+def round_ticks(values: Sequence[float]) -> dict[float, str]:
+    """Choose round numbers around values, for about three lines of a grid."""
     from matplotlib.ticker import MaxNLocator
 
-    if not high > low:
-        high = low + 1.0
-    values = MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high)
-    return {float(value): f"{value:.6g}" for value in values}
-
-
-def span(values: Float[HostArray, " n"]) -> tuple[float, float]:
-    """Return the ends of a scale; equal values get one that is wider than rounding."""
-    low, high = float(values.min()), float(values.max())
-    if high - low <= 1e-9 * max(abs(low), abs(high)):
+    low, high = min(values), max(values)
+    if high - low <= 1e-9 * max(abs(low), abs(high)):  # equal up to rounding
         margin = 0.05 * max(abs(low), abs(high)) or 1.0
-        return low - margin, high + margin
-    return low, high
+        low, high = low - margin, high + margin
+    ticks = MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high)
+    return {float(tick): f"{tick:.6g}" for tick in ticks}

@@ -230,12 +230,7 @@ def _seen(own: Mapping[str, Any], file: str) -> str:
     if _is_recording(file):
         return f"{own['name']}: the recording of the markers over time"
     role = ROLES.get(own.get("role", ""), "simulated")
-    text = f"{own['name']} ({role}): the deformed body, coloured by displacement"
-    if not own["markers"]:
-        return text
-    if "role" not in own:
-        return f"{text}, with simulated markers"
-    return f"{text}, with measured markers (circles) and simulated ones (crosses)"
+    return f"{own['name']} ({role}): the deformed body, coloured by displacement"
 
 
 def identifiability_page(
