@@ -126,13 +126,12 @@ def plot_plan(
             flat = view.project(place)
             own.plot(*flat, **SYMBOLS["control point"])
             style = {"ha": "center", "va": "center", "fontsize": 10, "color": TEXT}
-            own.text(*flat, str(i + 1), **style)
+            own.text(flat[0], flat[1], str(i + 1), **style)
             drawn.add("control point")
         style = {"fontsize": 16, "color": TEXT, "parse_math": False}
         annotations.shrink(own.set_title(panel.heading, **style), width - 40)
     words = {"title": title, "subtitle": subtitle}
-    around = {"scale": scale, "top": _TOP, "bottom": _BOTTOM}
-    annotations.draw_frame(figure, view, **around, **words)
+    annotations.draw_frame(figure, view, scale=scale, top=_TOP, bottom=_BOTTOM, **words)
     annotations.draw_legend(figure, drawn, 70 / total, {})
     save(figure, path, software=software)
 

@@ -10,8 +10,6 @@ if TYPE_CHECKING:
 DPI = 100
 """Pixels per inch of figures and of the images within them."""
 
-_FORMATS = {".png": "png", ".svg": "svg"}
-
 
 def pixel_figure(width: float, height: float) -> "matplotlib.figure.Figure":
     """Make a white figure of a size in pixels."""
@@ -48,13 +46,13 @@ def save(
     """
     import matplotlib as mpl
 
-    own = _FORMATS.get(Path(path).suffix.lower())
-    if own is None:
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".png", ".svg"):
         raise ValueError(
             f"{path} ends in {Path(path).suffix!r}; expected a picture, .png or .svg."
         )
     about = {"Software": software}
-    if own == "svg":
+    if suffix == ".svg":
         about = {"Creator": software, "Date": None}
     with mpl.rc_context({"svg.hashsalt": "softcal_jax"}):
-        figure.savefig(path, dpi=DPI, format=own, metadata=about)
+        figure.savefig(path, dpi=DPI, format=suffix[1:], metadata=about)

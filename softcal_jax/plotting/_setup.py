@@ -141,7 +141,7 @@ def _draw_arrow(
     look = {"arrowstyle": "-|>", "color": colour, "lw": 3.0, "mutation_scale": 20}
     end = start + step
     arrow = {**look, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", end, start, arrowprops=arrow)
+    axes.annotate("", tuple(end), tuple(start), arrowprops=arrow)
     # Towards the middle of the picture, where there is room.
     left = start[0] > 0.0
     side = {"ha": "right" if left else "left", "va": "center", "fontsize": 13}

@@ -1,4 +1,4 @@
-"""Charts of a page; what colours tell apart, shapes, patterns or words tell too.
+"""Charts of a page; what colours tell apart, shapes or words tell too.
 
 They are SVG whose text keeps its size, however wide the page is: places along the width
 are percentages, and those along the height pixels.
@@ -27,17 +27,9 @@ MOST_BARS = 24
 LEAST_NAMED = 0.01
 """Share of a variance from which on a cause is named beside the bar [-]."""
 
-# Paper and ink, darker and lighter in turn, so that neighbours differ in grey as well.
-_PATTERNS = (
-    ("#8c8c8c", "#8c8c8c", ""),
-    ("#0b4f8a", "#0b4f8a", ""),
-    ("#ffffff", "#d95f02", "M-2 2L2 -2M0 8L8 0M6 10L10 6"),
-    ("#1b7a5a", "#ffffff", "M0 2H8M0 6H8"),
-    ("#efe7f7", "#5a3d8a", "M2 0V8M6 0V8"),
-    ("#5b4310", "#f6e3b0", "M-2 6L2 10M0 0L8 8M6 -2L10 2"),
-    ("#ffffff", "#1a1a1a", "M0 4H8M4 0V8"),
-)
-"""Fills of the causes: background, colour of the lines, and the lines."""
+# Darker and lighter in turn, so that neighbours differ in grey as well.
+_FILLS = ("#8c8c8c", "#0b4f8a", "#f0b27a", "#1b7a5a", "#d9cdf0", "#5b4310", "#ffffff")
+"""Colours of the causes, from the first again where they are used up."""
 
 
 def error_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
@@ -86,8 +78,6 @@ def budget_chart(result: CalibrationResult) -> list[Html]:
     ]
     if not known:
         return []
-    patterns = (_pattern(k) for k in range(min(len(shares), len(_PATTERNS))))
-    defined = node("svg", node("defs", *patterns), class_="defs", aria_hidden="true")
     bars = [
         _bar(parameter, {cause: float(share[i]) for cause, share in shares.items()})
         for i, parameter in known[:MOST_BARS]
@@ -99,7 +89,7 @@ def budget_chart(result: CalibrationResult) -> list[Html]:
     )
     if len(known) > MOST_BARS:
         caption += f" {len(known) - MOST_BARS} more parameters are in the table."
-    return [figure(joined([defined, legend, *bars]), caption)]
+    return [figure(joined([legend, *bars]), caption)]
 
 
 def _budget_shares(budget: ErrorBudget) -> dict[str, Float[HostArray, " n_p"]]:
@@ -134,21 +124,7 @@ def _entry(k: int, cause: str) -> Html:
 
 
 def _filled(k: int, **place: str) -> Html:
-    fill = f"url(#cause{k % len(_PATTERNS)})"
-    return node("rect", **place, fill=fill, stroke=INK, stroke_width="1")
-
-
-def _pattern(k: int) -> Html:
-    paper, ink, lines = _PATTERNS[k]
-    return node(
-        "pattern",
-        node("rect", width="8", height="8", fill=paper),
-        node("path", d=lines, stroke=ink, stroke_width="2"),
-        id=f"cause{k}",
-        width="8",
-        height="8",
-        patternUnits="userSpaceOnUse",
-    )
+    return node("rect", **place, fill=_FILLS[k % len(_FILLS)], stroke=INK)
 
 
 def row(title: str, parts: Sequence[Html], words: str, *, height: int = 28) -> Html:

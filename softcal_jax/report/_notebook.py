@@ -22,10 +22,7 @@ from softcal_jax.report._calibration import (
 )
 from softcal_jax.report._charts import budget_chart, error_chart
 from softcal_jax.report._html import Html, bullets, output, sentences, table_html
-from softcal_jax.report._inverse import (
-    inverse_html,
-    inverse_verdict,
-)
+from softcal_jax.report._inverse import inverse_html, inverse_verdict
 from softcal_jax.report._pages import next_html, outlook_sections
 from softcal_jax.report._tables import simulation_tables
 
@@ -35,9 +32,6 @@ def notebook_html(result: object) -> Html:
     """Write a result as the output of a cell: verdict, tables and a picture.
 
     It is HTML that needs nothing else; `write_results` writes the whole page.
-
-    Args:
-        result: What a function of the package has returned.
 
     Raises:
         TypeError: If there is no output for such a result.

@@ -21,12 +21,7 @@ from softcal_jax.equilibrium import Model
 from softcal_jax.export import readable_values
 from softcal_jax.fields import ControlPointParameters, ControlPoints, Parameter
 from softcal_jax.mesh import TetMesh, face_shares, locate, node_indices, volumes
-from softcal_jax.project import (
-    Project,
-    ProjectError,
-    QuantityAsRead,
-    guesses_left,
-)
+from softcal_jax.project import Project, ProjectError, QuantityAsRead, guesses_left
 from softcal_jax.report._outline_measured import measured_rows
 
 ROLES = {"calibration": "fitted", "validation": "held out", "candidate": "candidate"}

@@ -137,17 +137,14 @@ def body_view(
     `errors` are standard errors of calibrated fields in each tet; None if nothing was
     calibrated.
     """
-    if not any(own.converged for own in result.configurations):
-        text = "There is no body to turn: no configuration has an equilibrium."
-        return PageView(node("p", text), "", frozenset())
-    made = _made(result.model, result.configurations, errors)
-    if made is None:
+    made, why = None, "no configuration has an equilibrium"
+    if any(own.converged for own in result.configurations):
+        made = _made(result.model, result.configurations, errors)
         n = len(boundary_tets(result.model.mesh))
-        text = (
-            f"The surface of this mesh, {n} faces, is too large to turn in this page: "
-            f"open configurations.pvd in ParaView."
-        )
-        return PageView(node("p", text), "", frozenset())
+        why = f"the surface of this mesh, {n} faces, is too large for a page; "
+        why += "configurations.pvd is for ParaView"
+    if made is None:
+        return PageView(node("p", f"There is no body to turn: {why}."), "", frozenset())
     converged = not isinstance(result, CalibrationResult) or result.converged
     drawn = Html(made.text)
     data = node("script", drawn, type="application/json", id="view-data")

@@ -33,11 +33,7 @@ from softcal_jax.export import (
 from softcal_jax.fields import field_standard_errors
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.layouts import ModelComparison
-from softcal_jax.plotting import (
-    plot_traces,
-    render_configuration,
-    rendering_problem,
-)
+from softcal_jax.plotting import plot_traces, render_configuration, rendering_problem
 from softcal_jax.report._pages import (
     REPORT,
     calibration_page,
@@ -49,7 +45,6 @@ from softcal_jax.report._view import PageView, body_view
 
 COLLECTION = "configurations.pvd"
 """All configurations at once, for ParaView."""
-
 
 Picture = Literal["png", "svg"]
 """Formats of pictures. In SVG, lines and words are drawn and bodies are images."""
