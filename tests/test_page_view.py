@@ -21,11 +21,9 @@ from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropi
 from softcal_jax.mesh import tessellate
 from softcal_jax.project import load_project
 from softcal_jax.report import _view, _write, write_results, write_simulation
-from softcal_jax.report._surface import surface_of
 from softcal_jax.report._view import body_view
-from softcal_jax.report._view_data import view_data
-from softcal_jax.report._view_fields import state_fields, view_fields
-from softcal_jax.report._view_robot import robot_data
+from softcal_jax.report._view_data import robot_data, view_data
+from softcal_jax.report._view_fields import state_fields, surface_of, view_fields
 
 NONE = 65535
 """What stands for no value."""
@@ -335,7 +333,7 @@ def test_actuators_and_frames(robot):
         (motor,) = data["motors"]
         bodies = {b.name: 1e3 * b.position for b in own.robot.bodies}
         np.testing.assert_allclose(motor["at"], bodies["arm"], atol=1e-3)
-        frames = [f for f in data["frames"] if f["kind"] == "rigid body"]
+        frames = [f for f in data["frames"] if f["kind"] == "frame"]
         assert {f["name"] for f in frames} == set(bodies)
         for frame in frames:
             np.testing.assert_allclose(frame["at"], bodies[frame["name"]], atol=1e-3)

@@ -1,20 +1,13 @@
 """Draw markers, title, scales and legend around the picture of a body."""
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Container, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.plotting._colours import (
-    BAD,
-    DISPLACEMENT_MAP,
-    FAINT,
-    MEASURED,
-    OUTLINE,
-    SIMULATED,
-    TEXT,
-)
+from softcal_jax.plotting._colours import BAD, DISPLACEMENT_MAP, SYMBOLS, TEXT
+from softcal_jax.plotting._save import DPI, add_axes
 from softcal_jax.plotting._view import View
 
 if TYPE_CHECKING:
@@ -27,9 +20,6 @@ WARNING_HEIGHT = 60
 
 _MOST_NAMES = 16
 """Most markers that are named; more names would cover each other."""
-
-_RING = {"marker": "o", "ms": 13, "mew": 2.6, "mec": MEASURED, "mfc": "none"}
-_CROSS = {"marker": "+", "ms": 13, "mew": 2.6, "mec": SIMULATED}
 
 
 def halo(width: float):
@@ -76,10 +66,10 @@ def draw_markers(
     """Draw rings where markers were measured, crosses where they are simulated."""
     if measured is not None and simulated is not None:
         for pair in zip(measured, simulated, strict=True):
-            axes.plot(*np.transpose(pair), color=MEASURED, lw=2.5)
-    for points, style in ((measured, _RING), (simulated, _CROSS)):
+            axes.plot(*np.transpose(pair), **SYMBOLS["distance"])
+    for name, points in (("measured", measured), ("simulated", simulated)):
         if points is not None:
-            axes.plot(*points.T, ls="none", path_effects=halo(5.0), **style)
+            axes.plot(*points.T, path_effects=halo(5.0), **SYMBOLS[name])
     places = simulated if measured is None else measured
     if places is None or len(names) > _MOST_NAMES:
         return
@@ -169,35 +159,50 @@ def draw_length_scale(axes: "matplotlib.axes.Axes", width: float) -> None:
 
 def draw_legend(
     figure: "matplotlib.figure.Figure",
-    groups: Mapping[str, str],
+    drawn: Container[str],
     height: float,
-    more: Sequence[Any] = (),
+    labels: Mapping[str, str],
 ) -> None:
-    """Draw the legend of markers and more symbols, its middle at a height [-].
+    """Explain what was drawn of `SYMBOLS`, around a height [-].
 
-    `groups` has the labels of "measured" and "simulated", as far as there are any.
+    `labels` has other names of symbols.
     """
     from matplotlib.lines import Line2D
 
-    none = {"ls": "none", "path_effects": halo(5.0)}
-    handles: list[Any] = []
-    if "measured" in groups:
-        handles.append(Line2D([], [], label=groups["measured"], **_RING, **none))
-    if "simulated" in groups:
-        handles.append(Line2D([], [], label=groups["simulated"], **_CROSS, **none))
-    if len(handles) == 2:
-        handles.append(Line2D([], [], color=MEASURED, lw=2.5, label="distance"))
-    handles.append(Line2D([], [], color=OUTLINE, lw=2.5, label="at rest"))
-    handles += more
-    # Use one row if it fits.
-    rows = 1 if len(handles) <= 5 else 2
+    handles = [
+        Line2D([], [], label=labels.get(name, name), **style)
+        for name, style in SYMBOLS.items()
+        if name in drawn
+    ]
     figure.legend(
         handles=handles,
         loc="center left",
-        bbox_to_anchor=(0.13, height),
-        ncols=-(-len(handles) // rows),
-        fontsize=16,
+        bbox_to_anchor=(0.12, height),
+        ncols=min(len(handles), 5),
+        fontsize=15,
         frameon=False,
-        labelcolor=TEXT if groups or more else FAINT,
-        columnspacing=1.8,
+        labelcolor=TEXT,
+        columnspacing=1.6,
     )
+
+
+def draw_frame(
+    figure: "matplotlib.figure.Figure",
+    view: View,
+    *,
+    scale: float,
+    top: int,
+    bottom: int,
+    title: str,
+    subtitle: str = "",
+    warning: str = "",
+) -> None:
+    """Draw what is around a body: titles above, axes and a length below.
+
+    `scale` is in pixels per metre, the heights above and below in pixels.
+    """
+    width, height = DPI * figure.get_size_inches()
+    heading = add_axes(figure, 0, height - top, width, top)
+    draw_title(heading, title, subtitle, warning)
+    draw_triad(add_axes(figure, 20, 5, bottom - 15, bottom - 15), view)
+    draw_length_scale(add_axes(figure, width - 280, 20, 260, 70), 260 / scale)

@@ -1,4 +1,6 @@
-"""Colours of all pictures; markers differ in shape too, for colour-blind readers."""
+"""Colours and symbols of pictures; shapes differ too, for colour-blind readers."""
+
+from typing import Any
 
 MEASURED = "#e3001b"
 SIMULATED = "#000000"
@@ -33,9 +35,32 @@ MARKS = {
     "wall": WALL,
     "motor": MOTOR,
     "force": FORCE,
+    "load": FORCE,
     "gravity": GRAVITY,
     "rigid": RIGID,
     "frame": GRAVITY,
     "fibre": FIBRE,
 }
 """Colours by what they mark, for a page that draws by itself."""
+
+_POINT = {"ls": "none", "ms": 13, "mew": 2.5}
+
+SYMBOLS: dict[str, dict[str, Any]] = {
+    "measured": _POINT | {"marker": "o", "mec": MEASURED, "mfc": "none"},
+    "simulated": _POINT | {"marker": "+", "mec": SIMULATED},
+    "distance": {"color": MEASURED, "lw": 2.5},
+    "at rest": {"color": OUTLINE, "lw": 2.5},
+    "point at rest": _POINT | {"marker": "+", "mec": SIMULATED},
+    "control point": _POINT | {"marker": "o", "ms": 16, "mec": TEXT, "mfc": "white"},
+    "fibre": {"color": FIBRE, "lw": 1.6},
+    "support": {"marker": "s", "ms": 9, "ls": "none", "color": SUPPORT, "alpha": 0.7},
+    "load": {"color": FORCE, "lw": 3.0, "marker": "v", "ms": 8},
+    "gravity": {"color": GRAVITY, "lw": 3.0, "marker": "v", "ms": 8},
+    "sensor's axes": {"color": SIMULATED, "lw": 2.2},
+    "rigid body": {"color": RIGID, "lw": 9.0},
+    "cable": {"color": CABLE, "lw": 3.0},
+    "wall under pressure": {"color": WALL, "lw": 9.0, "alpha": 0.5},
+    "motor": {"color": MOTOR, "lw": 2.5, "ls": "-.", "marker": "o"},
+    "force": {"color": FORCE, "lw": 3.0, "marker": ">"},
+}
+"""Styles of lines by what they mark, in pictures and in their legends, in its order."""

@@ -7,7 +7,6 @@ that markers inside or behind the body are visible and no texts overlap.
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,13 +17,10 @@ from softcal_jax.equilibrium import Model, RobotState
 from softcal_jax.plotting import _annotations as annotations
 from softcal_jax.plotting import _robot as robots
 from softcal_jax.plotting._robot import SensorFrame
-from softcal_jax.plotting._save import DPI, save
+from softcal_jax.plotting._save import add_axes, pixel_figure, save
 from softcal_jax.plotting._scene import body_image
-from softcal_jax.plotting._setup import draw_setup, load_points, setup_handles
+from softcal_jax.plotting._setup import draw_setup, load_points
 from softcal_jax.plotting._view import choose_view
-
-if TYPE_CHECKING:
-    import matplotlib.axes
 
 _WIDTH, _SIDE, _TOP, _BOTTOM = 1600, 190, 130, 130
 """Whole width, and sizes of colour scale, title and legend [pixels]."""
@@ -138,8 +134,6 @@ def render_body(
     Raises:
         RenderingError: If the machine has no OpenGL that works without a screen.
     """
-    from matplotlib.figure import Figure
-
     u = np.asarray(displacement, float)
     given = {"measured": measured, "simulated": simulated}
     groups = {
@@ -159,42 +153,32 @@ def render_body(
     pixels = body_image(
         model, u, view, size=(width, height), scale=scale, largest_mm=largest
     )
-
     top = _TOP + (annotations.WARNING_HEIGHT if warning else 0)
     total = height + top + _BOTTOM
-    figure = Figure(figsize=(_WIDTH / DPI, total / DPI), dpi=DPI, facecolor="white")
-
-    def axes(left, bottom, width, height) -> "matplotlib.axes.Axes":
-        """Add axes at a place in pixels, from the lower left corner."""
-        return figure.add_axes(
-            (left / _WIDTH, bottom / total, width / _WIDTH, height / total)
-        )
-
-    body = axes(0, _BOTTOM, width, height)
+    figure = pixel_figure(_WIDTH, total)
+    body = add_axes(figure, 0, _BOTTOM, width, height)
     w, h = 0.5 * width / scale, 0.5 * height / scale
     body.imshow(pixels, extent=(-w, w, -h, h), interpolation="none")
     body.set(xlim=(-w, w), ylim=(-h, h))
     body.set_axis_off()
-    setup = [] if posed is None else draw_setup(body, view, posed, model.mesh, x)
+    drawn = [name for name, points in groups.items() if len(points)]
+    drawn += ["distance"] * (len(drawn) == 2) + ["at rest"]
+    if model.mechanism.bodies.n_bodies:
+        drawn.append("rigid body")
+    if posed is not None:
+        drawn += draw_setup(body, view, posed, model.mesh, x)
     if picture is not None:
         robots.draw_robot(body, view, picture)
-    robots.draw_sensors(body, view, sensors)
+        drawn += picture.kinds
+    drawn += robots.draw_sensors(body, view, sensors)
     flat = {k: None if p is None else view.project(p) for k, p in given.items()}
     annotations.draw_markers(body, **flat, names=marker_names)
-    heading = axes(0, total - top, _WIDTH, top)
-    annotations.draw_title(heading, title, subtitle, warning)
-    bar = axes(_WIDTH - _SIDE + 20, _BOTTOM + 0.06 * height, 28, 0.88 * height)
-    annotations.draw_colour_scale(bar, largest)
-    annotations.draw_triad(axes(20, 5, _BOTTOM - 10, _BOTTOM - 10), view)
-    annotations.draw_length_scale(axes(_WIDTH - 420, 20, 400, 70), 400 / scale)
+    bar = (_WIDTH - _SIDE + 20, _BOTTOM + 0.06 * height, 28, 0.88 * height)
+    annotations.draw_colour_scale(add_axes(figure, *bar), largest)
+    words = {"title": title, "subtitle": subtitle, "warning": warning}
+    annotations.draw_frame(figure, view, scale=scale, top=top, bottom=_BOTTOM, **words)
     called = dict(zip(given, labels, strict=True))
-    names = {name: called[name] for name, points in groups.items() if len(points)}
-    drawn = robots.legend_handles(
-        [] if picture is None else picture.kinds,
-        bodies=model.mechanism.bodies.n_bodies > 0,
-        sensors=len(sensors) > 0,
-    )
-    annotations.draw_legend(figure, names, 62 / total, setup_handles(setup) + drawn)
+    annotations.draw_legend(figure, drawn, 62 / total, called)
     save(figure, path)
 
 

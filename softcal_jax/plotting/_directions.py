@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,11 +10,8 @@ from softcal_jax.mesh import TetMesh
 from softcal_jax.plotting import _annotations as annotations
 from softcal_jax.plotting._colours import SERIES
 from softcal_jax.plotting._faces import VisibleFaces, visible_faces
-from softcal_jax.plotting._save import DPI, save
+from softcal_jax.plotting._save import add_axes, pixel_figure, save
 from softcal_jax.plotting._view import View, choose_view
-
-if TYPE_CHECKING:
-    import matplotlib.axes
 
 _SIZE, _TOP, _BOTTOM = 900, 110, 120
 """Longer side of the body, and heights above and below it [pixels]."""
@@ -57,7 +53,6 @@ def plot_directions(
         ValueError: If there is no family, or one lacks a vector per tet.
     """
     from matplotlib.collections import PolyCollection
-    from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
     if not families:
@@ -74,26 +69,18 @@ def plot_directions(
     extent = _MARGIN * np.array([view.width, view.height])
     width, height = np.maximum(_SIZE * extent / extent.max(), 0.5 * _SIZE).round()
     total = height + _TOP + _BOTTOM
-    figure = Figure(figsize=(width / DPI, total / DPI), dpi=DPI, facecolor="white")
-
-    def axes(left, bottom, right, top) -> "matplotlib.axes.Axes":
-        """Add axes at a place in pixels, from the lower left corner."""
-        size = (right - left) / width, (top - bottom) / total
-        return figure.add_axes((left / width, bottom / total, *size))
-
-    body = axes(0, _BOTTOM, width, _BOTTOM + height)
+    figure = pixel_figure(width, total)
+    body = add_axes(figure, 0, _BOTTOM, width, height)
     body.add_collection(PolyCollection(shapes, facecolors=colours, edgecolors="face"))
     scale = max(extent[0] / width, extent[1] / height)
     w, h = 0.5 * width * scale, 0.5 * height * scale
     body.set(xlim=(-w, w), ylim=(-h, h))
     body.set_axis_off()
-    annotations.draw_title(axes(0, total - _TOP, width, total), title, "", "")
     lines = [Line2D([], [], color=c, lw=4) for c in _colours_of(families)]
     place = {"loc": "center", "bbox_to_anchor": (0.5, 55 / total)}
     figure.legend(lines, families, fontsize=15, frameon=False, **place)
-    annotations.draw_triad(axes(10, 5, _BOTTOM - 5, _BOTTOM - 10), view)
-    bar = axes(width - 270, 20, width - 20, 90)
-    annotations.draw_length_scale(bar, 250 * scale)
+    around = {"scale": 1.0 / scale, "top": _TOP, "bottom": _BOTTOM}
+    annotations.draw_frame(figure, view, **around, title=title)
     save(figure, path)
 
 

@@ -88,17 +88,26 @@ def fibre_figure(
     corners = mesh.points[mesh.tets[layer, :4]][:, :, columns]
     extent = np.ptp(mesh.points[:, columns], axis=0)
     # Stack the panels of a long mesh.
-    in_row = len(panels) if extent[1] > 0.5 * extent[0] else 1
-    in_column = 1 if in_row > 1 else len(panels)
-    height = (_WIDTH - _SIDE) / in_row * extent[1] / extent[0]
-    size = (_WIDTH, in_column * (min(height, 8.0) + 0.75) + 0.9)
+    stacked = extent[1] <= 0.5 * extent[0]
+    shape = (len(panels), 1) if stacked else (1, len(panels))
+    height = (_WIDTH - _SIDE) / shape[1] * extent[1] / extent[0]
+    size = (_WIDTH, shape[0] * (min(height, 8.0) + 0.75) + 0.9)
     figure = Figure(figsize=size, dpi=DPI, layout="constrained")
-    axes = figure.subplots(in_column, in_row, squeeze=False).ravel()
+    axes = figure.subplots(*shape, squeeze=False).ravel()
     for panel, (name, theta) in zip(axes, panels.items(), strict=True):
         _draw_layer(panel, corners, theta[layer], colours)
-        if control_points is not None:
-            _draw_control_points(panel, control_points[:, columns])
-        _finish(panel, name, plane, in_row > 1 or panel is axes[-1])
+        points = np.zeros((0, 3)) if control_points is None else control_points
+        look = {"ms": 12, "mfc": "white", "mec": TEXT, "mew": 2.5, "clip_on": False}
+        panel.plot(*(1e3 * points[:, columns].T), "o", zorder=5, **look)
+        for i, (x, y) in enumerate(1e3 * points[:, columns]):
+            style = {"ha": "center", "va": "center", "fontsize": 9, "zorder": 6}
+            panel.text(x, y, str(i + 1), **style)
+        panel.set_title(name, fontsize=15, parse_math=False)
+        panel.set_ylabel(f"{plane[1]} [mm]", fontsize=13)
+        last = not stacked or panel is axes[-1]
+        panel.tick_params(labelsize=11, labelbottom=last, bottom=last, colors=FAINT)
+        panel.set_xlabel("x [mm]" if last else "", fontsize=13)
+        panel.spines[:].set_visible(False)
     bar = figure.colorbar(colours, ax=list(axes), fraction=0.03, pad=0.02)
     bar.set_label("fibre angle theta [degrees]", fontsize=14, color=TEXT)
     bar.ax.tick_params(labelsize=12)
@@ -145,22 +154,3 @@ def _draw_layer(
     margin = 0.04 * (high - low).min()
     axes.set(xlim=(low[0] - margin, high[0] + margin))
     axes.set(ylim=(low[1] - margin, high[1] + margin), aspect="equal")
-
-
-def _draw_control_points(
-    axes: "matplotlib.axes.Axes", points: Float[HostArray, "n_cp 2"]
-) -> None:
-    look = {"ms": 12, "mfc": "white", "mec": TEXT, "mew": 2.5}
-    axes.plot(*(1e3 * points.T), "o", zorder=5, clip_on=False, **look)
-    for i, (x, y) in enumerate(1e3 * points):
-        axes.text(x, y, str(i + 1), ha="center", va="center", fontsize=9, zorder=6)
-
-
-def _finish(axes: "matplotlib.axes.Axes", name: str, plane: str, last: bool) -> None:
-    axes.set_title(name, fontsize=15, parse_math=False)
-    axes.set_ylabel(f"{plane[1]} [mm]", fontsize=13)
-    axes.tick_params(labelsize=11, labelbottom=last, bottom=last, colors=FAINT)
-    if last:
-        axes.set_xlabel("x [mm]", fontsize=13)
-    for side in axes.spines.values():
-        side.set_visible(False)

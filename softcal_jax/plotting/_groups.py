@@ -10,13 +10,12 @@ from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.mesh import CAD_FACE, TetMesh, boundary_faces
 from softcal_jax.plotting import _annotations as annotations
 from softcal_jax.plotting._colours import SERIES
-from softcal_jax.plotting._faces import visible_faces
-from softcal_jax.plotting._save import DPI, save
+from softcal_jax.plotting._faces import draw_faces, visible_faces
+from softcal_jax.plotting._save import add_axes, pixel_figure, save
 from softcal_jax.plotting._view import View, choose_view
 
 if TYPE_CHECKING:
     import matplotlib.axes
-    import matplotlib.figure
 
 Colour = tuple[float, float, float]
 
@@ -46,11 +45,8 @@ _LEAST = 30
 class _Faces(NamedTuple):
     """Faces that look towards the viewer, the farthest first.
 
-    Attributes:
-        corners: Their corners [m].
-        light: Share of their area that is seen [-].
-        group: Index of the group whose colour each has, -1 for none.
-        cut: Whether they lie within the body, where it is cut.
+    They have corners [m], the share of their area that is seen, the index of the group
+    whose colour they have, -1 for none, and lie within the body where it is cut.
     """
 
     corners: Float[HostArray, "n_faces 3 3"]
@@ -84,7 +80,7 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
         path: PNG or SVG file.
         title: Title of the picture.
     """
-    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
 
     every = {**mesh.tet_groups, **mesh.surface_groups, **mesh.node_groups}
     # Those that a user has named get the colours that are farthest apart.
@@ -103,20 +99,13 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
     rows = len(panels) // _COLUMNS
     per_row = max(1, _COLUMNS * frame.width // _ENTRY[0])
     legend = _ENTRY[1] * -(-len(groups) // per_row)
-    size = np.array([_COLUMNS * frame.width, rows * (frame.height + _HEADING)])
-    size[1] += _TOP + legend + _BOTTOM
-    figure = Figure(figsize=tuple(size / DPI), dpi=DPI, facecolor="white")
-
-    def axes(left, bottom, wide, high) -> "matplotlib.axes.Axes":
-        """Add axes at a place in pixels, from the lower left corner."""
-        x, y = size
-        return figure.add_axes((left / x, bottom / y, wide / x, high / y))
-
+    total = _TOP + rows * (frame.height + _HEADING) + legend + _BOTTOM
+    figure = pixel_figure(_COLUMNS * frame.width, total)
     for k, (heading, (view, drawn)) in enumerate(panels.items()):
         row, column = divmod(k, _COLUMNS)
-        bottom = size[1] - _TOP - (row + 1) * (frame.height + _HEADING)
-        own = axes(column * frame.width, bottom, frame.width, frame.height)
-        _draw_faces(own, view, shown[k], colours)
+        bottom = total - _TOP - (row + 1) * (frame.height + _HEADING)
+        own = add_axes(figure, column * frame.width, bottom, frame.width, frame.height)
+        draw_faces(own, view, shown[k].corners, _shaded(shown[k], colours))
         _draw_nodes(own, view, mesh, drawn, dict(zip(groups, colours, strict=True)))
         for group in np.flatnonzero((seen.argmax(axis=0) == k) & (seen[k] >= _LEAST)):
             place = _middle(images[k] == group, frame)
@@ -126,15 +115,17 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
         own.set(xlim=(-w, w), ylim=(-h, h), title=heading)
         own.set_axis_off()
         own.title.set_fontsize(16)
-    annotations.draw_title(axes(0, size[1] - _TOP, size[0], _TOP), title, "", "")
     faced = {**mesh.tet_groups, **mesh.surface_groups}
     names = [
         f"{name} (hidden)" if name in faced and not seen[:, k].any() else name
         for k, name in enumerate(groups)
     ]
-    _draw_legend(figure, names, colours, per_row, (_BOTTOM + 0.5 * legend) / size[1])
-    annotations.draw_triad(axes(10, 5, _BOTTOM - 10, _BOTTOM - 10), front)
-    annotations.draw_length_scale(axes(size[0] - 270, 20, 250, 70), 250 * frame.scale)
+    handles = [Patch(color=c, label=n) for n, c in zip(names, colours, strict=True)]
+    place = {"loc": "center", "bbox_to_anchor": (0.5, (_BOTTOM + 0.5 * legend) / total)}
+    look = {"ncols": per_row, "fontsize": 15, "frameon": False}
+    figure.legend(handles=handles, **look, **place)
+    around = {"scale": 1.0 / frame.scale, "top": _TOP, "bottom": _BOTTOM}
+    annotations.draw_frame(figure, front, **around, title=title)
     save(figure, path)
 
 
@@ -168,8 +159,7 @@ def _image(view: View, faces: _Faces, frame: _Frame) -> Int[HostArray, "_ _"]:
     """Draw the group of what is seen at each pixel, -1 for none."""
     from PIL import Image, ImageDraw
 
-    flat = view.project(faces.corners.reshape(-1, 3)).reshape(-1, 3, 2)
-    pixels = (flat + frame.half) / frame.scale
+    pixels = (view.project(faces.corners) + frame.half) / frame.scale
     image = Image.new("I", (frame.width, frame.height), -1)
     draw = ImageDraw.Draw(image)
     for corners, group in zip(pixels, faces.group.tolist(), strict=True):
@@ -218,24 +208,13 @@ def _keys(mesh: TetMesh, faces: Int[HostArray, "n _"]) -> Int[HostArray, " n"]:
     return (a * mesh.n_nodes + b) * mesh.n_nodes + c
 
 
-def _draw_faces(
-    axes: "matplotlib.axes.Axes",
-    view: View,
-    faces: _Faces,
-    colours: list[Colour],
-) -> None:
-    from matplotlib.collections import PolyCollection
-
-    flat = view.project(faces.corners.reshape(-1, 3)).reshape(-1, 3, 2)
-    # The last two stand for the group -1, and for what is cut.
+def _shaded(faces: _Faces, colours: list[Colour]) -> Float[HostArray, "n_faces 3"]:
+    """Colour faces by their group, darker where they are seen from the side."""
+    # The last two stand for what is cut, and for the group -1.
     table = np.array([*colours, _SECTION, _PLAIN])
     index = np.where(faces.cut & (faces.group < 0), len(colours), faces.group)
     light = _DARKEST + (1.0 - _DARKEST) * faces.light
-    own = table[index] * light[:, None]
-    edges = 0.8 * own
-    axes.add_collection(
-        PolyCollection(list(flat), facecolors=own, edgecolors=edges, lw=0.4)
-    )
+    return table[index] * light[:, None]
 
 
 def _draw_nodes(
@@ -255,20 +234,3 @@ def _draw_nodes(
         axes.plot(*places.T, "o", ms=5, color=colours[name], mec="black", mew=0.5)
         highest = places[np.argmax(places[:, 1])]
         annotations.draw_name(axes, name, highest, (0, 14), ha="center")
-
-
-def _draw_legend(
-    figure: "matplotlib.figure.Figure",
-    names: list[str],
-    colours: list[Colour],
-    columns: int,
-    height: float,
-) -> None:
-    from matplotlib.patches import Patch
-
-    handles = [Patch(color=c, label=n) for n, c in zip(names, colours, strict=True)]
-    if handles:
-        place = {"loc": "center", "bbox_to_anchor": (0.5, height)}
-        figure.legend(
-            handles=handles, ncols=columns, fontsize=15, frameon=False, **place
-        )

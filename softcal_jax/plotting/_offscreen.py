@@ -14,7 +14,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 _CHOICE = "VTK_DEFAULT_OPENGL_WINDOW"
-_EGL, _OSMESA = "vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow"
 
 _REMEDY = (
     "pictures of the body cannot be drawn, as this machine has no OpenGL that works "
@@ -68,10 +67,11 @@ def _backend() -> str | None:
 
 @functools.cache
 def _headless_backend() -> str:
+    osmesa = (f"libOSMesa.so{end}" for end in (".8", ".6", ""))
     if _can_load("libEGL.so.1") and _egl_works():
-        return _EGL
-    if any(_can_load(f"libOSMesa.so{end}") for end in (".8", ".6", "")):
-        return _OSMESA
+        return "vtkEGLRenderWindow"
+    if any(map(_can_load, osmesa)):
+        return "vtkOSOpenGLRenderWindow"
     raise RenderingError(_REMEDY)
 
 

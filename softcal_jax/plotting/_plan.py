@@ -20,18 +20,18 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import ActuatorState, Model, RobotState
 from softcal_jax.materials import Fibre
+from softcal_jax.mesh import boundary_faces
 from softcal_jax.plotting import _annotations as annotations
 from softcal_jax.plotting import _robot as robots
-from softcal_jax.plotting._colours import FIBRE, MEASURED, RIGID, SIMULATED, TEXT
-from softcal_jax.plotting._rest import rest_image
+from softcal_jax.plotting._colours import FAINT, RIGID, SYMBOLS, TEXT
+from softcal_jax.plotting._faces import VisibleFaces, draw_faces, visible_faces
 from softcal_jax.plotting._robot import RobotPicture, SensorFrame
-from softcal_jax.plotting._save import DPI, save
-from softcal_jax.plotting._setup import draw_setup, load_points, setup_handles
+from softcal_jax.plotting._save import add_axes, pixel_figure, save
+from softcal_jax.plotting._setup import draw_setup, load_points
 from softcal_jax.plotting._view import View, choose_view
 
 if TYPE_CHECKING:
     import matplotlib.axes
-    import matplotlib.figure
 
 MOST_PANELS = 6
 """Most configurations that are drawn; the others are counted."""
@@ -49,11 +49,8 @@ _MOST_FIBRES = 400
 _MOST_NAMES = 12
 """Most markers that are named; more names would cover each other."""
 
-_REST = {"marker": "+", "ms": 12, "mew": 2.4, "mec": SIMULATED, "ls": "none"}
-_RING = {"marker": "o", "ms": 12, "mew": 2.4, "mec": MEASURED, "mfc": "none"}
-_CONTROL = {"marker": "o", "ms": 16, "mew": 2.0, "mec": TEXT, "mfc": "white"}
-
-Fibres = Mapping[str, Float[HostArray, "n_tets 3"]]
+_LIGHT, _DARK = 0.97, 0.70
+"""Brightness of a face seen from the front, and from the side."""
 
 
 class _Panel(NamedTuple):
@@ -94,8 +91,6 @@ def plot_plan(
         control_points: Control points, numbered from 1 [m].
         software: What drew it, which is kept in the file.
     """
-    from matplotlib.figure import Figure
-
     mesh, fibres = model.mesh, _fibre_directions(model)
     shown = configurations[:MOST_PANELS]
     lanes = configuration_lanes(mesh, shown, model.mechanism).effectors
@@ -109,37 +104,35 @@ def plot_plan(
     view = choose_view(mesh.points, np.zeros_like(mesh.points), np.vstack(more))
     columns, rows, height, scale = _grid(view, len(panels))
     width = _WIDTH // columns
-    pixels = rest_image(mesh, view, size=(width, height), scale=scale)
     total = _TOP + rows * (height + _HEADING) + _BOTTOM
-    figure = Figure(figsize=(_WIDTH / DPI, total / DPI), dpi=DPI, facecolor="white")
-
-    def axes(left, bottom, wide, high) -> "matplotlib.axes.Axes":
-        """Add axes at a place in pixels, from the lower left corner."""
-        x, y = _WIDTH, total
-        return figure.add_axes((left / x, bottom / y, wide / x, high / y))
-
-    drawn: list[str] = []
+    figure = pixel_figure(_WIDTH, total)
+    faces = visible_faces(mesh, view)
+    light = _DARK + (_LIGHT - _DARK) * faces.light
+    grey = np.repeat(light[:, None], 3, axis=1)
+    drawn: set[str] = set()
     for k, panel in enumerate(panels):
         row, column = divmod(k, columns)
         bottom = total - _TOP - (row + 1) * (height + _HEADING)
-        own = axes(column * width, bottom, width, height)
+        own = add_axes(figure, column * width, bottom, width, height)
         w, h = 0.5 * width / scale, 0.5 * height / scale
-        own.imshow(pixels, extent=(-w, w, -h, h), interpolation="none")
         own.set(xlim=(-w, w), ylim=(-h, h))
         own.set_axis_off()
+        draw_faces(own, view, faces.corners, grey)
         if fibres is not None:
-            _draw_fibres(own, view, model, fibres)
-        drawn += _draw_panel(own, view, model, panel)
-        if control_points is not None:
-            _draw_control_points(own, view, control_points)
-        heading = axes(column * width, bottom + height, width, _HEADING)
-        _draw_heading(heading, panel.heading)
-    annotations.draw_title(axes(0, total - _TOP, _WIDTH, _TOP), title, subtitle, "")
-    annotations.draw_triad(axes(20, 5, _BOTTOM - 20, _BOTTOM - 20), view)
-    annotations.draw_length_scale(axes(_WIDTH - 320, 20, 300, 70), 300 / scale)
-    extra = {"fibre": fibres is not None, "control point": control_points is not None}
-    drawn += [what for what, there in extra.items() if there]
-    _draw_legend(figure, list(dict.fromkeys(drawn)), 70 / total)
+            _draw_fibres(own, view, faces, fibres)
+            drawn.add("fibre")
+        drawn.update(_draw_panel(own, view, model, panel))
+        for i, place in enumerate(() if control_points is None else control_points):
+            flat = view.project(place)
+            own.plot(*flat, **SYMBOLS["control point"])
+            style = {"ha": "center", "va": "center", "fontsize": 10, "color": TEXT}
+            own.text(flat[0], flat[1], str(i + 1), **style)
+            drawn.add("control point")
+        style = {"fontsize": 16, "color": TEXT, "parse_math": False}
+        annotations.shrink(own.set_title(panel.heading, **style), width - 40)
+    words = {"title": title, "subtitle": subtitle}
+    annotations.draw_frame(figure, view, scale=scale, top=_TOP, bottom=_BOTTOM, **words)
+    annotations.draw_legend(figure, drawn, 70 / total, {})
     save(figure, path, software=software)
 
 
@@ -154,16 +147,15 @@ class _Grid(NamedTuple):
 
 def _grid(view: View, n: int) -> _Grid:
     """Arrange panels so that the body is as large as the page allows."""
-
-    def arranged(columns: int) -> _Grid:
+    grids = []
+    for columns in range(1, n + 1):
         rows = math.ceil(n / columns)
         scale = (_WIDTH // columns - 2 * _MARGIN) / view.width
         most = max(_LOWEST, min(_HIGHEST, _PAGE // rows))
         height = int(np.clip(view.height * scale + 2 * _MARGIN, _LOWEST, most))
         scale = min(scale, (height - 2 * _MARGIN) / view.height)
-        return _Grid(columns, rows, height, scale)
-
-    return max(map(arranged, range(1, n + 1)), key=lambda grid: grid.scale)
+        grids.append(_Grid(columns, rows, height, scale))
+    return max(grids, key=lambda grid: grid.scale)
 
 
 def _panel(
@@ -226,16 +218,16 @@ def _draw_panel(
     sensors = [
         SensorFrame(p.at_rest, np.eye(3)) for p in panel.records if p.name in frames
     ]
-    robots.draw_sensors(axes, view, sensors)
-    drawn += ["sensor's axes"] if sensors else []
-    for there, rest in _measured(model, panel.records):
-        ends = view.project(np.stack([rest, there]))
-        axes.plot(*ends[1], path_effects=annotations.halo(5.0), **_RING)
-        axes.plot(*ends.T, color=MEASURED, lw=1.5, alpha=0.7)
+    drawn += robots.draw_sensors(axes, view, sensors)
+    for place, rest in _measured(model, panel.records):
+        ends = view.project(np.stack([rest, place]))
+        axes.plot(*ends[1], path_effects=annotations.halo(5.0), **SYMBOLS["measured"])
+        axes.plot(*ends.T, **SYMBOLS["distance"])
         drawn.append("measured")
     for p in panel.records:
-        flat = view.project(p.at_rest[None])[0]
-        axes.plot(*flat, path_effects=annotations.halo(5.0), **_REST)
+        flat = view.project(p.at_rest)
+        style = SYMBOLS["point at rest"]
+        axes.plot(*flat, path_effects=annotations.halo(5.0), **style)
         if len(panel.records) <= _MOST_NAMES:
             annotations.draw_name(axes, p.name, flat, (9, 7), fontsize=13)
         drawn.append("point at rest")
@@ -249,19 +241,17 @@ def _draw_bodies(
     """Draw the nodes of rigid bodies as a patch, with name and state."""
     from matplotlib.collections import PolyCollection
 
-    from softcal_jax.mesh import boundary_faces
-
     bodies, mesh = model.mechanism.bodies, model.mesh
     faces = boundary_faces(mesh)[:, :3]
     for k, name in enumerate(bodies.names):
         nodes = bodies.attached[bodies.body == k]
         own = faces[np.isin(faces, nodes).all(axis=1)]
-        corners = view.project(mesh.points[own].reshape(-1, 3)).reshape(-1, 3, 2)
-        style = {"facecolor": RIGID, "edgecolor": "#6b6b6b", "lw": 0.6, "alpha": 0.75}
-        axes.add_collection(PolyCollection(list(corners), **style))
+        corners = list(view.project(mesh.points[own]))
+        style = {"facecolor": RIGID, "edgecolor": FAINT, "lw": 0.6, "alpha": 0.75}
+        axes.add_collection(PolyCollection(corners, **style))
         flat = view.project(mesh.points[nodes])
         if not len(own):
-            axes.plot(*flat.T, "o", ms=4, color="#6b6b6b")
+            axes.plot(*flat.T, "o", ms=4, color=FAINT)
         state = c.bodies.get(name)
         kind = state if isinstance(state, str) else getattr(state, "kind", "held")
         text = name if state is None else f"{name} ({kind})"
@@ -302,72 +292,17 @@ def _fibre_directions(model: Model) -> Float[HostArray, "n_tets 3"] | None:
 def _draw_fibres(
     axes: "matplotlib.axes.Axes",
     view: View,
-    model: Model,
+    faces: VisibleFaces,
     fibres: Float[HostArray, "n_tets 3"],
 ) -> None:
     """Draw fibres of some of the tets whose outer face is seen."""
     from matplotlib.collections import LineCollection
 
-    from softcal_jax.mesh import boundary_faces, boundary_tets
-
-    mesh = model.mesh
-    corners = mesh.points[boundary_faces(mesh)[:, :3]]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    tets = boundary_tets(mesh)
-    seen = (normals @ view.towards > 0.0) & np.any(fibres[tets] != 0.0, axis=1)
-    own = np.flatnonzero(seen)
+    sides = faces.corners[:, 1:] - faces.corners[:, :1]
+    areas = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    half = max(0.5 * np.sqrt(np.median(areas)), 0.008 * view.width)
+    own = np.flatnonzero(np.any(fibres[faces.tet] != 0.0, axis=1))
     own = own[:: max(1, math.ceil(own.size / _MOST_FIBRES))]
-    half = 0.5 * np.sqrt(np.median(0.5 * np.linalg.norm(normals, axis=1)))
-    half = max(half, 0.008 * view.width)
-    centres, along = corners[own].mean(axis=1), half * fibres[tets[own]]
-    ends = np.stack([centres - along, centres + along], axis=1)
-    lines = view.project(ends.reshape(-1, 3)).reshape(-1, 2, 2)
-    axes.add_collection(LineCollection(list(lines), colors=FIBRE, lw=1.6, alpha=0.8))
-
-
-def _draw_control_points(
-    axes: "matplotlib.axes.Axes", view: View, points: Float[HostArray, "n_cp 3"]
-) -> None:
-    for i, (x, y) in enumerate(view.project(points)):
-        axes.plot(x, y, **_CONTROL)
-        style = {"ha": "center", "va": "center", "fontsize": 10, "color": TEXT}
-        axes.text(x, y, str(i + 1), **style)
-
-
-def _draw_heading(axes: "matplotlib.axes.Axes", text: str) -> None:
-    axes.set_axis_off()
-    style = {"fontsize": 16.0, "color": TEXT, "ha": "center", "va": "center"}
-    drawn = axes.text(0.5, 0.4, text, **style, parse_math=False)
-    annotations.shrink(drawn, axes.get_window_extent().width - 40)
-
-
-def _draw_legend(
-    figure: "matplotlib.figure.Figure", drawn: list[str], height: float
-) -> None:
-    from matplotlib.lines import Line2D
-
-    handles: list[Any] = []
-    for what, style in (
-        ("point at rest", _REST),
-        ("measured", {**_RING, "color": MEASURED, "lw": 1.5}),
-        ("control point", {**_CONTROL, "ls": "none"}),
-        ("fibre", {"color": FIBRE, "lw": 1.6}),
-    ):
-        if what in drawn:
-            handles.append(Line2D([], [], label=what, **style))
-    handles += setup_handles(drawn)
-    kinds = [what for what in drawn if what in robots.KINDS]
-    handles += robots.legend_handles(
-        kinds, bodies="rigid body" in drawn, sensors="sensor's axes" in drawn
-    )
-    if handles:
-        figure.legend(
-            handles=handles,
-            loc="center left",
-            bbox_to_anchor=(0.1, height),
-            ncols=min(len(handles), 5) if len(handles) > 6 else len(handles),
-            fontsize=14,
-            frameon=False,
-            labelcolor=TEXT,
-            columnspacing=1.6,
-        )
+    centres, along = faces.corners[own].mean(axis=1), half * fibres[faces.tet[own]]
+    lines = view.project(np.stack([centres - along, centres + along], axis=1))
+    axes.add_collection(LineCollection(list(lines), **SYMBOLS["fibre"], alpha=0.8))

@@ -1,7 +1,7 @@
 """Draw cables, chambers, motors, forces and 6-D sensors over the picture of a body."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,15 +13,7 @@ from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.equilibrium import ActuatorState, Model, RobotState
 from softcal_jax.export import readable_values
 from softcal_jax.plotting._annotations import draw_name, halo
-from softcal_jax.plotting._colours import (
-    CABLE,
-    FORCE,
-    MEASURED,
-    MOTOR,
-    RIGID,
-    SIMULATED,
-    WALL,
-)
+from softcal_jax.plotting._colours import FORCE, MEASURED, MOTOR, SYMBOLS, WALL
 from softcal_jax.plotting._view import View
 
 if TYPE_CHECKING:
@@ -32,17 +24,6 @@ _FRAME, _AXIS, _ARROW = 0.05, 0.08, 0.1
 
 _UNSEEN_AT_REST = ("force actuator", "surface force actuator", "surface pressure")
 """Actuators that are not drawn where they do not push."""
-
-_STYLES: dict[str, dict[str, Any]] = {
-    "cable": {"color": CABLE, "lw": 3.0},
-    "wall under pressure": {"color": WALL, "lw": 9.0, "alpha": 0.5},
-    "motor": {"color": MOTOR, "lw": 2.5, "ls": "-.", "marker": "o"},
-    "force": {"color": FORCE, "lw": 3.0, "marker": ">"},
-}
-"""Line styles of the kinds of actuators, in the picture and the legend."""
-
-KINDS = tuple(_STYLES)
-"""Kinds of actuators, as the legend names them."""
 
 
 class SensorFrame(NamedTuple):
@@ -62,7 +43,7 @@ class SensorFrame(NamedTuple):
 
 
 def sensor_frames(result: ConfigurationResult) -> list[SensorFrame]:
-    """List measured and simulated poses of the 6-D sensors of a configuration."""
+    """List measured and simulated poses of 6-D sensors, as far as they are known."""
     points = {point.name: point for point in result.points}
     frames = []
     for turn in result.turns:
@@ -73,7 +54,8 @@ def sensor_frames(result: ConfigurationResult) -> list[SensorFrame]:
             frames.append(SensorFrame(point.measured, R, True))
         simulated = Rotation.from_rotvec(turn.simulated).as_matrix() @ R
         frames.append(SensorFrame(point.simulated, simulated))
-    return frames
+    known = lambda frame: np.isfinite([*frame.position, *frame.rotation.flat]).all()
+    return [frame for frame in frames if known(frame)]
 
 
 class RobotPicture(NamedTuple):
@@ -134,23 +116,18 @@ def is_seen(actuator: ActuatorState) -> bool:
 
 
 def actuator_words(actuator: ActuatorState) -> str:
-    """Write the name of an actuator and what drives it."""
-    return f"{actuator.name}: {_force(actuator)}"
-
-
-def _force(actuator: ActuatorState) -> str:
-    """Say what drives an actuator; before a solve that is what is imposed."""
+    """Write the name of an actuator and what drives it; unsolved, what is imposed."""
+    words = [readable_values([actuator.force], actuator.force_unit, digits=3)]
+    value, unit = actuator.displacement, actuator.displacement_unit
     if actuator.kind == "cable" and actuator.force == 0.0:
-        return "slack"
-    force = readable_values([actuator.force], actuator.force_unit, digits=3)
-    unit = actuator.displacement_unit
-    if actuator.displacement is None or unit is None:
-        return force
-    displacement = readable_values([actuator.displacement], unit, digits=3)
-    if np.isnan(actuator.force):
-        return displacement
-    both = actuator.kind == "motor" and np.isfinite(actuator.displacement)
-    return f"{displacement}, {force}" if both else force
+        words = ["slack"]
+    elif value is not None and unit is not None:
+        displacement = readable_values([value], unit, digits=3)
+        if np.isnan(actuator.force):
+            words = [displacement]
+        elif actuator.kind == "motor" and np.isfinite(value):
+            words = [displacement, *words]
+    return f"{actuator.name}: {', '.join(words)}"
 
 
 def _draw_cable(axes, view: View, geometry: ActuatorGeometry, a: int, *, slack: bool):
@@ -158,11 +135,11 @@ def _draw_cable(axes, view: View, geometry: ActuatorGeometry, a: int, *, slack: 
     if not len(own):
         return None
     for segment in own:
-        style = {**_STYLES["cable"], "ls": ":" if slack else "-"}
+        style = {**SYMBOLS["cable"], "ls": ":" if slack else "-"}
         ends = view.project(segment)
         axes.plot(*ends.T, **style, marker="o", ms=6, path_effects=halo(5.0))
     lengths = np.linalg.norm(own[:, 1] - own[:, 0], axis=1)
-    return view.project(own[np.argmax(lengths)].mean(axis=0)[None])[0]
+    return view.project(own[np.argmax(lengths)].mean(axis=0))
 
 
 def _draw_wall(axes, view: View, picture: RobotPicture, a: int):
@@ -171,11 +148,10 @@ def _draw_wall(axes, view: View, picture: RobotPicture, a: int):
     faces = picture.geometry.faces[picture.geometry.face_owner == a, :3]
     if not len(faces):
         return None
-    corners = picture.x[faces]
-    flat = view.project(corners.reshape(-1, 3)).reshape(-1, 3, 2)
+    flat = view.project(picture.x[faces])
     style = {"facecolor": WALL, "edgecolor": "white", "lw": 0.4, "alpha": 0.3}
     axes.add_collection(PolyCollection(list(flat), **style))
-    return view.project(corners.reshape(-1, 3).mean(axis=0)[None])[0]
+    return flat.mean(axis=(0, 1))
 
 
 def _draw_point(axes, view: View, picture: RobotPicture, a: int):
@@ -187,9 +163,9 @@ def _draw_point(axes, view: View, picture: RobotPicture, a: int):
     if actuator.kind == "motor":
         half = _AXIS * view.width * arrow
         ends = view.project(np.stack([point - half, point + half]))
-        style = {k: v for k, v in _STYLES["motor"].items() if k != "marker"}
+        style = {k: v for k, v in SYMBOLS["motor"].items() if k != "marker"}
         axes.plot(*ends.T, **style, path_effects=halo(5.0))
-        axes.plot(*view.project(point[None])[0], "o", color=MOTOR, ms=9)
+        axes.plot(*view.project(point), "o", color=MOTOR, ms=9)
     else:
         # The arrow ends where the force acts.
         tail = point - pushes(actuator) * _ARROW * view.width * arrow
@@ -197,7 +173,7 @@ def _draw_point(axes, view: View, picture: RobotPicture, a: int):
         look = {"arrowstyle": "-|>", "color": FORCE, "lw": 3.0, "mutation_scale": 22}
         axes.annotate("", ends[1], ends[0], arrowprops={**look, "shrinkB": 0})
         return ends[0]
-    return view.project(point[None])[0]
+    return view.project(point)
 
 
 def pushes(actuator: ActuatorState) -> float:
@@ -208,27 +184,14 @@ def pushes(actuator: ActuatorState) -> float:
 
 def draw_sensors(
     axes: "matplotlib.axes.Axes", view: View, frames: Sequence[SensorFrame]
-) -> None:
-    """Draw the axes of 6-D sensors: three lines from their point."""
+) -> list[str]:
+    """Draw the axes of 6-D sensors; return what was drawn, for the legend."""
     for frame in frames:
-        if not np.isfinite(frame.position).all():
-            continue
-        style = {"color": MEASURED if frame.is_measured else SIMULATED, "lw": 2.2}
-        style["solid_capstyle"] = "round"
+        style = {**SYMBOLS["sensor's axes"], "solid_capstyle": "round"}
+        if frame.is_measured:
+            style["color"] = MEASURED
         for axis in frame.rotation.T:
             tip = frame.position + _FRAME * view.width * axis
             ends = view.project(np.stack([frame.position, tip]))
             axes.plot(*ends.T, path_effects=halo(4.0), **style)
-
-
-def legend_handles(kinds: Sequence[str], *, bodies: bool, sensors: bool) -> list[Any]:
-    """Make the legend handles of the symbols of a robot."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    handles: list[Any] = []
-    if sensors:
-        handles.append(Line2D([], [], color=SIMULATED, lw=2.2, label="sensor's axes"))
-    if bodies:
-        handles.append(Patch(color=RIGID, label="rigid body"))
-    return handles + [Line2D([], [], label=k, **_STYLES[k]) for k in kinds]
+    return ["sensor's axes"] if frames else []

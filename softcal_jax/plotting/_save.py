@@ -4,12 +4,30 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    import matplotlib.axes
     import matplotlib.figure
 
 DPI = 100
 """Pixels per inch of figures and of the images within them."""
 
-_FORMATS = {".png": "png", ".svg": "svg"}
+
+def pixel_figure(width: float, height: float) -> "matplotlib.figure.Figure":
+    """Make a white figure of a size in pixels."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor="white")
+
+
+def add_axes(
+    figure: "matplotlib.figure.Figure",
+    left: float,
+    bottom: float,
+    width: float,
+    height: float,
+) -> "matplotlib.axes.Axes":
+    """Add axes at a place in pixels, from the lower left corner."""
+    x, y = DPI * figure.get_size_inches()
+    return figure.add_axes((left / x, bottom / y, width / x, height / y))
 
 
 def save(
@@ -20,25 +38,21 @@ def save(
 ) -> None:
     """Write a figure as PNG or SVG, whichever the name of the file ends in.
 
-    The same figure gives the same file: without a date, and with the same ids.
-
-    Args:
-        figure: The figure.
-        path: The file.
-        software: What drew it, which is kept in the file.
+    The same figure gives the same file: without a date, and with the same ids. What
+    drew it is kept in the file.
 
     Raises:
         ValueError: If the name ends in something else.
     """
     import matplotlib as mpl
 
-    own = _FORMATS.get(Path(path).suffix.lower())
-    if own is None:
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".png", ".svg"):
         raise ValueError(
             f"{path} ends in {Path(path).suffix!r}; expected a picture, .png or .svg."
         )
     about = {"Software": software}
-    if own == "svg":
+    if suffix == ".svg":
         about = {"Creator": software, "Date": None}
     with mpl.rc_context({"svg.hashsalt": "softcal_jax"}):
-        figure.savefig(path, dpi=DPI, format=own, metadata=about)
+        figure.savefig(path, dpi=DPI, format=suffix[1:], metadata=about)

@@ -1,6 +1,6 @@
 """Draw how a configuration is held and loaded: supports, dead loads, gravity."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from softcal_jax.configurations import AbstractLoad, Configuration, Support
 from softcal_jax.export import readable_values
 from softcal_jax.mesh import TetMesh, node_indices
 from softcal_jax.plotting._annotations import draw_name
-from softcal_jax.plotting._colours import FORCE, GRAVITY, SUPPORT
+from softcal_jax.plotting._colours import FORCE, GRAVITY, SUPPORT, SYMBOLS
 from softcal_jax.plotting._view import View
 
 if TYPE_CHECKING:
@@ -18,18 +18,11 @@ if TYPE_CHECKING:
 _SHORTEST, _LONGEST = 0.07, 0.14
 """Lengths of the arrows of the smallest and largest load, over the view's width."""
 
-_GRAVITY = 24.0
-"""Half the length of its arrow, if it is seen from the side [pixels]."""
+_GRAVITY = 0.05
+"""Length of the arrow of gravity, over the width of the picture."""
 
 _LEAST = 0.15
 """Part of an arrow that must be seen from the side; else a dot shows it end on [-]."""
-
-_STYLES: dict[str, dict[str, Any]] = {
-    "support": {"marker": "s", "ms": 9, "ls": "none", "color": SUPPORT, "alpha": 0.7},
-    "load": {"color": FORCE, "lw": 3.0, "marker": "v", "ms": 8},
-    "gravity": {"color": GRAVITY, "lw": 3.0, "marker": "v", "ms": 8},
-}
-"""Symbols of the legend."""
 
 
 def load_place(
@@ -63,15 +56,8 @@ def draw_setup(
 ) -> list[str]:
     """Draw supports, dead loads and gravity, each with its name or size.
 
-    Args:
-        axes: Axes in metres, around the centre of the view.
-        view: The projection.
-        configuration: What is drawn.
-        mesh: The mesh at rest [m].
-        x: Positions of its nodes in the picture [m].
-
-    Returns:
-        What was drawn, for `setup_handles`.
+    The axes are in metres, around the centre of the view; x are positions of the nodes
+    in the picture [m]. Returns what was drawn, for the legend.
     """
     for support in configuration.supports:
         _draw_support(axes, view, support, mesh, x)
@@ -85,14 +71,26 @@ def draw_setup(
             text = readable_values([size], "N", digits=3)
             named = getattr(load, "where", None)
             name = f"{text} on {named}" if isinstance(named, str) else text
-            _draw_arrow(axes, view, place, share * force / size, FORCE, name)
-    _draw_gravity(axes, view, configuration.gravity)
+            along = view.width * share * force / size
+            _draw_arrow(axes, view, place, along, FORCE, name)
+    g = np.asarray(configuration.gravity, float)
+    size = float(np.linalg.norm(g))
+    corner = np.array([axes.get_xlim()[1], axes.get_ylim()[1]])
+    if size > 0.0:
+        # In the upper right corner, with its middle at the same place always.
+        half = _GRAVITY * corner[0] * g / size
+        x, y = corner * (0.87, 0.8)
+        place = view.centre + x * view.right + y * view.up - half
+        _draw_arrow(axes, view, place, 2.0 * half, GRAVITY, f"{size:.4g} m/s2")
+    else:
+        style = {"fontsize": 13, "color": GRAVITY, "ha": "right"}
+        draw_name(axes, "no gravity", 0.95 * corner, (0, 0), **style)
     drawn = {
         "support": bool(configuration.supports),
         "load": any(sizes),
-        "gravity": bool(np.any(configuration.gravity)),
+        "gravity": size > 0.0,
     }
-    return [what for what, there in drawn.items() if there]
+    return [what for what, present in drawn.items() if present]
 
 
 def _draw_support(
@@ -108,13 +106,11 @@ def _draw_support(
     nodes = node_indices(mesh, support.where, "a support")
     name = support.name
     if name in mesh.surface_groups:
-        corners = x[mesh.faces(name)[:, :3]]
-        flat = view.project(corners.reshape(-1, 3)).reshape(-1, 3, 2)
+        flat = view.project(x[mesh.faces(name)[:, :3]])
         style = {"facecolor": SUPPORT, "edgecolor": "white", "lw": 0.4, "alpha": 0.4}
         axes.add_collection(PolyCollection(list(flat), **style))
     else:
-        small = {**_STYLES["support"], "ms": 5}
-        axes.plot(*view.project(x[nodes]).T, **small)
+        axes.plot(*view.project(x[nodes]).T, **{**SYMBOLS["support"], "ms": 5})
     text = name if support.axes == "xyz" else f"{name}: {support.axes} held"
     if support.stiffness is not None:
         text += ", elastic"
@@ -134,10 +130,10 @@ def _draw_arrow(
     colour: str,
     text: str,
 ) -> None:
-    """Draw a force that pulls at a place, its arrow `along` times the view's width."""
-    start = view.project(place[None])[0]
-    step = view.width * np.array([along @ view.right, along @ view.up])
-    if np.linalg.norm(step) < _LEAST * view.width * np.linalg.norm(along):
+    """Draw a force that pulls at a place, its arrow as long as a vector [m]."""
+    start = view.project(place)
+    step = np.array([along @ view.right, along @ view.up])
+    if np.linalg.norm(step) < _LEAST * np.linalg.norm(along):
         axes.plot(*start, "o", ms=13, mfc="none", mec=colour, mew=2.5)
         axes.plot(*start, "." if along @ view.towards > 0 else "x", ms=8, color=colour)
         draw_name(axes, text, start, (12, 8), fontsize=13, color=colour)
@@ -145,55 +141,9 @@ def _draw_arrow(
     look = {"arrowstyle": "-|>", "color": colour, "lw": 3.0, "mutation_scale": 20}
     end = start + step
     arrow = {**look, "shrinkA": 0, "shrinkB": 0}
-    axes.annotate("", end, start, arrowprops=arrow)
+    axes.annotate("", tuple(end), tuple(start), arrowprops=arrow)
     # Towards the middle of the picture, where there is room.
     left = start[0] > 0.0
     side = {"ha": "right" if left else "left", "va": "center", "fontsize": 13}
     where = (-9 if left else 9, 0)
     draw_name(axes, text, 0.5 * (start + end), where, color=colour, **side)
-
-
-def _draw_gravity(
-    axes: "matplotlib.axes.Axes", view: View, gravity: tuple[float, float, float]
-) -> None:
-    """Draw the direction of gravity in the upper right corner, with its size."""
-    g = np.asarray(gravity, float)
-    size = float(np.linalg.norm(g))
-    words = {"fontsize": 13, "color": GRAVITY, "ha": "right", "va": "center"}
-    text = f"{size:.4g} m/s2" if size else "no gravity"
-    axes.text(0.965, 0.955, text, transform=axes.transAxes, **words)
-    if not size:
-        return
-    step = np.array([g @ view.right, g @ view.up]) / size
-    middle = (0.92, 0.87)
-    if np.linalg.norm(step) < _LEAST:
-        symbol = "." if g @ view.towards > 0 else "x"
-        style = {"transform": axes.transAxes, "color": GRAVITY}
-        axes.plot(*middle, "o", ms=15, mfc="none", mec=GRAVITY, mew=2.5, **style)
-        axes.plot(*middle, symbol, ms=8, **style)
-        return
-    # As long on the paper in every direction.
-    width, height = axes.get_window_extent().size
-    half = _GRAVITY * step / [width, height]
-    look = {"arrowstyle": "-|>", "color": GRAVITY, "lw": 3.0, "mutation_scale": 18}
-    arrow = {**look, "shrinkA": 0, "shrinkB": 0}
-    tip, tail = middle + half, middle - half
-    axes.annotate(
-        "",
-        tuple(tip),
-        tuple(tail),
-        arrowprops=arrow,
-        xycoords="axes fraction",
-        textcoords="axes fraction",
-    )
-
-
-def setup_handles(drawn: list[str]) -> list[Any]:
-    """Make the entries of the legend for what `draw_setup` has drawn."""
-    from matplotlib.lines import Line2D
-
-    return [
-        Line2D([], [], label=what, **style)
-        for what, style in _STYLES.items()
-        if what in drawn
-    ]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.configurations import Recording, Traces
+from softcal_jax.configurations import Traces
 from softcal_jax.plotting._colours import FAINT, SERIES, TEXT
 from softcal_jax.plotting._save import DPI, save
 
@@ -45,47 +45,45 @@ def traces_figure(traces: Traces, name: str) -> "matplotlib.figure.Figure":
     """Build the figure without a screen and without touching Matplotlib's state."""
     from matplotlib.figure import Figure
 
-    recording, windows = traces.recording, _distinct(traces)
+    recording, windows = traces.recording, _windows(traces)
     shape = (1 + len(windows), 1)
     figure = Figure((12.0, 1.2 + 3.2 * shape[0]), dpi=DPI, layout="constrained")
     panels = figure.subplots(*shape, squeeze=False)[:, 0]
-    _draw(panels[0], traces, _first_seen(recording))
-    panels[0].set_ylabel("distance from\nthe first frame [mm]")
-    colours = dict(zip(windows, _WINDOWS, strict=False))
-    for panel in panels:
-        for (start, stop), label in windows.items():
-            colour = colours[start, stop]
+    seen = np.isfinite(recording.positions).all(axis=2)
+    markers = np.arange(len(recording.names))
+    first = recording.positions[np.argmax(seen, axis=0), markers]
+    _draw(panels[0], traces, first)
+    panels[0].set_ylabel("distance from\nthe first frame [mm]", fontsize=14)
+    for k, ((start, stop), label) in enumerate(windows.items()):
+        for panel in panels:
+            colour = _WINDOWS[k % len(_WINDOWS)]
             # A single frame is drawn as a line.
             panel.axvspan(start, stop, color=colour, lw=2, zorder=0, label=label)
     for panel, (start, stop) in zip(panels[1:], windows, strict=True):
         inside = (recording.times >= start) & (recording.times <= stop)
         part = recording.positions[inside]
-        seen = np.isfinite(part)
-        n = seen.sum(axis=0)
-        mean = np.where(seen, part, 0.0).sum(axis=0) / np.where(n > 0, n, np.nan)
-        _draw(panel, traces, mean)
+        known = np.isfinite(part)
+        n = known.sum(axis=0)
+        mean = np.where(known, part, 0.0).sum(axis=0) / np.where(n > 0, n, np.nan)
+        columns = _draw(panel, traces, mean)
         frame = float(np.median(np.diff(recording.times))) if inside.size > 1 else 1.0
         beside = max(_AROUND * (stop - start), _LEAST * frame)
         panel.set_xlim(start - beside, stop + beside)
         # What is outside may be far away, and is cut.
-        off = np.linalg.norm(part - mean, axis=2)[:, _columns(traces)]
+        off = np.linalg.norm(part - mean, axis=2)[:, columns]
         panel.set_ylim(0.0, 3e3 * max(np.nanmax(off, initial=0.0), 1e-6))
-        panel.set_ylabel("distance from the\nmean in the window [mm]")
-    for panel in panels:
-        _finish(panel)
-    _legend(panels[0])
+        panel.set_ylabel("distance from the\nmean in the window [mm]", fontsize=14)
+    place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.04)}
+    for text in panels[0].legend(fontsize=12, frameon=False, **place).get_texts():
+        text.set_parse_math(False)  # a label may hold a dollar sign
     panels[-1].set_xlabel("time [s]", fontsize=14)
-    figure.suptitle(
-        f"{name}: what was taken of {Path(recording.source).name}",
-        fontsize=19,
-        weight="bold",
-        color=TEXT,
-        parse_math=False,
-    )
+    title = f"{name}: what was taken of {Path(recording.source).name}"
+    style = {"fontsize": 19, "weight": "bold", "color": TEXT, "parse_math": False}
+    figure.suptitle(title, **style)
     return figure
 
 
-def _distinct(traces: Traces) -> dict[tuple[float, float], str]:
+def _windows(traces: Traces) -> dict[tuple[float, float], str]:
     """Return the windows by their times, with all that each is for as its label."""
     found: dict[tuple[float, float], list[str]] = {}
     for what, times in traces.windows.items():
@@ -93,57 +91,29 @@ def _distinct(traces: Traces) -> dict[tuple[float, float], str]:
     return {times: ", ".join(labels) for times, labels in found.items()}
 
 
-def _columns(traces: Traces) -> list[int]:
-    return [traces.recording.names.index(name) for name in traces.names]
-
-
-def _first_seen(recording: Recording) -> Float[HostArray, "n_markers 3"]:
-    """Return where each marker was seen first; nan if never [m]."""
-    seen = np.isfinite(recording.positions).all(axis=2)
-    markers = np.arange(len(recording.names))
-    return recording.positions[np.argmax(seen, axis=0), markers]
-
-
 def _draw(
     axes: "matplotlib.axes.Axes", traces: Traces, origin: Float[HostArray, "n 3"]
-) -> None:
-    away = 1e3 * np.linalg.norm(traces.recording.positions - origin, axis=2)
-    named = len(traces.names) <= _MOST_NAMES
-    for i, column in enumerate(_columns(traces)):
+) -> list[int]:
+    """Draw distances from an origin for each marker, and return their columns."""
+    recording, names = traces.recording, traces.names
+    columns = [recording.names.index(name) for name in names]
+    away = 1e3 * np.linalg.norm(recording.positions - origin, axis=2)
+    for i, column in enumerate(columns):
         axes.plot(
-            traces.recording.times,
+            recording.times,
             away[:, column],
             color=SERIES[i % len(SERIES)],
             ls="-" if i < len(SERIES) else "--",
             lw=1.5,
-            label=traces.names[i] if named else None,
+            label=names[i] if len(names) <= _MOST_NAMES else None,
         )
-    for event, time in traces.recording.events:
+    look = {"fontsize": 11, "color": FAINT, "va": "top", "parse_math": False}
+    where = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
+    for event, time in recording.events:
         axes.axvline(time, color=FAINT, ls=":", lw=1.5)
-        axes.annotate(
-            event,
-            (time, 1.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(3, -3),
-            textcoords="offset points",
-            va="top",
-            fontsize=11,
-            color=FAINT,
-            annotation_clip=True,
-            parse_math=False,
-        )
-
-
-def _finish(axes: "matplotlib.axes.Axes") -> None:
+        place = {**where, "xytext": (3, -3), "annotation_clip": True}
+        axes.annotate(event, (time, 1.0), **place, **look)
     axes.grid(True, color="#dddddd", lw=0.8)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=13)
-    axes.yaxis.label.set_fontsize(14)
-
-
-def _legend(axes: "matplotlib.axes.Axes") -> None:
-    legend = axes.legend(
-        fontsize=12, frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.04)
-    )
-    for text in legend.get_texts():
-        text.set_parse_math(False)  # a label may hold a dollar sign
+    return columns

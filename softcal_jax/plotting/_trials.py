@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.plotting._colours import BAD, SERIES, TEXT
 from softcal_jax.plotting._save import DPI, save
@@ -22,8 +23,8 @@ def plot_trials(
     figures: Mapping[str, Float[HostArray, " n"]],
     path: str | Path,
     *,
-    title: str,
-    left_out: str,
+    title: str = "",
+    left_out: str = "",
 ) -> None:
     """Plot every figure of some trials against every axis.
 
@@ -51,10 +52,12 @@ def plot_trials(
     for row, (label, values) in zip(panels, figures.items(), strict=True):
         for axes, where in zip(row, columns.values(), strict=True):
             _draw(axes, where, values)
-        row[0].set_ylabel(label, fontsize=14, parse_math=False)
+        row[0].set_ylabel(escaped(label), fontsize=14, parse_math=False)
     for axes, name in zip(panels[-1], columns, strict=True):
-        axes.set_xlabel(name, fontsize=14, parse_math=False)
-    drawing.suptitle(title, fontsize=18, weight="bold", color=TEXT, parse_math=False)
+        axes.set_xlabel(escaped(name), fontsize=14, parse_math=False)
+    if title:
+        style = {"fontsize": 18, "weight": "bold", "color": TEXT}
+        drawing.suptitle(title, **style, parse_math=False)
     if left_out:
         style = {"fontsize": 13, "color": BAD, "loc": "left"}
         panels[0, 0].set_title(left_out, **style, parse_math=False)
@@ -78,6 +81,7 @@ def _draw(axes: "matplotlib.axes.Axes", where: Sequence[Any], values: Any) -> No
             axes.set_xticks(own, [f"{value:g}" for value in own])
         return
     groups = list(dict.fromkeys(where))
+    labels = [escaped(group) for group in groups]
     for i, group in enumerate(groups):
         own = np.array([v for v, w in zip(values, where, strict=True) if w == group])
         own = own[np.isfinite(own)]
@@ -88,5 +92,5 @@ def _draw(axes: "matplotlib.axes.Axes", where: Sequence[Any], values: Any) -> No
         axes.plot(i + width * np.linspace(-1.0, 1.0, own.size), own, **dots)
         axes.plot([i - 0.35, i + 0.35], [own.mean()] * 2, color=SERIES[1], lw=2.5)
     turn = 90 if len(groups) > _MOST_LABELS else 0
-    axes.set_xticks(range(len(groups)), groups, rotation=turn, parse_math=False)
+    axes.set_xticks(range(len(groups)), labels, rotation=turn, parse_math=False)
     axes.set_xlim(-0.6, len(groups) - 0.4)

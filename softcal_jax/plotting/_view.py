@@ -26,7 +26,7 @@ class View(NamedTuple):
 
     __repr__ = one_line
 
-    def project(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, "n 2"]:
+    def project(self, points: Float[HostArray, "*n 3"]) -> Float[HostArray, "*n 2"]:
         """Project points to picture coordinates, from the centre [m]."""
         return (points - self.centre) @ np.stack([self.right, self.up], axis=1)
 

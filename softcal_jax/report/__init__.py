@@ -1,18 +1,22 @@
 """Results written and loaded: files, a page, and tables for the terminal."""
 
 from softcal_jax.report._calibration import held_out_sentences, model_words
-from softcal_jax.report._inverse_page import write_inverse
+from softcal_jax.report._inverse import inverse_table, write_inverse
 from softcal_jax.report._load import (
     LoadedResult,
     ResultError,
     ResultWarning,
     load_result,
 )
-from softcal_jax.report._mesh_lines import mesh_lines
 from softcal_jax.report._notebook import notebook_html
-from softcal_jax.report._outline import control_point_sets, outline, roles_of
+from softcal_jax.report._outline import (
+    control_point_sets,
+    mesh_lines,
+    outline,
+    roles_of,
+)
 from softcal_jax.report._sweep_page import check_sweep_page, write_sweep
-from softcal_jax.report._tables import inverse_table, simulation_table, summary_table
+from softcal_jax.report._tables import simulation_table, summary_table
 from softcal_jax.report._write import (
     PictureWarning,
     write_comparison,

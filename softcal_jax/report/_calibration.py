@@ -83,28 +83,6 @@ def budget_table(result: CalibrationResult) -> TextTable:
     return text_table("Standard errors by cause", columns, rows)
 
 
-def cause_table(result: CalibrationResult) -> TextTable:
-    """Tabulate the standard error of each parameter by each cause alone."""
-    budget, total = result.budget, result.budget.standard_errors
-    by_cause = budget.by_cause()
-
-    def cell(i: int, std: float) -> str:
-        return budget.readable(i, std) if np.isfinite(std) else "-"
-
-    rows = [
-        (
-            name,
-            cell(i, float(total[i])),
-            *(cell(i, float(own[i])) for own in by_cause.values()),
-        )
-        for i, name in enumerate(budget.names)
-    ]
-    columns = "parameter", "all causes", *by_cause
-    return text_table(
-        "Standard error over the value, by each cause alone", columns, rows
-    )
-
-
 def interval_tables(result: CalibrationResult) -> list[TextTable]:
     """Tabulate the intervals of the parameters, and how each was found."""
     if not result.intervals:
@@ -128,9 +106,8 @@ def error_tables(
     columns = ("configuration", "role", "before", "after", "moved", "after/moved")
     points, turns = [], []
     for fit in fits:
-        before, after, moved = map(
-            distance, (fit.rms_before, fit.rms_after, fit.motion)
-        )
+        lengths = fit.rms_before, fit.rms_after, fit.motion
+        before, after, moved = map(distance, lengths)
         share = "-" if math.isnan(fit.rms_share) else f"{100.0 * fit.rms_share:.1f} %"
         first = (fit.name, fit.role)
         points.append((*first, before, Cell(after, "strong"), moved, share))
@@ -154,29 +131,20 @@ def error_tables(
 
 
 def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
-    """Say how far off held-out configurations are predicted, where that was measured.
-
-    For distances of markers and for angles of orientations.
-    """
-    return [
-        f"Held-out error, {fit.name}: {found}."
-        for fit in fits
-        if fit.role == "validation" and (found := _held_out_errors(fit))
-    ]
-
-
-def _held_out_errors(fit: ConfigurationResult) -> str:
-    texts = []
-    if fit.points:
-        texts.append(f"{1e3 * fit.rms_after:.2f} mm rms over {_points(fit)}")
-    if fit.points and math.isfinite(fit.rms_share):
-        texts[0] += (
-            f", {100 * fit.rms_share:.1f} % of how far they moved "
-            f"({1e3 * fit.motion:.1f} mm)"
-        )
-    if math.isfinite(fit.turn_after):
-        texts.append(f"{math.degrees(fit.turn_after):.2f} deg rms of orientations")
-    return "; ".join(texts)
+    """Say how far off held-out configurations are predicted, as far as it is known."""
+    lines = []
+    for fit in (own for own in fits if own.role == "validation"):
+        texts = []
+        if fit.points:
+            texts.append(f"{1e3 * fit.rms_after:.2f} mm rms over {_points(fit)}")
+        if fit.points and math.isfinite(fit.rms_share):
+            share = f"{100 * fit.rms_share:.1f} % of how far they moved"
+            texts[0] += f", {share} ({1e3 * fit.motion:.1f} mm)"
+        if math.isfinite(fit.turn_after):
+            texts.append(f"{math.degrees(fit.turn_after):.2f} deg rms of orientations")
+        if texts:
+            lines.append(f"Held-out error, {fit.name}: {'; '.join(texts)}.")
+    return lines
 
 
 def _points(fit: ConfigurationResult) -> str:
@@ -224,11 +192,10 @@ def blindness(assessment: Assessment) -> list[str]:
     blind = found.blind[::-1]
     if not blind:
         return [_sight(assessment)]
-    n, prior = found.n_parameters, "the prior and " if found.has_prior else ""
-    several = "s" if n > 1 else ""
+    by = "the prior and the start" if found.has_prior else "the start"
     lines = [
-        f"The data hardly see {len(blind)} of {n} direction{several}; "
-        f"along these {prior}the start decide{'' if prior else 's'}, not the data:"
+        f"The data hardly see {len(blind)} of {found.n_parameters} directions; these "
+        f"are decided by {by}, not by the data:"
     ]
     lines += [f"{d.words} ({percent(d.ratio)})" for d in blind[:MOST_DIRECTIONS]]
     if len(blind) > MOST_DIRECTIONS:

@@ -1,8 +1,11 @@
-"""Charts of a page; what colours tell apart, shapes, patterns or words tell too."""
+"""Charts of a page; what colours tell apart, shapes or words tell too.
+
+They are SVG whose text keeps its size, however wide the page is: places along the width
+are percentages, and those along the height pixels.
+"""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -12,21 +15,11 @@ from softcal_jax.calibration import (
     ConfigurationResult,
     ParameterEstimate,
 )
-from softcal_jax.control import GoalFit
-from softcal_jax.identifiability import Identifiability, percent
 from softcal_jax.inference import ErrorBudget
 from softcal_jax.report._calibration import distance
 from softcal_jax.report._html import Html, figure, joined, node
-from softcal_jax.report._svg import (
-    BLUE,
-    INK,
-    circle,
-    line,
-    row,
-    row_line,
-    row_scale,
-    upright,
-)
+
+INK, BLUE, LINE, PAPER = "#1a1a1a", "#0b4f8a", "#c8c8c8", "#ffffff"
 
 MOST_BARS = 24
 """Most rows of a chart."""
@@ -34,17 +27,9 @@ MOST_BARS = 24
 LEAST_NAMED = 0.01
 """Share of a variance from which on a cause is named beside the bar [-]."""
 
-# Paper and ink, darker and lighter in turn, so that neighbours differ in grey as well.
-_PATTERNS = (
-    ("#8c8c8c", "#8c8c8c", ""),
-    ("#0b4f8a", "#0b4f8a", ""),
-    ("#ffffff", "#d95f02", "M-2 2L2 -2M0 8L8 0M6 10L10 6"),
-    ("#1b7a5a", "#ffffff", "M0 2H8M0 6H8"),
-    ("#efe7f7", "#5a3d8a", "M2 0V8M6 0V8"),
-    ("#5b4310", "#f6e3b0", "M-2 6L2 10M0 0L8 8M6 -2L10 2"),
-    ("#ffffff", "#1a1a1a", "M0 4H8M4 0V8"),
-)
-"""Fills of the causes: background, colour of the lines, and the lines."""
+# Darker and lighter in turn, so that neighbours differ in grey as well.
+_FILLS = ("#8c8c8c", "#0b4f8a", "#f0b27a", "#1b7a5a", "#d9cdf0", "#5b4310", "#ffffff")
+"""Colours of the causes, from the first again where they are used up."""
 
 
 def error_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
@@ -66,18 +51,18 @@ def error_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
 
 def _errors(fit: ConfigurationResult, longest: float) -> Html:
     """Draw one row, with its numbers in words."""
-    x = row_scale(0.0, longest)
-    parts, before = [row_line()], "no equilibrium before"
+    x = lambda value: f"{2.0 + 96.0 * value / longest:.2f}%"
+    parts = [line("2%", 14, "98%", 14, stroke=LINE)]
+    before, after = "no equilibrium before", x(fit.rms_after)
     if math.isfinite(fit.motion):
-        parts.append(upright(x(fit.motion)))
+        moved = x(fit.motion)
+        parts.append(line(moved, 3, moved, 25, stroke=INK, stroke_width="3"))
     if math.isfinite(fit.rms_before):
         start = x(fit.rms_before)
-        parts.append(
-            line(x(fit.rms_after), 14, start, 14, stroke=BLUE, stroke_width="3")
-        )
+        parts.append(line(after, 14, start, 14, stroke=BLUE, stroke_width="3"))
         parts.append(circle(start, 14, filled=False))
         before = f"{distance(fit.rms_before)} before"
-    parts.append(circle(x(fit.rms_after), 14))
+    parts.append(circle(after, 14))
     held = " (held out)" if fit.role == "validation" else ""
     words = f"{before}, {distance(fit.rms_after)} after, moved {distance(fit.motion)}"
     return row(f"{fit.name}{held}", parts, words)
@@ -93,8 +78,6 @@ def budget_chart(result: CalibrationResult) -> list[Html]:
     ]
     if not known:
         return []
-    patterns = (_pattern(k) for k in range(min(len(shares), len(_PATTERNS))))
-    defined = node("svg", node("defs", *patterns), class_="defs", aria_hidden="true")
     bars = [
         _bar(parameter, {cause: float(share[i]) for cause, share in shares.items()})
         for i, parameter in known[:MOST_BARS]
@@ -106,7 +89,7 @@ def budget_chart(result: CalibrationResult) -> list[Html]:
     )
     if len(known) > MOST_BARS:
         caption += f" {len(known) - MOST_BARS} more parameters are in the table."
-    return [figure(joined([defined, legend, *bars]), caption)]
+    return [figure(joined([legend, *bars]), caption)]
 
 
 def _budget_shares(budget: ErrorBudget) -> dict[str, Float[HostArray, " n_p"]]:
@@ -141,74 +124,27 @@ def _entry(k: int, cause: str) -> Html:
 
 
 def _filled(k: int, **place: str) -> Html:
-    fill = f"url(#cause{k % len(_PATTERNS)})"
-    return node("rect", **place, fill=fill, stroke=INK, stroke_width="1")
+    return node("rect", **place, fill=_FILLS[k % len(_FILLS)], stroke=INK)
 
 
-def _pattern(k: int) -> Html:
-    paper, ink, lines = _PATTERNS[k]
-    return node(
-        "pattern",
-        node("rect", width="8", height="8", fill=paper),
-        node("path", d=lines, stroke=ink, stroke_width="2"),
-        id=f"cause{k}",
-        width="8",
-        height="8",
-        patternUnits="userSpaceOnUse",
-    )
+def row(title: str, parts: Sequence[Html], words: str, *, height: int = 28) -> Html:
+    """Put a chart of one row between its title and the same in words."""
+    drawn = node("svg", *parts, height=str(height), aria_hidden="true")
+    head = node("p", node("strong", title))
+    return node("div", head, drawn, node("p", words), class_="row")
 
 
-def outlook_chart(found: Identifiability) -> list[Html]:
-    """Draw the standard error to expect of each parameter over the asked one."""
-    rows = [
-        _Ratio(p.name, p.ratio, f"{percent(p.ratio)} of the asked one: {p.verdict}")
-        for p in found.parameters
-    ]
-    caption = (
-        "Standard error to expect of each parameter, on one logarithmic scale. The "
-        "upright line is the asked one; a point on its right is not known as well."
-    )
-    return _ratios(rows, caption)
+def line(x1: str, y1: float, x2: str, y2: float, **look: str) -> Html:
+    """Draw a straight line."""
+    return node("line", x1=x1, y1=f"{y1:.1f}", x2=x2, y2=f"{y2:.1f}", **look)
 
 
-def goal_chart(goals: Iterable[tuple[str, GoalFit]], tol: float) -> list[Html]:
-    """Draw how far effectors are from their goals over what counts as met.
-
-    Args:
-        goals: What to call each, and how close it came.
-        tol: Error at which a goal counts as met, in standard deviations [-].
-    """
-    rows = []
-    for title, fit in goals:
-        error = float(np.max(np.abs(fit.in_std), initial=0.0))
-        words = f"off by {fit.off}, {error:.2g} standard deviations"
-        rows.append(_Ratio(title, error / tol, words))
-    caption = (
-        "How far each effector is from its goal, on one logarithmic scale. The upright "
-        "line is what counts as met; a point on its right is off by more."
-    )
-    return _ratios(rows, caption)
+def circle(x: str, y: float, *, filled: bool = True) -> Html:
+    """Draw a circle, filled or open."""
+    look = {"fill": BLUE if filled else PAPER, "stroke": BLUE, "stroke_width": "2"}
+    return node("circle", cx=x, cy=f"{y:.1f}", r="5", **look)
 
 
-class _Ratio(NamedTuple):
-    """A row of `_ratios`: title, what is drawn, and the same in words."""
-
-    title: str
-    ratio: float
-    words: str
-
-
-def _ratios(rows: Sequence[_Ratio], caption: str) -> list[Html]:
-    """Draw a row with a point for each ratio, on one scale with a line at 1."""
-    if not rows:
-        return []
-    # Within four decades of 1: there zero and infinity end.
-    logs = [math.log10(min(max(entry.ratio, 1e-4), 1e4)) for entry in rows]
-    x = row_scale(min([*logs, -1.0]), max([*logs, 1.0]))
-    drawn = []
-    for entry, log in list(zip(rows, logs, strict=True))[:MOST_BARS]:
-        parts = [row_line(), upright(x(0.0)), circle(x(log), 14, filled=log <= 0.0)]
-        drawn.append(row(entry.title, parts, entry.words))
-    if len(rows) > MOST_BARS:
-        caption += f" {len(rows) - MOST_BARS} more are in the table."
-    return [figure(joined(drawn), caption)]
+def text(words: str, x: str, y: float, **look: str) -> Html:
+    """Write words at a place."""
+    return node("text", words, x=x, y=f"{y:.1f}", **look)

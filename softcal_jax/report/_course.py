@@ -2,30 +2,26 @@
 
 import itertools
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
-
-import numpy as np
 
 from softcal_jax._units import readable_unit
 from softcal_jax.calibration import CalibrationResult, HistoryEntry, ParameterEstimate
 from softcal_jax.identifiability import end_of
-from softcal_jax.report._html import Html, node
-from softcal_jax.report._svg import BLUE, Axes, circle, line, round_ticks, span
+from softcal_jax.report._charts import BLUE, INK, LINE, circle, line, text
+from softcal_jax.report._html import Html, figure, node
 
 MOST_PARAMETERS = 7
 """Most parameters whose course is drawn."""
 
+_TOP, _BOTTOM, _LABELS, _HEIGHT = 30.0, 170.0, 190.0, 196
+"""Where a chart over an axis begins and ends, its labels stand, and its height."""
+
 
 class _Curve(NamedTuple):
-    """A number that changes with the steps.
+    """A number that changes with the steps: its value `at` one, with the title's unit.
 
-    Attributes:
-        title: What it is, with its unit.
-        at: Its value after a step.
-        ticks: The grid, in the same unit.
-        level: A value to be reached, and its name.
-        caption: What there is to say of it.
+    `ticks` are the grid; `level` is a value to be reached, and its name.
     """
 
     title: str
@@ -57,7 +53,7 @@ def _fit(result: CalibrationResult) -> _Curve:
     if not any(fit.points for fit in fitted):  # lengths, angles or forces alone
         title, at = "Cost [-]", lambda entry: entry.cost
     values = [v for v in map(at, result.history) if math.isfinite(v)]
-    return _Curve(title, at, round_ticks(0.0, max(values, default=0.0)))
+    return _Curve(title, at, round_ticks([0.0, *values]))
 
 
 def _step_size(result: CalibrationResult) -> _Curve:
@@ -78,7 +74,7 @@ def _parameter(result: CalibrationResult, q: ParameterEstimate) -> _Curve:
     series = [entry.values[q.name] for entry in result.history]
     factor, unit = readable_unit(series, q.unit)
     at = lambda entry: factor * entry.values[q.name]
-    ticks = round_ticks(*span(factor * np.array(series)))
+    ticks = round_ticks([factor * value for value in series])
     bounds = f"{factor * q.lower:.4g} to {factor * q.upper:.4g} {unit}".rstrip()
     bound = ", on a bound" if q.at_bound else ""
     words = f"Ends at {q}{bound}; bounds {bounds}."
@@ -86,22 +82,36 @@ def _parameter(result: CalibrationResult, q: ParameterEstimate) -> _Curve:
 
 
 def _drawn(curve: _Curve, result: CalibrationResult) -> Html:
-    """Draw one curve."""
+    """Draw one curve over the steps."""
     history = result.history
     last = max(history[-1].step, 1)
-    axes = Axes((0.0, last), curve.ticks, level=curve.level)
+    level = {} if curve.level is None else dict([curve.level])
+    low, high = min([*curve.ticks, *level]), max([*curve.ticks, *level])
+    x = lambda step: f"{14.0 + 82.0 * step / last:.2f}%"
+    y = lambda v: _BOTTOM - (_BOTTOM - _TOP) * (v - low) / (high - low or 1.0)
+    parts = []
+    for value, label in curve.ticks.items():
+        parts.append(line("0", y(value), "100%", y(value), stroke=LINE))
+        parts.append(text(label, "0", y(value) - 3))
+    for value, label in level.items():
+        look = {"stroke": INK, "stroke_dasharray": "6 4", "stroke_width": "1.5"}
+        parts.append(line("0", y(value), "100%", y(value), **look))
+        # On the left: there a curve that falls to the level is still far from it.
+        parts.append(text(label, "12%", y(value) - 4))
     for step in _noise_changes(result):
-        axes.mark(step)
+        look = {"stroke": INK, "stroke_dasharray": "2 4"}
+        parts.append(line(x(step), _TOP, x(step), _BOTTOM, **look))
     known = [entry for entry in history if math.isfinite(curve.at(entry))]
-    places = [(axes.x(entry.step), axes.y(curve.at(entry))) for entry in known]
+    places = [(x(entry.step), y(curve.at(entry))) for entry in known]
     for start, end in itertools.pairwise(places):
-        axes.add(line(*start, *end, stroke=BLUE, stroke_width="2"))
+        parts.append(line(*start, *end, stroke=BLUE, stroke_width="2"))
     for entry, place in zip(known, places, strict=True):
-        axes.add(circle(*place, filled=entry.accepted))
+        parts.append(circle(*place, filled=entry.accepted))
     for step in range(0, last + 1, max(1, math.ceil(last / 10))):
-        axes.label(step, str(step))
-    label = f"{curve.title}, after each step"
-    return axes.figure(curve.title, label, curve.caption)
+        parts.append(text(str(step), x(step), _LABELS, text_anchor="middle"))
+    words = f"{curve.title}, after each step"
+    drawn = node("svg", *parts, role="img", aria_label=words, height=str(_HEIGHT))
+    return figure(drawn, curve.caption, title=curve.title)
 
 
 def _noise_changes(result: CalibrationResult) -> list[float]:
@@ -111,3 +121,15 @@ def _noise_changes(result: CalibrationResult) -> list[float]:
         for before, entry in itertools.pairwise(result.history)
         if not math.isclose(before.noise_level, entry.noise_level)
     ]
+
+
+def round_ticks(values: Sequence[float]) -> dict[float, str]:
+    """Choose round numbers around values, for about three lines of a grid."""
+    from matplotlib.ticker import MaxNLocator
+
+    low, high = min(values), max(values)
+    if high - low <= 1e-9 * max(abs(low), abs(high)):  # equal up to rounding
+        margin = 0.05 * max(abs(low), abs(high)) or 1.0
+        low, high = low - margin, high + margin
+    ticks = MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high)
+    return {float(tick): f"{tick:.6g}" for tick in ticks}

@@ -3,8 +3,6 @@
 import base64
 import hashlib
 import html
-import re
-import struct
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
@@ -39,13 +37,7 @@ class Html(str):
 
 
 class Section(NamedTuple):
-    """A part of a page with a heading.
-
-    Attributes:
-        id: Where links to it lead.
-        title: Its heading.
-        content: What stands below it.
-    """
+    """A part of a page with a heading; links lead to its id."""
 
     id: str
     title: str
@@ -55,10 +47,8 @@ class Section(NamedTuple):
 def node(name: str, *content: str, **attributes: str) -> Html:
     """Make an element.
 
-    Args:
-        name: Its name.
-        content: What it holds; a `str` that is no `Html` is text of a user.
-        attributes: Its attributes, with "_" for "-" and behind a Python keyword.
+    Content that is a `str` and no `Html` is text of a user. Names of attributes have
+    "_" for "-" and behind a Python keyword.
     """
     texts = (
         f' {key.rstrip("_").replace("_", "-")}="{_safe(value)}"'
@@ -80,9 +70,15 @@ def joined(parts: Iterable[Html]) -> Html:
     return Html("\n".join(parts))
 
 
-def bullets(lines: Iterable[str], **attributes: str) -> Html:
-    """Make a list of sentences."""
-    return node("ul", *(node("li", line) for line in lines), **attributes)
+def bullets(lines: Iterable[str]) -> Html:
+    """Make a list of sentences; nothing of none."""
+    items = [node("li", line) for line in lines]
+    return node("ul", *items) if items else Html("")
+
+
+def sentences(lines: Iterable[str]) -> list[Html]:
+    """Make a paragraph of each sentence; empty ones are left out."""
+    return [node("p", line) for line in lines if line]
 
 
 def table_html(table: TextTable) -> Html:
@@ -114,28 +110,15 @@ def facts_html(title: str, facts: Mapping[str, str]) -> Html:
 def _wide(title: str, *content: Html) -> Html:
     """Make a table that scrolls by itself where the page is too narrow for it."""
     table = node("table", node("caption", title), *content)
-    return node(
-        "div", table, class_="wide", role="region", aria_label=title, tabindex="0"
-    )
+    about = {"role": "region", "aria_label": title, "tabindex": "0"}
+    return node("div", table, class_="wide", **about)
 
 
 def picture(path: Path, alt: str) -> Html:
     """Write a PNG or SVG file into the page, as an image, which runs no scripts."""
-    content = path.read_bytes()
-    if path.suffix == ".svg":
-        kind = "svg+xml"
-        sizes = re.findall(rb'<svg [^>]*?viewBox="0 0 (\S+) (\S+)"', content[:4000])
-        width, height = (round(float(size)) for size in sizes[0])
-    else:
-        kind = "png"
-        width, height = struct.unpack(">II", content[16:24])
-    return node(
-        "img",
-        src=f"data:image/{kind};base64,{base64.b64encode(content).decode()}",
-        alt=alt,
-        width=str(width),
-        height=str(height),
-    )
+    kind = "svg+xml" if path.suffix == ".svg" else "png"
+    content = base64.b64encode(path.read_bytes()).decode()
+    return node("img", src=f"data:image/{kind};base64,{content}", alt=alt)
 
 
 def figure(content: Html, caption: str, *, title: str = "") -> Html:
@@ -156,20 +139,15 @@ def page(
 ) -> str:
     """Write a whole page.
 
-    Args:
-        name: Name of the project.
-        kind: What was done, like "Calibration".
-        verdict: What stands first.
-        sections: What follows; those without content are left out.
-        index: File of the same numbers for programs, beside the page.
-        units: Units in that file.
-        script: What the page runs once it is read; nothing by default.
+    `kind` is what was done, like "Calibration". Sections without content are left out.
+    `index` is the file with the same numbers in `units`. With `script`, the text of the
+    only script, the page runs that one and no other.
     """
     policy = _POLICY
     if script:
         digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
         policy += f"; script-src 'sha256-{digest}'"
-    shown = [own for own in sections if own.content]
+    shown = [own for own in sections if any(own.content)]
     head = node(
         "head",
         node("meta", charset="utf-8"),
@@ -218,15 +196,9 @@ def _style() -> Html:
 
 
 def verdict_html(verdict: RunVerdict) -> Html:
-    reasons = [bullets(verdict.reasons)] if verdict.reasons else []
-    sentence = node("p", node("strong", verdict.sentence))
-    return node(
-        "section",
-        node("h2", "Verdict"),
-        sentence,
-        *reasons,
-        class_=f"verdict {verdict.tone}",
-    )
+    said = node("p", node("strong", verdict.sentence)), bullets(verdict.reasons)
+    head = node("h2", "Verdict")
+    return node("section", head, *said, class_=f"verdict {verdict.tone}")
 
 
 def _section(own: Section) -> Html:

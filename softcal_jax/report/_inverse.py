@@ -1,19 +1,40 @@
-"""Results of inverse control: their tables, which a cell and a page show alike."""
+"""Results of inverse control: their tables, and the folder with their page."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import compress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import jax
 import numpy as np
 
 from softcal_jax._text_table import Cell, TextTable, text_table
 from softcal_jax._typing import Float, HostArray
+from softcal_jax.calibration import SourceFile
 from softcal_jax.control import GoalFit, InverseResult, TrajectoryResult
-from softcal_jax.equilibrium import ActuatorState
-from softcal_jax.export import readable_values
+from softcal_jax.equilibrium import robot_states
+from softcal_jax.export import (
+    Made,
+    file_dict,
+    file_stems,
+    inverse_dict,
+    readable_values,
+    results_folder,
+    write_json,
+    write_pvd,
+    write_robot_vtu,
+    write_vtu,
+)
 from softcal_jax.identifiability import RunVerdict
-from softcal_jax.report._charts import goal_chart
-from softcal_jax.report._html import Html, bullets, node, table_html
-from softcal_jax.report._robot import actuator_row
+from softcal_jax.plotting import render_body
+from softcal_jax.report._html import Html, Section, bullets, page, sentences, table_html
+from softcal_jax.report._pages import REPORT, shown_pictures
+from softcal_jax.report._provenance import closing, files_of
+from softcal_jax.report._tables import HEADS, actuator_row
+from softcal_jax.report._write import COLLECTION, Picture, Told, picture_problem
+
+if TYPE_CHECKING:
+    import rich.console
 
 
 def inverse_verdict(result: InverseResult | TrajectoryResult) -> RunVerdict:
@@ -26,31 +47,18 @@ def inverse_verdict(result: InverseResult | TrajectoryResult) -> RunVerdict:
     return RunVerdict(result.message, "good" if result.met else "doubtful", reasons)
 
 
-def inverse_html(result: InverseResult) -> list[Html]:
-    """Show how close the goals are, and what the actuators do."""
-    drawn = goal_chart([(_titled(fit), fit) for fit in result.goals], result.tol)
-    tables = map(table_html, (goal_table(result.goals), actuator_table(result)))
-    limits = []
-    if result.active_limits:
-        limits = [node("p", "Limits that are reached:"), bullets(result.active_limits)]
-    return [*drawn, *tables, *limits]
-
-
-def trajectory_html(result: TrajectoryResult) -> list[Html]:
-    """Show the commands along a trajectory, and how close each goal is."""
+def inverse_html(result: InverseResult | TrajectoryResult) -> list[Html]:
+    """Show how close the goals are, and what the actuators do there."""
+    if isinstance(result, InverseResult):
+        tables = map(table_html, (goal_table(result.goals), actuator_table(result)))
+        limits = "Limits that are reached:" if result.active_limits else ""
+        return [*tables, *sentences([limits]), bullets(result.active_limits)]
     rows = []
     for i, point in enumerate(result.points, 1):
         outcome = Cell(point.message, "good" if point.met else "bad")
         rows.append((str(i), _inputs(point), outcome))
     columns = "goal", "inputs", "outcome"
-    goals = [
-        (f"goal {i}, {_titled(fit)}", fit)
-        for i, point in enumerate(result.points, 1)
-        for fit in point.goals
-    ]
-    drawn = goal_chart(goals, result.points[0].tol) if result.points else []
-    table = text_table("Commands", columns, rows, words=["inputs"])
-    return [*drawn, table_html(table)]
+    return [table_html(text_table("Commands", columns, rows, words=["inputs"]))]
 
 
 def attempts_table(result: InverseResult) -> TextTable:
@@ -60,17 +68,35 @@ def attempts_table(result: InverseResult) -> TextTable:
     return text_table("Descents", columns, rows)
 
 
+def inverse_table(result: InverseResult) -> "rich.console.Group":
+    """Tabulate a result of inverse control for the terminal: goals and actuators."""
+    from rich.console import Group
+    from rich.text import Text
+
+    verdict = inverse_verdict(result)
+    style = HEADS[verdict.tone]
+    tables = map(TextTable.drawn, (goal_table(result.goals), actuator_table(result)))
+    return Group(*tables, Text(verdict.sentence, style=style))
+
+
 def _titled(fit: GoalFit) -> str:
     return f"{fit.name} (turn)" if fit.effector.is_turn else fit.name
 
 
 def goal_table(goals: Sequence[GoalFit]) -> TextTable:
     """Tabulate goals, what is reached, and how far that is off."""
-    rows = []
-    for fit in goals:
-        goal, there = _coordinates(fit, fit.effector.measured), fit.reached
-        rows.append((_titled(fit), goal, _coordinates(fit, there), fit.off))
-    return text_table("Goals", ("effector", "goal", "reached", "off by"), rows)
+    rows = [
+        (
+            _titled(fit),
+            _coordinates(fit, fit.effector.measured),
+            _coordinates(fit, fit.reached),
+            fit.off,
+            f"{np.max(np.abs(fit.in_std), initial=0.0):.2g}",
+        )
+        for fit in goals
+    ]
+    columns = "effector", "goal", "reached", "off by", "standard deviations"
+    return text_table("Goals", columns, rows)
 
 
 def _coordinates(fit: GoalFit, values: Float[HostArray, " k"]) -> str:
@@ -87,32 +113,162 @@ def actuator_table(result: InverseResult) -> TextTable:
     columns = "actuator", "kind", "force", "displacement"
     rows = []
     for own in result.actuators:
-        name, force, displacement = actuator_row(own)
+        name, *shown = actuator_row(own)
         commanded = name in result.configuration.actuation
-        tone = "strong" if commanded else "plain"
-        by_force = own.imposed == "force"
-        rows.append(
-            (
-                name,
-                own.kind if commanded else f"{own.kind}, not commanded",
-                Cell(force, tone if by_force else "plain"),
-                Cell(displacement, "plain" if by_force else tone),
-            )
-        )
+        cells = [Cell(text) for text in shown]
+        if commanded:
+            k = int(own.imposed == "displacement")
+            cells[k] = Cell(shown[k], "strong")
+        kind = own.kind if commanded else f"{own.kind}, not commanded"
+        rows.append((name, kind, *cells))
     return text_table("Actuators", columns, rows)
 
 
 def _inputs(result: InverseResult) -> str:
     """Write what is commanded."""
-    asked = result.configuration.actuation
-    return ", ".join(_input(own) for own in result.actuators if own.name in asked)
+    words = []
+    for own in result.actuators:
+        value, unit = own.force, own.force_unit
+        if own.imposed == "displacement":
+            assert own.displacement is not None
+            assert own.displacement_unit is not None
+            value, unit = own.displacement, own.displacement_unit
+        if own.name in result.configuration.actuation:
+            words.append(f"{own.name} = {readable_values([value], unit)}")
+    return ", ".join(words)
 
 
-def _input(own: ActuatorState) -> str:
-    """Write what is imposed on an actuator."""
-    value, unit = own.force, own.force_unit
-    if own.imposed == "displacement":
-        assert own.displacement is not None
-        assert own.displacement_unit is not None
-        value, unit = own.displacement, own.displacement_unit
-    return f"{own.name} = {readable_values([value], unit)}"
+def write_inverse(
+    result: InverseResult | TrajectoryResult,
+    directory: str | Path,
+    *,
+    name: str = "inverse",
+    force: bool = False,
+    timing_s: Mapping[str, float] | None = None,
+    made: Made | None = None,
+    calibration: str | Path | None = None,
+    options: Sequence[str] = (),
+    notes: Sequence[str] = (),
+    pictures: Picture | None = "png",
+    told: Told = lambda *_: None,
+) -> Path:
+    """Write a result of inverse control to a folder, whole or not at all.
+
+    The folder holds `report.html`, `inverse.json` (see `inverse_dict`) and for each
+    goal that has an equilibrium a .vtu for ParaView and a picture, with circles where
+    the goals are. `configurations.pvd` opens all .vtu at once. With `calibration`, the
+    `result.json` that the model was loaded from, the page gives the command that
+    repeats it; `options` are further words of that, like "--goal" and its value, and
+    `notes` are what there is to doubt. Other arguments, errors and what is returned are
+    those of `write_results`.
+
+    Raises:
+        ValueError: If a trajectory has no points.
+    """
+    points = [result] if isinstance(result, InverseResult) else list(result.points)
+    if not points:
+        raise ValueError("the trajectory has no goals, so there is nothing to write.")
+    more: dict[str, Any] = {"made": made, "directory": directory}
+    data = inverse_dict(result, name=name, timing_s=timing_s, **more)
+    names = ["command"]
+    if len(points) > 1:
+        names = [f"goal {i}" for i in range(1, len(points) + 1)]
+    stems = file_stems(names)
+    solved = [bool(point.solution.converged) for point in points]
+    problem = picture_problem(list(compress(stems, solved)), pictures)
+    data["notes"] = [*notes, *([problem] if problem else [])]
+    own = None if calibration is None else SourceFile.of(Path(calibration))
+    data["calibration"] = own and file_dict(own, directory)
+    suffix = None if problem else pictures
+    files, bodies, captions = [], [], {}
+    with results_folder(directory, force=force) as folder:
+        told(0, len(points))
+        for k, (point, title, stem) in enumerate(
+            zip(points, names, stems, strict=True)
+        ):
+            if solved[k]:
+                written = _write_body(folder, point, stem, title, suffix)
+                captions |= dict.fromkeys(written, f"{title}: {_SEEN}")
+                files += written
+                bodies.append([file for file in written if file.endswith(".vtu")])
+            told(k + 1, len(points))
+        if bodies:
+            write_pvd(folder / COLLECTION, bodies)
+            files.insert(0, COLLECTION)
+        data["files"] = [REPORT, *files]
+        shown = shown_pictures(captions, folder)
+        text = _page(result, data, shown, options)
+        (folder / REPORT).write_text(text, encoding="utf-8")
+        write_json(folder / "inverse.json", data)
+    return Path(directory)
+
+
+_SEEN = (
+    "the body at the commands found, coloured by displacement, with the goals "
+    "(circles) and what is reached (crosses)"
+)
+"""What a picture shows."""
+
+
+def _write_body(
+    folder: Path, point: InverseResult, stem: str, title: str, suffix: Picture | None
+) -> list[str]:
+    """Write the equilibrium of a command, and return the names of the files."""
+    model = point.model
+    u = np.asarray(point.solution.displacement)[: model.mesh.n_nodes]
+    files = [f"{stem}.vtu"]
+    write_vtu(folder / files[0], model, u)
+    # On the host: on the device, each shape would compile a program.
+    solution = jax.tree.map(lambda leaf: np.asarray(leaf)[None], point.solution)
+    (robot,) = robot_states(model, [point.configuration], solution)
+    if robot is not None:
+        files.append(f"{stem}_robot.vtu")
+        write_robot_vtu(folder / files[-1], model, robot)
+    if suffix is not None:
+        files.append(f"{stem}.{suffix}")
+        fits = [fit for fit in point.goals if fit.effector.quantity == "point"]
+        # A coordinate without a goal does not contribute to the drawn distance.
+        goals = [
+            np.where(fit.effector.seen, fit.effector.measured, fit.reached)
+            for fit in fits
+        ]
+        render_body(
+            model,
+            u,
+            folder / files[-1],
+            title=f"{title} - inverse control from {point.configuration.name!r}",
+            subtitle="all goals are met" if point.met else "not all goals are met",
+            measured=np.array(goals) if fits else None,
+            simulated=np.array([fit.reached for fit in fits]) if fits else None,
+            marker_names=[fit.name for fit in fits],
+            labels=("goal", "reached"),
+            robot=robot,
+            posed=point.configuration,
+        )
+    return files
+
+
+def _page(
+    result: InverseResult | TrajectoryResult,
+    data: Mapping[str, Any],
+    pictures: Sequence[Html],
+    options: Sequence[str],
+) -> str:
+    search = []
+    if isinstance(result, InverseResult) and result.attempts:
+        search = [table_html(attempts_table(result))]
+    loaded, source = data["calibration"], data["source"]
+    files = [] if source is None else files_of(source)
+    words = []
+    if loaded is not None:
+        words, files = ["inverse", loaded["file"], *options], [loaded, *files]
+    sections = [
+        Section("notes", "Notes", [bullets(data["notes"])]),
+        Section("goals", "Goals and commands", inverse_html(result)),
+        Section("pictures", "Pictures", pictures),
+        Section("search", "Course of the search", search),
+        *closing(data, words, files=files),
+    ]
+    verdict = inverse_verdict(result)
+    of = {"index": "inverse.json", "units": "SI"}
+    return page(data["name"], "Inverse control", verdict, sections, **of)

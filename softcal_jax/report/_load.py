@@ -1,5 +1,6 @@
 """Load a calibration that was written to a results folder."""
 
+import json
 import os
 import warnings
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from softcal_jax._files import check_file, sha256_of, similar_file
 from softcal_jax._machine import installed_version
@@ -31,9 +32,6 @@ from softcal_jax.project import Project, load_project
 RESULT = "result.json"
 """Name of the file in a results folder."""
 
-AGAIN = "calibrate again (softcal calibrate), or put back the file as it was"
-"""What to do when a file has changed."""
-
 
 class ResultError(ValueError):
     """A result cannot be loaded; the text says which file is in the way, and why."""
@@ -41,13 +39,6 @@ class ResultError(ValueError):
 
 class ResultWarning(SoftcalWarning):
     """A result was loaded whose values should not be used as they are."""
-
-
-class _Head(BaseModel):
-    """The first keys of every results file."""
-
-    format: str
-    source: Any = None
 
 
 class LoadedResult(Module):
@@ -103,12 +94,13 @@ class LoadedResult(Module):
             ValueError: If there is no such configuration, or no name and several.
         """
         posed = {c.name: c for c in self.project.configurations}
-        if name is None and len(posed) > 1:
-            raise ValueError(
-                f"the project {self.project.name!r} has the configurations "
-                f"{listed([repr(own) for own in posed])}; name one of them."
-            )
-        name = next(iter(posed)) if name is None else name
+        if name is None:
+            if len(posed) > 1:
+                raise ValueError(
+                    f"the project {self.project.name!r} has the configurations "
+                    f"{listed([repr(own) for own in posed])}; name one of them."
+                )
+            name = next(iter(posed))
         if name not in posed:
             raise unknown_name("configuration", name, posed)
         mesh, mechanism = self.model.mesh, self.model.mechanism
@@ -144,12 +136,11 @@ def load_result(
     path = Path(path)
     path = path / RESULT if path.is_dir() else path
     data, source = _read(path)
-    at = project
-    if at is None:
-        at = os.path.normpath(path.parent.resolve() / source.project.file)
-    _check_unchanged(path, Path(at), source)
+    if project is None:
+        project = os.path.normpath(path.parent.resolve() / source.project.file)
+    _check_unchanged(path, Path(project), source)
     # Given, so that what `load_project` warns of is not said again.
-    loaded = load_project(at, changes=source.changes)
+    loaded = load_project(project, changes=source.changes)
     space = _checked_space(path, loaded, data)
     values = {own.name: own.value for own in data.parameters}
     z = space.to_scaled(jnp.asarray([values[name] for name in space.names]))
@@ -182,18 +173,16 @@ def _read(path: Path) -> tuple[ResultFile, SourceEntry]:
     check_file(path, "result file")
     try:
         text = path.read_text(encoding="utf-8")
-        head = _Head.model_validate_json(text)
-        _check_format(path, head.format)
-        if "source" not in head.model_fields_set:
-            raise ResultError(
-                f"{path}: it names no project file, as results of earlier versions "
-                "do: calibrate again."
-            )
+        _check_head(path, json.loads(text))
         data = ResultFile.model_validate_json(text)
-    except (ValidationError, UnicodeDecodeError) as error:
+    except (ValidationError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        what = str(error)
+        if isinstance(error, ValidationError):
+            first = error.errors()[0]
+            what = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
         raise ResultError(
             f"{path}: expected {RESULT} as softcal calibrate writes it; was it edited, "
-            f"or cut short? {_first(error)}"
+            f"or cut short? {what}."
         ) from error
     if data.source is None:
         raise ResultError(
@@ -206,56 +195,43 @@ def _read(path: Path) -> tuple[ResultFile, SourceEntry]:
     return data, data.source
 
 
-def _first(error: ValidationError | UnicodeDecodeError) -> str:
-    """Describe the first thing that is wrong in a file."""
-    if isinstance(error, UnicodeDecodeError):
-        return f"It is no text: {error}."
-    first = error.errors()[0]
-    where = ".".join(map(str, first["loc"]))
-    return f"{where}: {first['msg']}." if where else f"{first['msg']}."
-
-
-def _check_format(path: Path, found: str) -> None:
-    if found == RESULT_FORMAT:
-        return
-    kind = found.partition("/")[0].removeprefix("softcal_jax.")
-    if f"softcal_jax.{kind}" == RESULT_FORMAT.partition("/")[0]:
+def _check_head(path: Path, content: Any) -> None:
+    """Raise for files of another kind or version."""
+    kind = content.get("format") if isinstance(content, dict) else None
+    if kind != RESULT_FORMAT:
         raise ResultError(
-            f"{path}: its format is {found!r}, and this version reads "
-            f"{RESULT_FORMAT!r}: calibrate again, or load it with the version that "
-            "wrote it."
+            f"{path}: its format is {kind!r}; expected {RESULT_FORMAT!r}, which "
+            "softcal calibrate of this version writes: calibrate again, or load it "
+            "with the version that wrote it."
         )
-    raise ResultError(
-        f"{path}: its format is {found!r}, so it holds no calibration; expected "
-        f"{RESULT} of softcal calibrate."
-    )
+    if "source" not in content:
+        raise ResultError(
+            f"{path}: it names no project file, as results of earlier versions do: "
+            "calibrate again."
+        )
 
 
 def _check_unchanged(path: Path, project: Path, source: SourceEntry) -> None:
     """Raise unless project, mesh and measurements are what they were."""
-    named = []
+    files = [(project, source.project.sha256)]
+    moved = "; if the project was moved, say where it is: load_result(..., project=)"
     if project.is_file():  # else there is no place to look for the others
-        named = [(project.parent / own.file, own.sha256) for own in source.files]
-    problems = []
-    for file, digest in ((project, source.project.sha256), *named):
+        files += [(project.parent / own.file, own.sha256) for own in source.files]
+        moved = ""
+    problems = ""
+    for file, digest in files:
         if not file.is_file():
-            problems.append(f"{file} is missing.{similar_file(file)}")
+            problems += f"\n- {file} is missing.{similar_file(file)}"
         elif (now := sha256_of(file)) != digest:
-            problems.append(
-                f"{file} has changed: its SHA-256 was {digest} and is {now}."
+            problems += (
+                f"\n- {file} has changed: its SHA-256 was {digest} and is {now}."
             )
-    if not problems:
-        return
-    moved = ""
-    if not project.is_file():
-        moved = (
-            "; if the project was moved, say where it is: load_result(..., project=)"
+    if problems:
+        raise ResultError(
+            f"{path}: the files that it was calibrated from are not what they were, so "
+            f"its values may belong to another model.{problems}\nTo go on, calibrate "
+            f"again (softcal calibrate), or put back the file as it was{moved}."
         )
-    several = "".join(f"\n- {problem}" for problem in problems)
-    raise ResultError(
-        f"{path}: the files that it was calibrated from are not what they were, so its "
-        f"values may belong to another model.{several}\nTo go on, {AGAIN}{moved}."
-    )
 
 
 def _checked_space(path: Path, project: Project, data: ResultFile) -> ParameterSpace:
@@ -273,8 +249,9 @@ def _checked_space(path: Path, project: Project, data: ResultFile) -> ParameterS
         for key, now in model.items()
         if data.solver.get(key) != now
     ]
-    if space is None or space.names != names:
-        now = listed([] if space is None else space.names) or "none"
+    known = [] if space is None else space.names
+    if known != names:
+        now = listed(known) if known else "none"
         problems.append(f"the parameters were {listed(names)} and are {now}")
     if problems or space is None:
         before, now = data.versions.get("softcal_jax"), installed_version("softcal-jax")

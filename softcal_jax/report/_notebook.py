@@ -21,13 +21,9 @@ from softcal_jax.report._calibration import (
     parameter_table,
 )
 from softcal_jax.report._charts import budget_chart, error_chart
-from softcal_jax.report._html import Html, bullets, node, output, table_html
-from softcal_jax.report._inverse import (
-    inverse_html,
-    inverse_verdict,
-    trajectory_html,
-)
-from softcal_jax.report._outlook_pages import next_html, outlook_sections
+from softcal_jax.report._html import Html, bullets, output, sentences, table_html
+from softcal_jax.report._inverse import inverse_html, inverse_verdict
+from softcal_jax.report._pages import next_html, outlook_sections
 from softcal_jax.report._tables import simulation_tables
 
 
@@ -37,9 +33,6 @@ def notebook_html(result: object) -> Html:
 
     It is HTML that needs nothing else; `write_results` writes the whole page.
 
-    Args:
-        result: What a function of the package has returned.
-
     Raises:
         TypeError: If there is no output for such a result.
     """
@@ -48,16 +41,14 @@ def notebook_html(result: object) -> Html:
 
 @notebook_html.register
 def _calibration(result: CalibrationResult) -> Html:
-    found = assess(result)
-    fits = result.configurations
-    held_out = [node("p", line) for line in held_out_sentences(fits)]
+    found, fits = assess(result), result.configurations
     content = [
         table_html(parameter_table(result, found.identifiability)),
         *error_chart(fits),
         *map(table_html, error_tables(fits, result.checks)),
-        *held_out,
+        *sentences(held_out_sentences(fits)),
         *budget_chart(result),
-        *([bullets(result.notes)] if result.notes else []),
+        bullets(result.notes),
     ]
     return output(verdict_of(result, found), content)
 
@@ -65,11 +56,10 @@ def _calibration(result: CalibrationResult) -> Html:
 @notebook_html.register
 def _assessment(found: Assessment) -> Html:
     tone: Tone = "good" if found.identified else "doubtful"
-    content = _outlook(found.identifiability)
-    if found.prediction:
-        content.append(node("p", found.prediction))
-    headline = RunVerdict(found.headline, tone, found.reasons)
-    return output(headline, [node("p", found.identifiability.headline), *content])
+    own = found.identifiability
+    content = [*sentences([own.headline]), *_outlook(own)]
+    content += sentences([found.prediction or ""])
+    return output(RunVerdict(found.headline, tone, found.reasons), content)
 
 
 @notebook_html.register
@@ -102,11 +92,7 @@ def _comparison(comparison: ModelComparison) -> Html:
     return output(RunVerdict(comparison.verdict, tone), [models])
 
 
-@notebook_html.register
-def _inverse(result: InverseResult) -> Html:
+@notebook_html.register(InverseResult)
+@notebook_html.register(TrajectoryResult)
+def _inverse(result: InverseResult | TrajectoryResult) -> Html:
     return output(inverse_verdict(result), inverse_html(result))
-
-
-@notebook_html.register
-def _trajectory(result: TrajectoryResult) -> Html:
-    return output(inverse_verdict(result), trajectory_html(result))

@@ -1,7 +1,7 @@
-"""What a project describes, in aligned lines: before anything is solved."""
+"""What a project or a mesh describes, in aligned lines: before anything is solved."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -14,20 +14,14 @@ from softcal_jax.configurations import (
     STANDARD_GRAVITY,
     AbstractLoad,
     Configuration,
-    ConfigurationLanes,
     Support,
     configuration_lanes,
 )
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import readable_values
 from softcal_jax.fields import ControlPointParameters, ControlPoints, Parameter
-from softcal_jax.mesh import TetMesh, locate, node_indices, volumes
-from softcal_jax.project import (
-    Project,
-    ProjectError,
-    QuantityAsRead,
-    guesses_left,
-)
+from softcal_jax.mesh import TetMesh, face_shares, locate, node_indices, volumes
+from softcal_jax.project import Project, ProjectError, QuantityAsRead, guesses_left
 from softcal_jax.report._outline_measured import measured_rows
 
 ROLES = {"calibration": "fitted", "validation": "held out", "candidate": "candidate"}
@@ -36,7 +30,7 @@ ROLES = {"calibration": "fitted", "validation": "held out", "candidate": "candid
 _MOST_ALIKE = 4
 """Most quantities of one table and unit, like positions, that are listed one by one."""
 
-Rows = Sequence[Sequence[str]]
+Rows = Iterable[Sequence[str]]
 
 
 def roles_of(project: Project) -> dict[str, str]:
@@ -51,15 +45,13 @@ def roles_of(project: Project) -> dict[str, str]:
 
 def control_point_sets(project: Project) -> dict[str, ControlPoints]:
     """Return the sets of control points of the parameters, by fields they carry."""
-    sets: dict[str, ControlPoints] = {}
-    fields: dict[tuple, list[str]] = {}
+    sets: dict[tuple, tuple[ControlPoints, list[str]]] = {}
     for entry in () if project.space is None else project.space.entries:
         if isinstance(entry, ControlPointParameters):
             points = entry.control_points
             key = (points.names, np.asarray(points.positions).tobytes())
-            fields.setdefault(key, []).append(entry.field)
-            sets[str(key)] = points
-    return {", ".join(names): sets[str(key)] for key, names in fields.items() if names}
+            sets.setdefault(key, (points, []))[1].append(entry.field)
+    return {", ".join(fields): points for points, fields in sets.values()}
 
 
 def outline(
@@ -77,161 +69,120 @@ def outline(
         the mesh, configurations, what is measured, parameters, quantities as read, and
         which commands the project suffices for.
     """
+    model, mesh = project.model, project.model.mesh
     posed = (*project.configurations, *project.candidates)
     guesses = guesses_left(project.path)
     rows = [(f"line {own.line}", own.text, own.remark) for own in guesses]
-    yield from _section("Guesses, to be changed or confirmed", rows)
-    lanes = configuration_lanes(project.model.mesh, posed, project.model.mechanism)
-    weight = project.model.mass * STANDARD_GRAVITY
-    yield from _section("Model", _model(project.model, posed, lanes, weight))
-    yield from _section("Rigid bodies", _bodies(project.model))
-    yield from _section("Actuators", _actuators(project.model))
-    yield from _section("Markers", _markers(project.model.mesh, posed))
+    yield from _section("Guesses, to be changed or confirmed", (), rows)
+    lanes = configuration_lanes(mesh, posed, model.mechanism)
+    yield from _section("Model", (), _model(model))
+    head = ("name", "nodes", "origin [mm]", "own mass", "tied to")
+    yield from _section("Rigid bodies", head, _bodies(model))
+    yield from _section("Actuators", ("name", "kind", "at rest"), _actuators(model))
+    head = ("name", "at rest [mm]", "mesh", "")
+    yield from _section("Markers", head, _markers(mesh, posed))
     for fields, points in control_point_sets(project).items():
-        rows = _control_points(project.model.mesh, points)
-        yield from _section(f"Control points of {fields}", rows)
+        places = np.asarray(points.positions)
+        rows = [
+            (str(i), name, *place)
+            for i, (name, place) in enumerate(
+                zip(points.names, _placed(mesh, places), strict=True), 1
+            )
+        ]
+        head = ("", "name", "place [mm]", "mesh")
+        yield from _section(f"Control points of {fields}", head, rows)
     roles = roles_of(project)
-    rows = [_configuration(project.model, c, roles[c.name], weight) for c in posed]
+    rows = [_configuration(model, c, roles[c.name]) for c in posed]
     head = ("name", "role", "gravity", "held", "loads", "actuators and bodies")
-    yield from _section("Configurations", [head, *rows])
-    yield from _section("Measured", measured_rows(posed, lanes))
-    rows = _registrations(project)
-    yield from _section("Camera frames, registered to the mesh", rows)
-    yield from _section("Parameters", _parameters(project.parameters))
-    yield from _section("Quantities as read, in SI and mm", _as_read(quantities))
-    yield from _section("Commands", _commands(project))
+    yield from _section("Configurations", head, rows)
+    head = ("configuration", "what", "value", "standard deviation")
+    yield from _section("Measured", head, measured_rows(posed, lanes))
+    rows = [(k, f"{1e3 * own.rms:.2f} mm") for k, own in project.registrations.items()]
+    head = ("configuration", "rms left at the markers")
+    yield from _section("Camera frames, registered to the mesh", head, rows)
+    head = ("name", "start", "lower", "upper", "scale", "prior")
+    yield from _section("Parameters", head, map(_parameter, project.parameters))
+    rows = _as_read(quantities)
+    yield from _section("Quantities as read, in SI and mm", (), rows)
+    yield from _section("Commands", (), _commands(project))
 
 
-def _section(title: str, rows: Rows) -> Iterator[str]:
+def _section(title: str, head: Sequence[str], rows: Rows) -> Iterator[str]:
     """Align the columns of rows below a title; nothing without rows."""
-    if any(any(row) for row in rows):
-        yield from ("", title, *aligned(rows))
+    rows = list(rows)
+    if rows:
+        yield from ("", title, *aligned([*([head] if head else []), *rows]))
 
 
-def _model(
-    model: Model,
-    posed: Sequence[Configuration],
-    lanes: ConfigurationLanes,
-    weight: float,
-) -> Rows:
+def _model(model: Model) -> Iterator[tuple[str, str]]:
     mesh = model.mesh
     kind = "quadratic" if mesh.order == 2 else "linear"
     size = " x ".join(f"{1e3 * x:.4g}" for x in np.ptp(mesh.points, axis=0))
-    volume = readable_values([float(volumes(mesh).sum())], "m3")
+    yield "mesh", f"{mesh.n_nodes} nodes, {mesh.n_tets} {kind} tets; {size} mm"
+    yield "volume", _read(float(volumes(mesh).sum()), "m3")
+    weight = _read(model.mass * STANDARD_GRAVITY, "N")
+    yield "weight", f"{weight} ({1e3 * model.mass:.4g} g)"
     density = np.unique(np.asarray(model.density))
-    listed = " to ".join(f"{d:.4g}" for d in dict.fromkeys([density[0], density[-1]]))
-    mass = readable_values([weight], "N")
-    free: dict[int, list[str]] = {}
-    for c, n in zip(posed, _free_coordinates(model, posed, lanes), strict=True):
-        free.setdefault(n, []).append(c.name)
-    several = len(free) > 1
-    counted = "; ".join(
-        f"{n} free" + (f" in {', '.join(names)}" if several else "")
-        for n, names in free.items()
-    )
-    lock = (
-        ("note", "linear tets lock in bending: their moduli are those of this mesh")
-        if mesh.order == 1
-        else ("", "")
-    )
-    rows = [
-        ("mesh", f"{mesh.n_nodes} nodes, {mesh.n_tets} {kind} tets; {size} mm"),
-        ("volume", volume),
-        ("weight", f"{mass} ({1e3 * weight / STANDARD_GRAVITY:.4g} g)"),
-        ("density", f"{listed} kg/m3"),
-        ("unknowns", f"{3 * mesh.n_nodes} coordinates of nodes, {counted}"),
-        lock,
-    ]
-    return [row for row in rows if row[0]]
+    ends = dict.fromkeys([density[0], density[-1]])
+    yield "density", f"{' to '.join(f'{d:.4g}' for d in ends)} kg/m3"
+    yield "unknowns", f"{3 * mesh.n_nodes} coordinates of nodes"
+    if mesh.order == 1:
+        yield "note", "linear tets lock in bending: their moduli are those of this mesh"
 
 
-def _free_coordinates(
-    model: Model, posed: Sequence[Configuration], lanes: ConfigurationLanes
-) -> list[int]:
-    """Count what the balance finds: coordinates of nodes, six or one of each body."""
-    bodies, actuators = model.mechanism.bodies, model.mechanism.actuators
-    fixed = np.asarray(lanes.arrays.fixed)[:, : model.mesh.n_nodes].copy()
-    fixed[:, bodies.attached] = True
-    kinds = np.asarray(lanes.arrays.bodies.kind)
-    driven = np.asarray(lanes.arrays.actuation.by_displacement)
-    counts = []
-    for k in range(len(posed)):
-        n = int((~fixed[k]).sum())
-        for body in np.flatnonzero(bodies.owner == np.arange(bodies.n_bodies)):
-            if body in actuators.motor_body:
-                n += int(not driven[k, actuators.motor_body.index(body)])
-            else:
-                n += (6, 1, 0)[int(kinds[k, body])]
-        counts.append(n)
-    return counts
-
-
-def _bodies(model: Model) -> Rows:
+def _bodies(model: Model) -> Iterator[tuple[str, ...]]:
     bodies = model.mechanism.bodies
-    rows = [("name", "nodes", "origin [mm]", "own mass", "tied to")]
     for k, name in enumerate(bodies.names):
-        owner = int(bodies.owner[k])
-        mass = float(np.asarray(bodies.mass)[k])
-        rows.append(
-            (
-                name,
-                str(int((bodies.body == k).sum())),
-                _in_mm(bodies.origin[k]),
-                f"{1e3 * mass:.4g} g" if mass else "",
-                "" if owner == k else bodies.names[owner],
-            )
+        owner, mass = int(bodies.owner[k]), float(np.asarray(bodies.mass)[k])
+        yield (
+            name,
+            str(int((bodies.body == k).sum())),
+            _in_mm(bodies.origin[k]),
+            f"{1e3 * mass:.4g} g" if mass else "",
+            "" if owner == k else bodies.names[owner],
         )
-    return rows if bodies.n_bodies else []
 
 
-def _actuators(model: Model) -> Rows:
+def _actuators(model: Model) -> Iterator[tuple[str, ...]]:
     actuators, x = model.mechanism.actuators, model.mechanism.points
     geometry = actuator_geometry(actuators, x)
     lengths = np.linalg.norm(geometry.segments[:, 1] - geometry.segments[:, 0], axis=1)
     volumes_of = enclosed_volumes(actuators.groups, x)
-    rows = [("name", "kind", "at rest")]
-    for a, (name, kind) in enumerate(
-        zip(actuators.names, actuators.kinds, strict=True)
-    ):
+    kinds = zip(actuators.names, actuators.kinds, strict=True)
+    for a, (name, kind) in enumerate(kinds):
         size, own = "", lengths[geometry.segment_owner == a]
         if own.size:
-            size = f"{_length(own.sum())} long"
+            size = f"{_read(float(own.sum()), 'm')} long"
         elif a in volumes_of:
-            size = readable_values([volumes_of[a]], "m3")
-        rows.append((name, kind.noun, size))
-    return rows if actuators.names else []
+            size = _read(volumes_of[a], "m3")
+        yield name, kind.noun, size
 
 
-def _markers(mesh: TetMesh, posed: Sequence[Configuration]) -> Rows:
-    """List markers once, with how far they stand off the mesh."""
-    found: dict[tuple, tuple[str, ...]] = {}
-    for c in posed:
-        if c.markers is None:
-            continue
-        at = locate(mesh, c.markers.positions, max_distance=math.inf)
-        for i, name in enumerate(c.markers.names):
-            off = float(at.distance[i])
-            where = f"{readable_values([off], 'm', digits=3)} off" if off else "in it"
-            place = c.markers.positions[i]
-            axes = "" if c.markers.axes == "xyz" else f"only {c.markers.axes}"
-            found.setdefault((name, *place), (name, _in_mm(place), where, axes))
-    return [("name", "at rest [mm]", "mesh", ""), *found.values()] if found else []
+def _placed(
+    mesh: TetMesh, places: Float[HostArray, "n 3"]
+) -> Iterator[tuple[str, str]]:
+    """Yield places, and how far each stands off the mesh."""
+    off = locate(mesh, places, max_distance=math.inf).distance
+    for place, distance in zip(places, off, strict=True):
+        text = readable_values([float(distance)], "m", digits=3)
+        yield _in_mm(place), f"{text} off" if distance else "in it"
 
 
-def _control_points(mesh: TetMesh, points: ControlPoints) -> Rows:
-    positions = np.asarray(points.positions)
-    at = locate(mesh, positions, max_distance=math.inf)
-    rows = [("", "name", "place [mm]", "mesh")]
-    for i, name in enumerate(points.names):
-        off = float(at.distance[i])
-        where = f"{readable_values([off], 'm', digits=3)} off" if off else "in it"
-        rows.append((str(i + 1), name, _in_mm(positions[i]), where))
-    return rows
+def _markers(
+    mesh: TetMesh, posed: Sequence[Configuration]
+) -> Iterable[tuple[str, ...]]:
+    """List markers, each place once."""
+    found: dict[tuple[str, ...], None] = {}
+    for markers in [c.markers for c in posed if c.markers is not None]:
+        axes = "" if markers.axes == "xyz" else f"only {markers.axes}"
+        places = _placed(mesh, np.asarray(markers.positions))
+        for name, place in zip(markers.names, places, strict=True):
+            found[name, *place, axes] = None
+    return found
 
 
-def _configuration(
-    model: Model, c: Configuration, role: str, weight: float
-) -> tuple[str, ...]:
+def _configuration(model: Model, c: Configuration, role: str) -> tuple[str, ...]:
+    weight = model.mass * STANDARD_GRAVITY
     return (
         c.name,
         role,
@@ -287,42 +238,27 @@ def _states(c: Configuration) -> Iterator[str]:
         yield f"{name} {kind}" + (f" at {' and '.join(moved)}" if moved else "")
 
 
-def _registrations(project: Project) -> Rows:
-    rows = [("configuration", "rms left at the markers")]
-    for name, found in project.registrations.items():
-        rows.append((name, f"{1e3 * found.rms:.2f} mm"))
-    return rows if project.registrations else []
+def _parameter(q: Parameter) -> tuple[str, ...]:
+    prior = "none"
+    if q.prior_std is not None:
+        std = float(q.prior_std)
+        prior = (
+            f"+- {100 * std:.3g} %" if q.scale == "log" else f"+- {_read(std, q.unit)}"
+        )
+    values = (_read(float(v), q.unit) for v in (q.start, q.lower, q.upper))
+    return (q.name, *values, f"{q.scale}, periodic" if q.periodic else q.scale, prior)
 
 
-def _parameters(parameters: Sequence[Parameter]) -> Rows:
-    rows: list[tuple[str, ...]] = [
-        ("name", "start", "lower", "upper", "scale", "prior")
-    ]
-    for q in parameters:
-        values = [float(v) for v in (q.start, q.lower, q.upper)]
-        prior = "none"
-        if q.prior_std is not None:
-            std = float(q.prior_std)
-            log = q.scale == "log"
-            prior = f"+- {100 * std:.3g} %" if log else f"+- {_read(std, q.unit)}"
-        scale = f"{q.scale}, periodic" if q.periodic else q.scale
-        rows.append((q.name, *(_read(v, q.unit) for v in values), scale, prior))
-    return rows if parameters else [("none: nothing to calibrate",)]
-
-
-def _as_read(quantities: Sequence[QuantityAsRead]) -> Rows:
+def _as_read(quantities: Sequence[QuantityAsRead]) -> Iterator[tuple[str, ...]]:
     """List quantities, those of a long table in one line."""
-    rows: list[tuple[str, str, str]] = []
     alike = lambda q: (q.table, q.typed.split()[-1], len(q.values))
     for (table, unit, _), group in groupby(quantities, alike):
         own = list(group)
-        if len(own) <= _MOST_ALIKE:
-            rows += [(q.key, f'"{q.typed}"', q.read) for q in own]
-            continue
-        first = own[0]
-        text = f'{len(own)} texts in {unit}, like "{first.typed}"'
-        rows.append((table, text, first.read))
-    return rows
+        if len(own) > _MOST_ALIKE:
+            text = f'{len(own)} texts in {unit}, like "{own[0].typed}"'
+            yield table, text, own[0].read
+        else:
+            yield from ((q.key, f'"{q.typed}"', q.read) for q in own)
 
 
 def _commands(project: Project) -> Rows:
@@ -349,6 +285,37 @@ def _commands(project: Project) -> Rows:
     return rows
 
 
+def mesh_lines(mesh: TetMesh) -> list[str]:
+    """Describe a mesh in one line, and each group in one, surfaces with a point on it.
+
+    Points are written as a project file has them.
+    """
+    corners = mesh.points[mesh.tets[:, :4]]
+    edges = np.linalg.norm(corners[:, [1, 2, 3]] - corners[:, :1], axis=2)
+    kind = "quadratic" if mesh.order == 2 else "linear"
+    lines = [
+        f"{mesh.n_nodes} nodes, {mesh.n_tets} {kind} tets, edges of "
+        f"{readable_values([float(edges.mean())], 'm', digits=3)} in the mean, volume "
+        f"{_read(float(volumes(mesh).sum()), 'm3')}"
+    ]
+    rows = []
+    for name, faces in mesh.surface_groups.items():
+        centres = mesh.points[faces[:, :3]].mean(axis=1)
+        areas = face_shares(mesh, faces).sum(axis=1)
+        mean = np.average(centres, axis=0, weights=areas)
+        point = centres[np.argmin(np.linalg.norm(centres - mean, axis=1))]
+        place = ", ".join(f"{1e3 * x:.4g}" for x in point)
+        text = f'{1e6 * areas.sum():.1f} mm2, a point on it: "({place}) mm"'
+        rows.append((name, text))
+    for name, tets in mesh.tet_groups.items():
+        volume = readable_values([float(volumes(mesh)[tets].sum())], "m3")
+        rows.append((name, f"{len(tets)} tets, {volume}"))
+    for name, nodes in mesh.node_groups.items():
+        if name not in mesh.surface_groups and name not in mesh.tet_groups:
+            rows.append((name, f"{len(nodes)} nodes"))
+    return [*lines, *aligned(rows)]
+
+
 def _sized(vector: Any, unit: str) -> str:
     """Format a vector as its size and direction: "1 N along -z"."""
     vector = np.asarray(vector, float)
@@ -365,10 +332,6 @@ def _sized(vector: Any, unit: str) -> str:
 
 def _in_mm(place: HostArray) -> str:
     return f"({', '.join(f'{1e3 * x + 0.0:.5g}' for x in place)})"
-
-
-def _length(value: float) -> str:
-    return readable_values([float(value)], "m")
 
 
 def _read(value: float, unit: str) -> str:

@@ -20,43 +20,33 @@ def measured_rows(
 ) -> list[tuple[str, ...]]:
     """List what is measured in each configuration: markers together, others alone."""
     records = {c.name: seen for c, seen in zip(posed, lanes.effectors, strict=True)}
-    rows: list[tuple[str, ...]] = [
-        ("configuration", "what", "value", "standard deviation")
-    ]
+    rows: list[tuple[str, ...]] = []
     for c in posed:
-        n = 0 if c.markers is None else len(c.markers.names)
-        markers, others = records[c.name][:n], records[c.name][n:]
         before = {r.name: r for r in records.get(c.displacement_from or "", ())}
+        effectors = {e.name: e for e in c.effectors}
+        n = 0 if c.markers is None else len(c.markers.names)
+        own = []
         if c.markers is not None:
             std = np.asarray(c.markers.std)
-            values = [std.min(), std.max()] if std.min() < std.max() else [std.max()]
-            noise = _stated(
-                c.markers.std,
-                " to ".join(readable_values([float(v)], "m") for v in values),
-            )
-            noise += _share(c)
-            names = f"{n} marker{'s' if n > 1 else ''}"
+            ends = dict.fromkeys([float(std.min()), float(std.max())])
+            size = " to ".join(readable_values([value], "m") for value in ends)
+            noise = _stated(c.markers.std, size) + _share(c)
+            what = f"{n} marker{'s' if n > 1 else ''}"
             if c.markers.axes != "xyz":
-                names += f" along {c.markers.axes}"
-            rows.append((c.name, names, _motion(markers, before), noise))
-        effectors = {e.name: e for e in c.effectors}
-        for record in others:
+                what += f" along {c.markers.axes}"
+            own.append((what, _motion(records[c.name][:n], before), noise))
+        for record in records[c.name][n:]:
             effector: Any = effectors[record.name]
             std = effector.std_angle if record.is_turn else effector.std
             size = readable_values(np.atleast_1d(np.asarray(std)).tolist(), record.unit)
-            what = f"{record.name}, {_QUANTITIES[record.quantity]}"
             noise = _stated(std, size) if record.seen.any() else ""
-            noise += (
-                _share(c) if record.seen.any() and record.quantity == "point" else ""
-            )
-            rows.append((c.name, what, _value(record, before), noise))
-        if not records[c.name]:
-            rows.append((c.name, "nothing", "", ""))
-    # The name stands once, on the first of its lines.
-    seen: set[str] = set()
-    for i, (name, *rest) in enumerate(rows):
-        rows[i] = ("" if name in seen else name, *rest)
-        seen.add(name)
+            if noise and record.quantity == "point":
+                noise += _share(c)
+            what = f"{record.name}, {_QUANTITIES[record.quantity]}"
+            own.append((what, _value(record, before), noise))
+        own = own or [("nothing", "", "")]
+        # The name stands once, on the first of its lines.
+        rows += [("" if i else c.name, *row) for i, row in enumerate(own)]
     return rows
 
 
@@ -88,8 +78,9 @@ def _motion(
     moved = [_moved(m, before) for m in markers if m.seen.any()]
     if not moved:
         return "not measured"
-    low, high = min(moved), max(moved)
-    return f"moved {1e3 * low:.3g} to {1e3 * high:.3g} mm" + _since(before)
+    since = "since the reference" if before else "from rest"
+    ends = dict.fromkeys(f"{1e3 * end:.3g}" for end in (min(moved), max(moved)))
+    return f"moved {' to '.join(ends)} mm {since}"
 
 
 def _moved(record: EffectorRecord, before: Mapping[str, EffectorRecord]) -> float:
@@ -98,15 +89,9 @@ def _moved(record: EffectorRecord, before: Mapping[str, EffectorRecord]) -> floa
     return float(np.linalg.norm(np.where(record.seen, record.measured - start, 0.0)))
 
 
-def _since(before: Mapping[str, EffectorRecord]) -> str:
-    return " since the reference" if before else " from rest"
-
-
 def _value(record: EffectorRecord, before: Mapping[str, EffectorRecord]) -> str:
-    if not record.seen.any():
-        return "not measured"
-    if record.quantity == "point":
-        return f"moved {1e3 * _moved(record, before):.3g} mm{_since(before)}"
+    if record.quantity == "point" or not record.seen.any():
+        return _motion([record], before)
     if record.is_turn:
         turn = math.acos(np.clip(0.5 * (np.trace(record.reference) - 1.0), -1.0, 1.0))
         return f"turned {math.degrees(turn):.3g} deg from rest"

@@ -1,16 +1,26 @@
 """The page of each kind of run."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
+from softcal_jax._text_table import text_table
 from softcal_jax.calibration import CalibrationResult, SimulationResult
-from softcal_jax.identifiability import Assessment, RunVerdict, verdict_of
+from softcal_jax.identifiability import (
+    Assessment,
+    Identifiability,
+    Ranking,
+    RunVerdict,
+    Tone,
+    percent,
+    verdict_of,
+)
+from softcal_jax.layouts import ModelComparison
 from softcal_jax.report._calibration import (
+    TONES,
     beyond_prior,
     blindness,
     budget_table,
-    cause_table,
     correlation_table,
     error_tables,
     held_out_sentences,
@@ -34,12 +44,12 @@ from softcal_jax.report._html import (
     node,
     page,
     picture,
+    sentences,
     table_html,
 )
 from softcal_jax.report._outline import ROLES
-from softcal_jax.report._provenance import made_html, repeat_html
-from softcal_jax.report._robot import robot_tables
-from softcal_jax.report._tables import simulation_tables
+from softcal_jax.report._provenance import closing_of
+from softcal_jax.report._tables import robot_tables, simulation_tables
 from softcal_jax.report._view import PageView
 
 PICTURES = (".png", ".svg")
@@ -60,44 +70,32 @@ def calibration_page(
 ) -> str:
     """Write the page of a calibration.
 
-    Args:
-        result: The calibration.
-        found: Its assessment.
-        data: The content of its `result.json`, with notes and files.
-        folder: Where its pictures are.
-        view: The body in three dimensions; None for a page without pictures.
+    `data` is the content of its `result.json`, with notes and files; pictures are in
+    `folder`. Without a view, the page has no body in three dimensions.
     """
     fits, own = result.configurations, found.identifiability
     agreement = result.checks.agreement if result.checks else ()
+    inner = [singular_value_table(own)]
+    if own.n_parameters > 1:
+        inner.insert(0, correlation_table(own))
+    course = [*course_charts(result), table_html(history_table(result))]
     sections = [
-        Section("notes", "Notes", _notes(data["notes"])),
+        Section("notes", "Notes", [bullets(data["notes"])]),
         Section("subject", "What was calibrated", [_subject(result, found)]),
         Section("errors", "Before and after", _errors(result, found)),
         Section("parameters", "Parameters", _parameters(result, found)),
-        Section(
-            "agreement",
-            "Do the recordings agree?",
-            [bullets(agreement)] if agreement else [],
-        ),
+        Section("agreement", "Do the recordings agree?", [bullets(agreement)]),
         Section("data", "What the data tell", _outlook(found)),
-        Section("next", "What to measure next", _sentences(own.advice)),
+        Section("next", "What to measure next", sentences(own.advice)),
         Section("pictures", "Pictures", _pictures(data, folder, view)),
         Section("robot", "Robot", [*map(table_html, robot_tables(fits))]),
-        Section("fit", "Course of the fit", _course(result)),
-        Section("inner", "Correlation and singular values", _inner(found)),
-        Section(
-            "repeat",
-            "Repeat it",
-            repeat_html("calibrate", "calibration", [data["source"]]),
-        ),
-        Section("made", "Settings, versions and times", made_html(data)),
+        Section("fit", "Course of the fit", course),
+        Section("inner", "Correlation and singular values", [*map(table_html, inner)]),
+        *closing_of("calibrate", data, [data["source"]]),
     ]
+    about = {"index": "result.json", "script": view.script if view else ""}
     verdict = verdict_of(result, found)
-    script = view.script if view else ""
-    index = "result.json"
-    return page(
-        data["name"], "Calibration", verdict, sections, index=index, script=script
-    )
+    return page(data["name"], "Calibration", verdict, sections, **about)
 
 
 def simulation_page(
@@ -108,31 +106,15 @@ def simulation_page(
 ) -> str:
     """Write the page of a simulation; arguments as of `calibration_page`."""
     sections = [
-        Section("notes", "Notes", _notes(data["notes"])),
+        Section("notes", "Notes", [bullets(data["notes"])]),
         Section("model", "Model", [node("p", f"{model_words(result.model)}.")]),
         Section("states", "States", [*map(table_html, simulation_tables(result))]),
         Section("pictures", "Pictures", _pictures(data, folder, view)),
-        Section(
-            "repeat",
-            "Repeat it",
-            repeat_html("simulate", "simulation", [data["source"]]),
-        ),
-        Section("made", "Settings, versions and times", made_html(data)),
+        *closing_of("simulate", data, [data["source"]]),
     ]
+    about = {"index": "simulation.json", "script": view.script if view else ""}
     verdict = RunVerdict(result.headline, "good" if result.converged else "bad")
-    script = view.script if view else ""
-    index = "simulation.json"
-    return page(
-        data["name"], "Simulation", verdict, sections, index=index, script=script
-    )
-
-
-def _notes(notes: Sequence[str]) -> list[Html]:
-    return [bullets(notes)] if notes else []
-
-
-def _sentences(lines: Sequence[str]) -> list[Html]:
-    return [node("p", line) for line in lines]
+    return page(data["name"], "Simulation", verdict, sections, **about)
 
 
 def _subject(result: CalibrationResult, found: Assessment) -> Html:
@@ -159,9 +141,9 @@ def _subject(result: CalibrationResult, found: Assessment) -> Html:
 def _errors(result: CalibrationResult, found: Assessment) -> list[Html]:
     """Show how far the model is off, before and after."""
     fits = result.configurations
-    lines = [*held_out_sentences(fits), *filter(None, [found.prediction])]
+    lines = [*held_out_sentences(fits), found.prediction or ""]
     tables = map(table_html, error_tables(fits, result.checks))
-    return [*_sentences(lines), *error_chart(fits), *tables]
+    return [*sentences(lines), *error_chart(fits), *tables]
 
 
 def _parameters(result: CalibrationResult, found: Assessment) -> list[Html]:
@@ -171,11 +153,9 @@ def _parameters(result: CalibrationResult, found: Assessment) -> list[Html]:
         budget_table(result),
     ]
     starts = [] if result.starts is None else [node("pre", str(result.starts))]
-    causes = table_html(cause_table(result))
     marked = any(cell.tone == "bad" for row in tables[0].rows for cell in row)
-    legend = [node("p", _MARKED)] if marked else []
-    shown = map(table_html, tables)
-    return [*legend, *shown, *budget_chart(result), causes, *starts]
+    legend = sentences([_MARKED if marked else ""])
+    return [*legend, *map(table_html, tables), *budget_chart(result), *starts]
 
 
 def _outlook(found: Assessment) -> list[Html]:
@@ -184,23 +164,11 @@ def _outlook(found: Assessment) -> list[Html]:
     first, *directions = blindness(found)
     return [
         node("p", first),
-        *([bullets(directions)] if directions else []),
-        *_sentences([*filter(None, [beyond_prior(own)])]),
+        bullets(directions),
+        *sentences([beyond_prior(own)]),
         table_html(outlook_table(found)),
         node("p", outlook_legend(own)),
     ]
-
-
-def _inner(found: Assessment) -> list[Html]:
-    own = found.identifiability
-    tables = [singular_value_table(own)]
-    if own.n_parameters > 1:
-        tables = [correlation_table(own), *tables]
-    return [*map(table_html, tables)]
-
-
-def _course(result: CalibrationResult) -> list[Html]:
-    return [*course_charts(result), table_html(history_table(result))]
 
 
 def _pictures(
@@ -231,11 +199,9 @@ def shown_pictures(
 ) -> list[Html]:
     """Show the pictures among some files, as many as a page should hold.
 
-    Args:
-        captions: What each file shows, by its name.
-        folder: Where they are.
-        taken: Size of what the page shows beside them [bytes].
-        viewed: Pictures that stand for a view, and are hidden where it is drawn.
+    `captions` say what each file shows. `taken` is the size of what the page shows
+    beside them [bytes]. Pictures in `viewed` stand for a view, and are hidden where it
+    is drawn.
     """
     shown, left = [], MOST_PICTURES - taken
     for name, caption in captions.items():
@@ -264,9 +230,86 @@ def _seen(own: Mapping[str, Any], file: str) -> str:
     if _is_recording(file):
         return f"{own['name']}: the recording of the markers over time"
     role = ROLES.get(own.get("role", ""), "simulated")
-    text = f"{own['name']} ({role}): the deformed body, coloured by displacement"
-    if not own["markers"]:
-        return text
-    if "role" not in own:
-        return f"{text}, with simulated markers"
-    return f"{text}, with measured markers (circles) and simulated ones (crosses)"
+    return f"{own['name']} ({role}): the deformed body, coloured by displacement"
+
+
+def identifiability_page(
+    found: Identifiability | None, ranking: Ranking | None, data: Mapping[str, Any]
+) -> str:
+    """Write the page of what data would tell, from the content of its index."""
+    verdict = RunVerdict("There is nothing to judge.", "plain")
+    if found is not None:
+        verdict = RunVerdict(found.headline, TONES[found.verdict])
+    elif ranking is not None:
+        verdict = RunVerdict(ranking.headline, "plain")
+    sections = [
+        Section("next", "What to measure next", next_html(found, ranking)),
+        *([] if found is None else outlook_sections(found)),
+        *closing_of("identify", data, [data["source"]]),
+    ]
+    index = "identifiability.json"
+    return page(data["name"], "Identifiability", verdict, sections, index=index)
+
+
+def next_html(found: Identifiability | None, ranking: Ranking | None) -> list[Html]:
+    """Show which candidate to measure, or what else to do."""
+    if ranking is None:
+        return sentences(found.advice if found else ())
+    content = [node("p", ranking.headline)]
+    if ranking.gains:
+        content += [table_html(ranking.tabulated), node("p", ranking.legend)]
+    return [*content, bullets(map(str, ranking.unranked))]
+
+
+def outlook_sections(found: Identifiability) -> list[Section]:
+    """Show what the data would tell of parameters and of their combinations."""
+    blind = found.blind[::-1]
+    unknown = [
+        f"Errors of the {cause} are not among these: their size is not known here."
+        for cause in found.unknown
+    ]
+    sight = "No combination of the parameters is hidden from the data."
+    if blind:
+        sight = (
+            f"The data hardly see {len(blind)} of {found.n_parameters} directions of "
+            "the parameters, the worst first (standard error over the asked one):"
+        )
+    words = bullets(f"{d.words} ({percent(d.ratio)})" for d in blind)
+    inner = [singular_value_table(found)] if found.n_data else []
+    if found.n_parameters > 1:
+        inner.append(correlation_table(found))
+    known = [table_html(found.tabulated), *sentences([found.scale, *unknown])]
+    directions = [node("p", sight), words]
+    if found.n_data:
+        directions.append(node("p", str(found.conditioning).splitlines()[0]))
+    return [
+        Section("parameters", "Parameters", known),
+        Section("directions", "What the data are blind to", directions),
+        Section("inner", "Correlation and singular values", [*map(table_html, inner)]),
+    ]
+
+
+def comparison_page(comparison: ModelComparison, data: Mapping[str, Any]) -> str:
+    """Write the page of a comparison of models, from the content of its index."""
+    # The best of several may still predict badly, so there is no tone of success.
+    tone: Tone = "bad"
+    if comparison.best is not None:
+        tone = "doubtful" if comparison.undecided else "plain"
+    columns = "configuration", *(model.name for model in comparison.models)
+    cells: dict[str, list[str]] = {}
+    for model in comparison.models:
+        for fold in model.folds:
+            text = "failed" if fold.failure else f"{1e3 * fold.rms:.4g} mm"
+            cells.setdefault(fold.held_out, [fold.held_out]).append(text)
+    held_out = text_table(
+        "Error of each configuration, held out", columns, cells.values()
+    )
+    sections = [
+        Section("failures", "What failed", [bullets(comparison.failures)]),
+        Section("models", "Models", [table_html(comparison.tabulated)]),
+        Section("folds", "Held-out configurations", [table_html(held_out)]),
+        *closing_of("compare", data, data["sources"].values()),
+    ]
+    verdict = RunVerdict(comparison.verdict, tone)
+    index = "comparison.json"
+    return page(data["name"], "Comparison of models", verdict, sections, index=index)

@@ -2,12 +2,12 @@
 
 import os
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from softcal_jax._text_table import text_table
-from softcal_jax.report._html import Html, facts_html, node, table_html
+from softcal_jax.report._html import Html, Section, facts_html, node, table_html
 
 REPEATED = "repeated"
 """Folder that the command to repeat a run writes to."""
@@ -23,26 +23,29 @@ _KINDS = {
 }
 
 
-def repeat_html(
-    command: str, what: str, sources: Sequence[Mapping[str, Any] | None]
-) -> list[Html]:
-    """Give the command that repeats a run of project files, and what it read.
+def closing(
+    data: Mapping[str, Any],
+    words: Sequence[str],
+    *,
+    sources: Sequence[Mapping[str, Any]] = (),
+    files: Sequence[Mapping[str, str]] = (),
+    out: str = REPEATED,
+) -> list[Section]:
+    """Say how a run can be repeated, what it read, and what it was made with.
 
-    Args:
-        command: Name of the command, like "calibrate".
-        what: What it made, like "calibration".
-        sources: The project files, in their order, as `source_dict` converts them.
+    `words` are the command, given in the folder of the page, which writes `out`; empty
+    if there is none. It read the project files `sources`, as `source_dict` converts
+    them, and other files.
     """
-    known = [source for source in sources if source is not None]
-    if not known or len(known) < len(sources):
-        without = "without a project file"
-        return made_in_python(f"This {what} was made in Python, {without}")
-    words = [command, *(source["project"]["file"] for source in known), "-o", REPEATED]
-    content = [command_html(words)]
-    for source in known:
+    made_in_python = "This was made in Python, so there is no command that repeats it."
+    content = [node("p", made_in_python)]
+    if words:
+        code = node("code", shlex.join(["softcal", *words, "-o", out]))
+        content = [node("p", "In the folder of this page:"), node("pre", code)]
+    for source in sources:
         if source["changes"]:
             rows = [(key, repr(value)) for key, value in source["changes"].items()]
-            of = f" of {source['project']['file']}" if len(known) > 1 else ""
+            of = f" of {source['project']['file']}" if len(sources) > 1 else ""
             columns = "key of the project file", "value"
             text = (
                 "Some values of the project file were replaced when it was loaded. Set "
@@ -50,31 +53,27 @@ def repeat_html(
             )
             changes = text_table(f"Changes{of}", columns, rows)
             content += [node("p", text), table_html(changes)]
-    files = [file for source in known for file in files_of(source)]
-    return [*content, files_html(files)]
+    read = [*files, *(own for source in sources for own in files_of(source))]
+    if read:
+        rows = dict.fromkeys((own["file"], own["sha256"]) for own in read)
+        table = text_table("Files that were read", ("file", "SHA-256"), rows)
+        content.append(table_html(table))
+    return [
+        Section("repeat", "Repeat it", content),
+        Section("made", "Settings, versions and times", _made_html(data)),
+    ]
 
 
-def inverse_repeat_html(data: Mapping[str, Any], options: Sequence[str]) -> list[Html]:
-    """Give the command that repeats an inverse run, and what it was computed from."""
-    loaded, source = data["calibration"], data["source"]
-    content = made_in_python("This was computed in Python")
-    if loaded is not None:
-        words = ["inverse", loaded["file"], *options, "-o", REPEATED]
-        content = [command_html(words)]
-    files = [] if loaded is None else [loaded]
-    files += [] if source is None else files_of(source)
-    return [*content, files_html(files)] if files else content
-
-
-def made_in_python(what: str) -> list[Html]:
-    """Say that no command repeats what was made so."""
-    return [node("p", f"{what}, so there is no command that repeats it.")]
-
-
-def command_html(words: Sequence[str]) -> Html:
-    """Show a command of softcal that is given in the folder of the page."""
-    code = node("code", shlex.join(["softcal", *words]))
-    return node("div", node("p", "In the folder of this page:"), node("pre", code))
+def closing_of(
+    command: str, data: Mapping[str, Any], sources: Iterable[Mapping[str, Any] | None]
+) -> list[Section]:
+    """Close the page of a command that reads project files alone."""
+    named = list(sources)
+    known = [source for source in named if source is not None]
+    if not known or len(known) < len(named):
+        return closing(data, [])
+    words = [command, *(source["project"]["file"] for source in known)]
+    return closing(data, words, sources=known)
 
 
 def files_of(source: Mapping[str, Any]) -> list[Mapping[str, str]]:
@@ -89,13 +88,7 @@ def files_of(source: Mapping[str, Any]) -> list[Mapping[str, str]]:
     return files
 
 
-def files_html(files: Sequence[Mapping[str, str]]) -> Html:
-    """Tabulate files, each once, with what they held."""
-    rows = dict.fromkeys((own["file"], own["sha256"]) for own in files)
-    return table_html(text_table("Files that were read", ("file", "SHA-256"), rows))
-
-
-def made_html(data: Mapping[str, Any]) -> list[Html]:
+def _made_html(data: Mapping[str, Any]) -> list[Html]:
     """Tabulate settings, versions, times and files."""
     parts = {
         "Settings": _flat(data.get("settings", {})),

@@ -4,22 +4,23 @@ import os
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
-from softcal_jax._text_table import TextTable
 from softcal_jax.export import file_dict, made_dict
 from softcal_jax.identifiability import RunVerdict
-from softcal_jax.report._html import Html, Section, bullets, node, page, table_html
-from softcal_jax.report._provenance import (
-    REPEATED,
-    command_html,
-    files_html,
-    files_of,
-    made_html,
-    made_in_python,
+from softcal_jax.plotting import plot_trials
+from softcal_jax.report._html import (
+    Html,
+    Section,
+    bullets,
+    figure,
+    node,
+    page,
+    picture,
+    sentences,
+    table_html,
 )
-from softcal_jax.report._trial_charts import value_charts
-from softcal_jax.sweeps import Sweep, SweepResult, SweepSummary, summarise
+from softcal_jax.report._provenance import REPEATED, closing, files_of
+from softcal_jax.sweeps import Sweep, SweepResult, SweepSummary, SweptAxis, summarise
 
 KIND = "Sweep"
 """What was done, as the page calls it; by it an earlier page is known."""
@@ -77,15 +78,12 @@ def write_sweep(
     check_sweep_page(database)
     path = sweep_page_of(database)
     text = _sweep_page(result, Path(database), sweep, timing_s or {})
-    number, name = tempfile.mkstemp(prefix=".softcal.", dir=path.parent)
+    partial = path.with_name(f".softcal.{path.name}")
     try:
-        with open(number, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(name, 0o644)  # as any other file, not as one for its owner alone
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+        partial.write_text(text, encoding="utf-8")
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
     return path
 
 
@@ -98,61 +96,52 @@ def _sweep_page(
     found = summarise(result)
     made = made_dict(None if sweep is None else sweep.made, database.parent)
     data = {**made, "timing_s": timing_s, "files": [database.name]}
-    best = [] if found.best is None else [node("p", found.best_in_words)]
-    best += [] if found.best is None else [table_html(found.best)]
-    means = "Mean ± standard deviation over the trials that converged."
+    best, means, spread, trials = [], [], [], []
+    if found.best is not None:
+        best = [node("p", found.best_in_words), table_html(found.best)]
+    if found.groups:
+        text = "Mean ± standard deviation over the trials that converged."
+        means = [node("p", text), table_html(found.groups)]
+    if result.rows:
+        trials = _trials(found)
+        spread = [node("p", "No trial has converged: there is nothing to average.")]
+    if found.spread.rows:
+        spread = [table_html(found.spread)]
+    files, words = [], []
+    if sweep is not None:
+        own = file_dict(sweep.file, database.parent)
+        files, words = [own, *files_of(made["source"])], ["sweep", own["file"]]
     sections = [
-        Section("notes", "Notes", [bullets(found.notes)] if found.notes else []),
+        Section("notes", "Notes", [bullets(found.notes)]),
         Section("varied", "What was varied", [table_html(found.varied)]),
         Section("best", "Best trials", best),
-        Section(
-            "means",
-            "Means over repetitions",
-            [node("p", means), table_html(found.groups)] if found.groups else [],
-        ),
-        Section(
-            "spread",
-            "Spread of all trials",
-            _spread(found.spread) if result.rows else [],
-        ),
+        Section("means", "Means over repetitions", means),
+        Section("spread", "Spread of all trials", spread),
         *(
-            Section(
-                f"axis{k}",
-                f"By {axis.name}",
-                [node("div", *value_charts(*axis), class_="charts")],
-            )
+            Section(f"axis{k}", f"By {axis.name}", [_drawn(axis)])
             for k, axis in enumerate(found.axes)
         ),
-        Section("trials", "All trials", _trials(found) if result.rows else []),
-        Section("repeat", "Repeat it", _repeat(sweep, made, database)),
-        Section("made", "Settings, versions and times", made_html(data)),
+        Section("trials", "All trials", trials),
+        *closing(data, words, files=files, out=f"{REPEATED}.sqlite"),
     ]
     verdict = RunVerdict(found.headline, found.tone, found.doubts)
     return page(result.name, KIND, verdict, sections, index=database.name, units="SI")
 
 
-def _spread(found: TextTable) -> list[Html]:
-    if not found.rows:
-        return [node("p", "No trial has converged, so there is nothing to average.")]
-    return [table_html(found)]
+def _drawn(axis: SweptAxis) -> Html:
+    """Draw the trials over an axis, as `softcal sweep plot` does."""
+    what = f"{', '.join(axis.figures)} over {axis.name}"
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "trials.svg"
+        plot_trials({axis.name: axis.values}, axis.figures, path)
+        return figure(picture(path, what), f"{what}: one dot per trial.")
 
 
 def _trials(found: SweepSummary) -> list[Html]:
-    content = [table_html(found.trials)]
+    more, others = "", ""
     if found.more_trials:
-        text = f"{found.more_trials} more are in the database; softcal sweep show lists"
-        content.append(node("p", f"{text} all of them with --all."))
+        more = f"{found.more_trials} more are in the database; softcal sweep show lists"
+        more += " all of them with --all."
     if found.not_drawn:
-        text = "Figures that are in this table, and not drawn: "
-        content.append(node("p", f"{text}{', '.join(found.not_drawn)}."))
-    return content
-
-
-def _repeat(sweep: Sweep | None, made: Mapping[str, Any], database: Path) -> list[Html]:
-    """Give the command that runs the sweep again, and what it read."""
-    if sweep is None:
-        return made_in_python("This sweep was made in Python, without a sweep file")
-    own = file_dict(sweep.file, database.parent)
-    files = files_of(made["source"])
-    words = ["sweep", own["file"], "-o", f"{REPEATED}.sqlite"]
-    return [command_html(words), files_html([own, *files])]
+        others = f"In this table, and not drawn: {', '.join(found.not_drawn)}."
+    return [table_html(found.trials), *sentences([more, others])]

@@ -1,11 +1,21 @@
-"""Tables of results for a terminal, to be printed by `rich`."""
+"""Tables of what robots do, and of results for a terminal, printed by `rich`."""
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from softcal_jax._text_table import STYLES, Cell, TextTable, Tone, text_table
-from softcal_jax.calibration import CalibrationResult, SimulationResult
-from softcal_jax.control import InverseResult
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.calibration import (
+    CalibrationResult,
+    ConfigurationResult,
+    SimulationResult,
+)
+from softcal_jax.configurations import EffectorRecord
+from softcal_jax.equilibrium import ActuatorState
+from softcal_jax.export import readable_values
 from softcal_jax.identifiability import Assessment, assess, verdict_of
 from softcal_jax.report._calibration import (
     beyond_prior,
@@ -19,13 +29,11 @@ from softcal_jax.report._calibration import (
     outlook_tone,
     parameter_table,
 )
-from softcal_jax.report._inverse import actuator_table, goal_table, inverse_verdict
-from softcal_jax.report._robot import robot_tables
 
 if TYPE_CHECKING:
     import rich.console
 
-_HEADS: dict[Tone, str] = {
+HEADS: dict[Tone, str] = {
     "good": "bold green",
     "doubtful": "bold yellow",
     "bad": "bold white on red",
@@ -36,11 +44,7 @@ _HEADS: dict[Tone, str] = {
 def summary_table(
     result: CalibrationResult, assessment: Assessment | None = None
 ) -> "rich.console.Group":
-    """Tabulate a calibration for the terminal.
-
-    Args:
-        result: The calibration.
-        assessment: Its assessment, if known already.
+    """Tabulate a calibration for the terminal, with its assessment, if known already.
 
     Returns:
         Parameters, configurations, identifiability, verdict and notes.
@@ -69,7 +73,7 @@ def summary_table(
         *([Text(own.prediction)] if own.prediction else []),
         Text(
             "\n  ".join([verdict.sentence, *verdict.reasons]),
-            style=_HEADS[verdict.tone],
+            style=HEADS[verdict.tone],
         ),
         *([] if result.starts is None else [Text(str(result.starts))]),
         *(Text(line) for line in (result.checks.agreement if result.checks else ())),
@@ -89,17 +93,6 @@ def simulation_table(result: SimulationResult) -> "rich.console.Group":
     return Group(*map(TextTable.drawn, simulation_tables(result)))
 
 
-def inverse_table(result: InverseResult) -> "rich.console.Group":
-    """Tabulate a result of inverse control for the terminal: goals and actuators."""
-    from rich.console import Group
-    from rich.text import Text
-
-    verdict = inverse_verdict(result)
-    style = _HEADS[verdict.tone]
-    tables = map(TextTable.drawn, (goal_table(result.goals), actuator_table(result)))
-    return Group(*tables, Text(verdict.sentence, style=style))
-
-
 def simulation_tables(result: SimulationResult) -> list[TextTable]:
     """Tabulate the outcome in every configuration, and what the robot does there."""
     rows = []
@@ -110,3 +103,63 @@ def simulation_tables(result: SimulationResult) -> list[TextTable]:
     columns = "configuration", "largest displacement", "Newton steps", "outcome"
     table = text_table("Simulation", columns, rows)
     return [table, *robot_tables(result.configurations)]
+
+
+def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTable]:
+    """Tabulate effectors that are not points, actuators, rigid bodies and reactions.
+
+    There is no table for what is missing.
+    """
+    fitted = any(result.role != "simulation" for result in configurations)
+    values = ["measured", "before", "after"] if fitted else ["simulated"]
+    titles = {
+        "Other effectors": ["effector", *values],
+        "Actuators": ["actuator", "force or pressure", "displacement or growth"],
+        "Rigid bodies": ["rigid body", "state", "moved by", "turned by"],
+        "Reactions": ["of", "force of the ground (x, y, z)"],
+    }
+    rows: dict[str, list[tuple[str, ...]]] = {title: [] for title in titles}
+    for result in configurations:
+        for own in result.others:
+            if own.is_turn and fitted:
+                continue  # another table shows the errors of turns
+            name = f"{own.name}{' (turn)' if own.is_turn else ''}"
+            found = [own.measured, own.simulated_before, own.simulated][-len(values) :]
+            shown = [_values(own, value) for value in found]
+            rows["Other effectors"].append((result.name, name, *shown))
+        robot = result.robot
+        if robot is None:
+            continue
+        rows["Actuators"] += [(result.name, *actuator_row(a)) for a in robot.actuators]
+        for body in robot.bodies:
+            moved = readable_values([_length(body.translation)], "m")
+            turned = readable_values([_length(body.rotation_vector)], "rad")
+            own_row = (result.name, body.name, body.state, moved, turned)
+            rows["Rigid bodies"].append(own_row)
+        for reaction in robot.reactions:
+            force = readable_values(list(reaction.force), "N")
+            rows["Reactions"].append((result.name, reaction.name, force))
+    return [
+        text_table(title, ("configuration", *columns), rows[title])
+        for title, columns in titles.items()
+        if rows[title]
+    ]
+
+
+def actuator_row(own: ActuatorState) -> tuple[str, ...]:
+    """Write name, force and displacement of an actuator, and which is imposed."""
+    shown = [readable_values([own.force], own.force_unit), "-"]
+    if own.displacement is not None and own.displacement_unit is not None:
+        shown[1] = readable_values([own.displacement], own.displacement_unit)
+    shown[own.imposed == "displacement"] += " (imposed)"
+    return own.name, *shown
+
+
+def _values(own: EffectorRecord, values: Float[HostArray, " k"]) -> str:
+    if np.isnan(values).any():
+        return "-"
+    return readable_values([_length(values)] if own.is_turn else list(values), own.unit)
+
+
+def _length(vector: Float[HostArray, "3"]) -> float:
+    return float(np.linalg.norm(vector))

@@ -17,9 +17,8 @@ from softcal_jax.mesh import PARTS, boundary_tets
 from softcal_jax.plotting import MARKS, NOT_CONVERGED, motion_words
 from softcal_jax.report._html import Html, bullets, joined, node
 from softcal_jax.report._outline import ROLES
-from softcal_jax.report._surface import surface_of
 from softcal_jax.report._view_data import view_data
-from softcal_jax.report._view_fields import Field, state_fields, view_fields
+from softcal_jax.report._view_fields import Field, state_fields, surface_of, view_fields
 
 MOST_DATA = 1_500_000
 """Most bytes of what a view draws; curved faces are cut more coarsely to stay below."""
@@ -53,56 +52,66 @@ _KEYS = (
     "bring the robot nearer or farther; Home resets the view."
 )
 
-_SYMBOLS = {
-    "measured": '<circle cx="14" cy="7" r="5" fill="none" stroke="{}" '
-    'stroke-width="2.2"/>',
-    "simulated": '<path d="M14 1V13M8 7H20" stroke="{}" stroke-width="2.2"/>',
-    "at rest": '<path d="M2 7H26" stroke="{}" stroke-width="2"/>',
-    "cable": '<path d="M2 7H26" stroke="{}" stroke-width="3"/>',
-    "wall": '<rect x="4" y="2" width="20" height="10" fill="{}" opacity=".4"/>',
-    "motor": '<path d="M2 7H26" stroke="{}" stroke-width="2.5" '
-    'stroke-dasharray="7 3 2 3"/>',
-    "force": '<path d="M2 7H20M26 7L17 2V12Z" stroke="{0}" fill="{0}" '
-    'stroke-width="2.5"/>',
-    "gravity": '<path d="M2 7H20M26 7L17 2V12Z" stroke="{0}" fill="{0}" '
-    'stroke-width="1.5"/>',
-    "rigid": '<rect x="4" y="2" width="20" height="10" fill="{}"/>',
-    "frame": '<path d="M14 13V2M14 13H25M14 13L6 8" fill="none" stroke="{}" '
-    'stroke-width="2" stroke-dasharray="3 2"/>',
-    "fibre": '<path d="M3 12L13 2M14 12L24 2" stroke="{}" stroke-width="2"/>',
-}
-"""Symbols of the legend, to be drawn in a colour."""
-
-_MEANING = {
-    "wall": "wall under pressure",
-    "force": "force or load",
-    "rigid": "rigid body",
-    "frame": "frame of a rigid body",
-}
+_LINE = '<path d="M2 7H26" stroke="{0}" stroke-width="2.5"/>'
+_ARROW = '<path d="M2 7H20M26 7L17 2V12Z" stroke="{0}" fill="{0}" stroke-width="2"/>'
+_PATCH = '<rect x="4" y="2" width="20" height="10" fill="{0}"/>'
 
 
-_SHOWN_WITH = {
-    "measured": "markers frames",
-    "simulated": "markers frames",
-    "at rest": "rest",
-    "cable": "robot",
-    "wall": "robot",
-    "motor": "robot",
-    "force": "robot loads",
-    "gravity": "loads",
-    "frame": "frames",
-    "fibre": "fibres",
+class _Mark(NamedTuple):
+    """An entry of the legend: its words, and the SVG of its symbol, to be coloured.
+
+    It shows if one of its boxes of `_SHOWN` is ticked, or always if it has none.
+    """
+
+    words: str
+    symbol: str
+    boxes: tuple[str, ...] = ()
+
+
+_MARKS = {
+    "measured": _Mark(
+        "measured",
+        '<circle cx="14" cy="7" r="5" fill="none" stroke="{0}" stroke-width="2.2"/>',
+        ("markers", "frames"),
+    ),
+    "simulated": _Mark(
+        "simulated",
+        '<path d="M14 1V13M8 7H20" stroke="{0}" stroke-width="2.2"/>',
+        ("markers", "frames"),
+    ),
+    "at rest": _Mark("at rest", _LINE, ("rest",)),
+    "cable": _Mark("cable", _LINE, ("robot",)),
+    "wall": _Mark(
+        "wall under pressure", _PATCH.replace("/>", ' opacity=".4"/>'), ("robot",)
+    ),
+    "motor": _Mark(
+        "motor",
+        _LINE.replace("/>", ' stroke-dasharray="7 3 2 3"/>'),
+        ("robot",),
+    ),
+    "force": _Mark("force", _ARROW, ("robot",)),
+    "load": _Mark("load", _ARROW, ("loads",)),
+    "gravity": _Mark("gravity", _ARROW, ("loads",)),
+    "rigid": _Mark("rigid body", _PATCH),
+    "frame": _Mark(
+        "frame of a rigid body",
+        '<path d="M14 13V2M14 13H25M14 13L6 8" fill="none" stroke="{0}" '
+        'stroke-width="2" stroke-dasharray="3 2"/>',
+        ("frames",),
+    ),
+    "fibre": _Mark(
+        "fibre",
+        '<path d="M3 12L13 2M14 12L24 2" stroke="{0}" stroke-width="2"/>',
+        ("fibres",),
+    ),
 }
-"""Which of `_SHOWN` a mark belongs to."""
+"""What a view may hold, by its name among the colours `MARKS`."""
 
 
 class PageView(NamedTuple):
-    """What a page needs to draw a body.
+    """What a page needs to draw a body: HTML, and the script that makes it work.
 
-    Attributes:
-        content: Controls, drawing area, words and data.
-        script: What makes them work; a page without it shows none of them.
-        names: Configurations that are in the view.
+    A page without the script shows nothing of it. `names` are the configurations in it.
     """
 
     content: Html
@@ -125,48 +134,34 @@ def body_view(
 
     What is too large for a page is drawn more coarsely or left out, and the view says
     so: first curved faces get fewer triangles, then the last configurations go.
-
-    Args:
-        result: The calibration or simulation.
-        errors: Standard errors of calibrated fields in each tet; None if nothing was
-            calibrated.
+    `errors` are standard errors of calibrated fields in each tet; None if nothing was
+    calibrated.
     """
-    if not any(own.converged for own in result.configurations):
-        text = "There is no body to turn: no configuration has an equilibrium."
-        return PageView(node("p", text), "", frozenset())
-    made = _made(result.model, result.configurations, errors)
-    if made is None:
+    made, why = None, "no configuration has an equilibrium"
+    if any(own.converged for own in result.configurations):
+        made = _made(result.model, result.configurations, errors)
         n = len(boundary_tets(result.model.mesh))
-        text = (
-            f"The surface of this mesh, {n} faces, is too large to turn in this page: "
-            f"open configurations.pvd in ParaView."
-        )
-        return PageView(node("p", text), "", frozenset())
+        why = f"the surface of this mesh, {n} faces, is too large for a page; "
+        why += "configurations.pvd is for ParaView"
+    if made is None:
+        return PageView(node("p", f"There is no body to turn: {why}."), "", frozenset())
     converged = not isinstance(result, CalibrationResult) or result.converged
-    content = joined([_figure(made, converged=converged), _data(made)])
+    drawn = Html(made.text)
+    data = node("script", drawn, type="application/json", id="view-data")
+    content = joined([_figure(made, converged=converged), data])
     script = files("softcal_jax.report").joinpath("view.js").read_text("utf-8")
     names = frozenset(own.name for own in made.shown if own.converged)
     return PageView(content, script, names)
 
 
 class _Made(NamedTuple):
-    """What goes into a page.
-
-    Attributes:
-        data: What is drawn.
-        text: The same as JSON.
-        fields: What may colour it.
-        shown: The configurations.
-        left_out: Names of those that are left out.
-        coarse: Whether faces are cut more coarsely than in the pictures.
-    """
+    """What is drawn, as JSON too, its fields and configurations, and what is amiss."""
 
     data: dict[str, Any]
     text: str
     fields: Sequence[Field]
     shown: Sequence[ConfigurationResult]
-    left_out: Sequence[str] = ()
-    coarse: bool = False
+    remarks: Sequence[str]
 
 
 def _made(
@@ -188,9 +183,13 @@ def _made(
         # "<" must not end the element that the data are in.
         text = json.dumps(data, allow_nan=False, separators=(",", ":"))
         text = text.replace("<", "\\u003c")
+        remarks = []
+        if model.mesh.order == 2 and parts < PARTS:
+            remarks.append("Curved faces are drawn coarsely, to keep the page small.")
         left_out = [own.name for k, own in enumerate(every) if k not in kept]
-        coarse = model.mesh.order == 2 and parts < PARTS
-        return _Made(data, text, fields, shown, left_out, coarse)
+        if left_out:
+            remarks.append(f"Left out to keep the page small: {', '.join(left_out)}.")
+        return _Made(data, text, fields, shown, remarks)
 
     everything = range(len(every))
     for parts in (PARTS, 2, 1) if model.mesh.order == 2 else (1,):
@@ -207,19 +206,10 @@ def _made(
     return None
 
 
-def _data(made: _Made) -> Html:
-    return node("script", Html(made.text), type="application/json", id="view-data")
-
-
 def _figure(made: _Made, *, converged: bool) -> Html:
     """Write controls, drawing area and words; hidden where no script shows it."""
     warning = [] if converged else [node("p", NOT_CONVERGED, class_="stop")]
-    lines = []
-    if made.coarse:
-        lines.append("Curved faces are drawn coarsely, to keep the page small.")
-    if made.left_out:
-        names = ", ".join(made.left_out)
-        lines.append(f"Left out to keep the page small: {names}.")
+    marks = _marks(made.data)
     words = [
         node("p", _words(own), hidden="", class_="" if own.converged else "stop")
         for own in made.shown
@@ -227,13 +217,13 @@ def _figure(made: _Made, *, converged: bool) -> Html:
     return node(
         "figure",
         *warning,
-        _choices(made),
+        _choices(made, marks),
         _stage(),
         _scale(made),
-        _legend(made),
+        _legend(marks),
         node("figcaption", *words, node("p", "", role="status"), id="view-words"),
         node("p", _KEYS, id="view-keys", class_="keys"),
-        *([bullets(lines)] if lines else []),
+        *([bullets(made.remarks)] if made.remarks else []),
         id="view",
         class_="view",
         hidden="",
@@ -253,16 +243,20 @@ def _named(own: ConfigurationResult) -> str:
     return f"{own.name}{role}" + ("" if own.converged else " - no equilibrium")
 
 
-def _choices(made: _Made) -> Html:
+def _choices(made: _Made, marks: Sequence[str]) -> Html:
     """Write the choices of configuration, field and direction, and what is shown."""
     drawn = [k for k, own in enumerate(made.shown) if own.converged]
     first = max(drawn, key=lambda k: made.shown[k].largest_displacement, default=0)
     directions = ["at an angle", *(f"from {name}" for name in _DIRECTIONS)]
-    there = _there(made.data)
+    poses = made.data["configurations"]
+    offered = {"mesh", "rest", "names"}
+    offered |= {key for key in ("markers", "frames") if any(own[key] for own in poses)}
+    for name in set(marks) - {"measured", "simulated"}:
+        offered.update(_MARKS[name].boxes)
     boxes = [
         node("label", _checkbox(name, on=on), f" {words}")
         for name, (words, on) in _SHOWN.items()
-        if name in there
+        if name in offered
     ]
     return node(
         "div",
@@ -287,22 +281,18 @@ def _checkbox(name: str, *, on: bool) -> Html:
     return node("input", type="checkbox", id=f"view-{name}", **checked)
 
 
-def _there(data: Mapping[str, Any]) -> set[str]:
-    """Say which of the things that can be shown there are."""
+def _marks(data: Mapping[str, Any]) -> list[str]:
+    """List the marks that there are, in the order of the legend."""
     poses = data["configurations"]
-    some = lambda *keys: any(own[key] for own in poses for key in keys)
-    named = ("markers", "cables", "wallNames", "motors", "arrows")
-    there = {
-        "mesh": len(data["edges"]) > 0,
-        "rest": True,
-        "markers": some("markers"),
-        "robot": some("cables", "walls", "motors"),
-        "loads": some("arrows", "gravity"),
-        "frames": some("frames"),
-        "fibres": some("fibres"),
-        "names": some(*named),
-    }
-    return {name for name, own in there.items() if own}
+    keys = {"cable": "cables", "wall": "walls", "motor": "motors"}
+    keys |= {"gravity": "gravity", "fibre": "fibres"}
+    present = {mark for mark, key in keys.items() if any(own[key] for own in poses)}
+    points = [point for own in poses for point in own["markers"]]
+    present |= {k for k in ("measured", "simulated") if any(p[k] for p in points)}
+    parts = [part for own in poses for part in (*own["frames"], *own["arrows"])]
+    present |= {part["kind"] for part in parts}
+    present |= {"at rest", *(["rigid"] if data["anyRigid"] else [])}
+    return [name for name in _MARKS if name in present]
 
 
 def _stage() -> Html:
@@ -342,29 +332,13 @@ def _scale(made: _Made) -> Html:
     )
 
 
-def _legend(made: _Made) -> Html:
-    """Explain the marks that there are."""
-    poses = made.data["configurations"]
-    some = lambda key: any(own[key] for own in poses)
-    points = [p for own in poses for p in own["markers"]]
-    frames = [f["kind"] for own in poses for f in own["frames"]]
-    there = {
-        "measured": any(p["measured"] for p in points) or "measured" in frames,
-        "simulated": any(p["simulated"] for p in points) or "simulated" in frames,
-        "at rest": True,
-        "cable": some("cables"),
-        "wall": some("walls"),
-        "motor": some("motors"),
-        "force": some("arrows"),
-        "gravity": some("gravity"),
-        "rigid": made.data["anyRigid"],
-        "frame": "rigid body" in frames,
-        "fibre": some("fibres"),
-    }
+def _legend(marks: Sequence[str]) -> Html:
+    """Explain the marks."""
     entries = []
-    for name in (name for name, own in there.items() if own):
-        drawn = Html(_SYMBOLS[name].format(MARKS[name]))
-        of = {"data_of": _SHOWN_WITH[name]} if name in _SHOWN_WITH else {}
+    for name in marks:
+        mark = _MARKS[name]
+        drawn = Html(mark.symbol.format(MARKS[name]))
+        of = {"data_of": " ".join(mark.boxes)} if mark.boxes else {}
         symbol = node("svg", drawn, width="28", height="14", aria_hidden="true")
-        entries.append(node("li", symbol, _MEANING.get(name, name), **of))
+        entries.append(node("li", symbol, mark.words, **of))
     return node("ul", *entries, class_="legend")

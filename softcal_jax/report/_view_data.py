@@ -7,45 +7,36 @@ box: what a picture shows cannot tell it from the value itself.
 """
 
 import base64
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import ConfigurationResult
+from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model
-from softcal_jax.export import fibre_directions
-from softcal_jax.plotting import DISPLACEMENT_MAP, choose_view
-from softcal_jax.report._surface import Surface
-from softcal_jax.report._view_fields import Field
-from softcal_jax.report._view_robot import robot_data
+from softcal_jax.export import fibre_directions, readable_values
+from softcal_jax.mesh import TetMesh
+from softcal_jax.plotting import (
+    DISPLACEMENT_MAP,
+    RobotPicture,
+    actuator_words,
+    choose_view,
+    is_seen,
+    load_place,
+    pushes,
+    robot_picture,
+    sensor_frames,
+)
+from softcal_jax.report._view_fields import Field, Surface
 
 _MOST = 65535
 """Largest number of 16 bits; as the value of a field it stands for none."""
 
 _FIBRES = 600
 """Most fibres that are drawn."""
-
-
-class ViewBox(NamedTuple):
-    """The box of all positions.
-
-    Attributes:
-        low: Its lower corner [mm].
-        step: What positions are multiples of, from there [mm].
-    """
-
-    low: Float[HostArray, "3"]
-    step: float
-
-    __repr__ = one_line
-
-    def packed(self, points: Float[HostArray, "*n 3"]) -> str:
-        """Pack positions [mm]."""
-        return pack(np.rint((points - self.low) / self.step).astype("<u2"))
 
 
 def pack(values: HostArray) -> str:
@@ -59,14 +50,7 @@ def view_data(
     surface: Surface,
     fields: Sequence[Field],
 ) -> dict[str, Any]:
-    """Collect what the view draws.
-
-    Args:
-        model: The model.
-        shown: The configurations; one without an equilibrium is at rest.
-        surface: The surface of the body.
-        fields: What may colour it.
-    """
+    """Collect what the view draws; at rest where there is no equilibrium."""
     rest = 1e3 * surface.cut.interpolate(model.mesh.points)
     # Without an equilibrium, what a solver left of a displacement means nothing.
     moved = [
@@ -77,14 +61,14 @@ def view_data(
     fibres = [_fibres(model, surface, u) for u in moved]
     robots = [robot_data(model, own) for own in shown]
     everything = np.concatenate([rest, *points, *(f.reshape(-1, 3) for f in fibres)])
-    low = everything.min(axis=0)
-    box = ViewBox(low, float(np.ptp(everything, axis=0).max()) / _MOST)
+    low, step = everything.min(axis=0), float(np.ptp(everything, axis=0).max()) / _MOST
+    placed = lambda x: pack(np.rint((x - low) / step).astype("<u2"))
     index = "<u2" if len(rest) <= _MOST else "<u4"
     entries = [
         {
             "drawn": own.converged,
-            "points": box.packed(x),
-            "fibres": box.packed(f),
+            "points": placed(x),
+            "fibres": placed(f),
             "markers": _markers(own),
             **{key: part for key, part in robot.items() if key != "reach"},
             "walls": pack(surface.having(robot["walls"]).astype("u1"))
@@ -94,8 +78,8 @@ def view_data(
         for own, x, f, robot in zip(shown, points, fibres, robots, strict=True)
     ]
     return {
-        "low": box.low.tolist(),
-        "step": box.step,
+        "low": low.tolist(),
+        "step": step,
         "wide": index == "<u4",
         "triangles": pack(surface.cut.triangles.astype(index)),
         "perFace": surface.per_face,
@@ -103,7 +87,7 @@ def view_data(
         "anyRigid": bool(surface.rigid.any()),
         "edges": pack(surface.edges.astype(index)),
         "sharp": surface.n_sharp,
-        "rest": box.packed(rest),
+        "rest": placed(rest),
         "map": pack(_colours()),
         "view": _first_view(model, shown, robots),
         "fields": [_field(own) for own in fields],
@@ -112,8 +96,7 @@ def view_data(
 
 
 def _field(own: Field) -> dict[str, Any]:
-    there = [v for v in own.values if v is not None]
-    finite = np.concatenate([v[np.isfinite(v)] for v in there])
+    finite = np.concatenate([v[np.isfinite(v)] for v in own.values if v is not None])
     low, high = float(finite.min()), float(finite.max())
     if own.place != "face":  # distances begin at none
         low = 0.0
@@ -132,14 +115,11 @@ def _field(own: Field) -> dict[str, Any]:
         "note": own.note,
         "range": [low, high],
         "values": [None if v is None else packed(v) for v in own.values],
-        "largest": [_largest(v) for v in own.values],
+        "largest": [
+            None if v is None or np.isnan(v).all() else float(np.nanmax(v))
+            for v in own.values
+        ],
     }
-
-
-def _largest(values: Float[HostArray, " n"] | None) -> float | None:
-    if values is None or not np.isfinite(values).any():
-        return None
-    return float(np.nanmax(values))
 
 
 def _markers(own: ConfigurationResult) -> list[dict[str, Any]]:
@@ -211,3 +191,95 @@ def _first_view(
         "towards": view.towards.tolist(),
         "more": np.round(more, 3).tolist(),
     }
+
+
+def robot_data(model: Model, own: ConfigurationResult) -> dict[str, Any]:
+    """Collect what is drawn beside the soft body.
+
+    Returns:
+        `cables` (`name`, `slack`, `segments`), `walls`: corners of the faces under
+        pressure, `wallNames` (`name`, `at`), `arrows` (`kind`, `name`, `tip`,
+        `towards`), `motors` (`name`, `at`, `axis`), `frames` (`kind`, `name`, `at`,
+        `axes`), `gravity`: its direction or None, and `reach`: points that must be in
+        the view. Nothing but gravity without an equilibrium.
+    """
+    found: dict[str, Any] = {"walls": np.zeros((0, 3), int)}
+    found |= {k: [] for k in ("cables", "wallNames", "arrows", "motors", "frames")}
+    if own.converged and own.robot is not None:
+        picture = robot_picture(model, own.robot)
+        found |= _actuators(picture)
+        found["frames"] += _bodies(model, picture)
+    if own.converged:
+        for frame in sensor_frames(own):
+            kind = "measured" if frame.is_measured else "simulated"
+            place = {"at": _mm(frame.position), "axes": frame.rotation.T.tolist()}
+            found["frames"].append({"kind": kind, "name": "", **place})
+    if own.converged and own.posed is not None:
+        x = model.mesh.points + own.displacement
+        found["arrows"] += _loads(own.posed, model.mesh, x)
+    gravity = np.zeros(3) if own.posed is None else np.asarray(own.posed.gravity, float)
+    size = np.linalg.norm(gravity)
+    found["gravity"] = (gravity / size).tolist() if size > 0.0 else None
+    ends = [end for c in found["cables"] for s in c["segments"] for end in s]
+    tips = [part["tip"] for part in found["arrows"]]
+    places = [part["at"] for part in (*found["motors"], *found["frames"])]
+    found["reach"] = [*ends, *tips, *places]
+    return found
+
+
+def _actuators(picture: RobotPicture) -> dict[str, Any]:
+    geometry = picture.geometry
+    cables, names, arrows, motors, walls = [], [], [], [], [np.zeros((0, 3), int)]
+    for a, actuator in enumerate(picture.state.actuators):
+        if not is_seen(actuator):
+            continue
+        name = escaped(actuator_words(actuator))
+        segments = geometry.segments[geometry.segment_owner == a]
+        if len(segments):
+            slack = actuator.kind == "cable" and actuator.force == 0.0
+            ends = [[_mm(end) for end in segment] for segment in segments]
+            cables.append({"name": name, "slack": slack, "segments": ends})
+        faces = geometry.faces[geometry.face_owner == a, :3]
+        if len(faces):
+            walls.append(faces)
+            names.append({"name": name, "at": _mm(picture.x[faces].mean(axis=(0, 1)))})
+        for k in np.flatnonzero(geometry.point_owner == a)[:1]:
+            place, along = _mm(geometry.points[k]), geometry.arrows[k]
+            if actuator.kind == "motor":
+                motors.append({"name": name, "at": place, "axis": along.tolist()})
+            else:
+                towards = (pushes(actuator) * along).tolist()
+                arrows.append(_arrow("force", name, place, towards))
+    joined = {"cables": cables, "walls": np.concatenate(walls), "wallNames": names}
+    return {**joined, "arrows": arrows, "motors": motors}
+
+
+def _arrow(
+    kind: str, name: str, tip: list[float], towards: list[float]
+) -> dict[str, Any]:
+    return {"kind": kind, "name": name, "tip": tip, "towards": towards}
+
+
+def _bodies(model: Model, picture: RobotPicture) -> Iterator[dict[str, Any]]:
+    """Yield the frames of rigid bodies."""
+    frames = picture.x[model.mesh.n_nodes :].reshape(-1, 4, 3)
+    axes = (frames[:, 1:] - frames[:, :1]) / model.mechanism.bodies.length
+    for body, x, a in zip(picture.state.bodies, frames[:, 0], axes, strict=True):
+        place = {"at": _mm(x), "axes": a.tolist()}
+        yield {"kind": "frame", "name": escaped(body.name), **place}
+
+
+def _loads(
+    posed: Configuration, mesh: TetMesh, x: Float[HostArray, "n_nodes 3"]
+) -> Iterator[dict[str, Any]]:
+    """Yield the dead loads, each at the mean place where it acts."""
+    for load in posed.loads:
+        place, force = load_place(load, mesh, x)
+        size = float(np.linalg.norm(force))
+        if size > 0.0:
+            name = readable_values([size], "N", digits=3)
+            yield _arrow("load", name, _mm(place), (force / size).tolist())
+
+
+def _mm(x: Float[HostArray, "3"]) -> list[float]:
+    return np.round(1e3 * x, 3).tolist()

@@ -1,4 +1,4 @@
-"""Fields by which the view of a page colours a body."""
+"""The surface of a body as a page draws it, and the fields that colour it."""
 
 from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import one_line
-from softcal_jax._typing import Float, HostArray
+from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.equilibrium import Model, tet_states
 from softcal_jax.export import (
@@ -18,7 +18,77 @@ from softcal_jax.export import (
     tet_fields,
     von_mises_stress,
 )
-from softcal_jax.report._surface import Surface
+from softcal_jax.mesh import Tessellation, TetMesh, boundary_tets, tessellate
+
+_SHARP = np.cos(np.radians(30.0))
+"""Cosine of the angle between two triangles above which their edge is not sharp."""
+
+
+class Surface(NamedTuple):
+    """Triangles of the boundary, face by face, and the edges of its faces.
+
+    Attributes:
+        cut: The triangles.
+        per_face: How many triangles a face is cut into.
+        faces: Nodes of each face.
+        tets: The tet of each face.
+        rigid: Whether all nodes of a face belong to one rigid body.
+        edges: Points at the ends of the parts of the edges, the sharp ones first.
+        n_sharp: How many of these are sharp at rest.
+    """
+
+    cut: Tessellation
+    per_face: int
+    faces: Int[HostArray, "n_faces n_fn"]
+    tets: Int[HostArray, " n_faces"]
+    rigid: Bool[HostArray, " n_faces"]
+    edges: Int[HostArray, "n_edges 2"]
+    n_sharp: int
+
+    __repr__ = one_line
+
+    def having(self, corners: Int[HostArray, "n 3"]) -> Bool[HostArray, " n_faces"]:
+        """Say which faces have one of these triples of corners, in any order."""
+        own = np.sort(self.faces[:, :3], axis=1)
+        wanted = {tuple(row) for row in np.sort(corners, axis=1).tolist()}
+        return np.array([tuple(row) in wanted for row in own.tolist()], bool)
+
+
+def surface_of(model: Model, parts: int) -> Surface:
+    """Cut the boundary into triangles; every edge of a quadratic face into parts."""
+    tets = boundary_tets(model.mesh)
+    cut = tessellate(model.mesh, parts=parts)
+    per_face = len(cut.triangles) // len(tets)
+    faces = cut.faces[::per_face]
+    bodies, body = model.mechanism.bodies, np.full(model.mesh.n_nodes, -1)
+    body[bodies.attached] = bodies.body
+    own = body[faces]
+    rigid = (own[:, 0] >= 0) & np.all(own == own[:, :1], axis=1)
+    edges, sharp = _edges(model.mesh, cut, per_face)
+    edges = np.concatenate([edges[sharp], edges[~sharp]])
+    return Surface(cut, per_face, faces, tets, rigid, edges, int(sharp.sum()))
+
+
+def _edges(
+    mesh: TetMesh, cut: Tessellation, per_face: int
+) -> tuple[Int[HostArray, "n_edges 2"], Bool[HostArray, " n_edges"]]:
+    """Find the sides of triangles on edges of faces, and which are sharp at rest."""
+    corners = cut.interpolate(mesh.points)[cut.triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    sides = np.sort(cut.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    owner = np.repeat(np.arange(len(cut.triangles)), 3)
+    order = np.lexsort(sides.T)
+    sides, owner = sides[order], owner[order]
+    first = np.flatnonzero(np.any(np.diff(sides, axis=0, prepend=-1) != 0, axis=1))
+    count = np.diff(first, append=len(sides))
+    paired = count == 2
+    a, b = owner[first], owner[first + paired]
+    within = paired & (a // per_face == b // per_face)
+    # Where other than two triangles meet, bodies touch: a line worth seeing.
+    sharp = ~paired | (np.einsum("ij,ij->i", normals[a], normals[b]) < _SHARP)
+    return sides[first[~within]], sharp[~within]
+
 
 Place = Literal["point", "face", "marker"]
 """What has a value: points of the surface, its faces, or the markers alone."""
@@ -30,13 +100,8 @@ _AS_THEY_ARE = ("rad", "m")
 class Field(NamedTuple):
     """A field, in the unit in which it is shown.
 
-    Attributes:
-        label: Name and unit.
-        unit: The unit.
-        place: What has a value.
-        values: Values in each configuration, nan where there is none, or None without
-            an equilibrium; a single entry for a field that is the same in all.
-        note: What to know about it.
+    Values are those in each configuration, nan where there is none, or None without an
+    equilibrium; there is a single entry for a field that is the same in all.
     """
 
     label: str
@@ -48,59 +113,42 @@ class Field(NamedTuple):
     __repr__ = one_line
 
 
-class StateField(NamedTuple):
-    """A field of the state of a body: its name, SI unit, and values in each tet."""
+_STATE = {"largest principal stretch": "", "von Mises stress": "Pa"}
+"""Fields of the state of a body, with their units."""
 
-    name: str
-    unit: str
-    values: Float[HostArray, " n_tets"] | None
-
-    __repr__ = one_line
+StateFields = Mapping[str, Float[HostArray, " n_tets"]]
 
 
-def state_fields(model: Model, own: ConfigurationResult) -> list[StateField]:
+def state_fields(model: Model, own: ConfigurationResult) -> StateFields:
     """Compute how far the tets are stretched, and their stress.
 
-    There are no values without an equilibrium.
+    There are none without an equilibrium.
     """
-    stretch = mises = None
-    if own.converged:
-        states = tet_states(model, jnp.asarray(own.displacement))
-        stretch, mises = principal_stretches(states)[:, 0], von_mises_stress(states)
-    return [
-        StateField("largest principal stretch", "", stretch),
-        StateField("von Mises stress", "Pa", mises),
-    ]
+    if not own.converged:
+        return {}
+    states = tet_states(model, jnp.asarray(own.displacement))
+    values = principal_stretches(states)[:, 0], von_mises_stress(states)
+    return dict(zip(_STATE, values, strict=True))
 
 
 def view_fields(
     model: Model,
     shown: Sequence[ConfigurationResult],
-    states: Sequence[Sequence[StateField]],
+    states: Sequence[StateFields],
     surface: Surface,
     errors: Mapping[str, Float[HostArray, " n_tets"]] | None,
 ) -> list[Field]:
     """Collect the fields: of the state of the body, of its law, and at markers.
 
-    Fields of the law are those that were calibrated, or that vary over the body; where
-    all faces belong to rigid bodies nothing has a value.
-
-    Args:
-        model: The model.
-        shown: The configurations.
-        states: Fields of the state in each of them, see `state_fields`.
-        surface: Its surface.
-        errors: Standard errors of calibrated fields in each tet, by their names; None
-            for a simulation.
+    Fields of the law are those that were calibrated, which have standard errors, or
+    that vary over the body; where all faces belong to rigid bodies nothing has a value.
     """
     moved = [_displacement(own, surface) for own in shown]
     fields = [Field("displacement [mm]", "mm", "point", tuple(moved))]
     fields += _law_fields(model, surface, errors)
-    for every in zip(*states, strict=True):
-        values = [
-            None if own.values is None else own.values[surface.tets] for own in every
-        ]
-        fields.append(_of_faces(every[0].name, every[0].unit, values, surface))
+    for name, unit in _STATE.items():
+        values = [own[name][surface.tets] if own else None for own in states]
+        fields.append(_of_faces(name, unit, values, surface))
     distances = [_distances(own) for own in shown]
     if any(d is not None and np.isfinite(d).any() for d in distances):
         label = "distance at markers [mm]"

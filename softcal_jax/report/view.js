@@ -400,9 +400,8 @@
         arrow(a.tip, a.towards, 46, paint.force, a.name));
     if (on("frames"))
       for (const f of own.frames) {
-        const colour = f.kind === "measured" ? paint.measured
-          : f.kind === "simulated" ? paint.simulated : paint.frame;
-        const dash = f.kind === "rigid body" ? [4, 4] : [];
+        const colour = paint[f.kind];
+        const dash = f.kind === "frame" ? [4, 4] : [];
         f.axes.forEach((axis) =>
           path([project(f.at), project(sum(f.at, axis, 26 / s))], colour, 2, dash));
         if (f.name) names.push([f.name, project(f.at)]);

@@ -81,7 +81,7 @@ def test_the_numbers_are_those_of_inverse_json(met, tmp_path):
     assert point["message"] in page.text
     assert page.text.count("Commanded: top = ") == 1
     assert data["notes"] == ["mind the gap", "left out: command.png; no OpenGL here"]
-    assert page.text.index("mind the gap") < page.text.rindex("Goals and actuators")
+    assert page.text.index("mind the gap") < page.text.rindex("Goals and commands")
     _, row = page.tables["Goals"]
     (goal,) = point["goals"]
     assert (row[0], goal["unit"]) == ("bend", "rad")
@@ -103,7 +103,7 @@ def test_the_numbers_are_those_of_inverse_json(met, tmp_path):
         assert row[0] == own["way"]
         assert int(row[1]) == own["n_steps"]
         assert number(row[2]) == pytest.approx(own["error"], rel=1e-2)
-    assert "computed in Python, so there is no command" in page.text
+    assert "made in Python, so there is no command" in page.text
     assert [row[0] for row in page.tables["Files"]] == data["files"]
     assert "command.vtu" in data["files"]
     assert set(data["files"]) == {path.name for path in folder.iterdir()} - {
