@@ -5,10 +5,11 @@ from softcal_jax.layouts._compare_laws import (
     compare_layouts,
     compare_models,
 )
-from softcal_jax.layouts._comparison import FoldScore, ModelScore
 from softcal_jax.layouts._model_comparison import (
     LEVEL_OF_COMPARISON,
+    FoldScore,
     ModelComparison,
+    ModelScore,
     PairedDifference,
 )
 from softcal_jax.layouts._placement import LayoutWarning, place_control_points

@@ -27,7 +27,7 @@ from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Workers
 from softcal_jax.identifiability import identifiability
 from softcal_jax.inference import whitened
-from softcal_jax.layouts._comparison import FoldScore, ModelScore
+from softcal_jax.layouts._model_comparison import FoldScore, ModelScore
 
 FOR_PREDICTION = CalibrationSettings(tol=1e-4, max_steps=200)
 """Settings of the fits: loose, since 0.01 % of a modulus changes no prediction.
