@@ -162,7 +162,9 @@ class ModelComparison(Result):
     @classmethod
     def ranked(cls, scores: Sequence[ModelScore]) -> "ModelComparison":
         """Rank scores by failed folds, then prediction error, then parameters."""
-        models = ranked(scores)
+        error = lambda s: np.inf if np.isnan(s.score) else s.score
+        key = lambda s: (len(s.failed) > 0, error(s), s.n_parameters)
+        models = tuple(sorted(scores, key=key))
         return cls(models, tuple(PairedDifference.of(m, models[0]) for m in models[1:]))
 
     @property
@@ -214,10 +216,8 @@ class ModelComparison(Result):
             named = listed([repr(name) for name in worse])
             return f"{first} The data tell it apart from {named}."
         close = listed([repr(name) for name in self.undecided])
-        fewest = min(
-            [best, *(m for m in rivals if m.name in self.undecided)],
-            key=lambda m: (m.n_parameters, m.score),
-        )
+        alike = [best, *(m for m in rivals if m.name in self.undecided)]
+        fewest = min(alike, key=lambda m: (m.n_parameters, m.score))
         text = f"{first} The data cannot tell it from {close}"
         text += f", but from {listed([repr(n) for n in worse])}." if worse else "."
         if fewest.n_parameters < best.n_parameters:
@@ -251,24 +251,21 @@ class ModelComparison(Result):
         against = {d.name: d for d in self.differences}
         rows = []
         for model in self.models:
+            worse = against.get(model.name)
             failed = f"{len(model.failed)} of {len(model.folds)}"
             rows.append(
                 (
                     model.name,
                     str(model.n_parameters),
-                    number(1e3 * model.held_out_rms, ".4g"),
-                    number(model.held_out_noise_rms, ".2f"),
+                    _number(1e3 * model.held_out_rms, ".4g"),
+                    _number(model.held_out_noise_rms, ".2f"),
                     _plus_minus(model.score, model.standard_error),
-                    _difference(against.get(model.name)),
-                    number(1e3 * model.fit_rms, ".4g"),
+                    _plus_minus(worse.difference, worse.half_width) if worse else "-",
+                    _number(1e3 * model.fit_rms, ".4g"),
                     failed if model.failed else "none",
                 )
             )
         return text_table("Models", head, rows)
-
-
-def _difference(found: PairedDifference | None) -> str:
-    return "-" if found is None else _plus_minus(found.difference, found.half_width)
 
 
 def _plus_minus(value: float, error: float) -> str:
@@ -277,15 +274,7 @@ def _plus_minus(value: float, error: float) -> str:
     return f"{value:.3g} +- {error:.2g}" if np.isfinite(error) else f"{value:.3g}"
 
 
-def ranked(scores: Sequence[ModelScore]) -> tuple[ModelScore, ...]:
-    """Sort by whether folds failed, then prediction error, then parameters."""
-    error = lambda s: np.inf if np.isnan(s.score) else s.score
-    key = lambda s: (len(s.failed) > 0, error(s), s.n_parameters)
-    return tuple(sorted(scores, key=key))
-
-
-def number(value: float, form: str) -> str:
-    """Format a number; "-" where there is none."""
+def _number(value: float, form: str) -> str:
     return "-" if np.isnan(value) else format(value, form)
 
 

@@ -187,14 +187,10 @@ def _field_sizes(
     configurations: Configuration | Sequence[Configuration],
 ) -> dict[str, float]:
     """Check the arguments of "sensitivity"; return how far each field varies [SI]."""
-    single = isinstance(configurations, Configuration)
-    posed = single or len(configurations) > 0
-    given = {"model": model is not None, "configurations": posed, "fields": fields}
-    missing = [name for name, value in given.items() if not value]
-    if missing or model is None or not fields:
+    if model is None or not configurations or not fields:
         raise ValueError(
-            f'method "sensitivity" needs {" and ".join(missing)}: it places points '
-            "where the markers of these poses see the field."
+            'method "sensitivity" needs model, configurations and fields: it places '
+            "points where the markers of these poses see the field."
         )
     same = np.array_equal(model.mesh.points, mesh.points)
     if not (same and np.array_equal(model.mesh.tets, mesh.tets)):

@@ -156,7 +156,7 @@ def test_the_default_distance_leaves_room(seed):
         (2, {"axes": "w"}, "axes must be some of"),
         (2, {"nearest": 3}, "nearest must lie between 1 and"),
         (9, {"axes": "x"}, "only 6 different places were found along x"),
-        (2, {"method": "sensitivity"}, "needs model and configurations and fields"),
+        (2, {"method": "sensitivity"}, "needs model, configurations and fields"),
     ],
 )
 @pytest.mark.usefixtures("unchecked")
