@@ -135,18 +135,17 @@ class CalibrationTrial:
 
     def _layout(self, point: Mapping[str, Any]) -> dict[str, Any]:
         """Return the layout of a point as changes of the project file."""
-        own = dict(self.layouts[point["layout"]])
-        if not own:
+        keys = dict(self.layouts[point["layout"]])
+        if not keys:
             return {}
-        if "place" in own:
+        if "place" in keys:
             mesh = self.variant(file_keys(point)).model.mesh
-            options = {key: own[key] for key in ("power", "nearest") if key in own}
-            points = place_control_points(mesh, own.pop("place"), **options)
+            points = place_control_points(mesh, keys.pop("place"))
             text = "({:.9g}, {:.9g}, {:.9g}) m".format
             places = map(text, *np.asarray(points.positions).T)
-            own["positions"] = dict(zip(points.names, places, strict=True))
-        own = {"names": None, **own}  # the names in the file are of its own positions
-        return {f"control_points.{self.replaces}.{key}": v for key, v in own.items()}
+            keys["positions"] = dict(zip(points.names, places, strict=True))
+        keys = {"names": None, **keys}  # those in the file are of its own positions
+        return {f"control_points.{self.replaces}.{key}": v for key, v in keys.items()}
 
     def _check_files(self) -> None:
         for path, digest in self.files.items():

@@ -175,7 +175,7 @@ def _replaced(path: Path, table: SweepTable) -> str:
     name = table.replaces
     if name is None and len(sets) == 1:
         return sets[0]
-    if name in sets:
+    if name is not None and name in sets:
         return name
     what = (
         "missing. Expected a set of control points"

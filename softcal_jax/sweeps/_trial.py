@@ -4,7 +4,6 @@ import hashlib
 import itertools
 import json
 import math
-import operator
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -110,7 +109,7 @@ def sample(
             )
         chosen = np.sort(random.choice(total, n, replace=False))
         cells = np.array(np.unravel_index(chosen, sizes)).T.tolist()
-        pick = operator.getitem
+        pick = lambda values, i: values[i]
     else:
         from scipy.stats.qmc import LatinHypercube
 

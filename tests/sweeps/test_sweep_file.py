@@ -159,7 +159,7 @@ BAD = {
         'axes: .* noisee.* mean "noise".* layout, configurations, start, noise, '
         '.*"material.nu"'
     ),
-    "[axes]\nnoise = []": "axes: axis noise has no values",
+    "[axes]\nnoise = []": r"axes: axis noise: got \[\]; expected",
     "[axes]": "axes: .*none.* layout, configurations",
     "": r"axes: missing. Expected a table \[axes\]",
     "[axes]\nnoise = 20": r"axis noise: got 20; .*\{ count = 20 \}",
