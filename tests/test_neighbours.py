@@ -22,6 +22,13 @@ from small_project import E_TRUE, write_small_project
 TESTS = Path(__file__).parent
 COMMAND = "import sys; from softcal_jax.cli import main; sys.exit(main())"
 
+
+@pytest.fixture(autouse=True)
+def _threads_as_users_have_them(monkeypatch):
+    """Several in one factorization, where tests have one."""
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+
+
 linux = pytest.mark.skipif(sys.platform != "linux", reason="Linux alone has it")
 
 
