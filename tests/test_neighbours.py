@@ -25,8 +25,9 @@ COMMAND = "import sys; from softcal_jax.cli import main; sys.exit(main())"
 
 @pytest.fixture(autouse=True)
 def _threads_as_users_have_them(monkeypatch):
-    """Several in one factorization, where tests have one."""
-    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    """Several, where tests have one."""
+    for name in ("MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        monkeypatch.delenv(name, raising=False)
 
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="Linux alone has it")
