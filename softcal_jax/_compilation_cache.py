@@ -24,9 +24,6 @@ LARGEST = 2_000_000_000
 _MAX_SIZE = "jax_compilation_cache_max_size"
 """JAX's setting for this, -1 for any size."""
 
-_OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
-"""Bits of a mode that let group or others write."""
-
 
 class CompilationCacheWarning(SoftcalWarning):
     """Compiled programs are not kept."""
@@ -35,14 +32,12 @@ class CompilationCacheWarning(SoftcalWarning):
 def use_compilation_cache(folder: Path | None = None) -> Path | None:
     """Keep the programs that this process compiles, and reuse those kept before.
 
-    It acts on the whole process, so programs call it and libraries do not. Call it
-    before anything is compiled.
+    It acts on the whole process, so programs call it, before anything is compiled, and
+    libraries do not. Programs are native code that later runs execute, so the folder
+    must be out of the reach of others: a new one gets the mode 0700, and one that
+    belongs to others or that they may write is refused.
 
-    Programs are native code that later runs execute, so the folder must be out of the
-    reach of others: a new one gets the mode 0700, and one that belongs to others or
-    that they may write is refused. That they may read one does no harm.
-
-    Here, programs that were used longest ago are removed until those left take at most
+    Programs that were used longest ago are removed until those left take at most
     `LARGEST`, or JAX_COMPILATION_CACHE_MAX_SIZE [bytes, -1 for no limit]. JAX itself
     would go through all entries whenever it writes one, and needs the package filelock.
 
@@ -51,10 +46,9 @@ def use_compilation_cache(folder: Path | None = None) -> Path | None:
             user's cache.
 
     Returns:
-        The absolute path of the folder. None if there is none on this machine:
-        JAX_ENABLE_COMPILATION_CACHE=0 switched the cache off, JAX_COMPILATION_CACHE_DIR
-        is an address like "gs://...", or the folder cannot be written or is within the
-        reach of others, which gives one `CompilationCacheWarning`.
+        The absolute path of the folder. None if JAX_ENABLE_COMPILATION_CACHE=0 switched
+        the cache off, if JAX_COMPILATION_CACHE_DIR is an address like "gs://...", or,
+        with one `CompilationCacheWarning`, if the folder is refused.
     """
     if not jax.config.values["jax_enable_compilation_cache"]:
         return None
@@ -91,20 +85,17 @@ def throw_away_damaged(message: str) -> str | None:
     the program, but keeps the entry, so it would fail in every run. Returns what to
     tell the user; None if the message is about something else.
     """
-    found = re.match(_UNREADABLE, message)
+    pattern = r"Error reading persistent compilation cache entry for '(.+?)':"
+    match = re.match(pattern, message)
     folder = jax.config.values["jax_compilation_cache_dir"]
-    if found is None or folder is None:
+    if match is None or folder is None:
         return None
-    program = found[1]
+    program = match[1]
     for entry in Path(folder).glob(f"{glob.escape(program)}-*-cache"):
         entry.unlink(missing_ok=True)
     return (
         f"the compiled program {program} on the disk was damaged; it is compiled again."
     )
-
-
-_UNREADABLE = r"Error reading persistent compilation cache entry for '(.+?)':"
-"""Pattern of the beginning of JAX's warning, with the name of the program."""
 
 
 def _place(chosen: str) -> Path | None:
@@ -139,11 +130,10 @@ def _reach_of_others(folder: Path) -> str | None:
             f"belongs to another user (uid {own.st_uid}), whose programs would run "
             "under your name"
         )
-    if own.st_mode & _OTHERS_WRITE:
+    if own.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         return (
-            f"may be written by others (mode {stat.S_IMODE(own.st_mode):04o}), whose "
-            "programs would run under your name; if all in it are your own, "
-            f"`chmod 700 {folder}` makes it private"
+            f"may be written by others (mode {stat.S_IMODE(own.st_mode):04o}); if all "
+            f"in it are your own, `chmod 700 {folder}` makes it private"
         )
     for parent in folder.parents:
         mode = parent.stat().st_mode

@@ -17,15 +17,8 @@ _LOOKED_AT = 1000
 def check_file(path: Path, what: str) -> None:
     """Raise unless a path is that of a regular file of a size that may be read.
 
-    A pipe would wait for ever, and a device like /dev/zero never ends.
-
-    Args:
-        path: The file.
-        what: What it is, for messages: "mesh file".
-
-    Raises:
-        FileNotFoundError: If it does not exist; the text suggests another one there.
-        ValueError: If it is something else, or too large.
+    A pipe would wait for ever, and a device like /dev/zero never ends. `what` is what
+    messages call it, like "mesh file".
     """
     if not path.exists():
         raise FileNotFoundError(f"{what} {path} does not exist.{similar_file(path)}")

@@ -14,10 +14,7 @@ class LimitError(ValueError):
 class Limit(NamedTuple):
     """The largest number of something, above which it is taken for a mistake.
 
-    Attributes:
-        variable: Environment variable with another limit.
-        usual: The limit without it.
-        unit: What is counted, for messages.
+    `usual`, unless the environment variable `variable` has another one.
     """
 
     variable: str
@@ -26,11 +23,7 @@ class Limit(NamedTuple):
 
     @property
     def most(self) -> float:
-        """The limit that holds.
-
-        Raises:
-            ValueError: If the environment variable is no positive number.
-        """
+        """The limit that holds."""
         text = os.environ.get(self.variable, "").strip()
         try:
             most = float(text or self.usual)

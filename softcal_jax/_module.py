@@ -20,11 +20,8 @@ from softcal_jax import _notebook
 from softcal_jax._text import escaped
 from softcal_jax._units import readable_values
 
-MOST = 120
-"""Most characters of the line."""
-
-_MOST_NUMBERS = 4
-"""Most numbers that are written; of more, the shape is."""
+MOST, _MOST_NUMBERS = 120, 4
+"""Most characters of the line, and most numbers; of more, the shape is written."""
 
 _ATTR = re.compile(r"^    (\w+): (.*(?:\n      .*)*)", re.M)
 _UNIT = re.compile(r"\[([A-Za-z][\w /^*]*)\]")
@@ -54,12 +51,8 @@ class Result(Module):
 def one_line(self: Any) -> str:
     """Describe a record in one line, like "NeoHookean, E = 150 kPa, nu = 0.49".
 
-    Words of its class come first, else the first line of a `__str__` of its own; a
-    record without these is described by its fields.
-
-    Args:
-        self: A dataclass or a named tuple; its fields may hold anything, also what is
-            traced, deleted or missing.
+    Words of its class come first, else the first line of a `__str__` of its own, else
+    its fields, which may hold anything, also what is traced, deleted or missing.
     """
     head, words = type(self).__name__, _own_words(self)
     name = getattr(self, "name", None) if "name" in _defaults(type(self)) else None
@@ -70,9 +63,9 @@ def one_line(self: Any) -> str:
 
 
 def _own_words(record: Any) -> str:
-    own_text = type(record).__str__ not in (object.__str__, tuple.__str__)
+    has_text = type(record).__str__ not in (object.__str__, tuple.__str__)
     try:
-        words = getattr(record, "_words", str)() or (str(record) if own_text else "")
+        words = getattr(record, "_words", str)() or (str(record) if has_text else "")
     # Tracebacks write records that are half-built or hold tracers, too.
     except Exception:
         return ""

@@ -14,12 +14,7 @@ def cause(error: OSError) -> str:
 
 @contextmanager
 def with_remedy(refused: str, remedy: str) -> Iterator[None]:
-    """Turn errors of the system, which have a number, into errors that say what to do.
-
-    Args:
-        refused: What cannot be written.
-        remedy: What to do.
-    """
+    """Turn errors of the system, which have a number, into errors with a remedy."""
     try:
         yield
     except OSError as error:
@@ -37,11 +32,8 @@ def partial_of(path: Path) -> Path:
 def only_writer(path: Path, program: str) -> Iterator[None]:
     """Keep other programs from writing a file, once it is known that it can be written.
 
-    A process that ends, even if it is killed, gives the file free.
-
-    Args:
-        path: The file.
-        program: What writes it, like "sweep", for messages.
+    A process that ends, even if it is killed, gives the file free. `program` is what
+    messages call who writes it, like "sweep".
 
     Raises:
         BlockingIOError: If another one of these programs is writing the file.

@@ -13,10 +13,6 @@ def check_process() -> None:
 
     In float32 equilibria do not converge. A child that was forked lacks the threads
     of JAX and of the sparse solver: a computation would wait for them for ever.
-
-    Raises:
-        ValueError: If float64 is off.
-        RuntimeError: If this process was forked from one that had computed.
     """
     if not jax.config.read("jax_enable_x64"):
         raise ValueError(
@@ -30,8 +26,7 @@ def check_process() -> None:
     if _first[0] != here:
         raise RuntimeError(
             f"this process ({here}) was forked from one in which softcal_jax had "
-            f"computed ({_first[0]}), whose threads it lacks: it would wait for them "
-            'for ever. Start processes with `multiprocessing.get_context("spawn")`, '
-            "which a ProcessPoolExecutor takes as `mp_context`, or with joblib's "
-            '"loky".'
+            f"computed ({_first[0]}), whose threads it lacks. Start processes with "
+            '`multiprocessing.get_context("spawn")`, which a ProcessPoolExecutor takes '
+            'as `mp_context`, or with joblib\'s "loky".'
         )

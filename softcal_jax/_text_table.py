@@ -34,13 +34,9 @@ class Cell(NamedTuple):
 
 
 class TextTable(NamedTuple):
-    """A table of texts, see `text_table`.
+    """A table of texts, see `text_table`; the first column names what a row is about.
 
-    Attributes:
-        title: Its title.
-        columns: Heads of the columns; the first names what a row is about.
-        rows: The cells, one row per thing.
-        words: Names of columns of words, besides those that hold words everywhere.
+    Columns in `words` hold words, besides those that do so everywhere.
     """
 
     title: str
@@ -59,12 +55,8 @@ class TextTable(NamedTuple):
         rows = [[cell.text for cell in row] for row in self.rows]
         return aligned([self.columns, *rows])
 
-    def drawn(self, *, least: Sequence[int] = ()) -> "rich.table.Table":
-        """Draw it for a terminal.
-
-        Args:
-            least: Smallest widths of the columns; as `rich` chooses by default.
-        """
+    def drawn(self) -> "rich.table.Table":
+        """Draw it for a terminal."""
         from rich.table import Table
         from rich.text import Text
 
@@ -73,11 +65,8 @@ class TextTable(NamedTuple):
         )
         for k, column in enumerate(self.columns):
             # Text, not str, which would read a name like "[a]" as markup.
-            drawn.add_column(
-                Text(column),
-                justify="left" if self.holds_words(k) else "right",
-                min_width=least[k] if least else None,
-            )
+            justify = "left" if self.holds_words(k) else "right"
+            drawn.add_column(Text(column), justify=justify)
         for row in self.rows:
             drawn.add_row(*(Text(cell.text, style=STYLES[cell.tone]) for cell in row))
         return drawn

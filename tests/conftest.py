@@ -22,6 +22,11 @@ os.environ.setdefault(
     "--xla_disable_hlo_passes=while-loop-invariant-code-motion",
 )
 
+# With as many workers as cores, a second thread of PARDISO or NumPy waits for its turn
+# on a core at every barrier, spinning: solves can take four times as long.
+os.environ.setdefault("MKL_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import jax
 import jaxtyping
 import pytest

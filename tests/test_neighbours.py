@@ -22,6 +22,14 @@ from small_project import E_TRUE, write_small_project
 TESTS = Path(__file__).parent
 COMMAND = "import sys; from softcal_jax.cli import main; sys.exit(main())"
 
+
+@pytest.fixture(autouse=True)
+def _threads_as_users_have_them(monkeypatch):
+    """Several, where tests have one."""
+    for name in ("MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        monkeypatch.delenv(name, raising=False)
+
+
 linux = pytest.mark.skipif(sys.platform != "linux", reason="Linux alone has it")
 
 

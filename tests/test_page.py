@@ -451,7 +451,7 @@ def score(name, squares, failed=()):
         else FoldScore(f"pose {i}", 2e-3 * s**0.5, s**0.5, 1e-3)
         for i, s in enumerate(squares)
     )
-    return ModelScore(name, 0, 2, tuple(folds), 1e-3, 1.0, "", None)
+    return ModelScore(name, 2, tuple(folds), 1e-3, 1.0, "", None)
 
 
 def test_page_of_a_comparison(tmp_path):

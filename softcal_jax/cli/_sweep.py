@@ -102,7 +102,7 @@ def sweep(args: argparse.Namespace, show: Display) -> int:
         raise Stop(BAD_INPUT, f"error: {error}") from error
     show.lap("trials")
     show.line()
-    show.line(sweep_table(result, width=show.console.width))
+    show.line(sweep_table(result))
     show.line(f"Rows in {database}; `softcal sweep show {database}` has more.")
     with bad_input():
         page = write_sweep(result, database, sweep=loaded, timing_s=show.laps)
@@ -164,9 +164,9 @@ def show_sweep(args: argparse.Namespace, show: Display) -> int:
 
     with bad_input():
         result = read_sweep(args.database)
-        width, chosen = show.console.width, {"by": args.by, "figures": args.figure}
+        chosen = {"by": args.by, "figures": args.figure}
         show.document({"name": result.name, "rows": [*map(_row_dict, result.rows)]})
-        show.line(sweep_table(result, **chosen, every=args.all, width=width))
+        show.line(sweep_table(result, **chosen, every=args.all))
         if args.csv is not None:
             write_sweep_csv(result, args.csv)
             show.line(f"One line per trial in {args.csv}.")

@@ -1,4 +1,4 @@
-"""Laws and meshes judged by what they predict."""
+"""Laws, meshes and layouts of control points judged by what they predict."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -8,14 +8,67 @@ from softcal_jax.calibration import (
     CalibrationProblem,
     CalibrationSettings,
     build_problem,
+    check_starts,
 )
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
-from softcal_jax.fields import Entry, ParameterSpace, Uncertain
-from softcal_jax.layouts._cross_validation import check_folds, cross_validated
+from softcal_jax.fields import ControlPoints, Entry, ParameterSpace, Uncertain
+from softcal_jax.layouts._cross_validation import cross_validated
 from softcal_jax.layouts._model_comparison import ModelComparison
 
 Parameters = ParameterSpace | Entry | Sequence[Entry]
+
+
+def compare_layouts(
+    model: Model,
+    layouts: Mapping[str, ControlPoints],
+    configurations: Configuration | Sequence[Configuration],
+    *,
+    make_parameters: Callable[[ControlPoints], Parameters],
+    settings: CalibrationSettings | None = None,
+    newton: NewtonSettings | None = None,
+    starts: int | None = None,
+    seed: int = 0,
+    uncertain: Uncertain | None = None,
+) -> ModelComparison:
+    """Find the layout of control points that best predicts what it was not fitted to.
+
+    Too few control points misfit all configurations; too many fit the noise, along
+    directions that the data are blind to, and predict worse: the trade-off of Sec. V-C.
+    Of layouts within one standard error of the best, `preferred` has the fewest
+    parameters.
+
+    Each number of parameters is compiled once, which takes far longer than all fits on
+    a small mesh.
+
+    Args:
+        model: The body.
+        layouts: Control points by the name of the layout.
+        configurations: Measured configurations, at least two.
+        make_parameters: The parameters of a layout, like
+            `lambda points: ControlPointParameters("E", points, ...)`.
+        settings: See `compare_laws`, as for all that follow.
+        newton: Settings of the equilibrium.
+        starts: Number of starts of each fit.
+        seed: Seed of the random starts.
+        uncertain: How well everything is known that is not calibrated.
+
+    Returns:
+        The layouts, the best first.
+
+    Raises:
+        ValueError: If fewer than two configurations or no layout is given, or an input
+            is wrong; the text names the layout.
+    """
+    return compare_laws(
+        {name: (model, make_parameters(points)) for name, points in layouts.items()},
+        configurations,
+        settings=settings,
+        newton=newton,
+        starts=starts,
+        seed=seed,
+        uncertain=uncertain,
+    )
 
 
 def compare_laws(
@@ -27,14 +80,14 @@ def compare_laws(
     starts: int | None = None,
     seed: int = 0,
     uncertain: Uncertain | None = None,
-    progress: Callable[[str], None] = lambda _: None,
 ) -> ModelComparison:
     """Find the law, or the mesh, that best predicts what it was not fitted to.
 
-    Each is fitted to all configurations but one and predicts that one, in turn; see
-    `compare_layouts`. Its mean squared prediction error in units of the noise decides.
-    Whether the data can tell two models apart is judged by their differences on the
-    same configurations, with the scatter of these.
+    Leave-one-configuration-out cross-validation (Stone, J. R. Stat. Soc. B 36, 1974):
+    each model is fitted to all configurations but one and predicts that one, in turn.
+    Its mean squared prediction error in units of the noise decides. Whether the data
+    can tell two models apart is judged by their differences on the same configurations,
+    with the scatter of these.
 
     Example:
         Two laws on one mesh::
@@ -51,14 +104,16 @@ def compare_laws(
             the groups.
         settings: Settings of the outer loop; by default `FOR_PREDICTION`.
         newton: Settings of the equilibrium.
-        starts: Number of starts of each fit; by default see `default_starts`.
+        starts: Number of starts of each fit: that of the parameters, and random ones
+            within the bounds; by default see `default_starts`.
         seed: Seed of the random starts.
         uncertain: How well everything is known that is not calibrated, of which the
             offsets of recordings belong to the noise; by default nothing is uncertain.
-        progress: Called with the name of each model before it is fitted.
 
     Returns:
-        The models, the best first, and what sets them apart.
+        The models, the best first, and what sets them apart. A fold that did not
+        converge, or whose configuration cannot be predicted, is named and counts in no
+        average; a model with such a fold ranks behind all that have none.
 
     Raises:
         ValueError: If fewer than two configurations or no law is given, or an input is
@@ -66,22 +121,17 @@ def compare_laws(
     """
     if isinstance(configurations, Configuration):
         configurations = (configurations,)
-    check_folds(len(configurations), starts)
     problems = {}
+    # All are built before the first fit, so that a wrong one is found at once.
     for name, (model, parameters) in laws.items():
         try:
             problems[name] = build_problem(
                 model, parameters, configurations, newton, uncertain=uncertain
             )
         except ValueError as error:
-            raise ValueError(f"law {name!r}: {error}") from error
+            raise ValueError(f"{name!r}: {error}") from error
     return compare_models(
-        problems,
-        configurations,
-        settings=settings,
-        starts=starts,
-        seed=seed,
-        progress=progress,
+        problems, configurations, settings=settings, starts=starts, seed=seed
     )
 
 
@@ -99,8 +149,8 @@ def compare_models(
     Args:
         problems: Calibrations by name of the model, as `build_problem` makes them.
         configurations: The configurations, in their order.
-        settings: Settings of the outer loop; by default `FOR_PREDICTION`.
-        starts: Number of starts of each fit; by default see `default_starts`.
+        settings: Settings of the outer loop.
+        starts: Number of starts of each fit.
         seed: Seed of the random starts.
         progress: Called with the name of each model before it is fitted.
 
@@ -109,8 +159,14 @@ def compare_models(
             are not fitted to the same measurements; the text names the model.
     """
     if not problems:
-        raise ValueError("at least one law is needed, got none.")
-    check_folds(len(configurations), starts)
+        raise ValueError("at least one model is needed, got none.")
+    if len(configurations) < 2:
+        raise ValueError(
+            "cross-validation fits all configurations but one and predicts that one: "
+            f"at least 2 are needed, got {len(configurations)}."
+        )
+    if starts is not None:
+        check_starts(starts)
     _check_same_data(problems)
     scores = cross_validated(
         problems,

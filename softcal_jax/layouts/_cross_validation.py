@@ -1,8 +1,7 @@
-"""Layouts of control points judged by what they predict (Sec. V-C)."""
+"""Fits that leave one configuration out, and their scores (Sec. V-C)."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from types import MappingProxyType
 from typing import NamedTuple
 
 import equinox as eqx
@@ -18,8 +17,6 @@ from softcal_jax.calibration import (
     Evaluator,
     Run,
     best_of,
-    build_problem,
-    check_starts,
     default_starts,
     images_of,
     linear_model,
@@ -27,20 +24,10 @@ from softcal_jax.calibration import (
     run_start,
 )
 from softcal_jax.configurations import Configuration
-from softcal_jax.equilibrium import Model, NewtonSettings, Workers
-from softcal_jax.fields import (
-    ControlPoints,
-    Entry,
-    ParameterSpace,
-    Uncertain,
-    as_space,
-)
+from softcal_jax.equilibrium import Workers
 from softcal_jax.identifiability import identifiability
 from softcal_jax.inference import whitened
-from softcal_jax.layouts._comparison import FoldScore, LayoutComparison, ModelScore
-
-MakeParameters = Callable[[ControlPoints], ParameterSpace | Entry | Sequence[Entry]]
-
+from softcal_jax.layouts._model_comparison import FoldScore, ModelScore
 
 FOR_PREDICTION = CalibrationSettings(tol=1e-4, max_steps=200)
 """Settings of the fits: loose, since 0.01 % of a modulus changes no prediction.
@@ -110,93 +97,6 @@ def _fit(
         return workers.side_by_side(partial(fit, whole, fold) for fold in _folds(n_c))
 
 
-def compare_layouts(
-    model: Model,
-    layouts: Mapping[str, ControlPoints],
-    configurations: Configuration | Sequence[Configuration],
-    *,
-    make_parameters: MakeParameters,
-    settings: CalibrationSettings | None = None,
-    newton: NewtonSettings | None = None,
-    starts: int | None = None,
-    seed: int = 0,
-    uncertain: Uncertain | None = None,
-) -> LayoutComparison:
-    """Find the layout of control points that best predicts what it was not fitted to.
-
-    Leave-one-configuration-out cross-validation (Stone, J. R. Stat. Soc. B 36, 1974):
-    every configuration is held out once and predicted from a fit to the others. Too few
-    control points misfit both; too many fit the noise, along directions that the data
-    are blind to, and predict worse: the trade-off of Sec. V-C.
-
-    The mean squared prediction error in units of the noise decides. Layouts within one
-    standard error of the best are not clearly worse; of these the one with the fewest
-    parameters is preferred (Breiman et al., Classification and Regression Trees, 1984;
-    Hastie et al., The Elements of Statistical Learning, 2009, sec. 7.10).
-
-    Each number of parameters is compiled once, which takes far longer than all fits on
-    a small mesh.
-
-    Args:
-        model: The body.
-        layouts: Control points by the name of the layout.
-        configurations: Measured configurations, at least two.
-        make_parameters: The parameters of a layout, like
-            `lambda points: ControlPointParameters("E", points, ...)`.
-        settings: Settings of the outer loop; by default `FOR_PREDICTION`.
-        newton: Settings of the equilibrium.
-        starts: Number of starts of each fit: that of the parameters, and random ones
-            within the bounds; by default see `default_starts`.
-        seed: Seed of the random starts.
-        uncertain: How well everything is known that is not calibrated, of which the
-            offsets of recordings belong to the noise; by default nothing is uncertain.
-
-    Returns:
-        The layouts, the best first. A fold that did not converge, or whose
-        configuration cannot be predicted, is named and counts in no average; a layout
-        with such a fold ranks behind all that have none.
-
-    Raises:
-        ValueError: If fewer than two configurations or no layout is given, or an input
-            is wrong; the text names the layout.
-    """
-    if not layouts:
-        raise ValueError("at least one layout is needed, got none.")
-    if isinstance(configurations, Configuration):
-        configurations = (configurations,)
-    check_folds(len(configurations), starts)
-    problems = {}
-    # All are built before the first fit, so that a wrong layout is found at once.
-    for name, points in layouts.items():
-        try:
-            space = as_space(make_parameters(points))
-            problems[name] = build_problem(
-                model, space, configurations, newton, uncertain=uncertain
-            )
-        except ValueError as error:
-            raise ValueError(f"layout {name!r}: {error}") from error
-    scores = cross_validated(
-        problems,
-        configurations,
-        settings=settings,
-        starts=starts,
-        seed=seed,
-        n_points={name: len(points.names) for name, points in layouts.items()},
-    )
-    return LayoutComparison.ranked(scores)
-
-
-def check_folds(n: int, starts: int | None) -> None:
-    """Raise ValueError unless there is something to hold out and to start from."""
-    if n < 2:
-        raise ValueError(
-            f"cross-validation fits all configurations but one and predicts that one: "
-            f"at least 2 are needed, got {n}."
-        )
-    if starts is not None:
-        check_starts(starts)
-
-
 def cross_validated(
     problems: Mapping[str, CalibrationProblem],
     configurations: Sequence[Configuration],
@@ -204,20 +104,9 @@ def cross_validated(
     settings: CalibrationSettings | None,
     starts: int | None,
     seed: int,
-    n_points: Mapping[str, int] = MappingProxyType({}),
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Callable[[str], None],
 ) -> list[ModelScore]:
-    """Fit all folds of models, one model after the other, and score them.
-
-    Args:
-        problems: Calibrations to all configurations, by name of the model.
-        configurations: The configurations.
-        settings: Settings of the outer loop; by default `FOR_PREDICTION`.
-        starts: Number of starts of each fit; None for `default_starts`.
-        seed: Seed of the random ones.
-        n_points: Control points of each model, if layouts are compared.
-        progress: Called with the name of each model before it is fitted.
-    """
+    """Fit all folds of models, one model after the other, and score them."""
     scores = []
     for name, problem in problems.items():
         progress(name)
@@ -227,15 +116,12 @@ def cross_validated(
             others = random_starts(problem.space, n - 1, seed=seed)
             start = jnp.concatenate([start, others])
         fits = _fit(problem, settings or FOR_PREDICTION, start)
-        scores.append(
-            _score(name, n_points.get(name, 0), problem, configurations, fits)
-        )
+        scores.append(_score(name, problem, configurations, fits))
     return scores
 
 
 def _score(
     name: str,
-    control_points: int,
     problem: CalibrationProblem,
     configurations: Sequence[Configuration],
     fits: list[_Fit],
@@ -297,7 +183,6 @@ def _score(
     distance, over_noise = rms(last, failure, whole, every)
     return ModelScore(
         name=name,
-        n_points=control_points,
         n_parameters=len(problem.space.names),
         folds=tuple(folds),
         fit_rms=distance,

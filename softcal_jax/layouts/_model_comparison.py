@@ -1,4 +1,4 @@
-"""Comparison of laws or meshes: their ranking, paired differences and the text."""
+"""Models compared: scores of their folds, ranking, paired differences, the text."""
 
 from collections.abc import Sequence
 
@@ -8,10 +8,96 @@ from scipy.special import stdtrit
 from softcal_jax._module import Module, Result
 from softcal_jax._names import listed
 from softcal_jax._text_table import TextTable, text_table
-from softcal_jax.layouts._comparison import ModelScore, number, ranked
+from softcal_jax.identifiability import Identifiability
 
 LEVEL_OF_COMPARISON = 0.95
 """Probability at which two models are told apart [-]."""
+
+
+class FoldScore(Module):
+    """One configuration held out.
+
+    Attributes:
+        held_out: Its name.
+        rms: Root mean square of the distances of its markers from their prediction; nan
+            if the fold failed [m].
+        noise_rms: The same for its measured coordinates, in units of the noise [-].
+        fit_rms: Root mean square distance of the fitted markers [m].
+        failure: Why the fold failed; empty if it did not.
+    """
+
+    held_out: str
+    rms: float
+    noise_rms: float
+    fit_rms: float
+    failure: str = ""
+
+
+class ModelScore(Module):
+    """Cross-validation of one model: of a layout of control points, a law or a mesh.
+
+    Attributes:
+        name: Its name.
+        n_parameters: Parameters.
+        folds: One entry per configuration.
+        fit_rms: Root mean square marker distance with all configurations fitted; nan if
+            that fit failed [m].
+        fit_noise_rms: The same in units of the noise, per measured coordinate [-].
+        fit_failure: Why the fit to all configurations failed; empty if it did not.
+        identifiability: Identifiability from all configurations, with the stated noise,
+            where that fit ended; None if one has no equilibrium there.
+    """
+
+    name: str
+    n_parameters: int
+    folds: tuple[FoldScore, ...]
+    fit_rms: float
+    fit_noise_rms: float
+    fit_failure: str
+    identifiability: Identifiability | None
+
+    @property
+    def failed(self) -> tuple[FoldScore, ...]:
+        """The folds that failed; they count in no average."""
+        return tuple(fold for fold in self.folds if fold.failure)
+
+    @property
+    def good(self) -> tuple[FoldScore, ...]:
+        """The other folds."""
+        return tuple(fold for fold in self.folds if not fold.failure)
+
+    @property
+    def held_out_rms(self) -> float:
+        """Root mean square over the good folds; nan if there is none [m]."""
+        return _root_mean([fold.rms for fold in self.good])
+
+    @property
+    def held_out_noise_rms(self) -> float:
+        """The same in units of the noise, per measured coordinate [-]."""
+        return _root_mean([fold.noise_rms for fold in self.good])
+
+    @property
+    def score(self) -> float:
+        """Mean squared prediction error in units of the noise, over good folds [-]."""
+        return self.held_out_noise_rms**2
+
+    @property
+    def standard_error(self) -> float:
+        """Standard error of the score from its scatter over the folds [-].
+
+        Infinite with fewer than two good folds.
+        """
+        squares = np.array([fold.noise_rms for fold in self.good]) ** 2
+        if len(squares) < 2:
+            return np.inf
+        return float(np.std(squares, ddof=1) / np.sqrt(len(squares)))
+
+    @property
+    def verdict(self) -> str:
+        """Verdict of the identifiability; "not known" without one."""
+        if self.identifiability is None:
+            return "not known"
+        return self.identifiability.verdict
 
 
 class PairedDifference(Module):
@@ -76,13 +162,29 @@ class ModelComparison(Result):
     @classmethod
     def ranked(cls, scores: Sequence[ModelScore]) -> "ModelComparison":
         """Rank scores by failed folds, then prediction error, then parameters."""
-        models = ranked(scores)
+        error = lambda s: np.inf if np.isnan(s.score) else s.score
+        key = lambda s: (len(s.failed) > 0, error(s), s.n_parameters)
+        models = tuple(sorted(scores, key=key))
         return cls(models, tuple(PairedDifference.of(m, models[0]) for m in models[1:]))
 
     @property
     def best(self) -> ModelScore | None:
         """The model that predicts best; None if none predicted every configuration."""
         return None if self.models[0].failed else self.models[0]
+
+    @property
+    def preferred(self) -> ModelScore | None:
+        """The model with fewest parameters within a standard error of the best.
+
+        Breiman et al., Classification and Regression Trees, 1984; Hastie et al., The
+        Elements of Statistical Learning, 2009, sec. 7.10.
+        """
+        best = self.best
+        if best is None:
+            return None
+        limit = best.score + best.standard_error
+        close = [m for m in self.models if not m.failed and m.score <= limit]
+        return min(close, key=lambda m: (m.n_parameters, m.score))
 
     @property
     def undecided(self) -> tuple[str, ...]:
@@ -114,10 +216,8 @@ class ModelComparison(Result):
             named = listed([repr(name) for name in worse])
             return f"{first} The data tell it apart from {named}."
         close = listed([repr(name) for name in self.undecided])
-        fewest = min(
-            [best, *(m for m in rivals if m.name in self.undecided)],
-            key=lambda m: (m.n_parameters, m.score),
-        )
+        alike = [best, *(m for m in rivals if m.name in self.undecided)]
+        fewest = min(alike, key=lambda m: (m.n_parameters, m.score))
         text = f"{first} The data cannot tell it from {close}"
         text += f", but from {listed([repr(n) for n in worse])}." if worse else "."
         if fewest.n_parameters < best.n_parameters:
@@ -151,27 +251,32 @@ class ModelComparison(Result):
         against = {d.name: d for d in self.differences}
         rows = []
         for model in self.models:
+            worse = against.get(model.name)
             failed = f"{len(model.failed)} of {len(model.folds)}"
             rows.append(
                 (
                     model.name,
                     str(model.n_parameters),
-                    number(1e3 * model.held_out_rms, ".4g"),
-                    number(model.held_out_noise_rms, ".2f"),
+                    _number(1e3 * model.held_out_rms, ".4g"),
+                    _number(model.held_out_noise_rms, ".2f"),
                     _plus_minus(model.score, model.standard_error),
-                    _difference(against.get(model.name)),
-                    number(1e3 * model.fit_rms, ".4g"),
+                    _plus_minus(worse.difference, worse.half_width) if worse else "-",
+                    _number(1e3 * model.fit_rms, ".4g"),
                     failed if model.failed else "none",
                 )
             )
         return text_table("Models", head, rows)
 
 
-def _difference(found: PairedDifference | None) -> str:
-    return "-" if found is None else _plus_minus(found.difference, found.half_width)
-
-
 def _plus_minus(value: float, error: float) -> str:
     if np.isnan(value):
         return "-"
     return f"{value:.3g} +- {error:.2g}" if np.isfinite(error) else f"{value:.3g}"
+
+
+def _number(value: float, form: str) -> str:
+    return "-" if np.isnan(value) else format(value, form)
+
+
+def _root_mean(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else np.nan

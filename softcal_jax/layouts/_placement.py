@@ -15,8 +15,6 @@ from softcal_jax.fields import ControlPoints
 from softcal_jax.layouts._tet_sensitivities import tet_sensitivities
 from softcal_jax.mesh import TetMesh, volumes
 
-METHODS = ("farthest", "sensitivity")
-
 PATCHES_PER_POINT = 8
 """Patches of tets per control point: the more, the finer the choice of places."""
 
@@ -44,10 +42,10 @@ class LayoutWarning(SoftcalWarning):
 
 
 class _Places(NamedTuple):
-    """Where control points may stand: tets and centroids x, from the middle outwards.
+    """Where control points may stand, from the middle outwards.
 
-    `along` holds the coordinates on the axes that count for distances, `size` is the
-    diagonal of their bounding box [m].
+    `along` holds the axes of x that count for distances, `size` is the diagonal of
+    their bounding box [m].
     """
 
     tets: Int[HostArray, " n"]
@@ -68,7 +66,6 @@ def place_control_points(
     model: Model | None = None,
     configurations: Configuration | Sequence[Configuration] = (),
     fields: str | Mapping[str, float] | None = None,
-    min_distance: float | None = None,
     newton: NewtonSettings | None = None,
 ) -> ControlPoints:
     """Place control points on centroids of tets, spread out or where the data see them.
@@ -83,8 +80,8 @@ def place_control_points(
     matrix. QR with column pivoting picks columns that are large and independent of
     those before: the orthogonal method for the parameters that data can estimate (Yao
     et al., Polymer Reaction Engineering 11, 2003). Deviations: a patch has one column
-    per field, picked together, and points keep a distance. The result is local: it
-    holds for the present fields of the model.
+    per field, picked together, and points keep half the distance that "farthest" would
+    leave between as many. The result is local: it holds for the present fields.
 
     Args:
         mesh: The mesh [m].
@@ -98,8 +95,6 @@ def place_control_points(
         configurations: For "sensitivity": poses with markers; need not be measured.
         fields: For "sensitivity": the field that is calibrated; or several, each with
             the size of its variation in SI units, to weigh them against each other.
-        min_distance: For "sensitivity": smallest distance of two points along `axes`
-            [m]; by default half of what "farthest" would leave between as many.
         newton: For "sensitivity": settings of the equilibrium.
 
     Returns:
@@ -107,16 +102,15 @@ def place_control_points(
 
     Raises:
         ValueError: If n is not between 1 and the number of different places, a name is
-            unknown, the model or the fields are missing or do not fit, or n points do
-            not find room.
+            unknown, or the model or the fields are missing or do not fit.
         RuntimeError: If a configuration has no equilibrium.
 
     Warns:
         LayoutWarning: If the data see fewer independent directions than n; further
             points are then spread evenly over what the data see.
     """
-    if method not in METHODS:
-        raise unknown_name("method", method, METHODS)
+    if method not in ("farthest", "sensitivity"):
+        raise unknown_name("method", method, ("farthest", "sensitivity"))
     if n < 1:
         raise ValueError(f"the number of control points must be at least 1, got {n}.")
     # Built to check its options before anything is computed.
@@ -130,7 +124,7 @@ def place_control_points(
         assert model is not None  # checked with the fields
         G = tet_sensitivities(model, configurations, tuple(sizes), newton=newton)
         blocks = np.stack([size * G[f] for f, size in sizes.items()], axis=2)
-        chosen = _well_seen(places, n, mesh, blocks, min_distance)
+        chosen = _well_seen(places, n, mesh, blocks)
     return ControlPoints(places.x[chosen], power=power, nearest=nearest, axes=axes)
 
 
@@ -193,14 +187,10 @@ def _field_sizes(
     configurations: Configuration | Sequence[Configuration],
 ) -> dict[str, float]:
     """Check the arguments of "sensitivity"; return how far each field varies [SI]."""
-    single = isinstance(configurations, Configuration)
-    posed = single or len(configurations) > 0
-    given = {"model": model is not None, "configurations": posed, "fields": fields}
-    missing = [name for name, value in given.items() if not value]
-    if missing or model is None or not fields:
+    if model is None or not configurations or not fields:
         raise ValueError(
-            f'method "sensitivity" needs {" and ".join(missing)}: it places points '
-            "where the markers of these poses see the field."
+            'method "sensitivity" needs model, configurations and fields: it places '
+            "points where the markers of these poses see the field."
         )
     same = np.array_equal(model.mesh.points, mesh.points)
     if not (same and np.array_equal(model.mesh.tets, mesh.tets)):
@@ -219,7 +209,6 @@ def _well_seen(
     n: int,
     mesh: TetMesh,
     blocks: Float[HostArray, "n_e n_tets n_fields"],
-    min_distance: float | None,
 ) -> list[int]:
     """Pick places of n patches that the data see well and independently."""
     shares = np.abs(volumes(mesh)[places.tets])
@@ -242,13 +231,8 @@ def _well_seen(
     visible = _Places(
         places.tets[kept], places.x[kept], places.along[kept], places.size
     )
-    distance = 0.5 * _separation(visible, n) if min_distance is None else min_distance
+    distance = 0.5 * _separation(visible, n)
     chosen, rank = pivoted(visible, density[:, seen] / norms.max(), n, distance)
-    if len(chosen) < n:
-        raise ValueError(
-            f"only {len(chosen)} of {n} control points find room {distance:.3g} m "
-            "apart where the markers see the field: lower min_distance or n."
-        )
     if rank < n:
         warnings.warn(
             f"the markers tell only {rank} of {n} control points apart; the others are "
@@ -300,16 +284,15 @@ def pivoted(
 ) -> tuple[list[int], int]:
     """Pick blocks of columns by pivoted QR, with a distance between their patches [m].
 
-    The largest block has norm one. Returns the chosen patches, fewer if no room is
-    left, and how many of them were independent; the others are farthest from those
-    before.
+    The largest block has norm one. Returns the chosen patches, and how many of them
+    were independent; the others are farthest from those before.
     """
     left = blocks.copy()
     free = np.ones(blocks.shape[1], bool)
     gaps = np.full(blocks.shape[1], np.inf)
     chosen: list[int] = []
     rank = 0
-    while len(chosen) < n and free.any():
+    while len(chosen) < n:
         # Rounded, so that patches that are alike by symmetry tie.
         norms = np.round(np.linalg.norm(left, axis=(0, 2)), 9)
         independent = np.where(free, norms, -1.0)

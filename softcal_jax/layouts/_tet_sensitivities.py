@@ -62,8 +62,8 @@ def tet_sensitivities(
     """Compute the change of every measured coordinate per change of a field in a tet.
 
     This is Eq. (9) for the finest layout possible, one control point per tet, in
-    adjoint form: each configuration is factorized once and solved for the rows
-    W_e = K^-T H_e^T, and one pass over the tets gives the forces of their fields.
+    adjoint form: each configuration is solved for the rows W_e = K^-T H_e^T, and one
+    pass over the tets gives the forces of their fields.
 
     Args:
         model: The body, with the fields where they are differentiated.

@@ -16,7 +16,7 @@ SIZE = (0.150, 0.015, 0.015)
 """Length, width and height, from the authors' published scene [m]."""
 
 MASS = 0.032
-"""Mass [kg]; a definition of ours, the paper gives none."""
+"""Mass [kg], ours."""
 
 GRAVITY = 9.81
 """Acceleration of gravity [m/s2]."""
@@ -80,9 +80,9 @@ def anisotropic_beam(
 ) -> AnisotropicBeam:
     """Build the cantilever of Sec. V-A, Fig. 2: 150 x 15 x 15 mm under its own weight.
 
-    The size and the step scaling are those of the authors' published scene; mass,
-    Poisson's ratio, the places of the control points (centres of the end faces) and the
-    target are definitions of ours, since the paper gives none.
+    Size and step scaling are those of the authors' published scene; mass, Poisson's
+    ratio, control points (centres of the end faces) and target are ours, since the
+    paper gives none.
 
     Args:
         cells: Cells along, up and across; 6 tets each.
@@ -115,7 +115,7 @@ def anisotropic_beam(
     model = build_model(mesh, law, density=density)
     centre = (width / 2, height / 2)
     points = ControlPoints([(0.0, *centre), (length, *centre)])
-    start, paper, log = start or START, scaling == "paper", scaling == "log"
+    start, paper = start or START, scaling == "paper"
     moduli = [
         ControlPointParameters(
             field,
@@ -124,8 +124,8 @@ def anisotropic_beam(
             lower=50e3,
             upper=1e6,
             unit="Pa",
-            scale="log" if log else "linear",
-            S=None if log else 1e6,
+            scale="log" if scaling == "log" else "linear",
+            S=None if scaling == "log" else 1e6,
             max_step=0.01 if paper else None,
         )
         for field in ("E_t", "E_l")

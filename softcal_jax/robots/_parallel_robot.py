@@ -205,15 +205,14 @@ def _space(
             f'setup knows "motor_zero" and "mounting", got {sorted(unknown)}.'
         )
     errors: list[SetupParameter] = []
-    for kind in ("motor_zero", "mounting"):
-        if (std := setup.get(kind)) is None:
-            continue
-        known = {"limit": 6.0 * std, "prior_std": std}
-        for arm in geometry.arms():
-            if kind == "motor_zero":
-                errors.append(motor_zero(arm.name, **known))
-            else:
-                errors += mounting(arm.name, arm.mounting.translation, **known)
+    arms, zero, shift = geometry.arms(), setup.get("motor_zero"), setup.get("mounting")
+    if zero is not None:
+        known = {"limit": 6.0 * zero, "prior_std": zero}
+        errors += [motor_zero(arm.name, **known) for arm in arms]
+    if shift is not None:
+        known = {"limit": 6.0 * shift, "prior_std": shift}
+        for arm in arms:
+            errors += mounting(arm.name, arm.mounting.translation, **known)
     return ParameterSpace((*moduli, theta, *errors), axes=[("E_l", "E_t", "theta")])
 
 

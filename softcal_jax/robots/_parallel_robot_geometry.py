@@ -1,12 +1,10 @@
 """Shape and arms of the parallel robot of Sec. VI: two sheets, a rod, six motors."""
 
-import dataclasses
 import math
 from functools import partial
 from itertools import product
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray
@@ -25,8 +23,7 @@ class Arm(Module):
 
     The end moves from the flat sheet in two steps: `mounting` shifts it onto the arm at
     angle zero, where the arm points at the robot's axis; then the motor turns it by its
-    angle about the fixed line through `axis_point`. Poses refer to the rest frame at
-    `origin`, with the axes of the robot.
+    angle about the fixed line through `axis_point`.
 
     Attributes:
         name: "lower 1" to "upper 3".
@@ -44,23 +41,6 @@ class Arm(Module):
     axis_point: Float[HostArray, "3"]
     axis_direction: Float[HostArray, "3"]
     mounting: Pose
-
-    def pose(self, angle: float) -> Pose:
-        """Compute the motion of the end from the flat sheet to an angle of the arm.
-
-        Its origin moves to axis_point + arm_length (-cos(angle) e_r + sin(angle) e_a),
-        and the branch leaves the arm in the direction in parentheses.
-
-        Args:
-            angle: Of the motor [rad].
-
-        Raises:
-            ValueError: If the angle is not finite, or more than a full turn.
-        """
-        turn = angle * self.axis_direction
-        mounted = self.origin + self.mounting.translation
-        arm = Rotation.from_rotvec(turn).apply(mounted - self.axis_point)
-        return Pose(self.axis_point + arm - self.origin, turn)
 
 
 class ParallelRobotGeometry(Module):
@@ -87,8 +67,6 @@ class ParallelRobotGeometry(Module):
         axis_radius: Distance of the motor axes from the robot's axis [m].
         axis_height: Distance of the motor axes from the middle along y [m].
         arm_length: From the motor axis to the middle of the branch end [m].
-        joint_range: Angles of all six motors together that do not stretch the
-            branches [rad].
         inner_radius: Where the inner control point of a branch lies [m].
         outer_radius: Where the outer control point of a branch lies [m].
         ring_radius: Where the six control points around the centre lie [m].
@@ -111,7 +89,6 @@ class ParallelRobotGeometry(Module):
     axis_radius: float = 0.066
     axis_height: float = 0.090
     arm_length: float = 0.030
-    joint_range: tuple[float, float] = (math.radians(21.0), math.radians(60.0))
     inner_radius: float = 0.026
     outer_radius: float = 0.042
     ring_radius: float = 0.013
@@ -122,18 +99,14 @@ class ParallelRobotGeometry(Module):
     gravity: float = 9.81
 
     def __check_init__(self):
-        angles = {"joint_range", "spiral_angle", "nu"}
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if field.name not in angles and not (np.isfinite(value) and value > 0.0):
-                raise ValueError(
-                    f"{field.name} must be positive and finite, got {value}."
-                )
-        if not self.rod_half_length <= self.sheet_height:
+        for name, value in vars(self).items():
+            signed = name in ("spiral_angle", "nu")
+            if not signed and not (np.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} must be positive and finite, got {value}.")
+        if self.rod_half_length > self.sheet_height:
             raise ValueError(
-                f"the rod must not push the sheets apart: rod_half_length "
-                f"{self.rod_half_length:g} m exceeds sheet_height "
-                f"{self.sheet_height:g} m."
+                f"rod_half_length {self.rod_half_length:g} m exceeds sheet_height "
+                f"{self.sheet_height:g} m: the rod would push the sheets apart."
             )
 
     @property
@@ -189,8 +162,7 @@ class ParallelRobotGeometry(Module):
         """Build the twelve control points that both sheets share, as in Fig. 6.
 
         Two on each branch and six around the centre, at y = 0 and for distances in the
-        (x, z) plane: "CP branch 1 inner", "CP branch 1 outer", ..., "CP ring 30 deg",
-        "CP ring 90 deg", ...
+        (x, z) plane: "CP branch 1 inner", ..., "CP ring 30 deg", ...
         """
         places = {
             name: (radius * math.cos(azimuth), 0.0, radius * math.sin(azimuth))
@@ -227,7 +199,7 @@ class ParallelRobotGeometry(Module):
 
     def arms(self) -> tuple[Arm, ...]:
         """Build the six arms: "lower 1", "lower 2", "lower 3", "upper 1", ..."""
-        found, e_y = [], np.array([0.0, 1.0, 0.0])
+        arms, e_y = [], np.array([0.0, 1.0, 0.0])
         middle_of_end = self.branch_length - self.end_length / 2.0
         for (sheet, side), branch in product(SHEETS.items(), range(N_BRANCHES)):
             azimuth = self.azimuths[branch]
@@ -244,5 +216,5 @@ class ParallelRobotGeometry(Module):
                 axis_direction=np.cross(-side * e_y, e_r),
                 mounting=Pose(on_arm - origin, np.zeros(3)),
             )
-            found.append(arm)
-        return tuple(found)
+            arms.append(arm)
+        return tuple(arms)

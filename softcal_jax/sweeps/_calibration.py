@@ -79,15 +79,12 @@ class CalibrationTrial:
         if trial.point.get("start"):
             seed = trial.seed_of("start")
             start = random_starts(space, 1, seed=seed)[0]
-        # Rows hold no intervals. Where starts are an axis, a trial is a single one,
-        # unless the file says otherwise.
-        alone = 1 if "start" in trial.point else None
-        own = {"intervals": None, "starts": project.starts or alone}
-        project = dataclasses.replace(project, **own)
+        # Where starts are an axis, a trial is one, unless the file says otherwise.
+        starts = project.starts or (1 if "start" in trial.point else None)
+        project = dataclasses.replace(project, intervals=None, starts=starts)
         result = project.calibrate(start=start)
         figures = _figures(result)
-        own_points = not self.layouts.get(trial.point.get("layout", ""))
-        if self.truth and own_points:
+        if self.truth and not self.layouts.get(trial.point.get("layout", "")):
             truth = truth_in_si(space, self.truth)
             z = space.to_scaled(jnp.asarray([truth[name] for name in space.names]))
             figures["distance to truth [-]"] = float(
@@ -116,8 +113,9 @@ class CalibrationTrial:
     def _name(self, point: Mapping[str, Any]) -> str:
         """Return a key that is unique among the variants of all sweeps."""
         layout = point.get("layout")
-        own = None if layout is None else [self.replaces, self.layouts[layout]]
-        return json.dumps([str(self.project), dict(self.files), own, file_keys(point)])
+        of_layout = None if layout is None else [self.replaces, self.layouts[layout]]
+        keys = file_keys(point)
+        return json.dumps([str(self.project), dict(self.files), of_layout, keys])
 
     def _exact(self, point: Mapping[str, Any]) -> tuple[Configuration, ...]:
         """Simulate all poses with the truth and the file's own control points."""
@@ -137,18 +135,17 @@ class CalibrationTrial:
 
     def _layout(self, point: Mapping[str, Any]) -> dict[str, Any]:
         """Return the layout of a point as changes of the project file."""
-        own = dict(self.layouts[point["layout"]])
-        if not own:
+        keys = dict(self.layouts[point["layout"]])
+        if not keys:
             return {}
-        if "place" in own:
+        if "place" in keys:
             mesh = self.variant(file_keys(point)).model.mesh
-            options = {key: own[key] for key in ("power", "nearest") if key in own}
-            points = place_control_points(mesh, own.pop("place"), **options)
+            points = place_control_points(mesh, keys.pop("place"))
             text = "({:.9g}, {:.9g}, {:.9g}) m".format
             places = map(text, *np.asarray(points.positions).T)
-            own["positions"] = dict(zip(points.names, places, strict=True))
-        own = {"names": None, **own}  # the names in the file are of its own positions
-        return {f"control_points.{self.replaces}.{key}": v for key, v in own.items()}
+            keys["positions"] = dict(zip(points.names, places, strict=True))
+        keys = {"names": None, **keys}  # those in the file are of its own positions
+        return {f"control_points.{self.replaces}.{key}": v for key, v in keys.items()}
 
     def _check_files(self) -> None:
         for path, digest in self.files.items():
@@ -181,9 +178,9 @@ def file_keys(point: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def why_not(result: CalibrationResult) -> str:
-    """Say how a calibration that did not converge ended, without numbers of its own.
+    """Say how a calibration that did not converge ended.
 
-    Tables count the trials of one reason together; the notes of a row say more.
+    Without numbers of its own, as tables count the trials of one reason together.
     """
     if len(result.history) > result.settings.max_steps:
         return f"lambda_p did not vanish within max_steps = {result.settings.max_steps}"
@@ -236,23 +233,19 @@ def _with_noise(configuration: Configuration, random) -> Configuration:
 def _figures(result: CalibrationResult) -> dict[str, Any]:
     """Return what a row keeps of a calibration, in SI units."""
     held_out = [f for f in result.configurations if f.role == "validation"]
-    figures: dict[str, Any] = {FIT: result.history[-1].rms}
+    last = result.history[-1]
+    figures: dict[str, Any] = {FIT: last.rms}
     if held_out:
         errors = np.concatenate([f.error_after for f in held_out])
         figures[HELD_OUT] = np.sqrt(np.mean(np.sum(errors**2, axis=1)))
     for q in result.parameters:
-        figures[_named(q.name, q.unit)] = q.value
-    figures[_STEPS] = len(result.history) - 1
-    figures[_COST] = result.history[-1].cost
+        figures[f"{q.name} [{q.unit or '-'}]"] = q.value
+    figures |= {_STEPS: len(result.history) - 1, _COST: last.cost}
     for q in result.parameters:
-        figures[_named(f"{_ERROR} {q.name}", q.unit)] = q.standard_error
+        figures[f"{_ERROR} {q.name} [{q.unit or '-'}]"] = q.standard_error
     return figures
 
 
 def is_of_the_fit(figure: str) -> bool:
     """Tell whether a figure describes the fit, and not the robot."""
     return figure in (_STEPS, _COST) or figure.startswith(f"{_ERROR} ")
-
-
-def _named(name: str, unit: str) -> str:
-    return f"{name} [{unit or '-'}]"

@@ -27,10 +27,6 @@ def dask_rows(
     A trial whose worker dies is retried on another one, as often as Dask allows
     (`distributed.scheduler.allowed-failures`). Closing the generator cancels those that
     have not ended.
-
-    Raises:
-        ValueError: If Dask is not installed, or the function cannot be sent.
-        OSError: If the scheduler cannot be reached, or is lost.
     """
     client = _connect(address)
     from distributed import as_completed
@@ -65,9 +61,8 @@ def _row(future: "distributed.Future", trial: Trial, address: str) -> TrialRow:
 
     error = future.exception()
     if isinstance(error, KilledWorker):
-        worker = f"the last one was {error.last_worker.address}"
         deaths = error.allowed_failures + 1
-        return failed_row(trial, f"its worker died {deaths} times; {worker}")
+        return failed_row(trial, f"its worker died {deaths} times")
     # Errors of the function end in a row, so the worker could not even call it.
     return failed_row(trial, f"its worker could not run it: {error!r}")
 

@@ -44,7 +44,7 @@ CREATE TABLE trials (
 def sweep_database(path: Path) -> Iterator["SweepDatabase"]:
     """Open or make a database, to which no other sweep writes meanwhile."""
     with only_writer(path, "sweep"):
-        with _told(path):
+        with _explained(path):
             file = _open(path, WAIT_S)
         with closing(file):
             yield SweepDatabase(path, file)
@@ -63,15 +63,10 @@ class SweepDatabase:
         about: Mapping[str, Any],
         definitions: Mapping[str, str],
     ) -> dict[str, str]:
-        """Write what is planned; rows of earlier runs stay.
+        """Write what is planned; return the states of trials that ended, by key.
 
-        Args:
-            trials: All trials of the sweep, in the order in which they begin.
-            about: Its name, and the axes whose values are mere repetitions.
-            definitions: What rows depend on besides their points, by name.
-
-        Returns:
-            The state of each trial that has ended, by its key.
+        Rows of earlier runs stay. `about` holds the name of the sweep and the axes that
+        are mere repetitions, `definitions` what rows depend on besides their points.
 
         Raises:
             ValueError: If the file is no database of a sweep, or of another one.
@@ -80,7 +75,8 @@ class SweepDatabase:
         about = {**about, "axes": tuple(trials[0].point)}
         words = [(what, json.dumps(value)) for what, value in about.items()]
         plan = [(i, t.key, json.dumps(t.point)) for i, t in enumerate(trials)]
-        with _told(self.path), self._transaction():
+        with _explained(self.path), self.file:  # everything, or nothing
+            self.file.execute("BEGIN IMMEDIATE")
             self._prepare()
             self._check_definitions(definitions)
             self._write("definitions", list(definitions.items()))
@@ -89,22 +85,6 @@ class SweepDatabase:
             self._write("plan", plan)
             rows = stored_sweep(self.file, self.path).rows
         return {row.key: row.state for row in rows}
-
-    @contextmanager
-    def _transaction(self) -> Iterator[None]:
-        """Write everything or, if anything is wrong, nothing.
-
-        Where the disk is full SQLite has ended it already, and to end it again would
-        hide why.
-        """
-        self.file.execute("BEGIN IMMEDIATE")
-        try:
-            yield
-            self.file.execute("COMMIT")
-        except BaseException:
-            if self.file.in_transaction:
-                self.file.execute("ROLLBACK")
-            raise
 
     def _prepare(self) -> None:
         """Make the tables in a new file; refuse a file that is something else."""
@@ -131,13 +111,9 @@ class SweepDatabase:
         self.file.executemany(f"INSERT OR REPLACE INTO {table} VALUES ({marks})", rows)
 
     def add(self, row: TrialRow) -> None:
-        """Write a row, and return once it is on disk.
-
-        Raises:
-            OSError: If the disk is full, or another program keeps the file locked.
-        """
+        """Write a row, and return once it is on disk."""
         named = vars(row) | {name: json.dumps(getattr(row, name)) for name in AS_JSON}
-        with _told(self.path):
+        with _explained(self.path):
             self._write("trials", [tuple(named[name] for name in COLUMNS)])
 
 
@@ -157,7 +133,7 @@ def read_sweep(database: str | os.PathLike[str]) -> SweepResult:
         raise FileNotFoundError(f"there is no sweep database {path}.")
     # Not read-only, since a reader rolls back what a killed run left half done.
     uri = f"{path.resolve().as_uri()}?mode=rw"
-    with _told(path), closing(_open(uri, WAIT_S, uri=True)) as file:
+    with _explained(path), closing(_open(uri, WAIT_S, uri=True)) as file:
         file.execute("BEGIN")
         _check_format(file, path)
         return stored_sweep(file, path)
@@ -183,7 +159,7 @@ def _check_format(file: sqlite3.Connection, path: Path) -> None:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
+def _explained(path: Path) -> Iterator[None]:
     """Turn errors of SQLite into errors that say what to do."""
     try:
         yield

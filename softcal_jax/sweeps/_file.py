@@ -87,13 +87,8 @@ class Sweep:
                 `progress` of `run_sweep`. Workers of a Dask scheduler must find the
                 project file under the same path.
 
-        Returns:
-            All rows of the database.
-
         Raises:
-            ValueError: If the database is of another sweep.
-            OSError: If the database or the scheduler cannot be used.
-            RuntimeError: If workers cannot start.
+            ValueError, OSError, RuntimeError: See `run_sweep`.
         """
         return run_sweep(
             self.function,
@@ -152,23 +147,23 @@ def load_sweep(path: str | os.PathLike[str]) -> Sweep:
     }
     definitions |= {f"layout {k}": json.dumps(v) for k, v in table.layouts.items()}
     definitions["truth"] = json.dumps(table.truth, sort_keys=True)
-    name = table.name or path.stem
     settings = {
-        "seed": table.seed,
-        "sample": table.sample,
+        "seed": seed,
+        "sample": n,
         "calibration": project.settings,
         "newton": project.newton,
-        **{key: getattr(project, key) for key in ("noise", "starts")},
+        "noise": project.noise,
+        "starts": project.starts,
     }
     return Sweep(
-        name,
-        path,
-        function,
-        tuple(points),
-        table.seed,
-        definitions,
-        SourceFile.of(path),
-        Made(project.model, settings, project.source),
+        name=table.name or path.stem,
+        path=path,
+        function=function,
+        points=tuple(points),
+        seed=seed,
+        definitions=definitions,
+        file=SourceFile.of(path),
+        made=Made(project.model, settings, project.source),
     )
 
 
@@ -183,13 +178,12 @@ def _replaced(path: Path, table: SweepTable) -> str:
     if name is not None and name in sets:
         return name
     what = (
-        "missing. Expected the set of control points of the project that the layouts "
-        "take the place of."
+        "missing. Expected a set of control points"
         if name is None
-        else f'the project has no control points "{name}".{suggestion(name, sets)}'
+        else f'no control points "{name}".{suggestion(name, sets)} Expected some'
     )
     known = ", ".join(sets) or "none"
-    raise ProjectError(f"{path}: replaces: {what} It has {known}.")
+    raise ProjectError(f"{path}: replaces: {what} of the project, which has {known}.")
 
 
 def _check_calibration(path: Path, table: SweepTable, project: Project) -> None:

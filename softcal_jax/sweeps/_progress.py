@@ -21,8 +21,8 @@ class Progress:
         before: Those that had ended before this run.
         not_converged: Ended trials that did not converge.
         failed: Ended trials that failed.
-        rate: Trials per second, without the time for compiling; None before the first
-            one has ended.
+        rate: Trials per second over the last of this run; None before two have ended,
+            since the first one compiles.
         row: The trial that has just ended; None at the beginning.
     """
 
@@ -60,18 +60,12 @@ class Tally:
         """Begin a run, of so many trials, some of which have ended in these states."""
         self._total, self._before = total, len(states)
         self._states = list(states)
-        self._workers: dict[str, int] = {}
-        self._seconds: deque[float] = deque(maxlen=WINDOW)
         self._ends: deque[float] = deque(maxlen=WINDOW)
 
     def now(self, row: TrialRow | None = None) -> Progress:
         """Count a trial that has just ended, if any, and return the progress."""
         if row is not None:
             self._states.append(row.state)
-            # The first trial of a worker compiles for all of its later ones.
-            first = row.worker not in self._workers
-            self._workers[row.worker] = len(self._states)
-            self._seconds.append(row.seconds - first * row.compile_seconds)
             self._ends.append(time.monotonic())
         count = self._states.count
         return Progress(
@@ -85,18 +79,8 @@ class Tally:
         )
 
     def _rate(self) -> float | None:
-        """Return trials per second: busy workers over the mean time of a trial.
-
-        A worker is busy if it ended one of the last trials. If rows arrive more slowly
-        than that, for other reasons than the trials, their rate counts.
-        """
-        if not self._ends:
-            return None
-        recent = len(self._states) - max(WINDOW, 3 * len(self._workers))
-        busy = sum(last > recent for last in self._workers.values())
-        by_trials = busy * len(self._seconds) / max(sum(self._seconds), 1e-9)
-        span = self._ends[-1] - self._ends[0]
-        return min(by_trials, (len(self._ends) - 1) / span) if span else by_trials
+        span = self._ends[-1] - self._ends[0] if self._ends else 0.0
+        return (len(self._ends) - 1) / span if span else None
 
 
 def rate_text(per_second: float) -> str:

@@ -109,22 +109,15 @@ class SweepResult:
         Raises:
             ValueError: If the sweep has no such axis.
         """
-        for axis in by or ():
+        if by is None:
+            return tuple(axis for axis in self.axes if axis not in self.repeats)
+        for axis in by:
             if axis not in self.axes:
                 raise unknown_name("axis", axis, self.axes)
-        if by is not None:
-            return tuple(by)
-        return tuple(axis for axis in self.axes if axis not in self.repeats)
+        return tuple(by)
 
     def groups(self, by: Sequence[str] | None = None) -> tuple[Group, ...]:
-        """Group trials by their values on some axes, in the order of the plan.
-
-        Args:
-            by: The axes; by default all but repetitions.
-
-        Raises:
-            ValueError: If the sweep has no such axis.
-        """
+        """Group trials by the axes of `grouping`, in the order of the plan."""
         by = self.grouping(by)
         ended = {row.key: row for row in self.rows}
         points = {**self.planned, **{row.key: row.point for row in self.rows}}
@@ -158,11 +151,11 @@ class SweepResult:
                 first, *more = row.reason.strip().splitlines() or [""]
                 reason = first + (" ..." if more else "")
                 rows.setdefault((row.state, reason), []).append(row)
-        lines = []
-        for (state, reason), alike in rows.items():
-            n = f"{len(alike)} trials, the first" if len(alike) > 1 else "1 trial"
-            lines.append((state, f"{n} at {describe(alike[0].point)}: {reason}"))
-        return tuple(lines)
+        many = lambda n: "1 trial" if n == 1 else f"{n} trials, the first"
+        return tuple(
+            (state, f"{many(len(alike))} at {describe(alike[0].point)}: {reason}")
+            for (state, reason), alike in rows.items()
+        )
 
     def __str__(self) -> str:
         """Write how many trials ended in each state, and why the others failed."""
@@ -172,9 +165,8 @@ class SweepResult:
 
 def figure_values(rows: Sequence[TrialRow], figure: str) -> Float[HostArray, " n"]:
     """Return a figure of each row; nan where it is no number, or did not converge."""
-    own = lambda row: row.figures.get(figure) if row.state == "converged" else None
-    found = map(own, rows)
-    return np.array([v if is_number(v) else np.nan for v in found], float)
+    value = lambda row: row.figures.get(figure) if row.state == "converged" else None
+    return np.array([v if is_number(v) else np.nan for v in map(value, rows)], float)
 
 
 def _numbers(rows: Sequence[TrialRow], figure: str) -> Float[HostArray, " n"]:

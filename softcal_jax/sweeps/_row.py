@@ -111,10 +111,9 @@ def run_trial(function: TrialFunction, trial: Trial) -> TrialRow:
 
 
 def _of_the_cache(warning: str) -> bool:
-    """Return whether a warning is about compiled programs on disk, not the trial.
+    """Whether a warning is about compiled programs on disk; half a program is removed.
 
-    A worker that was killed, or is still writing, leaves half a program, which JAX
-    compiles again; the half is removed, so that the next worker finds a whole one.
+    A worker that was killed, or is still writing, leaves half a one.
     """
     throw_away_damaged(warning)
     return "persistent compilation cache" in warning

@@ -30,7 +30,7 @@ def run_sweep(
     cores_per_worker: int = 1,
     scheduler: str | None = None,
     retry_failed: bool = False,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[Progress], None] = lambda _: None,
 ) -> SweepResult:
     """Call a function at every point, side by side, and save each result at once.
 
@@ -90,24 +90,20 @@ def run_sweep(
         "seed": str(seed),
         **(definitions or {}),
     }
-    source = _source(function, workers, cores_per_worker, scheduler)
-    tell = progress or (lambda _: None)
+    run = _source(function, workers, cores_per_worker, scheduler)
     with sweep_database(Path(database)) as file:
         ended = file.begin(trials, about, rests_on)
         if retry_failed:
             ended = {key: s for key, s in ended.items() if s != "failed"}
         left = [trial for trial in trials if trial.key not in ended]
         tally = Tally(len(trials), [ended[t.key] for t in trials if t.key in ended])
-        tell(tally.now())
+        progress(tally.now())
         if left:
-            with closing(source(left)) as rows:
+            with closing(run(left)) as rows:
                 for row in rows:
                     file.add(row)
-                    tell(tally.now(row))
+                    progress(tally.now(row))
     return read_sweep(database)
-
-
-Source = Callable[[Sequence[Trial]], Generator[TrialRow, None, None]]
 
 
 def _source(
@@ -115,7 +111,7 @@ def _source(
     workers: int | None,
     cores_per_worker: int,
     scheduler: str | None,
-) -> Source:
+) -> Callable[[Sequence[Trial]], Generator[TrialRow, None, None]]:
     """Choose what runs trials: a cluster, this process, or worker processes."""
     if cores_per_worker < 1:
         raise ValueError(

@@ -103,13 +103,8 @@ def _axis(axis: str, values: Any) -> Sequence[Any] | Table:
             return _TABLE_OF.get(axis, RangeTable).model_validate(values)
         except ValueError as error:
             raise ValueError(f"axis {axis}: {expected}") from error
-    if not isinstance(values, list):
+    if not isinstance(values, list) or not values:
         raise ValueError(f"axis {axis}: got {values}; {expected}")
-    if not values:
-        raise ValueError(
-            f"axis {axis} has no values, so the sweep has no trials: give it at least "
-            "one, or leave the axis out."
-        )
     if axis in REPEATS:
         for value in values:
             if isinstance(value, bool) or not isinstance(value, int) or value < 0:

@@ -6,6 +6,7 @@ from typing import Any
 
 from pydantic import Json, TypeAdapter, ValidationError
 
+from softcal_jax._text import shortened
 from softcal_jax.sweeps._result import SweepResult
 from softcal_jax.sweeps._row import TrialRow
 from softcal_jax.sweeps._trial import Point, Trial
@@ -42,10 +43,17 @@ def stored_sweep(file: sqlite3.Connection, path: Path) -> SweepResult:
             what: _checked(f"sweep.{what}", kind, words.get(what))
             for what, kind in _ABOUT.items()
         }
-        axes = about["axes"]
-        planned = {key: _planned(key, text, axes) for key, text in plan}
-        ended = tuple(_row(row, axes) for row in rows)
-    except _EditedError as error:
+        planned = {
+            key: _checked(f"plan.{key}.point", _POINT, text) for key, text in plan
+        }
+        ended = tuple(_row(dict(zip(COLUMNS, row, strict=True))) for row in rows)
+        for key, point in [*planned.items(), *((row.key, row.point) for row in ended)]:
+            if set(point) != set(about["axes"]) or Trial(point).key != key:
+                raise ValueError(
+                    f"{key}.point is {shortened(repr(point))}, which is not the point "
+                    "of this key"
+                )
+    except ValueError as error:
         raise ValueError(
             f"{path}: {error}. No sweep has written that: take an earlier copy of the "
             "file, or remove it to start anew."
@@ -53,29 +61,10 @@ def stored_sweep(file: sqlite3.Connection, path: Path) -> SweepResult:
     return SweepResult(**about, planned=planned, rows=ended)
 
 
-class _EditedError(Exception):
-    """Something that a sweep would not have written: its place, and what is wrong."""
-
-
-def _planned(key: str, text: Any, axes: tuple[str, ...]) -> Point:
-    point = _checked(f"plan.{key}.point", _POINT, text)
-    _check_point(f"plan.{key}", key, point, axes)
-    return point
-
-
-def _row(values: tuple[Any, ...], axes: tuple[str, ...]) -> TrialRow:
-    named = dict(zip(COLUMNS, values, strict=True))
+def _row(named: dict[str, Any]) -> TrialRow:
     where = f"trials.{named['key']}"
     parsed = {name: _checked(f"{where}.{name}", _JSON, named[name]) for name in AS_JSON}
-    row = _checked(where, _ROW, named | parsed)
-    _check_point(where, row.key, row.point, axes)
-    for name, figure in row.figures.items():
-        try:
-            float(0 if isinstance(figure, str | None) else figure)
-        except OverflowError as error:
-            wrong = f"{where}.figures.{name} is a number that is too large"
-            raise _EditedError(wrong) from error
-    return row
+    return _checked(where, _ROW, named | parsed)
 
 
 def _checked(where: str, kind: TypeAdapter, value: Any) -> Any:
@@ -85,22 +74,5 @@ def _checked(where: str, kind: TypeAdapter, value: Any) -> Any:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join([where, *map(str, first["loc"])])
-        wrong = f"{place} is {_shown(first['input'])}: {first['msg']}"
-        raise _EditedError(wrong) from error
-
-
-def _check_point(where: str, key: str, point: Any, axes: tuple[str, ...]) -> None:
-    """Raise unless a point has the axes of the sweep, and the key of the row."""
-    try:
-        fits = set(point) == set(axes) and Trial(point).key == key
-    except ValueError as error:
-        raise _EditedError(f"{where}.point: {error}") from error
-    if not fits:
-        wrong = f"{where}.point is {_shown(point)}, which is not the point of this key"
-        raise _EditedError(wrong)
-
-
-def _shown(value: Any) -> str:
-    """Write a value, shortened, on one line."""
-    text = repr(value)
-    return text if len(text) <= 80 else f"{text[:77]}..."
+        value = shortened(repr(first["input"]))
+        raise ValueError(f"{place} is {value}: {first['msg']}") from error

@@ -33,8 +33,7 @@ class SweptAxis(NamedTuple):
     Attributes:
         name: Its name.
         values: The value of each trial, as numbers if all are, else in words.
-        figures: Figures that are not the same for all, in readable units, by their
-            names with the unit; nan where a trial has none.
+        figures: Figures that differ, by names with their readable units; nan for none.
     """
 
     name: str
@@ -141,7 +140,7 @@ def _varied(result: SweepResult) -> TextTable:
         values = list(dict.fromkeys(map(shown, own)))
         listed = "; ".join(values[:MOST_VALUES])
         if len(values) > MOST_VALUES:
-            listed += f"; and {len(values) - MOST_VALUES} more"
+            listed += "; ..."
             if all(map(is_number, own)):
                 listed = f"from {shown(min(own))} to {shown(max(own))}"
         repeats = "repetition" if axis in result.repeats else "factor"

@@ -23,14 +23,8 @@ if TYPE_CHECKING:
 ROUNDING = 1e-9
 """Standard deviation over the mean below which values differ by rounding alone."""
 
-MOST_NAMES = 8
-"""Number of figures named below a table; further ones are only counted."""
-
-MOST_PANELS = 4
-"""Largest number of figures in a picture by default."""
-
-_NARROW = 24
-"""Characters to which a cell with spaces may be wrapped."""
+MOST_COLUMNS = MOST_PANELS = 4
+"""Largest numbers of figures in a table for the terminal, and in a picture."""
 
 _TONES: dict[str, Tone] = {
     "converged": "plain",
@@ -45,18 +39,9 @@ Lines = Sequence[Group] | Sequence[TrialRow]
 
 
 class _Column(NamedTuple):
-    """A column of a table, whose header may be wrapped between words."""
-
     head: str
     cells: list[str]
     words: bool = False
-
-    @property
-    def width(self) -> int:
-        """Width in characters, with its borders."""
-        widths = [len(word) for word in self.head.split()]
-        widths += [min(len(c), _NARROW) if " " in c else len(c) for c in self.cells]
-        return 3 + max([*widths, 1])
 
 
 def default_figures(result: SweepResult) -> tuple[str, ...]:
@@ -70,16 +55,14 @@ def sweep_table(
     by: Sequence[str] | None = None,
     figures: Sequence[str] | None = None,
     every: bool = False,
-    width: int = 100,
 ) -> "rich.console.Group":
     """Make a table of a sweep for the terminal, to be printed by `rich`.
 
     Args:
         result: The sweep.
         by: Axes that trials are grouped by; by default all but repetitions.
-        figures: Names of figures; by default the first that are numbers and fit.
+        figures: Names of figures; by default the first that are numbers.
         every: One line per trial instead of one per group.
-        width: Characters in a line.
 
     Returns:
         The table: means and standard deviations over the trials that converged, how
@@ -91,35 +74,21 @@ def sweep_table(
     from rich.console import Group as Printed
     from rich.text import Text
 
-    asked = None if figures is None else [result.figure(name) for name in figures]
+    chosen = default_figures(result)[:MOST_COLUMNS]
+    if figures is not None:
+        chosen = [result.figure(name) for name in figures]
     grouped = result.groups(by)
-    lines = result.rows if every else grouped
     parts: list[Any] = [Text(f"{result.name}: {result.headline}", style="bold")]
     if not result.rows:
         return Printed(*parts)
-    columns = _leading_columns(result, lines)
-    room = width - 1 - sum(c.width for c in columns)
-    kept = []
-    for figure in default_figures(result) if asked is None else asked:
-        column = _figure_column(result, figure, lines)
-        room -= column.width
-        if asked is None and kept and room < 0:
-            break
-        columns.append(column)
-        kept.append(figure)
     tones: list[Tone] = [_TONES[row.state] for row in result.rows if every]
-    widths = [column.width for column in columns]
-    # Where not all fits, `rich` finds which columns to narrow further.
-    least = [w - 3 for w in widths] if sum(widths) < width else []
-    parts.append(_text_table("", columns, tones).drawn(least=least))
+    lines = result.rows if every else grouped
+    parts.append(tabulated("", result, chosen, lines, tones=tones).drawn())
     if not every and any(group.count("converged") > 1 for group in grouped):
         parts.append(Text("Mean ± standard deviation over the trials that converged."))
-    others = [name for name in result.figure_names if name not in kept]
+    others = [name for name in result.figure_names if name not in chosen]
     if others:
-        more = len(others) - MOST_NAMES
-        listed = ", ".join(others[:MOST_NAMES])
-        listed += f" and {more} more" if more > 0 else ""
-        parts.append(Text(f"Also kept: {listed} (--figure NAME)."))
+        parts.append(Text(f"Also kept: {', '.join(others)} (--figure NAME)."))
     bad = [
         Text(f"{state}, {text}", style=STYLES[_TONES[state]])
         for state, text in result.reasons
@@ -176,20 +145,18 @@ def _figure_column(result: SweepResult, figure: str, lines: Lines) -> _Column:
 
 
 def tabulated(
-    title: str, result: SweepResult, figures: Sequence[str], lines: Lines
+    title: str,
+    result: SweepResult,
+    figures: Sequence[str],
+    lines: Lines,
+    *,
+    tones: Sequence[Tone] = (),
 ) -> TextTable:
     """Tabulate figures of some trials, or their means over groups of trials."""
     columns = _leading_columns(result, lines)
     columns += [_figure_column(result, figure, lines) for figure in figures]
-    return _text_table(title, columns)
-
-
-def _text_table(
-    title: str, columns: Sequence[_Column], tones: Sequence[Tone] = ()
-) -> TextTable:
-    """Make a table, whose rows may have tones."""
-    rows = [list(row) for row in zip(*(c.cells for c in columns), strict=True)]
-    of_rows: Sequence[Tone] = tones or ("plain",) * len(rows)
+    rows = zip(*(c.cells for c in columns), strict=True)
+    of_rows: Sequence[Tone] = tones or ("plain",) * len(lines)
     toned = zip(rows, of_rows, strict=True)
     cells = [[Cell(text, tone) for text in row] for row, tone in toned]
     heads = [column.head for column in columns]

@@ -1,7 +1,6 @@
 """Worker processes on this machine, and the setup of any process that runs trials."""
 
 import multiprocessing
-import multiprocessing.connection
 import os
 import pickle
 import signal
@@ -11,7 +10,7 @@ from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import version
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from typing import Any
 
 import jax
@@ -38,12 +37,7 @@ _SPAWN = multiprocessing.get_context("spawn")
 
 @dataclass(frozen=True)
 class WorkerSetup:
-    """Settings with which a worker computes like the process that runs the sweep.
-
-    Attributes:
-        x64: Whether JAX computes in float64.
-        version: Version of this package.
-    """
+    """Settings with which a worker computes like the process that runs the sweep."""
 
     x64: bool
     version: str
@@ -69,8 +63,7 @@ class WorkerSetup:
 def threads_of_children(n: int) -> Iterator[None]:
     """Make processes that are started inside use n threads each.
 
-    The number must be in their environment before they load anything. It changes how
-    sums are rounded, so it is the same however many workers there are.
+    The number must be in their environment before they load anything.
     """
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, str(n)))
@@ -90,10 +83,6 @@ def local_rows(
     """Run trials in n worker processes, and yield their rows in the order of their end.
 
     Each has as many threads as `cores`. Closing the generator ends them.
-
-    Raises:
-        ValueError: If the function cannot be sent to another process.
-        RuntimeError: If workers cannot start.
     """
     try:
         sent = pickle.dumps(function)
@@ -110,8 +99,7 @@ def local_rows(
         while waiting or any(worker.trial for worker in workers):
             for worker in workers:
                 worker.give(waiting)
-            for i in _speaking(workers):
-                worker = workers[i]
+            for worker in _speaking(workers):
                 said = worker.hear()
                 if isinstance(said, TrialRow):
                     failed_starts = 0
@@ -119,7 +107,7 @@ def local_rows(
                 elif said is None:
                     failed_starts += not worker.ready
                     worker.check_start(failed_starts)
-                    workers[i] = _Worker(sent, cores)
+                    workers[workers.index(worker)] = _Worker(sent, cores)
                     lost = worker.trial
                     if lost is None:
                         continue
@@ -132,6 +120,12 @@ def local_rows(
     finally:
         for worker in workers:
             worker.stop()
+
+
+def _speaking(workers: Sequence["_Worker"]) -> list["_Worker"]:
+    """Wait for workers that have sent something or died."""
+    heard = wait([worker.connection for worker in workers])
+    return [worker for worker in workers if worker.connection in heard]
 
 
 class _Worker:
@@ -198,13 +192,6 @@ class _Worker:
         self.process.kill()
         self.process.join()
         self.process.close()
-
-
-def _speaking(workers: Sequence[_Worker]) -> list[int]:
-    """Wait for workers that have sent something or died, and return their indices."""
-    connections = [worker.connection for worker in workers]
-    heard = multiprocessing.connection.wait(connections)
-    return [i for i, connection in enumerate(connections) if connection in heard]
 
 
 def _work(connection: Connection, function: bytes, setup: WorkerSetup) -> None:

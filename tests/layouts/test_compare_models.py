@@ -34,7 +34,7 @@ def score(name, squares, n_parameters=1, failed=()):
         else FoldScore(p, 1e-3, float(np.sqrt(s)), 1e-3)
         for p, s in zip(POSES, squares, strict=False)
     ]
-    return ModelScore(name, 0, n_parameters, tuple(folds), 1e-3, 1.0, "", None)
+    return ModelScore(name, n_parameters, tuple(folds), 1e-3, 1.0, "", None)
 
 
 def worse(*by):
@@ -128,14 +128,14 @@ def measured(name, force, std=1e-4, off=0.0):
 def test_bad_input():
     model = bar((6, 1, 1))
     poses = [measured("a", (0.0, 0.1, 0.0)), measured("b", (0.1, 0.0, 0.0))]
-    with pytest.raises(ValueError, match="at least one law"):
+    with pytest.raises(ValueError, match="at least one model"):
         compare_laws({}, poses)
     with pytest.raises(ValueError, match="at least 2 are needed, got 1"):
         compare_laws({"one": (model, E)}, poses[0])
     with pytest.raises(ValueError, match="starts must be at least 1, got 0"):
         compare_laws({"one": (model, E)}, poses, starts=0)
     wrong = Parameter("c10", "c10", 1e5, 3e4, 1e6)
-    with pytest.raises(ValueError, match="law 'two': field 'c10' of the model"):
+    with pytest.raises(ValueError, match="'two': field 'c10' of the model"):
         compare_laws({"one": (model, E), "two": (model, wrong)}, poses)
 
 

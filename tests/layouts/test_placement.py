@@ -101,14 +101,6 @@ def test_points_see_independent_directions():
     assert x[0] < x[1]
 
 
-def test_points_keep_their_distance():
-    with pytest.warns(LayoutWarning):
-        x = place(2, stretched(MID), min_distance=0.03).positions[:, 0]
-    assert np.ptp(x) >= 0.03
-    with pytest.raises(ValueError, match=r"only 1 of 2 control points find room 0\.06"):
-        place(2, stretched(MID), min_distance=0.06)
-
-
 def test_sizes_weigh_the_fields():
     """Bending under its own weight: the modulus counts most at the clamp.
 
@@ -164,7 +156,7 @@ def test_the_default_distance_leaves_room(seed):
         (2, {"axes": "w"}, "axes must be some of"),
         (2, {"nearest": 3}, "nearest must lie between 1 and"),
         (9, {"axes": "x"}, "only 6 different places were found along x"),
-        (2, {"method": "sensitivity"}, "needs model and configurations and fields"),
+        (2, {"method": "sensitivity"}, "needs model, configurations and fields"),
     ],
 )
 @pytest.mark.usefixtures("unchecked")

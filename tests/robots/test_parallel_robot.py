@@ -5,6 +5,7 @@ from functools import cache
 import equinox as eqx
 import numpy as np
 import pytest
+from arms import arm_pose
 from problems import lane_of
 
 from softcal_jax.configurations import configuration_arrays
@@ -69,7 +70,7 @@ def test_arms_are_where_the_motors_have_them(working_point):
     u = np.asarray(solution.displacement)[: mesh.n_nodes]
     for arm in robot().geometry.arms():
         nodes = mesh.nodes(arm.end)
-        wanted = arm.pose(np.deg2rad(45.0))
+        wanted = arm_pose(arm, np.deg2rad(45.0))
         x = wanted.matrix @ (mesh.points[nodes] - arm.origin).T
         x = x.T + arm.origin + wanted.translation
         np.testing.assert_allclose(mesh.points[nodes] + u[nodes], x, atol=1e-12)

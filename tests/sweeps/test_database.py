@@ -1,7 +1,6 @@
 """What a database of a sweep refuses, and what a full disk or an edit does to it."""
 
 import sqlite3
-from functools import partial
 
 import cheap
 import pytest
@@ -123,23 +122,6 @@ def test_a_full_disk_is_called_that(tmp_path, monkeypatch, n_trials):
         assert len(run_sweep(fat, points, path, workers=0).rows) == 3
 
 
-class FullAtTheEnd(sqlite3.Connection):
-    """SQLite ends a transaction itself where there is no room for it."""
-
-    def execute(self, statement, *values):
-        if statement == "COMMIT":
-            super().execute("ROLLBACK")
-            raise sqlite3.OperationalError("database or disk is full")
-        return super().execute(statement, *values)
-
-
-def test_what_sqlite_has_rolled_back_is_not_rolled_back_again(tmp_path, monkeypatch):
-    opened = partial(sqlite3.connect, isolation_level=None, factory=FullAtTheEnd)
-    monkeypatch.setattr(database_module, "_open", lambda path, wait: opened(path))
-    with pytest.raises(OSError, match="disk is full"):
-        one(tmp_path / "s.sqlite")
-
-
 @pytest.mark.parametrize(
     ("statement", "message"),
     [
@@ -150,10 +132,6 @@ def test_what_sqlite_has_rolled_back_is_not_rolled_back_again(tmp_path, monkeypa
             "UPDATE trials SET figures = '{\"x\": [1]}'",
             r"figures\.x\.\w+ is \[1\]: Input should",
         ),
-        (
-            f"UPDATE trials SET figures = '{{\"x\": 1{'0' * 400}}}'",
-            r"figures\.x is a number that is too large",
-        ),
         ("UPDATE trials SET notes = '3'", r"notes is 3: Input should be a valid tuple"),
         ("UPDATE trials SET seconds = 'long'", r"seconds is 'long': Input should be a"),
         ("UPDATE trials SET worker = x'ff'", r"worker is b'\\xff': Input should be a"),
@@ -163,10 +141,7 @@ def test_what_sqlite_has_rolled_back_is_not_rolled_back_again(tmp_path, monkeypa
             r"which is not the point of this key",
         ),
         ("UPDATE plan SET point = '7'", r"plan\.\w+\.point is 7: Input should be"),
-        (
-            "UPDATE plan SET key = 'b'",
-            r"plan\.b\.point is \{",
-        ),
+        ("UPDATE plan SET key = 'b'", r"b\.point is \{"),
         ("DELETE FROM sweep", r"sweep\.name is None.* JSON"),
         ("UPDATE sweep SET value = '[1]'", r"sweep\.name is \[1\]: Input should be a"),
         (

@@ -8,39 +8,26 @@ from softcal_jax.sweeps import _progress as progress_module
 from softcal_jax.sweeps._progress import Tally, duration, rate_text
 
 
-def row(worker, seconds, compiling=0.0, state="converged"):
-    return TrialRow(
-        "key", {}, state, seconds=seconds, compile_seconds=compiling, worker=worker
-    )
+def row(state="converged"):
+    return TrialRow("key", {}, state)
 
 
-def test_the_rate_leaves_out_what_only_the_first_trial_of_a_worker_takes(monkeypatch):
-    clock = iter([62.0, 62.5, 64.0, 64.5])
+def test_the_rate_leaves_out_the_first_trial_which_compiles(monkeypatch):
+    clock = iter([62.0, 63.0, 64.0, 65.0])
     monkeypatch.setattr(progress_module.time, "monotonic", lambda: next(clock))
     tally = Tally(20, ["converged", "failed"])
     begin = tally.now()
     assert (begin.ended, begin.rate, begin.seconds_left) == (2, None, None)
     assert str(begin) == "2 of 20 trials (1 failed)"
-    # A minute of compiling, and 2 s per trial: two workers, one trial per second.
-    for worker in "ab":
-        tally.now(row(worker, 62.0, 60.0))
-    tally.now(row("a", 2.0))
-    now = tally.now(row("b", 2.0, state="not converged"))
+    assert tally.now(row()).rate is None
+    for _ in range(2):
+        tally.now(row())
+    now = tally.now(row("not converged"))
     assert now.rate == pytest.approx(1.0)
     assert now.seconds_left == pytest.approx(14.0)
     assert says(
         now, "6 of 20 ... 1 failed, 1 not converged ... 1 per second, 14 s left"
     )
-
-
-def test_short_trials_count_by_their_rows(monkeypatch):
-    """Sending a trial and writing its row takes longer than the trial itself."""
-    clock = iter([0.0, 0.1, 0.2, 0.3])
-    monkeypatch.setattr(progress_module.time, "monotonic", lambda: next(clock))
-    tally = Tally(10, [])
-    for _ in range(4):
-        now = tally.now(row("a", 0.001))
-    assert now.rate == pytest.approx(10.0)
 
 
 def test_words():
