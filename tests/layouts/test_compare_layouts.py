@@ -119,7 +119,11 @@ def test_a_fold_is_a_calibration_without_that_configuration(comparison, data):
     """`calibrate` with the last one held out, which shares no loop with the folds."""
     points = LAYOUTS["two"]
     alone = calibrate(
-        bar(CELLS), as_space(moduli(points)), data[:2], validation=data[2]
+        bar(CELLS),
+        as_space(moduli(points)),
+        data[:2],
+        validation=data[2],
+        uncertain=exactly_known(),
     )
     fold = comparison.models[0].folds[2]
     held_out = alone.configurations[2]
@@ -135,7 +139,9 @@ def test_a_fold_is_a_calibration_without_that_configuration(comparison, data):
 @COMPARED
 def test_fit_of_everything_and_its_identifiability(comparison, data):
     points = LAYOUTS["two"]
-    whole = calibrate(bar(CELLS), as_space(moduli(points)), data)
+    whole = calibrate(
+        bar(CELLS), as_space(moduli(points)), data, uncertain=exactly_known()
+    )
     errors = np.concatenate([c.error_after for c in whole.configurations])
     two = comparison.models[0]
     np.testing.assert_allclose(
