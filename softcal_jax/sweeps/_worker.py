@@ -63,7 +63,8 @@ class WorkerSetup:
 def threads_of_children(n: int) -> Iterator[None]:
     """Make processes that are started inside use n threads each.
 
-    The number must be in their environment before they load anything.
+    The number must be in their environment before they load anything. It changes how
+    sums are rounded, so it is the same however many workers there are.
     """
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, str(n)))
