@@ -29,7 +29,15 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._quantities import dimension_of, parse_scalar, shown
-from softcal_jax.project._table import Direction, Flag, Maker, Position, Surface
+from softcal_jax.project._table import (
+    Choice,
+    Direction,
+    Flag,
+    Maker,
+    Position,
+    Surface,
+    by_type,
+)
 
 Positive = Annotated[
     Direction, Field(description='direction of a positive force: "-z", or [0, 0, -1]')
@@ -145,7 +153,7 @@ AnyActuator = Annotated[
     | MotorTable
     | ForceActuatorTable
     | SurfaceForceActuatorTable,
-    Field(discriminator="type"),
+    Choice(by_type),
 ]
 
 

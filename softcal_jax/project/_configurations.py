@@ -35,7 +35,7 @@ from softcal_jax.project._quantities import shown
 from softcal_jax.project._table import (
     Acceleration,
     AccelerationSize,
-    ByKeys,
+    Choice,
     Direction,
     Force,
     Maker,
@@ -46,6 +46,7 @@ from softcal_jax.project._table import (
     TableOr,
     Traction,
     Triple,
+    by_keys,
 )
 from softcal_jax.project._uncertain import ESTIMATED, parse_share
 from softcal_jax.project._whole_file import WholeFile
@@ -97,7 +98,7 @@ class SurfaceTractionTable(LoadTable):
 
 AnyLoad = Annotated[
     PointForceTable | EdgeForceTable | SurfaceForceTable | SurfaceTractionTable,
-    ByKeys(),
+    Choice(by_keys),
 ]
 
 

@@ -10,7 +10,7 @@ from pydantic import Field
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.materials import frames_along, frames_around
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project._table import Direction, Position, Table
+from softcal_jax.project._table import Choice, Direction, Position, Table, by_type
 
 TetData = Callable[[str], Float[HostArray, "n_tets _"]]
 """Returns an array of the mesh file by its name."""
@@ -93,5 +93,5 @@ class CellsTable(_DirectionsTable):
 
 
 AnyDirections = Annotated[
-    AlongTable | HoopTable | HelixTable | CellsTable, Field(discriminator="type")
+    AlongTable | HoopTable | HelixTable | CellsTable, Choice(by_type)
 ]

@@ -3,13 +3,13 @@
 To add an effector, write one table and list it in `AnyEffector`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag
+from pydantic import Field
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import (
@@ -27,7 +27,7 @@ from softcal_jax.configurations import (
 from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project._photos import PhotosTable
-from softcal_jax.project._problems import known_name, type_of, under
+from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._quantities import (
     dimension_of,
     parse_scalar,
@@ -43,27 +43,28 @@ from softcal_jax.project._sensors import (
     SensorPoseTable,
     WrittenPoseTable,
 )
-from softcal_jax.project._table import Angle, Direction, Position, Table
+from softcal_jax.project._table import (
+    Angle,
+    Choice,
+    Direction,
+    Position,
+    Table,
+    by_type,
+)
 
 Effectors = dict[str, AbstractEffector]
 
 
-def _kind(value: Any) -> str:
+def _measured(value: Any, kinds: Sequence[Any]) -> Any:
+    del kinds
     if not isinstance(value, dict):
-        return "(vector)"
+        return Any
     if "photos" in value or "file" not in value:
-        return "(photos)" if "photos" in value else "(pose)"
-    return "(polhemus)" if value.get("format") == "polhemus" else "(file)"
+        return PhotosTable if "photos" in value else WrittenPoseTable
+    return PolhemusFileTable if value.get("format") == "polhemus" else PoseFileTable
 
 
-Measured = Annotated[
-    Annotated[WrittenPoseTable, Tag("(pose)")]
-    | Annotated[PoseFileTable, Tag("(file)")]
-    | Annotated[PolhemusFileTable, Tag("(polhemus)")]
-    | Annotated[PhotosTable, Tag("(photos)")]
-    | Annotated[Any, Tag("(vector)")],
-    Discriminator(_kind),
-]
+Measured = Annotated[Any, Choice(_measured)]
 """A pose, or a quantity as text, whose dimension the effector knows."""
 
 _BODY = 'name of a rigid body, [bodies.NAME]: "plate"'
@@ -112,8 +113,7 @@ class EffectorTable(Table):
         dimension = dimension_of(unit)
         if isinstance(value, SensorPoseTable | PhotosTable):
             raise ValueError(
-                f"got a table; expected {dimension.name}, since type = "
-                f'"{type_of(type(self))}".'
+                f'got a table; expected {dimension.name}, like "{dimension.example}".'
             )
         if issubclass(self.makes, AbstractScalar):
             return replace(effector, measured=parse_scalar(value, dimension))
@@ -215,7 +215,7 @@ AnyEffector = Annotated[
     | BodyAngleTable
     | ActuatorDisplacementTable
     | ActuatorForceTable,
-    Field(discriminator="type"),
+    Choice(by_type),
 ]
 
 

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Optional
 
 import equinox as eqx
 import numpy as np
-from pydantic import ConfigDict, Field, create_model
+from pydantic import Field, create_model
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.materials import (
@@ -27,8 +27,8 @@ from softcal_jax.materials import (
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project._constants import DENSITY, Constant
 from softcal_jax.project._directions import AnyDirections, TetData
-from softcal_jax.project._problems import one_of, under
-from softcal_jax.project._table import Density, Flag, Table
+from softcal_jax.project._problems import under
+from softcal_jax.project._table import Density, Flag, Table, Undecided, undecided
 
 GROUP = "softcal_jax.laws"
 """Group of the entry points by which installed packages offer laws."""
@@ -136,11 +136,7 @@ class Material(_OfLaw):
         return frames
 
 
-class _Undecided(Material):
-    """A table whose law is unknown, so that none of its other keys is checked."""
-
-    model_config = ConfigDict(extra="ignore")
-
+class _Undecided(Material, Undecided):
     density: Any = None
 
 
@@ -178,8 +174,7 @@ def _is_aimed(named: dict[str, Any]) -> bool:
 
 
 def _undecided(key: str, names: Iterable[str]) -> type[Material]:
-    choice: Any = (Literal[*names], Field(description=one_of("", names).rstrip(".")))
-    table = create_model("Material", __base__=_Undecided, **{key: choice})
+    table: Any = undecided(key, tuple(names), _Undecided)
     table.constants = {"density": DENSITY}
     for kind in _choices().values():
         table.constants |= _constants(kind, None)

@@ -151,7 +151,7 @@ def _model(folder: Path, table: ProjectTable, solver: str | None) -> Model:
     """Build the model: mesh, law, rigid bodies and actuators."""
     mesh = _mesh(folder, table)
     bodies, actuators = _parts(table, mesh)
-    with under("material", table.material.typed):
+    with under("material"):
         return build_model(
             mesh,
             table.material.build(mesh, partial(table.mesh.tet_data, folder)),

@@ -32,7 +32,7 @@ from softcal_jax.project._table import (
     Table,
     TableOr,
 )
-from softcal_jax.project._windows import Which, WindowTable
+from softcal_jax.project._windows import Which, WhichOrName, WindowTable
 
 
 class MarkerEntry(Table):
@@ -120,7 +120,7 @@ class MeasuredTable(DialectTable):
     recording: Selection = Field(default_factory=dict)
     select: Which = Field(default_factory=dict)
     registration: RegistrationTable | None = None
-    displacement_from: Which | str | None = None
+    displacement_from: WhichOrName | None = None
     scatter: Flag = False
     effectors: dict[str, Measured] = Field(default_factory=dict)
 

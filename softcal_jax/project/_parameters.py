@@ -216,7 +216,7 @@ def build_space(table: WholeFile) -> ParameterSpace | None:
             points.build()
     entries: list[Entry] = []
     for own in table.parameters:
-        with under(f"parameters.{own.label}", own.typed):
+        with under(f"parameters.{own.label}"):
             entries.append(own.build(table))
     for i, own in enumerate(table.setup, start=1):
         with under(f"setup[{i}].{own.label}"):

@@ -4,7 +4,7 @@ The description of a key is also the text of the message if the key is missing.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from pathlib import Path
 from typing import Annotated, Any, Generic, Literal, TypeVar
@@ -131,6 +131,7 @@ class ProjectTable(Table, Generic[M]):
     parameter_space: ParameterSpaceTable = ParameterSpaceTable()
     markers: MarkersTable | None = None
     effectors: dict[str, AnyEffector] = Field(default_factory=dict)
+    shared: Any = None  # merged into each configuration before
     configurations: tuple[ConfigurationTable, ...] = ()
     candidates: tuple[CandidateTable, ...] = ()
     uncertain: UncertainTable = UncertainTable()
@@ -173,28 +174,20 @@ class ProjectTable(Table, Generic[M]):
         return sets
 
 
-_OF_CONFIGURATIONS = {*ConfigurationTable.model_fields} - {*CandidateTable.model_fields}
-"""Keys of [shared] that do not apply to candidates."""
-
-
 def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> ProjectTable:
     """Read a project file into tables, with [shared] merged into each configuration.
 
     `changes` replace values of the file, see `load_project`.
     """
     raw = _with_changes(path, read_toml(path, "project file"), changes)
-    shared = raw.get("shared", {})
-    problems = _shared_problems(shared)
-    if problems:
-        raise one_by_one(path, problems)
-    merged = _with_shared(raw, shared)
+    merged = _with_shared(path, raw)
     with at(path, "material.law"):
         material = material_table(raw.get("material"))
-    schema, table = ProjectTable[material], None
+    problems, table = [], None
     try:
-        table = schema.model_validate(merged, context=material)
+        table = ProjectTable[material].model_validate(merged, context=material)
     except ValidationError as error:
-        problems = describe(error, schema, raw)
+        problems = describe(error, raw)
     if not (raw.get("configurations") or raw.get("candidates")):
         problems.append(
             "configurations: missing. Expected at least one table [[configurations]]."
@@ -206,14 +199,7 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
 
 def read_mesh_tables(path: Path) -> MeshTables:
     """Read [mesh] and [groups] of a project file, whose other tables may be missing."""
-    known = [*ProjectTable.model_fields, "shared"]
-    problems = [
-        f"{key}: unknown key.{known_here(key, known, 'Known here')}"
-        for key in read_toml(path, "project file")
-        if key not in known
-    ]
-    if problems:
-        raise one_by_one(path, problems)
+    _check_known(path, "", read_toml(path, "project file"), ProjectTable.model_fields)
     return read_schema(path, MeshTables, "project file")
 
 
@@ -228,7 +214,17 @@ def read_schema(path: Path, schema: type[T], what: str) -> T:
     try:
         return schema.model_validate(raw)
     except ValidationError as error:
-        raise one_by_one(path, describe(error, schema, raw)) from error
+        raise one_by_one(path, describe(error, raw)) from error
+
+
+def _check_known(path: Path, before: str, table: Any, known: Iterable[str]) -> None:
+    problems = [
+        f"{before}{key}: unknown key.{known_here(key, known, 'Known here')}"
+        for key in table
+        if key not in known
+    ]
+    if problems:
+        raise one_by_one(path, problems)
 
 
 def _with_changes(
@@ -238,11 +234,19 @@ def _with_changes(
     for key, value in (changes or {}).items():
         *way, last = key.split(".")
         here: Any = raw
-        for i, part in enumerate(way):
-            where = ".".join(way[: i + 1])
-            here = _entry_of(path, here, part, where=where, key=key)
+        for part in way:
+            if isinstance(here, list):
+                entries = [e for e in here if isinstance(e, dict)]
+                here = {str(e.get("name", e.get("field"))): e for e in entries}
+                if part not in here:
+                    none = f"there is no {part!r}.{known_here(part, here)}"
+                    raise ProjectError(f"{path}: {key}: {none}")
+            here = here.setdefault(part, {}) if isinstance(here, dict) else None
         if not isinstance(here, dict):
-            raise _no_table(path, ".".join(way), key)
+            where = ".".join(way)
+            raise ProjectError(
+                f"{path}: {key}: {where} is no table of the project file."
+            )
         if value is None:
             here.pop(last, None)
         else:
@@ -250,46 +254,21 @@ def _with_changes(
     return raw
 
 
-def _entry_of(path: Path, here: Any, part: str, *, where: str, key: str) -> Any:
-    """Return the part of a table, or the entry of a list by its name."""
-    if isinstance(here, list):
-        entries = [e for e in here if isinstance(e, dict)]
-        named = {str(e.get("name", e.get("field"))): e for e in entries}
-        if part not in named:
-            known = known_here(part, named)
-            raise ProjectError(f"{path}: {key}: there is no {where}.{known}")
-        return named[part]
-    if not isinstance(here, dict):
-        raise _no_table(path, where, key)
-    return here.setdefault(part, {})
-
-
-def _no_table(path: Path, where: str, key: str) -> ProjectError:
-    return ProjectError(f"{path}: {key}: {where} is no table of the project file.")
-
-
-def _with_shared(raw: dict[str, Any], shared: dict[str, Any]) -> dict[str, Any]:
-    """Merge [shared] into every configuration and candidate."""
-    merged = {key: value for key, value in raw.items() if key != "shared"}
-    common = {key: v for key, v in shared.items() if key not in _OF_CONFIGURATIONS}
+def _with_shared(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
+    """Merge [shared] into every configuration and candidate; its values count there."""
+    shared = raw.get("shared", {})
+    if not isinstance(shared, dict):
+        raise one_by_one(path, [f"shared: got {shared!r}; expected a table [shared]."])
+    known = [key for key in ConfigurationTable.model_fields if key != "name"]
+    _check_known(path, "shared.", shared, known)
+    merged, of_candidates = dict(raw), CandidateTable.model_fields
+    common = {key: value for key, value in shared.items() if key in of_candidates}
     for key, base in (("configurations", shared), ("candidates", common)):
         if isinstance(raw.get(key), list):
             merged[key] = [
                 _merged(base, own) if isinstance(own, dict) else own for own in raw[key]
             ]
     return merged
-
-
-def _shared_problems(shared: Any) -> list[str]:
-    """List unknown keys of [shared]; its values are checked once they are merged."""
-    if not isinstance(shared, dict):
-        return [f"shared: got {shared!r}; expected a table [shared]."]
-    known = [key for key in ConfigurationTable.model_fields if key != "name"]
-    return [
-        f"shared.{key}: unknown key.{known_here(key, known, 'Known here')}"
-        for key in shared
-        if key not in known
-    ]
 
 
 def _merged(shared: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:

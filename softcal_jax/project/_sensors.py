@@ -179,7 +179,6 @@ def _mean(
 class WrittenPoseTable(SensorPoseTable, OrientationTable):
     """A pose that is written out."""
 
-    choice = "a pose that is written out"
     position: Position = Field(
         description='the pose, { position = "(0, 0, 100) mm", azimuth = "10 deg" }, or '
         'where it was read, { file = "tracker.csv" }'
@@ -195,7 +194,6 @@ class WrittenPoseTable(SensorPoseTable, OrientationTable):
 class PoseFileTable(SensorPoseTable, DialectTable):
     """A table of poses, with a header and columns to select by."""
 
-    choice = 'file = "tracker.csv"'
     file: str
     format: Literal["table"] = "table"
     sensor: str | None = None
@@ -220,7 +218,6 @@ class PoseFileTable(SensorPoseTable, DialectTable):
 class PolhemusFileTable(SensorPoseTable):
     """The bare text of a tracker."""
 
-    choice = 'format = "polhemus"'
     file: str
     format: Literal["polhemus"]
     length_unit: LengthUnit = Field(

@@ -30,7 +30,7 @@ from softcal_jax.project._quantities import (
     parse_number,
     parse_scalar,
 )
-from softcal_jax.project._table import Angle, ByKeys, Names, Table
+from softcal_jax.project._table import Angle, Choice, Names, Table, by_keys
 from softcal_jax.project._whole_file import WholeFile
 
 
@@ -134,10 +134,16 @@ class FrictionTable(SetupTable):
         return {k: (own.friction,) for k, own in cables.items() if own.friction}
 
 
+Each = Annotated[
+    Literal["configuration", "recording"] | tuple[str, ...],
+    Choice(lambda value, kinds: kinds[1 if isinstance(value, list) else 0]),
+]
+
+
 class ScopedTable(SetupTable):
     """An error that all configurations share, or of which each has its own."""
 
-    each: Literal["configuration", "recording"] | tuple[str, ...] | None = None
+    each: Each | None = None
 
     def known(self, project: WholeFile) -> dict[str, Any]:
         """Add the configurations or recordings that have an error of their own."""
@@ -245,5 +251,5 @@ AnySetup = Annotated[
     | ActuatorFactorTable
     | ClampStiffnessTable
     | FrictionTable,
-    ByKeys(),
+    Choice(by_keys),
 ]

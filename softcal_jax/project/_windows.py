@@ -2,11 +2,11 @@
 
 from typing import Annotated, Any
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Field, model_validator
 
 from softcal_jax.configurations import MarkerTable, Recording
 from softcal_jax.project._sensors import Selection
-from softcal_jax.project._table import Table, Time
+from softcal_jax.project._table import Choice, Table, Time
 
 _KINDS = ("between", "at", "plateau")
 """What a window of time is given by; each has a method of `Recording`."""
@@ -69,7 +69,11 @@ def _is_window(value: object) -> bool:
 
 
 Which = Annotated[
-    Annotated[WindowTable, Tag("(window)")] | Annotated[Selection, Tag("(rows)")],
-    Discriminator(lambda value: "(window)" if _is_window(value) else "(rows)"),
+    WindowTable | Selection,
+    Choice(lambda value, kinds: kinds[0 if _is_window(value) else 1]),
 ]
 """What is taken of a file: a window of a recording, or rows of a table."""
+
+WhichOrName = Annotated[
+    Which | str, Choice(lambda value, kinds: kinds[1 if isinstance(value, str) else 0])
+]
