@@ -1,8 +1,9 @@
 """How well everything is known that is not calibrated: its prior."""
 
 from dataclasses import fields
-from typing import Literal
+from typing import Any, Literal
 
+import equinox as eqx
 import numpy as np
 
 from softcal_jax._module import Module
@@ -11,6 +12,11 @@ OFFSET = 0.5e-3
 """Offset of a recording, as long as nothing else is known [m]."""
 
 DEGREE = float(np.deg2rad(1.0))
+
+
+def _std(usual: float, unit: str = "") -> Any:
+    """Make a field whose key in [uncertain] has an SI unit, "%", or none."""
+    return eqx.field(default=usual, metadata={"unit": unit})
 
 
 class Uncertain(Module):
@@ -45,17 +51,17 @@ class Uncertain(Module):
             identified.
     """
 
-    nu: float = 0.05
-    density: float = 0.03
-    gravity: float = DEGREE
-    loads: float = 0.02
-    actuators: float = 0.02
-    clamp: float = 1e-3
-    supports: float = 0.3
-    recordings: float | Literal["estimated"] = OFFSET
-    zeros: float = 0.5 * DEGREE
-    mountings: float = 0.5e-3
-    mesh: float = 1.0
+    nu: float = _std(0.05)
+    density: float = _std(0.03, "%")
+    gravity: float = _std(DEGREE, "rad")
+    loads: float = _std(0.02, "%")
+    actuators: float = _std(0.02, "%")
+    clamp: float = _std(1e-3, "m")
+    supports: float = _std(0.3, "%")
+    recordings: float | Literal["estimated"] = _std(OFFSET, "m")
+    zeros: float = _std(0.5 * DEGREE, "rad")
+    mountings: float = _std(0.5e-3, "m")
+    mesh: float = _std(1.0)
 
     def __check_init__(self):
         for name, std in vars(self).items():

@@ -48,7 +48,7 @@ from softcal_jax.project._table import (
     Triple,
     by_keys,
 )
-from softcal_jax.project._uncertain import ESTIMATED, parse_share
+from softcal_jax.project._uncertain import ShareOrEstimated
 from softcal_jax.project._whole_file import WholeFile
 
 
@@ -122,12 +122,7 @@ class CandidateTable(Table):
     effectors: tuple[str, ...] | None = None
     actuation: dict[str, Any] = Field(default_factory=dict)
     bodies: dict[str, State] = Field(default_factory=dict)
-    relative_std: float | Literal["estimated"] = 0.0
-
-    @field_validator("relative_std", mode="before")
-    @classmethod
-    def _parse_relative_std(cls, value: Any) -> float | str:
-        return value if value == ESTIMATED else parse_share(value)
+    relative_std: ShareOrEstimated = 0.0
 
     @field_validator("supports", mode="before")
     @classmethod

@@ -19,7 +19,7 @@ _EXPECTED = {
     "int_type": "a whole number",
     "int_from_float": "a whole number",
     "bool_type": "true or false",
-    "greater_than_equal": "at least {ge}",
+    "greater_than_equal": "at least {ge:g}",
     "tuple_type": "a list in [ ]",
     "dict_type": "a table",
     "model_type": "a table",
