@@ -1,21 +1,17 @@
 """Quantities of a project file as they were typed, and what they were read as."""
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from softcal_jax._module import one_line
 from softcal_jax.project._problems import key_path
 from softcal_jax.project._quantities import recognised
-from softcal_jax.project._toml import Keys, read_toml
+from softcal_jax.project._toml import read_toml, texts_in
 from softcal_jax.project._windows import WindowTable
 
 _NAMES = ("name", "displacement_from", "recording")
 """Keys of names, which may look like quantities: a pose "350 mbar"."""
-
-_WINDOW = WindowTable.model_fields
-"""Keys of a window of time; a `select` without them names cells of a table."""
 
 
 class QuantityAsRead(NamedTuple):
@@ -58,23 +54,10 @@ def quantities_as_read(path: str | os.PathLike[str]) -> tuple[QuantityAsRead, ..
     """
     raw = read_toml(Path(path), "project file")
     found = []
-    for keys, text in _texts((), raw):
+    for keys, text in texts_in(raw):
+        rows = "select" in keys and not {*keys} & {*WindowTable.model_fields}
         quantity = recognised(text)
-        if quantity is not None:
+        if quantity is not None and not rows and not {*keys} & {*_NAMES}:
             table = key_path(keys[:-1], raw)
             found.append(QuantityAsRead(table, key_path(keys, raw), text, *quantity))
     return tuple(found)
-
-
-def _texts(keys: Keys, value: Any) -> Iterator[tuple[Keys, str]]:
-    """Walk through tables and lists to their texts, except names."""
-    if isinstance(value, dict):
-        rows = bool(keys) and keys[-1] == "select" and not {*value} & {*_WINDOW}
-        for key, inner in value.items():
-            if key not in _NAMES and not rows:
-                yield from _texts((*keys, key), inner)
-    elif isinstance(value, list):
-        for number, inner in enumerate(value):
-            yield from _texts((*keys, number), inner)
-    elif isinstance(value, str):
-        yield keys, value
