@@ -18,8 +18,7 @@ Rows = Sequence[EffectorRow]
 class EffectorRecord(Module):
     """Up to three coordinates of an effector: their names, units and values.
 
-    Made together with the arrays that the solver sees, and filled in by results; files,
-    tables and pictures read it. A frame has two, one of its point and one of its turn.
+    Results fill it in. A frame has two, one of its point and one of its turn.
 
     Attributes:
         name: Name of the marker or effector.
@@ -93,11 +92,7 @@ def effector_record(
 
 
 def stack_effectors(lanes: Sequence[Rows]) -> list[tuple[EffectorArrays, list[int]]]:
-    """Put rows of each configuration into arrays of the same shapes.
-
-    Returns:
-        For each configuration the arrays, and the index of each of its rows in them.
-    """
+    """Put rows of each configuration into arrays, and find the index of each row."""
     number = lambda lane, quantity: sum(row.quantity == quantity for row in lane)
     places, end = {}, 0
     for quantity in QUANTITIES:

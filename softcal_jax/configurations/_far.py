@@ -14,13 +14,7 @@ FAR = 3.0
 
 
 class FarPoint(NamedTuple):
-    """A point and how far from its place at rest it was measured.
-
-    Attributes:
-        name: The marker or effector.
-        distance: That distance [m].
-        size: Size of the robot [m].
-    """
+    """A point, its distance from its place at rest, and the size of the robot [m]."""
 
     name: str
     distance: float
@@ -29,7 +23,7 @@ class FarPoint(NamedTuple):
     __repr__ = one_line
 
     def __str__(self) -> str:
-        """Format as the end of a sentence on the point."""
+        """Write the end of a sentence on the point."""
         return (
             f"{readable_values([self.distance], 'm')} from its place at rest, "
             f"{self.distance / self.size:.3g} times the size of the robot "
@@ -48,9 +42,6 @@ def farthest(
     moved: Mapping[str, Float[HostArray, " k"]], size: float
 ) -> FarPoint | None:
     """Return the point that moved farthest, if that is farther than is plausible."""
-    if not moved:
-        return None
-    distances = {name: math.hypot(*u) for name, u in moved.items()}
-    name = max(distances, key=lambda own: distances[own])
-    far = FarPoint(name, distances[name], size)
-    return far if far.distance > FAR * size else None
+    points = [FarPoint(name, math.hypot(*u), size) for name, u in moved.items()]
+    far = max(points, key=lambda point: point.distance, default=None)
+    return far if far is not None and far.distance > FAR * size else None

@@ -32,18 +32,10 @@ def check_held(
     name: str,
     balanced: bool,
 ) -> None:
-    """Raise unless all six rigid motions are blocked.
+    """Raise unless all six rigid motions of the configuration `name` are blocked.
 
-    The angle of a hinge needs something that balances it: weight, a load, or an
-    actuator other than motors.
-
-    Args:
-        mesh: The mesh.
-        mechanism: Rigid bodies and actuators.
-        fixed: Coordinates of the nodes that supports hold.
-        kind: State of each rigid body, an index of `KINDS`.
-        name: Name of the configuration.
-        balanced: Whether something balances hinges.
+    The angle of a hinge needs something by which it is `balanced`: weight, a load, or
+    an actuator other than motors. `kind` are states of bodies, indices of `KINDS`.
     """
     motors = [n for n, b in motors_of(mechanism) if kind[b] == KINDS.index("hinged")]
     if motors and balanced:

@@ -1,4 +1,4 @@
-"""Measured poses: their change of frame, means and covariances."""
+"""Measured poses: their change of frame, and means."""
 
 from dataclasses import replace
 
@@ -33,15 +33,6 @@ class PoseTable(Module):
     lines: tuple[int, ...]
     source: str
 
-    def __check_init__(self):
-        n = len(self.names)
-        shapes = (self.positions.shape, self.rotations.shape, (len(self.lines),))
-        if shapes != ((n, 3), (n, 3, 3), (n,)):
-            raise ValueError(
-                f"{n} names need as many positions, rotations and lines, got the "
-                f"shapes {', '.join(map(str, shapes))}."
-            )
-
     def readings_of(self, name: str) -> "PoseTable":
         """Return the rows of one sensor."""
         rows = [i for i, other in enumerate(self.names) if other == name]
@@ -60,69 +51,32 @@ class PoseTable(Module):
         )
 
 
-def in_frame(
-    table: PoseTable, *, base: Pose | None = None, sensor: Pose | None = None
-) -> PoseTable:
-    """Convert poses of a sensor to those of its body, in the frame of the robot.
+def in_frame(table: PoseTable, base: Pose) -> PoseTable:
+    """Convert readings from the frame of the tracker's base to that of the robot.
 
-    T_body = T_base T_reading T_sensor^-1, where a pose stands for the change of
-    coordinates x -> R x + translation (a `Pose` whose origin is zero).
+    T = T_base T_reading, where a pose stands for x -> R x + translation.
 
     Args:
-        table: Readings of sensors with the same place on their body.
-        base: Pose of the tracker's base in the robot's frame; by default the same.
-        sensor: Pose of the sensor in the body's frame; likewise.
+        table: Readings of sensors.
+        base: Pose of the tracker's base in the robot's frame.
     """
-    R, p = table.rotations, table.positions
-    if sensor is not None:
-        R = R @ sensor.matrix.T
-        p = p - R @ sensor.translation
-    if base is not None:
-        R, p = base.matrix @ R, p @ base.matrix.T + base.translation
-    return replace(table, positions=p, rotations=R)
+    return replace(
+        table,
+        positions=table.positions @ base.matrix.T + base.translation,
+        rotations=base.matrix @ table.rotations,
+    )
 
 
 class AveragedPose(Module):
     """Mean of the readings of one sensor.
 
-    A deviation holds three positions and a rotation vector r in the axes of the table:
-    reading k has p_k = p + deviation and R_k = exp(r) R. Covariances have its order and
-    units: [m2] and [rad2] on the diagonal.
-
     Attributes:
-        name: The sensor.
-        position: Mean of the positions, p [m].
-        rotation: Mean of the rotations, R [-].
-        deviations: Of each reading from the mean [m, rad].
+        position: Mean of the positions [m].
+        rotation: Mean of the rotations [-].
     """
 
-    name: str
     position: Float[HostArray, "3"]
     rotation: Float[HostArray, "3 3"]
-    deviations: Float[HostArray, "n_readings 6"]
-
-    @property
-    def n_readings(self) -> int:
-        """Number of readings."""
-        return len(self.deviations)
-
-    @property
-    def reading_covariance(self) -> Float[HostArray, "6 6"]:
-        """Covariance of a single reading, with n - 1 in the denominator [m, rad].
-
-        Raises:
-            ValueError: If there is only one reading.
-        """
-        if self.n_readings < 2:
-            raise ValueError(
-                f"sensor {self.name!r} has one reading: a covariance needs two or more."
-            )
-        return self.deviations.T @ self.deviations / (self.n_readings - 1)
-
-    @property
-    def mean_covariance(self) -> Float[HostArray, "6 6"]:
-        """Covariance of the mean if the readings are independent [m, rad]."""
-        return self.reading_covariance / self.n_readings
 
 
 def average_poses(table: PoseTable) -> dict[str, AveragedPose]:
@@ -153,6 +107,4 @@ def _average(readings: PoseTable) -> AveragedPose:
             f"the mean of {len(angles)}, more than 30 deg: select the readings of one "
             "pose."
         )
-    position = readings.positions.mean(axis=0)
-    deviations = np.hstack([readings.positions - position, turns])
-    return AveragedPose(readings.names[0], position, mean.as_matrix(), deviations)
+    return AveragedPose(readings.positions.mean(axis=0), mean.as_matrix())

@@ -101,8 +101,8 @@ class Recording(Module):
             after_event: Named event from which both are counted.
 
         Raises:
-            ValueError: If the window is not in the recording, or holds no frame, or
-                there is no such step or event.
+            ValueError: If the window is not in the recording, or there is no such step
+                or event.
         """
         zero, since_what = self._zero(after_step_of, after_event)
         # Times are multiples of the frame's length, up to rounding.
@@ -199,12 +199,10 @@ class Recording(Module):
         for label in new:
             self._column(label)
         names = tuple(new.get(name, name) for name in self.names)
-        repeated = [name for name in names if names.count(name) > 1]
-        if repeated or len(new) < len(labels):
-            which = repeated[0] if repeated else "of one marker"
+        if len({*names}) < len(names) or len(new) < len(labels):
             raise ValueError(
-                f"{self.source}: the labels {dict(labels)} give two markers the name "
-                f"{which!r}, or one marker two names."
+                f"{self.source}: the labels {dict(labels)} give two markers one name, "
+                "or one marker two names."
             )
         return replace(self, names=names)
 
@@ -212,7 +210,7 @@ class Recording(Module):
         self, after_step_of: str | None, after_event: str | None
     ) -> tuple[float, str]:
         """Return the time that others are counted from [s], and the words for it."""
-        if after_step_of is not None and after_event is not None:
+        if None not in (after_step_of, after_event):
             raise ValueError(
                 f"times count from the step of {after_step_of!r} or from the event "
                 f"{after_event!r}, not from both."

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softcal_jax._names import METRES, unknown_name
+from softcal_jax._text import shortened
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.configurations._csv_table import (
@@ -23,6 +24,7 @@ from softcal_jax.configurations._pose_table import PoseTable
 _QUATERNION = ["qw", "qx", "qy", "qz"]
 _ANGLES = ("azimuth", "elevation", "roll")
 _RADIANS = {"deg": np.pi / 180.0, "rad": 1.0}
+_STATED = "angle_unit or columns like azimuth_rad"
 
 _UNIT_LENGTH = 1e-3
 """Largest error of a quaternion's length, more than rounding to four digits gives."""
@@ -42,28 +44,17 @@ def read_poses(
 ) -> PoseTable:
     """Read poses of sensors, in their order, from a CSV file with a header line.
 
-    Columns: `sensor`; `x`, `y`, `z` or columns that carry their unit, like `x_mm`; and
+    Columns: `sensor`; positions, other columns and arguments as for `read_markers`; and
     either the angles `azimuth_deg`, `elevation_deg`, `roll_deg` (or `..._rad`) or a
-    unit quaternion `qw`, `qx`, `qy`, `qz`. Any other column can be selected on. Lines
-    that start with `#` and blank lines are skipped.
+    unit quaternion `qw`, `qx`, `qy`, `qz`.
 
     The angles are those of Polhemus: R = Rz(azimuth) Ry(elevation) Rx(roll), from the
     sensor's axes to those of the tracker's base.
 
-    Args:
-        path: The file.
-        length_unit: Unit of the positions: "m", "cm", "mm", "um" or "inch"; not needed
-            where the columns carry it.
-        select: Column and value pairs; only the rows that have them all are taken.
-        delimiter: As for `read_markers`.
-        decimal: As for `read_markers`.
-
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it cannot be read, a column is missing, a unit is unknown,
-            unstated or contradicts the columns, nothing is selected, a value is not a
-            finite number, an angle is out of its range, or a quaternion is not of unit
-            length.
+        ValueError: As for `read_markers`, or if an angle is out of its range or a
+            quaternion is not of unit length.
 
     Warns:
         TrackerWarning: If angles in degrees look like radians.
@@ -84,11 +75,8 @@ def read_poses(
     if turn_columns == _QUATERNION:
         rotations = _from_quaternions(table.path, table.lines, turns)
     else:
-        remedy = "name the columns azimuth_{unit}, elevation_{unit}, roll_{unit}"
         unit = turn_columns[0].removeprefix("azimuth_")
-        rotations = _from_angles(
-            table.path, table.lines, turns, unit=unit, remedy=remedy
-        )
+        rotations = _from_angles(table.path, table.lines, turns, unit)
     return PoseTable(
         names=table.names,
         positions=metres * values[:, :3],
@@ -103,7 +91,7 @@ def read_polhemus(
     *,
     length_unit: str,
     angle_unit: str = "deg",
-    stations: Mapping[int, str] | None = None,
+    station: int | None = None,
 ) -> PoseTable:
     """Read the text that a Polhemus tracker sends: numbers without a header.
 
@@ -115,13 +103,12 @@ def read_polhemus(
         path: The file.
         length_unit: Unit that the tracker was set to: "cm" or "inch", or another one.
         angle_unit: "deg" or "rad".
-        stations: Names by station; only these are read. By default all are, with names
-            like "station 1".
+        station: The only one to read; names of sensors are like "station 1".
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it cannot be read, a unit is unknown, a line does not hold seven
-            finite numbers, a station is not there, or an angle is out of its range.
+        ValueError: If a unit is unknown, a line does not hold seven finite numbers, the
+            station is not there, or an angle is out of its range.
 
     Warns:
         TrackerWarning: If angles in degrees look like radians.
@@ -137,29 +124,23 @@ def read_polhemus(
     if not readings:
         raise ValueError(f"tracker file {path} holds no readings.")
     present = dict.fromkeys(int(values[0]) for _, values in readings)
-    wanted = stations or {station: f"station {station}" for station in present}
-    for station in wanted:
-        if station not in present:
-            raise ValueError(
-                f"{path} has no station {station}. It has "
-                f"{', '.join(map(str, present))}."
-            )
+    wanted = present if station is None else [station]
     chosen = [reading for reading in readings if int(reading[1][0]) in wanted]
+    if not chosen:
+        there = ", ".join(map(str, present))
+        raise ValueError(f"{path} has no station {station}. It has {there}.")
     lines = tuple(line for line, _ in chosen)
-    values, remedy = np.array([v for _, v in chosen]), "give angle_unit={unit!r}"
+    values = np.array([v for _, v in chosen])
     return PoseTable(
-        names=tuple(wanted[int(station)] for station in values[:, 0]),
+        names=tuple(f"station {number:.0f}" for number in values[:, 0]),
         positions=METRES[length_unit] * values[:, 1:4],
-        rotations=_from_angles(
-            path, lines, values[:, 4:], unit=angle_unit, remedy=remedy
-        ),
+        rotations=_from_angles(path, lines, values[:, 4:], angle_unit),
         lines=lines,
         source=str(path),
     )
 
 
 def _turn_columns(table: CsvTable) -> list[str]:
-    """Find the columns of the three angles or of the quaternion."""
     path, header = table.path, table.header
     forms = [[f"{angle}_{unit}" for angle in _ANGLES] for unit in _RADIANS]
     kinds = [form for form in (_QUATERNION, *forms) if set(form) & set(header)]
@@ -170,35 +151,26 @@ def _turn_columns(table: CsvTable) -> list[str]:
             "keep one."
         )
     if not kinds:
-        bare = set(_ANGLES) & set(header)
-        reason = "its angles carry no unit" if bare else "it has no rotation"
         raise ValueError(
-            f"{path}: {reason}; it needs the columns azimuth_deg, elevation_deg, "
-            "roll_deg (or azimuth_rad, ...) or qw, qx, qy, qz. Columns there: "
-            f"{', '.join(header)}."
+            f"{path}: it has no rotation with a unit; it needs the columns "
+            "azimuth_deg, elevation_deg, roll_deg (or azimuth_rad, ...) or qw, qx, qy, "
+            f"qz. Columns there: {', '.join(header)}."
         )
     table.check_columns(kinds[0])
     return kinds[0]
 
 
 def _seven_numbers(path: Path, line: int, text: str) -> list[float]:
-    cells, where = text.split(), f"{path}, line {line}"
-    names = ("station", "x", "y", "z", *_ANGLES)
-    if len(cells) != len(names):
+    try:
+        values = [float(cell) for cell in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != 7 or not np.all(np.isfinite(values)) or values[0] % 1.0:
         raise ValueError(
-            f"{where}: {len(cells)} numbers where 7 are needed, with spaces between: "
-            f"{', '.join(names)}."
+            f"{path}, line {line}: got {shortened(text)!r}; expected 7 finite numbers "
+            "with spaces between: station (an integer), x, y, z, azimuth, elevation, "
+            "roll."
         )
-    values = []
-    for name, cell in zip(names, cells, strict=True):
-        try:
-            values.append(float(cell))
-        except ValueError as error:
-            raise ValueError(f"{where}: {name} is {cell!r}, not a number.") from error
-        if not np.isfinite(values[-1]):
-            raise ValueError(f"{where}: {name} is {cell}, not finite.")
-    if values[0] != int(values[0]):
-        raise ValueError(f"{where}: station is {cells[0]}, not an integer.")
     return values
 
 
@@ -218,35 +190,25 @@ def _from_quaternions(
 
 
 def _from_angles(
-    path: Path,
-    lines: tuple[int, ...],
-    angles: Float[HostArray, "n 3"],
-    *,
-    unit: str,
-    remedy: str,
+    path: Path, lines: tuple[int, ...], angles: Float[HostArray, "n 3"], unit: str
 ) -> Float[HostArray, "n 3 3"]:
-    """Compute rotation matrices Rz(azimuth) Ry(elevation) Rx(roll) [-].
-
-    `remedy` says how to state another unit, for which "{unit}" stands.
-    """
+    """Compute rotation matrices Rz(azimuth) Ry(elevation) Rx(roll) [-]."""
     # With some tolerance, since trackers print few digits: 1.571 is a right angle.
     limits = np.array([2.0 * np.pi, np.pi / 2.0, 2.0 * np.pi]) / _RADIANS[unit]
     outside = np.argwhere(np.abs(angles) > 1.001 * limits)
     if outside.size:
         row, k = outside[0]
-        hint = ""
-        if unit == "rad":
-            hint = f" If it is in degrees, {remedy.format(unit='deg')}."
         raise ValueError(
             f"{path}, line {lines[row]}: the {_ANGLES[k]} is {angles[row, k]:g} "
-            f"{unit}, beyond {limits[k]:.4g} {unit}.{hint}"
+            f"{unit}, beyond {limits[k]:.4g} {unit}: check the unit of the angles, "
+            f"{_STATED}."
         )
     # Numbers that could all be radians, and are too large to ignore.
     sizes = np.abs(angles).max(axis=0)
     if unit == "deg" and all(sizes <= [3.142, 1.571, 3.142]) and sizes.max() > 1.0:
         warnings.warn(
             f"{path}: every angle lies within half a turn if it is in radians. If they "
-            f"are not degrees, {remedy.format(unit='rad')}.",
+            f"are not degrees, state their unit, {_STATED}.",
             TrackerWarning,
             stacklevel=3,
         )

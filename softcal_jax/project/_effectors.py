@@ -37,10 +37,10 @@ from softcal_jax.project._quantities import (
 )
 from softcal_jax.project._sensors import (
     FrameTable,
+    MotionSource,
     OrientationTable,
     PolhemusFileTable,
     PoseFileTable,
-    SensorPoseTable,
     WrittenPoseTable,
 )
 from softcal_jax.project._table import (
@@ -67,11 +67,13 @@ def _measured(value: Any, kinds: Sequence[Any]) -> Any:
 Measured = Annotated[Any, Choice(_measured)]
 """A pose, or a quantity as text, whose dimension the effector knows."""
 
-_BODY = 'name of a rigid body, [bodies.NAME]: "plate"'
-_GROUP = 'name of a group of the mesh: "x_min"'
-
-Body = Annotated[str, Field(description=_BODY)]
-Group = Annotated[str, Field(description=_GROUP, serialization_alias="where")]
+Body = Annotated[str, Field(description='name of a rigid body, [bodies.NAME]: "plate"')]
+Group = Annotated[
+    str,
+    Field(
+        description='name of a group of the mesh: "x_min"', serialization_alias="where"
+    ),
+]
 
 
 class EffectorTable(Table):
@@ -101,17 +103,13 @@ class EffectorTable(Table):
         return effector
 
     def measured(
-        self,
-        effector: Any,
-        value: Any,
-        unit: str,
-        folder: Path,
-        mechanism: Mechanism,
+        self, effector: Any, value: Any, folder: Path, model: Model
     ) -> AbstractEffector:
-        """Return the effector with its measured value, parsed into the SI `unit`."""
-        del folder, mechanism
+        """Return the effector with its measured value; paths start from `folder`."""
+        del folder
+        unit = effector.rows(model.mesh, model.mechanism)[0].unit
         dimension = dimension_of(unit)
-        if isinstance(value, SensorPoseTable | PhotosTable):
+        if isinstance(value, MotionSource):
             raise ValueError(
                 f'got a table; expected {dimension.name}, like "{dimension.example}".'
             )
@@ -130,25 +128,20 @@ class BodyFrameTable(EffectorTable):
     std_angle: Angle | None = None
 
     def measured(
-        self,
-        effector: BodyFrame,
-        value: Any,
-        unit: str,
-        folder: Path,
-        mechanism: Mechanism,
+        self, effector: BodyFrame, value: Any, folder: Path, model: Model
     ) -> BodyFrame:
         """Return the frame with the motion of its body.
 
         Where the measurement says how certain it is, that adds to what is stated.
         """
-        del unit
-        if not isinstance(value, SensorPoseTable | PhotosTable):
+        if not isinstance(value, MotionSource):
             raise ValueError(
                 f"got {shown(value)}; expected a pose, like "
                 '{ position = "(0, 0, 100) mm", azimuth = "10 deg" }, '
                 '{ file = "tracker.csv" } or { photos = "pose1/*.jpg", ... }.'
             )
-        rest = mechanism.bodies.origin[mechanism.bodies.names.index(self.body)]
+        bodies = model.mechanism.bodies
+        rest = bodies.origin[bodies.names.index(self.body)]
         if self.point is not None:
             rest = np.array(self.point)
         pose, covariance = value.motion(folder, self.base, self.orientation, rest)
@@ -223,15 +216,9 @@ def build_effectors(
     tables: Mapping[str, EffectorTable], mesh: TetMesh, mechanism: Mechanism
 ) -> Effectors:
     """Build all effectors of a project by name, without measured values."""
-    body = "rigid body", mechanism.bodies.names, "[bodies]"
-    actuator = "actuator", mechanism.actuators.names, "[actuators]"
-    named = {"body": body, "other": body, "actuator": actuator}
     found: Effectors = {}
     for name, table in tables.items():
         with under(name):
-            for key, (kind, known, section) in named.items():
-                if key in type(table).model_fields:
-                    known_name(kind, getattr(table, key), known, section)
             found[name] = table.build(name, mesh, mechanism)
     return found
 
@@ -248,8 +235,5 @@ def with_measured(
     for name, value in measured.items():
         with under(name):
             known_name("effector", name, effectors, "[effectors]")
-            unit = effectors[name].rows(model.mesh, model.mechanism)[0].unit
-            found[name] = tables[name].measured(
-                effectors[name], value, unit, folder, model.mechanism
-            )
+            found[name] = tables[name].measured(effectors[name], value, folder, model)
     return tuple(found.values())

@@ -3,12 +3,17 @@
 from pathlib import Path
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import Pose
 from softcal_jax.exchange.camera import TagPose, find_photos, tag_pose
-from softcal_jax.project._sensors import FrameTable, MeasuredMotion, OrientationTable
+from softcal_jax.project._sensors import (
+    FrameTable,
+    Motion,
+    MotionSource,
+    OrientationTable,
+)
 from softcal_jax.project._table import Integer, Names, PositiveLength, Table
 
 
@@ -18,7 +23,7 @@ class EarlierPhotosTable(Table):
     photos: Names = Field(description='photographs: "rest/*.jpg"')
 
 
-class PhotosTable(Table):
+class PhotosTable(MotionSource):
     """The pose of a tag on a rigid body, from photographs of it and of a base tag.
 
     `base` of the effector is the frame of the base tag, and `orientation` that of the
@@ -26,7 +31,7 @@ class PhotosTable(Table):
     camera is calibrated.
     """
 
-    photos: Names = Field(description='photographs: "pose1/*.jpg"')
+    photos: Names = Field(description='photographs: "pose1/*.jpg"', min_length=1)
     tag: Integer = Field(description="number of the tag on the rigid body: 3")
     base_tag: Integer = Field(description="number of the tag on the base: 0")
     size: PositiveLength = Field(description='side of the black square: "20 mm"')
@@ -34,14 +39,7 @@ class PhotosTable(Table):
     board: Names = ()
     displacement_from: EarlierPhotosTable | None = None
 
-    @model_validator(mode="after")
-    def _check(self) -> "PhotosTable":
-        if not self.photos:
-            raise ValueError('photos is empty; expected some, like "pose1/*.jpg".')
-        return self
-
     def files(self, folder: Path) -> tuple[Path, ...]:
-        """List all photographs."""
         earlier = self.displacement_from
         more = () if earlier is None else earlier.photos
         return find_photos([*self.photos, *more, *self.board], folder)
@@ -52,13 +50,8 @@ class PhotosTable(Table):
         base: FrameTable,
         mounted: OrientationTable,
         rest: Float[HostArray, "3"],
-    ) -> MeasuredMotion:
-        """Compute the motion of a rigid body from the pose of the tag on it.
-
-        It is the motion from rest, or with `displacement_from` between two poses, so
-        that it does not matter exactly where the tag was glued. Arguments as for
-        `SensorPoseTable.motion`.
-        """
+    ) -> Motion:
+        """Compute the motion from the pose of the tag in the frame of the base tag."""
         own = self._pose(folder, self.photos)
         turn, covariance = base.pose.matrix, own.covariance
         position = turn @ own.position + base.pose.translation
@@ -73,10 +66,8 @@ class PhotosTable(Table):
             change[3:, 3:] = own.rotation @ earlier.rotation.T
             covariance = covariance + change @ earlier.covariance @ change.T
         axes = np.kron(np.eye(2), turn)
-        return MeasuredMotion(
-            Pose.from_matrix(rotation @ mounting.T, position - before),
-            axes @ covariance @ axes.T,
-        )
+        motion = Pose.from_matrix(rotation @ mounting.T, position - before)
+        return motion, axes @ covariance @ axes.T
 
     def _pose(self, folder: Path, photos: tuple[str, ...]) -> TagPose:
         return tag_pose(
