@@ -8,7 +8,6 @@ import contextlib
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-import numpy as np
 from pydantic import Field, field_validator
 
 from softcal_jax.actuators import (
@@ -120,16 +119,6 @@ class MotorTable(ActuatorTable):
     asked = 'its torque, like "50 N*mm", or its angle, like "30 deg"'
     type: Literal["motor"]
     body: str = Field(description='the rigid body that it turns, with a hinge: "arm"')
-
-    def imposed(self, value: Any) -> ImposedForce | ImposedDisplacement:
-        """Parse a torque or an angle; see `ActuatorTable`."""
-        found = super().imposed(value)
-        if isinstance(found, ImposedDisplacement) and abs(found.value) > np.pi:
-            raise ValueError(
-                f"got {shown(value)}; a motor turns by half a turn at most, -180 to "
-                "180 deg."
-            )
-        return found
 
 
 class ForceActuatorTable(ActuatorTable):

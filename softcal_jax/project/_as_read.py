@@ -15,14 +15,9 @@ _NAMES = ("name", "displacement_from", "recording")
 
 
 class QuantityAsRead(NamedTuple):
-    """A quantity of a project file.
+    """A quantity of a project file: in "material", "material.E" is one, as typed.
 
-    Attributes:
-        table: The table or list that it stands in, like "material".
-        key: Its whole key, like "material.E".
-        typed: Its text in the file.
-        values: One number or three, in SI units.
-        unit: That unit.
+    Its values are one number or three in its SI unit.
     """
 
     table: str
@@ -44,9 +39,6 @@ class QuantityAsRead(NamedTuple):
 
 def quantities_as_read(path: str | os.PathLike[str]) -> tuple[QuantityAsRead, ...]:
     """List every text with a unit in a project file, in the order of the file.
-
-    Args:
-        path: A project file that `load_project` accepts.
 
     Raises:
         FileNotFoundError: If there is no such file.

@@ -28,7 +28,6 @@ class MotionTable(Table):
 
     @property
     def pose(self) -> Pose:
-        """The motion as a `Pose`."""
         return Pose(self.translation, self.rotation_vector)
 
 
@@ -54,7 +53,6 @@ class BodyTable(Table):
         return self
 
     def build(self, name: str) -> RigidBody:
-        """Build the rigid body."""
         axes = None if self.axes is None else np.array(self.axes)
         return RigidBody(
             name=name,
@@ -70,19 +68,6 @@ class BodyStateTable(MotionTable):
     """State of a rigid body in one configuration."""
 
     state: Literal["held", "hinged", "free"] = "held"
-
-    @model_validator(mode="after")
-    def _check(self) -> "BodyStateTable":
-        if self.state == "free" and (any(self.translation + self.rotation_vector)):
-            raise ValueError(
-                'state = "free" has no pose; to hold the body there, leave `state` out.'
-            )
-        if self.state == "hinged" and any(self.rotation_vector):
-            raise ValueError(
-                'state = "hinged" turns as the balance has it; leave `rotation_vector` '
-                "out, or hold the body by leaving `state` out."
-            )
-        return self
 
 
 State = TableOr[BodyStateTable, Literal["held", "hinged", "free"]]

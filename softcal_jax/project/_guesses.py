@@ -14,13 +14,7 @@ _GUESS = re.compile(rf"(?P<text>.*?)\s*{CHANGE}(?P<remark>.+)")
 
 
 class Guess(NamedTuple):
-    """A line of a project file with a guess.
-
-    Attributes:
-        line: Its number, from 1.
-        text: What it says, without the remark.
-        remark: What is to be changed or confirmed.
-    """
+    """A line of a project file, from 1, and the remark on what is to be confirmed."""
 
     line: int
     text: str

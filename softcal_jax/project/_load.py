@@ -11,10 +11,7 @@ from softcal_jax._process import check_process
 from softcal_jax.actuators import AbstractActuator
 from softcal_jax.bodies import RigidBody
 from softcal_jax.calibration import CalibrationSettings, ProjectSource
-from softcal_jax.configurations import (
-    build_mechanism,
-    configuration_arrays,
-)
+from softcal_jax.configurations import build_mechanism, configuration_arrays
 from softcal_jax.equilibrium import Model, NewtonSettings, build_model
 from softcal_jax.fields import check_parameters
 from softcal_jax.mesh import TetMesh
@@ -24,7 +21,7 @@ from softcal_jax.project._guesses import CHANGE, guesses_left
 from softcal_jax.project._parameters import build_space
 from softcal_jax.project._photos import PhotosTable
 from softcal_jax.project._plausibility import ProjectWarning, implausible
-from softcal_jax.project._problems import WrongKeyError, in_file, under
+from softcal_jax.project._problems import in_file, under
 from softcal_jax.project._project import Project
 from softcal_jax.project._reading import (
     MeshTables,
@@ -89,19 +86,17 @@ def load_mesh(path: str | os.PathLike[str]) -> TetMesh:
 
 def _warn(project: Project) -> None:
     """Warn of guesses, and of numbers that are probably a slip of a unit."""
-    guesses = guesses_left(project.path)
-    if guesses:
-        n = len(guesses)
-        many = f"{n} lines hold a guess" if n > 1 else "one line holds a guess"
-        text = (
-            f"{project.path}: {many} that nobody has confirmed, of `softcal new`: what "
-            f'is found with them means little. They have a remark "{CHANGE}..."; '
-            "`softcal check` lists them."
-        )
-        warnings.warn(text, ProjectWarning, stacklevel=3)
     posed = {f"configurations.{c.name}": c for c in project.configurations}
     posed |= {f"candidates.{c.name}": c for c in project.candidates}
-    for line in implausible(project.model, posed):
+    lines = [*implausible(project.model, posed)]
+    guesses = guesses_left(project.path)
+    if guesses:
+        lines.append(
+            f"lines that hold a guess of `softcal new` that nobody has confirmed: "
+            f"{len(guesses)}. What is found with them means little. They have a remark "
+            f'"{CHANGE}..."; `softcal check` lists them.'
+        )
+    for line in lines:
         warnings.warn(f"{project.path}: {line}", ProjectWarning, stacklevel=3)
 
 
@@ -117,14 +112,14 @@ def _built(
             model = space.model_with(model, {q.name: q.start for q in space.parameters})
     found = _configurations(path.parent, table, model)
     posed = found["configurations"]
+    with_role = list(zip(posed, table.configurations, strict=True))
     of_role = lambda role: tuple(
-        configuration
-        for (configuration, *_), own in zip(posed, table.configurations, strict=True)
-        if own.role == role
+        built.configuration for built, own in with_role if own.role == role
     )
-    own = {"noise", "starts", "seed", "intervals", "precision"}
+    own = {"noise", "starts", "seed", "precision"}
     with under("settings"):
-        given = table.settings.model_dump(exclude=own, exclude_none=True)
+        others = own | {"intervals"}
+        given = table.settings.model_dump(exclude=others, exclude_none=True)
         settings = CalibrationSettings(**given)
     with under("newton"):
         given = table.newton.model_dump(exclude={"solver"}, exclude_none=True)
@@ -136,8 +131,9 @@ def _built(
         space=space,
         calibration=of_role("calibration"),
         validation=of_role("validation"),
-        candidates=tuple(own.configuration for own in found["candidates"]),
+        candidates=tuple(built.configuration for built in found["candidates"]),
         **table.settings.model_dump(include=own),
+        intervals=table.settings.intervals or None,
         uncertain=table.uncertain.build(),
         settings=settings,
         newton=newton,
@@ -212,12 +208,11 @@ def _configurations(
                 posed = [own.configuration for own in built]
                 configuration_arrays(model.mesh, posed, model.mechanism)
     names = {own.name for own in table.configurations}
-    for candidate in table.candidates:
-        if candidate.name in names:
-            raise WrongKeyError(
-                "candidates",
-                f"{candidate.name!r} is a configuration already; give the candidate a "
-                "name of its own.",
+    with under("candidates"):
+        for name in (own.name for own in table.candidates if own.name in names):
+            raise ValueError(
+                f"{name!r} is a configuration already; give the candidate a name of "
+                "its own."
             )
     return found
 

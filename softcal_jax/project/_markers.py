@@ -1,6 +1,7 @@
 """Tables of a project file that make markers and their measured positions."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -58,14 +59,12 @@ class MarkersTable(Table):
         names = tuple(self.positions) if names is None else tuple(names)
         if not names:
             raise ValueError("the list of markers is empty; leave it out to use all.")
-        own = [self._entry(name).std for name in names]
-        every = self.std is not None or any(std is not None for std in own)
-        usual = STD if self.std is None else self.std
-        stated = {"std": np.array([usual if s is None else s for s in own])}
+        stds = [self._entry(name).std or self.std or STD for name in names]
+        stated = {} if all(std is STD for std in stds) else {"std": np.array(stds)}
         return Markers(
             names=names,
             positions=self.positions_of(names),
-            **(stated if every else {}),
+            **stated,
             **self.model_dump(include={"axes", "max_distance", "base_radius"}),
         )
 
@@ -91,19 +90,19 @@ class RegistrationTable(Table):
 
 
 class MeasuredMarkers(NamedTuple):
-    """What was measured of the markers of a configuration.
+    """The markers of a configuration, and what was measured of them.
 
     Attributes:
+        markers: The markers; their deviations hold the scatter of a recording if asked.
         positions: Positions in the frame of the mesh [m].
-        std: Standard deviations, where the scatter of a recording counts [m].
         registration: Registration of the frame of the cameras, if there is one.
         traces: The recording and its windows, if it is one.
     """
 
-    positions: Float[HostArray, "n_markers 3"]
-    std: Float[HostArray, "n_markers 3"] | None
-    registration: Registration | None
-    traces: Traces | None
+    markers: Markers | None = None
+    positions: Float[HostArray, "n_markers 3"] | None = None
+    registration: Registration | None = None
+    traces: Traces | None = None
 
 
 class MeasuredTable(DialectTable):
@@ -209,17 +208,16 @@ class MeasuredTable(DialectTable):
             start = None if start is None else registration.apply(start)
         if start is not None:
             loaded = markers.positions + (loaded - start)
-        std = traces = None
+        traces = None
         if self.scatter:
-            parts = ("select", "displacement_from")
-            seen = [
-                windows[key].covariances_of(names) for key in parts if key in windows
-            ]
+            parts = [key for key in windows if key != "registration.select"]
+            seen = [windows[key].covariances_of(names) for key in parts]
             std = _with_scatter(markers, R @ np.sum(seen, axis=0) @ R.T)
+            markers = replace(markers, std=std)
         if recording is not None:
             times = {key: own.window for key, own in windows.items() if own.window}
             traces = Traces(recording, times, names)
-        return MeasuredMarkers(loaded, std, registration, traces)
+        return MeasuredMarkers(markers, loaded, registration, traces)
 
     def _positions(
         self, table: MarkerTable, names: Sequence[str]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, Field, field_validator, model_validator
+from pydantic import BaseModel, Field, model_validator
 
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.exchange.cad import CAD_FORMATS, mesh_cad
@@ -51,7 +51,6 @@ class _MeshTable(Table):
 
     @property
     def order(self) -> int:
-        """Order of the shape functions."""
         return 2 if self.element == "quadratic" else 1
 
     @abstractmethod
@@ -79,7 +78,6 @@ class MeshFileTable(_MeshTable):
     parts: Literal["one", "linked"] = "one"
 
     def build(self, folder: Path) -> TetMesh:
-        """Read the mesh."""
         return read_mesh(
             folder / self.file,
             length_unit=self.length_unit,
@@ -89,11 +87,9 @@ class MeshFileTable(_MeshTable):
         )
 
     def files(self, folder: Path) -> tuple[Path, ...]:
-        """List the file, and those that it includes."""
         return mesh_files(folder / self.file)
 
     def tet_data(self, folder: Path, name: str) -> Float[HostArray, "n_tets _"]:
-        """Read an array of the file with values for each tet."""
         return read_tet_data(folder / self.file, name)
 
 
@@ -103,7 +99,6 @@ class CadMeshTable(_MeshTable):
     length_unit: LengthUnit | None = None
 
     def build(self, folder: Path) -> TetMesh:
-        """Mesh the CAD model."""
         return mesh_cad(
             folder / self.file,
             size=self.size,
@@ -112,7 +107,6 @@ class CadMeshTable(_MeshTable):
         )
 
     def files(self, folder: Path) -> tuple[Path, ...]:
-        """List the CAD model."""
         return (folder / self.file,)
 
 
@@ -131,7 +125,6 @@ class BeamMeshTable(_MeshTable):
     beam: BeamTable
 
     def build(self, folder: Path) -> TetMesh:
-        """Build the mesh."""
         del folder
         options = self.beam.model_dump(exclude={"size"})
         return beam(*self.beam.size, order=self.order, **options)
@@ -192,18 +185,10 @@ class _SurfaceTable(Table):
 
 class FaceTable(_SurfaceTable):
     points: tuple[Position, ...] = Field(
-        description='a point on each face: ["(0, 5, 0) mm"]'
+        description='a point on each face: ["(0, 5, 0) mm"]', min_length=1
     )
 
-    @field_validator("points")
-    @classmethod
-    def _check_points(cls, value: tuple) -> tuple:
-        if not value:
-            raise ValueError('got no point; expected one or more, ["(0, 5, 0) mm"].')
-        return value
-
     def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
-        """Find the faces at the points."""
         found = [select_face(mesh, np.array(point)) for point in self.points]
         return np.unique(np.concatenate(found), axis=0)
 
@@ -214,7 +199,6 @@ class ReachableTable(_SurfaceTable):
     stop_at: Names = ()
 
     def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
-        """Find the faces that are reached from the point."""
         start = np.array(self.point)
         return select_reachable(mesh, start, angle=self.angle, stop_at=self.stop_at)
 

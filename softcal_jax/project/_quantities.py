@@ -15,13 +15,9 @@ if TYPE_CHECKING:
 
 
 class Dimension(NamedTuple):
-    """Physical dimension of a quantity.
+    """Physical dimension of a quantity, whose parsed number has the unit `si`.
 
-    Attributes:
-        name: Its name in messages, with the article.
-        si: SI unit of the parsed number.
-        example: A value as a user would write it.
-        usual: Units to suggest for a misspelt one.
+    The rest is for messages; `usual` units are suggested for a misspelt one.
     """
 
     name: str
@@ -128,8 +124,8 @@ def _factor(unit: str, dimension: Dimension, value: str) -> float:
         raise ValueError(
             f'"{value}": unknown unit "{unit}"; {expected}.{hint}'
         ) from error
-    fits = one.is_compatible_with(dimension.si)
-    if not fits or (dimension is ANGLE and str(one.units) not in _ANGLES):
+    angle = dimension is not ANGLE or str(one.units) in _ANGLES
+    if not (angle and one.is_compatible_with(dimension.si)):
         # "kP" is no slip to pint, which knows the kilopoise.
         raise ValueError(misfit + suggestion(unit, dimension.usual, quote='"'))
     return float(one.to(dimension.si).magnitude)
@@ -149,25 +145,17 @@ class RecognisedQuantity(NamedTuple):
 
 def recognised(text: str) -> RecognisedQuantity | None:
     """Read a text as a quantity of any dimension that a file may have; None if not."""
-    vector = _VECTOR.fullmatch(text)
-    match = vector or _SCALAR.fullmatch(text)
+    match = _VECTOR.fullmatch(text) or _SCALAR.fullmatch(text)
     if match is None or not match[2]:
         return None
     numbers = [part.strip() for part in match[1].split(",")]
     if not all(re.fullmatch(_NUMBER, number) for number in numbers):
         return None
-    found = _dimension_and_factor(match[2])
-    if found is None:
-        return None
-    dimension, factor = found
-    return RecognisedQuantity(tuple(factor * float(n) for n in numbers), dimension.si)
-
-
-@functools.cache
-def _dimension_and_factor(unit: str) -> tuple[Dimension, float] | None:
     for dimension in (*OF_UNIT.values(), ACCELERATION, TIME, MASS):
         with contextlib.suppress(ValueError):
-            return dimension, _factor(unit, dimension, unit)
+            factor = _factor(match[2], dimension, text)
+            values = tuple(factor * float(number) for number in numbers)
+            return RecognisedQuantity(values, dimension.si)
     return None
 
 
@@ -193,10 +181,10 @@ def parse_scalar(value: Any, dimension: Dimension) -> float:
     )
 
 
-def parse_number(value: Any, example: str = "0.45") -> float:
+def parse_number(value: Any) -> float:
     """Parse a number without a unit."""
     if not is_number(value):
-        raise ValueError(f"got {shown(value)}; expected a number, like {example}.")
+        raise ValueError(f"got {shown(value)}; expected a number, like 0.45.")
     return float(value)
 
 
@@ -212,8 +200,7 @@ def parse_in_si(value: Any, unit: str) -> float:
 def parse_vector(value: Any, dimension: Dimension) -> tuple[float, float, float]:
     """Parse three quantities: "(0, 15, 36) mm" or ["0 mm", "15 mm", "36 mm"]."""
     unit = dimension.example.split()[-1]
-    example = f'"(0, 0, -1) {unit}"'
-    expected = f"expected three numbers with a unit, like {example}"
+    expected = f'expected three numbers with a unit, like "(0, 0, -1) {unit}"'
     if isinstance(value, list):
         parts = [parse_scalar(part, dimension) for part in value]
     else:
@@ -258,18 +245,19 @@ def vector(
     return parse
 
 
+_WITHIN = {
+    "any": (lambda x: True, ""),
+    "finite": (math.isfinite, ""),
+    "not negative": (lambda x: 0.0 <= x < math.inf, ", zero or more"),
+    "positive": (lambda x: 0.0 < x < math.inf, " above zero"),
+}
+
+
 def _check_size(numbers: Iterable[float], size: Size, value: Any) -> None:
     """Raise ValueError unless all numbers are of a size; `value` is what was typed."""
-    if size == "any":
-        return
-    words = {"finite": "", "not negative": ", zero or more", "positive": " above zero"}
-    within = {
-        "finite": lambda x: True,
-        "not negative": lambda x: x >= 0.0,
-        "positive": lambda x: x > 0.0,
-    }
-    if not all(math.isfinite(number) and within[size](number) for number in numbers):
-        raise ValueError(f"got {shown(value)}; expected a finite value{words[size]}.")
+    within, words = _WITHIN[size]
+    if not all(map(within, numbers)):
+        raise ValueError(f"got {shown(value)}; expected a finite value{words}.")
 
 
 def parse_direction(value: Any) -> tuple[float, float, float]:

@@ -3,7 +3,6 @@
 The description of a key is also the text of the message if the key is missing.
 """
 
-import math
 from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from pathlib import Path
@@ -11,7 +10,6 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from softcal_jax._names import listed
 from softcal_jax.calibration import LEVEL, check_starts
 from softcal_jax.fields import PRECISION
 from softcal_jax.project._actuators import AnyActuator
@@ -33,7 +31,6 @@ from softcal_jax.project._problems import (
     known_here,
     one_by_one,
 )
-from softcal_jax.project._quantities import shown
 from softcal_jax.project._setup import AnySetup
 from softcal_jax.project._table import Flag, Integer, Number, Table
 from softcal_jax.project._toml import read_toml
@@ -46,9 +43,7 @@ M = TypeVar("M", bound=Material)
 class SettingsTable(Table):
     """Settings of the calibration; missing ones keep their defaults.
 
-    Attributes:
-        starts: Number of starts; by default see `default_starts`.
-        intervals: Level of the intervals; 0 for none.
+    Without `starts` see `default_starts`, and 0 `intervals` are none.
     """
 
     noise: Literal["estimated", "stated"] = "estimated"
@@ -59,25 +54,9 @@ class SettingsTable(Table):
     damping: Number | None = None
     starts: Integer | None = None
     seed: Annotated[Integer, Field(ge=0)] = 0
-    intervals: Number | None = LEVEL
-    precision: Number = PRECISION
+    intervals: Annotated[Number, Field(ge=0, lt=1)] = LEVEL
+    precision: Annotated[Number, Field(gt=0, allow_inf_nan=False)] = PRECISION
     adapt: Flag | None = None
-
-    @field_validator("intervals")
-    @classmethod
-    def _check_intervals(cls, value: float | None) -> float | None:
-        if value is not None and not 0.0 <= value < 1.0:
-            raise ValueError(
-                f"got {value:g}; expected a level like 0.95, or 0 for none."
-            )
-        return value or None
-
-    @field_validator("precision")
-    @classmethod
-    def _check_precision(cls, value: float) -> float:
-        if not 0.0 < value < math.inf:
-            raise ValueError(f"got {value:g}; expected a share like 0.1, for 10 %.")
-        return value
 
     @field_validator("starts")
     @classmethod
@@ -87,24 +66,13 @@ class SettingsTable(Table):
 
 
 class NewtonTable(Table):
-    """Settings of the equilibrium; missing ones keep their defaults.
-
-    Attributes:
-        solver: Sparse solver of its linear systems, see `build_model`.
-    """
+    """Settings of the equilibrium, with the `solver` of `build_model`."""
 
     rtol: Number | None = None
     max_steps: Integer | None = None
     max_steps_per_load: Integer | None = None
     smallest_load_step: Number | None = None
     solver: Literal["pardiso", "klu", "pardiso-host"] | None = None
-
-    @field_validator("solver", mode="before")
-    @classmethod
-    def _check_solver(cls, name: str | None) -> str | None:
-        if name in ("auto", "multigrid"):
-            raise ValueError(f"{name!r} was removed: leave solver out.")
-        return name
 
 
 class MeshTables(Table):
@@ -138,38 +106,18 @@ class ProjectTable(Table, Generic[M]):
     settings: SettingsTable = SettingsTable()
     newton: NewtonTable = NewtonTable()
 
-    @field_validator("configurations", "candidates")
-    @classmethod
-    def _check_names(cls, posed: tuple[CandidateTable, ...], info: Any) -> Any:
-        places: dict[str, list[str]] = {}
-        for i, own in enumerate(posed, start=1):
-            places.setdefault(own.name, []).append(f"{info.field_name}[{i}]")
-        for name, where in places.items():
-            if len(where) > 1:
-                raise ValueError(
-                    f'"{name}" is the name of {listed(where)}, counted from 1; give '
-                    "each a name of its own."
-                )
-        return posed
-
     @field_validator("control_points", mode="before")
     @classmethod
     def _check_named(cls, sets: Any) -> Any:
         if not isinstance(sets, dict):
             return sets
-        known = ControlPointsTable.model_fields
-        for name, points in sets.items():
-            if name not in known and not isinstance(points, dict):
-                own = f'"{name}" = {shown(points)}'
-                raise ValueError(
-                    f"got {own}; expected sets of control points, each with a name: "
-                    f"write [control_points.ends] and below positions = {{ {own} }}, "
-                    'and control_points = "ends" in [[parameters]].'
-                )
-        if "positions" in sets and set(sets) <= set(known):
+        loose = [k for k, points in sets.items() if not isinstance(points, dict)]
+        if loose or set(sets) == {"positions"}:
             raise ValueError(
-                "a set of control points needs a name: write [control_points.ends], "
-                'and control_points = "ends" in [[parameters]].'
+                f"got {', '.join(loose or sets)}; a set of control points needs a "
+                "name: write [control_points.ends] and below positions = "
+                '{ tip = "(0, 0, 0) mm" }, and control_points = "ends" in '
+                "[[parameters]]."
             )
         return sets
 

@@ -2,7 +2,16 @@
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_args
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    Protocol,
+    TypeVar,
+    get_args,
+    runtime_checkable,
+)
 
 from pydantic import (
     BaseModel,
@@ -109,11 +118,8 @@ def _as_error(details: ErrorDetails, text: str) -> ErrorDetails:
 class Maker(Table):
     """A table that makes an object; its keys except `type` are the arguments in order.
 
-    What the table is for stands in the class that it `makes`.
-
-    Attributes:
-        makes: What it makes.
-        by_name: Keys that are arguments by name instead.
+    Keys `by_name` are arguments by name instead. What the table is for stands in the
+    class that it `makes`.
     """
 
     makes: ClassVar[type[Any]]
@@ -216,3 +222,19 @@ def _as_table(value: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise ValueError(f"got {shown(value)}; expected a table.")
     return value
+
+
+@runtime_checkable
+class WholeFile(Protocol):
+    """What tables ask of `ProjectTable`, which is made of them."""
+
+    material: Any
+    bodies: dict[str, Any]
+    actuators: dict[str, Any]
+    control_points: dict[str, Any]
+    parameters: tuple[Any, ...]
+    setup: tuple[Any, ...]
+    parameter_space: Any
+    markers: Any
+    effectors: dict[str, Any]
+    configurations: tuple[Any, ...]

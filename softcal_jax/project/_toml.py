@@ -15,14 +15,11 @@ Keys = tuple[str | int, ...]
 def read_toml(path: Path, what: str) -> dict[str, Any]:
     """Read a TOML file, and check that none of its texts would act on a terminal.
 
-    Args:
-        path: The file.
-        what: What it is, for messages: "project file".
+    Messages say `what` it is, like "project file".
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ProjectError: If it is no file of a disk or too large, is not TOML, or has
-            control characters.
+        ProjectError: If it is too large, no TOML, or has control characters.
     """
     try:
         check_file(path, what)

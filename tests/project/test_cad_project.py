@@ -134,7 +134,7 @@ def test_a_sealed_chamber(path):
         ),
         (
             ('["(0, -400, -400) mm"]', "[]"),
-            "groups.base.face.points: got no point",
+            "groups.base.face.points: got [] ... 1",
         ),
         (
             ('["(0, -400, -400) mm"]', '["(0, -400, -400) cm"]'),
