@@ -21,7 +21,7 @@ from softcal_jax.configurations._configuration import (
     measured_at_rest,
     shared_names,
 )
-from softcal_jax.configurations._csv_table import CsvTable, read_table
+from softcal_jax.configurations._csv_table import read_table
 from softcal_jax.configurations._effector import AbstractEffector, AbstractScalar
 from softcal_jax.configurations._effector_arrays import EffectorRecord
 from softcal_jax.configurations._effectors import (
@@ -32,7 +32,7 @@ from softcal_jax.configurations._effectors import (
     Centroid,
     SupportReaction,
 )
-from softcal_jax.configurations._far import FarPoint, farthest, motions
+from softcal_jax.configurations._far import farthest, motions
 from softcal_jax.configurations._loads import (
     AbstractLoad,
     EdgeForce,
@@ -58,11 +58,7 @@ from softcal_jax.configurations._recording_file import (
 )
 from softcal_jax.configurations._registration import Registration, register
 from softcal_jax.configurations._supports import Support
-from softcal_jax.configurations._tracker import (
-    TrackerWarning,
-    read_polhemus,
-    read_poses,
-)
+from softcal_jax.configurations._tracker import read_polhemus, read_poses
 from softcal_jax.configurations._values import Unstated
 from softcal_jax.configurations._wide_table import read_wide_table
 
@@ -82,11 +78,9 @@ __all__ = [
     "Configuration",
     "ConfigurationArrays",
     "ConfigurationLanes",
-    "CsvTable",
     "EdgeForce",
     "EffectorArrays",
     "EffectorRecord",
-    "FarPoint",
     "ImposedDisplacement",
     "ImposedForce",
     "MarkerTable",
@@ -103,7 +97,6 @@ __all__ = [
     "SurfaceForce",
     "SurfaceTraction",
     "Traces",
-    "TrackerWarning",
     "Unstated",
     "actuation_arrays",
     "average_poses",

@@ -71,19 +71,14 @@ def actuation_arrays(
                 f"{own} has no displacement that could be imposed; give "
                 f"ImposedForce(...) [{kind.force_unit}]."
             )
-        if not np.isfinite(asked.value):
+        turns, pulls = motor[a] and imposed, kind.unilateral and not imposed
+        low = -np.pi if turns else 0.0 if pulls else -np.inf
+        high = np.pi if turns else np.inf
+        if not (np.isfinite(asked.value) and low <= asked.value <= high):
             raise ValueError(
-                f"{own} needs a finite number [{unit}], got {asked.value}."
-            )
-        if kind.unilateral and not imposed and asked.value < 0.0:
-            raise ValueError(
-                f"{own} has the force {asked.value:g} {unit}: it only pulls, so the "
-                "force must not be negative."
-            )
-        if motor[a] and imposed and abs(asked.value) > np.pi:
-            raise ValueError(
-                f"{own} turns by {asked.value:g} rad, expected -pi to pi: angles are "
-                "in radians (np.deg2rad turns degrees into them)."
+                f"{own} has the value {asked.value:g} {unit}; expected a finite one, "
+                "not negative where it only pulls, and from -pi to pi for an angle "
+                "(np.deg2rad turns degrees into radians)."
             )
         if asked.releasing and not actuators.has_friction[a]:
             raise ValueError(

@@ -1,7 +1,6 @@
 """Poses of the sensors of a 6-D tracker from its text export."""
 
 import os
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -11,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from softcal_jax._names import METRES, unknown_name
 from softcal_jax._text import shortened
 from softcal_jax._typing import Float, HostArray
-from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.configurations._csv_table import (
     CsvTable,
     check_length_unit,
@@ -24,14 +22,9 @@ from softcal_jax.configurations._pose_table import PoseTable
 _QUATERNION = ["qw", "qx", "qy", "qz"]
 _ANGLES = ("azimuth", "elevation", "roll")
 _RADIANS = {"deg": np.pi / 180.0, "rad": 1.0}
-_STATED = "angle_unit or columns like azimuth_rad"
 
 _UNIT_LENGTH = 1e-3
 """Largest error of a quaternion's length, more than rounding to four digits gives."""
-
-
-class TrackerWarning(SoftcalWarning):
-    """Something in a tracker's file that is probably a mistake."""
 
 
 def read_poses(
@@ -55,9 +48,6 @@ def read_poses(
         FileNotFoundError: If there is no such file.
         ValueError: As for `read_markers`, or if an angle is out of its range or a
             quaternion is not of unit length.
-
-    Warns:
-        TrackerWarning: If angles in degrees look like radians.
     """
     table = read_table(path, "sensor", select, delimiter=delimiter, decimal=decimal)
     columns, metres = coordinates(table, length_unit)
@@ -109,9 +99,6 @@ def read_polhemus(
         FileNotFoundError: If there is no such file.
         ValueError: If a unit is unknown, a line does not hold seven finite numbers, the
             station is not there, or an angle is out of its range.
-
-    Warns:
-        TrackerWarning: If angles in degrees look like radians.
     """
     check_length_unit(length_unit)
     if angle_unit not in _RADIANS:
@@ -201,15 +188,6 @@ def _from_angles(
         raise ValueError(
             f"{path}, line {lines[row]}: the {_ANGLES[k]} is {angles[row, k]:g} "
             f"{unit}, beyond {limits[k]:.4g} {unit}: check the unit of the angles, "
-            f"{_STATED}."
-        )
-    # Numbers that could all be radians, and are too large to ignore.
-    sizes = np.abs(angles).max(axis=0)
-    if unit == "deg" and all(sizes <= [3.142, 1.571, 3.142]) and sizes.max() > 1.0:
-        warnings.warn(
-            f"{path}: every angle lies within half a turn if it is in radians. If they "
-            f"are not degrees, state their unit, {_STATED}.",
-            TrackerWarning,
-            stacklevel=3,
+            "angle_unit or columns like azimuth_deg."
         )
     return Rotation.from_euler("ZYX", angles * _RADIANS[unit]).as_matrix()

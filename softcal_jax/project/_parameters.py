@@ -15,7 +15,7 @@ from softcal_jax.fields import (
     check_names,
 )
 from softcal_jax.project._constants import Constant
-from softcal_jax.project._problems import known_here, known_name, one_of, under
+from softcal_jax.project._problems import known_name, one_of, under
 from softcal_jax.project._quantities import is_number, parse_in_si, shown
 from softcal_jax.project._table import (
     Integer,
@@ -139,18 +139,13 @@ class ParameterTable(Table):
                     f'made, like "{self.field} of CP 1". Leave it out.'
                 )
             return self
-        options = ("interpolation", "sampling", "fixed", "tied", "core")
-        given = [key for key in options if getattr(self, key)]
-        given += [
-            f"a table for `{key}`"
-            for key in ("start", "lower", "upper")
-            if isinstance(getattr(self, key), dict)
-        ]
-        if given:
-            raise ValueError(
-                f"{given[0]} is for control points: name a set of them, like "
-                'control_points = "ends".'
-            )
+        options = {"interpolation", "sampling", "fixed", "tied", "core"}
+        for key, value in self:
+            if value and (key in options or isinstance(value, dict)):
+                raise ValueError(
+                    f"{key} = {shown(value)} is for control points: name a set of "
+                    'them, like control_points = "ends".'
+                )
         return self
 
     def build(self, project: WholeFile) -> Entry:
@@ -233,9 +228,7 @@ def _each(
     if not isinstance(value, dict):
         return [value] * len(names)
     for name in value:
-        if name not in names:
-            known = known_here(name, names)
-            raise ValueError(f"{key} names {name!r}, which is no control point.{known}")
+        known_name("control point", name, names, "[control_points]")
     missing = [name for name in free if name not in value]
     if missing and key != "start":
         raise ValueError(f"{key} has no value for {', '.join(missing)}.")

@@ -42,8 +42,7 @@ class Project(Module):
     Attributes:
         name: Name of the project.
         path: The project file.
-        source: That file and those that it names (mesh, measurements), as they were
-            when they were read.
+        source: That file and those that it names, as they were when they were read.
         model: The model, with the start values of the parameters.
         space: The parameters; None for a file without parameters.
         calibration: Configurations that are fitted.
@@ -58,7 +57,7 @@ class Project(Module):
         settings: Settings of the calibration.
         newton: Settings of the equilibrium.
         registrations: Registrations of the camera frames by configuration.
-        traces: Recordings of markers, with what was used of them, by configuration.
+        traces: Recordings of markers and what was used of them, by configuration.
     """
 
     name: str

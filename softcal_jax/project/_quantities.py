@@ -170,14 +170,10 @@ def parse_scalar(value: Any, dimension: Dimension) -> float:
     if match is not None and match[2]:
         return float(match[1]) * _factor(match[2], dimension, value)
     number = float(match[1]) if match else value
-    if not is_number(number):
-        raise ValueError(
-            f"got {shown(value)}; expected {dimension.name} in quotes, like "
-            f'"{dimension.example}".'
-        )
+    got = f"{number:.15g} has no unit" if is_number(number) else f"got {shown(value)}"
     raise ValueError(
-        f"{number:.15g} has no unit; expected {dimension.name}, in quotes and with its "
-        f'unit, like "{dimension.example}".'
+        f"{got}; expected {dimension.name}, in quotes and with its unit, like "
+        f'"{dimension.example}".'
     )
 
 
@@ -262,16 +258,14 @@ def _check_size(numbers: Iterable[float], size: Size, value: Any) -> None:
 
 def parse_direction(value: Any) -> tuple[float, float, float]:
     """Parse a unit vector from "-z" or [0, 0, -1]."""
-    if isinstance(value, str):
-        axis = re.fullmatch(r"([+-]?)([xyz])", value.strip())
-        if axis is None:
-            raise ValueError(f'got "{value}"; expected "-z" or [0, 0, -1].')
+    axis = isinstance(value, str) and re.fullmatch(r"([+-]?)([xyz])", value.strip())
+    if axis:
         sign = -1.0 if axis[1] == "-" else 1.0
         x, y, z = (sign * (letter == axis[2]) for letter in "xyz")
         return x, y, z
     numbers = value if isinstance(value, list) else []
     if len(numbers) != 3 or not all(map(is_number, numbers)):
-        raise ValueError(f'got {value}; expected "-z" or [0, 0, -1].')
+        raise ValueError(f'got {shown(value)}; expected "-z" or [0, 0, -1].')
     length = math.hypot(*numbers)
     if not 0.0 < length < math.inf:
         raise ValueError(f"got {value}; a direction has a finite length above zero.")

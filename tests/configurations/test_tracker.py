@@ -1,12 +1,10 @@
 """Files of 6-D trackers: what is read, and what is refused with which words."""
 
-import warnings
-
 import numpy as np
 import pytest
 from refusals import refused
 
-from softcal_jax.configurations import TrackerWarning, read_polhemus, read_poses
+from softcal_jax.configurations import read_polhemus, read_poses
 
 HEADER = "sensor,x_mm,y_mm,z_mm,azimuth_deg,elevation_deg,roll_deg\n"
 QUATERNIONS = "sensor,x_m,y_m,z_m,qw,qx,qy,qz\n"
@@ -122,18 +120,6 @@ def test_degrees_under_a_header_of_radians(table):
         read_poses(table(HEADER.replace("deg", "rad") + "s,0,0,0,0,0,45\n"))
 
 
-def test_radians_under_a_header_of_degrees(table):
-    with pytest.warns(TrackerWarning, match="are not degrees, .* columns like azi"):
-        read_poses(table(HEADER + "s,0,0,0,1.57,0,0\ns,0,0,0,-3.1,0.2,0.1\n"))
-
-
-@pytest.mark.parametrize("angles", ["0.9,0.1,-0.3", "1.57,0,3.2", "0,1.6,0"])
-def test_small_angles_are_not_suspect(table, angles):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        read_poses(table(HEADER + f"s,0,0,0,{angles}\n"))
-
-
 def test_unknown_sensor(table):
     poses = read_poses(table(HEADER + "tip,0,0,0,0,0,0\nbase,0,0,0,0,0,0\n"))
     with refused("'tp' ... mean 'tip' ... tip, base"):
@@ -178,8 +164,6 @@ def test_polhemus_in_radians(table):
     angles = np.rad2deg([1.5, -0.5, 0.2])
     expected = R("z", angles[0]) @ R("y", angles[1]) @ R("x", angles[2])
     np.testing.assert_allclose(poses.rotations[0], expected, atol=1e-15)
-    with pytest.warns(TrackerWarning, match="are not degrees, .*angle_unit"):
-        read_polhemus(table(text), length_unit="cm")
 
 
 @pytest.mark.parametrize(

@@ -116,7 +116,7 @@ CASES = {
     ),
     "start of an unknown point": (
         ('{ "CP 2" = "0.6 MPa" }', '{ "CP 3" = "0.6 MPa" }'),
-        "parameters.E_t: ... 'CP 3' ... mean \"CP 2\" ... CP 1, CP 2",
+        'parameters.E_t: ... "CP 3" ... mean "CP 2" ... CP 1, CP 2',
     ),
     "start in a wrong unit": (
         ('{ "CP 2" = "0.6 MPa" }', '{ "CP 2" = "0.6 mm" }'),
@@ -146,7 +146,7 @@ CASES = {
     ),
     "fixed without control points": (
         (f'{E_L}control_points = "ends"', f'{E_L}fixed = {{ "CP 1" = "1 kPa" }}'),
-        "parameters.E_l: fixed is for control points",
+        "parameters.E_l: ... fixed ... control points",
     ),
     "fixed, but no table": (
         (E_L, f'{E_L}fixed = "1 kPa"\n'),
