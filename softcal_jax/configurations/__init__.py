@@ -23,7 +23,11 @@ from softcal_jax.configurations._configuration import (
 )
 from softcal_jax.configurations._csv_table import read_table
 from softcal_jax.configurations._effector import AbstractEffector, AbstractScalar
-from softcal_jax.configurations._effector_arrays import EffectorRecord
+from softcal_jax.configurations._effector_arrays import (
+    EffectorRecord,
+    farthest,
+    motions,
+)
 from softcal_jax.configurations._effectors import (
     ActuatorDisplacement,
     ActuatorForce,
@@ -32,7 +36,6 @@ from softcal_jax.configurations._effectors import (
     Centroid,
     SupportReaction,
 )
-from softcal_jax.configurations._far import farthest, motions
 from softcal_jax.configurations._loads import (
     AbstractLoad,
     EdgeForce,

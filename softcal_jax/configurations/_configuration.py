@@ -31,11 +31,15 @@ from softcal_jax.configurations._effector_arrays import (
     stack_effectors,
 )
 from softcal_jax.configurations._effectors import BodyFrame, Centroid
-from softcal_jax.configurations._held import check_apart, check_held, motors_of
 from softcal_jax.configurations._loads import AbstractLoad
 from softcal_jax.configurations._markers import Markers, marker_rows
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
-from softcal_jax.configurations._supports import Support
+from softcal_jax.configurations._supports import (
+    Support,
+    check_apart,
+    check_held,
+    motors_of,
+)
 from softcal_jax.configurations._values import (
     Unstated,
     optional_floats,

@@ -7,9 +7,13 @@ from softcal_jax.project._goals import (
     limits_as_typed,
     with_goals_as_typed,
 )
-from softcal_jax.project._guesses import CHANGE, Guess, guesses_left
 from softcal_jax.project._load import load_mesh, load_project
-from softcal_jax.project._plausibility import ProjectWarning
+from softcal_jax.project._plausibility import (
+    CHANGE,
+    Guess,
+    ProjectWarning,
+    guesses_left,
+)
 from softcal_jax.project._problems import ProjectError, at, one_by_one, suggestion
 from softcal_jax.project._project import Project
 from softcal_jax.project._quantities import parse_in_si

@@ -20,14 +20,13 @@ from softcal_jax.configurations import (
     Traces,
 )
 from softcal_jax.equilibrium import Model
-from softcal_jax.project._actuators import build_actuation
-from softcal_jax.project._bodies import State, build_states
 from softcal_jax.project._effectors import Effectors, with_measured
 from softcal_jax.project._markers import (
     MarkersTable,
     MeasuredMarkers,
     MeasuredTable,
 )
+from softcal_jax.project._mechanism import State, build_actuation, build_states
 from softcal_jax.project._problems import WrongKeyError, known_name, under
 from softcal_jax.project._table import (
     Acceleration,

@@ -26,7 +26,6 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project._photos import PhotosTable
 from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._quantities import (
     dimension_of,
@@ -39,6 +38,7 @@ from softcal_jax.project._sensors import (
     FrameTable,
     MotionSource,
     OrientationTable,
+    PhotosTable,
     PolhemusFileTable,
     PoseFileTable,
     WrittenPoseTable,

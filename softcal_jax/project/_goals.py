@@ -17,8 +17,8 @@ from softcal_jax.configurations import (
     ImposedForce,
 )
 from softcal_jax.control import Limits
-from softcal_jax.project._actuators import ActuatorTable
 from softcal_jax.project._effectors import EffectorTable, build_effectors
+from softcal_jax.project._mechanism import ActuatorTable
 from softcal_jax.project._problems import under
 from softcal_jax.project._project import Project
 from softcal_jax.project._quantities import LENGTH, parse_vector

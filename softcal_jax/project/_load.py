@@ -17,10 +17,13 @@ from softcal_jax.fields import check_parameters
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project._configurations import Built, build_configuration
 from softcal_jax.project._effectors import build_effectors
-from softcal_jax.project._guesses import CHANGE, guesses_left
 from softcal_jax.project._parameters import build_space
-from softcal_jax.project._photos import PhotosTable
-from softcal_jax.project._plausibility import ProjectWarning, implausible
+from softcal_jax.project._plausibility import (
+    CHANGE,
+    ProjectWarning,
+    guesses_left,
+    implausible,
+)
 from softcal_jax.project._problems import in_file, under
 from softcal_jax.project._project import Project
 from softcal_jax.project._reading import (
@@ -29,6 +32,7 @@ from softcal_jax.project._reading import (
     read_mesh_tables,
     read_tables,
 )
+from softcal_jax.project._sensors import PhotosTable
 
 
 def load_project(

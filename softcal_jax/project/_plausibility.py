@@ -1,13 +1,18 @@
-"""Numbers of a project that are probably a slip of a unit: one line for each kind.
+"""Numbers of a project that are guesses, or probably a slip of a unit.
 
-None of them is an error: the method does not mind a robot of lead on Jupiter.
+None of the latter is an error: the method does not mind a robot of lead on Jupiter.
 """
 
+import os
+import re
 from collections.abc import Iterator, Mapping
 from itertools import islice
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from softcal_jax._module import one_line
 from softcal_jax._units import readable_values
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.configurations import (
@@ -93,3 +98,30 @@ def _places(model: Model, posed: Mapping[str, Configuration]) -> Iterator[str]:
         far = farthest(own, model.mesh.size)
         if far is not None:
             yield f"{key}.measured: {far.name!r} was measured {far}"
+
+
+CHANGE = "# CHANGE: "
+"""How the remark begins at the end of a line, or before one, that holds a guess."""
+
+_GUESS = re.compile(rf"(?P<text>.*?)\s*{CHANGE}(?P<remark>.+)")
+
+
+class Guess(NamedTuple):
+    """A line of a project file, from 1, and the remark on what is to be confirmed."""
+
+    line: int
+    text: str
+    remark: str
+
+    __repr__ = one_line
+
+
+def guesses_left(path: str | os.PathLike[str]) -> tuple[Guess, ...]:
+    """List the lines of a project file that still have the remark of a guess."""
+    lines = Path(path).read_text(encoding="utf-8").splitlines()
+    found = ((n, _GUESS.match(line)) for n, line in enumerate(lines, start=1))
+    return tuple(
+        Guess(n, match["text"].strip(), match["remark"].strip())
+        for n, match in found
+        if match
+    )

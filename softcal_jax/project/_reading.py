@@ -12,12 +12,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from softcal_jax.calibration import LEVEL, check_starts
 from softcal_jax.fields import PRECISION
-from softcal_jax.project._actuators import AnyActuator
-from softcal_jax.project._bodies import BodyTable
 from softcal_jax.project._configurations import CandidateTable, ConfigurationTable
 from softcal_jax.project._effectors import AnyEffector
 from softcal_jax.project._laws import Material, material_table
 from softcal_jax.project._markers import MarkersTable
+from softcal_jax.project._mechanism import AnyActuator, BodyTable
 from softcal_jax.project._mesh import GroupTable, MeshTable
 from softcal_jax.project._parameters import (
     ControlPointsTable,

@@ -21,7 +21,7 @@ from softcal_jax.fields import (
     mounting,
     recording_offset,
 )
-from softcal_jax.project._actuators import CableTable, MotorTable
+from softcal_jax.project._mechanism import CableTable, MotorTable
 from softcal_jax.project._problems import known_name
 from softcal_jax.project._quantities import (
     ANGLE,

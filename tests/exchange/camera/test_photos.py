@@ -183,8 +183,7 @@ def test_a_project_with_photographs(pose, tmp_path):
 
 def test_motion_between_two_poses(pose, tmp_path):
     """The mounting of the tag cancels, and both covariances count."""
-    from softcal_jax.project._photos import PhotosTable
-    from softcal_jax.project._sensors import FrameTable, OrientationTable
+    from softcal_jax.project._sensors import FrameTable, OrientationTable, PhotosTable
 
     for name, indices in (("a", (0, 1, 2)), ("b", (1, 2, 3))):
         (tmp_path / name).mkdir()
