@@ -198,7 +198,7 @@ def build_configuration(
             model=model,
         )
     reference = None if own is None else own.displacement_from
-    named = isinstance(reference, str) and reference != table.name
+    named = reference if isinstance(reference, str) else table.name
     configuration = Configuration(
         name=table.name,
         supports=supports,
@@ -210,7 +210,7 @@ def build_configuration(
         bodies=states,
         actuation=actuation,
         recording=getattr(table, "recording", None),
-        displacement_from=reference if named else None,
+        displacement_from=None if named == table.name else named,
         relative_std=table.relative_std,
     )
     return Built(configuration, seen.registration, seen.traces)

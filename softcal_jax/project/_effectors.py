@@ -79,9 +79,7 @@ Group = Annotated[
 class EffectorTable(Table):
     """Something that is measured beside markers; other keys are arguments of its class.
 
-    Attributes:
-        makes: The class that it makes.
-        std: Standard deviation; by default that of the effector's class.
+    `std` is by default that of the class that it `makes`.
     """
 
     makes: ClassVar[type[AbstractEffector]]
@@ -95,12 +93,11 @@ class EffectorTable(Table):
         )
         effector: Any = self.makes(name, **given)
         unit = effector.rows(mesh, mechanism)[0].unit
-        if self.std is not None:
-            with under("std"):
-                std = scalar(dimension_of(unit), "positive")(self.std)
-            effector = replace(effector, std=std)
-            effector.rows(mesh, mechanism)
-        return effector
+        if self.std is None:
+            return effector
+        with under("std"):
+            std = scalar(dimension_of(unit), "positive")(self.std)
+        return replace(effector, std=std)
 
     def measured(
         self, effector: Any, value: Any, folder: Path, model: Model

@@ -93,12 +93,12 @@ def _warn(project: Project) -> None:
     posed = {f"configurations.{c.name}": c for c in project.configurations}
     posed |= {f"candidates.{c.name}": c for c in project.candidates}
     lines = [*implausible(project.model, posed)]
-    guesses = guesses_left(project.path)
+    guesses = len(guesses_left(project.path))
     if guesses:
         lines.append(
-            f"lines that hold a guess of `softcal new` that nobody has confirmed: "
-            f"{len(guesses)}. What is found with them means little. They have a remark "
-            f'"{CHANGE}..."; `softcal check` lists them.'
+            f"{guesses} line{' holds' if guesses == 1 else 's hold'} a guess that nobody "
+            "has confirmed, of `softcal new`: what is found with them means little. They "
+            f'have a remark "{CHANGE}..."; `softcal check` lists them.'
         )
     for line in lines:
         warnings.warn(f"{project.path}: {line}", ProjectWarning, stacklevel=3)

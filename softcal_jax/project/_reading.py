@@ -3,12 +3,12 @@
 The description of a key is also the text of the message if the key is missing.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Set
 from copy import deepcopy
 from pathlib import Path
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, Field, ValidationError, create_model, field_validator
 
 from softcal_jax.calibration import LEVEL, check_starts
 from softcal_jax.fields import PRECISION
@@ -74,13 +74,15 @@ class NewtonTable(Table):
     solver: Literal["pardiso", "klu", "pardiso-host"] | None = None
 
 
-class MeshTables(Table):
-    """The tables of a project file that make its mesh; the others are not read."""
+def _keys_of(kind: type[Table], but: Set[str]) -> Any:
+    """Return fields for the other keys of a table, whatever their values."""
+    return {key: (Any, None) for key in kind.model_fields if key not in but}
 
-    model_config = ConfigDict(extra="ignore", frozen=True)
 
-    mesh: MeshTable = Field(description="a table [mesh]")
-    groups: dict[str, GroupTable] = Field(default_factory=dict)
+class SharedTable(
+    create_model("Shared", __base__=Table, **_keys_of(ConfigurationTable, {"name"}))
+):
+    """The table [shared], whose values are checked in each configuration."""
 
 
 class ProjectTable(Table, Generic[M]):
@@ -98,7 +100,7 @@ class ProjectTable(Table, Generic[M]):
     parameter_space: ParameterSpaceTable = ParameterSpaceTable()
     markers: MarkersTable | None = None
     effectors: dict[str, AnyEffector] = Field(default_factory=dict)
-    shared: Any = None  # merged into each configuration before
+    shared: SharedTable = SharedTable()
     configurations: tuple[ConfigurationTable, ...] = ()
     candidates: tuple[CandidateTable, ...] = ()
     uncertain: UncertainTable = UncertainTable()
@@ -121,18 +123,28 @@ class ProjectTable(Table, Generic[M]):
         return sets
 
 
+class MeshTables(
+    create_model("Mesh", __base__=Table, **_keys_of(ProjectTable, {"mesh", "groups"}))
+):
+    """The tables of a project file that make its mesh; the others are not read."""
+
+    mesh: MeshTable = Field(description="a table [mesh]")
+    groups: dict[str, GroupTable] = Field(default_factory=dict)
+
+
 def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> ProjectTable:
     """Read a project file into tables, with [shared] merged into each configuration.
 
     `changes` replace values of the file, see `load_project`.
     """
     raw = _with_changes(path, read_toml(path, "project file"), changes)
-    merged = _with_shared(path, raw)
     with at(path, "material.law"):
         material = material_table(raw.get("material"))
     problems, table = [], None
     try:
-        table = ProjectTable[material].model_validate(merged, context=material)
+        table = ProjectTable[material].model_validate(
+            _with_shared(raw), context=material
+        )
     except ValidationError as error:
         problems = describe(error, raw)
     if not (raw.get("configurations") or raw.get("candidates")):
@@ -146,7 +158,6 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
 
 def read_mesh_tables(path: Path) -> MeshTables:
     """Read [mesh] and [groups] of a project file, whose other tables may be missing."""
-    _check_known(path, "", read_toml(path, "project file"), ProjectTable.model_fields)
     return read_schema(path, MeshTables, "project file")
 
 
@@ -162,16 +173,6 @@ def read_schema(path: Path, schema: type[T], what: str) -> T:
         return schema.model_validate(raw)
     except ValidationError as error:
         raise one_by_one(path, describe(error, raw)) from error
-
-
-def _check_known(path: Path, before: str, table: Any, known: Iterable[str]) -> None:
-    problems = [
-        f"{before}{key}: unknown key.{known_here(key, known, 'Known here')}"
-        for key in table
-        if key not in known
-    ]
-    if problems:
-        raise one_by_one(path, problems)
 
 
 def _with_changes(
@@ -201,17 +202,13 @@ def _with_changes(
     return raw
 
 
-def _with_shared(path: Path, raw: dict[str, Any]) -> dict[str, Any]:
-    """Merge [shared] into every configuration and candidate; its values count there."""
-    shared = raw.get("shared", {})
-    if not isinstance(shared, dict):
-        raise one_by_one(path, [f"shared: got {shared!r}; expected a table [shared]."])
-    known = [key for key in ConfigurationTable.model_fields if key != "name"]
-    _check_known(path, "shared.", shared, known)
-    merged, of_candidates = dict(raw), CandidateTable.model_fields
-    common = {key: value for key, value in shared.items() if key in of_candidates}
-    for key, base in (("configurations", shared), ("candidates", common)):
-        if isinstance(raw.get(key), list):
+def _with_shared(raw: dict[str, Any]) -> dict[str, Any]:
+    """Merge [shared] into every configuration and candidate."""
+    merged, shared = dict(raw), raw.get("shared")
+    kinds = {"configurations": ConfigurationTable, "candidates": CandidateTable}
+    for key, kind in kinds.items():
+        if isinstance(raw.get(key), list) and isinstance(shared, dict):
+            base = {k: value for k, value in shared.items() if k in kind.model_fields}
             merged[key] = [
                 _merged(base, own) if isinstance(own, dict) else own for own in raw[key]
             ]

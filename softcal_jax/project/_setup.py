@@ -56,8 +56,8 @@ class SetupTable(Table):
     @field_validator("limit", "prior_std", mode="before")
     @classmethod
     def _parse(cls, value: Any) -> float:
-        plain = cls.measures is None
-        number = parse_number(value) if plain else parse_scalar(value, cls.measures)
+        kind = cls.measures
+        number = parse_number(value) if kind is None else parse_scalar(value, kind)
         if not number > 0.0:
             raise ValueError(f'got "{value}"; expected more than zero.')
         return number
