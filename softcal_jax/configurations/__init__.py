@@ -6,7 +6,6 @@ from softcal_jax.configurations._actuation import (
     actuation_arrays,
 )
 from softcal_jax.configurations._arrays import (
-    ActuationArrays,
     ConfigurationArrays,
     EffectorArrays,
 )
@@ -48,7 +47,6 @@ from softcal_jax.configurations._marker_table import MarkerTable, read_markers
 from softcal_jax.configurations._markers import STD, Markers
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
 from softcal_jax.configurations._pose_table import (
-    AveragedPose,
     PoseTable,
     average_poses,
     in_frame,
@@ -71,10 +69,8 @@ __all__ = [
     "AbstractEffector",
     "AbstractLoad",
     "AbstractScalar",
-    "ActuationArrays",
     "ActuatorDisplacement",
     "ActuatorForce",
-    "AveragedPose",
     "BodyAngle",
     "BodyFrame",
     "Centroid",

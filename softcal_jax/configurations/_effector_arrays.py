@@ -3,12 +3,11 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import count
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike
 
-from softcal_jax._module import Module, one_line
+from softcal_jax._module import Module
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.configurations._arrays import EffectorArrays, RecordingBase
@@ -143,35 +142,23 @@ FAR = 3.0
 """Distance over the size of the robot from which a point is hardly meant so [-]."""
 
 
-class FarPoint(NamedTuple):
-    """A point, its distance from its place at rest, and the size of the robot [m]."""
-
-    name: str
-    distance: float
-    size: float
-
-    __repr__ = one_line
-
-    def __str__(self) -> str:
-        """Write the end of a sentence on the point."""
-        return (
-            f"{readable_values([self.distance], 'm')} from its place at rest, "
-            f"{self.distance / self.size:.3g} times the size of the robot "
-            f"({readable_values([self.size], 'm')}): check the unit of length and the "
-            "frame."
-        )
-
-
 def motions(records: Iterable[EffectorRecord]) -> dict[str, Float[HostArray, " k"]]:
     """Return how far each point was measured from its place at rest, by name [m]."""
     points = [own for own in records if own.quantity == "point" and own.seen.any()]
     return {own.name: own.error(own.at_rest) for own in points}
 
 
-def farthest(
-    moved: Mapping[str, Float[HostArray, " k"]], size: float
-) -> FarPoint | None:
-    """Return the point that moved farthest, if that is farther than is plausible."""
-    points = [FarPoint(name, math.hypot(*u), size) for name, u in moved.items()]
-    far = max(points, key=lambda point: point.distance, default=None)
-    return far if far is not None and far.distance > FAR * size else None
+def farthest(moved: Mapping[str, Float[HostArray, " k"]], size: float) -> str | None:
+    """Describe the point that moved farthest if it is farther than is plausible [m].
+
+    `size` is that of the robot.
+    """
+    distances = {name: math.hypot(*u) for name, u in moved.items()}
+    name = max(distances, key=distances.__getitem__, default="")
+    if not moved or distances[name] <= FAR * size:
+        return None
+    return (
+        f"{name!r} is {readable_values([distances[name]], 'm')} from its place at "
+        f"rest, {distances[name] / size:.3g} times the size of the robot "
+        f"({readable_values([size], 'm')}): check the unit of length and the frame."
+    )

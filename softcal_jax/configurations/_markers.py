@@ -1,7 +1,5 @@
 """Markers: material points whose positions are measured, and nodes that carry them."""
 
-from collections.abc import Iterable
-
 import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike
@@ -15,15 +13,6 @@ from softcal_jax.mesh import TetMesh, locate, volumes
 
 STD = Unstated(1e-3)
 """Standard deviation of the measurement where none is stated [m]."""
-
-
-def _as_names(names: Iterable[str]) -> tuple[str, ...]:
-    if isinstance(names, str):
-        raise ValueError(
-            f"marker names must be a list of names, got the text {names!r}; a single "
-            f"marker is written [{names!r}]."
-        )
-    return tuple(names)
 
 
 class Markers(Module):
@@ -43,7 +32,7 @@ class Markers(Module):
             side of a slit or a second finger [m].
     """
 
-    names: tuple[str, ...] = eqx.field(converter=_as_names)
+    names: tuple[str, ...] = eqx.field(converter=tuple)
     positions: Float[HostArray, "n_markers 3"] = eqx.field(converter=as_floats)
     std: Float[ArrayLike, "..."] = STD
     axes: str = "xyz"

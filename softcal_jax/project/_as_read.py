@@ -7,7 +7,7 @@ from typing import NamedTuple
 from softcal_jax._module import one_line
 from softcal_jax.project._problems import key_path
 from softcal_jax.project._quantities import recognised
-from softcal_jax.project._toml import read_toml, texts_in
+from softcal_jax.project._toml import read_toml, values_in
 from softcal_jax.project._windows import WindowTable
 
 _NAMES = ("name", "displacement_from", "recording")
@@ -46,9 +46,9 @@ def quantities_as_read(path: str | os.PathLike[str]) -> tuple[QuantityAsRead, ..
     """
     raw = read_toml(Path(path), "project file")
     found = []
-    for keys, text in texts_in(raw):
+    for keys, text in values_in(raw):
         rows = "select" in keys and not {*keys} & {*WindowTable.model_fields}
-        quantity = recognised(text)
+        quantity = recognised(text) if isinstance(text, str) else None
         if quantity is not None and not rows and not {*keys} & {*_NAMES}:
             table = key_path(keys[:-1], raw)
             found.append(QuantityAsRead(table, key_path(keys, raw), text, *quantity))

@@ -96,9 +96,9 @@ def _warn(project: Project) -> None:
     guesses = len(guesses_left(project.path))
     if guesses:
         lines.append(
-            f"{guesses} line{' holds' if guesses == 1 else 's hold'} a guess that nobody "
-            "has confirmed, of `softcal new`: what is found with them means little. They "
-            f'have a remark "{CHANGE}..."; `softcal check` lists them.'
+            f"{guesses} line{'s hold' if guesses > 1 else ' holds'} a guess that "
+            "nobody has confirmed, of `softcal new`: what is found with them means "
+            f'little. They have a remark "{CHANGE}..."; `softcal check` lists them.'
         )
     for line in lines:
         warnings.warn(f"{project.path}: {line}", ProjectWarning, stacklevel=3)

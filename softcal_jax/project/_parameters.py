@@ -227,8 +227,9 @@ def _each(
     """Return one value per control point; fixed and tied ones get a placeholder."""
     if not isinstance(value, dict):
         return [value] * len(names)
-    for name in value:
-        known_name("control point", name, names, "[control_points]")
+    with under(key):
+        for name in value:
+            known_name("control point", name, names, "[control_points]")
     missing = [name for name in free if name not in value]
     if missing and key != "start":
         raise ValueError(f"{key} has no value for {', '.join(missing)}.")

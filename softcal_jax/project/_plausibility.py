@@ -97,7 +97,7 @@ def _places(model: Model, posed: Mapping[str, Configuration]) -> Iterator[str]:
             own = {name: own[name] - before[name] for name in own if name in before}
         far = farthest(own, model.mesh.size)
         if far is not None:
-            yield f"{key}.measured: {far.name!r} was measured {far}"
+            yield f"{key}.measured: {far}"
 
 
 CHANGE = "# CHANGE: "

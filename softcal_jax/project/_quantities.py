@@ -15,30 +15,24 @@ if TYPE_CHECKING:
 
 
 class Dimension(NamedTuple):
-    """Physical dimension of a quantity, whose parsed number has the unit `si`.
-
-    The rest is for messages; `usual` units are suggested for a misspelt one.
-    """
+    """Physical dimension of a quantity: its name, its SI unit and an example."""
 
     name: str
     si: str
     example: str
-    usual: tuple[str, ...]
 
 
-LENGTH = Dimension("a length", "m", "100 mm", tuple(METRES))
-_MODULI = ("Pa", "kPa", "MPa", "GPa", "N/m^2", "N/mm^2")
-PRESSURE = Dimension("a pressure or modulus", "Pa", "200 kPa", _MODULI)
-_DENSITIES = ("kg/m^3", "g/cm^3", "kg/dm^3")
-DENSITY = Dimension("a density", "kg/m^3", "1070 kg/m^3", _DENSITIES)
-FORCE = Dimension("a force", "N", "0.51 N", ("N", "mN", "kN", "kgf"))
-ACCELERATION = Dimension("an acceleration", "m/s^2", "9.81 m/s^2", ("m/s^2", "mm/s^2"))
-TIME = Dimension("a time", "s", "1.3 s", ("s", "ms"))
-ANGLE = Dimension("an angle", "rad", "20 deg", ("deg", "rad", "mrad"))
-MASS = Dimension("a mass", "kg", "10 g", ("kg", "g", "mg"))
-VOLUME = Dimension("a volume", "m^3", "2 ml", ("ml", "mm^3", "cm^3", "l", "m^3"))
-TORQUE = Dimension("a torque", "N*m", "50 N*mm", ("N*m", "N*mm", "mN*m"))
-BEDDING = Dimension("a stiffness per area", "Pa/m", "1 GPa/m", ("N/mm^3", "GPa/m"))
+LENGTH = Dimension("a length", "m", "100 mm")
+PRESSURE = Dimension("a pressure or modulus", "Pa", "200 kPa")
+DENSITY = Dimension("a density", "kg/m^3", "1070 kg/m^3")
+FORCE = Dimension("a force", "N", "0.51 N")
+ACCELERATION = Dimension("an acceleration", "m/s^2", "9.81 m/s^2")
+TIME = Dimension("a time", "s", "1.3 s")
+ANGLE = Dimension("an angle", "rad", "20 deg")
+MASS = Dimension("a mass", "kg", "10 g")
+VOLUME = Dimension("a volume", "m^3", "2 ml")
+TORQUE = Dimension("a torque", "N*m", "50 N*mm")
+BEDDING = Dimension("a stiffness per area", "Pa/m", "1 GPa/m")
 
 Size = Literal["any", "finite", "not negative", "positive"]
 """What a quantity may be; every size but "any" is finite."""
@@ -58,12 +52,12 @@ OF_UNIT = {
 
 def dimension_of(unit: str) -> Dimension:
     """Return the dimension of an SI unit; unlisted units make one of their own."""
-    own = Dimension(f"a quantity in {unit}", _spelt(unit), f"1 {unit}", (unit,))
+    own = Dimension(f"a quantity in {unit}", _spelt(unit), f"1 {unit}")
     return OF_UNIT.get(unit, own)
 
 
 _COMMON: dict[str, dict[str, float]] = {
-    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254},
+    "m": METRES,
     "Pa": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "mbar": 1e2, "bar": 1e5}
     | {"N/m^2": 1.0, "N/mm^2": 1e6},
     "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
@@ -120,14 +114,13 @@ def _factor(unit: str, dimension: Dimension, value: str) -> float:
     try:
         one = registry.Quantity(1.0, registry.parse_units(_spelt(unit)))
     except pint.UndefinedUnitError as error:
-        hint = suggestion(unit, dimension.usual, quote='"')
-        raise ValueError(
-            f'"{value}": unknown unit "{unit}"; {expected}.{hint}'
-        ) from error
+        unknown = f'"{value}": unknown unit "{unit}"; {expected}.'
+        hint = suggestion(unit, common, quote='"')
+        raise ValueError(f"{unknown}{hint}") from error
     angle = dimension is not ANGLE or str(one.units) in _ANGLES
     if not (angle and one.is_compatible_with(dimension.si)):
         # "kP" is no slip to pint, which knows the kilopoise.
-        raise ValueError(misfit + suggestion(unit, dimension.usual, quote='"'))
+        raise ValueError(misfit + suggestion(unit, common, quote='"'))
     return float(one.to(dimension.si).magnitude)
 
 

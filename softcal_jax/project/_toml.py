@@ -1,5 +1,6 @@
-"""TOML files as Python has them, without control characters."""
+"""TOML files as Python has them, without dates and control characters."""
 
+import datetime
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,13 +14,13 @@ Keys = tuple[str | int, ...]
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """Read a TOML file, and check that none of its texts would act on a terminal.
+    """Read a TOML file without dates and texts that would act on a terminal.
 
     Messages say `what` it is, like "project file".
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ProjectError: If it is too large, no TOML, or has control characters.
+        ProjectError: If it is too large, no TOML, or has dates or control characters.
     """
     try:
         check_file(path, what)
@@ -30,9 +31,11 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
     except (ValueError, OSError, RecursionError) as error:  # of TOML, or of UTF-8
         raise ProjectError(f"{path} cannot be read as TOML: {error}.") from error
     problems = []
-    for keys, text in texts_in(raw):
+    for keys, value in values_in(raw):
         try:
-            check_characters("".join(map(str, (*keys, text))))
+            if isinstance(value, datetime.date | datetime.time):
+                raise ValueError(f"got {value}, which no key takes; put it in quotes.")
+            check_characters("".join(map(str, (*keys, value))))
         except ValueError as error:
             problems.append(f"{escaped(key_path(keys, raw)) or 'file'}: {error}")
     if problems:
@@ -40,13 +43,13 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
     return raw
 
 
-def texts_in(value: Any, keys: Keys = ()) -> Iterator[tuple[Keys, str]]:
-    """Find all texts in tables and lists, with the keys that lead to them."""
-    if isinstance(value, str):
-        yield keys, value
-    elif isinstance(value, dict):
+def values_in(value: Any, keys: Keys = ()) -> Iterator[tuple[Keys, Any]]:
+    """Find all values in tables and lists, with the keys that lead to them."""
+    if isinstance(value, dict):
         for key, inner in value.items():
-            yield from texts_in(inner, (*keys, key))
+            yield from values_in(inner, (*keys, key))
     elif isinstance(value, list):
         for i, inner in enumerate(value):
-            yield from texts_in(inner, (*keys, i))
+            yield from values_in(inner, (*keys, i))
+    else:
+        yield keys, value

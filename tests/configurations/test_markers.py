@@ -133,12 +133,6 @@ def test_marker_far_outside_the_mesh():
     configuration_arrays(MESH, [Configuration("one", CLAMP, markers=near)])
 
 
-@pytest.mark.usefixtures("unchecked")
-def test_names_as_a_text():
-    with pytest.raises(ValueError, match=r"list of names.*'ab'.*\['ab'\]"):
-        markers(names="ab")
-
-
 def test_measured_as_lists():
     """Whole numbers too: they become floats."""
     at = [[1, 0, 0], [2, 0, 0]]

@@ -116,7 +116,7 @@ CASES = {
     ),
     "start of an unknown point": (
         ('{ "CP 2" = "0.6 MPa" }', '{ "CP 3" = "0.6 MPa" }'),
-        'parameters.E_t: ... "CP 3" ... mean "CP 2" ... CP 1, CP 2',
+        'parameters.E_t.start: ... "CP 3" ... mean "CP 2" ... CP 1, CP 2',
     ),
     "start in a wrong unit": (
         ('{ "CP 2" = "0.6 MPa" }', '{ "CP 2" = "0.6 mm" }'),

@@ -51,7 +51,7 @@ def test_deep_or_endless(tmp_path, more, message):
 @pytest.mark.parametrize("when", ["1979-05-27", "1979-05-27T07:32:00Z"])
 def test_a_date(tmp_path, when):
     text = refusal(write_small_project(tmp_path, ("nu = 0.3", f"nu = {when}")))
-    assert says(text, f"material.nu: got {when[:10]}", "number")
+    assert says(text, f"material.nu: got {when[:10]}", "quotes")
 
 
 def test_a_time(tmp_path):
