@@ -46,11 +46,6 @@ from softcal_jax.configurations._loads import (
 from softcal_jax.configurations._marker_table import MarkerTable, read_markers
 from softcal_jax.configurations._markers import STD, Markers
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
-from softcal_jax.configurations._pose_table import (
-    PoseTable,
-    average_poses,
-    in_frame,
-)
 from softcal_jax.configurations._recording import Recording, Traces
 from softcal_jax.configurations._recording_file import (
     is_recording,
@@ -59,7 +54,13 @@ from softcal_jax.configurations._recording_file import (
 )
 from softcal_jax.configurations._registration import Registration, register
 from softcal_jax.configurations._supports import Support
-from softcal_jax.configurations._tracker import read_polhemus, read_poses
+from softcal_jax.configurations._tracker import (
+    PoseTable,
+    average_poses,
+    in_frame,
+    read_polhemus,
+    read_poses,
+)
 from softcal_jax.configurations._values import Unstated
 from softcal_jax.configurations._wide_table import read_wide_table
 
