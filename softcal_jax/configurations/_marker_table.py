@@ -68,21 +68,23 @@ class MarkerTable(Module):
         self, values: Float[HostArray, "n_markers ..."], names: Sequence[str], lost: str
     ) -> Float[HostArray, "n_wanted ..."]:
         """Return values of some markers; raise with what is `lost` where one is not."""
-        rows = [self._row(name) for name in names]
+        rows = [index_of(name, self.names, self.source) for name in names]
         for name, row in zip(names, rows, strict=True):
             if not np.all(np.isfinite(values[row])):
                 where = f"{self.source}, {self.places[row]}"
                 raise ValueError(f"{where}: {lost.format(name)}")
         return values[rows]
 
-    def _row(self, name: str) -> int:
-        if name not in self.names:
-            raise ValueError(
-                f"{self.source} has no marker {name!r}."
-                f"{suggestion(name, self.names)} It has {', '.join(self.names)}. In a "
-                "project file `labels` maps names of yours to those of the file."
-            )
-        return self.names.index(name)
+
+def index_of(name: str, names: Sequence[str], source: str) -> int:
+    """Return the index of a marker of what was read."""
+    if name not in names:
+        raise ValueError(
+            f"{source} has no marker {name!r}.{suggestion(name, names)} It has "
+            f"{', '.join(names)}. In a project file `labels` (`renamed` of a "
+            "recording) maps names of yours to those of the file."
+        )
+    return list(names).index(name)
 
 
 def read_markers(

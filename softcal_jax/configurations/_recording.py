@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import suggestion, unknown_name
 from softcal_jax._typing import Bool, Float, HostArray
-from softcal_jax.configurations._marker_table import MarkerTable
+from softcal_jax.configurations._marker_table import MarkerTable, index_of
 from softcal_jax.configurations._plateau import find_plateau
 
 STEP = 0.05
@@ -73,14 +72,11 @@ class Recording(Module):
             ValueError: If there is no such event, or more than one.
         """
         times = [time for name, time in self.events if name == event]
-        if not times:
-            names = [name for name, _ in self.events]
-            raise ValueError(f"{self.source}: {unknown_name('event', event, names)}")
-        if len(times) > 1:
-            listed = ", ".join(f"{time:g}" for time in times)
+        if len(times) != 1:
+            known = ", ".join(f"{name!r} at {time:g} s" for name, time in self.events)
             raise ValueError(
-                f"{self.source} has the event {event!r} {len(times)} times, at "
-                f"{listed} s: count times from the first frame instead."
+                f"{self.source}: the event {event!r} is there {len(times)} times, "
+                f"expected once. Known: {known or 'none'}."
             )
         return times[0]
 
@@ -241,13 +237,7 @@ class Recording(Module):
         )
 
     def _column(self, name: str) -> int:
-        if name not in self.names:
-            raise ValueError(
-                f"{self.source} has no marker {name!r}.{suggestion(name, self.names)} "
-                f"It has {', '.join(self.names)}. `labels` (`renamed` in Python) "
-                "maps names of yours to those of the file."
-            )
-        return self.names.index(name)
+        return index_of(name, self.names, self.source)
 
 
 class Traces(Module):
