@@ -142,8 +142,7 @@ class ConfigurationTable(CandidateTable):
         """Read false as none: what [shared] says of readings is not of this pose."""
         if value is True:
             raise ValueError(
-                "got true; expected a table, or false for a pose that is not measured "
-                "yet."
+                "got true; expected a table, or false if not measured yet."
             )
         return None if value is False else value
 

@@ -23,7 +23,7 @@ from softcal_jax.configurations import (
     register,
 )
 from softcal_jax.project._effectors import Measured
-from softcal_jax.project._problems import known_here, under
+from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._sensors import DialectTable, Selection
 from softcal_jax.project._table import (
     Flag,
@@ -74,9 +74,7 @@ class MarkersTable(Table):
         return np.array([entry.position for entry in entries], float).reshape(-1, 3)
 
     def _entry(self, name: str) -> MarkerEntry:
-        if name not in self.positions:
-            known = known_here(name, self.positions)
-            raise ValueError(f"unknown marker {name!r}.{known}")
+        known_name("marker", name, self.positions, "[markers.positions]")
         own = self.positions[name]
         full = isinstance(own, MarkerEntry)
         return own if full else MarkerEntry.model_construct(position=own)

@@ -1,8 +1,8 @@
 """Tables of a project file that say which times of a recording are averaged."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from softcal_jax.configurations import MarkerTable, Recording
 from softcal_jax.project._sensors import Selection
@@ -13,22 +13,19 @@ _KINDS = ("between", "at", "plateau")
 
 
 class WindowTable(Table):
-    """A window of time of a recording, over which positions are averaged."""
+    """A window of time of a recording, over which positions are averaged.
 
-    between: tuple[Time, Time] | None = Field(None, description='["1.2 s", "1.4 s"]')
-    at: Time | None = Field(None, description='"1.3 s"')
-    width: Time | None = Field(
-        None, description='width of the window around `at`: "100 ms"'
-    )
-    plateau: Time | None = Field(
-        None, description='least length of a plateau that is looked for: "0.5 s"'
-    )
-    after_step_of: str | None = Field(
-        None, description="marker from whose step the times are counted"
-    )
-    after_event: str | None = Field(
-        None, description="event of the file from which the times are counted"
-    )
+    It is `between` two times, of a `width` around the time `at`, or a `plateau` of that
+    least length, which is looked for. Times count from the step of a marker or from an
+    event of the file, if one is named.
+    """
+
+    between: tuple[Time, Time] | None = None
+    at: Time | None = None
+    width: Time | None = None
+    plateau: Time | None = None
+    after_step_of: str | None = None
+    after_event: str | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "WindowTable":
@@ -46,10 +43,7 @@ class WindowTable(Table):
 
     def of(self, recording: Recording) -> MarkerTable:
         """Average a recording over the window."""
-        after: dict[str, Any] = {
-            "after_step_of": self.after_step_of,
-            "after_event": self.after_event,
-        }
+        after = self.model_dump(include={"after_step_of", "after_event"})
         if self.between is not None:
             return recording.between(*self.between, **after)
         if self.plateau is not None:

@@ -82,9 +82,9 @@ def test_events_count_from_the_first_frame(tmp_path):
     np.testing.assert_allclose(
         after.positions, recording.between(0.21, 0.23).positions, atol=1e-12
     )
-    with pytest.raises(ValueError, match=r"event 'valve open' is there 0 times.*'valve opens'"):
+    with pytest.raises(ValueError, match=r"0 times.*'valve opens'"):
         recording.between(0.0, 0.1, after_event="valve open")
-    with pytest.raises(ValueError, match=r"event 'valve closes' is there 2 times.*61.5 s"):
+    with pytest.raises(ValueError, match=r"closes' is there 2 times.*61.5 s"):
         recording.time_of("valve closes")
     both = {"after_event": "valve opens", "after_step_of": "tip"}
     with pytest.raises(ValueError, match="not from both"):

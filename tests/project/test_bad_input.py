@@ -200,7 +200,7 @@ CASES = {
     ),
     "unknown marker": (
         ('markers = ["tip", "side"]', 'markers = ["tip", "sides"]'),
-        "configurations.weight.markers: unknown marker 'sides' ... mean \"side\" ... "
+        'configurations.weight.markers: ... "sides" ... mean "side" ... '
         "tip, side, a, b, c",
     ),
     "marker twice": (
