@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 from softcal_jax._files import check_file
 from softcal_jax._module import one_line
 from softcal_jax._text import check_characters, escaped
+from softcal_jax.project._markers import WindowTable
 from softcal_jax.project._problems import ProjectError, key_path, one_by_one
 from softcal_jax.project._quantities import recognised
-from softcal_jax.project._windows import WindowTable
 
 Keys = tuple[str | int, ...]
 
