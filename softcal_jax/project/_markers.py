@@ -1,4 +1,4 @@
-"""Tables of a project file that make markers, and say when and where they were measured."""
+"""Tables of a project file for markers, and when and where they were measured."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -89,8 +89,8 @@ class Table(BaseModel):
         try:
             return handler(raw)
         except ValidationError as error:
-            told = [cls._in_words(details) for details in error.errors()]
-            raise ValidationError.from_exception_data(cls.__name__, told) from None
+            problems = [cls._in_words(details) for details in error.errors()]
+            raise ValidationError.from_exception_data(cls.__name__, problems) from None
 
     @classmethod
     def _in_words(cls, details: ErrorDetails) -> InitErrorDetails:
@@ -202,19 +202,19 @@ def by_keys(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
         ValueError: If several remain; the text lists the choices.
     """
     table = _as_table(value)
+    common = set.intersection(*(set(kind.model_fields) for kind in kinds))
     needed = [
-        [key for key, field in kind.model_fields.items() if field.is_required()]
+        [k for k, field in kind.model_fields.items() if field.is_required()]
         for kind in kinds
     ]
-    common = set.intersection(*(set(kind.model_fields) for kind in kinds))
-    own = [[key for key in keys if key not in common] for keys in needed]
-    present = [sum(key in table for key in keys) for keys in own]
-    rank = [(n, n == len(keys)) for n, keys in zip(present, own, strict=True)]
+    needed = [[key for key in keys if key not in common] for keys in needed]
+    present = [sum(key in table for key in keys) for keys in needed]
+    rank = [(n, n == len(keys)) for n, keys in zip(present, needed, strict=True)]
     if rank.count(max(rank)) == 1:
         return kinds[rank.index(max(rank))]
-    every = [key for keys in own for key in keys]
+    every = [key for keys in needed for key in keys]
     given = " and ".join(key for key in table if key in every) or "none"
-    choices = ", ".join(" and ".join(keys) for keys in own)
+    choices = ", ".join(" and ".join(keys) for keys in needed)
     raise ValueError(f"expected exactly one of {choices}; got {given}.")
 
 

@@ -46,8 +46,8 @@ def _type_of(kind: Any, unit: str) -> Any:
 
 
 _KEYS: dict[str, Any] = {
-    own.name: (_type_of(own.type, own.metadata["unit"]), own.default)
-    for own in fields(Uncertain)
+    field.name: (_type_of(field.type, field.metadata["unit"]), field.default)
+    for field in fields(Uncertain)
 }
 
 
