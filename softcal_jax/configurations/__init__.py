@@ -6,7 +6,6 @@ from softcal_jax.configurations._actuation import (
     actuation_arrays,
 )
 from softcal_jax.configurations._arrays import (
-    ActuationArrays,
     ConfigurationArrays,
     EffectorArrays,
 )
@@ -21,9 +20,13 @@ from softcal_jax.configurations._configuration import (
     measured_at_rest,
     shared_names,
 )
-from softcal_jax.configurations._csv_table import CsvTable, read_table
+from softcal_jax.configurations._csv_table import read_table
 from softcal_jax.configurations._effector import AbstractEffector, AbstractScalar
-from softcal_jax.configurations._effector_arrays import EffectorRecord
+from softcal_jax.configurations._effector_arrays import (
+    EffectorRecord,
+    farthest,
+    motions,
+)
 from softcal_jax.configurations._effectors import (
     ActuatorDisplacement,
     ActuatorForce,
@@ -32,7 +35,6 @@ from softcal_jax.configurations._effectors import (
     Centroid,
     SupportReaction,
 )
-from softcal_jax.configurations._far import FarPoint, farthest, motions
 from softcal_jax.configurations._loads import (
     AbstractLoad,
     EdgeForce,
@@ -44,12 +46,6 @@ from softcal_jax.configurations._loads import (
 from softcal_jax.configurations._marker_table import MarkerTable, read_markers
 from softcal_jax.configurations._markers import STD, Markers
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
-from softcal_jax.configurations._pose_table import (
-    AveragedPose,
-    PoseTable,
-    average_poses,
-    in_frame,
-)
 from softcal_jax.configurations._recording import Recording, Traces
 from softcal_jax.configurations._recording_file import (
     is_recording,
@@ -59,7 +55,9 @@ from softcal_jax.configurations._recording_file import (
 from softcal_jax.configurations._registration import Registration, register
 from softcal_jax.configurations._supports import Support
 from softcal_jax.configurations._tracker import (
-    TrackerWarning,
+    PoseTable,
+    average_poses,
+    in_frame,
     read_polhemus,
     read_poses,
 )
@@ -72,21 +70,17 @@ __all__ = [
     "AbstractEffector",
     "AbstractLoad",
     "AbstractScalar",
-    "ActuationArrays",
     "ActuatorDisplacement",
     "ActuatorForce",
-    "AveragedPose",
     "BodyAngle",
     "BodyFrame",
     "Centroid",
     "Configuration",
     "ConfigurationArrays",
     "ConfigurationLanes",
-    "CsvTable",
     "EdgeForce",
     "EffectorArrays",
     "EffectorRecord",
-    "FarPoint",
     "ImposedDisplacement",
     "ImposedForce",
     "MarkerTable",
@@ -103,7 +97,6 @@ __all__ = [
     "SurfaceForce",
     "SurfaceTraction",
     "Traces",
-    "TrackerWarning",
     "Unstated",
     "actuation_arrays",
     "average_poses",

@@ -50,9 +50,7 @@ def actuation_arrays(
     A cable or chamber that is not named has no force, a motor stays at its zero.
 
     Raises:
-        ValueError: If a name is unknown, a value is not finite, a cable would push, a
-            motor turns by more than half a turn, a displacement is imposed on an
-            actuator that has none, or one without friction is releasing.
+        ValueError: If a name is unknown, or an actuator cannot have such a value.
     """
     actuators = mechanism.actuators
     what = f"configuration {configuration!r}"
@@ -73,24 +71,19 @@ def actuation_arrays(
                 f"{own} has no displacement that could be imposed; give "
                 f"ImposedForce(...) [{kind.force_unit}]."
             )
-        if not np.isfinite(asked.value):
+        turns, pulls = motor[a] and imposed, kind.unilateral and not imposed
+        low = -np.pi if turns else 0.0 if pulls else -np.inf
+        high = np.pi if turns else np.inf
+        if not (np.isfinite(asked.value) and low <= asked.value <= high):
             raise ValueError(
-                f"{own} needs a finite number [{unit}], got {asked.value}."
-            )
-        if kind.unilateral and not imposed and asked.value < 0.0:
-            raise ValueError(
-                f"{own} has the force {asked.value:g} {unit}: it only pulls, so the "
-                "force must not be negative."
-            )
-        if motor[a] and imposed and abs(asked.value) > np.pi:
-            raise ValueError(
-                f"{own} turns by {asked.value:g} rad, expected -pi to pi: angles are "
-                "in radians (np.deg2rad turns degrees into them)."
+                f"{own} has the value {asked.value:g} {unit}; expected a finite one, "
+                "not negative where it only pulls, and from -pi to pi for an angle "
+                "(np.deg2rad turns degrees into radians)."
             )
         if asked.releasing and not actuators.has_friction[a]:
             raise ValueError(
-                f"{own} is said to be releasing, but has no friction, so nothing "
-                f"depends on it: leave it out, or give the {kind.noun} friction."
+                f"{own} is said to be releasing, but has no friction: leave it out, or "
+                f"give the {kind.noun} friction."
             )
         by_displacement[a], value[a] = imposed, asked.value
         releasing[a] = asked.releasing
@@ -111,8 +104,7 @@ def body_state_arrays(
     A `Pose` holds the body there, and a text is the `kind` of a `BodyState`.
 
     Raises:
-        ValueError: If a name is unknown, a body is tied to another or has a motor, or
-            is given a pose that has no effect in its state.
+        ValueError: If a name is unknown, or a body cannot have such a state.
     """
     bodies = mechanism.bodies
     what = f"configuration {configuration!r}"
@@ -148,15 +140,11 @@ def body_state_arrays(
 def _check_pose(state: BodyState, what: str) -> None:
     """Raise where a part of the pose would have no effect."""
     shift, turn = state.pose.translation, state.pose.rotation_vector
-    if state.kind == "free" and (np.any(shift != 0.0) or np.any(turn != 0.0)):
+    free = state.kind == "free" and (np.any(shift != 0.0) or np.any(turn != 0.0))
+    if free or (state.kind == "hinged" and np.any(turn != 0.0)):
         raise ValueError(
-            f"{what} is free, but has a pose: translation {shift.tolist()} m, rotation "
-            f"vector {turn.tolist()} rad. To hold it there, give the Pose itself; "
-            "otherwise leave the pose out."
-        )
-    if state.kind == "hinged" and np.any(turn != 0.0):
-        raise ValueError(
-            f"{what} is hinged, and turns as the balance has it, but its pose has the "
-            f"rotation vector {turn.tolist()} rad. To hold it there, give the Pose "
-            "itself; to turn the hinge, turn the axes or the mounting of the body."
+            f"{what} is {state.kind}, but its pose has translation {shift.tolist()} m "
+            f"and rotation vector {turn.tolist()} rad. To hold it there, give the Pose "
+            "itself; otherwise leave the pose out. A hinge is turned by the axes or "
+            "the mounting of the body."
         )

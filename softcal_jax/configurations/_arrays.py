@@ -14,13 +14,9 @@ AnyArray = Array | HostArray
 class RecordingBase(Module):
     """Offset of the frame of a recording from the frame of the mesh.
 
-    A point at x is read at c + R (x - c) + translation, with c the centre of the mesh,
-    and an orientation Q as R Q: the markers of a recording, or the base of a tracker,
-    are off as one rigid body.
-
-    Attributes:
-        translation: Its offset [m]; 0 unless it is a parameter.
-        rotation: Rotation vector of R, likewise [rad].
+    A point at x is read at c + R (x - c) + translation [m], with c the centre of the
+    mesh, and an orientation Q as R Q, with the rotation vector of R [rad]: markers, or
+    the base of a tracker, are off as one rigid body. Both are 0 unless parameters.
     """
 
     translation: Float[AnyArray, "*batch 3"]
@@ -93,8 +89,7 @@ class ActuationArrays(Module):
     Attributes:
         by_displacement: Whether its displacement delta_a is imposed, or its force.
         value: delta_a or lambda_a at full load, in the units of the actuator.
-        force_factor: Factor on an imposed force [-]; 1 unless it is a parameter, for a
-            force that is only roughly known.
+        force_factor: Factor on an imposed force [-]; 1 unless it is a parameter.
         releasing: Whether it was last released, which sets the sign of its friction.
         names: Names of the actuators.
     """
@@ -134,12 +129,9 @@ class Springs(Module):
 
 
 class DeadLoads(Module):
-    """Dead nodal forces, by the names of the loads that they are from.
+    """Dead nodal forces [N] by the names of loads, and a factor on each [-].
 
-    Attributes:
-        force: Nodal forces of all loads of a name [N].
-        factor: Factor on these [-]; 1 unless it is a parameter.
-        names: The names.
+    The factor is 1 unless it is a parameter.
     """
 
     force: Float[AnyArray, "*batch n_loads n_points 3"]

@@ -31,11 +31,15 @@ from softcal_jax.configurations._effector_arrays import (
     stack_effectors,
 )
 from softcal_jax.configurations._effectors import BodyFrame, Centroid
-from softcal_jax.configurations._held import check_apart, check_held, motors_of
 from softcal_jax.configurations._loads import AbstractLoad
 from softcal_jax.configurations._markers import Markers, marker_rows
 from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
-from softcal_jax.configurations._supports import Support
+from softcal_jax.configurations._supports import (
+    Support,
+    check_apart,
+    check_held,
+    motors_of,
+)
 from softcal_jax.configurations._values import (
     Unstated,
     optional_floats,
@@ -105,18 +109,18 @@ class Configuration(Module):
     @property
     def is_measured(self) -> bool:
         """Whether a marker or an effector has a measured value."""
-        of_effectors = [getattr(e, "measured", None) for e in self.effectors]
-        return any(value is not None for value in (self.measured, *of_effectors))
+        return bool(self._measured())
+
+    def _measured(self) -> list[Any]:
+        """List the effectors with measured values, and the markers if they have any."""
+        seen = [e for e in self.effectors if getattr(e, "measured", None) is not None]
+        return seen if self.measured is None else [*seen, self.markers]
 
     @property
     def states_noise(self) -> bool:
         """Whether the standard deviation of all that is measured was stated."""
-        told: list[Any] = [
-            e for e in self.effectors if getattr(e, "measured", None) is not None
-        ]
-        if self.measured is not None:
-            told.append(self.markers)
-        errors = [getattr(e, key, 0.0) for e in told for key in ("std", "std_angle")]
+        keys = "std", "std_angle"
+        errors = [getattr(e, key, 0.0) for e in self._measured() for key in keys]
         return not any(isinstance(error, Unstated) for error in errors)
 
     @property
@@ -143,11 +147,9 @@ class Configuration(Module):
 
 
 class ConfigurationLanes(NamedTuple):
-    """Configurations as the solver sees them, and records of their effectors.
+    """Arrays with one lane per configuration, and records of the effectors of each.
 
-    Attributes:
-        arrays: Arrays with a leading axis, one lane per configuration.
-        effectors: The effectors of each configuration: markers, then the others.
+    Records of markers come first.
     """
 
     arrays: ConfigurationArrays
@@ -157,12 +159,7 @@ class ConfigurationLanes(NamedTuple):
 
 
 class SharedNames(NamedTuple):
-    """What configurations that share a program have, if only some of them.
-
-    Attributes:
-        springs: Groups of the elastic supports.
-        loads: Names of the dead loads; at least one.
-    """
+    """Groups of elastic supports and names of loads of those that share a program."""
 
     springs: tuple[str, ...]
     loads: tuple[str, ...]
@@ -203,14 +200,16 @@ def configuration_lanes(
         shared: `shared_names` of all configurations that share a program.
 
     Raises:
-        ValueError: If there is none, names repeat, nothing is held, a group, body or
-            actuator is unknown, a body has held nodes, or a marker stands too far from
-            the mesh.
+        ValueError: If there is none, names repeat, one is not held, what it names is
+            unknown, a body has held nodes, or a marker stands too far from the mesh.
     """
     if not configurations:
         raise ValueError("at least one configuration is needed, got none.")
     mechanism = build_mechanism(mesh) if mechanism is None else mechanism
-    _check_names(configurations)
+    names = [c.name for c in configurations]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"configuration {name!r} is named more than once.")
     shared = shared_names(configurations) if shared is None else shared
     rows = [_effector_rows(mesh, c, mechanism) for c in configurations]
     lanes, records = [], []
@@ -224,22 +223,6 @@ def configuration_lanes(
     # Not jnp.asarray, which would compile a program for every shape.
     arrays = jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *lanes))
     return ConfigurationLanes(arrays, tuple(records))
-
-
-def _check_names(configurations: Sequence[Configuration]) -> None:
-    """Raise if two configurations share a name, or two names share a key."""
-    names = [c.name for c in configurations]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"configuration {name!r} is named more than once.")
-    by_key: dict[int, str] = {}
-    for name in [*names, *(c.recording for c in configurations if c.recording)]:
-        first = by_key.setdefault(name_key(name), name)
-        if first != name:
-            raise ValueError(
-                f"the names {first!r} and {name!r} of configurations or recordings "
-                "cannot be told apart: their CRC-32 is the same. Rename one of them."
-            )
 
 
 def _lane(
@@ -313,25 +296,18 @@ def _effector_rows(
     mesh: TetMesh, c: Configuration, mechanism: Mechanism
 ) -> list[EffectorRow]:
     """List rows of effector coordinates: those of markers, then the others."""
-    rows = []
-    if c.markers is not None:
-        try:
+    rows: list[EffectorRow] = []
+    try:
+        if c.markers is not None:
             rows += marker_rows(mesh, c.markers, c.measured)
-        except ValueError as error:
-            raise ValueError(
-                f"markers {', '.join(c.markers.names)} of configuration {c.name!r}: "
-                f"{error}"
-            ) from error
-    for effector in c.effectors:
-        if effector.name in [row.name for row in rows]:
-            raise ValueError(
-                f"effector {effector.name!r} of configuration {c.name!r} has the name "
-                "of another one."
-            )
-        try:
+        for effector in c.effectors:
+            if effector.name in [row.name for row in rows]:
+                raise ValueError(
+                    f"effector {effector.name!r} has the name of another one."
+                )
             rows += effector.rows(mesh, mechanism)
-        except ValueError as error:
-            raise ValueError(f"configuration {c.name!r}: {error}") from error
+    except ValueError as error:
+        raise ValueError(f"configuration {c.name!r}: {error}") from error
     return rows
 
 

@@ -38,7 +38,7 @@ def at_line(path: Path, number: int) -> Iterator[None]:
 
 
 class CsvTable(NamedTuple):
-    """The selected rows of a file, as cells by column, and their lines from 1.
+    """Selected rows of a file, as cells by column, and their lines from 1.
 
     `key` is the column that names what a row is about: "marker" or "sensor", and
     `point` what stands before the decimals of a number.
@@ -76,15 +76,12 @@ class CsvTable(NamedTuple):
         # One that is asked for as well is no misspelt other.
         others = [c for c in self.header if c not in columns]
         for column in columns:
-            if column in self.header:
-                continue
-            hint = suggestion(column, others)
-            if len(self.header) == 1:
-                hint += " Separate the columns by commas, semicolons or tabs."
-            raise ValueError(
-                f"{self.path}: column {column!r} is missing.{hint} Columns there: "
-                f"{', '.join(self.header)}."
-            )
+            if column not in self.header:
+                raise ValueError(
+                    f"{self.path}: column {column!r} is missing."
+                    f"{suggestion(column, others)} Columns there, separated by commas, "
+                    f"semicolons or tabs: {', '.join(self.header)}."
+                )
 
 
 def read_table(
@@ -126,19 +123,14 @@ def read_table(
 
 def check_dialect(delimiter: str | None, decimal: str | None) -> None:
     """Raise ValueError unless a file could be written with these."""
-    for name, value, known in (
-        ("delimiter", delimiter, _DELIMITERS),
-        ("decimal", decimal, _POINTS),
-    ):
+    stated = {"delimiter": (delimiter, _DELIMITERS), "decimal": (decimal, _POINTS)}
+    for name, (value, known) in stated.items():
         if value is not None and value not in known:
             raise ValueError(
                 f"{name} is {value!r}; expected one of {', '.join(map(repr, known))}."
             )
     if delimiter == decimal == ",":
-        raise ValueError(
-            "delimiter and decimal are both a comma, so that numbers cannot be told "
-            "from columns."
-        )
+        raise ValueError("delimiter and decimal are both a comma; give another one.")
 
 
 def delimiter_of(texts: Iterable[str]) -> str:
@@ -186,21 +178,18 @@ def parse_number(cell: str, point: str, what: str = "a cell") -> float:
 
 
 def _selected(table: CsvTable, select: Mapping[str, str]) -> CsvTable:
-    for column, value in select.items():
-        table.check_columns([column])
-        present = list(dict.fromkeys(row[column] for row in table.rows))
-        if value not in present:
-            raise ValueError(
-                f"{table.path}: no row has {column} = {value!r}."
-                f"{suggestion(value, present)} Values there: {', '.join(present)}."
-            )
-    listed = ", ".join(f"{column} = {value}" for column, value in select.items())
+    table.check_columns(select)
     # The items of a dictionary are a set: those of `select` are among those of a row.
     chosen = [i for i, row in enumerate(table.rows) if select.items() <= row.items()]
     if not chosen:
-        raise ValueError(
-            f"{table.path}: no row has {listed} together, although each value is there."
-        )
+        hints = ""
+        for column, value in select.items():
+            there = list(dict.fromkeys(row[column] for row in table.rows))
+            hint = "" if value in there else suggestion(value, there)
+            hints += f"{hint} Values of {column} there: {', '.join(there)}."
+        wanted = ", ".join(f"{column} = {value!r}" for column, value in select.items())
+        raise ValueError(f"{table.path}: no row has {wanted}.{hints}")
+    listed = ", ".join(f"{column} = {value}" for column, value in select.items())
     return table._replace(
         rows=[table.rows[i] for i in chosen],
         lines=tuple(table.lines[i] for i in chosen),
@@ -243,10 +232,7 @@ def coordinates(table: CsvTable, length_unit: str | None) -> tuple[list[str], fl
     named = lambda axes: [u for u in METRES if {f"{a}_{u}" for a in axes} & {*header}]
     units = named("x") or named("yz")
     if len(units) > 1:
-        raise ValueError(
-            f"{path}: it has the coordinates in more than one unit "
-            f"({', '.join(f'x_{unit}' for unit in units)}); keep one."
-        )
+        raise ValueError(f"{path}: x has the units {', '.join(units)}; keep one.")
     unit = units[0] if units else None
     if unit is None and length_unit is None and {"x", "y", "z"} <= set(header):
         raise ValueError(

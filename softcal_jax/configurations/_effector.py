@@ -26,17 +26,10 @@ QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 class EffectorRow(NamedTuple):
     """Up to three coordinates of an effector, as the solver sees them.
 
-    Attributes:
-        name: Name of the marker or effector.
-        quantity: What they are computed from.
-        unit: Their unit.
-        measured: Measured values, or goals; NaN where there is none.
-        inverse_std: 1 / standard deviation; 0 for a coordinate that does not count.
-        nodes: Nodes that carry a point, or hold a reaction.
-        weights: Their weights [-].
-        about: Indices of the bodies, or of the actuator, that it belongs to.
-        axis: Axis of an angle, in the frame of the mesh [-].
-        reference: Orientation that turns are counted from, as a matrix [-].
+    Nodes carry a point, with weights [-], or hold a reaction; `about` are indices of
+    bodies or of the actuator. An angle has an axis [-] in the frame of the mesh, and
+    turns are counted from a reference. Measured values are NaN where there is none,
+    and `inverse_std` is 0 for a coordinate that does not count.
     """
 
     name: str
@@ -66,11 +59,9 @@ class EffectorRow(NamedTuple):
             return (self,)
         n, shape = self.width, () if self.width == 1 else (3,)
         if np.shape(value) != shape or not np.all(np.isfinite(value)):
-            at = "is at" if self.unit == "m" else "measured"
-            verb = "has the value" if n == 1 else at
             count = "a finite number" if n == 1 else "three finite numbers"
             raise ValueError(
-                f"effector {self.name!r} {verb} {value}, expected {count} "
+                f"effector {self.name!r} has the value {value}, expected {count} "
                 f"[{self.unit}]; leave out what was not measured."
             )
         measured, weights = np.full(3, np.nan), np.zeros(3)
@@ -85,14 +76,10 @@ class AbstractEffector(Module):
 
     @abstractmethod
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        """Return its coordinates.
-
-        Args:
-            mesh: The mesh at rest.
-            mechanism: Rigid bodies and actuators of the model.
+        """Return its coordinates on a mesh at rest.
 
         Raises:
-            ValueError: If it does not fit them, or its value is not finite.
+            ValueError: If it does not fit the model, or its value is not finite.
         """
 
     def measured_as(

@@ -1,6 +1,7 @@
 """Rows of effectors as arrays of one shape, and records of them for results."""
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import count
 
 import numpy as np
@@ -8,6 +9,7 @@ from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax._units import readable_values
 from softcal_jax.configurations._arrays import EffectorArrays, RecordingBase
 from softcal_jax.configurations._effector import QUANTITIES, EffectorRow, Quantity
 
@@ -18,8 +20,7 @@ Rows = Sequence[EffectorRow]
 class EffectorRecord(Module):
     """Up to three coordinates of an effector: their names, units and values.
 
-    Made together with the arrays that the solver sees, and filled in by results; files,
-    tables and pictures read it. A frame has two, one of its point and one of its turn.
+    Results fill it in. A frame has two, one of its point and one of its turn.
 
     Attributes:
         name: Name of the marker or effector.
@@ -93,11 +94,7 @@ def effector_record(
 
 
 def stack_effectors(lanes: Sequence[Rows]) -> list[tuple[EffectorArrays, list[int]]]:
-    """Put rows of each configuration into arrays of the same shapes.
-
-    Returns:
-        For each configuration the arrays, and the index of each of its rows in them.
-    """
+    """Put rows of each configuration into arrays, and find the index of each row."""
     number = lambda lane, quantity: sum(row.quantity == quantity for row in lane)
     places, end = {}, 0
     for quantity in QUANTITIES:
@@ -139,3 +136,29 @@ def _stack(
         base=RecordingBase(np.zeros(3), np.zeros(3)),
     )
     return arrays, indices
+
+
+FAR = 3.0
+"""Distance over the size of the robot from which a point is hardly meant so [-]."""
+
+
+def motions(records: Iterable[EffectorRecord]) -> dict[str, Float[HostArray, " k"]]:
+    """Return how far each point was measured from its place at rest, by name [m]."""
+    points = [own for own in records if own.quantity == "point" and own.seen.any()]
+    return {own.name: own.error(own.at_rest) for own in points}
+
+
+def farthest(moved: Mapping[str, Float[HostArray, " k"]], size: float) -> str | None:
+    """Describe the point that moved farthest if it is farther than is plausible [m].
+
+    `size` is that of the robot.
+    """
+    distances = {name: math.hypot(*u) for name, u in moved.items()}
+    name = max(distances, key=distances.__getitem__, default="")
+    if not moved or distances[name] <= FAR * size:
+        return None
+    return (
+        f"{name!r} is {readable_values([distances[name]], 'm')} from its place at "
+        f"rest, {distances[name] / size:.3g} times the size of the robot "
+        f"({readable_values([size], 'm')}): check the unit of length and the frame."
+    )

@@ -8,7 +8,6 @@ import numpy as np
 
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.actuators import Kind
 from softcal_jax.bodies import BodyArrays, Pose
 from softcal_jax.configurations._effector import (
     AbstractEffector,
@@ -28,7 +27,6 @@ class BodyFrame(AbstractEffector):
     orientation relative to the measured one, which has no jump at half a turn.
 
     Attributes:
-        name: Its name.
         body: The rigid body.
         measured: Its measured motion from rest: translation of the point, and rotation.
         point: The point, on the mesh at rest; by default the origin of the body's
@@ -48,7 +46,6 @@ class BodyFrame(AbstractEffector):
     std_angle: float | Float[HostArray, "3"] = Unstated(1e-2)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        """Return its position, then its orientation."""
         bodies = mechanism.bodies
         k, point = self._place(bodies)
         turn = EffectorRow(self.name, "turn", "rad", about=(k, 0))
@@ -86,7 +83,6 @@ class Centroid(AbstractEffector):
     """Mean position of a group of nodes.
 
     Attributes:
-        name: Its name.
         where: The group, or node indices.
         measured: Measured position [m].
         std: Standard deviation of each coordinate [m].
@@ -100,7 +96,6 @@ class Centroid(AbstractEffector):
     std: float = Unstated(1e-3)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        """Return its position."""
         del mechanism
         nodes = node_indices(mesh, self.where, f"effector {self.name!r}")
         weights = np.full(nodes.size, 1.0 / nodes.size)
@@ -116,7 +111,6 @@ class SupportReaction(AbstractEffector):
     pulls at it, and bodies that are tied to it.
 
     Attributes:
-        name: Its name.
         where: The group, or node indices.
         measured: Measured force of the support on the body [N].
         std: Standard deviation of each coordinate [N].
@@ -130,7 +124,6 @@ class SupportReaction(AbstractEffector):
     std: float = Unstated(1e-2)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        """Return its three coordinates."""
         nodes = node_indices(mesh, self.where, f"effector {self.name!r}")
         nodes = _with_bodies(nodes, mesh, mechanism.bodies, self.name)
         ones = np.ones(nodes.size)
@@ -142,7 +135,6 @@ class BodyAngle(AbstractScalar):
     """Angle by which one rigid body has turned against another.
 
     Attributes:
-        name: Its name.
         body: The body that turns.
         other: The body it is measured from.
         axis: Axis of the angle, fixed to `other`, as it lies at rest [-].
@@ -158,7 +150,6 @@ class BodyAngle(AbstractScalar):
     std: float = Unstated(1e-2)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        """Return its single coordinate."""
         del mesh
         names = mechanism.bodies.names
         body = _index_of(self.body, names, "rigid body", self.name)
@@ -182,7 +173,6 @@ class ActuatorDisplacement(AbstractScalar):
     itself.
 
     Attributes:
-        name: Its name.
         actuator: The actuator.
         measured: Measured displacement from rest, in the unit of the actuator.
         std: Its standard deviation.
@@ -194,17 +184,16 @@ class ActuatorDisplacement(AbstractScalar):
     std: float = Unstated(1e-3)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        """Return its single coordinate."""
         del mesh
-        a, kind = _actuator(self.actuator, mechanism, self.name)
+        a = _index_of(self.actuator, mechanism.actuators.names, "actuator", self.name)
+        kind = mechanism.actuators.kinds[a]
         if kind.displacement_unit is None:
             raise ValueError(
                 f"effector {self.name!r}: {kind.noun} {self.actuator!r} has no "
                 "displacement; use ActuatorForce (in a project file type = "
                 '"actuator-force").'
             )
-        unit = kind.displacement_unit
-        row = EffectorRow(self.name, "scalar", unit, about=(a, -1))
+        row = EffectorRow(self.name, "scalar", kind.displacement_unit, about=(a, -1))
         return row.with_value(self.measured, self.std)
 
 
@@ -212,7 +201,6 @@ class ActuatorForce(AbstractScalar):
     """Force lambda_a of an actuator: tension, pressure, reaction torque of a motor.
 
     Attributes:
-        name: Its name.
         actuator: The actuator.
         measured: Measured force, in the unit of the actuator.
         std: Its standard deviation.
@@ -224,10 +212,10 @@ class ActuatorForce(AbstractScalar):
     std: float = Unstated(1e-2)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        """Return its single coordinate."""
         del mesh
-        a, kind = _actuator(self.actuator, mechanism, self.name)
-        row = EffectorRow(self.name, "force", kind.force_unit, about=(a, 0))
+        a = _index_of(self.actuator, mechanism.actuators.names, "actuator", self.name)
+        unit = mechanism.actuators.kinds[a].force_unit
+        row = EffectorRow(self.name, "force", unit, about=(a, 0))
         return row.with_value(self.measured, self.std)
 
 
@@ -236,12 +224,6 @@ def _index_of(wanted: str, names: Sequence[str], kind: str, owner: str) -> int:
     if wanted not in names:
         raise unknown_name(f"{kind} of effector {owner!r}", wanted, names)
     return list(names).index(wanted)
-
-
-def _actuator(wanted: str, mechanism: Mechanism, owner: str) -> tuple[int, Kind]:
-    actuators = mechanism.actuators
-    a = _index_of(wanted, actuators.names, "actuator", owner)
-    return a, actuators.kinds[a]
 
 
 def _with_bodies(

@@ -33,8 +33,7 @@ class AbstractLoad(Module):
         """Compute forces on all nodes [N].
 
         Raises:
-            ValueError: If a group or node is unknown, a point lies outside the mesh, or
-                a force is not three finite numbers.
+            ValueError: If there is no such place, or a force is not finite.
         """
 
 
@@ -73,16 +72,10 @@ class NodalForces(AbstractLoad):
         """Place the forces, added up where a node is named twice, on all nodes [N]."""
         nodes = node_indices(mesh, self.nodes, "a nodal force")
         forces = np.asarray(self.forces, float)
-        if forces.shape != (len(nodes), 3):
+        if forces.shape != (len(nodes), 3) or not np.all(np.isfinite(forces)):
             raise ValueError(
-                f"{len(nodes)} nodes need forces of shape ({len(nodes)}, 3) [N], "
-                f"got {forces.shape}."
-            )
-        bad = np.flatnonzero(~np.isfinite(forces).all(axis=1))
-        if bad.size:
-            raise ValueError(
-                f"the force on node {nodes[bad[0]]} is {forces[bad[0]]}: expected "
-                "three finite numbers [N]."
+                f"{len(nodes)} nodes need finite forces of shape ({len(nodes)}, 3) "
+                f"[N], got {forces.tolist()}."
             )
         return _added(mesh, nodes, forces)
 

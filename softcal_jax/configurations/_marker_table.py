@@ -38,15 +38,12 @@ class MarkerTable(Module):
         Raises:
             ValueError: If a marker is not there, or its position is not finite.
         """
-        rows = [self._row(name) for name in names]
-        for name, row in zip(names, rows, strict=True):
-            if not np.all(np.isfinite(self.positions[row])):
-                raise ValueError(
-                    f"{self.source}, {self.places[row]}: the position of marker "
-                    f"{name!r} is missing or not finite. Leave a marker that was lost "
-                    "out of this configuration."
-                )
-        return self.positions[rows]
+        return self._finite(
+            self.positions,
+            names,
+            "the position of marker {!r} is missing or not finite. Leave a marker that "
+            "was lost out of this configuration.",
+        )
 
     def covariances_of(self, names: Sequence[str]) -> Float[HostArray, "n_wanted 3 3"]:
         """Return the scatter of single frames of some markers [m2].
@@ -55,29 +52,39 @@ class MarkerTable(Module):
             ValueError: If a marker is not there, they are no means over a window, or
                 fewer than two frames of it saw a marker.
         """
-        rows = [self._row(name) for name in names]
         if self.covariances is None:
             raise ValueError(
                 f"{self.source} holds single positions, which do not scatter; take "
                 "them over a window of a recording."
             )
-        for name, row in zip(names, rows, strict=True):
-            if not np.all(np.isfinite(self.covariances[row])):
-                raise ValueError(
-                    f"{self.source}, {self.places[row]}: fewer than two frames see "
-                    f"marker {name!r}, so that its scatter is not known: choose a "
-                    "longer window."
-                )
-        return self.covariances[rows]
+        return self._finite(
+            self.covariances,
+            names,
+            "fewer than two frames see marker {!r}, so that its scatter is not known: "
+            "choose a longer window.",
+        )
 
-    def _row(self, name: str) -> int:
-        if name not in self.names:
-            raise ValueError(
-                f"{self.source} has no marker {name!r}."
-                f"{suggestion(name, self.names)} It has {', '.join(self.names)}. In a "
-                "project file `labels` maps names of yours to those of the file."
-            )
-        return self.names.index(name)
+    def _finite(
+        self, values: Float[HostArray, "n_markers ..."], names: Sequence[str], lost: str
+    ) -> Float[HostArray, "n_wanted ..."]:
+        """Return values of some markers; raise with what is `lost` where one is not."""
+        rows = [index_of(name, self.names, self.source) for name in names]
+        for name, row in zip(names, rows, strict=True):
+            if not np.all(np.isfinite(values[row])):
+                where = f"{self.source}, {self.places[row]}"
+                raise ValueError(f"{where}: {lost.format(name)}")
+        return values[rows]
+
+
+def index_of(name: str, names: Sequence[str], source: str) -> int:
+    """Return the index of a marker of what was read."""
+    if name not in names:
+        raise ValueError(
+            f"{source} has no marker {name!r}.{suggestion(name, names)} It has "
+            f"{', '.join(names)}. In a project file `labels` (`renamed` of a "
+            "recording) maps names of yours to those of the file."
+        )
+    return list(names).index(name)
 
 
 def read_markers(

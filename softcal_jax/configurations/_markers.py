@@ -1,7 +1,5 @@
 """Markers: material points whose positions are measured, and nodes that carry them."""
 
-from collections.abc import Iterable
-
 import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike
@@ -15,15 +13,6 @@ from softcal_jax.mesh import TetMesh, locate, volumes
 
 STD = Unstated(1e-3)
 """Standard deviation of the measurement where none is stated [m]."""
-
-
-def _as_names(names: Iterable[str]) -> tuple[str, ...]:
-    if isinstance(names, str):
-        raise ValueError(
-            f"marker names must be a list of names, got the text {names!r}; a single "
-            f"marker is written [{names!r}]."
-        )
-    return tuple(names)
 
 
 class Markers(Module):
@@ -43,7 +32,7 @@ class Markers(Module):
             side of a slit or a second finger [m].
     """
 
-    names: tuple[str, ...] = eqx.field(converter=_as_names)
+    names: tuple[str, ...] = eqx.field(converter=tuple)
     positions: Float[HostArray, "n_markers 3"] = eqx.field(converter=as_floats)
     std: Float[ArrayLike, "..."] = STD
     axes: str = "xyz"
@@ -59,32 +48,21 @@ class Markers(Module):
                     f"got {getattr(self, name):g}."
                 )
         n = len(self.names)
-        if self.positions.shape != (n, 3):
+        if self.positions.shape != (n, 3) or not np.all(np.isfinite(self.positions)):
             raise ValueError(
-                f"{n} marker names need positions of shape ({n}, 3) [m], "
-                f"got {self.positions.shape}."
+                f"{n} marker names need finite positions of shape ({n}, 3) [m], got "
+                f"{self.positions.tolist()}."
             )
         repeated = sorted({name for name in self.names if self.names.count(name) > 1})
         if repeated:
             raise ValueError(f"marker {repeated[0]!r} is named more than once.")
-        if not np.all(np.isfinite(self.positions)):
-            bad = np.flatnonzero(~np.isfinite(self.positions).all(axis=1))[0]
-            raise ValueError(
-                f"marker {self.names[bad]!r} has the position {self.positions[bad]}: "
-                "expected three finite numbers [m]."
-            )
         std = np.asarray(self.std, float)
-        if std.shape not in ((), (n,), (n, 3)):
+        fits = std.shape in ((), (n,), (n, 3))
+        if not (fits and np.all(np.isfinite(std) & (std > 0))):
             raise ValueError(
-                f"std must be one number, one per marker ({n},) or one per marker and "
-                f"axis ({n}, 3), got shape {std.shape}."
-            )
-        bad = np.argwhere(~(np.isfinite(std) & (std > 0)))
-        if len(bad):
-            of = f" of marker {self.names[bad[0][0]]!r}" if std.ndim else ""
-            raise ValueError(
-                f"std{of} must be positive and finite [m], got {std[tuple(bad[0])]:g}; "
-                "leave a coordinate out with `axes` instead of giving it no precision."
+                "std must be positive and finite [m], one number, one per marker "
+                f"({n},) or one per marker and axis ({n}, 3), got {std.tolist()}; a "
+                "coordinate without precision is left out with `axes`."
             )
 
     def inverse_std(self) -> Float[HostArray, "n_markers 3"]:

@@ -38,7 +38,6 @@ class Mechanism(Module):
 
     @property
     def n_actuators(self) -> int:
-        """Number of actuators."""
         return len(self.actuators.names)
 
     def displacements(self, x: Float[Array, "n_points 3"]) -> Float[Array, " n_a"]:

@@ -37,17 +37,9 @@ def find_plateau(
     frames, is farther from its mean over the core than 2 % of the largest
     motion and four standard deviations of the noise.
 
-    Args:
-        times: Time of each frame in which to look [s].
-        positions: Positions in these frames; nan where a marker was occluded [m].
-        whole: Positions in all frames of the recording, for motion and noise [m].
-        length: Least length of the plateau [s].
-
-    Returns:
-        The first of its frames, and the one after its last.
-
-    Raises:
-        ValueError: If there is none of that length.
+    It is looked for in the frames with `times` and `positions`, nan where a marker was
+    occluded; motion and noise are those of the `whole` recording [s, m]. Returned are
+    the first of its frames, and the one after its last.
     """
     if not length > 0.0:
         raise ValueError(f"a plateau has a positive length [s], got {length:g}.")

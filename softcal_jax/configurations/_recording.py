@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import suggestion, unknown_name
 from softcal_jax._typing import Bool, Float, HostArray
-from softcal_jax.configurations._marker_table import MarkerTable
+from softcal_jax.configurations._marker_table import MarkerTable, index_of
 from softcal_jax.configurations._plateau import find_plateau
 
 STEP = 0.05
@@ -73,14 +72,11 @@ class Recording(Module):
             ValueError: If there is no such event, or more than one.
         """
         times = [time for name, time in self.events if name == event]
-        if not times:
-            names = [name for name, _ in self.events]
-            raise ValueError(f"{self.source}: {unknown_name('event', event, names)}")
-        if len(times) > 1:
-            listed = ", ".join(f"{time:g}" for time in times)
+        if len(times) != 1:
+            known = ", ".join(f"{name!r} at {time:g} s" for name, time in self.events)
             raise ValueError(
-                f"{self.source} has the event {event!r} {len(times)} times, at "
-                f"{listed} s: count times from the first frame instead."
+                f"{self.source}: the event {event!r} is there {len(times)} times, "
+                f"expected once. Known: {known or 'none'}."
             )
         return times[0]
 
@@ -101,8 +97,8 @@ class Recording(Module):
             after_event: Named event from which both are counted.
 
         Raises:
-            ValueError: If the window is not in the recording, or holds no frame, or
-                there is no such step or event.
+            ValueError: If the window is not in the recording, or there is no such step
+                or event.
         """
         zero, since_what = self._zero(after_step_of, after_event)
         # Times are multiples of the frame's length, up to rounding.
@@ -199,12 +195,10 @@ class Recording(Module):
         for label in new:
             self._column(label)
         names = tuple(new.get(name, name) for name in self.names)
-        repeated = [name for name in names if names.count(name) > 1]
-        if repeated or len(new) < len(labels):
-            which = repeated[0] if repeated else "of one marker"
+        if len({*names}) < len(names) or len(new) < len(labels):
             raise ValueError(
-                f"{self.source}: the labels {dict(labels)} give two markers the name "
-                f"{which!r}, or one marker two names."
+                f"{self.source}: the labels {dict(labels)} give two markers one name, "
+                "or one marker two names."
             )
         return replace(self, names=names)
 
@@ -212,7 +206,7 @@ class Recording(Module):
         self, after_step_of: str | None, after_event: str | None
     ) -> tuple[float, str]:
         """Return the time that others are counted from [s], and the words for it."""
-        if after_step_of is not None and after_event is not None:
+        if None not in (after_step_of, after_event):
             raise ValueError(
                 f"times count from the step of {after_step_of!r} or from the event "
                 f"{after_event!r}, not from both."
@@ -243,13 +237,7 @@ class Recording(Module):
         )
 
     def _column(self, name: str) -> int:
-        if name not in self.names:
-            raise ValueError(
-                f"{self.source} has no marker {name!r}.{suggestion(name, self.names)} "
-                f"It has {', '.join(self.names)}. `labels` (`renamed` in Python) "
-                "maps names of yours to those of the file."
-            )
-        return self.names.index(name)
+        return index_of(name, self.names, self.source)
 
 
 class Traces(Module):

@@ -30,22 +30,17 @@ def read_recording(
 ) -> Recording:
     """Read a recording: a file that ends with .c3d, or else a wide table.
 
-    Args:
-        path: The file.
-        length_unit: As for `read_wide_table`; .c3d files state it.
-        delimiter: Of a table, as for `read_wide_table`.
-        decimal: Of a table, as for `read_wide_table`.
+    Options are those of `read_wide_table`, for tables only.
 
     Raises:
         ImportError: If it is a .c3d file and ezc3d is not installed.
         FileNotFoundError: As `read_c3d` and `read_wide_table`.
         ValueError: As those, or if something is given that .c3d files state.
     """
+    dialect = {"length_unit": length_unit, "delimiter": delimiter, "decimal": decimal}
     if Path(path).suffix.lower() != C3D:
-        dialect = {"delimiter": delimiter, "decimal": decimal}
-        return read_wide_table(path, length_unit=length_unit, **dialect)
-    stated = {"length_unit": length_unit, "delimiter": delimiter, "decimal": decimal}
-    for key, value in stated.items():
+        return read_wide_table(path, **dialect)
+    for key, value in dialect.items():
         if value is not None:
             raise ValueError(f"{key} is for tables; leave it out for {path}.")
     return read_c3d(path)
@@ -67,9 +62,8 @@ def read_c3d(path: str | os.PathLike[str]) -> Recording:
     Raises:
         FileNotFoundError: If there is no such file.
         ImportError: If ezc3d is not installed.
-        ValueError: If it is no file of a disk, cannot be read, holds no frames or no
-            markers, two markers of one label, or no positive rate, or does not state
-            a known unit of length.
+        ValueError: If it cannot be read, holds no frames, no markers or two of one
+            label, or states no positive rate or no known unit of length.
 
     Example:
         The pose from 1.25 to 1.35 s after the valve opened::

@@ -36,20 +36,16 @@ class Registration(Module):
 
 
 def register(
-    measured: Float[ArrayLike, "n_markers 3"],
-    nominal: Float[ArrayLike, "n_markers 3"],
-    *,
-    weights: Float[ArrayLike, " n_markers"] | None = None,
+    measured: Float[ArrayLike, "n_markers 3"], nominal: Float[ArrayLike, "n_markers 3"]
 ) -> Registration:
     """Fit the rigid motion that takes measured markers onto nominal positions.
 
-    The weighted least-squares rotation of Kabsch (Acta Cryst. A32, 1976), by
+    The least-squares rotation of Kabsch (Acta Cryst. A32, 1976), by
     `scipy.spatial.transform.Rotation.align_vectors`.
 
     Args:
         measured: Positions in the camera frame [m].
         nominal: The same markers in the mesh frame [m].
-        weights: Weight of each marker [-]; equal by default.
 
     Raises:
         ValueError: If fewer than three markers are given, they lie on a line or in one
@@ -62,31 +58,18 @@ def register(
             "registration needs as many measured as nominal markers, shape "
             f"(n, 3) each [m], got {measured.shape} and {nominal.shape}."
         )
-    if not (np.all(np.isfinite(measured)) and np.all(np.isfinite(nominal))):
+    if len(measured) < 3 or not np.all(np.isfinite([measured, nominal])):
         raise ValueError(
-            "registration markers must be finite; drop those that are not."
+            f"registration needs at least 3 markers, got {len(measured)}; their "
+            "positions must be finite."
         )
-    w = np.ones(len(measured)) if weights is None else np.asarray(weights, float)
-    if w.shape != (len(measured),) or not np.all(np.isfinite(w) & (w >= 0.0)):
-        raise ValueError(
-            f"weights must be {len(measured)} finite numbers, none of them negative, "
-            f"got {weights!r}."
-        )
-    used = w > 0.0
-    if used.sum() < 3:
-        positive = "" if weights is None else " of positive weight"
-        raise ValueError(
-            f"registration needs at least 3 markers, got {used.sum()}{positive}."
-        )
-    centre_m, centre_n = np.average(measured, 0, w), np.average(nominal, 0, w)
+    centre_m, centre_n = measured.mean(axis=0), nominal.mean(axis=0)
     for kind, points in (("measured", measured), ("nominal", nominal)):
-        _check_spread(kind, points[used])
+        _check_spread(kind, points)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", UserWarning)
-            turn, *_ = Rotation.align_vectors(
-                nominal - centre_n, measured - centre_m, weights=w
-            )
+            turn, *_ = Rotation.align_vectors(nominal - centre_n, measured - centre_m)
     except UserWarning as error:
         raise ValueError(
             "no rotation takes the measured markers best onto the nominal ones: check "
@@ -97,15 +80,13 @@ def register(
     return Registration(R, t, measured @ R.T + t - nominal)
 
 
-def _check_spread(kind: str, points: Float[HostArray, "n_used 3"]) -> None:
+def _check_spread(kind: str, points: Float[HostArray, "n 3"]) -> None:
     """Raise unless the points span a triangle."""
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     # Far from the origin, rounding spreads even points that coincide.
-    rounding = 1e-12 * np.abs(points).max()
-    if spread[1] > max(1e-6 * spread[0], rounding):
-        return
-    where = "lie on a line" if spread[0] > rounding else "are all in one place"
-    raise ValueError(
-        f"the {kind} markers of the registration {where}, which leaves a rotation "
-        "free: choose at least three that span a triangle, and check their positions."
-    )
+    if spread[1] <= max(1e-6 * spread[0], 1e-12 * np.abs(points).max()):
+        raise ValueError(
+            f"the {kind} markers of the registration lie on a line, which leaves a "
+            "rotation free: choose at least three that span a triangle, and check "
+            "their positions."
+        )

@@ -1,16 +1,18 @@
-"""Poses of the sensors of a 6-D tracker from its text export."""
+"""Poses of the sensors of a 6-D tracker: their files, change of frame, and means."""
 
 import os
-import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softcal_jax._names import METRES, unknown_name
+from softcal_jax._module import Module
+from softcal_jax._names import METRES, suggestion, unknown_name
+from softcal_jax._text import shortened
 from softcal_jax._typing import Float, HostArray
-from softcal_jax._warnings import SoftcalWarning
+from softcal_jax.bodies import Pose
 from softcal_jax.configurations._csv_table import (
     CsvTable,
     check_length_unit,
@@ -18,7 +20,106 @@ from softcal_jax.configurations._csv_table import (
     read_lines,
     read_table,
 )
-from softcal_jax.configurations._pose_table import PoseTable
+
+_ONE_POSE = np.deg2rad(30.0)
+"""Largest turn of a reading of one pose from the mean of the readings [rad]."""
+
+
+class PoseTable(Module):
+    """Poses of sensors, one row per reading; a sensor may have several.
+
+    A row takes points from the sensor's frame to the table's: x = R x_sensor + p.
+
+    Attributes:
+        names: Sensor of each row.
+        positions: Origin of the sensor, p [m].
+        rotations: Its axes as columns, R [-].
+        lines: Line of the file that each row stands on, from 1.
+        source: What was read, for messages.
+    """
+
+    names: tuple[str, ...]
+    positions: Float[HostArray, "n_rows 3"]
+    rotations: Float[HostArray, "n_rows 3 3"]
+    lines: tuple[int, ...]
+    source: str
+
+    def readings_of(self, name: str) -> "PoseTable":
+        """Return the rows of one sensor."""
+        rows = [i for i, other in enumerate(self.names) if other == name]
+        if not rows:
+            known = dict.fromkeys(self.names)
+            raise ValueError(
+                f"{self.source} has no sensor {name!r}.{suggestion(name, known)} "
+                f"It has {', '.join(known)}."
+            )
+        return replace(
+            self,
+            names=(name,) * len(rows),
+            positions=self.positions[rows],
+            rotations=self.rotations[rows],
+            lines=tuple(self.lines[i] for i in rows),
+        )
+
+
+def in_frame(table: PoseTable, base: Pose) -> PoseTable:
+    """Convert readings from the frame of the tracker's base to that of the robot.
+
+    T = T_base T_reading, where a pose stands for x -> R x + translation.
+
+    Args:
+        table: Readings of sensors.
+        base: Pose of the tracker's base in the robot's frame.
+    """
+    return replace(
+        table,
+        positions=table.positions @ base.matrix.T + base.translation,
+        rotations=base.matrix @ table.rotations,
+    )
+
+
+class AveragedPose(Module):
+    """Mean of the readings of one sensor.
+
+    Attributes:
+        position: Mean of the positions [m].
+        rotation: Mean of the rotations [-].
+    """
+
+    position: Float[HostArray, "3"]
+    rotation: Float[HostArray, "3 3"]
+
+
+def average_poses(table: PoseTable) -> dict[str, AveragedPose]:
+    """Average the readings of each sensor, by name, while it stood still.
+
+    The mean rotation has the least sum of squared matrix distances, by
+    `scipy.spatial.transform.Rotation.mean` (Markley et al., J. Guid. Control Dyn. 30,
+    2007).
+
+    Raises:
+        ValueError: If a reading turns by more than 30 degrees from the mean of its
+            sensor, so that they are not all of one pose.
+    """
+    names = dict.fromkeys(table.names)
+    return {name: _average(table.readings_of(name)) for name in names}
+
+
+def _average(readings: PoseTable) -> AveragedPose:
+    rotations = Rotation.from_matrix(readings.rotations)
+    mean = rotations.mean()
+    turns = (rotations * mean.inv()).as_rotvec()
+    angles = np.linalg.norm(turns, axis=1)
+    worst = int(np.argmax(angles))
+    if angles[worst] > _ONE_POSE:
+        raise ValueError(
+            f"{readings.source}, line {readings.lines[worst]}: this reading of sensor "
+            f"{readings.names[0]!r} turns by {np.rad2deg(angles[worst]):.3g} deg from "
+            f"the mean of {len(angles)}, more than 30 deg: select the readings of one "
+            "pose."
+        )
+    return AveragedPose(readings.positions.mean(axis=0), mean.as_matrix())
+
 
 _QUATERNION = ["qw", "qx", "qy", "qz"]
 _ANGLES = ("azimuth", "elevation", "roll")
@@ -26,10 +127,6 @@ _RADIANS = {"deg": np.pi / 180.0, "rad": 1.0}
 
 _UNIT_LENGTH = 1e-3
 """Largest error of a quaternion's length, more than rounding to four digits gives."""
-
-
-class TrackerWarning(SoftcalWarning):
-    """Something in a tracker's file that is probably a mistake."""
 
 
 def read_poses(
@@ -42,31 +139,17 @@ def read_poses(
 ) -> PoseTable:
     """Read poses of sensors, in their order, from a CSV file with a header line.
 
-    Columns: `sensor`; `x`, `y`, `z` or columns that carry their unit, like `x_mm`; and
+    Columns: `sensor`; positions, other columns and arguments as for `read_markers`; and
     either the angles `azimuth_deg`, `elevation_deg`, `roll_deg` (or `..._rad`) or a
-    unit quaternion `qw`, `qx`, `qy`, `qz`. Any other column can be selected on. Lines
-    that start with `#` and blank lines are skipped.
+    unit quaternion `qw`, `qx`, `qy`, `qz`.
 
     The angles are those of Polhemus: R = Rz(azimuth) Ry(elevation) Rx(roll), from the
     sensor's axes to those of the tracker's base.
 
-    Args:
-        path: The file.
-        length_unit: Unit of the positions: "m", "cm", "mm", "um" or "inch"; not needed
-            where the columns carry it.
-        select: Column and value pairs; only the rows that have them all are taken.
-        delimiter: As for `read_markers`.
-        decimal: As for `read_markers`.
-
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it cannot be read, a column is missing, a unit is unknown,
-            unstated or contradicts the columns, nothing is selected, a value is not a
-            finite number, an angle is out of its range, or a quaternion is not of unit
-            length.
-
-    Warns:
-        TrackerWarning: If angles in degrees look like radians.
+        ValueError: As for `read_markers`, or if an angle is out of its range or a
+            quaternion is not of unit length.
     """
     table = read_table(path, "sensor", select, delimiter=delimiter, decimal=decimal)
     columns, metres = coordinates(table, length_unit)
@@ -84,11 +167,8 @@ def read_poses(
     if turn_columns == _QUATERNION:
         rotations = _from_quaternions(table.path, table.lines, turns)
     else:
-        remedy = "name the columns azimuth_{unit}, elevation_{unit}, roll_{unit}"
         unit = turn_columns[0].removeprefix("azimuth_")
-        rotations = _from_angles(
-            table.path, table.lines, turns, unit=unit, remedy=remedy
-        )
+        rotations = _from_angles(table.path, table.lines, turns, unit)
     return PoseTable(
         names=table.names,
         positions=metres * values[:, :3],
@@ -103,7 +183,7 @@ def read_polhemus(
     *,
     length_unit: str,
     angle_unit: str = "deg",
-    stations: Mapping[int, str] | None = None,
+    station: int | None = None,
 ) -> PoseTable:
     """Read the text that a Polhemus tracker sends: numbers without a header.
 
@@ -115,16 +195,12 @@ def read_polhemus(
         path: The file.
         length_unit: Unit that the tracker was set to: "cm" or "inch", or another one.
         angle_unit: "deg" or "rad".
-        stations: Names by station; only these are read. By default all are, with names
-            like "station 1".
+        station: The only one to read; names of sensors are like "station 1".
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it cannot be read, a unit is unknown, a line does not hold seven
-            finite numbers, a station is not there, or an angle is out of its range.
-
-    Warns:
-        TrackerWarning: If angles in degrees look like radians.
+        ValueError: If a unit is unknown, a line does not hold seven finite numbers, the
+            station is not there, or an angle is out of its range.
     """
     check_length_unit(length_unit)
     if angle_unit not in _RADIANS:
@@ -137,29 +213,23 @@ def read_polhemus(
     if not readings:
         raise ValueError(f"tracker file {path} holds no readings.")
     present = dict.fromkeys(int(values[0]) for _, values in readings)
-    wanted = stations or {station: f"station {station}" for station in present}
-    for station in wanted:
-        if station not in present:
-            raise ValueError(
-                f"{path} has no station {station}. It has "
-                f"{', '.join(map(str, present))}."
-            )
+    wanted = present if station is None else [station]
     chosen = [reading for reading in readings if int(reading[1][0]) in wanted]
+    if not chosen:
+        there = ", ".join(map(str, present))
+        raise ValueError(f"{path} has no station {station}. It has {there}.")
     lines = tuple(line for line, _ in chosen)
-    values, remedy = np.array([v for _, v in chosen]), "give angle_unit={unit!r}"
+    values = np.array([v for _, v in chosen])
     return PoseTable(
-        names=tuple(wanted[int(station)] for station in values[:, 0]),
+        names=tuple(f"station {number:.0f}" for number in values[:, 0]),
         positions=METRES[length_unit] * values[:, 1:4],
-        rotations=_from_angles(
-            path, lines, values[:, 4:], unit=angle_unit, remedy=remedy
-        ),
+        rotations=_from_angles(path, lines, values[:, 4:], angle_unit),
         lines=lines,
         source=str(path),
     )
 
 
 def _turn_columns(table: CsvTable) -> list[str]:
-    """Find the columns of the three angles or of the quaternion."""
     path, header = table.path, table.header
     forms = [[f"{angle}_{unit}" for angle in _ANGLES] for unit in _RADIANS]
     kinds = [form for form in (_QUATERNION, *forms) if set(form) & set(header)]
@@ -170,35 +240,26 @@ def _turn_columns(table: CsvTable) -> list[str]:
             "keep one."
         )
     if not kinds:
-        bare = set(_ANGLES) & set(header)
-        reason = "its angles carry no unit" if bare else "it has no rotation"
         raise ValueError(
-            f"{path}: {reason}; it needs the columns azimuth_deg, elevation_deg, "
-            "roll_deg (or azimuth_rad, ...) or qw, qx, qy, qz. Columns there: "
-            f"{', '.join(header)}."
+            f"{path}: it has no rotation with a unit; it needs the columns "
+            "azimuth_deg, elevation_deg, roll_deg (or azimuth_rad, ...) or qw, qx, qy, "
+            f"qz. Columns there: {', '.join(header)}."
         )
     table.check_columns(kinds[0])
     return kinds[0]
 
 
 def _seven_numbers(path: Path, line: int, text: str) -> list[float]:
-    cells, where = text.split(), f"{path}, line {line}"
-    names = ("station", "x", "y", "z", *_ANGLES)
-    if len(cells) != len(names):
+    try:
+        values = [float(cell) for cell in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != 7 or not np.all(np.isfinite(values)) or values[0] % 1.0:
         raise ValueError(
-            f"{where}: {len(cells)} numbers where 7 are needed, with spaces between: "
-            f"{', '.join(names)}."
+            f"{path}, line {line}: got {shortened(text)!r}; expected 7 finite numbers "
+            "with spaces between: station (an integer), x, y, z, azimuth, elevation, "
+            "roll."
         )
-    values = []
-    for name, cell in zip(names, cells, strict=True):
-        try:
-            values.append(float(cell))
-        except ValueError as error:
-            raise ValueError(f"{where}: {name} is {cell!r}, not a number.") from error
-        if not np.isfinite(values[-1]):
-            raise ValueError(f"{where}: {name} is {cell}, not finite.")
-    if values[0] != int(values[0]):
-        raise ValueError(f"{where}: station is {cells[0]}, not an integer.")
     return values
 
 
@@ -218,36 +279,17 @@ def _from_quaternions(
 
 
 def _from_angles(
-    path: Path,
-    lines: tuple[int, ...],
-    angles: Float[HostArray, "n 3"],
-    *,
-    unit: str,
-    remedy: str,
+    path: Path, lines: tuple[int, ...], angles: Float[HostArray, "n 3"], unit: str
 ) -> Float[HostArray, "n 3 3"]:
-    """Compute rotation matrices Rz(azimuth) Ry(elevation) Rx(roll) [-].
-
-    `remedy` says how to state another unit, for which "{unit}" stands.
-    """
+    """Compute rotation matrices Rz(azimuth) Ry(elevation) Rx(roll) [-]."""
     # With some tolerance, since trackers print few digits: 1.571 is a right angle.
     limits = np.array([2.0 * np.pi, np.pi / 2.0, 2.0 * np.pi]) / _RADIANS[unit]
     outside = np.argwhere(np.abs(angles) > 1.001 * limits)
     if outside.size:
         row, k = outside[0]
-        hint = ""
-        if unit == "rad":
-            hint = f" If it is in degrees, {remedy.format(unit='deg')}."
         raise ValueError(
             f"{path}, line {lines[row]}: the {_ANGLES[k]} is {angles[row, k]:g} "
-            f"{unit}, beyond {limits[k]:.4g} {unit}.{hint}"
-        )
-    # Numbers that could all be radians, and are too large to ignore.
-    sizes = np.abs(angles).max(axis=0)
-    if unit == "deg" and all(sizes <= [3.142, 1.571, 3.142]) and sizes.max() > 1.0:
-        warnings.warn(
-            f"{path}: every angle lies within half a turn if it is in radians. If they "
-            f"are not degrees, {remedy.format(unit='rad')}.",
-            TrackerWarning,
-            stacklevel=3,
+            f"{unit}, beyond {limits[k]:.4g} {unit}: check the unit of the angles, "
+            "angle_unit or columns like azimuth_deg."
         )
     return Rotation.from_euler("ZYX", angles * _RADIANS[unit]).as_matrix()

@@ -35,31 +35,20 @@ _GAPS = {"", "nan", "null"}
 _HEADER_LINES = 12
 """Lines from which the delimiter is told."""
 
-_STATED_METRES = METRES | {
-    "Meters": 1.0,
-    "Centimeters": 1e-2,
-    "Millimeters": 1e-3,
-    "Inches": 0.0254,
-}
+_WORDS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm", "Inches": "inch"}
+_STATED_METRES = METRES | {word: METRES[unit] for word, unit in _WORDS.items()}
 """Units of length as the programs write them."""
 
-
-_COORDINATE = "a cell (blank, nan or NULL where a marker was not seen)"
-"""What a cell with a number is called in messages."""
+_CELL = "a cell (blank, nan or NULL where a marker was not seen)"
 
 
 class _Layout(NamedTuple):
     """What the lines above the numbers say.
 
-    Attributes:
-        labels: Label of each marker, and the first of its three columns.
-        rows: The rows of numbers.
-        unit: Unit of length; None if the file states none.
-        time_column: Column of the time, or of the number of the frame; None for files
-            without, whose rows are counted.
-        rate: By what that number is divided to become a time in seconds.
-        events: Names and times of events [s].
-        zero_is_gap: Whether a marker at exactly (0, 0, 0) was not seen.
+    Each label has the first of its three columns, and events have times [s]. Without a
+    `time_column`, of times or numbers of frames, rows are counted; what is there is
+    divided by `rate` for a time in seconds. `zero_is_gap` where a marker at exactly
+    (0, 0, 0) was not seen.
     """
 
     labels: Sequence[tuple[str, int]]
@@ -94,9 +83,8 @@ def read_wide_table(
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it cannot be read, is none of these tables, holds no frames or
-            no markers, or one label twice, does not state a known unit of length, or a
-            cell is not a number.
+        ValueError: If it is none of these tables, holds no frames or no markers, or one
+            label twice, states no known unit of length, or a cell is not a number.
     """
     path = Path(path)
     check_dialect(delimiter, decimal)
@@ -159,24 +147,22 @@ def metres_of(path: Path, stated: str | None, given: str | None = None) -> float
     """Return the unit of length that a recording states or that is given [m]."""
     if given is not None:
         check_length_unit(given)
-    if stated is None:
-        if given is None:
-            raise ValueError(
-                f"{path} states no unit of length; give length_unit (Qualisys writes "
-                "mm)."
-            )
-        return METRES[given]
-    if stated not in _STATED_METRES:
+    if stated is None and given is None:
         raise ValueError(
-            f"{path} states the unit of length {stated!r}; expected one of "
+            f"{path} states no unit of length; give length_unit (Qualisys writes mm)."
+        )
+    unit = str(given) if stated is None else stated
+    if unit not in _STATED_METRES:
+        raise ValueError(
+            f"{path} states the unit of length {unit!r}; expected one of "
             f"{', '.join(_STATED_METRES)}, for all markers."
         )
-    if given is not None and METRES[given] != _STATED_METRES[stated]:
+    if given is not None and METRES[given] != _STATED_METRES[unit]:
         raise ValueError(
-            f"{path} states the unit of length {stated!r}, but length_unit is "
-            f"{given!r}; leave length_unit out."
+            f"{path} states the unit of length {unit!r}, but length_unit is {given!r}; "
+            "leave length_unit out."
         )
-    return _STATED_METRES[stated]
+    return _STATED_METRES[unit]
 
 
 def _numbers(
@@ -195,7 +181,7 @@ def _numbers(
             values[i] = [
                 np.nan
                 if cells[k].lower() in _GAPS
-                else parse_number(cells[k], point, _COORDINATE)
+                else parse_number(cells[k], point, _CELL)
                 for k in columns
             ]
             if i and not times[i] > times[i - 1]:
@@ -210,7 +196,6 @@ def _numbers(
 
 
 def _starts(rows: NumberedCells) -> list[str]:
-    """Return the first cell of each row."""
     return [cells[0] for _, cells in rows]
 
 
@@ -292,14 +277,7 @@ def _qualisys(rows: NumberedCells) -> _Layout:
 
 
 class _Program(NamedTuple):
-    """A program that exports such tables.
-
-    Attributes:
-        name: Its name.
-        row: How a row near the top of its tables begins.
-        layout: What reads the lines above the numbers.
-        needs: What is to be exported, for messages.
-    """
+    """A program: how a row near the top of its tables begins, and what to export."""
 
     name: str
     row: str

@@ -143,9 +143,7 @@ def _prepare(model, configuration, goals, limits, priorities, settings) -> Comma
     lanes = configuration_lanes(model.mesh, [configuration], model.mechanism)
     far = farthest(motions(lanes.effectors[0]), model.mesh.size)
     if far is not None:
-        warnings.warn(
-            f"the goal of {far.name!r} is {far}", ControlWarning, stacklevel=3
-        )
+        warnings.warn(f"the goal of {far}", ControlWarning, stacklevel=3)
     return Command(
         model=model,
         configuration=configuration,

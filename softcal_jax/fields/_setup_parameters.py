@@ -38,18 +38,18 @@ OFFSET = 0.5e-3
 
 DEGREE = float(np.deg2rad(1.0))
 
-_SHARE = {"quantity": "share", "unit": ""}
-_NUMBER = {"quantity": "number", "unit": ""}
-_LENGTH = {"quantity": "length", "unit": "m"}
-_ANGLE = {"quantity": "angle", "unit": "rad"}
+
+def _std(usual: float, unit: str = "") -> Any:
+    """Make a field whose key in [uncertain] has an SI unit, "%", or none."""
+    return eqx.field(default=usual, metadata={"unit": unit})
 
 
 class Uncertain(Module):
     """Standard deviations of what a calibration holds fixed; zero switches one off.
 
     The defaults are those of careful work on a bench. They count where the robot has
-    such a thing and nobody calibrates it; see `ErrorBudget`. Metadata of a field say
-    its `quantity`, its SI `unit`, and of what `each` has an error of its own.
+    such a thing and nobody calibrates it; see `ErrorBudget`. The fields are the keys of
+    [uncertain] in a project file.
 
     Attributes:
         nu: Poisson's ratios of the law [-]; at most half of what is left up to 1/2.
@@ -76,19 +76,17 @@ class Uncertain(Module):
             stiffness: such a fit has no intervals, and is not called identified.
     """
 
-    nu: float = eqx.field(default=0.05, metadata=_NUMBER | {"each": "ratio"})
-    density: float = eqx.field(default=0.03, metadata=_SHARE)
-    gravity: float = eqx.field(default=DEGREE, metadata=_ANGLE | {"each": "axis"})
-    loads: float = eqx.field(default=0.02, metadata=_SHARE | {"each": "load"})
-    actuators: float = eqx.field(default=0.02, metadata=_SHARE | {"each": "actuator"})
-    clamp: float = eqx.field(default=1e-3, metadata=_LENGTH)
-    supports: float = eqx.field(default=0.3, metadata=_SHARE | {"each": "support"})
-    recordings: float | Literal["estimated"] = eqx.field(
-        default=OFFSET, metadata=_LENGTH | {"each": "recording"}
-    )
-    zeros: float = eqx.field(default=0.5 * DEGREE, metadata=_ANGLE | {"each": "motor"})
-    mountings: float = eqx.field(default=5e-4, metadata=_LENGTH | {"each": "body"})
-    mesh: float = eqx.field(default=1.0, metadata=_NUMBER)
+    nu: float = _std(0.05)
+    density: float = _std(0.03, "%")
+    gravity: float = _std(DEGREE, "rad")
+    loads: float = _std(0.02, "%")
+    actuators: float = _std(0.02, "%")
+    clamp: float = _std(1e-3, "m")
+    supports: float = _std(0.3, "%")
+    recordings: float | Literal["estimated"] = _std(OFFSET, "m")
+    zeros: float = _std(0.5 * DEGREE, "rad")
+    mountings: float = _std(0.5e-3, "m")
+    mesh: float = _std(1.0)
 
     def __check_init__(self):
         for name, std in vars(self).items():

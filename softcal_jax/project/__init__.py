@@ -1,21 +1,24 @@
 """Project files: a calibration as one text file of mesh, material, data, settings."""
 
-from softcal_jax.project._as_read import QuantityAsRead, quantities_as_read
 from softcal_jax.project._compare import compare_projects, projects_by_name
 from softcal_jax.project._goals import (
     actuation_as_typed,
     limits_as_typed,
     with_goals_as_typed,
 )
-from softcal_jax.project._guesses import CHANGE, Guess, guesses_left
 from softcal_jax.project._load import load_mesh, load_project
-from softcal_jax.project._plausibility import ProjectWarning
+from softcal_jax.project._plausibility import (
+    CHANGE,
+    Guess,
+    ProjectWarning,
+    guesses_left,
+)
 from softcal_jax.project._problems import ProjectError, at, one_by_one, suggestion
 from softcal_jax.project._project import Project
 from softcal_jax.project._quantities import parse_in_si
 from softcal_jax.project._reading import read_schema
 from softcal_jax.project._table import Integer, Table
-from softcal_jax.project._toml import read_toml
+from softcal_jax.project._toml import QuantityAsRead, quantities_as_read, read_toml
 
 __all__ = [
     "CHANGE",

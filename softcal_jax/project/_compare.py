@@ -1,7 +1,6 @@
 """Several projects with the same data, compared by what they predict."""
 
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 
 from softcal_jax.calibration import CalibrationProblem, build_problem
 from softcal_jax.layouts import ModelComparison, compare_models
@@ -18,15 +17,13 @@ def compare_projects(
     `softcal_jax.layouts.compare_laws`. Starts and seed are those of the first project.
 
     Args:
-        projects: Projects of the same configurations, in any order, with the same
-            measurements.
+        projects: Projects of the same configurations and measurements, in any order.
         progress: Called with the name of each project before it is fitted.
 
     Raises:
         ProjectError: If there are fewer than two projects, or one has nothing to
             calibrate or other configurations.
-        ValueError: If there are fewer than two configurations, or projects differ in
-            what was measured.
+        ValueError: If there are fewer than two configurations, or measurements differ.
     """
     if len(projects) < 2:
         raise ProjectError(
@@ -41,10 +38,8 @@ def compare_projects(
                 f"{project.path}: its configurations are {', '.join(found)}, but those "
                 f"of {first.path} are {', '.join(names)}; a comparison needs the same."
             )
-    problems = {
-        name: _problem(project, names)
-        for name, project in projects_by_name(projects).items()
-    }
+    named = projects_by_name(projects).items()
+    problems = {name: _problem(project, names) for name, project in named}
     return compare_models(
         problems,
         first.calibration,
@@ -73,7 +68,5 @@ def projects_by_name(projects: Sequence[Project]) -> Mapping[str, Project]:
         found = {name_of(project): project for project in projects}
         if len(found) == len(projects):
             return found
-    repeated: list[Path] = [project.path for project in projects]
-    raise ProjectError(
-        f"a project file is given twice: {', '.join(map(str, repeated))}."
-    )
+    files = ", ".join(str(project.path) for project in projects)
+    raise ProjectError(f"a project file is given twice: {files}.")

@@ -3,7 +3,6 @@
 To add a load, write one table and list it in `AnyLoad`.
 """
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -13,7 +12,6 @@ from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax.configurations import (
     Configuration,
     EdgeForce,
-    Markers,
     PointForce,
     Registration,
     Support,
@@ -22,20 +20,18 @@ from softcal_jax.configurations import (
     Traces,
 )
 from softcal_jax.equilibrium import Model
-from softcal_jax.project._actuators import build_actuation
-from softcal_jax.project._bodies import State, build_states
 from softcal_jax.project._effectors import Effectors, with_measured
 from softcal_jax.project._markers import (
     MarkersTable,
     MeasuredMarkers,
     MeasuredTable,
 )
+from softcal_jax.project._mechanism import State, build_actuation, build_states
 from softcal_jax.project._problems import WrongKeyError, known_name, under
-from softcal_jax.project._quantities import shown
 from softcal_jax.project._table import (
     Acceleration,
     AccelerationSize,
-    ByKeys,
+    Choice,
     Direction,
     Force,
     Maker,
@@ -46,9 +42,10 @@ from softcal_jax.project._table import (
     TableOr,
     Traction,
     Triple,
+    WholeFile,
+    by_keys,
 )
-from softcal_jax.project._uncertain import ESTIMATED, parse_share
-from softcal_jax.project._whole_file import WholeFile
+from softcal_jax.project._uncertain import ShareOrEstimated
 
 
 class SupportTable(Maker):
@@ -97,7 +94,7 @@ class SurfaceTractionTable(LoadTable):
 
 AnyLoad = Annotated[
     PointForceTable | EdgeForceTable | SurfaceForceTable | SurfaceTractionTable,
-    ByKeys(),
+    Choice(by_keys),
 ]
 
 
@@ -121,33 +118,7 @@ class CandidateTable(Table):
     effectors: tuple[str, ...] | None = None
     actuation: dict[str, Any] = Field(default_factory=dict)
     bodies: dict[str, State] = Field(default_factory=dict)
-    relative_std: float | Literal["estimated"] = 0.0
-
-    @field_validator("relative_std", mode="before")
-    @classmethod
-    def _parse_relative_std(cls, value: Any) -> float | str:
-        return value if value == ESTIMATED else parse_share(value)
-
-    @field_validator("supports", mode="before")
-    @classmethod
-    def _check_supports(cls, value: Any) -> Any:
-        groups = value if isinstance(value, list) else [value]
-        if not groups or isinstance(groups[0], dict):
-            return value
-        names = ", ".join(f"{{ group = {shown(group)} }}" for group in groups)
-        raise ValueError(
-            f"got {shown(value)}; expected a list of tables, like [{names}]."
-        )
-
-    @classmethod
-    def foreign(cls, key: str) -> str | None:
-        """Say where measured values belong."""
-        if key != "measured":
-            return None
-        return (
-            "a candidate is what might be measured; once it is, make it one of "
-            "[[configurations]]."
-        )
+    relative_std: ShareOrEstimated = 0.0
 
     @property
     def acceleration(self) -> Triple:
@@ -171,44 +142,17 @@ class ConfigurationTable(CandidateTable):
         """Read false as none: what [shared] says of readings is not of this pose."""
         if value is True:
             raise ValueError(
-                "got true; expected a table, or false for a pose that is not measured "
-                "yet."
+                "got true; expected a table, or false if not measured yet."
             )
         return None if value is False else value
 
 
-def _reference(name: str, measured: MeasuredTable | None) -> str | None:
-    """Return the configuration that displacements are from; none is its own."""
-    reference = None if measured is None else measured.displacement_from
-    return reference if isinstance(reference, str) and reference != name else None
-
-
 class Built(NamedTuple):
-    """A configuration, and where its measured markers are from.
-
-    Attributes:
-        configuration: The configuration.
-        registration: Registration of the frame of its cameras, if any.
-        traces: The recording of its markers and what was used of it, if any.
-    """
+    """A configuration, and the registration and recording of its measured markers."""
 
     configuration: Configuration
     registration: Registration | None
     traces: Traces | None
-
-
-def _read_markers(
-    own: MeasuredTable, folder: Path, table: MarkersTable, markers: Markers
-) -> MeasuredMarkers:
-    """Read the markers of a pose; if it selects none, it may not be measured yet."""
-    try:
-        return own.build(folder, table, markers)
-    except ValueError as error:
-        if own.select or own.recording or isinstance(error, WrongKeyError):
-            raise
-        raise ValueError(
-            f"{error} If this pose is not measured yet, give it `measured = false`."
-        ) from None
 
 
 def build_configuration(
@@ -218,14 +162,9 @@ def build_configuration(
     model: Model,
     effectors: Effectors,
 ) -> Built:
-    """Build a configuration, with what was measured.
+    """Build a configuration or candidate, with what was measured.
 
-    Args:
-        folder: Folder that relative paths start from.
-        table: The configuration or candidate, with [shared] merged in.
-        project: The whole file.
-        model: The model.
-        effectors: The effectors of the project, without measured values.
+    Relative paths start from `folder`, and `effectors` are without measured values.
     """
     mesh, mechanism = model.mesh, model.mechanism
     supports, loads = [], []
@@ -237,13 +176,8 @@ def build_configuration(
         with under(f"loads[{i}]"):
             loads.append(load.build())
             loads[-1].nodal_forces(mesh)  # raises if there is no such place
-    no_markers = ValueError("the project has no markers; add a table [markers].")
-    markers = positions = registration = traces = None
-    with under("markers"):
-        if project.markers is not None:
-            markers = project.markers.build(table.markers)
-        elif table.markers is not None:
-            raise no_markers
+    own = table.measured if isinstance(table, ConfigurationTable) else None
+    seen = _markers_of(folder, table, own, project.markers)
     with under("effectors"):
         chosen = effectors if table.effectors is None else table.effectors
         for name in chosen:
@@ -254,15 +188,6 @@ def build_configuration(
         )
     with under("bodies"):
         states = build_states(table.bodies, mechanism)
-    own = table.measured if isinstance(table, ConfigurationTable) else None
-    if own is not None and own.file is not None:
-        with under("measured"):
-            if project.markers is None or markers is None:
-                raise no_markers
-            found = _read_markers(own, folder, project.markers, markers)
-            positions, std, registration, traces = found
-            if std is not None:
-                markers = replace(markers, std=std)
     with under("measured.effectors"):
         followed = with_measured(
             {name: effectors[name] for name in chosen},
@@ -271,18 +196,48 @@ def build_configuration(
             folder=folder,
             model=model,
         )
+    reference = None if own is None else own.displacement_from
+    named = reference if isinstance(reference, str) else table.name
     configuration = Configuration(
         name=table.name,
         supports=supports,
         gravity=table.acceleration,
         loads=loads,
-        markers=markers,
-        measured=positions,
+        markers=seen.markers,
+        measured=seen.positions,
         effectors=followed,
         bodies=states,
         actuation=actuation,
         recording=getattr(table, "recording", None),
-        displacement_from=_reference(table.name, own),
+        displacement_from=None if named == table.name else named,
         relative_std=table.relative_std,
     )
-    return Built(configuration, registration, traces)
+    return Built(configuration, seen.registration, seen.traces)
+
+
+def _markers_of(
+    folder: Path,
+    table: CandidateTable,
+    own: MeasuredTable | None,
+    every: MarkersTable | None,
+) -> MeasuredMarkers:
+    """Build the markers of a pose, and read where they were measured."""
+    reads = own is not None and own.file is not None
+    if every is None:
+        if reads or table.markers is not None:
+            none = "the project has no markers; add a table [markers]."
+            raise WrongKeyError("markers", none)
+        return MeasuredMarkers()
+    with under("markers"):
+        markers = every.build(table.markers)
+    if own is None or not reads:
+        return MeasuredMarkers(markers)
+    with under("measured"):
+        try:
+            return own.build(folder, every, markers)
+        except ValueError as error:
+            if own.select or own.recording or isinstance(error, WrongKeyError):
+                raise
+            raise ValueError(
+                f"{error} If this pose is not measured yet, give it `measured = false`."
+            ) from None

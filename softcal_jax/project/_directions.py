@@ -10,20 +10,21 @@ from pydantic import Field
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.materials import frames_along, frames_around
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project._table import Direction, Position, Table
+from softcal_jax.project._table import Choice, Direction, Position, Table, by_type
 
 TetData = Callable[[str], Float[HostArray, "n_tets _"]]
 """Returns an array of the mesh file by its name."""
+
+Frames = Float[HostArray, "n 3 3"]
+"""Local axes of some tets, see `Fibre`."""
 
 
 class _DirectionsTable(Table):
     """Fibre directions by a formula; `theta` turns the fibre from there."""
 
     @abstractmethod
-    def frames(
-        self, mesh: TetMesh, tets: HostArray, data: TetData
-    ) -> Float[HostArray, "n 3 3"]:
-        """Compute the local axes of some tets, see `Fibre`."""
+    def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
+        """Compute the local axes of some tets."""
 
 
 class _AroundTable(_DirectionsTable):
@@ -37,10 +38,7 @@ class AlongTable(_DirectionsTable):
     type: Literal["along"]
     axis: Direction = Field(description='direction of the fibres: "z" or [0, 0, 1]')
 
-    def frames(
-        self, mesh: TetMesh, tets: HostArray, data: TetData
-    ) -> Float[HostArray, "n 3 3"]:
-        """Repeat the axis."""
+    def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
         del mesh, data
         return frames_along(np.broadcast_to(np.asarray(self.axis), (len(tets), 3)))
 
@@ -50,10 +48,7 @@ class HoopTable(_AroundTable):
 
     type: Literal["hoop"]
 
-    def frames(
-        self, mesh: TetMesh, tets: HostArray, data: TetData
-    ) -> Float[HostArray, "n 3 3"]:
-        """Compute the directions around the axis."""
+    def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
         del data
         around = frames_around(mesh.centroids[tets], self.axis, self.through)
         return around[:, [2, 1, 0]]
@@ -64,9 +59,7 @@ class HelixTable(_AroundTable):
 
     type: Literal["helix"]
 
-    def frames(
-        self, mesh: TetMesh, tets: HostArray, data: TetData
-    ) -> Float[HostArray, "n 3 3"]:
+    def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
         """Compute the directions along the axis, from which theta counts."""
         del data
         return frames_around(mesh.centroids[tets], self.axis, self.through)
@@ -78,10 +71,7 @@ class CellsTable(_DirectionsTable):
     type: Literal["cells"]
     array: str = Field(description='name of a cell array of the mesh file: "fibre"')
 
-    def frames(
-        self, mesh: TetMesh, tets: HostArray, data: TetData
-    ) -> Float[HostArray, "n 3 3"]:
-        """Read the vectors."""
+    def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
         del mesh
         vectors = data(self.array)
         if vectors.shape[1:] != (3,):
@@ -93,5 +83,5 @@ class CellsTable(_DirectionsTable):
 
 
 AnyDirections = Annotated[
-    AlongTable | HoopTable | HelixTable | CellsTable, Field(discriminator="type")
+    AlongTable | HoopTable | HelixTable | CellsTable, Choice(by_type)
 ]

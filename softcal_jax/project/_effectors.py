@@ -3,13 +3,13 @@
 To add an effector, write one table and list it in `AnyEffector`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag
+from pydantic import Field
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import (
@@ -26,8 +26,7 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project._photos import PhotosTable
-from softcal_jax.project._problems import known_name, type_of, under
+from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._quantities import (
     dimension_of,
     parse_scalar,
@@ -37,48 +36,50 @@ from softcal_jax.project._quantities import (
 )
 from softcal_jax.project._sensors import (
     FrameTable,
+    MotionSource,
     OrientationTable,
+    PhotosTable,
     PolhemusFileTable,
     PoseFileTable,
-    SensorPoseTable,
     WrittenPoseTable,
 )
-from softcal_jax.project._table import Angle, Direction, Position, Table
+from softcal_jax.project._table import (
+    Angle,
+    Choice,
+    Direction,
+    Position,
+    Table,
+    by_type,
+)
 
 Effectors = dict[str, AbstractEffector]
 
 
-def _kind(value: Any) -> str:
+def _measured(value: Any, kinds: Sequence[Any]) -> Any:
+    del kinds
     if not isinstance(value, dict):
-        return "(vector)"
+        return Any
     if "photos" in value or "file" not in value:
-        return "(photos)" if "photos" in value else "(pose)"
-    return "(polhemus)" if value.get("format") == "polhemus" else "(file)"
+        return PhotosTable if "photos" in value else WrittenPoseTable
+    return PolhemusFileTable if value.get("format") == "polhemus" else PoseFileTable
 
 
-Measured = Annotated[
-    Annotated[WrittenPoseTable, Tag("(pose)")]
-    | Annotated[PoseFileTable, Tag("(file)")]
-    | Annotated[PolhemusFileTable, Tag("(polhemus)")]
-    | Annotated[PhotosTable, Tag("(photos)")]
-    | Annotated[Any, Tag("(vector)")],
-    Discriminator(_kind),
-]
+Measured = Annotated[Any, Choice(_measured)]
 """A pose, or a quantity as text, whose dimension the effector knows."""
 
-_BODY = 'name of a rigid body, [bodies.NAME]: "plate"'
-_GROUP = 'name of a group of the mesh: "x_min"'
-
-Body = Annotated[str, Field(description=_BODY)]
-Group = Annotated[str, Field(description=_GROUP, serialization_alias="where")]
+Body = Annotated[str, Field(description='name of a rigid body, [bodies.NAME]: "plate"')]
+Group = Annotated[
+    str,
+    Field(
+        description='name of a group of the mesh: "x_min"', serialization_alias="where"
+    ),
+]
 
 
 class EffectorTable(Table):
     """Something that is measured beside markers; other keys are arguments of its class.
 
-    Attributes:
-        makes: The class that it makes.
-        std: Standard deviation; by default that of the effector's class.
+    `std` is by default that of the class that it `makes`.
     """
 
     makes: ClassVar[type[AbstractEffector]]
@@ -92,28 +93,22 @@ class EffectorTable(Table):
         )
         effector: Any = self.makes(name, **given)
         unit = effector.rows(mesh, mechanism)[0].unit
-        if self.std is not None:
-            with under("std"):
-                std = scalar(dimension_of(unit), "positive")(self.std)
-            effector = replace(effector, std=std)
-            effector.rows(mesh, mechanism)
-        return effector
+        if self.std is None:
+            return effector
+        with under("std"):
+            std = scalar(dimension_of(unit), "positive")(self.std)
+        return replace(effector, std=std)
 
     def measured(
-        self,
-        effector: Any,
-        value: Any,
-        unit: str,
-        folder: Path,
-        mechanism: Mechanism,
+        self, effector: Any, value: Any, folder: Path, model: Model
     ) -> AbstractEffector:
-        """Return the effector with its measured value, parsed into the SI `unit`."""
-        del folder, mechanism
+        """Return the effector with its measured value; paths start from `folder`."""
+        del folder
+        unit = effector.rows(model.mesh, model.mechanism)[0].unit
         dimension = dimension_of(unit)
-        if isinstance(value, SensorPoseTable | PhotosTable):
+        if isinstance(value, MotionSource):
             raise ValueError(
-                f"got a table; expected {dimension.name}, since type = "
-                f'"{type_of(type(self))}".'
+                f'got a table; expected {dimension.name}, like "{dimension.example}".'
             )
         if issubclass(self.makes, AbstractScalar):
             return replace(effector, measured=parse_scalar(value, dimension))
@@ -130,25 +125,20 @@ class BodyFrameTable(EffectorTable):
     std_angle: Angle | None = None
 
     def measured(
-        self,
-        effector: BodyFrame,
-        value: Any,
-        unit: str,
-        folder: Path,
-        mechanism: Mechanism,
+        self, effector: BodyFrame, value: Any, folder: Path, model: Model
     ) -> BodyFrame:
         """Return the frame with the motion of its body.
 
         Where the measurement says how certain it is, that adds to what is stated.
         """
-        del unit
-        if not isinstance(value, SensorPoseTable | PhotosTable):
+        if not isinstance(value, MotionSource):
             raise ValueError(
                 f"got {shown(value)}; expected a pose, like "
                 '{ position = "(0, 0, 100) mm", azimuth = "10 deg" }, '
                 '{ file = "tracker.csv" } or { photos = "pose1/*.jpg", ... }.'
             )
-        rest = mechanism.bodies.origin[mechanism.bodies.names.index(self.body)]
+        bodies = model.mechanism.bodies
+        rest = bodies.origin[bodies.names.index(self.body)]
         if self.point is not None:
             rest = np.array(self.point)
         pose, covariance = value.motion(folder, self.base, self.orientation, rest)
@@ -215,7 +205,7 @@ AnyEffector = Annotated[
     | BodyAngleTable
     | ActuatorDisplacementTable
     | ActuatorForceTable,
-    Field(discriminator="type"),
+    Choice(by_type),
 ]
 
 
@@ -223,15 +213,9 @@ def build_effectors(
     tables: Mapping[str, EffectorTable], mesh: TetMesh, mechanism: Mechanism
 ) -> Effectors:
     """Build all effectors of a project by name, without measured values."""
-    body = "rigid body", mechanism.bodies.names, "[bodies]"
-    actuator = "actuator", mechanism.actuators.names, "[actuators]"
-    named = {"body": body, "other": body, "actuator": actuator}
     found: Effectors = {}
     for name, table in tables.items():
         with under(name):
-            for key, (kind, known, section) in named.items():
-                if key in type(table).model_fields:
-                    known_name(kind, getattr(table, key), known, section)
             found[name] = table.build(name, mesh, mechanism)
     return found
 
@@ -248,8 +232,5 @@ def with_measured(
     for name, value in measured.items():
         with under(name):
             known_name("effector", name, effectors, "[effectors]")
-            unit = effectors[name].rows(model.mesh, model.mechanism)[0].unit
-            found[name] = tables[name].measured(
-                effectors[name], value, unit, folder, model.mechanism
-            )
+            found[name] = tables[name].measured(effectors[name], value, folder, model)
     return tuple(found.values())

@@ -17,8 +17,9 @@ from softcal_jax.configurations import (
     ImposedForce,
 )
 from softcal_jax.control import Limits
-from softcal_jax.project._actuators import ActuatorTable
 from softcal_jax.project._effectors import EffectorTable, build_effectors
+from softcal_jax.project._mechanism import ActuatorTable
+from softcal_jax.project._problems import under
 from softcal_jax.project._project import Project
 from softcal_jax.project._quantities import LENGTH, parse_vector
 from softcal_jax.project._reading import ProjectTable, read_tables
@@ -45,9 +46,8 @@ def with_goals_as_typed(
         ValueError: If a name is unknown, a goal is no such value, or markers leave
             different coordinates free; the text says what was expected.
     """
-    table = _tables(project)
-    mesh, mechanism = project.model.mesh, project.model.mechanism
-    effectors = build_effectors(table.effectors, mesh, mechanism)
+    table, model = _tables(project), project.model
+    effectors = build_effectors(table.effectors, model.mesh, model.mechanism)
     markers = configuration.markers
     known = [*effectors, *(() if markers is None else markers.names)]
     aimed: list[AbstractEffector] = []
@@ -55,22 +55,13 @@ def with_goals_as_typed(
     for name, text in goals.items():
         if name not in known:
             raise unknown_name("marker or effector with a goal", name, known)
-        try:
+        with under(f"goal of {name!r}"):
             if name not in effectors:
                 places[name] = _place(text)
                 continue
-            own, kind = effectors[name], cast(EffectorTable, table.effectors[name])
-            aimed.append(
-                kind.measured(
-                    own,
-                    _value(text),
-                    own.rows(mesh, mechanism)[0].unit,
-                    project.path.parent,
-                    mechanism,
-                )
-            )
-        except ValueError as error:
-            raise ValueError(f"goal of {name!r}: {error}") from error
+            kind, value = cast(EffectorTable, table.effectors[name]), _value(text)
+            folder = project.path.parent
+            aimed.append(kind.measured(effectors[name], value, folder, model))
     return replace(_with_markers(configuration, places), effectors=tuple(aimed))
 
 
@@ -80,10 +71,12 @@ def actuation_as_typed(project: Project, starts: Mapping[str, str]) -> dict[str,
     Raises:
         ValueError: If a name is unknown, or a value is not of the actuator.
     """
-    return {
-        name: _imposed(_actuator(project, name), f"start of {name!r}", text)
-        for name, text in starts.items()
-    }
+    imposed: dict[str, Any] = {}
+    for name, text in starts.items():
+        table = _actuator(project, name)
+        with under(f"start of {name!r}"):
+            imposed[name] = table.imposed(text)
+    return imposed
 
 
 def limits_as_typed(
@@ -99,26 +92,23 @@ def limits_as_typed(
     """
     found: dict[str, Limits] = {}
     for name, text in limits:
-        table, what = _actuator(project, name), f"limit of {name!r}"
+        table = _actuator(project, name)
         ends = re.split(r"\s+to\s+", text.strip())
-        if len(ends) != 2:
-            raise ValueError(
-                f"{what}: got {text!r}; expected the lowest and the highest value with "
-                f'their units, like "0 N to 5 N".'
-            )
-        low, high = (_imposed(table, what, end) for end in ends)
-        if type(low) is not type(high):
-            raise ValueError(
-                f"{what}: {ends[0]!r} and {ends[1]!r} are of different kinds; expected "
-                "both in units of its force, or of its displacement."
-            )
+        with under(f"limit of {name!r}"):
+            if len(ends) != 2:
+                raise ValueError(
+                    f"got {text!r}; expected the lowest and the highest value with "
+                    'their units, like "0 N to 5 N".'
+                )
+            low, high = map(table.imposed, ends)
+            if type(low) is not type(high):
+                raise ValueError(
+                    f"{ends[0]!r} and {ends[1]!r} are of different kinds; expected "
+                    "both in units of its force, or of its displacement."
+                )
         key = "force" if isinstance(low, ImposedForce) else "displacement"
-        given = {"force": None, "displacement": None} | {key: (low.value, high.value)}
-        before = found.get(name, Limits())
-        found[name] = Limits(
-            given["force"] or before.force,
-            given["displacement"] or before.displacement,
-        )
+        limited = found.get(name, Limits())
+        found[name] = replace(limited, **{key: (low.value, high.value)})
     return found
 
 
@@ -131,13 +121,6 @@ def _actuator(project: Project, name: str) -> ActuatorTable:
     if name not in known:
         raise unknown_name("actuator", name, known)
     return known[name]
-
-
-def _imposed(table: ActuatorTable, what: str, text: str) -> Any:
-    try:
-        return table.imposed(text)
-    except ValueError as error:
-        raise ValueError(f"{what}: {error}") from error
 
 
 def _value(text: str) -> Any:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, Optional
 
 import equinox as eqx
 import numpy as np
-from pydantic import ConfigDict, Field, create_model
+from pydantic import Field, create_model
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.materials import (
@@ -27,8 +27,8 @@ from softcal_jax.materials import (
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project._constants import DENSITY, Constant
 from softcal_jax.project._directions import AnyDirections, TetData
-from softcal_jax.project._problems import one_of, under
-from softcal_jax.project._table import Density, Flag, Table
+from softcal_jax.project._problems import under
+from softcal_jax.project._table import Density, Flag, Table, Undecided, undecided
 
 GROUP = "softcal_jax.laws"
 """Group of the entry points by which installed packages offer laws."""
@@ -41,10 +41,7 @@ _DIRECTIONS: Any = Optional[AnyDirections]  # noqa: UP045 (`|` takes no Annotate
 
 
 class _OfLaw(Table):
-    """A table of the constants of a law, including the density.
-
-    Messages say how a file makes the `choice` of the law, and its keys `listed`.
-    """
+    """Constants of a law, and its density; messages use `choice` and `listed`."""
 
     choice: ClassVar[str]
     constants: ClassVar[Mapping[str, Constant]]
@@ -53,14 +50,9 @@ class _OfLaw(Table):
     @classmethod
     def foreign(cls, key: str) -> str | None:
         """Say which laws have a key that this one lacks; None if there are none."""
-        owners = _owners(key)
-        if not owners:
-            return None
-        *first, last = owners
-        named = f"{', '.join(first)} or {last}" if first else last
-        return (
-            f"{key} belongs to {named}. This is {cls.choice}, which has {cls.listed}."
-        )
+        owners = " or ".join(_owners(key))
+        this = f"This is {cls.choice}, which has {cls.listed}."
+        return f"{key} belongs to {owners}. {this}" if owners else None
 
 
 class Material(_OfLaw):
@@ -86,24 +78,20 @@ class Material(_OfLaw):
 
         None for one that the law need not have and that the file leaves out.
         """
+        regions = {name: getattr(own, key) for name, own in self.regions.items()}
+        stated = {name: own for name, own in regions.items() if own is not None}
         if getattr(self, key) is None:
-            return self._none(key)
-        base = np.asarray(getattr(self, key), float)
-        for name, region in self.regions.items():
-            tets = mesh.tets_of(name)
-            if getattr(region, key) is not None:
-                base = np.broadcast_to(base, (mesh.n_tets,)).copy()
-                base[tets] = getattr(region, key)
-        return base
-
-    def _none(self, key: str) -> None:
-        """Check that no region has a constant that the body lacks."""
-        for name, region in self.regions.items():
-            if getattr(region, key) is not None:
+            for name in stated:
                 raise ValueError(
                     f"regions.{name} has {key}, which the body lacks; give {key} in "
                     "[material] too."
                 )
+            return None
+        base = np.asarray(getattr(self, key), float)
+        for name, own in stated.items():
+            base = np.broadcast_to(base, (mesh.n_tets,)).copy()
+            base[mesh.tets_of(name)] = own
+        return base
 
     def build(self, mesh: TetMesh, data: TetData) -> AbstractLaw:
         """Build the law; `data` returns arrays of the mesh file."""
@@ -136,11 +124,7 @@ class Material(_OfLaw):
         return frames
 
 
-class _Undecided(Material):
-    """A table whose law is unknown, so that none of its other keys is checked."""
-
-    model_config = ConfigDict(extra="ignore")
-
+class _Undecided(Material, Undecided):
     density: Any = None
 
 
@@ -178,8 +162,7 @@ def _is_aimed(named: dict[str, Any]) -> bool:
 
 
 def _undecided(key: str, names: Iterable[str]) -> type[Material]:
-    choice: Any = (Literal[*names], Field(description=one_of("", names).rstrip(".")))
-    table = create_model("Material", __base__=_Undecided, **{key: choice})
+    table: Any = undecided(key, tuple(names), _Undecided)
     table.constants = {"density": DENSITY}
     for kind in _choices().values():
         table.constants |= _constants(kind, None)
@@ -230,29 +213,29 @@ class _Part(NamedTuple):
 
     key: str
     default: str
-    abstract: type[eqx.Module]
     known: Mapping[str, type[eqx.Module]]
 
 
 @functools.cache
 def _part_of(law: type[eqx.Module]) -> _Part | None:
-    """Return the part of a law that a file chooses; None if it has none."""
     hints = typing.get_type_hints(law).values()
     if AbstractElasticity in hints:
-        return _Part("elasticity", "isotropic", AbstractElasticity, ELASTICITIES)
+        return _Part("elasticity", "isotropic", ELASTICITIES)
     if AbstractLaw in hints:
-        return _Part("matrix", "neo-hookean", AbstractLaw, _matrices())
+        return _Part("matrix", "neo-hookean", _matrices())
     return None
 
 
 @functools.cache
 def _matrices() -> Mapping[str, type[AbstractLaw]]:
     """Return the laws that may be a matrix: with a potential and without fibres."""
+    hints = {
+        name: set(typing.get_type_hints(law).values()) for name, law in LAWS.items()
+    }
     return {
         name: law
         for name, law in LAWS.items()
-        if law.conservative
-        and not {Fibre, AbstractLaw} & set(typing.get_type_hints(law).values())
+        if law.conservative and not {Fibre, AbstractLaw} & hints[name]
     }
 
 
@@ -339,21 +322,16 @@ def _plug_in(name: str, found: EntryPoints) -> type[AbstractLaw]:
             "uninstall one of them."
         )
     (entry,) = found
-    what = f'the law "{name}" of the package {packages[0]} ({entry.value})'
     try:
         law = entry.load()
+        if not (isinstance(law, type) and issubclass(law, AbstractLaw)):
+            raise TypeError(
+                f"{law!r} is no subclass of softcal_jax.materials.AbstractLaw"
+            )
+        _recipe(law, Isotropic)
     except Exception as error:  # a foreign module may raise anything
         raise ValueError(
-            f"{what} cannot be loaded: {type(error).__name__}: {error}. Update or "
-            "uninstall the package."
+            f'the law "{name}" of the package {packages[0]} ({entry.value}) cannot be '
+            f"loaded: {type(error).__name__}: {error}. Update or uninstall the package."
         ) from error
-    if not (isinstance(law, type) and issubclass(law, AbstractLaw)):
-        raise ValueError(
-            f"{what} is {law!r}, expected a subclass of "
-            "softcal_jax.materials.AbstractLaw."
-        )
-    try:
-        _recipe(law, Isotropic)
-    except (ValueError, NameError) as error:
-        raise ValueError(f"{what} cannot be used: {error}") from error
     return law

@@ -11,20 +11,20 @@ from softcal_jax._process import check_process
 from softcal_jax.actuators import AbstractActuator
 from softcal_jax.bodies import RigidBody
 from softcal_jax.calibration import CalibrationSettings, ProjectSource
-from softcal_jax.configurations import (
-    build_mechanism,
-    configuration_arrays,
-)
+from softcal_jax.configurations import build_mechanism, configuration_arrays
 from softcal_jax.equilibrium import Model, NewtonSettings, build_model
 from softcal_jax.fields import check_parameters
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project._configurations import Built, build_configuration
 from softcal_jax.project._effectors import build_effectors
-from softcal_jax.project._guesses import CHANGE, guesses_left
 from softcal_jax.project._parameters import build_space
-from softcal_jax.project._photos import PhotosTable
-from softcal_jax.project._plausibility import ProjectWarning, implausible
-from softcal_jax.project._problems import WrongKeyError, in_file, under
+from softcal_jax.project._plausibility import (
+    CHANGE,
+    ProjectWarning,
+    guesses_left,
+    implausible,
+)
+from softcal_jax.project._problems import in_file, under
 from softcal_jax.project._project import Project
 from softcal_jax.project._reading import (
     MeshTables,
@@ -32,6 +32,7 @@ from softcal_jax.project._reading import (
     read_mesh_tables,
     read_tables,
 )
+from softcal_jax.project._sensors import PhotosTable
 
 
 def load_project(
@@ -89,19 +90,17 @@ def load_mesh(path: str | os.PathLike[str]) -> TetMesh:
 
 def _warn(project: Project) -> None:
     """Warn of guesses, and of numbers that are probably a slip of a unit."""
-    guesses = guesses_left(project.path)
-    if guesses:
-        n = len(guesses)
-        many = f"{n} lines hold a guess" if n > 1 else "one line holds a guess"
-        text = (
-            f"{project.path}: {many} that nobody has confirmed, of `softcal new`: what "
-            f'is found with them means little. They have a remark "{CHANGE}..."; '
-            "`softcal check` lists them."
-        )
-        warnings.warn(text, ProjectWarning, stacklevel=3)
     posed = {f"configurations.{c.name}": c for c in project.configurations}
     posed |= {f"candidates.{c.name}": c for c in project.candidates}
-    for line in implausible(project.model, posed):
+    lines = [*implausible(project.model, posed)]
+    guesses = len(guesses_left(project.path))
+    if guesses:
+        lines.append(
+            f"{guesses} line{'s hold' if guesses > 1 else ' holds'} a guess that "
+            "nobody has confirmed, of `softcal new`: what is found with them means "
+            f'little. They have a remark "{CHANGE}..."; `softcal check` lists them.'
+        )
+    for line in lines:
         warnings.warn(f"{project.path}: {line}", ProjectWarning, stacklevel=3)
 
 
@@ -118,14 +117,14 @@ def _built(
             model, _ = space.with_values(model, None, start)
     found = _configurations(path.parent, table, model)
     posed = found["configurations"]
+    with_role = list(zip(posed, table.configurations, strict=True))
     of_role = lambda role: tuple(
-        configuration
-        for (configuration, *_), own in zip(posed, table.configurations, strict=True)
-        if own.role == role
+        built.configuration for built, own in with_role if own.role == role
     )
-    own = {"noise", "starts", "seed", "intervals", "precision"}
+    own = {"noise", "starts", "seed", "precision"}
     with under("settings"):
-        given = table.settings.model_dump(exclude=own, exclude_none=True)
+        others = own | {"intervals"}
+        given = table.settings.model_dump(exclude=others, exclude_none=True)
         settings = CalibrationSettings(**given)
     with under("newton"):
         given = table.newton.model_dump(exclude={"solver"}, exclude_none=True)
@@ -137,8 +136,9 @@ def _built(
         space=space,
         calibration=of_role("calibration"),
         validation=of_role("validation"),
-        candidates=tuple(own.configuration for own in found["candidates"]),
+        candidates=tuple(built.configuration for built in found["candidates"]),
         **table.settings.model_dump(include=own),
+        intervals=table.settings.intervals or None,
         uncertain=table.uncertain.build(),
         settings=settings,
         newton=newton,
@@ -152,7 +152,7 @@ def _model(folder: Path, table: ProjectTable, solver: str | None) -> Model:
     """Build the model: mesh, law, rigid bodies and actuators."""
     mesh = _mesh(folder, table)
     bodies, actuators = _parts(table, mesh)
-    with under("material", table.material.typed):
+    with under("material"):
         return build_model(
             mesh,
             table.material.build(mesh, partial(table.mesh.tet_data, folder)),
@@ -213,12 +213,11 @@ def _configurations(
                 posed = [own.configuration for own in built]
                 configuration_arrays(model.mesh, posed, model.mechanism)
     names = {own.name for own in table.configurations}
-    for candidate in table.candidates:
-        if candidate.name in names:
-            raise WrongKeyError(
-                "candidates",
-                f"{candidate.name!r} is a configuration already; give the candidate a "
-                "name of its own.",
+    with under("candidates"):
+        for name in (own.name for own in table.candidates if own.name in names):
+            raise ValueError(
+                f"{name!r} is a configuration already; give the candidate a name of "
+                "its own."
             )
     return found
 

@@ -1,8 +1,9 @@
-"""Tables of a project file that make markers and their measured positions."""
+"""Tables of a project file for markers, and when and where they were measured."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -22,17 +23,82 @@ from softcal_jax.configurations import (
     register,
 )
 from softcal_jax.project._effectors import Measured
-from softcal_jax.project._problems import known_here, under
+from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._sensors import DialectTable, Selection
 from softcal_jax.project._table import (
+    Choice,
     Flag,
     Length,
     Position,
     PositiveLength,
     Table,
     TableOr,
+    Time,
 )
-from softcal_jax.project._windows import Which, WindowTable
+
+_KINDS = ("between", "at", "plateau")
+"""What a window of time is given by; each has a method of `Recording`."""
+
+
+class WindowTable(Table):
+    """A window of time of a recording, over which positions are averaged.
+
+    It is `between` two times, of a `width` around the time `at`, or a `plateau` of that
+    least length, which is looked for. Times count from the step of a marker or from an
+    event of the file, if one is named.
+    """
+
+    between: tuple[Time, Time] | None = None
+    at: Time | None = None
+    width: Time | None = None
+    plateau: Time | None = None
+    after_step_of: str | None = None
+    after_event: str | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "WindowTable":
+        given = [key for key in _KINDS if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise ValueError(
+                f"got {' and '.join(given) or 'no time'}; expected one of between = "
+                '["1.2 s", "1.4 s"], at = "1.3 s", plateau = "0.5 s". A key of '
+                "[shared] holds as well: where configurations differ in it, give each "
+                "its own."
+            )
+        if self.width is not None and self.at is None:
+            raise ValueError("width is for the window around `at`.")
+        return self
+
+    def of(self, recording: Recording) -> MarkerTable:
+        """Average a recording over the window."""
+        after = self.model_dump(include={"after_step_of", "after_event"})
+        if self.between is not None:
+            return recording.between(*self.between, **after)
+        if self.plateau is not None:
+            return recording.plateau(self.plateau, **after)
+        assert self.at is not None
+        width = {} if self.width is None else {"width": self.width}
+        return recording.at(self.at, **width, **after)
+
+
+def _is_window(value: object) -> bool:
+    """Tell a window from values of columns: one may be named like a key of it."""
+    if not isinstance(value, dict) or not {*_KINDS} & {*value}:
+        return False
+    return isinstance(value.get("between"), list) or {*value} <= {
+        *WindowTable.model_fields
+    }
+
+
+Which = Annotated[
+    WindowTable | Selection,
+    Choice(lambda value, kinds: kinds[0 if _is_window(value) else 1]),
+]
+"""What is taken of a file: a window of a recording, or rows of a table."""
+
+WhichOrName = Annotated[
+    Which | str, Choice(lambda value, kinds: kinds[1 if isinstance(value, str) else 0])
+]
 
 
 class MarkerEntry(Table):
@@ -58,14 +124,12 @@ class MarkersTable(Table):
         names = tuple(self.positions) if names is None else tuple(names)
         if not names:
             raise ValueError("the list of markers is empty; leave it out to use all.")
-        own = [self._entry(name).std for name in names]
-        every = self.std is not None or any(std is not None for std in own)
-        usual = STD if self.std is None else self.std
-        stated = {"std": np.array([usual if s is None else s for s in own])}
+        stds = [self._entry(name).std or self.std or STD for name in names]
+        stated = {} if all(std is STD for std in stds) else {"std": np.array(stds)}
         return Markers(
             names=names,
             positions=self.positions_of(names),
-            **(stated if every else {}),
+            **stated,
             **self.model_dump(include={"axes", "max_distance", "base_radius"}),
         )
 
@@ -75,9 +139,7 @@ class MarkersTable(Table):
         return np.array([entry.position for entry in entries], float).reshape(-1, 3)
 
     def _entry(self, name: str) -> MarkerEntry:
-        if name not in self.positions:
-            known = known_here(name, self.positions)
-            raise ValueError(f"unknown marker {name!r}.{known}")
+        known_name("marker", name, self.positions, "[markers.positions]")
         own = self.positions[name]
         full = isinstance(own, MarkerEntry)
         return own if full else MarkerEntry.model_construct(position=own)
@@ -91,19 +153,19 @@ class RegistrationTable(Table):
 
 
 class MeasuredMarkers(NamedTuple):
-    """What was measured of the markers of a configuration.
+    """The markers of a configuration, and what was measured of them.
 
     Attributes:
+        markers: The markers; their deviations hold the scatter of a recording if asked.
         positions: Positions in the frame of the mesh [m].
-        std: Standard deviations, where the scatter of a recording counts [m].
         registration: Registration of the frame of the cameras, if there is one.
         traces: The recording and its windows, if it is one.
     """
 
-    positions: Float[HostArray, "n_markers 3"]
-    std: Float[HostArray, "n_markers 3"] | None
-    registration: Registration | None
-    traces: Traces | None
+    markers: Markers | None = None
+    positions: Float[HostArray, "n_markers 3"] | None = None
+    registration: Registration | None = None
+    traces: Traces | None = None
 
 
 class MeasuredTable(DialectTable):
@@ -120,7 +182,7 @@ class MeasuredTable(DialectTable):
     recording: Selection = Field(default_factory=dict)
     select: Which = Field(default_factory=dict)
     registration: RegistrationTable | None = None
-    displacement_from: Which | str | None = None
+    displacement_from: WhichOrName | None = None
     scatter: Flag = False
     effectors: dict[str, Measured] = Field(default_factory=dict)
 
@@ -209,17 +271,16 @@ class MeasuredTable(DialectTable):
             start = None if start is None else registration.apply(start)
         if start is not None:
             loaded = markers.positions + (loaded - start)
-        std = traces = None
+        traces = None
         if self.scatter:
-            parts = ("select", "displacement_from")
-            seen = [
-                windows[key].covariances_of(names) for key in parts if key in windows
-            ]
+            parts = [key for key in windows if key != "registration.select"]
+            seen = [windows[key].covariances_of(names) for key in parts]
             std = _with_scatter(markers, R @ np.sum(seen, axis=0) @ R.T)
+            markers = replace(markers, std=std)
         if recording is not None:
             times = {key: own.window for key, own in windows.items() if own.window}
             traces = Traces(recording, times, names)
-        return MeasuredMarkers(loaded, std, registration, traces)
+        return MeasuredMarkers(markers, loaded, registration, traces)
 
     def _positions(
         self, table: MarkerTable, names: Sequence[str]

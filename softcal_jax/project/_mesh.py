@@ -1,10 +1,12 @@
 """Tables of a project file that make the mesh and its groups."""
 
+from abc import abstractmethod
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import BaseModel, Field, model_validator
 
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.exchange.cad import CAD_FORMATS, mesh_cad
@@ -27,7 +29,7 @@ from softcal_jax.mesh import (
 )
 from softcal_jax.project._table import (
     Angle,
-    ByKeys,
+    Choice,
     Corner,
     Direction,
     Extent,
@@ -38,6 +40,7 @@ from softcal_jax.project._table import (
     Position,
     PositiveLength,
     Table,
+    by_keys,
 )
 
 LengthUnit = Literal["m", "cm", "mm", "um", "inch"]
@@ -48,20 +51,33 @@ class _MeshTable(Table):
 
     @property
     def order(self) -> int:
-        """Order of the shape functions."""
         return 2 if self.element == "quadratic" else 1
+
+    @abstractmethod
+    def build(self, folder: Path) -> TetMesh:
+        """Make the mesh; paths are relative to `folder`."""
+
+    def files(self, folder: Path) -> tuple[Path, ...]:
+        """List the files that it is made of."""
+        del folder
+        return ()
+
+    def tet_data(self, folder: Path, name: str) -> Float[HostArray, "n_tets _"]:
+        """Read an array of a mesh file with values for each tet."""
+        del folder
+        raise ValueError(
+            f"there is no mesh file to read {name!r} from. Take "
+            'type = "along", "hoop" or "helix", or a mesh of a file.'
+        )
 
 
 class MeshFileTable(_MeshTable):
-    """A mesh from a file."""
-
     file: str = Field(description='a mesh file: "robot.msh"')
     length_unit: LengthUnit = Field(description='the length unit of the file: "mm"')
     unused_nodes: Literal["error", "drop"] = "error"
     parts: Literal["one", "linked"] = "one"
 
     def build(self, folder: Path) -> TetMesh:
-        """Read the mesh; its path is relative to `folder`."""
         return read_mesh(
             folder / self.file,
             length_unit=self.length_unit,
@@ -71,29 +87,18 @@ class MeshFileTable(_MeshTable):
         )
 
     def files(self, folder: Path) -> tuple[Path, ...]:
-        """List the file, and those that it includes."""
         return mesh_files(folder / self.file)
 
     def tet_data(self, folder: Path, name: str) -> Float[HostArray, "n_tets _"]:
-        """Read an array of the file with values for each tet."""
         return read_tet_data(folder / self.file, name)
 
 
 class CadMeshTable(_MeshTable):
-    """A mesh that is made of a CAD model."""
-
-    choice = 'file = "finger.step" or "finger.stl"'
     file: str = Field(description='a CAD model: "finger.step" or "finger.stl"')
     size: PositiveLength = Field(description='length of the edges of its tets: "3 mm"')
     length_unit: LengthUnit | None = None
 
-    @classmethod
-    def claims(cls, value: dict[str, Any]) -> bool:
-        """Tell whether the file is a CAD model, by its extension."""
-        return Path(str(value.get("file"))).suffix.lower() in CAD_FORMATS
-
     def build(self, folder: Path) -> TetMesh:
-        """Make the mesh; the path of the model is relative to `folder`."""
         return mesh_cad(
             folder / self.file,
             size=self.size,
@@ -102,20 +107,7 @@ class CadMeshTable(_MeshTable):
         )
 
     def files(self, folder: Path) -> tuple[Path, ...]:
-        """List the CAD model."""
         return (folder / self.file,)
-
-    def tet_data(self, folder: Path, name: str) -> Float[HostArray, "n_tets _"]:
-        """Raise, since a CAD model has no values for tets."""
-        del folder
-        raise _no_tet_data(name, "made of a CAD model")
-
-
-def _no_tet_data(name: str, mesh: str) -> ValueError:
-    return ValueError(
-        f"there is no mesh file to read {name!r} from; the mesh is {mesh}. Take "
-        'type = "along", "hoop" or "helix", or a mesh of a file.'
-    )
 
 
 class BeamTable(Table):
@@ -130,28 +122,24 @@ class BeamTable(Table):
 
 
 class BeamMeshTable(_MeshTable):
-    """A mesh of a beam."""
-
     beam: BeamTable
 
     def build(self, folder: Path) -> TetMesh:
-        """Build the mesh."""
         del folder
         options = self.beam.model_dump(exclude={"size"})
         return beam(*self.beam.size, order=self.order, **options)
 
-    def files(self, folder: Path) -> tuple[Path, ...]:
-        """List none."""
-        del folder
-        return ()
 
-    def tet_data(self, folder: Path, name: str) -> Float[HostArray, "n_tets _"]:
-        """Raise, since there is no file."""
-        del folder
-        raise _no_tet_data(name, "a beam")
+def _mesh_kind(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
+    """Choose a table of a mesh; a CAD model is told by the extension of its file."""
+    file = value.get("file") if isinstance(value, dict) else None
+    if file is None:
+        return by_keys(value, kinds)
+    is_cad = Path(str(file)).suffix.lower() in CAD_FORMATS
+    return CadMeshTable if is_cad else MeshFileTable
 
 
-MeshTable = Annotated[MeshFileTable | CadMeshTable | BeamMeshTable, ByKeys()]
+MeshTable = Annotated[MeshFileTable | CadMeshTable | BeamMeshTable, Choice(_mesh_kind)]
 
 
 class BoxTable(Maker):
@@ -187,42 +175,81 @@ class AnnulusTable(Maker):
     outer: PositiveLength = Field(description='its outer radius: "6 mm"')
 
 
-class FaceTable(Table):
+class _SurfaceTable(Table):
+    """Faces that are found from points."""
+
+    @abstractmethod
+    def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
+        """Find them; raise if there are none."""
+
+
+class FaceTable(_SurfaceTable):
     points: tuple[Position, ...] = Field(
-        description='a point on each face: ["(0, 5, 0) mm"]'
+        description='a point on each face: ["(0, 5, 0) mm"]', min_length=1
     )
 
-    @field_validator("points")
-    @classmethod
-    def _check_points(cls, value: tuple) -> tuple:
-        if not value:
-            raise ValueError('got no point; expected one or more, ["(0, 5, 0) mm"].')
-        return value
+    def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
+        found = [select_face(mesh, np.array(point)) for point in self.points]
+        return np.unique(np.concatenate(found), axis=0)
 
 
-class ReachableTable(Table):
+class ReachableTable(_SurfaceTable):
     point: Position = Field(description='where it begins: "(0, 5, 0) mm"')
     angle: Angle | None = None
     stop_at: Names = ()
 
+    def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
+        start = np.array(self.point)
+        return select_reachable(mesh, start, angle=self.angle, stop_at=self.stop_at)
 
-class InsideTable(Table):
+
+class InsideTable(_SurfaceTable):
     point: Position = Field(description='a point in the cavity: "(20, 0, 0) mm"')
     stop_at: Names = ()
 
+    def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
+        """Find the wall of the cavity around the point."""
+        return select_cavity(mesh, np.array(self.point), stop_at=self.stop_at)
 
-class _GroupTable(Table):
-    """A named part of the mesh, chosen by place."""
 
+class GroupTable(Table):
+    """A named part of the mesh: a shape and what `of` lies in it, or a surface."""
+
+    box: BoxTable | None = None
+    plane: PlaneTable | None = None
+    sphere: SphereTable | None = None
+    cylinder: CylinderTable | None = None
+    annulus: AnnulusTable | None = None
+    face: FaceTable | None = None
+    reachable: ReachableTable | None = None
+    inside: InsideTable | None = None
     of: Literal["nodes", "faces", "tets"] = "nodes"
     tolerance: Length | None = None
 
+    @model_validator(mode="after")
+    def _check(self) -> "GroupTable":
+        options = {"of", "tolerance"}
+        places = [key for key in type(self).model_fields if key not in options]
+        given = [key for key in places if key in self.model_fields_set]
+        if len(given) != 1:
+            raise ValueError(
+                f"expected exactly one of {', '.join(places)}; got "
+                f"{' and '.join(given) or 'none'}."
+            )
+        (place,) = given
+        spare = sorted(options & self.model_fields_set)
+        if spare and isinstance(getattr(self, place), _SurfaceTable):
+            raise ValueError(f"{place} finds faces: leave {' and '.join(spare)} out.")
+        return self
+
     def add(self, mesh: TetMesh, name: str) -> TetMesh:
         """Add the group to the mesh; raise if nothing is there or the name is taken."""
-        (where,) = (own for _, own in self if isinstance(own, Maker))
+        (place,) = (own for _, own in self if isinstance(own, Maker | _SurfaceTable))
+        if isinstance(place, _SurfaceTable):
+            return mesh.with_surface_group(name, place.faces(mesh))
         # A millionth of the mesh: far below a cell, far above the rounding of a file.
         rounding = 1e-6 * mesh.size if self.tolerance is None else self.tolerance
-        region = where.makes(**where.model_dump(), tolerance=rounding)
+        region = place.build(tolerance=rounding)
         if self.of == "nodes":
             return mesh.with_node_group(name, select_nodes(mesh, region))
         if self.of == "faces":
@@ -231,77 +258,3 @@ class _GroupTable(Table):
         if not tets.size:
             raise ValueError("no tet has its centre there; check the length unit.")
         return mesh.with_tet_group(name, tets)
-
-
-class _SurfaceGroupTable(Table):
-    """A named surface of the mesh, found from points."""
-
-    def add(self, mesh: TetMesh, name: str) -> TetMesh:
-        """Add the surface to the mesh; raise if there is none or the name is taken."""
-        return mesh.with_surface_group(name, self.faces(mesh))
-
-    def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
-        """Find its faces."""
-        raise NotImplementedError
-
-
-class BoxGroupTable(_GroupTable):
-    box: BoxTable
-
-
-class PlaneGroupTable(_GroupTable):
-    plane: PlaneTable
-
-
-class SphereGroupTable(_GroupTable):
-    sphere: SphereTable
-
-
-class CylinderGroupTable(_GroupTable):
-    cylinder: CylinderTable
-
-
-class AnnulusGroupTable(_GroupTable):
-    annulus: AnnulusTable
-
-
-class FaceGroupTable(_SurfaceGroupTable):
-    face: FaceTable
-
-    def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
-        """Find the faces at the points."""
-        found = [select_face(mesh, np.array(point)) for point in self.face.points]
-        return np.unique(np.concatenate(found), axis=0)
-
-
-class ReachableGroupTable(_SurfaceGroupTable):
-    reachable: ReachableTable
-
-    def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
-        """Find the faces that are reached from the point."""
-        own = self.reachable
-        return select_reachable(
-            mesh, np.array(own.point), angle=own.angle, stop_at=own.stop_at
-        )
-
-
-class InsideGroupTable(_SurfaceGroupTable):
-    inside: InsideTable
-
-    def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
-        """Find the wall of the cavity around the point."""
-        point = np.array(self.inside.point)
-        return select_cavity(mesh, point, stop_at=self.inside.stop_at)
-
-
-GroupTable = Annotated[
-    BoxGroupTable
-    | PlaneGroupTable
-    | SphereGroupTable
-    | CylinderGroupTable
-    | AnnulusGroupTable
-    | FaceGroupTable
-    | ReachableGroupTable
-    | InsideGroupTable,
-    ByKeys(),
-]

@@ -15,10 +15,17 @@ from softcal_jax.fields import (
     check_names,
 )
 from softcal_jax.project._constants import Constant
-from softcal_jax.project._problems import known_here, one_of, under
+from softcal_jax.project._problems import known_name, one_of, under
 from softcal_jax.project._quantities import is_number, parse_in_si, shown
-from softcal_jax.project._table import Integer, Length, Number, Position, Table, TableOr
-from softcal_jax.project._whole_file import WholeFile
+from softcal_jax.project._table import (
+    Integer,
+    Length,
+    Number,
+    Position,
+    Table,
+    TableOr,
+    WholeFile,
+)
 
 PerPoint = float | dict[str, float]
 """One value for all control points, or one for each by name."""
@@ -47,7 +54,6 @@ class ControlPointsTable(Table):
         return self
 
     def build(self) -> ControlPoints:
-        """Build the control points."""
         positions = self.positions
         if not isinstance(positions, dict):
             positions = np.array(positions, float).reshape(-1, 3)
@@ -79,7 +85,6 @@ class ParameterTable(Table):
 
     @property
     def label(self) -> str:
-        """Its name in messages."""
         own = self.field if self.region is None else f"{self.field}_{self.region}"
         return self.name or own
 
@@ -97,22 +102,17 @@ class ParameterTable(Table):
     @classmethod
     def _parse(cls, value: Any, info: Any) -> Any:
         # `field` is validated first, so it is known here unless it is wrong itself.
-        constant = _constant(info)
-        if info.field_name == "fixed" and not isinstance(value, dict):
-            raise ValueError(
-                f"got {value!r}; expected a table of control points and their values, "
-                'like { "CP 1" = "700 kPa" }.'
-            )
+        constant, fixed = _constant(info), info.field_name == "fixed"
+        if fixed and not isinstance(value, dict):
+            return value  # which is no table
         if constant is None:
-            return {} if info.field_name == "fixed" else 0.0
-        if not isinstance(value, dict) or info.field_name == "S":
+            return {} if fixed else 0.0
+        if not isinstance(value, dict):
             return parse_in_si(value, constant.unit)
         found = {}
         for name, own in value.items():
-            try:
+            with under(name):
                 found[name] = parse_in_si(own, constant.unit)
-            except ValueError as error:
-                raise ValueError(f"{name}: {error}") from error
         return found
 
     @field_validator("prior_std", mode="before")
@@ -130,16 +130,6 @@ class ParameterTable(Table):
             )
         return float(value)
 
-    @field_validator("control_points", mode="before")
-    @classmethod
-    def _check_set(cls, value: Any) -> Any:
-        if not isinstance(value, str):
-            raise ValueError(
-                f"got {value!r}; expected the name of one set in [control_points], "
-                'like "ends". All control points of that set are calibrated.'
-            )
-        return value
-
     @model_validator(mode="after")
     def _check(self) -> "ParameterTable":
         if self.control_points is not None:
@@ -149,26 +139,21 @@ class ParameterTable(Table):
                     f'made, like "{self.field} of CP 1". Leave it out.'
                 )
             return self
-        options = ("interpolation", "sampling", "fixed", "tied", "core")
-        given = [key for key in options if getattr(self, key)]
-        given += [
-            f"a table for `{key}`"
-            for key in ("start", "lower", "upper")
-            if isinstance(getattr(self, key), dict)
-        ]
-        if given:
-            raise ValueError(
-                f"{given[0]} is for control points: name a set of them, like "
-                'control_points = "ends".'
-            )
+        options = {"interpolation", "sampling", "fixed", "tied", "core"}
+        for key, value in self:
+            if value and (key in options or isinstance(value, dict)):
+                raise ValueError(
+                    f"{key} = {shown(value)} is for control points: name a set of "
+                    'them, like control_points = "ends".'
+                )
         return self
 
     def build(self, project: WholeFile) -> Entry:
-        """Build the parameter, or those at control points."""
         constant = type(project.material).constants[self.field]
         common = self.model_dump(include={"S", "region", "max_step", "prior_std"})
         common |= {"scale": self.scale or constant.scale, "unit": constant.unit}
         nominal = project.material.constant(self.field, self.region)
+        sets = project.control_points
         span: dict[str, Any] = {
             "start": nominal if self.start is None else self.start,
             "lower": self.lower,
@@ -182,7 +167,8 @@ class ParameterTable(Table):
             span["periodic"] = bool(half_turn)
             entry = Parameter(self.label, self.field, **span, **common)
         else:
-            points = _set_of(self.control_points, project.control_points)
+            known_name("set", self.control_points, sets, "[control_points]")
+            points = sets[self.control_points].build()
             free = [n for n in points.names if n not in {*self.fixed, *self.tied}]
             for key, value in span.items():
                 span[key] = _each(key, value, points.names, free, nominal)
@@ -216,7 +202,7 @@ def build_space(table: WholeFile) -> ParameterSpace | None:
             points.build()
     entries: list[Entry] = []
     for own in table.parameters:
-        with under(f"parameters.{own.label}", own.typed):
+        with under(f"parameters.{own.label}"):
             entries.append(own.build(table))
     for i, own in enumerate(table.setup, start=1):
         with under(f"setup[{i}].{own.label}"):
@@ -235,24 +221,15 @@ def _constant(info: Any) -> Constant | None:
     return info.context.constants.get(info.data.get("field"))
 
 
-def _set_of(name: str, sets: dict[str, ControlPointsTable]) -> ControlPoints:
-    if name in sets:
-        return sets[name].build()
-    add = f" Add a table [control_points.{name}]."
-    known = known_here(name, sets) if sets else add
-    raise ValueError(f"there are no control points {name!r}.{known}")
-
-
 def _each(
     key: str, value: PerPoint, names: tuple[str, ...], free: list[str], nominal: float
 ) -> list[float]:
     """Return one value per control point; fixed and tied ones get a placeholder."""
     if not isinstance(value, dict):
         return [value] * len(names)
-    for name in value:
-        if name not in names:
-            known = known_here(name, names)
-            raise ValueError(f"{key} names {name!r}, which is no control point.{known}")
+    with under(key):
+        for name in value:
+            known_name("control point", name, names, "[control_points]")
     missing = [name for name in free if name not in value]
     if missing and key != "start":
         raise ValueError(f"{key} has no value for {', '.join(missing)}.")

@@ -1,13 +1,18 @@
-"""Numbers of a project that are probably a slip of a unit: one line for each kind.
+"""Numbers of a project that are guesses, or probably a slip of a unit.
 
-None of them is an error: the method does not mind a robot of lead on Jupiter.
+None of the latter is an error: the method does not mind a robot of lead on Jupiter.
 """
 
+import os
+import re
 from collections.abc import Iterator, Mapping
+from itertools import islice
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from softcal_jax._module import one_line
 from softcal_jax._units import readable_values
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.configurations import (
@@ -33,32 +38,11 @@ class ProjectWarning(SoftcalWarning):
     """A number of a project file that is probably a mistake."""
 
 
-class Doubt(NamedTuple):
-    """Something that is hard to believe: the more so, the larger its `size`."""
+def implausible(model: Model, posed: Mapping[str, Configuration]) -> Iterator[str]:
+    """Describe the first of each kind that is hard to believe, in a line each.
 
-    size: float
-    key: str
-    text: str
-
-
-Posed = Mapping[str, Configuration]
-"""Configurations by their keys, like "configurations.weight"."""
-
-
-def implausible(model: Model, posed: Posed) -> Iterator[str]:
-    """Describe the worst of each kind that is hard to believe, in a line each."""
-    yield from _density(model)
-    if not posed:
-        return
-    for found in (_gravity(posed), _loads(model, posed), _places(model, posed)):
-        doubts = list(found)
-        if doubts:
-            worst, more = max(doubts), len(doubts) - 1
-            others = f" And {more} more like it." if more else ""
-            yield f"{worst.key}: {worst.text}{others}"
-
-
-def _density(model: Model) -> Iterator[str]:
+    Configurations go by their keys, like "configurations.weight".
+    """
     density = np.atleast_1d(np.asarray(model.density))
     low, high = DENSITIES
     strange = density[(density != 0.0) & ((density < low) | (density > high))]
@@ -67,36 +51,37 @@ def _density(model: Model) -> Iterator[str]:
             f"material.density: {strange[0]:g} kg/m^3 is hardly a robot's (water has "
             "1000, silicone 1070, steel 7850): check its unit."
         )
+    if posed:
+        for doubts in (_gravity(posed), _loads(model, posed), _places(model, posed)):
+            yield from islice(doubts, 1)
 
 
-def _gravity(posed: Posed) -> Iterator[Doubt]:
+def _gravity(posed: Mapping[str, Configuration]) -> Iterator[str]:
     low, high = GRAVITIES
     for key, c in posed.items():
         size = float(np.linalg.norm(c.gravity))
         if size and not low <= size <= high:
-            text = (
-                f"{readable_values(c.gravity, 'm/s^2')} is "
+            yield (
+                f"{key}.gravity: {readable_values(c.gravity, 'm/s^2')} is "
                 f"{size / STANDARD_GRAVITY:.3g} times that of the Earth: check its "
                 "unit."
             )
-            yield Doubt(size, f"{key}.gravity", text)
 
 
-def _loads(model: Model, posed: Posed) -> Iterator[Doubt]:
+def _loads(model: Model, posed: Mapping[str, Configuration]) -> Iterator[str]:
     weight = model.mass * STANDARD_GRAVITY
     for key, c in posed.items():
         forces = [load.nodal_forces(model.mesh).sum(axis=0) for load in c.loads]
         load = float(sum(np.linalg.norm(force) for force in forces))
         if weight and load > WEIGHTS * weight:
-            shown = [readable_values([force], "N") for force in (load, weight)]
-            text = (
-                f"{shown[0]} are {load / weight:.3g} times the weight of the robot "
-                f"({shown[1]}): check the units of force, size and density."
+            yield (
+                f"{key}.loads: {readable_values([load], 'N')} are {load / weight:.3g} "
+                f"times the weight of the robot ({readable_values([weight], 'N')}): "
+                "check the units of force, size and density."
             )
-            yield Doubt(load, f"{key}.loads", text)
 
 
-def _places(model: Model, posed: Posed) -> Iterator[Doubt]:
+def _places(model: Model, posed: Mapping[str, Configuration]) -> Iterator[str]:
     """Check where points were measured, or how far from the reference pose.
 
     The frame of a reference is its own: only differences from it count.
@@ -112,5 +97,31 @@ def _places(model: Model, posed: Posed) -> Iterator[Doubt]:
             own = {name: own[name] - before[name] for name in own if name in before}
         far = farthest(own, model.mesh.size)
         if far is not None:
-            text = f"{far.name!r} was measured {far}"
-            yield Doubt(far.distance, f"{key}.measured", text)
+            yield f"{key}.measured: {far}"
+
+
+CHANGE = "# CHANGE: "
+"""How the remark begins at the end of a line, or before one, that holds a guess."""
+
+_GUESS = re.compile(rf"(?P<text>.*?)\s*{CHANGE}(?P<remark>.+)")
+
+
+class Guess(NamedTuple):
+    """A line of a project file, from 1, and the remark on what is to be confirmed."""
+
+    line: int
+    text: str
+    remark: str
+
+    __repr__ = one_line
+
+
+def guesses_left(path: str | os.PathLike[str]) -> tuple[Guess, ...]:
+    """List the lines of a project file that still have the remark of a guess."""
+    lines = Path(path).read_text(encoding="utf-8").splitlines()
+    found = ((n, _GUESS.match(line)) for n, line in enumerate(lines, start=1))
+    return tuple(
+        Guess(n, match["text"].strip(), match["remark"].strip())
+        for n, match in found
+        if match
+    )

@@ -42,8 +42,7 @@ class Project(Module):
     Attributes:
         name: Name of the project.
         path: The project file.
-        source: That file and those that it names (mesh, measurements), as they were
-            when they were read.
+        source: That file and those that it names, as they were when they were read.
         model: The model, with the start values of the parameters.
         space: The parameters; None for a file without parameters.
         calibration: Configurations that are fitted.
@@ -58,7 +57,7 @@ class Project(Module):
         settings: Settings of the calibration.
         newton: Settings of the equilibrium.
         registrations: Registrations of the camera frames by configuration.
-        traces: Recordings of markers, with what was used of them, by configuration.
+        traces: Recordings of markers and what was used of them, by configuration.
     """
 
     name: str
@@ -146,11 +145,10 @@ class Project(Module):
         Args:
             start: Scaled parameters to start from, instead of those of the file [-].
             checkpoint: File in which the state is kept, and from which it is resumed.
-            progress: Called after the first evaluation and after each step.
-            search_progress: Called after each run of a search from many starts.
-            equilibrium_progress: Called while the first equilibria are solved.
-            profiling: Called with the result so far before profiles of the likelihood
-                are computed for its intervals, which takes a while.
+            progress: As for `softcal_jax.calibrate`.
+            search_progress: As there.
+            equilibrium_progress: As there.
+            profiling: As there.
 
         Raises:
             ProjectError: If there is nothing to calibrate.
@@ -187,8 +185,8 @@ class Project(Module):
         result = dataclasses.replace(result, source=self.source)
         if not self.registrations:
             return result
-        fitted = self.registrations.items()
-        listed = ", ".join(f"{name} {1e3 * own.rms:.2f} mm" for name, own in fitted)
+        fits = self.registrations.items()
+        listed = ", ".join(f"{name} {1e3 * fit.rms:.2f} mm" for name, fit in fits)
         note = f"Camera frames registered to the mesh with an rms of: {listed}."
         return dataclasses.replace(result, notes=(*result.notes, note))
 
@@ -205,7 +203,7 @@ class Project(Module):
                 'configurations: none has role = "calibration", and there are no '
                 "candidates."
             )
-        if posed and not any(c.markers or c.effectors for c in posed):
+        elif not any(c.markers or c.effectors for c in posed):
             problems.append(
                 "markers: there are none to measure; add [markers] or [effectors]."
             )
@@ -218,9 +216,6 @@ class Project(Module):
         """Judge what the calibration configurations would tell, measured or not.
 
         The verdict is at the start values, with the stated noise of all effectors.
-
-        Args:
-            progress: Called after every few iterations of an equilibrium.
 
         Raises:
             ProjectError: If there are no parameters, configurations or markers.
@@ -243,9 +238,6 @@ class Project(Module):
     ) -> Ranking:
         """Rank the candidates, best first, by what they add to the configurations.
 
-        Args:
-            progress: Called after every few iterations of an equilibrium.
-
         Raises:
             ProjectError: If there are no parameters, candidates or markers.
             RuntimeError: If a configuration has no equilibrium; the text names it.
@@ -256,11 +248,11 @@ class Project(Module):
             raise ProjectError(
                 f"{self.path}: candidates: there are none; add [[candidates]]."
             )
-        posed = self.calibration, self.candidates
         return rank_configurations(
             self.model,
             self.space,
-            *posed,
+            self.calibration,
+            self.candidates,
             newton=self.newton,
             uncertain=self.uncertain,
             precision=self.precision,
@@ -285,9 +277,6 @@ class Project(Module):
         """Solve the equilibria of all `configurations`, a lane each, at the start.
 
         `check_converged` raises where one has no equilibrium.
-
-        Args:
-            progress: Called while they are solved.
 
         Raises:
             ProjectError: If there are no configurations.

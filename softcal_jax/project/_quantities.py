@@ -15,34 +15,24 @@ if TYPE_CHECKING:
 
 
 class Dimension(NamedTuple):
-    """Physical dimension of a quantity.
-
-    Attributes:
-        name: Its name in messages, with the article.
-        si: SI unit of the parsed number.
-        example: A value as a user would write it.
-        usual: Units to suggest for a misspelt one.
-    """
+    """Physical dimension of a quantity: its name, its SI unit and an example."""
 
     name: str
     si: str
     example: str
-    usual: tuple[str, ...]
 
 
-LENGTH = Dimension("a length", "m", "100 mm", tuple(METRES))
-_MODULI = ("Pa", "kPa", "MPa", "GPa", "N/m^2", "N/mm^2")
-PRESSURE = Dimension("a pressure or modulus", "Pa", "200 kPa", _MODULI)
-_DENSITIES = ("kg/m^3", "g/cm^3", "kg/dm^3")
-DENSITY = Dimension("a density", "kg/m^3", "1070 kg/m^3", _DENSITIES)
-FORCE = Dimension("a force", "N", "0.51 N", ("N", "mN", "kN", "kgf"))
-ACCELERATION = Dimension("an acceleration", "m/s^2", "9.81 m/s^2", ("m/s^2", "mm/s^2"))
-TIME = Dimension("a time", "s", "1.3 s", ("s", "ms"))
-ANGLE = Dimension("an angle", "rad", "20 deg", ("deg", "rad", "mrad"))
-MASS = Dimension("a mass", "kg", "10 g", ("kg", "g", "mg"))
-VOLUME = Dimension("a volume", "m^3", "2 ml", ("ml", "mm^3", "cm^3", "l", "m^3"))
-TORQUE = Dimension("a torque", "N*m", "50 N*mm", ("N*m", "N*mm", "mN*m"))
-BEDDING = Dimension("a stiffness per area", "Pa/m", "1 GPa/m", ("N/mm^3", "GPa/m"))
+LENGTH = Dimension("a length", "m", "100 mm")
+PRESSURE = Dimension("a pressure or modulus", "Pa", "200 kPa")
+DENSITY = Dimension("a density", "kg/m^3", "1070 kg/m^3")
+FORCE = Dimension("a force", "N", "0.51 N")
+ACCELERATION = Dimension("an acceleration", "m/s^2", "9.81 m/s^2")
+TIME = Dimension("a time", "s", "1.3 s")
+ANGLE = Dimension("an angle", "rad", "20 deg")
+MASS = Dimension("a mass", "kg", "10 g")
+VOLUME = Dimension("a volume", "m^3", "2 ml")
+TORQUE = Dimension("a torque", "N*m", "50 N*mm")
+BEDDING = Dimension("a stiffness per area", "Pa/m", "1 GPa/m")
 
 Size = Literal["any", "finite", "not negative", "positive"]
 """What a quantity may be; every size but "any" is finite."""
@@ -62,12 +52,12 @@ OF_UNIT = {
 
 def dimension_of(unit: str) -> Dimension:
     """Return the dimension of an SI unit; unlisted units make one of their own."""
-    own = Dimension(f"a quantity in {unit}", _spelt(unit), f"1 {unit}", (unit,))
+    own = Dimension(f"a quantity in {unit}", _spelt(unit), f"1 {unit}")
     return OF_UNIT.get(unit, own)
 
 
 _COMMON: dict[str, dict[str, float]] = {
-    "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254},
+    "m": METRES,
     "Pa": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "mbar": 1e2, "bar": 1e5}
     | {"N/m^2": 1.0, "N/mm^2": 1e6},
     "N": {"N": 1.0, "mN": 1e-3, "kN": 1e3},
@@ -124,14 +114,13 @@ def _factor(unit: str, dimension: Dimension, value: str) -> float:
     try:
         one = registry.Quantity(1.0, registry.parse_units(_spelt(unit)))
     except pint.UndefinedUnitError as error:
-        hint = suggestion(unit, dimension.usual, quote='"')
-        raise ValueError(
-            f'"{value}": unknown unit "{unit}"; {expected}.{hint}'
-        ) from error
-    fits = one.is_compatible_with(dimension.si)
-    if not fits or (dimension is ANGLE and str(one.units) not in _ANGLES):
+        unknown = f'"{value}": unknown unit "{unit}"; {expected}.'
+        hint = suggestion(unit, common, quote='"')
+        raise ValueError(f"{unknown}{hint}") from error
+    angle = dimension is not ANGLE or str(one.units) in _ANGLES
+    if not (angle and one.is_compatible_with(dimension.si)):
         # "kP" is no slip to pint, which knows the kilopoise.
-        raise ValueError(misfit + suggestion(unit, dimension.usual, quote='"'))
+        raise ValueError(misfit + suggestion(unit, common, quote='"'))
     return float(one.to(dimension.si).magnitude)
 
 
@@ -149,25 +138,17 @@ class RecognisedQuantity(NamedTuple):
 
 def recognised(text: str) -> RecognisedQuantity | None:
     """Read a text as a quantity of any dimension that a file may have; None if not."""
-    vector = _VECTOR.fullmatch(text)
-    match = vector or _SCALAR.fullmatch(text)
+    match = _VECTOR.fullmatch(text) or _SCALAR.fullmatch(text)
     if match is None or not match[2]:
         return None
     numbers = [part.strip() for part in match[1].split(",")]
     if not all(re.fullmatch(_NUMBER, number) for number in numbers):
         return None
-    found = _dimension_and_factor(match[2])
-    if found is None:
-        return None
-    dimension, factor = found
-    return RecognisedQuantity(tuple(factor * float(n) for n in numbers), dimension.si)
-
-
-@functools.cache
-def _dimension_and_factor(unit: str) -> tuple[Dimension, float] | None:
     for dimension in (*OF_UNIT.values(), ACCELERATION, TIME, MASS):
         with contextlib.suppress(ValueError):
-            return dimension, _factor(unit, dimension, unit)
+            factor = _factor(match[2], dimension, text)
+            values = tuple(factor * float(number) for number in numbers)
+            return RecognisedQuantity(values, dimension.si)
     return None
 
 
@@ -182,21 +163,17 @@ def parse_scalar(value: Any, dimension: Dimension) -> float:
     if match is not None and match[2]:
         return float(match[1]) * _factor(match[2], dimension, value)
     number = float(match[1]) if match else value
-    if not is_number(number):
-        raise ValueError(
-            f"got {shown(value)}; expected {dimension.name} in quotes, like "
-            f'"{dimension.example}".'
-        )
+    got = f"{number:.15g} has no unit" if is_number(number) else f"got {shown(value)}"
     raise ValueError(
-        f"{number:.15g} has no unit; expected {dimension.name}, in quotes and with its "
-        f'unit, like "{dimension.example}".'
+        f"{got}; expected {dimension.name}, in quotes and with its unit, like "
+        f'"{dimension.example}".'
     )
 
 
-def parse_number(value: Any, example: str = "0.45") -> float:
+def parse_number(value: Any) -> float:
     """Parse a number without a unit."""
     if not is_number(value):
-        raise ValueError(f"got {shown(value)}; expected a number, like {example}.")
+        raise ValueError(f"got {shown(value)}; expected a number, like 0.45.")
     return float(value)
 
 
@@ -212,8 +189,7 @@ def parse_in_si(value: Any, unit: str) -> float:
 def parse_vector(value: Any, dimension: Dimension) -> tuple[float, float, float]:
     """Parse three quantities: "(0, 15, 36) mm" or ["0 mm", "15 mm", "36 mm"]."""
     unit = dimension.example.split()[-1]
-    example = f'"(0, 0, -1) {unit}"'
-    expected = f"expected three numbers with a unit, like {example}"
+    expected = f'expected three numbers with a unit, like "(0, 0, -1) {unit}"'
     if isinstance(value, list):
         parts = [parse_scalar(part, dimension) for part in value]
     else:
@@ -258,32 +234,31 @@ def vector(
     return parse
 
 
+_WITHIN = {
+    "any": (lambda x: True, ""),
+    "finite": (math.isfinite, ""),
+    "not negative": (lambda x: 0.0 <= x < math.inf, ", zero or more"),
+    "positive": (lambda x: 0.0 < x < math.inf, " above zero"),
+}
+
+
 def _check_size(numbers: Iterable[float], size: Size, value: Any) -> None:
     """Raise ValueError unless all numbers are of a size; `value` is what was typed."""
-    if size == "any":
-        return
-    words = {"finite": "", "not negative": ", zero or more", "positive": " above zero"}
-    within = {
-        "finite": lambda x: True,
-        "not negative": lambda x: x >= 0.0,
-        "positive": lambda x: x > 0.0,
-    }
-    if not all(math.isfinite(number) and within[size](number) for number in numbers):
-        raise ValueError(f"got {shown(value)}; expected a finite value{words[size]}.")
+    within, words = _WITHIN[size]
+    if not all(map(within, numbers)):
+        raise ValueError(f"got {shown(value)}; expected a finite value{words}.")
 
 
 def parse_direction(value: Any) -> tuple[float, float, float]:
     """Parse a unit vector from "-z" or [0, 0, -1]."""
-    if isinstance(value, str):
-        axis = re.fullmatch(r"([+-]?)([xyz])", value.strip())
-        if axis is None:
-            raise ValueError(f'got "{value}"; expected "-z" or [0, 0, -1].')
+    axis = isinstance(value, str) and re.fullmatch(r"([+-]?)([xyz])", value.strip())
+    if axis:
         sign = -1.0 if axis[1] == "-" else 1.0
         x, y, z = (sign * (letter == axis[2]) for letter in "xyz")
         return x, y, z
     numbers = value if isinstance(value, list) else []
     if len(numbers) != 3 or not all(map(is_number, numbers)):
-        raise ValueError(f'got {value}; expected "-z" or [0, 0, -1].')
+        raise ValueError(f'got {shown(value)}; expected "-z" or [0, 0, -1].')
     length = math.hypot(*numbers)
     if not 0.0 < length < math.inf:
         raise ValueError(f"got {value}; a direction has a finite length above zero.")

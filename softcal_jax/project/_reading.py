@@ -3,23 +3,20 @@
 The description of a key is also the text of the message if the key is missing.
 """
 
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from copy import deepcopy
 from pathlib import Path
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, Field, ValidationError, create_model, field_validator
 
-from softcal_jax._names import listed
 from softcal_jax.calibration import LEVEL, check_starts
 from softcal_jax.fields import PRECISION
-from softcal_jax.project._actuators import AnyActuator
-from softcal_jax.project._bodies import BodyTable
 from softcal_jax.project._configurations import CandidateTable, ConfigurationTable
 from softcal_jax.project._effectors import AnyEffector
 from softcal_jax.project._laws import Material, material_table
 from softcal_jax.project._markers import MarkersTable
+from softcal_jax.project._mechanism import AnyActuator, BodyTable
 from softcal_jax.project._mesh import GroupTable, MeshTable
 from softcal_jax.project._parameters import (
     ControlPointsTable,
@@ -33,7 +30,6 @@ from softcal_jax.project._problems import (
     known_here,
     one_by_one,
 )
-from softcal_jax.project._quantities import shown
 from softcal_jax.project._setup import AnySetup
 from softcal_jax.project._table import Flag, Integer, Number, Table
 from softcal_jax.project._toml import read_toml
@@ -46,9 +42,7 @@ M = TypeVar("M", bound=Material)
 class SettingsTable(Table):
     """Settings of the calibration; missing ones keep their defaults.
 
-    Attributes:
-        starts: Number of starts; by default see `default_starts`.
-        intervals: Level of the intervals; 0 for none.
+    Without `starts` see `default_starts`, and 0 `intervals` are none.
     """
 
     noise: Literal["estimated", "stated"] = "estimated"
@@ -59,25 +53,9 @@ class SettingsTable(Table):
     damping: Number | None = None
     starts: Integer | None = None
     seed: Annotated[Integer, Field(ge=0)] = 0
-    intervals: Number | None = LEVEL
-    precision: Number = PRECISION
+    intervals: Annotated[Number, Field(ge=0, lt=1)] = LEVEL
+    precision: Annotated[Number, Field(gt=0, allow_inf_nan=False)] = PRECISION
     adapt: Flag | None = None
-
-    @field_validator("intervals")
-    @classmethod
-    def _check_intervals(cls, value: float | None) -> float | None:
-        if value is not None and not 0.0 <= value < 1.0:
-            raise ValueError(
-                f"got {value:g}; expected a level like 0.95, or 0 for none."
-            )
-        return value or None
-
-    @field_validator("precision")
-    @classmethod
-    def _check_precision(cls, value: float) -> float:
-        if not 0.0 < value < math.inf:
-            raise ValueError(f"got {value:g}; expected a share like 0.1, for 10 %.")
-        return value
 
     @field_validator("starts")
     @classmethod
@@ -87,11 +65,7 @@ class SettingsTable(Table):
 
 
 class NewtonTable(Table):
-    """Settings of the equilibrium; missing ones keep their defaults.
-
-    Attributes:
-        solver: Sparse solver of its linear systems, see `build_model`.
-    """
+    """Settings of the equilibrium, with the `solver` of `build_model`."""
 
     rtol: Number | None = None
     max_steps: Integer | None = None
@@ -99,21 +73,16 @@ class NewtonTable(Table):
     smallest_load_step: Number | None = None
     solver: Literal["pardiso", "klu", "pardiso-host"] | None = None
 
-    @field_validator("solver", mode="before")
-    @classmethod
-    def _check_solver(cls, name: str | None) -> str | None:
-        if name in ("auto", "multigrid"):
-            raise ValueError(f"{name!r} was removed: leave solver out.")
-        return name
+
+def _keys_of(kind: type[Table], but: Set[str]) -> Any:
+    """Return fields for the other keys of a table, whatever their values."""
+    return {key: (Any, None) for key in kind.model_fields if key not in but}
 
 
-class MeshTables(Table):
-    """The tables of a project file that make its mesh; the others are not read."""
-
-    model_config = ConfigDict(extra="ignore", frozen=True)
-
-    mesh: MeshTable = Field(description="a table [mesh]")
-    groups: dict[str, GroupTable] = Field(default_factory=dict)
+class SharedTable(
+    create_model("Shared", __base__=Table, **_keys_of(ConfigurationTable, {"name"}))
+):
+    """The table [shared], whose values are checked in each configuration."""
 
 
 class ProjectTable(Table, Generic[M]):
@@ -131,50 +100,36 @@ class ProjectTable(Table, Generic[M]):
     parameter_space: ParameterSpaceTable = ParameterSpaceTable()
     markers: MarkersTable | None = None
     effectors: dict[str, AnyEffector] = Field(default_factory=dict)
+    shared: SharedTable = SharedTable()
     configurations: tuple[ConfigurationTable, ...] = ()
     candidates: tuple[CandidateTable, ...] = ()
     uncertain: UncertainTable = UncertainTable()
     settings: SettingsTable = SettingsTable()
     newton: NewtonTable = NewtonTable()
 
-    @field_validator("configurations", "candidates")
-    @classmethod
-    def _check_names(cls, posed: tuple[CandidateTable, ...], info: Any) -> Any:
-        places: dict[str, list[str]] = {}
-        for i, own in enumerate(posed, start=1):
-            places.setdefault(own.name, []).append(f"{info.field_name}[{i}]")
-        for name, where in places.items():
-            if len(where) > 1:
-                raise ValueError(
-                    f'"{name}" is the name of {listed(where)}, counted from 1; give '
-                    "each a name of its own."
-                )
-        return posed
-
     @field_validator("control_points", mode="before")
     @classmethod
     def _check_named(cls, sets: Any) -> Any:
         if not isinstance(sets, dict):
             return sets
-        known = ControlPointsTable.model_fields
-        for name, points in sets.items():
-            if name not in known and not isinstance(points, dict):
-                own = f'"{name}" = {shown(points)}'
-                raise ValueError(
-                    f"got {own}; expected sets of control points, each with a name: "
-                    f"write [control_points.ends] and below positions = {{ {own} }}, "
-                    'and control_points = "ends" in [[parameters]].'
-                )
-        if "positions" in sets and set(sets) <= set(known):
+        loose = [k for k, points in sets.items() if not isinstance(points, dict)]
+        if loose or set(sets) == {"positions"}:
             raise ValueError(
-                "a set of control points needs a name: write [control_points.ends], "
-                'and control_points = "ends" in [[parameters]].'
+                f"got {', '.join(loose or sets)}; a set of control points needs a "
+                "name: write [control_points.ends] and below positions = "
+                '{ tip = "(0, 0, 0) mm" }, and control_points = "ends" in '
+                "[[parameters]]."
             )
         return sets
 
 
-_OF_CONFIGURATIONS = {*ConfigurationTable.model_fields} - {*CandidateTable.model_fields}
-"""Keys of [shared] that do not apply to candidates."""
+class MeshTables(
+    create_model("Mesh", __base__=Table, **_keys_of(ProjectTable, {"mesh", "groups"}))
+):
+    """The tables of a project file that make its mesh; the others are not read."""
+
+    mesh: MeshTable = Field(description="a table [mesh]")
+    groups: dict[str, GroupTable] = Field(default_factory=dict)
 
 
 def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> ProjectTable:
@@ -183,18 +138,15 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
     `changes` replace values of the file, see `load_project`.
     """
     raw = _with_changes(path, read_toml(path, "project file"), changes)
-    shared = raw.get("shared", {})
-    problems = _shared_problems(shared)
-    if problems:
-        raise one_by_one(path, problems)
-    merged = _with_shared(raw, shared)
     with at(path, "material.law"):
         material = material_table(raw.get("material"))
-    schema, table = ProjectTable[material], None
+    problems, table = [], None
     try:
-        table = schema.model_validate(merged, context=material)
+        table = ProjectTable[material].model_validate(
+            _with_shared(raw), context=material
+        )
     except ValidationError as error:
-        problems = describe(error, schema, raw)
+        problems = describe(error, raw)
     if not (raw.get("configurations") or raw.get("candidates")):
         problems.append(
             "configurations: missing. Expected at least one table [[configurations]]."
@@ -206,14 +158,6 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
 
 def read_mesh_tables(path: Path) -> MeshTables:
     """Read [mesh] and [groups] of a project file, whose other tables may be missing."""
-    known = [*ProjectTable.model_fields, "shared"]
-    problems = [
-        f"{key}: unknown key.{known_here(key, known, 'Known here')}"
-        for key in read_toml(path, "project file")
-        if key not in known
-    ]
-    if problems:
-        raise one_by_one(path, problems)
     return read_schema(path, MeshTables, "project file")
 
 
@@ -228,7 +172,7 @@ def read_schema(path: Path, schema: type[T], what: str) -> T:
     try:
         return schema.model_validate(raw)
     except ValidationError as error:
-        raise one_by_one(path, describe(error, schema, raw)) from error
+        raise one_by_one(path, describe(error, raw)) from error
 
 
 def _with_changes(
@@ -238,11 +182,19 @@ def _with_changes(
     for key, value in (changes or {}).items():
         *way, last = key.split(".")
         here: Any = raw
-        for i, part in enumerate(way):
-            where = ".".join(way[: i + 1])
-            here = _entry_of(path, here, part, where=where, key=key)
+        for part in way:
+            if isinstance(here, list):
+                entries = [e for e in here if isinstance(e, dict)]
+                here = {str(e.get("name", e.get("field"))): e for e in entries}
+                if part not in here:
+                    none = f"there is no {part!r}.{known_here(part, here)}"
+                    raise ProjectError(f"{path}: {key}: {none}")
+            here = here.setdefault(part, {}) if isinstance(here, dict) else None
         if not isinstance(here, dict):
-            raise _no_table(path, ".".join(way), key)
+            where = ".".join(way)
+            raise ProjectError(
+                f"{path}: {key}: {where} is no table of the project file."
+            )
         if value is None:
             here.pop(last, None)
         else:
@@ -250,46 +202,17 @@ def _with_changes(
     return raw
 
 
-def _entry_of(path: Path, here: Any, part: str, *, where: str, key: str) -> Any:
-    """Return the part of a table, or the entry of a list by its name."""
-    if isinstance(here, list):
-        entries = [e for e in here if isinstance(e, dict)]
-        named = {str(e.get("name", e.get("field"))): e for e in entries}
-        if part not in named:
-            known = known_here(part, named)
-            raise ProjectError(f"{path}: {key}: there is no {where}.{known}")
-        return named[part]
-    if not isinstance(here, dict):
-        raise _no_table(path, where, key)
-    return here.setdefault(part, {})
-
-
-def _no_table(path: Path, where: str, key: str) -> ProjectError:
-    return ProjectError(f"{path}: {key}: {where} is no table of the project file.")
-
-
-def _with_shared(raw: dict[str, Any], shared: dict[str, Any]) -> dict[str, Any]:
+def _with_shared(raw: dict[str, Any]) -> dict[str, Any]:
     """Merge [shared] into every configuration and candidate."""
-    merged = {key: value for key, value in raw.items() if key != "shared"}
-    common = {key: v for key, v in shared.items() if key not in _OF_CONFIGURATIONS}
-    for key, base in (("configurations", shared), ("candidates", common)):
-        if isinstance(raw.get(key), list):
+    merged, shared = dict(raw), raw.get("shared")
+    kinds = {"configurations": ConfigurationTable, "candidates": CandidateTable}
+    for key, kind in kinds.items():
+        if isinstance(raw.get(key), list) and isinstance(shared, dict):
+            base = {k: value for k, value in shared.items() if k in kind.model_fields}
             merged[key] = [
                 _merged(base, own) if isinstance(own, dict) else own for own in raw[key]
             ]
     return merged
-
-
-def _shared_problems(shared: Any) -> list[str]:
-    """List unknown keys of [shared]; its values are checked once they are merged."""
-    if not isinstance(shared, dict):
-        return [f"shared: got {shared!r}; expected a table [shared]."]
-    known = [key for key in ConfigurationTable.model_fields if key != "name"]
-    return [
-        f"shared.{key}: unknown key.{known_here(key, known, 'Known here')}"
-        for key in shared
-        if key not in known
-    ]
 
 
 def _merged(shared: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:

@@ -1,8 +1,8 @@
-"""Tables of a project file for the places and readings of 6-D sensors."""
+"""Tables of a project file for the readings of 6-D sensors and of printed tags."""
 
 from abc import abstractmethod
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -17,12 +17,15 @@ from softcal_jax.configurations import (
     read_polhemus,
     read_poses,
 )
+from softcal_jax.exchange.camera import TagPose, find_photos, tag_pose
 from softcal_jax.project._mesh import LengthUnit
 from softcal_jax.project._table import (
     Angle,
     Integer,
+    Names,
     Number,
     Position,
+    PositiveLength,
     RotationVector,
     Table,
 )
@@ -30,19 +33,13 @@ from softcal_jax.project._table import (
 Selection = dict[str, str]
 """Values that the selected rows of a file of readings have, by column."""
 
-Delimiter = Literal[",", ";", "\t", "|"]
-"""What stands between the columns of a file, where its header does not tell."""
-
-Decimal = Literal[".", ","]
-"""What stands before decimals, where the numbers of a file do not tell."""
-
 
 class DialectTable(Table):
     """How the numbers of a file are written, where it does not tell itself."""
 
     length_unit: LengthUnit | None = None
-    delimiter: Delimiter | None = None
-    decimal: Decimal | None = None
+    delimiter: Literal[",", ";", "\t", "|"] | None = None
+    decimal: Literal[".", ","] | None = None
 
     @property
     def dialect(self) -> dict[str, Any]:
@@ -63,25 +60,22 @@ class OrientationTable(Table):
     quaternion: tuple[Number, Number, Number, Number] | None = None
     rotation_vector: RotationVector | None = None
 
-    @property
-    def forms(self) -> list[str]:
-        """One key for each form that is given."""
-        given = {key for key, value in self if value is not None}
-        angles = [key for key in ("azimuth", "elevation", "roll") if key in given]
-        return angles[:1] + [k for k in ("quaternion", "rotation_vector") if k in given]
-
     @model_validator(mode="after")
     def _check_form(self) -> "OrientationTable":
-        if len(self.forms) > 1:
+        given = [key for key, value in self if value is not None]
+        angles = [key for key in given if key in ("azimuth", "elevation", "roll")]
+        others = [key for key in given if key in ("quaternion", "rotation_vector")]
+        forms = angles[:1] + others
+        if len(forms) > 1:
             raise ValueError(
-                f"got {' and '.join(self.forms)}; give the orientation in one form: "
+                f"got {' and '.join(forms)}; give the orientation in one form: "
                 "azimuth, elevation and roll, or a quaternion, or a rotation_vector."
             )
         return self
 
     @property
     def rotation(self) -> Float[HostArray, "3 3"]:
-        """Rotation matrix from the frame's own axes to those it is given in [-].
+        """Rotation matrix from the frame's axes to those it is given in [-].
 
         The angles are those of Polhemus: R = Rz(azimuth) Ry(elevation) Rx(roll).
         """
@@ -111,20 +105,32 @@ class FrameTable(OrientationTable):
         return Pose.from_matrix(self.rotation, np.array(self.position))
 
 
-class MeasuredMotion(NamedTuple):
-    """The motion of a rigid body, and what its measurement says of its errors.
-
-    Attributes:
-        pose: The motion.
-        covariance: Of its translation and of a rotation vector, in the axes of the
-            mesh; None where nothing is known of it [m, rad].
-    """
-
-    pose: Pose
-    covariance: Float[HostArray, "6 6"] | None
+Motion = tuple[Pose, Float[HostArray, "6 6"] | None]
+"""The motion of a rigid body, and the covariance of its translation and of a rotation
+vector in the axes of the mesh; None where its measurement says nothing of it [m, rad].
+"""
 
 
-class SensorPoseTable(Table):
+class MotionSource(Table):
+    """What the motion of a rigid body from rest is found from."""
+
+    @abstractmethod
+    def motion(
+        self,
+        folder: Path,
+        base: FrameTable,
+        mounted: OrientationTable,
+        rest: Float[HostArray, "3"],
+    ) -> Motion:
+        """Compute the motion, from rest or from an earlier pose.
+
+        The `base` is the frame of the tracker's base, or of the base tag. At rest, the
+        sensor or tag stands at `rest` [m] and is `mounted` on the mesh; with an earlier
+        pose it does not matter exactly where it was glued.
+        """
+
+
+class SensorPoseTable(MotionSource):
     """The pose of a 6-D sensor, written out or read from a file."""
 
     @abstractmethod
@@ -141,32 +147,20 @@ class SensorPoseTable(Table):
         base: FrameTable,
         mounted: OrientationTable,
         rest: Float[HostArray, "3"],
-    ) -> MeasuredMotion:
-        """Compute the motion of a rigid body from the pose of the sensor on it.
-
-        It is the motion from rest, or with `displacement_from` between two readings, so
-        that it does not matter exactly where the sensor was glued.
-
-        Args:
-            folder: Folder that relative paths start from.
-            base: Frame of the tracker's base.
-            mounted: Orientation of the sensor on the mesh at rest.
-            rest: Position of the sensor at rest [m].
-        """
+    ) -> Motion:
         position, rotation = _mean(self.readings(folder), base)
         before, mounting = rest, mounted.rotation
         earlier = self.earlier_readings(folder)
         if earlier is not None:
             before, mounting = _mean(earlier, base)
-        motion = Pose.from_matrix(rotation @ mounting.T, position - before)
-        return MeasuredMotion(motion, None)
+        return Pose.from_matrix(rotation @ mounting.T, position - before), None
 
 
 def _mean(
     readings: PoseTable, base: FrameTable
 ) -> tuple[Float[HostArray, "3"], Float[HostArray, "3 3"]]:
     """Average position [m] and axes of one sensor, in the mesh's frame."""
-    means = average_poses(in_frame(readings, base=base.pose))
+    means = average_poses(in_frame(readings, base.pose))
     if len(means) > 1:
         raise ValueError(
             f"{readings.source} has the sensors {', '.join(means)}; say which one is "
@@ -179,14 +173,12 @@ def _mean(
 class WrittenPoseTable(SensorPoseTable, OrientationTable):
     """A pose that is written out."""
 
-    choice = "a pose that is written out"
     position: Position = Field(
         description='the pose, { position = "(0, 0, 100) mm", azimuth = "10 deg" }, or '
         'where it was read, { file = "tracker.csv" }'
     )
 
     def readings(self, folder: Path) -> PoseTable:
-        """Return the pose as a single reading."""
         del folder
         p, R = np.array([self.position], float), self.rotation[None]
         return PoseTable(("sensor",), p, R, (1,), "the pose")
@@ -195,7 +187,6 @@ class WrittenPoseTable(SensorPoseTable, OrientationTable):
 class PoseFileTable(SensorPoseTable, DialectTable):
     """A table of poses, with a header and columns to select by."""
 
-    choice = 'file = "tracker.csv"'
     file: str
     format: Literal["table"] = "table"
     sensor: str | None = None
@@ -203,24 +194,19 @@ class PoseFileTable(SensorPoseTable, DialectTable):
     displacement_from: Selection | None = None
 
     def readings(self, folder: Path) -> PoseTable:
-        """Read the selected rows."""
-        return self._rows(folder, self.select)
+        rows = read_poses(folder / self.file, select=self.select, **self.dialect)
+        return rows if self.sensor is None else rows.readings_of(self.sensor)
 
     def earlier_readings(self, folder: Path) -> PoseTable | None:
-        """Read the rows that displacements are from."""
         if self.displacement_from is None:
             return None
-        return self._rows(folder, {**self.select, **self.displacement_from})
-
-    def _rows(self, folder: Path, select: Selection) -> PoseTable:
-        rows = read_poses(folder / self.file, select=select, **self.dialect)
-        return rows if self.sensor is None else rows.readings_of(self.sensor)
+        select = self.select | self.displacement_from
+        return self.model_copy(update={"select": select}).readings(folder)
 
 
 class PolhemusFileTable(SensorPoseTable):
     """The bare text of a tracker."""
 
-    choice = 'format = "polhemus"'
     file: str
     format: Literal["polhemus"]
     length_unit: LengthUnit = Field(
@@ -230,11 +216,68 @@ class PolhemusFileTable(SensorPoseTable):
     station: Integer | None = None
 
     def readings(self, folder: Path) -> PoseTable:
-        """Read the lines of the station."""
-        station = self.station
-        return read_polhemus(
-            folder / self.file,
-            length_unit=self.length_unit,
-            angle_unit=self.angle_unit,
-            stations=None if station is None else {station: f"station {station}"},
+        options = self.model_dump(include={"length_unit", "angle_unit", "station"})
+        return read_polhemus(folder / self.file, **options)
+
+
+class EarlierPhotosTable(Table):
+    """Photographs of an earlier pose, of the same tags."""
+
+    photos: Names = Field(description='photographs: "rest/*.jpg"')
+
+
+class PhotosTable(MotionSource):
+    """The pose of a tag on a rigid body, from photographs of it and of a base tag.
+
+    `base` of the effector is the frame of the base tag, and `orientation` that of the
+    tag on the mesh at rest. `board` are photographs of the printed board, by which the
+    camera is calibrated.
+    """
+
+    photos: Names = Field(description='photographs: "pose1/*.jpg"', min_length=1)
+    tag: Integer = Field(description="number of the tag on the rigid body: 3")
+    base_tag: Integer = Field(description="number of the tag on the base: 0")
+    size: PositiveLength = Field(description='side of the black square: "20 mm"')
+    base_size: PositiveLength | None = None
+    board: Names = ()
+    displacement_from: EarlierPhotosTable | None = None
+
+    def files(self, folder: Path) -> tuple[Path, ...]:
+        earlier = self.displacement_from
+        more = () if earlier is None else earlier.photos
+        return find_photos([*self.photos, *more, *self.board], folder)
+
+    def motion(
+        self,
+        folder: Path,
+        base: FrameTable,
+        mounted: OrientationTable,
+        rest: Float[HostArray, "3"],
+    ) -> Motion:
+        """Compute the motion from the pose of the tag in the frame of the base tag."""
+        own = self._pose(folder, self.photos)
+        turn, covariance = base.pose.matrix, own.covariance
+        position = turn @ own.position + base.pose.translation
+        rotation = turn @ own.rotation
+        before, mounting = rest, mounted.rotation
+        if self.displacement_from is not None:
+            earlier = self._pose(folder, self.displacement_from.photos)
+            before = turn @ earlier.position + base.pose.translation
+            mounting = turn @ earlier.rotation
+            # Turned by the motion: exp(r) R (exp(s) S)^T = exp(r - R S^T s) R S^T.
+            change = np.eye(6)
+            change[3:, 3:] = own.rotation @ earlier.rotation.T
+            covariance = covariance + change @ earlier.covariance @ change.T
+        axes = np.kron(np.eye(2), turn)
+        motion = Pose.from_matrix(rotation @ mounting.T, position - before)
+        return motion, axes @ covariance @ axes.T
+
+    def _pose(self, folder: Path, photos: tuple[str, ...]) -> TagPose:
+        return tag_pose(
+            find_photos(photos, folder),
+            tag=self.tag,
+            base_tag=self.base_tag,
+            size=self.size,
+            base_size=self.base_size,
+            board=find_photos(self.board, folder),
         )

@@ -21,7 +21,7 @@ from softcal_jax.fields import (
     mounting,
     recording_offset,
 )
-from softcal_jax.project._actuators import CableTable, MotorTable
+from softcal_jax.project._mechanism import CableTable, MotorTable
 from softcal_jax.project._problems import known_name
 from softcal_jax.project._quantities import (
     ANGLE,
@@ -30,19 +30,19 @@ from softcal_jax.project._quantities import (
     parse_number,
     parse_scalar,
 )
-from softcal_jax.project._table import Angle, ByKeys, Names, Table
-from softcal_jax.project._whole_file import WholeFile
+from softcal_jax.project._table import Angle, Choice, Names, Table, WholeFile, by_keys
+
+Subjects = dict[str, tuple[Any, ...]]
+"""What an error can belong to, with its nominal value, if any."""
 
 
 class SetupTable(Table):
     """An error of the setup that is known up to a limit.
 
-    Attributes:
-        makes: Makes the parameters from limit and prior, and from the name and nominal
-            value of what the error belongs to. Its name is the key of the table.
-        measures: Dimension of `limit` and `prior_std`; None for plain numbers.
-        noun: What the error belongs to, for messages; None if the robot as a whole.
-        section: Where the file states it.
+    The function that `makes` its parameters, from limit, prior, and the name and
+    nominal value of what it belongs to, has the key of the table as name. `limit` and
+    `prior_std` are of the dimension that it `measures`, or plain numbers. What it
+    belongs to is called `noun`, unless that is the robot, and stands in a `section`.
     """
 
     makes: ClassVar[Callable[..., Entry | Sequence[Entry]]]
@@ -56,21 +56,18 @@ class SetupTable(Table):
     @field_validator("limit", "prior_std", mode="before")
     @classmethod
     def _parse(cls, value: Any) -> float:
-        if cls.measures is None:
-            number = parse_number(value, "0.05")
-        else:
-            number = parse_scalar(value, cls.measures)
+        kind = cls.measures
+        number = parse_number(value) if kind is None else parse_scalar(value, kind)
         if not number > 0.0:
             raise ValueError(f'got "{value}"; expected more than zero.')
         return number
 
     @property
     def label(self) -> str:
-        """Its key."""
         return type(self).makes.__name__
 
-    def subjects(self, project: WholeFile) -> dict[str, tuple[Any, ...]]:
-        """List what such an error can belong to, with its nominal value, if any."""
+    def subjects(self, project: WholeFile) -> Subjects:
+        """List what such an error can belong to."""
         raise NotImplementedError
 
     def known(self, project: WholeFile) -> dict[str, Any]:
@@ -79,7 +76,6 @@ class SetupTable(Table):
         return self.model_dump(exclude={self.label, "each"})
 
     def build(self, project: WholeFile) -> list[Entry]:
-        """Build the parameters."""
         known, of = self.known(project), [()]
         if self.noun is not None:
             subjects, names = self.subjects(project), getattr(self, self.label)
@@ -99,8 +95,7 @@ class MotorZeroTable(SetupTable):
     noun = "motor"
     motor_zero: Names
 
-    def subjects(self, project: WholeFile) -> dict[str, tuple[Any, ...]]:
-        """List the motors."""
+    def subjects(self, project: WholeFile) -> Subjects:
         tables = project.actuators.items()
         return {name: () for name, own in tables if isinstance(own, MotorTable)}
 
@@ -114,8 +109,7 @@ class MountingTable(SetupTable):
     section = "[bodies]"
     mounting: Names
 
-    def subjects(self, project: WholeFile) -> dict[str, tuple[Any, ...]]:
-        """List the bodies, with their nominal mounting."""
+    def subjects(self, project: WholeFile) -> Subjects:
         tables = project.bodies.items()
         return {name: (own.mounting.translation,) for name, own in tables}
 
@@ -127,20 +121,24 @@ class FrictionTable(SetupTable):
     noun = "cable with friction"
     friction: Names
 
-    def subjects(self, project: WholeFile) -> dict[str, tuple[Any, ...]]:
-        """List the cables with friction, and their coefficients."""
+    def subjects(self, project: WholeFile) -> Subjects:
         tables = project.actuators.items()
         cables = {name: own for name, own in tables if isinstance(own, CableTable)}
         return {k: (own.friction,) for k, own in cables.items() if own.friction}
 
 
+Each = Annotated[
+    Literal["configuration", "recording"] | tuple[str, ...],
+    Choice(lambda value, kinds: kinds[1 if isinstance(value, list) else 0]),
+]
+
+
 class ScopedTable(SetupTable):
     """An error that all configurations share, or of which each has its own."""
 
-    each: Literal["configuration", "recording"] | tuple[str, ...] | None = None
+    each: Each | None = None
 
     def known(self, project: WholeFile) -> dict[str, Any]:
-        """Add the configurations or recordings that have an error of their own."""
         known = super().known(project)
         fitted = [c for c in project.configurations if c.role == "calibration"]
         recordings = list(dict.fromkeys(c.recording or c.name for c in fitted))
@@ -193,8 +191,7 @@ class LoadFactorTable(FactorTable):
         Names, BeforeValidator(lambda names: UNNAMED_LOADS if names is True else names)
     ]
 
-    def subjects(self, project: WholeFile) -> dict[str, tuple[Any, ...]]:
-        """List the names of the loads."""
+    def subjects(self, project: WholeFile) -> Subjects:
         loads = [own for c in project.configurations for own in c.loads]
         return {own.name: () for own in loads}
 
@@ -206,8 +203,7 @@ class ActuatorFactorTable(FactorTable):
     noun = "actuator"
     actuator_factor: Names
 
-    def subjects(self, project: WholeFile) -> dict[str, tuple[Any, ...]]:
-        """List the actuators."""
+    def subjects(self, project: WholeFile) -> Subjects:
         return dict.fromkeys(project.actuators, ())
 
 
@@ -221,7 +217,7 @@ class ClampStiffnessTable(FactorTable):
 
     clamp_stiffness: Names
 
-    def subjects(self, project: WholeFile) -> dict[str, tuple[Any, ...]]:
+    def subjects(self, project: WholeFile) -> Subjects:
         """List the groups of elastic supports, with their nominal stiffness."""
         nominal: dict[str, tuple[float]] = {}
         supports = [own for c in project.configurations for own in c.supports]
@@ -245,5 +241,5 @@ AnySetup = Annotated[
     | ActuatorFactorTable
     | ClampStiffnessTable
     | FrictionTable,
-    ByKeys(),
+    Choice(by_keys),
 ]

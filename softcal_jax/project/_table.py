@@ -1,22 +1,33 @@
 """What all tables of a project file share; parsed values are in SI units."""
 
+import functools
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any, ClassVar, TypeVar, get_args
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    Protocol,
+    TypeVar,
+    get_args,
+    runtime_checkable,
+)
 
 from pydantic import (
     BaseModel,
     BeforeValidator,
     ConfigDict,
-    Discriminator,
     Field,
     GetCoreSchemaHandler,
-    PrivateAttr,
     Strict,
-    Tag,
+    TypeAdapter,
+    ValidationError,
+    create_model,
     model_validator,
 )
-from pydantic_core import PydanticKnownError, core_schema
+from pydantic_core import ErrorDetails, InitErrorDetails, core_schema
 
+from softcal_jax.project._problems import known_here, one_of
 from softcal_jax.project._quantities import (
     ACCELERATION,
     ANGLE,
@@ -29,6 +40,7 @@ from softcal_jax.project._quantities import (
     TIME,
     parse_direction,
     scalar,
+    shown,
     vector,
 )
 
@@ -65,41 +77,33 @@ Surface = Annotated[str, Field(description='name of a surface group: "z_max"')]
 T = TypeVar("T")
 V = TypeVar("V")
 
-TableOr = Annotated[
-    Annotated[T, Tag("(table)")] | Annotated[V, Tag("(vector)")],
-    Discriminator(lambda v: "(table)" if isinstance(v, dict) else "(vector)"),
-]
-"""A table, or else a list or text."""
-
 
 class Table(BaseModel):
-    """A table of the file; unknown keys are errors."""
+    """A table of the file; unknown keys are errors, which list those that it has."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    choice: ClassVar[str] = ""
-    """How a file chooses this kind of table, for messages; empty if by its keys."""
-
-    _typed: dict[str, str] = PrivateAttr(default_factory=dict)
-
     @model_validator(mode="wrap")
     @classmethod
-    def _remember(cls, raw: Any, handler: Callable[[Any], Any]) -> Any:
-        table = handler(raw)
-        if isinstance(raw, dict):
-            texts = {k: v for k, v in raw.items() if isinstance(v, str)}
-            table._typed = texts
-        return table
-
-    @property
-    def typed(self) -> dict[str, str]:
-        """Its texts, quantities with their units among them, as they were typed."""
-        return self._typed
+    def _name_keys(cls, raw: Any, handler: Callable[[Any], Any]) -> Any:
+        try:
+            return handler(raw)
+        except ValidationError as error:
+            problems = [cls._in_words(details) for details in error.errors()]
+            raise ValidationError.from_exception_data(cls.__name__, problems) from None
 
     @classmethod
-    def claims(cls, value: dict[str, Any]) -> bool | None:
-        """Tell by its values whether a table is of this kind; None if by its keys."""
-        del value
+    def _in_words(cls, details: ErrorDetails) -> InitErrorDetails:
+        """Say which keys there are if one is unknown, and what a missing one is."""
+        key, kind = str(details["loc"][-1]) if details["loc"] else "", details["type"]
+        if len(details["loc"]) == 1 and kind == "extra_forbidden":
+            unknown = f"unknown key.{known_here(key, cls.model_fields, 'Known here')}"
+            details = _as_error(details, cls.foreign(key) or unknown)
+        elif len(details["loc"]) == 1 and kind == "missing":
+            what = cls.model_fields[key].description
+            expected = f" Expected {what}." if what else ""
+            details = _as_error(details, f"missing.{expected}")
+        return details  # pyright: ignore[reportReturnType] (it has more keys)
 
     @classmethod
     def foreign(cls, key: str) -> str | None:
@@ -107,24 +111,25 @@ class Table(BaseModel):
         del key
 
 
+def _as_error(details: ErrorDetails, text: str) -> ErrorDetails:
+    return {**details, "type": "value_error", "ctx": {"error": ValueError(text)}}
+
+
 class Maker(Table):
     """A table that makes an object; its keys except `type` are the arguments in order.
 
-    What the table is for stands in the class that it `makes`.
-
-    Attributes:
-        makes: What it makes.
-        by_name: Keys that are arguments by name instead.
+    Keys `by_name` are arguments by name instead. What the table is for stands in the
+    class that it `makes`.
     """
 
     makes: ClassVar[type[Any]]
     by_name: ClassVar[tuple[str, ...]] = ()
 
-    def build(self, *first: Any) -> Any:
+    def build(self, *first: Any, **more: Any) -> Any:
         """Build the object; `first` are arguments before those of the table."""
         own = {key: _built(value) for key, value in self if key != "type"}
         named = {key: own.pop(key) for key in self.by_name}
-        return self.makes(*first, *own.values(), **named)
+        return self.makes(*first, *own.values(), **named, **more)
 
 
 def _built(value: Any) -> Any:
@@ -133,52 +138,103 @@ def _built(value: Any) -> Any:
     return value.build() if isinstance(value, Maker) else value
 
 
-class ByKeys:
-    """Mark a union of tables that are distinguished by their required keys.
+_adapter = functools.cache(TypeAdapter)
 
-    A kind that `claims` the table is chosen; else that with most of its own keys
-    present, and among equals one with all of them. If several remain, the error lists
-    the choices.
+
+class Choice:
+    """Mark a union of which a function of value and members chooses the member.
+
+    pydantic's own unions would add the name of the member to the place of an error.
     """
+
+    def __init__(self, choose: Callable[[Any, Sequence[Any]], Any]):
+        """Take the function; it raises ValueError where no member fits."""
+        self.choose = choose
 
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        """Build the union, with a clear error where no table or several fit."""
+        """Validate by the member that is chosen."""
+        del handler
         kinds = get_args(source)
-        own = dict(zip([k.__name__ for k in kinds], own_keys(kinds), strict=True))
 
-        def fitting(value: dict[str, Any]) -> list[str]:
-            claims = {kind.__name__: kind.claims(value) for kind in kinds}
-            if True in claims.values():
-                return [name for name in own if claims[name]]
-            left = [name for name in own if claims[name] is None]
-            given = {name: sum(k in value for k in own[name]) for name in left}
-            rank = {name: (n, n == len(own[name])) for name, n in given.items()}
-            return [name for name in left if rank[name] == max(rank.values())]
+        def validate(value: Any, info: Any) -> Any:
+            adapter = _adapter(self.choose(value, kinds))
+            return adapter.validate_python(value, context=info.context)
 
-        def check(value: Any) -> Any:
-            if not isinstance(value, dict):
-                raise PydanticKnownError("model_type", {"class_name": "table"})
-            if len(fitting(value)) != 1:
-                every = [key for keys in own.values() for key in keys]
-                given = " and ".join(key for key in value if key in every) or "none"
-                listed = ", ".join(" and ".join(keys) for keys in own.values())
-                raise ValueError(f"expected exactly one of {listed}; got {given}.")
-            return value
-
-        union = core_schema.tagged_union_schema(
-            {kind.__name__: handler.generate_schema(kind) for kind in kinds},
-            discriminator=lambda value: fitting(value)[0],
-        )
-        return core_schema.no_info_before_validator_function(check, union)
+        return core_schema.with_info_plain_validator_function(validate)
 
 
-def own_keys(kinds: Sequence[type[BaseModel]]) -> list[list[str]]:
-    """Return the required keys of each table, without those that all have."""
+TableOr = Annotated[
+    T | V, Choice(lambda value, kinds: kinds[0 if isinstance(value, dict) else 1])
+]
+"""A table, or else a list or text."""
+
+
+def by_type(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
+    """Choose the table whose key `type` has the value's, for a `Choice`."""
+    tables = {get_args(k.model_fields["type"].annotation)[0]: k for k in kinds}
+    given = _as_table(value).get("type")
+    return tables.get(str(given)) or undecided("type", tuple(tables))
+
+
+class Undecided(Table):
+    """A table of which one key is wrong, so that none of the others is checked."""
+
+    model_config = ConfigDict(extra="ignore")
+
+
+@functools.cache
+def undecided(
+    key: str, names: tuple[str, ...], base: type[Table] = Undecided
+) -> type[Table]:
+    """Return a table whose error lists the names that a key may have."""
+    choice: Any = (Literal[*names], Field(description=one_of("", names).rstrip(".")))
+    return create_model(base.__name__, __base__=base, **{key: choice})
+
+
+def by_keys(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
+    """Choose the table with most of its own required keys present, for a `Choice`.
+
+    Among equals it is one with all of them.
+
+    Raises:
+        ValueError: If several remain; the text lists the choices.
+    """
+    table = _as_table(value)
+    common = set.intersection(*(set(kind.model_fields) for kind in kinds))
     needed = [
-        [key for key, field in kind.model_fields.items() if field.is_required()]
+        [k for k, field in kind.model_fields.items() if field.is_required()]
         for kind in kinds
     ]
-    shared = set.intersection(*(set(kind.model_fields) for kind in kinds))
-    return [[key for key in keys if key not in shared] for keys in needed]
+    needed = [[key for key in keys if key not in common] for keys in needed]
+    present = [sum(key in table for key in keys) for keys in needed]
+    rank = [(n, n == len(keys)) for n, keys in zip(present, needed, strict=True)]
+    if rank.count(max(rank)) == 1:
+        return kinds[rank.index(max(rank))]
+    every = [key for keys in needed for key in keys]
+    given = " and ".join(key for key in table if key in every) or "none"
+    choices = ", ".join(" and ".join(keys) for keys in needed)
+    raise ValueError(f"expected exactly one of {choices}; got {given}.")
+
+
+def _as_table(value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        raise ValueError(f"got {shown(value)}; expected a table.")
+    return value
+
+
+@runtime_checkable
+class WholeFile(Protocol):
+    """What tables ask of `ProjectTable`, which is made of them."""
+
+    material: Any
+    bodies: dict[str, Any]
+    actuators: dict[str, Any]
+    control_points: dict[str, Any]
+    parameters: tuple[Any, ...]
+    setup: tuple[Any, ...]
+    parameter_space: Any
+    markers: Any
+    effectors: dict[str, Any]
+    configurations: tuple[Any, ...]

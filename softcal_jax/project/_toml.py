@@ -1,109 +1,104 @@
-"""TOML files as Python has them, with what no file of ours needs refused."""
+"""TOML files as Python has them, without dates and control characters."""
 
 import datetime
+import os
 import tomllib
 from collections.abc import Iterator
-from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from softcal_jax._files import check_file
+from softcal_jax._module import one_line
 from softcal_jax._text import check_characters, escaped
-from softcal_jax.project._problems import (
-    MOST_PROBLEMS,
-    ProjectError,
-    key_path,
-    one_by_one,
-)
-
-_DEPTH = 30
-"""Lists and tables in one another, far above what any key needs."""
-
-_LONGEST_LINE = 20_000
-"""Characters of a line; the time for a dotted key grows with their square."""
-
-_LARGEST = 2**63 - 1
-"""Largest whole number that a TOML file may hold by its standard."""
+from softcal_jax.project._markers import WindowTable
+from softcal_jax.project._problems import ProjectError, key_path, one_by_one
+from softcal_jax.project._quantities import recognised
 
 Keys = tuple[str | int, ...]
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """Read a TOML file, unchecked but for what no key takes, wherever it stands.
+    """Read a TOML file without dates and texts that would act on a terminal.
 
-    Args:
-        path: The file.
-        what: What it is, for messages: "project file".
+    Messages say `what` it is, like "project file".
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ProjectError: If it is no file of a disk or too large, is not TOML, or has
-            dates, control characters, endless nesting, endless lines or whole numbers
-            above 64 bits.
+        ProjectError: If it is too large, no TOML, or has dates or control characters.
     """
     try:
         check_file(path, what)
     except ValueError as error:
         raise ProjectError(str(error)) from error
     try:
-        text = path.read_text(encoding="utf-8")
-        _check_lines(path, text)
-        raw = tomllib.loads(text)
-    except ProjectError:
-        raise
-    except (ValueError, OSError) as error:  # of TOML, of UTF-8, or of long numbers
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, OSError, RecursionError) as error:  # of TOML, or of UTF-8
         raise ProjectError(f"{path} cannot be read as TOML: {error}.") from error
-    except RecursionError as error:
-        raise ProjectError(
-            f"{path} cannot be read as TOML: its lists or tables stand in one another "
-            f"without end; no key needs more than {_DEPTH} levels."
-        ) from error
-    problems = [
-        f"{escaped(key_path(keys, raw)) or 'file'}: {problem}"
-        for keys, problem in islice(_strange(raw), MOST_PROBLEMS + 1)
-    ]
+    problems = []
+    for keys, value in values_in(raw):
+        try:
+            if isinstance(value, datetime.date | datetime.time):
+                raise ValueError(f"got {value}, which no key takes; put it in quotes.")
+            check_characters("".join(map(str, (*keys, value))))
+        except ValueError as error:
+            problems.append(f"{escaped(key_path(keys, raw)) or 'file'}: {error}")
     if problems:
         raise one_by_one(path, problems)
     return raw
 
 
-def _check_lines(path: Path, text: str) -> None:
-    """Raise for a line in which tomllib could spend gigabytes on a key of many dots."""
-    for number, line in enumerate(text.splitlines(), start=1):
-        if len(line) > _LONGEST_LINE:
-            raise ProjectError(
-                f"{path}, line {number}: it has {len(line)} characters; break it, so "
-                f"that none has more than {_LONGEST_LINE}."
-            )
+def values_in(value: Any, keys: Keys = ()) -> Iterator[tuple[Keys, Any]]:
+    """Find all values in tables and lists, with the keys that lead to them."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from values_in(inner, (*keys, key))
+    elif isinstance(value, list):
+        for i, inner in enumerate(value):
+            yield from values_in(inner, (*keys, i))
+    else:
+        yield keys, value
 
 
-def _strange(raw: dict[str, Any]) -> Iterator[tuple[Keys, str]]:
-    """Find values that no key takes; without recursion, which deep files would end."""
-    waiting: list[tuple[Keys, Any]] = [((), raw)]
-    while waiting:
-        keys, value = waiting.pop()
-        if len(keys) > _DEPTH:
-            yield keys[:3], f"nested more than {_DEPTH} levels deep; write it flat."
-        elif isinstance(value, dict):
-            for key, inner in value.items():
-                yield from _hidden(keys, key)
-                waiting.append(((*keys, key), inner))
-        elif isinstance(value, list):
-            waiting += [((*keys, i), inner) for i, inner in enumerate(value)]
-        elif isinstance(value, str):
-            yield from _hidden(keys, value)
-        elif isinstance(value, datetime.date | datetime.time):
-            kind = "time" if isinstance(value, datetime.time) else "date"
-            yield (
-                keys,
-                f"got the {kind} {value}, which no key takes; put a text in quotes.",
-            )
-        elif isinstance(value, int) and abs(value) > _LARGEST:
-            yield keys, f"a whole number of {value.bit_length()} bits is too large."
+_NAMES = ("name", "displacement_from", "recording")
+"""Keys of names, which may look like quantities: a pose "350 mbar"."""
 
 
-def _hidden(keys: Keys, text: str) -> Iterator[tuple[Keys, str]]:
-    try:
-        check_characters(text)
-    except ValueError as error:
-        yield keys, str(error)
+class QuantityAsRead(NamedTuple):
+    """A quantity of a project file: in "material", "material.E" is one, as typed.
+
+    Its values are one number or three in its SI unit.
+    """
+
+    table: str
+    key: str
+    typed: str
+    values: tuple[float, ...]
+    unit: str
+
+    __repr__ = one_line
+
+    @property
+    def read(self) -> str:
+        """What it was read as, in SI; lengths in mm."""
+        factor, unit = (1e3, "mm") if self.unit == "m" else (1.0, self.unit)
+        numbers = [f"{factor * value:.10g}" for value in self.values]
+        listed = numbers[0] if len(numbers) == 1 else f"({', '.join(numbers)})"
+        return f"{listed} {unit}"
+
+
+def quantities_as_read(path: str | os.PathLike[str]) -> tuple[QuantityAsRead, ...]:
+    """List every text with a unit in a project file, in the order of the file.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ProjectError: If it is not TOML.
+    """
+    raw = read_toml(Path(path), "project file")
+    found = []
+    for keys, text in values_in(raw):
+        rows = "select" in keys and not {*keys} & {*WindowTable.model_fields}
+        quantity = recognised(text) if isinstance(text, str) else None
+        if quantity is not None and not rows and not {*keys} & {*_NAMES}:
+            table = key_path(keys[:-1], raw)
+            found.append(QuantityAsRead(table, key_path(keys, raw), text, *quantity))
+    return tuple(found)

@@ -46,10 +46,10 @@ def test_good_input():
     ("actuation", "message"),
     [
         ({"cabel": ImposedForce(1.0)}, "actuator of configuration 'one'.*'cabel'"),
-        ({"cable": ImposedForce(-1.0)}, "force -1 N: it only pulls"),
-        ({"cable": ImposedForce(np.nan)}, r"'cable' needs a finite number \[N\], got"),
-        ({"cable": ImposedDisplacement(np.inf)}, r"finite number \[m\], got inf"),
-        ({"motor": ImposedDisplacement(45.0)}, "turns by 45 rad.*np.deg2rad"),
+        ({"cable": ImposedForce(-1.0)}, "value -1 N.*only pulls"),
+        ({"cable": ImposedForce(np.nan)}, "'cable' has the value nan N"),
+        ({"cable": ImposedDisplacement(np.inf)}, "value inf m.*finite"),
+        ({"motor": ImposedDisplacement(45.0)}, "value 45 rad.*np.deg2rad"),
         (
             {"pressure": ImposedDisplacement(1.0)},
             r"'pressure' has no displacement.*give ImposedForce\(...\) \[Pa\]",

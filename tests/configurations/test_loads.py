@@ -177,12 +177,12 @@ def test_bad_loads():
         (EdgeForce, [0, -1], FORCE, "edge force: node -1"),
         (NodalForces, [60], [FORCE], "nodal force: node 60"),
         (NodalForces, [-1], [FORCE], "node -1.* 0 to 59"),
-        (NodalForces, [4, 5], FORCE, r"2 nodes need forces of shape \(2, 3\) \[N\]"),
+        (NodalForces, [4, 5], FORCE, r"2 nodes need .* of shape \(2, 3\) \[N\]"),
         (
             NodalForces,
             [4, 5],
             [FORCE, (0.0, np.nan, 0.0)],
-            r"force on node 5.*\[ 0\. nan  0\.\]",
+            r"finite forces .*\[0\.0, nan, 0\.0\]",
         ),
     ],
 )

@@ -81,13 +81,13 @@ def test_an_axis_that_is_not_measured_may_be_missing():
         ({"names": ["a", "a"]}, "marker 'a' is named more than once"),
         (
             {"names": ["a"]},
-            r"1 marker names need positions of shape \(1, 3\).*\(2, 3\)",
+            r"1 marker names need .*positions of shape \(1, 3\).*0\.028",
         ),
-        ({"positions": [INSIDE, [0, np.nan, 0]]}, "marker 'b' has the position .*nan"),
-        ({"std": 0.0}, r"std must be positive and finite \[m\], got 0"),
-        ({"std": [1e-3, -1.0]}, "got -1; leave a coordinate out with `axes`"),
-        ({"std": [1e-3, np.inf]}, "got inf"),
-        ({"std": [1e-3] * 3}, r"one number, one per marker \(2,\).*got shape \(3,\)"),
+        ({"positions": [INSIDE, [0, np.nan, 0]]}, "finite positions .*nan"),
+        ({"std": 0.0}, r"std must be positive and finite \[m\].* got 0"),
+        ({"std": [1e-3, -1.0]}, "-1.*; .* left out with `axes`"),
+        ({"std": [1e-3, np.inf]}, "got .*inf"),
+        ({"std": [1e-3] * 3}, r"one number, one per marker \(2,\).*got \[0.001, 0.001"),
         ({"axes": "xw"}, "axes.* x, y, z.*'xw'"),
         ({"axes": ""}, "got ''"),
         ({"axes": "xx"}, "got 'xx'"),
@@ -131,12 +131,6 @@ def test_marker_far_outside_the_mesh():
         configuration_arrays(MESH, [Configuration("one", CLAMP, markers=in_mm)])
     near = markers(positions=far.positions, max_distance=0.04)
     configuration_arrays(MESH, [Configuration("one", CLAMP, markers=near)])
-
-
-@pytest.mark.usefixtures("unchecked")
-def test_names_as_a_text():
-    with pytest.raises(ValueError, match=r"list of names.*'ab'.*\['ab'\]"):
-        markers(names="ab")
 
 
 def test_measured_as_lists():

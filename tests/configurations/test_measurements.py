@@ -103,14 +103,14 @@ def test_no_rows(table, text):
             "markr,x_mm,y_mm,z_mm",
             [
                 "'marker' is missing ... mean 'markr'",
-                "Columns there: markr",
+                "there ... markr",
             ],
         ),
         ("marker,x_mm,z_mm,n", ["column 'y_mm' is missing."]),
         ("marker,x_mm,y_cm,z_mm", ["'y_mm' is missing ... mean"]),
         ("marker,a,b,c", ["column 'x' is missing."]),
-        ("marker x_mm y_mm z_mm", ["Separate the columns by commas, semicolons"]),
-        ("marker,x_mm,x_cm,z_mm", ["(x_cm, x_mm); keep one"]),
+        ("marker x_mm y_mm z_mm", ["separated by commas, semicolons"]),
+        ("marker,x_mm,x_cm,z_mm", ["cm, mm; keep one"]),
         ("marker,x,y,z", ["no unit ... x_mm ... length_unit"]),
         ("marker,x_mm,x_mm,z_mm", ["'x_mm' twice"]),
     ],
@@ -137,7 +137,7 @@ def test_selection_that_matches_nothing(table):
     with refused("'phas' is missing ... mean 'phase'"):
         read_markers(table(TABLE), select={"phas": "rest"})
     path = table("run,marker,x,y,z\n1,a,0,0,0\n2,b,0,0,0\n")
-    with refused("run = 1, marker = b"):
+    with refused("run = '1', marker = 'b'"):
         read_markers(path, length_unit="m", select={"run": "1", "marker": "b"})
 
 

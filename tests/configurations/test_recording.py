@@ -82,9 +82,9 @@ def test_events_count_from_the_first_frame(tmp_path):
     np.testing.assert_allclose(
         after.positions, recording.between(0.21, 0.23).positions, atol=1e-12
     )
-    with pytest.raises(ValueError, match=r"unknown event 'valve open'. Did you mean"):
+    with pytest.raises(ValueError, match=r"0 times.*'valve opens'"):
         recording.between(0.0, 0.1, after_event="valve open")
-    with pytest.raises(ValueError, match=r"'valve closes' 2 times, at 61.5, 62 s"):
+    with pytest.raises(ValueError, match=r"closes' is there 2 times.*61.5 s"):
         recording.time_of("valve closes")
     both = {"after_event": "valve opens", "after_step_of": "tip"}
     with pytest.raises(ValueError, match="not from both"):
@@ -213,7 +213,7 @@ def test_labels_are_renamed():
     assert recording.renamed({"tip": "arm:2"}).names == ("arm:1", "tip")
     with pytest.raises(ValueError, match=r"no marker 'arm:3'.*`labels` .* maps"):
         recording.renamed({"tip": "arm:3"})
-    with pytest.raises(ValueError, match="give two markers the name 'arm:1'"):
+    with pytest.raises(ValueError, match="give two markers one name"):
         recording.renamed({"arm:1": "arm:2"})
     with pytest.raises(ValueError, match="or one marker two names"):
         recording.renamed({"tip": "arm:2", "end": "arm:2"})

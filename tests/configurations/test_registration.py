@@ -55,16 +55,6 @@ def test_noise_is_not_fitted_better_than_it_can_be():
     np.testing.assert_allclose(np.mean(squares), 12 * 1e-8, rtol=0.08)
 
 
-def test_a_marker_without_weight_is_not_heard():
-    seen = SEEN.copy()
-    seen[0] += 0.5
-    fit = register(seen, NOMINAL, weights=np.array([0.0, 1, 1, 1, 1, 1]))
-    np.testing.assert_allclose(fit.rotation, Q, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(
-        np.linalg.norm(fit.residuals[0]), np.sqrt(3) * 0.5, rtol=1e-10
-    )
-
-
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("seen", "nominal", "message"),
@@ -72,7 +62,7 @@ def test_a_marker_without_weight_is_not_heard():
         (SEEN[:2], NOMINAL[:2], "at least 3 markers, got 2"),
         (SEEN[:5], NOMINAL, r"as many measured as nominal .*\(5, 3\) and \(6, 3\)"),
         (SEEN[:, :2], NOMINAL[:, :2], r"shape \(n, 3\)"),
-        (np.where(SEEN == SEEN[1], np.nan, SEEN), NOMINAL, "must be finite"),
+        (np.where(SEEN == SEEN[1], np.nan, SEEN), NOMINAL, "be finite"),
         (LINE, LINE, "measured markers.* on a line"),
         (SEEN[:4], LINE, "nominal markers.* on a line"),
         (
@@ -80,31 +70,11 @@ def test_a_marker_without_weight_is_not_heard():
             NOMINAL[:4],
             "measured markers .*at least three",
         ),
-        (SEEN[:4], np.tile(T, (4, 1)), "nominal markers .*in one place"),
-        (np.tile(T, (4, 1)), NOMINAL[:4], "measured markers .*in one place"),
+        (SEEN[:4], np.tile(T, (4, 1)), "nominal markers .*on a line"),
+        (np.tile(T, (4, 1)), NOMINAL[:4], "measured markers .*on a line"),
         (UNLIKE[0], UNLIKE[1], "same markers in the same order"),
     ],
 )
 def test_bad_registration(seen, nominal, message):
     with pytest.raises(ValueError, match=message):
         register(seen, nominal)
-
-
-@pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize(
-    ("weights", "message"),
-    [
-        ([1.0, 1, 0, 0, 0, 0], "at least 3 markers, got 2 of positive weight"),
-        ([1.0, 1, 1, 1, 1, -1], "weights must be 6 finite numbers, none .*negative"),
-        ([1.0, 1, 1], "weights must be 6 finite numbers"),
-    ],
-)
-def test_bad_weights(weights, message):
-    with pytest.raises(ValueError, match=message):
-        register(SEEN, NOMINAL, weights=weights)
-
-
-def test_markers_on_a_line_but_for_one_without_weight():
-    seen, nominal = np.vstack([LINE, SEEN[:1]]), np.vstack([LINE, NOMINAL[:1]])
-    with pytest.raises(ValueError, match="lie on a line"):
-        register(seen, nominal, weights=np.array([1.0, 1, 1, 1, 0]))

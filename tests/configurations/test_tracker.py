@@ -1,12 +1,10 @@
 """Files of 6-D trackers: what is read, and what is refused with which words."""
 
-import warnings
-
 import numpy as np
 import pytest
 from refusals import refused
 
-from softcal_jax.configurations import TrackerWarning, read_polhemus, read_poses
+from softcal_jax.configurations import read_polhemus, read_poses
 
 HEADER = "sensor,x_mm,y_mm,z_mm,azimuth_deg,elevation_deg,roll_deg\n"
 QUATERNIONS = "sensor,x_m,y_m,z_m,qw,qx,qy,qz\n"
@@ -78,11 +76,11 @@ def test_quaternion_of_another_length(table):
         (HEADER.replace("y_mm", "y_cm"), ["column 'y_mm' is missing."]),
         (
             HEADER.replace("_deg", ""),
-            ["no unit ... azimuth_deg"],
+            ["unit ... azimuth_deg"],
         ),
         (
             "sensor,x_m,y_m,z_m\n",
-            ["no rotation", "Columns there: sensor"],
+            ["no rotation", "there: sensor"],
         ),
         (
             HEADER.replace("roll_deg", "roll_rad"),
@@ -118,23 +116,8 @@ def test_bad_rows(table, row, text):
 
 
 def test_degrees_under_a_header_of_radians(table):
-    with refused(
-        "line 2: the roll ... 45 rad ... 6.283 rad ... azimuth_deg, elevation_deg, "
-        "roll_deg"
-    ):
+    with refused("line 2: the roll ... 45 rad ... 6.283 rad ... unit"):
         read_poses(table(HEADER.replace("deg", "rad") + "s,0,0,0,0,0,45\n"))
-
-
-def test_radians_under_a_header_of_degrees(table):
-    with pytest.warns(TrackerWarning, match="are not degrees, name the columns azi"):
-        read_poses(table(HEADER + "s,0,0,0,1.57,0,0\ns,0,0,0,-3.1,0.2,0.1\n"))
-
-
-@pytest.mark.parametrize("angles", ["0.9,0.1,-0.3", "1.57,0,3.2", "0,1.6,0"])
-def test_small_angles_are_not_suspect(table, angles):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        read_poses(table(HEADER + f"s,0,0,0,{angles}\n"))
 
 
 def test_unknown_sensor(table):
@@ -169,10 +152,10 @@ def test_polhemus_text(table):
 
 def test_polhemus_stations_by_name(table):
     path = table(POLHEMUS)
-    poses = read_polhemus(path, length_unit="cm", stations={1: "effector"})
-    assert poses.names == ("effector", "effector")
+    poses = read_polhemus(path, length_unit="cm", station=1)
+    assert poses.names == ("station 1", "station 1")
     with refused("no station 3 ... 1, 2"):
-        read_polhemus(path, length_unit="cm", stations={3: "effector"})
+        read_polhemus(path, length_unit="cm", station=3)
 
 
 def test_polhemus_in_radians(table):
@@ -181,18 +164,16 @@ def test_polhemus_in_radians(table):
     angles = np.rad2deg([1.5, -0.5, 0.2])
     expected = R("z", angles[0]) @ R("y", angles[1]) @ R("x", angles[2])
     np.testing.assert_allclose(poses.rotations[0], expected, atol=1e-15)
-    with pytest.warns(TrackerWarning, match="are not degrees, give angle_unit='rad'"):
-        read_polhemus(table(text), length_unit="cm")
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("# nothing\n", "holds no readings."),
-        ("1 0 0 0 0 0\n", "line 1: 6 numbers ... 7"),
-        ("1 0 0 x 0 0 0\n", "line 1: z is 'x', not a number."),
-        ("\n1 0 0 0 inf 0 0\n", "line 2: azimuth is inf, not finite."),
-        ("1.5 0 0 0 0 0 0\n", "line 1: station is 1.5, not an integer."),
+        ("1 0 0 0 0 0\n", "line 1: got '1 0 0 0 0 0' ... 7"),
+        ("1 0 0 x 0 0 0\n", "line 1: got '1 0 0 x 0 0 0' ... finite numbers"),
+        ("\n1 0 0 0 inf 0 0\n", "line 2: got '1 0 0 0 inf 0 0' ... finite"),
+        ("1.5 0 0 0 0 0 0\n", "line 1: got '1.5 0 0 0 0 0 0' ... station (an integer)"),
     ],
 )
 def test_bad_polhemus_text(table, text, message):
@@ -206,5 +187,5 @@ def test_polhemus_units(table):
         read_polhemus(path, length_unit="inches")
     with refused("'degree' ... mean 'deg'"):
         read_polhemus(path, length_unit="cm", angle_unit="degree")
-    with refused("azimuth ... 90 rad", "angle_unit='deg'"):
+    with refused("azimuth ... 90 rad", "angle_unit"):
         read_polhemus(path, length_unit="cm", angle_unit="rad")

@@ -30,7 +30,7 @@ CASES = {
     ),
     "key of the other kind of mesh": (
         ('element = "linear"', 'unused_nodes = "drop"'),
-        "mesh.unused_nodes: ... file and length_unit ... beam",
+        "mesh.unused_nodes: unknown key ... Known here: element, beam",
     ),
     "unknown key of an entry": (
         ('group = "x_min"', 'grup = "x_min", group = "x_min"'),
@@ -123,11 +123,6 @@ CASES = {
         ('lower = "100 kPa"', 'lower = "250 kPa"'),
         "parameters.E: ... start 200 kPa ... lower 250 kPa ... upper 1 MPa",
     ),
-    "bounds in another unit": (
-        ('lower = "100 kPa"', 'lower = "0.25 MPa"'),
-        "parameters.E: ... start 200 kPa ... lower 250 kPa ... upper 1 MPa ... lower "
-        '= "0.25 MPa"',
-    ),
     "negative modulus": (
         ('lower = "100 kPa"', 'lower = "-1 Pa"\nscale = "linear"'),
         "parameters.E: lower of E ... (0, inf), got -1 Pa",
@@ -205,7 +200,7 @@ CASES = {
     ),
     "unknown marker": (
         ('markers = ["tip", "side"]', 'markers = ["tip", "sides"]'),
-        "configurations.weight.markers: unknown marker 'sides' ... mean \"side\" ... "
+        'configurations.weight.markers: ... "sides" ... mean "side" ... '
         "tip, side, a, b, c",
     ),
     "marker twice": (
@@ -234,7 +229,7 @@ CASES = {
     ),
     "configuration twice": (
         ('name = "pulled"', 'name = "weight"'),
-        'configurations: "weight" ... configurations[1] and configurations[2] ... name',
+        "configurations: ... 'weight' is named more than once",
     ),
     "unknown role": (
         ('role = "validation"', 'role = "validaton"'),
@@ -264,14 +259,14 @@ CASES = {
             '[[configurations]]\nname = "weight"',
             '[settings]\nintervals = 95\n\n[[configurations]]\nname = "weight"',
         ),
-        "settings.intervals: got 95 ... 0.95",
+        "settings.intervals: got 95 ... 1",
     ),
     "precision": (
         (
             '[[configurations]]\nname = "weight"',
             '[settings]\nprecision = 0.0\n\n[[configurations]]\nname = "weight"',
         ),
-        "settings.precision: got 0 ... 0.1",
+        "settings.precision: got 0.0 ... more than 0",
     ),
     "newton": (
         (
@@ -302,13 +297,6 @@ CASES = {
             '[newton]\nsolver = "multi"\n\n[[configurations]]\nname = "weight"',
         ),
         'newton.solver: got "multi" ... "pardiso", "klu", "pardiso-host"',
-    ),
-    "removed solver": (
-        (
-            '[[configurations]]\nname = "weight"',
-            '[newton]\nsolver = "auto"\n\n[[configurations]]\nname = "weight"',
-        ),
-        "newton.solver: 'auto' ... leave solver out",
     ),
     "mesh from nowhere": (
         (BEAM, ""),

@@ -53,13 +53,11 @@ CASES = {
     ),
     "another type's key": (
         (CABLE, f'{CABLE}\nbody = "plate"'),
-        'actuators.cable.body: ... "motor" ... "cable" ... guides, friction, '
-        "pulled_from",
+        "actuators.cable.body: unknown key ... guides, friction, pulled_from",
     ),
     "a tag without its photographs": (
         (SLACK, "measured.effectors.sensor.tag = 3"),
-        "configurations.slack.measured.effectors.sensor.tag: tag belongs to photos and "
-        'tag and base_tag and size. This is file = "tracker.csv", which has ',
+        "configurations.slack.measured.effectors.sensor.tag: unknown key ... file",
     ),
     "no type": (
         (CABLE, "[actuators.cable]"),
@@ -121,7 +119,7 @@ CASES = {
             (CABLE, f'[actuators.turn]\ntype = "motor"\nbody = "plate"\n{CABLE}'),
             (PULLED, 'actuation = { turn = "270 deg" }'),
         ),
-        'configurations.pulled.actuation.turn: got "270 deg" ... half a',
+        "configurations.pulled.actuation.turn: ... 4.71239 rad ... pi",
     ),
     "a body that is not there": (
         (PULLED, 'bodies = { plte = "held" }'),
@@ -136,7 +134,7 @@ CASES = {
             PULLED,
             'bodies = { plate = { state = "free", translation = "(1, 0, 0) mm" } }',
         ),
-        'configurations.pulled.bodies.plate: ... "free" has no pose',
+        "configurations: ... 'pulled': ... 'plate' is free ... pose",
     ),
     "a hinge that is turned": (
         (
@@ -144,11 +142,11 @@ CASES = {
             'bodies = { plate = { state = "hinged", rotation_vector = "(1, 0, 0) deg" '
             "} }",
         ),
-        'configurations.pulled.bodies.plate: ... "hinged"',
+        "configurations: ... 'pulled': ... 'plate' is hinged",
     ),
     "an effector of no body": (
         (SENSOR, SENSOR.replace("plate", "plat")),
-        'effectors.sensor: ... "plat" ... mean "plate"',
+        "effectors.sensor: ... 'plat' ... mean 'plate'",
     ),
     "std of another dimension": (
         ('std = "0.1 mm"\nstd_angle', 'std = "0.1 N"\nstd_angle'),
@@ -184,8 +182,7 @@ CASES = {
     ),
     "a pose for a length": (
         ('wound = "1.96 mm"', 'wound = { position = "(1, 2, 3) mm" }'),
-        "configurations.pulled.measured.effectors.wound: got a table ... length ... "
-        '"actuator-displacement"',
+        "configurations.pulled.measured.effectors.wound: got a table ... length",
     ),
     "no such file": (
         ('file = "tracker.csv"', 'file = "trackr.csv"'),
@@ -197,7 +194,7 @@ CASES = {
     ),
     "pose and file": (
         (SLACK, 'measured.effectors.sensor.position = "(1, 2, 3) mm"'),
-        "configurations.slack.measured.effectors.sensor.position: position belongs to ",
+        "configurations.slack.measured.effectors.sensor.position: unknown key",
     ),
     "neither pose nor file": (
         ('file = "tracker.csv"', 'sensor = "tip"'),
@@ -217,8 +214,7 @@ CASES = {
     ),
     "keys of the other format": (
         ('file = "tracker.csv"', 'file = "tracker.csv"\nstation = 1'),
-        "shared.measured.effectors.sensor.station: station belongs to "
-        'format = "polhemus". This is file = "tracker.csv", which has ',
+        "shared.measured.effectors.sensor.station: unknown key ... format, sensor",
     ),
     "no length unit of a tracker": (
         (
@@ -285,7 +281,7 @@ def test_all_that_is_wrong_is_said_at_once(tmp_path):
     for message in (
         'effectors.sensor.bdy: unknown key ... mean "body"',
         "effectors.sensor.body: missing ... rigid body",
-        'actuators.cable.guides: ... "cable" ... "motor" ... body',
+        "actuators.cable.guides: unknown key ... body",
         "actuators.cable.body: missing ... rigid body",
     ):
         assert says(str(caught.value).split("\n- "), message)

@@ -182,7 +182,7 @@ def refusal(path):
         ),
         (
             'directions = { type = "along", axis = "x", through = "(0, 0, 0) mm" }',
-            'material.directions.through: ... "hoop"',
+            "material.directions.through: unknown key ... axis",
         ),
         (
             'directions = { type = "cells", array = "fibre" }',

@@ -40,20 +40,8 @@ def with_more(folder: Path, more: str) -> Path:
             "\nx = " + "{a=" * 2000 + "1" + "}" * 2000,
             "cannot be read as TOML",
         ),
-        (
-            "\n" + ".".join(["a"] * 20_000) + " = 1\n",
-            "line 52: it has 40003 characters;",
-        ),
-        (
-            "\n" + ".".join(["a"] * 500) + " = 1\n",
-            "configurations.pulled.a: nested more",
-        ),
-        ("\n[" + ".".join(["a"] * 500) + "]\n", "a.a.a: nested more than 30 levels"),
+        ("\n[" + ".".join(["a"] * 200) + "]\n", "a: unknown key"),
         ("\n[uncertain]\nnu = " + "9" * 5000, "cannot be read as TOML"),
-        (
-            "\n[newton]\nrtol = 0x" + "f" * 4000,
-            "newton.rtol: ... 16000 bits",
-        ),
     ],
 )
 def test_deep_or_endless(tmp_path, more, message):
@@ -63,12 +51,12 @@ def test_deep_or_endless(tmp_path, more, message):
 @pytest.mark.parametrize("when", ["1979-05-27", "1979-05-27T07:32:00Z"])
 def test_a_date(tmp_path, when):
     text = refusal(write_small_project(tmp_path, ("nu = 0.3", f"nu = {when}")))
-    assert says(text, f"material.nu: got the date {when[:10]}", "quotes")
+    assert says(text, f"material.nu: got {when[:10]}", "quotes")
 
 
 def test_a_time(tmp_path):
     text = refusal(write_small_project(tmp_path, ("nu = 0.3", "nu = 07:32:00")))
-    assert says(text, "material.nu: got the time 07:32:00")
+    assert says(text, "material.nu: got 07:32:00")
 
 
 @pytest.mark.parametrize(

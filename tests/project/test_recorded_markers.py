@@ -214,7 +214,7 @@ OF_THE_FILE = {
     "label of no marker": (
         'file = "run.c3d"',
         'file = "run.c3d"\nlabels = { tp = "tip" }',
-        "configurations.weight.measured.labels: ... 'tp' ... mean",
+        'configurations.weight.measured.labels: ... "tp" ... mean',
     ),
     "no such label": (
         'file = "run.c3d"',

@@ -183,8 +183,7 @@ def test_a_project_with_photographs(pose, tmp_path):
 
 def test_motion_between_two_poses(pose, tmp_path):
     """The mounting of the tag cancels, and both covariances count."""
-    from softcal_jax.project._photos import PhotosTable
-    from softcal_jax.project._sensors import FrameTable, OrientationTable
+    from softcal_jax.project._sensors import FrameTable, OrientationTable, PhotosTable
 
     for name, indices in (("a", (0, 1, 2)), ("b", (1, 2, 3))):
         (tmp_path / name).mkdir()
@@ -200,22 +199,24 @@ def test_motion_between_two_poses(pose, tmp_path):
             "displacement_from": {"photos": "a/*.jpg"},
         }
     )
-    found = table.motion(tmp_path, FrameTable(), OrientationTable(), np.zeros(3))
+    motion, covariance = table.motion(
+        tmp_path, FrameTable(), OrientationTable(), np.zeros(3)
+    )
     one, two = (
         tag_pose(sorted((tmp_path / n).iterdir()), tag=TAG, base_tag=BASE, size=SIZE)
         for n in "ab"
     )
     # The same pose from other photographs: what is left is their errors.
     np.testing.assert_allclose(
-        found.pose.translation, two.position - one.position, atol=1e-12
+        motion.translation, two.position - one.position, atol=1e-12
     )
     turn = two.rotation @ one.rotation.T
-    np.testing.assert_allclose(found.pose.matrix, turn, atol=1e-12)
+    np.testing.assert_allclose(motion.matrix, turn, atol=1e-12)
     change = np.kron(np.diag([0.0, 1.0]), turn) + np.kron(
         np.diag([1.0, 0.0]), np.eye(3)
     )
     expected = two.covariance + change @ one.covariance @ change.T
-    np.testing.assert_allclose(found.covariance, expected, rtol=1e-9)
+    np.testing.assert_allclose(covariance, expected, rtol=1e-9)
 
 
 DROOPING = """\
