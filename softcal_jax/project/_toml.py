@@ -32,10 +32,11 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
         raise ProjectError(str(error)) from error
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = [*values_in(raw)]
     except (ValueError, OSError, RecursionError) as error:  # of TOML, or of UTF-8
         raise ProjectError(f"{path} cannot be read as TOML: {error}.") from error
     problems = []
-    for keys, value in values_in(raw):
+    for keys, value in values:
         try:
             if isinstance(value, datetime.date | datetime.time):
                 raise ValueError(f"got {value}, which no key takes; put it in quotes.")

@@ -162,7 +162,7 @@ def test_a_sealed_chamber(path):
         ),
         (
             ('inner = "0.4 m"', 'inner = "0.9 m"'),
-            "groups.ring: ... inner radius",
+            "groups.ring: ... inner one",
         ),
     ],
 )

@@ -41,6 +41,7 @@ def with_more(folder: Path, more: str) -> Path:
             "cannot be read as TOML",
         ),
         ("\n[" + ".".join(["a"] * 200) + "]\n", "a: unknown key"),
+        ("\n[" + ".".join(["a"] * 3000) + "]\n", "cannot be read as TOML"),
         ("\n[uncertain]\nnu = " + "9" * 5000, "cannot be read as TOML"),
     ],
 )
