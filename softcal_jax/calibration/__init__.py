@@ -3,7 +3,6 @@
 from softcal_jax.calibration._begin import EquilibriumProgress, reports_of
 from softcal_jax.calibration._build import as_sequence, build_problem
 from softcal_jax.calibration._calibrate import calibrate
-from softcal_jax.calibration._checked_intervals import LEVEL
 from softcal_jax.calibration._checkpoint import Clock
 from softcal_jax.calibration._checks import (
     levenberg_marquardt,
@@ -18,12 +17,15 @@ from softcal_jax.calibration._configuration_result import (
 )
 from softcal_jax.calibration._considered import MESH, considered_errors
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, at_rest, evaluate
-from softcal_jax.calibration._interval import ParameterInterval
-from softcal_jax.calibration._intervals import profile_intervals
+from softcal_jax.calibration._intervals import LEVEL, profile_intervals
 from softcal_jax.calibration._lanes import effectors_of, equilibria, lane_of
 from softcal_jax.calibration._linear import linear_model
-from softcal_jax.calibration._noise import CorrelatedNoise, correlated_noise
-from softcal_jax.calibration._notes import CalibrationWarning
+from softcal_jax.calibration._noise import (
+    CorrelatedNoise,
+    check_references,
+    correlated_noise,
+)
+from softcal_jax.calibration._notes import CalibrationWarning, LeftOut, ResidualChecks
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     n_measured,
@@ -31,14 +33,13 @@ from softcal_jax.calibration._problem import (
 )
 from softcal_jax.calibration._profile import LowerCostFound, profile_ends
 from softcal_jax.calibration._qp import QPStep, bounded_step
-from softcal_jax.calibration._references import check_references
-from softcal_jax.calibration._residual_checks import LeftOut, ResidualChecks
 from softcal_jax.calibration._result import (
     CalibrationResult,
     HistoryEntry,
     MultiStartResult,
     Optimum,
     ParameterEstimate,
+    ParameterInterval,
 )
 from softcal_jax.calibration._runs import Run, best_of, descend, images_of, run_start
 from softcal_jax.calibration._search import (

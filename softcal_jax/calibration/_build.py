@@ -4,12 +4,11 @@ from collections.abc import Sequence
 
 from softcal_jax._process import check_process
 from softcal_jax.calibration._lanes import lane_of
-from softcal_jax.calibration._noise import correlated_noise
+from softcal_jax.calibration._noise import check_references, correlated_noise
 from softcal_jax.calibration._notes import (
     warn_if_locking,
 )
 from softcal_jax.calibration._problem import CalibrationProblem
-from softcal_jax.calibration._references import check_references
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationLanes,

@@ -1,14 +1,18 @@
 """Equilibria, errors and compliances of a calibration at some parameters."""
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from softcal_jax._module import Module, one_line
-from softcal_jax._typing import Array, Bool, Float
+from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._lanes import (
     Report,
     as_guess,
@@ -19,14 +23,16 @@ from softcal_jax.calibration._lanes import (
 )
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._problem import CalibrationProblem, without_names
-from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.configurations import Configuration, ConfigurationArrays
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
+    LoadPath,
     Model,
     Program,
     Workers,
+    solve_equilibrium,
 )
-from softcal_jax.fields import ParameterSpace
+from softcal_jax.fields import ParameterSpace, SetupParameter
 from softcal_jax.inference import Whitened
 from softcal_jax.sensitivity import (
     EnergyCompliance,
@@ -291,3 +297,96 @@ def evaluate(
     with Workers(problem.model, problem.configurations.gravity.shape[0]) as workers:
         evaluator = Evaluator(problem, workers)
         return evaluator.from_rest(z) if guess is None else evaluator(z, guess)
+
+
+class HeldOut(NamedTuple):
+    """Held-out configurations, with the start and the calibrated parameters.
+
+    Attributes:
+        before: Effectors with the start parameters; nan without an equilibrium.
+        response: Equilibria, effectors and compliances with the calibrated ones.
+        notes: Which have no equilibrium, and why.
+    """
+
+    before: Float[HostArray, "n_c n_rows 3"]
+    response: Response
+    notes: tuple[str, ...]
+
+
+def held_out_responses(
+    evaluate: Evaluator,
+    configurations: Sequence[Configuration],
+    *,
+    start: Float[Array, " n_p"],
+    z: Float[Array, " n_p"],
+) -> HeldOut:
+    """Solve held-out configurations with the start and the calibrated parameters.
+
+    Uses the program of the fit, which is compiled already. Near a limit point an
+    equilibrium need not be found from rest: there the path of the configuration is
+    followed by arc length, and its end is where the search begins anew. A configuration
+    without equilibrium is left out with a note: it must neither count as a prediction
+    nor cost the user the fit.
+
+    Args:
+        evaluate: Evaluator of these configurations.
+        configurations: The configurations.
+        start: Scaled start parameters [-].
+        z: Scaled calibrated parameters [-].
+    """
+    first, last = evaluate.workers.side_by_side(
+        partial(evaluate.response_from_rest, p) for p in (start, z)
+    )
+    guess, carried = _along_paths(evaluate, z, last.equilibrium)
+    if any(share == 1.0 for share in carried.values()):
+        last = evaluate.response(z, guess)
+    converged = np.asarray(last.equilibrium.converged)
+    notes = [
+        f"{configurations[i].name} is not predicted: with the calibrated parameters it "
+        "has no equilibrium. Along its path (`LoadPath`) it carries at most "
+        f"{100.0 * share:.3g} % of its load."
+        for i, share in carried.items()
+        if not converged[i]
+    ]
+    notes += unscoped_notes(evaluate.problem.space, configurations)
+    # A pose that only the start parameters cannot hold has no "before".
+    held = np.asarray(first.equilibrium.converged)[:, None, None]
+    before = np.where(held, np.asarray(first.effectors), np.nan)
+    return HeldOut(before, last, tuple(notes))
+
+
+def _along_paths(
+    evaluate: Evaluator, z: Float[Array, " n_p"], solution: EquilibriumSolution
+) -> tuple[Float[Array, "n_c n_points 3"], dict[int, float]]:
+    """Follow what is not in equilibrium from rest along its load.
+
+    Returns:
+        Displacements to start from: as solved, or at the end of the path; and the
+        largest share of its load that each of these configurations carries.
+    """
+    guess, carried = np.array(solution.displacement), {}
+    lost = np.flatnonzero(~np.asarray(solution.converged))
+    if len(lost):
+        model, arrays = evaluate.problem.at(z)
+        newton = evaluate.problem.newton
+        for i in map(int, lost):
+            path = solve_equilibrium(
+                model, lane_of(arrays, i), settings=newton, path=LoadPath()
+            )
+            carried[i] = min(float(np.max(path.load)), 1.0)
+            guess[i] = path.displacement[-1]
+    return jax.device_put(guess), carried
+
+
+def unscoped_notes(
+    space: ParameterSpace, held_out: Sequence[Configuration]
+) -> list[str]:
+    """Say which held-out configurations have no unknown of their own."""
+    return [
+        f"{c.name} is predicted without {entry.noun}, which {entry.by}s that were "
+        "fitted have of their own: it counts as stated."
+        for entry in space.entries
+        if isinstance(entry, SetupParameter) and entry.each
+        for c in held_out
+        if entry.member(c) not in entry.each
+    ]

@@ -20,31 +20,39 @@ import numpy as np
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._begin import Beginning, EquilibriumProgress, begin
 from softcal_jax.calibration._build import build
-from softcal_jax.calibration._checked_intervals import Fitted
 from softcal_jax.calibration._checkpoint import Clock, Journal
+from softcal_jax.calibration._checks import (
+    check_cost,
+    check_effects,
+    check_sensitive,
+)
 from softcal_jax.calibration._configuration_result import (
     ConfigurationResult,
     configuration_results,
 )
 from softcal_jax.calibration._considered import ConsideredErrors, considered_errors
-from softcal_jax.calibration._evaluation import Evaluation, Evaluator, effector_errors
-from softcal_jax.calibration._held_out import held_out_responses
+from softcal_jax.calibration._evaluation import (
+    Evaluation,
+    Evaluator,
+    effector_errors,
+    held_out_responses,
+)
+from softcal_jax.calibration._intervals import Fitted
 from softcal_jax.calibration._linear import linear_model
-from softcal_jax.calibration._noise import CorrelatedNoise
+from softcal_jax.calibration._noise import (
+    CorrelatedNoise,
+    check_references,
+    independent_recordings,
+)
 from softcal_jax.calibration._notes import (
+    ResidualChecks,
     fit_notes,
+    residual_checks,
     result_notes,
     warn_if_too_few_data,
 )
-from softcal_jax.calibration._nothing_to_learn import (
-    check_cost,
-    check_effects,
-    check_sensitive,
-)
 from softcal_jax.calibration._offsets import attachment_offsets, with_offsets
 from softcal_jax.calibration._problem import CalibrationProblem
-from softcal_jax.calibration._references import check_references, independent_recordings
-from softcal_jax.calibration._residual_checks import ResidualChecks, residual_checks
 from softcal_jax.calibration._result import (
     CalibrationResult,
     HistoryEntry,

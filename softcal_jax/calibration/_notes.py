@@ -5,16 +5,239 @@ from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.special import chdtrc
 
-from softcal_jax._typing import Array, Float
+from softcal_jax._module import Module
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._units import readable_unit
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.calibration._configuration_result import ConfigurationResult
 from softcal_jax.calibration._problem import CalibrationProblem, n_measured
 from softcal_jax.calibration._state import CalibrationSettings, CalibrationState
-from softcal_jax.configurations import Configuration
+from softcal_jax.configurations import Configuration, EffectorArrays
 from softcal_jax.equilibrium import Model
-from softcal_jax.fields import ParameterSpace, SetupParameter
-from softcal_jax.inference import Uncertainty
+from softcal_jax.fields import ParameterSpace
+from softcal_jax.inference import (
+    UNLIKELY,
+    LackOfFit,
+    LinearModel,
+    PosePrediction,
+    RecordingEstimate,
+    Uncertainty,
+    agreement_sentences,
+    chance,
+    disagreeing,
+    jitter_freedom,
+    lack_of_fit,
+    predicted_by_others,
+)
+
+FEWEST = 3
+"""Fewest configurations of which one is left out: the others must say something."""
+
+FAR = 0.25
+"""Share of the motion by which a prediction may be off, where no std is stated [-]."""
+
+
+class LeftOut(Module):
+    """A configuration as the others predict it, linearised at the optimum.
+
+    Attributes:
+        name: Its name.
+        rms: Root mean square distance of predicted from measured points; nan where the
+            others do not determine a parameter that it takes, and without points [m].
+        expected: That which noise, parameters and what is held fixed explain [m].
+        motion: Root mean square motion of the points [m].
+        probability: Chance of errors as large; nan where nothing is predicted, or no
+            residuals are left to estimate the noise from [-].
+        by_scatter: The same where the noise is that of the scatter within
+            configurations; nan where it is stated, or there is no such scatter [-].
+    """
+
+    name: str
+    rms: float
+    expected: float
+    motion: float
+    probability: float
+    by_scatter: float
+
+
+class ResidualChecks(Module):
+    """What the residuals of a fit say about its model.
+
+    Attributes:
+        names: The fitted configurations.
+        lack_of_fit: Scatter between configurations against that within them; None where
+            the noise is stated, which is tested by chi-squared, or nothing is left.
+        left_out: Each configuration as the others predict it; empty for fewer than
+            three.
+        recordings: Parameters from single recordings, held out or not, if two or more
+            determine them.
+        level: Standard deviation that the residuals show over the one that was stated;
+            nan unless it was stated, and estimated all the same [-].
+        probability: Chance of a level as high; nan likewise [-].
+    """
+
+    names: tuple[str, ...]
+    lack_of_fit: LackOfFit | None
+    left_out: tuple[LeftOut, ...]
+    recordings: tuple[RecordingEstimate, ...] = ()
+    level: float = float("nan")
+    probability: float = float("nan")
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the model cannot be right, one sentence each; empty if nothing is."""
+        reasons = []
+        if self.probability < UNLIKELY:
+            reasons.append(
+                f"The residuals are {self.level:.3g} times as large as the stated std "
+                f"(probability {self.probability:.1g}): the model cannot match "
+                "the data that well, or they were measured worse than stated."
+            )
+        test = self.lack_of_fit
+        if test is not None and test.probability < UNLIKELY:
+            worst = self.names[int(np.argmax(test.shares))]
+            reasons.append(
+                "Whole configurations are off, not single markers: the scatter between "
+                f"them is {test.ratio:.3g} times that expected from the scatter within "
+                f"(F with {test.between} and {test.within} degrees of freedom, "
+                f"probability {test.probability:.1g}), most of all {worst}. Check its "
+                "load and supports, or the law."
+            )
+        allowed = UNLIKELY / max(len(self.left_out), 1)
+        for own in self.left_out:
+            far = own.rms > FAR * own.motion and own.by_scatter < UNLIKELY
+            if own.probability < allowed or far:
+                share = f", {100.0 * own.rms / own.motion:.0f} % of how far they moved"
+                reasons.append(
+                    f"{own.name} is not predicted by the others: its markers would be "
+                    f"{1e3 * own.rms:.2f} mm off{share * bool(own.motion > 0.0)}, and "
+                    f"{1e3 * own.expected:.2g} mm is what errors explain."
+                )
+        for one in disagreeing(self.recordings):
+            factor, unit = readable_unit([one.fit], one.unit)
+            reasons.append(
+                f"{one.recording} alone gives {one.parameter} = "
+                f"{factor * one.value:.4g} {unit}".rstrip()
+                + f", {abs(one.apart):.1f} standard errors from the fit's "
+                f"{factor * one.fit:.4g}: they contradict each other."
+            )
+        return tuple(reasons)
+
+    @property
+    def agreement(self) -> tuple[str, ...]:
+        """What single recordings say about the parameters, one sentence each."""
+        return tuple(agreement_sentences(self.recordings))
+
+
+def residual_checks(
+    linear: LinearModel,
+    configurations: Sequence[Configuration],
+    *,
+    effectors: EffectorArrays,
+    spread: Uncertainty,
+    fits: Sequence[ConfigurationResult],
+) -> ResidualChecks:
+    """Check a fit by its residuals.
+
+    Args:
+        linear: The fit, without what was held out.
+        configurations: The fitted configurations.
+        effectors: Their effectors.
+        spread: Uncertainty by the noise.
+        fits: Fits of the configurations.
+    """
+    weight, estimated = np.asarray(effectors.inverse_std), spread.noise == "estimated"
+    names, test = tuple(c.name for c in configurations), None
+    if estimated and spread.has_noise:
+        shared, pose = _shared_errors(weight, effectors.nodes.shape[-2], fits)
+        test = lack_of_fit(linear, shared[weight.ravel() > 0.0], pose)
+    predicted: tuple[LeftOut, ...] = ()
+    if len(names) >= FEWEST and (spread.has_noise or not estimated):
+        by_scatter = [None] * len(names)
+        if test is not None:
+            by_scatter = predicted_by_others(linear.with_jitter(test.jitter))
+        predicted = tuple(
+            _left_out(
+                fit,
+                prediction,
+                weight[c],
+                of=spread.degrees_of_freedom if estimated else None,
+                by_scatter=_by_scatter(other, test),
+            )
+            for c, (fit, prediction, other) in enumerate(
+                zip(fits, predicted_by_others(linear), by_scatter, strict=True)
+            )
+        )
+    level = probability = float("nan")
+    if estimated and spread.has_noise and all(c.states_noise for c in configurations):
+        level = spread.noise_scale
+        dof = jitter_freedom(linear.with_jitter(1.0))
+        probability = float(chdtrc(dof, dof * level**2))
+    return ResidualChecks(names, test, predicted, level=level, probability=probability)
+
+
+def _shared_errors(
+    weight: Float[HostArray, "n_c n_rows 3"],
+    n_points: int,
+    fits: Sequence[ConfigurationResult],
+) -> tuple[HostArray, HostArray]:
+    """Return what coordinates of a configuration may share, and whose each is.
+
+    For each configuration the offsets of its points along the axes, and its motion as
+    simulated: the measured one holds the errors that are tested.
+    """
+    columns, of = [], []
+    for c, fit in enumerate(fits):
+        own = np.zeros((4, *weight.shape))
+        own[[0, 1, 2], c, :n_points, [0, 1, 2]] = weight[c, :n_points].T
+        for e in fit.points:
+            moved = np.where(e.seen, e.simulated - e.at_rest, 0.0)
+            own[3, c, e.index] = weight[c, e.index] * moved
+        columns += list(own.reshape(4, -1))
+        of += [c] * 4
+    return np.stack(columns, axis=1), np.array(of)
+
+
+def _by_scatter(prediction: PosePrediction | None, test: LackOfFit | None) -> float:
+    """Return the chance of a prediction by the noise within configurations."""
+    if prediction is None or test is None:
+        return float("nan")
+    squares, dof = prediction.chi_squared, prediction.degrees_of_freedom
+    return chance(squares, dof, of=test.within)
+
+
+def _left_out(
+    fit: ConfigurationResult,
+    prediction: PosePrediction,
+    weight: Float[HostArray, "n_rows 3"],
+    *,
+    of: int | None,
+    by_scatter: float,
+) -> LeftOut:
+    """Describe a prediction in metres."""
+    seen = weight > 0.0
+    rms = []
+    for values in (prediction.error, prediction.std):
+        rows = np.zeros(weight.shape)
+        rows[seen] = values / weight[seen]
+        squares = [np.sum(rows[e.index] ** 2) for e in fit.points]
+        rms.append(float(np.sqrt(np.mean(squares))) if squares else float("nan"))
+    return LeftOut(
+        name=fit.name,
+        rms=rms[0],
+        expected=rms[1],
+        motion=fit.motion,
+        probability=chance(
+            prediction.chi_squared,
+            prediction.degrees_of_freedom,
+            of=of,
+            jitter_is_of_all=True,
+        ),
+        by_scatter=by_scatter,
+    )
+
 
 EQUAL = 1e-6
 """Difference of scaled parameters below which they count as equal [-]."""
@@ -209,17 +432,3 @@ def warn_if_too_few_data(problem: CalibrationProblem) -> None:
             CalibrationWarning,
             stacklevel=4,
         )
-
-
-def unscoped_notes(
-    space: ParameterSpace, held_out: Sequence[Configuration]
-) -> list[str]:
-    """Say which held-out configurations have no unknown of their own."""
-    return [
-        f"{c.name} is predicted without {entry.noun}, which {entry.by}s that were "
-        "fitted have of their own: it counts as stated."
-        for entry in space.entries
-        if isinstance(entry, SetupParameter) and entry.each
-        for c in held_out
-        if entry.member(c) not in entry.each
-    ]

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.calibration._noise import Attachment, attachments
 from softcal_jax.calibration._problem import CalibrationProblem
-from softcal_jax.calibration._references import Attachment, attachments
 from softcal_jax.configurations import Configuration, ConfigurationLanes
 
 Offsets = Mapping[Attachment, Float[HostArray, "3"]]

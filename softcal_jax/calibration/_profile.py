@@ -11,8 +11,8 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator
-from softcal_jax.calibration._interval import ProfileEnd
 from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._result import IntervalEnd
 from softcal_jax.calibration._runs import Run, in_plain_steps, minimise
 from softcal_jax.calibration._state import CalibrationSettings
 from softcal_jax.equilibrium import Workers
@@ -50,6 +50,16 @@ LOWER = 1e-3
 
 It is more than rounding, or a loop that stopped a little early, can explain.
 """
+
+
+class ProfileEnd(NamedTuple):
+    """One end of an interval: its scaled distance from the fit, nan if not found [-].
+
+    `why` says what ends it, as in `ParameterInterval`.
+    """
+
+    distance: float
+    why: IntervalEnd
 
 
 class NotFound(Exception):

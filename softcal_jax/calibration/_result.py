@@ -1,17 +1,17 @@
 """What a calibration returns."""
 
 import math
+from typing import Literal
 
 import numpy as np
 
 from softcal_jax._module import Module, Result
 from softcal_jax._names import listed, unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax._units import readable_estimate
+from softcal_jax._units import readable_estimate, readable_unit
 from softcal_jax.calibration._configuration_result import ConfigurationResult
-from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._noise import CorrelatedNoise
-from softcal_jax.calibration._residual_checks import ResidualChecks
+from softcal_jax.calibration._notes import ResidualChecks
 from softcal_jax.calibration._runs import best_of
 from softcal_jax.calibration._source import ProjectSource
 from softcal_jax.calibration._state import CalibrationSettings
@@ -28,6 +28,57 @@ SKEWED = 1.8
 
 That of a modulus known to 30 %, whose interval is symmetric in its logarithm.
 """
+
+IntervalEnd = Literal["likelihood", "bound", "not found"]
+IntervalKind = Literal["first-order", "profile", "one-sided", "none"]
+
+
+class ParameterInterval(Module):
+    """Confidence interval of a calibrated parameter, in SI units.
+
+    Attributes:
+        name: Its name.
+        level: Confidence [-].
+        lower: Lower end; nan if it was not found.
+        upper: Upper end; likewise. A periodic angle may lie beyond its bounds.
+        lower_end: What ends it below: "likelihood"; "bound", if the data do not exclude
+            the bound of the parameter (or half a turn of a periodic angle); or "not
+            found", if fits along the profile did not converge, or were not tried.
+        upper_end: The same above.
+        unit: SI unit.
+        kind: How it was found: "first-order", from a standard error that the cost
+            confirms; "profile", from the likelihood itself; "one-sided", likewise, with
+            a limit on one side and a bound on the other; or "none".
+        why: Why there is none; empty if there is one.
+    """
+
+    name: str
+    level: float
+    lower: float
+    upper: float
+    lower_end: IntervalEnd
+    upper_end: IntervalEnd
+    unit: str
+    kind: IntervalKind = "profile"
+    why: str = ""
+
+    @property
+    def is_any_angle(self) -> bool:
+        """Whether it is a whole turn of an axis."""
+        turn = self.unit == "rad" and np.isclose(self.upper - self.lower, np.pi)
+        return bool(turn) and self.lower_end == self.upper_end == "bound"
+
+    def __str__(self) -> str:
+        """Write its ends in a readable unit, or why there are none, in one line."""
+        if self.is_any_angle:
+            return "any angle"
+        if self.kind == "none":
+            return self.why
+        factor, unit = readable_unit([self.lower, self.upper], self.unit)
+        both = (self.lower, self.lower_end), (self.upper, self.upper_end)
+        words = {"bound": " (bound)"}
+        ends = [f"{factor * value:.4g}{words.get(end, '')}" for value, end in both]
+        return f"{ends[0]} to {ends[1]} {unit}".rstrip()
 
 
 class ParameterEstimate(Module):

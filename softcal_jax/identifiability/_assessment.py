@@ -1,14 +1,64 @@
 """Assess what a finished calibration may claim: converged, consistent, identified."""
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.special import chdtri
 
-from softcal_jax._module import Result
-from softcal_jax.calibration import MESH, CalibrationResult, MultiStartResult
+from softcal_jax._module import Module, Result, one_line
+from softcal_jax._text_table import Tone
+from softcal_jax.calibration import (
+    FLAT,
+    MESH,
+    SMALLEST_FALL,
+    CalibrationResult,
+    ConfigurationResult,
+    MultiStartResult,
+)
 from softcal_jax.identifiability._identify import identifiability
-from softcal_jax.identifiability._prediction import Prediction, predict_spread
 from softcal_jax.identifiability._result import Identifiability
 from softcal_jax.inference import ErrorBudget
+
+
+class Prediction(Module):
+    """Uncertainty of one predicted pose.
+
+    Attributes:
+        name: Name of the configuration.
+        role: Whether it was fitted or held out.
+        std: Standard error of its markers by that of the parameters, as a root mean
+            square distance like that of the residuals [m]; infinite where it depends on
+            parameters that nothing sees.
+    """
+
+    name: str
+    role: str
+    std: float
+
+
+def predict_spread(
+    fit: ConfigurationResult, found: Identifiability
+) -> Prediction | None:
+    """Carry the covariance of the parameters into the markers of a configuration.
+
+    The rows W_ep of Eq. (9) times the covariance by all causes: what a pose would be
+    off by if everything but the parameters were right.
+
+    Args:
+        fit: The fitted or predicted configuration.
+        found: What the data of the calibration tell.
+
+    Returns:
+        The uncertainty of its pose; None if it has no measured points.
+    """
+    if fit.W_ep is None or not fit.points:
+        return None
+    variance = 0.0
+    for marker in fit.points:
+        rows = marker.seen[:, None] * fit.W_ep[marker.index] * found.asked
+        variance += float(np.sum(found.spread.along(rows) ** 2))
+    std = float(np.sqrt(variance / len(fit.points)))
+    return Prediction(fit.name, fit.role, std)
 
 
 class Assessment(Result):
@@ -194,3 +244,60 @@ def _rivals(found: MultiStartResult | None, noise_scale: float) -> list[str]:
                 f"{best.cost:.3g})."
             )
     return reasons
+
+
+class RunVerdict(NamedTuple):
+    """What may be said of a run, first of all.
+
+    Attributes:
+        sentence: The verdict; it ends with a colon where reasons follow.
+        tone: How it is meant.
+        reasons: What there is to doubt, one sentence each.
+    """
+
+    sentence: str
+    tone: Tone
+    reasons: tuple[str, ...] = ()
+
+    __repr__ = one_line
+
+
+def verdict_of(result: CalibrationResult, found: Assessment) -> RunVerdict:
+    """Say in one sentence whether the values of a calibration can be used."""
+    steps = len(result.history) - 1
+    taken = f"{steps} step{'s' * (steps != 1)}"
+    if not result.converged:
+        text = f"NOT CONVERGED after {taken}: do not use these values."
+        return RunVerdict(text, "bad")
+    if found.identified:
+        text = f"Converged in {taken}, and nothing speaks against the values."
+        return RunVerdict(text, "good")
+    text = f"Converged in {taken}, but take the values with care:"
+    return RunVerdict(text, "doubtful", found.reasons)
+
+
+def end_of(result: CalibrationResult) -> str:
+    """Say which criterion ended the fit, see `CalibrationSettings`."""
+    if result.interrupted:
+        return "The user interrupted the fit."
+    if len(result.history) < 2:
+        return "The fit ended before its first step."
+    settings, last = result.settings, result.history[-1]
+    size = max(abs(step) for step in last.lambda_p)
+    if not result.converged:
+        if last.step >= settings.max_steps:
+            return f"The fit ended at max_steps = {settings.max_steps}."
+        return (
+            "The fit ended where every step was refused, though the cost still falls."
+        )
+    if not last.accepted:
+        return (
+            "The fit ended where steps were refused and the cost is flat: its slope "
+            f"vanishes to {FLAT:g}."
+        )
+    if size <= settings.tol:
+        return f"The fit ended as |lambda_p| = {size:.1e} is below {settings.tol:g}."
+    return (
+        f"The fit ended as one more step, |lambda_p| = {size:.1e}, would lower the "
+        f"cost by less than {SMALLEST_FALL:g} of it."
+    )

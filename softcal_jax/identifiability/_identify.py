@@ -46,10 +46,11 @@ from softcal_jax.fields import (
     check_parameters,
     check_precision,
 )
-from softcal_jax.identifiability._conditioning import conditioning
-from softcal_jax.identifiability._result import Identifiability, ParameterOutlook
-from softcal_jax.identifiability._spread import (
+from softcal_jax.identifiability._result import (
+    Identifiability,
+    ParameterOutlook,
     Spread,
+    conditioning,
     count_informed,
     information,
     named_directions,

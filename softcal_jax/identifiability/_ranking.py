@@ -19,11 +19,11 @@ from softcal_jax.identifiability._identify import (
     Survey,
     survey,
 )
-from softcal_jax.identifiability._result import number
-from softcal_jax.identifiability._spread import (
+from softcal_jax.identifiability._result import (
     Spread,
     information,
     named_directions,
+    number,
     spread_of,
 )
 from softcal_jax.inference import LinearModel

@@ -24,17 +24,16 @@ from softcal_jax.calibration import (
     build_problem,
     calibrate,
 )
-from softcal_jax.calibration._checked_intervals import (
+from softcal_jax.calibration._intervals import (
     MOST_RETURNS,
     Fitted,
-    _considered_error,
-    with_intervals,
-)
-from softcal_jax.calibration._first_order import _Checked, _end_holds
-from softcal_jax.calibration._interval import (
     ProfileEnd,
+    _Checked,
+    _considered_error,
+    _end_holds,
     interval_between,
     no_interval,
+    with_intervals,
 )
 from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
 from softcal_jax.inference import ErrorColumns, Whitened, independent
@@ -314,7 +313,7 @@ def test_a_lower_cost_is_gone_on_from(result, poses, monkeypatch, times):
             raise LowerCostFound(result.z, 1.0, 2.0)
         return intervals
 
-    monkeypatch.setattr("softcal_jax.calibration._checked_intervals._intervals", found)
+    monkeypatch.setattr("softcal_jax.calibration._intervals._intervals", found)
     last, none = result.history[-1], np.zeros((0, 2))
     starts = MultiStartResult(
         names=tuple(result.space.names),
@@ -328,7 +327,7 @@ def test_a_lower_cost_is_gone_on_from(result, poses, monkeypatch, times):
         optima=(Optimum(last.cost, last.values, (0,)),),
     )
     # Nothing but the cost of an evaluation is asked for, in the same units.
-    own = "softcal_jax.calibration._checked_intervals.in_other_units"
+    own = "softcal_jax.calibration._intervals.in_other_units"
     monkeypatch.setattr(own, lambda problem, z, evaluation: evaluation)
     fitted = of_problem(replace(result, starts=starts), poses)
     fitted = fitted._replace(evaluation=SimpleNamespace(cost=last.cost))
