@@ -8,7 +8,6 @@ from softcal_jax.calibration._checks import (
     levenberg_marquardt,
     simulated_measurements,
     synthetic_measurements,
-    with_measured,
 )
 from softcal_jax.calibration._configuration_result import (
     ConfigurationResult,
@@ -121,6 +120,5 @@ __all__ = [
     "simulated_measurements",
     "simulation_result",
     "synthetic_measurements",
-    "with_measured",
     "without_names",
 ]

@@ -1,7 +1,6 @@
 """Checks of a calibration: synthetic measurements, and a second optimiser."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -39,16 +38,9 @@ ROUNDING = 1e-12
 
 
 def check_effects(problem: CalibrationProblem) -> None:
-    """Raise unless something is measured, and it may depend on each parameter.
+    """Raise ValueError unless something is measured that may depend on each parameter.
 
     What only an equilibrium shows is left to `check_sensitive`.
-
-    Args:
-        problem: The calibration.
-
-    Raises:
-        ValueError: If no coordinate is measured, all markers are on what is held, or no
-            configuration depends on a parameter.
     """
     arrays = jax.tree.map(np.asarray, problem.configurations)
     effectors = arrays.effectors
@@ -89,12 +81,10 @@ def _all_on_held(effectors, counts: Bool[HostArray, "n_c n_rows"], held) -> bool
 def _missing(problem: CalibrationProblem, entry, arrays, held) -> str:
     """Say why no configuration depends on an entry; empty if one may."""
     if isinstance(entry, AbstractFieldEntry):
-        mesh = problem.model.mesh
-        tets = (
-            mesh.tets if entry.region is None else mesh.tets[mesh.tets_of(entry.region)]
-        )
+        mesh, region = problem.model.mesh, entry.region
+        tets = mesh.tets if region is None else mesh.tets[mesh.tets_of(region)]
         if held[:, tets].all():
-            where = "the body" if entry.region is None else repr(entry.region)
+            where = "the body" if region is None else repr(region)
             return f"all tets of {where} are held in every pose"
         if entry.fields == ("density",) and not np.any(arrays.gravity):
             return "no configuration has gravity"
@@ -107,17 +97,10 @@ def _missing(problem: CalibrationProblem, entry, arrays, held) -> str:
 
 
 def check_sensitive(problem: CalibrationProblem, first: Evaluation) -> None:
-    """Raise unless a measured coordinate depends on some parameter at the start.
+    """Raise ValueError unless a measured coordinate depends on some parameter.
 
     One parameter without effect beside others that have one is no error: the angle of
-    an axis has none where the moduli are equal.
-
-    Args:
-        problem: The calibration.
-        first: Its evaluation at the start.
-
-    Raises:
-        ValueError: If none does; the text names the parameters.
+    an axis has none where the moduli are equal. `first` is the evaluation at the start.
     """
     weight = np.asarray(problem.configurations.effectors.inverse_std)
     effectors = np.abs(np.asarray(first.effectors))
@@ -136,17 +119,7 @@ def check_sensitive(problem: CalibrationProblem, first: Evaluation) -> None:
 def check_cost(
     problem: CalibrationProblem, first: Evaluation, names: Sequence[str]
 ) -> None:
-    """Raise unless the squares of the errors at the start can be summed.
-
-    Args:
-        problem: The calibration.
-        first: Its evaluation at the start.
-        names: Names of the configurations.
-
-    Raises:
-        ValueError: If a standard deviation is so small that the cost overflows; the
-            text names it.
-    """
+    """Raise ValueError if a standard deviation is so small that the cost overflows."""
     error = np.asarray(first.rows.error)
     with np.errstate(over="ignore", invalid="ignore"):
         if np.isfinite(error @ error):
@@ -249,8 +222,8 @@ def simulated_measurements(
     random = np.random.default_rng(seed)
     effectors, weights = np.asarray(effectors), np.asarray(arrays.effectors.inverse_std)
     measured = []
-    for lane, (c, own) in enumerate(zip(configurations, records, strict=True)):
-        rows = [record.index for record in own]
+    for lane, (c, of_pose) in enumerate(zip(configurations, records, strict=True)):
+        rows = [record.index for record in of_pose]
         e, weight = effectors[lane, rows], weights[lane, rows]
         if noise:
             std = np.where(weight > 0.0, 1.0 / np.maximum(weight, 1e-300), 0)
@@ -259,23 +232,13 @@ def simulated_measurements(
     return tuple(measured)
 
 
-def with_measured(configuration: Configuration, measured) -> Configuration:
-    """Return the configuration with other measured marker positions [m]."""
-    return replace(configuration, measured=measured)
-
-
 def levenberg_marquardt(
     problem: CalibrationProblem,
 ) -> tuple[Float[Array, " n_p"], bool]:
     """Fit by Levenberg-Marquardt of optimistix, without bounds, to check `calibrate`.
 
     The Jacobian is by autodiff through the implicit derivative of the equilibrium.
-
-    Args:
-        problem: The calibration.
-
-    Returns:
-        Scaled parameters, and whether it converged inside the bounds.
+    Returns scaled parameters, and whether it converged inside the bounds.
     """
     import optimistix as optx  # here, as it takes a fifth of the package's import time
 
@@ -284,13 +247,11 @@ def levenberg_marquardt(
 
     def errors(z, problem: CalibrationProblem):
         model, configurations = problem.at(z)
-        solve = lambda c, u: solve_equilibrium(
-            model, c, guess=u, settings=problem.newton
-        )
+        newton = problem.newton
+        solve = lambda c, u: solve_equilibrium(model, c, guess=u, settings=newton)
         solution = jax.vmap(solve)(configurations, guess)
-        delta_e = effector_errors(
-            problem, effectors_of(model, configurations, solution)
-        )
+        e = effectors_of(model, configurations, solution)
+        delta_e = effector_errors(problem, e)
         none = jnp.zeros((delta_e.size, z.shape[0]))
         error = problem.rows(z, delta_e, none).error
         # A step to parameters without equilibrium must be refused.

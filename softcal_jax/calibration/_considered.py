@@ -1,12 +1,11 @@
 """What errors that are considered do to the rows of a calibration.
 
-How far the mesh may have moved the effectors: a consider parameter of its own.
-
-The body is solved once more on a finer mesh: linear tets become quadratic, and each
-quadratic tet becomes eight. What the effectors change by is the standard deviation. The
-error of quadratic tets falls to about a quarter, so that the change is three quarters
-of it, and the exact solution is within two standard deviations; linear tets lock, and
-quadratic ones show nearly all of that.
+How far the mesh may have moved the effectors is one of them. The body is solved once
+more on a finer mesh: linear tets become quadratic, and each quadratic tet becomes
+eight. What the effectors change by is the standard deviation. The error of quadratic
+tets falls to about a quarter, so that the change is three quarters of it, and the exact
+solution is within two standard deviations; linear tets lock, and quadratic ones show
+nearly all of that.
 
 Both meshes are solved for the linear body at rest, under the loads and motions of the
 configuration. That takes one factorization, while a deformed equilibrium of the coarse
@@ -100,17 +99,15 @@ def mesh_errors(
 ) -> MeshErrors:
     """Estimate the standard deviation of the effectors by the mesh.
 
-    To be called once for all configurations, since preparing and factorizing the finer
-    body is nearly all of the work.
+    Once for all configurations, since preparing and factorizing the finer body is
+    nearly all of the work.
 
     Args:
         problem: The calibration, without names.
         configurations: Its configurations.
         z: Scaled parameters [-].
-        forces: Forces of the actuators whose displacement is imposed, at the
-            equilibria.
-        of_stiffness: Change of the effectors there per relative change of the
-            stiffness.
+        forces: Of the actuators whose displacement is imposed, at the equilibria.
+        of_stiffness: Change of the effectors per relative change of the stiffness.
     """
     model, n_c = problem.model, len(configurations)
     name = LOCKING if model.mesh.order == 1 else REFINEMENT
@@ -147,15 +144,12 @@ def _refined(
     refinement: Refinement,
 ) -> ConfigurationArrays:
     """Pose the finer mesh like the coarse one, with the same supports and loads."""
-    batch = problem.configurations
+    batch, r = problem.configurations, refinement
     shared = SharedNames(batch.springs.names, batch.loads.names)
-    alike = [_as_found(c, refinement) for c in configurations]
+    alike = [_as_found(c, r) for c in configurations]
     posed, _ = configuration_lanes(fine.mesh, alike, fine.mechanism, shared=shared)
-    each = range(len(configurations))
-    fixed, imposed = map(np.asarray, (batch.fixed, batch.imposed))
-    r = refinement
-    held = [r.with_new(fixed[c], r.among(fixed[c])) for c in each]
-    moved = [r.with_new(imposed[c], r.carried(imposed[c])) for c in each]
+    held = [r.with_new(fixed, r.among(fixed)) for fixed in np.asarray(batch.fixed)]
+    moved = [r.with_new(u, r.carried(u)) for u in np.asarray(batch.imposed)]
     where = lambda c: (c.fixed, c.imposed)
     return eqx.tree_at(where, posed, (np.stack(held), np.stack(moved)))
 
@@ -198,14 +192,11 @@ def _comparable(
     imposed = np.asarray(batch.actuation.by_displacement)
     slack = imposed & unilateral & (np.asarray(forces) <= 0.0)
     value = np.where(slack, 0.0, np.asarray(batch.actuation.value))
-    turns = np.asarray(batch.effectors.turn_reference)
-    where = lambda c: (
-        c.actuation.by_displacement,
-        c.actuation.value,
-        c.effectors.turn_reference,
-    )
-    upright = np.broadcast_to(np.eye(3), turns.shape)
-    return eqx.tree_at(where, batch, (imposed & ~slack, value, upright))
+    turns = lambda c: c.effectors.turn_reference
+    upright = np.broadcast_to(np.eye(3), np.shape(turns(batch)))
+    driven = lambda c: (c.actuation.by_displacement, c.actuation.value)
+    batch = eqx.tree_at(turns, batch, upright)
+    return eqx.tree_at(driven, batch, (imposed & ~slack, value))
 
 
 def _linear_motions(
@@ -219,8 +210,8 @@ def _linear_motions(
     """Compute how far loads, then imposed motions if any, move the effectors.
 
     And last, `of_stiffness`, the change of these per relative change of the stiffness.
-    Configurations that are held alike share a factorization. One after the other, since
-    a body eight times as large needs all cores for itself.
+    One group of those held alike after the other, since a body eight times as large
+    needs all cores for itself.
     """
     actuation = batch.actuation
     imposed = np.asarray(actuation.value)[np.asarray(actuation.by_displacement)]
@@ -229,16 +220,16 @@ def _linear_motions(
     found: dict[int, HostArray] = {}
     for group in _held_alike(batch):
         for k in range(0, len(group), AT_ONCE):
-            own = group[k : k + AT_ONCE]
+            some = group[k : k + AT_ONCE]
             # Always as many, so that one program serves any number of them.
-            lanes = lane_of(batch, np.resize(own, AT_ONCE))
+            lanes = lane_of(batch, np.resize(some, AT_ONCE))
             rows = _linear_motion(model, space, moves, of_stiffness, z, lanes)
-            found |= dict(zip(own, np.asarray(rows), strict=False))
+            found |= dict(zip(some, np.asarray(rows), strict=False))
     return np.stack([found[c] for c in sorted(found)], axis=1)
 
 
 def _held_alike(batch: ConfigurationArrays) -> list[list[int]]:
-    """Group configurations whose bodies at rest have the same stiffness."""
+    """Group configurations whose bodies at rest share a factorization."""
     # A parameter may set the stiffness of springs by the name of their configuration.
     sprung = np.any(np.asarray(batch.springs.stiffness) > 0.0, axis=1, keepdims=True)
     held = (
@@ -367,13 +358,9 @@ class ConsideredErrors(NamedTuple):
     ) -> ErrorColumns:
         """Return W_c of all rows, in stated standard deviations.
 
-        A change is zero in configurations that do not have the error. The error of the
-        mesh is not among them where it is not known of a fitted configuration, and zero
-        in one that was held out.
-
-        Args:
-            n_fitted: Number of configurations that are fitted, which come first.
-            weight: 1 / stated standard deviations, 0 where nothing is measured.
+        A change is zero in configurations that do not have the error. That of the mesh
+        is left out where it is not known of a fitted configuration, which come first,
+        and zero where it is not known of one that was held out.
         """
         parts: list[tuple[str, str, HostArray]] = []
         for error, column in zip(self.errors, self.columns, strict=True):
@@ -421,17 +408,12 @@ def considered_errors(
     problem = without_names(problem)
     if not of_mesh and not any(error.happens for error in errors):
         errors = ()
-    columns = _all_columns(
-        workers, problem, errors, z, equilibrium.displacement, of_stiffness=of_mesh
-    )
+    u, forces = equilibrium.displacement, equilibrium.multipliers
+    columns = _all_columns(workers, problem, errors, z, u, of_stiffness=of_mesh)
     if not of_mesh:
         return ConsideredErrors(errors, columns, None)
     mesh = mesh_errors(
-        problem,
-        configurations,
-        z,
-        forces=equilibrium.multipliers,
-        of_stiffness=columns[-1],
+        problem, configurations, z, forces=forces, of_stiffness=columns[-1]
     )
     mesh = mesh._replace(changes=uncertain.mesh * mesh.changes)
     return ConsideredErrors(errors, columns[:-1], mesh)

@@ -70,12 +70,6 @@ class Evaluation(Module):
         return self.response.effectors
 
     @property
-    def compliance(self) -> Float[Array, "n_e n_p"]:
-        """Stacked W_ep in the units of the effectors, per unit of lambda_p."""
-        W_ep = self.response.W_ep
-        return W_ep.reshape(-1, W_ep.shape[-1])
-
-    @property
     def cost(self) -> Float[Array, ""]:
         """Half the sum of squared errors in noise units; infinite if not ok [-].
 
@@ -97,6 +91,7 @@ def effector_errors(
     return jnp.where(effectors.inverse_std > 0.0, e - effectors.measured, 0.0)
 
 
+@eqx.filter_jit
 def evaluate_lane(
     problem: CalibrationProblem,
     z: Float[Array, " n_p"],
@@ -135,26 +130,10 @@ def weighed(
     return Evaluation(response, delta_e, rows, finite)
 
 
-def in_other_units(
-    problem: CalibrationProblem, z: Float[Array, " n_p"], old: Evaluation
-) -> Evaluation:
-    """Return an evaluation in the units of another noise.
-
-    Args:
-        problem: The calibration with that noise, without names.
-        z: Scaled parameters [-].
-        old: The evaluation there.
-    """
-    return weighed(problem, z, old.response)
-
-
 def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:
     """Return displacements of zero, as a guess [m]."""
     n_c = problem.configurations.gravity.shape[0]
     return jnp.zeros((n_c, problem.model.n_points, 3))
-
-
-_evaluate_lane = eqx.filter_jit(evaluate_lane)
 
 
 @eqx.filter_jit
@@ -201,7 +180,7 @@ class Evaluator:
         self.shared = eqx.tree_at(where, alone, (None, space))
         n_c = problem.configurations.gravity.shape[0]
         self.lanes = [lane_of(problem.configurations, c) for c in range(n_c)]
-        self._program = Program(_evaluate_lane, self.shared)
+        self._program = Program(evaluate_lane, self.shared)
 
     def with_space(self, space: ParameterSpace) -> "Evaluator":
         """Return an evaluator of the same lanes with another order, chart or pin."""
@@ -228,8 +207,7 @@ class Evaluator:
         Args:
             z: Scaled parameters [-].
             guess: Displacements to start from [m].
-            before: Displacements of the equilibria that the guess extrapolates to first
-                order, if it does [m].
+            before: Equilibria that the guess extrapolates to first order, if any [m].
             precise: Whether the compliances are exact, see `evaluate_lane`.
         """
         before = guess if before is None else before
@@ -267,7 +245,7 @@ class Evaluator:
         return weighed(self.numbered, z, self.response_from_rest(z))
 
     def response_from_rest(self, z: Float[Array, " n_p"]) -> Response:
-        """Respond without a guess from another evaluation, likewise."""
+        """Respond without a guess from another evaluation."""
         guess = at_rest(self.problem)
         if self.problem.model.mechanism.bodies.n_bodies > 0:
             guess = as_guess(self.equilibria(z))
@@ -300,12 +278,9 @@ def evaluate(
 
 
 class HeldOut(NamedTuple):
-    """Held-out configurations, with the start and the calibrated parameters.
+    """Held-out configurations with the calibrated parameters; `before` by the start.
 
-    Attributes:
-        before: Effectors with the start parameters; nan without an equilibrium.
-        response: Equilibria, effectors and compliances with the calibrated ones.
-        notes: Which have no equilibrium, and why.
+    `before` are effectors, nan without an equilibrium; `notes` say which have none.
     """
 
     before: Float[HostArray, "n_c n_rows 3"]
@@ -322,17 +297,10 @@ def held_out_responses(
 ) -> HeldOut:
     """Solve held-out configurations with the start and the calibrated parameters.
 
-    Uses the program of the fit, which is compiled already. Near a limit point an
-    equilibrium need not be found from rest: there the path of the configuration is
-    followed by arc length, and its end is where the search begins anew. A configuration
-    without equilibrium is left out with a note: it must neither count as a prediction
-    nor cost the user the fit.
-
-    Args:
-        evaluate: Evaluator of these configurations.
-        configurations: The configurations.
-        start: Scaled start parameters [-].
-        z: Scaled calibrated parameters [-].
+    Near a limit point an equilibrium need not be found from rest: there the path of the
+    configuration is followed by arc length, and its end is where the search begins
+    anew. A configuration without equilibrium is left out with a note: it must neither
+    count as a prediction nor cost the user the fit.
     """
     first, last = evaluate.workers.side_by_side(
         partial(evaluate.response_from_rest, p) for p in (start, z)
@@ -360,21 +328,19 @@ def _along_paths(
 ) -> tuple[Float[Array, "n_c n_points 3"], dict[int, float]]:
     """Follow what is not in equilibrium from rest along its load.
 
-    Returns:
-        Displacements to start from: as solved, or at the end of the path; and the
-        largest share of its load that each of these configurations carries.
+    Returns displacements to start from, and the largest share of its load that each of
+    these configurations carries.
     """
+    lost = np.flatnonzero(~np.asarray(solution.converged)).tolist()
+    if not lost:
+        return solution.displacement, {}
     guess, carried = np.array(solution.displacement), {}
-    lost = np.flatnonzero(~np.asarray(solution.converged))
-    if len(lost):
-        model, arrays = evaluate.problem.at(z)
-        newton = evaluate.problem.newton
-        for i in map(int, lost):
-            path = solve_equilibrium(
-                model, lane_of(arrays, i), settings=newton, path=LoadPath()
-            )
-            carried[i] = min(float(np.max(path.load)), 1.0)
-            guess[i] = path.displacement[-1]
+    model, arrays = evaluate.problem.at(z)
+    for i in lost:
+        newton, lane = evaluate.problem.newton, lane_of(arrays, i)
+        path = solve_equilibrium(model, lane, settings=newton, path=LoadPath())
+        carried[i] = min(float(np.max(path.load)), 1.0)
+        guess[i] = path.displacement[-1]
     return jax.device_put(guess), carried
 
 

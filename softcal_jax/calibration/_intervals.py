@@ -12,11 +12,16 @@ from scipy.special import ndtri, stdtrit
 
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax._units import readable_unit
+from softcal_jax._units import readable_values
 from softcal_jax.calibration._build import as_sequence, build_problem
 from softcal_jax.calibration._checkpoint import Clock
 from softcal_jax.calibration._considered import MESH
-from softcal_jax.calibration._evaluation import Evaluation, Evaluator, in_other_units
+from softcal_jax.calibration._evaluation import (
+    Evaluation,
+    Evaluator,
+    evaluate,
+    weighed,
+)
 from softcal_jax.calibration._linear import linear_model
 from softcal_jax.calibration._problem import CalibrationProblem, without_names
 from softcal_jax.calibration._profile import (
@@ -37,6 +42,12 @@ from softcal_jax.equilibrium import Workers, check_converged
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.inference import EXACT, LinearModel
 
+LEVEL = 0.95
+"""Confidence of intervals unless another one is asked for [-]."""
+
+MOST_RETURNS = 3
+"""How often a calibration goes on from a lower cost that a profile has found."""
+
 CURVED = 0.1
 """Relative error of the root of the rise at which an end is no longer first-order [-].
 
@@ -45,19 +56,24 @@ error. With both ends a tenth too close to the fit, an interval that says 95 % h
 92 % of the time; with one too close and the other too far, 94 %.
 """
 
+SAME_COST = 1e-4
+"""Relative difference of costs that cannot be of the same configurations [-]."""
+
+
+class Fitted(NamedTuple):
+    """A calibration at its end, and what its intervals are computed from."""
+
+    result: CalibrationResult
+    problem: CalibrationProblem
+    configurations: tuple[Configuration, ...]
+    evaluation: Evaluation
+
 
 class _Checked(NamedTuple):
-    """A calibration at its end.
+    """A calibration at z, where it ended; `quantile` standard errors lead to an end.
 
-    Attributes:
-        evaluate: Its evaluator.
-        about: Returns the linear model about other scaled parameters, from these and
-            their evaluation, with the noise of `linear`.
-        space: The parameters.
-        z: Where it ended, scaled [-].
-        at: Evaluation there.
-        linear: Linear model there.
-        quantile: Standard errors between the fit and an end [-].
+    `about` returns the linear model about other scaled parameters, from these and their
+    evaluation, with the noise of `linear`.
     """
 
     evaluate: Callable[..., Evaluation]
@@ -69,15 +85,8 @@ class _Checked(NamedTuple):
     quantile: float
 
 
-def first_order_holds(
-    problem: CalibrationProblem,
-    configurations: Sequence[Configuration],
-    *,
-    z: Float[Array, " n_p"],
-    at: Evaluation,
-    linear: LinearModel,
-    quantile: float,
-    which: Sequence[int],
+def _first_order_holds(
+    fitted: Fitted, quantile: float, which: Sequence[int]
 ) -> list[bool]:
     """Check the cost at both ends of the first-order intervals of parameters.
 
@@ -87,27 +96,32 @@ def first_order_holds(
     the others took one more Gauss-Newton step: the first shows a valley that bends, the
     second one whose floor falls off. One evaluation for each end, all side by side.
 
-    Args:
-        problem: The calibration.
-        configurations: The configurations that were fitted.
-        z: Where the fit ended, scaled [-].
-        at: Evaluation there.
-        linear: Its linear model, in units of the noise.
-        quantile: Standard errors between the fit and an end [-].
-        which: Indices of the parameters; each must have a standard error.
-
     Raises:
         LowerCostFound: If the cost is lower at an end than at the fit.
     """
+    result, problem, configurations, at = fitted
+    linear = result.linear.of_fit()
+
+    def about(z: Float[Array, " n_p"], there: Evaluation) -> LinearModel:
+        model = linear_model(
+            problem,
+            configurations,
+            z=z,
+            W_ep=there.response.W_ep,
+            ok=there.response.ok,
+            delta_e=there.delta_e,
+            rows=there.rows,
+        )
+        return model.with_scale(linear.scale)
+
     sides = [(column, sign) for column in which for sign in (-1, 1)]
     lanes = len(sides) * len(configurations)
     with Workers(problem.model, max(lanes, 1)) as workers:
-        evaluate = Evaluator(problem, workers)
         fit = _Checked(
-            evaluate=evaluate,
-            about=partial(_about, problem, configurations, linear.scale),
+            evaluate=Evaluator(problem, workers),
+            about=about,
             space=problem.space,
-            z=np.asarray(z),
+            z=np.asarray(result.z),
             at=at,
             linear=linear,
             quantile=quantile,
@@ -116,28 +130,8 @@ def first_order_holds(
     return [low and high for low, high in zip(ends[::2], ends[1::2], strict=True)]
 
 
-def _about(
-    problem: CalibrationProblem,
-    configurations: Sequence[Configuration],
-    scale: float,
-    z: Float[Array, " n_p"],
-    there: Evaluation,
-) -> LinearModel:
-    """Return the linear model about other scaled parameters."""
-    model = linear_model(
-        problem,
-        configurations,
-        z=z,
-        W_ep=there.response.W_ep,
-        ok=there.response.ok,
-        delta_e=there.delta_e,
-        rows=there.rows,
-    )
-    return model.with_scale(scale)
-
-
 def _end_holds(fit: _Checked, column: int, sign: int) -> bool:
-    """Check one end."""
+    """Check one end; see `_first_order_holds`."""
     space, linear = fit.space, fit.linear
     covariance = linear.covariance()
     free = linear.known
@@ -180,23 +174,9 @@ def _breaks_order(space, z: HostArray) -> bool:
     return bool(np.any(A @ z > b) or crossed)
 
 
-LEVEL = 0.95
-"""Confidence of intervals unless another one is asked for [-]."""
-
-MOST_RETURNS = 3
-"""How often a calibration goes on from a lower cost that a profile has found."""
-
-
-class Fitted(NamedTuple):
-    """A calibration at its end, and what its intervals are computed from."""
-
-    result: CalibrationResult
-    problem: CalibrationProblem
-    configurations: tuple[Configuration, ...]
-    evaluation: Evaluation
-
-
 GoOn = Callable[[Fitted, Float[Array, " n_p"]], Fitted]
+"""Continues a calibration from other scaled parameters."""
+
 Told = Callable[[CalibrationResult], None]
 
 
@@ -212,14 +192,9 @@ def with_intervals(
     """Give every parameter the interval that may be printed, or say why it has none.
 
     Where the cost at the ends of a first-order interval is that of its parabola, see
-    `first_order_holds`, that interval is taken; elsewhere the profile of the likelihood
-    replaces it. Where either finds a lower cost, the calibration goes on from there.
-
-    Args:
-        fitted: The calibration.
-        level: Confidence [-].
-        go_on: Continues a calibration from other scaled parameters.
-        told: Called with the result so far before profiles are computed.
+    `_first_order_holds`, that interval is taken; elsewhere the profile of the
+    likelihood replaces it, and before `told` is called with the result so far. Where
+    either finds a lower cost, the calibration goes on from there.
     """
     first = fitted.result
     with Clock() as clock:
@@ -253,7 +228,7 @@ def _settled(
             other = go_on(fitted, lower.z)
         # Where the noise follows the motion, each fit has weights of its own.
         problem = without_names(fitted.problem)
-        cost = in_other_units(problem, other.result.z, other.evaluation).cost
+        cost = weighed(problem, other.result.z, other.evaluation.response).cost
         if not (other.result.converged and float(cost) < float(fitted.evaluation.cost)):
             break
         fitted = other._replace(result=_with_optimum(other.result))
@@ -276,13 +251,8 @@ def _none(fitted: Fitted, level: float, why: str) -> list[ParameterInterval]:
 
 
 def _intervals(fitted: Fitted, level: float, told: Told) -> list[ParameterInterval]:
-    """Find the interval of every parameter.
-
-    Raises:
-        LowerCostFound: If a cost is lower than that of the calibration.
-    """
-    result, problem, configurations, at = fitted
-    spread = result.uncertainty
+    """Find the interval of every parameter, or raise `LowerCostFound`."""
+    result, spread = fitted.result, fitted.result.uncertainty
     if not result.converged:
         return _none(fitted, level, "the calibration did not converge")
     if not np.isfinite(spread.noise_scale):
@@ -292,58 +262,38 @@ def _intervals(fitted: Fitted, level: float, told: Told) -> list[ParameterInterv
     std = np.sqrt(np.diag(spread.covariance))
     known = np.flatnonzero(np.isfinite(std)).tolist()
     bent = np.flatnonzero(spread.at_bound).tolist()
-    quantile = quantile_of(result, level)
+    quantile = _quantile(result, level)
     if spread.noise_scale <= EXACT:
         # The ends are closer to the fit than the equilibria are exact.
         straight, bent = known, []
     else:
-        holds = first_order_holds(
-            problem,
-            configurations,
-            z=result.z,
-            at=at,
-            linear=result.linear.of_fit(),
-            quantile=quantile,
-            which=known,
-        )
+        holds = _first_order_holds(fitted, quantile, known)
         checked = list(zip(known, holds, strict=True))
         straight = [column for column, good in checked if good]
         bent += [column for column, good in checked if not good]
-    found: dict[int, ParameterInterval] = {}
+    intervals = _none(fitted, level, "the data do not determine it")
+    for column in np.flatnonzero(spread.at_bound):
+        why = "it ended on a bound, and the residuals show no noise"
+        intervals[column] = replace(intervals[column], why=why)
     for column in straight:
-        reach = float(quantile * std[column])
-        ends = ProfileEnd(reach, "likelihood"), ProfileEnd(reach, "likelihood")
-        found[column] = whole_interval(result, column, level, ends, first_order=True)
-    profiles = []
+        end = ProfileEnd(float(quantile * std[column]), "likelihood")
+        intervals[column] = _whole(result, column, level, (end, end), first_order=True)
     if bent:
         told(result)
         profiles = profile_ends(
-            problem,
+            fitted.problem,
             result.settings,
             z=result.z,
-            rows=at.rows,
+            rows=fitted.evaluation.rows,
             rise=quantile * spread.noise_scale,
             which=bent,
         )
-    for column, ends in zip(bent, profiles, strict=True):
-        found[column] = whole_interval(result, column, level, ends)
-    for column in range(len(std)):
-        if column not in found:
-            found[column] = _no(fitted, column, level, _blind(result, column))
-    return [found[column] for column in range(len(std))]
+        for column, ends in zip(bent, profiles, strict=True):
+            intervals[column] = _whole(result, column, level, ends)
+    return intervals
 
 
-def _blind(result: CalibrationResult, column: int) -> str:
-    if result.uncertainty.at_bound[column]:
-        return "it ended on a bound, and the residuals show no noise"
-    return "the data do not determine it"
-
-
-def _no(fitted: Fitted, column: int, level: float, why: str) -> ParameterInterval:
-    return no_interval(fitted.problem.space.parameters[column], level=level, why=why)
-
-
-def quantile_of(result: CalibrationResult, level: float) -> float:
+def _quantile(result: CalibrationResult, level: float) -> float:
     """Return how many standard errors chance allows: normal, or Student's t [-]."""
     spread, tail = result.uncertainty, 0.5 * (1.0 + level)
     if spread.noise == "stated":
@@ -361,7 +311,7 @@ def _considered_error(result: CalibrationResult, column: int) -> float:
     return float(np.nan_to_num(np.linalg.norm(moved)))
 
 
-def whole_interval(
+def _whole(
     result: CalibrationResult,
     column: int,
     level: float,
@@ -386,10 +336,6 @@ def whole_interval(
     return interval_between(own, z, wider, level=level, first_order=first_order)
 
 
-SAME_COST = 1e-4
-"""Relative difference of costs that cannot be of the same configurations [-]."""
-
-
 def profile_intervals(
     result: CalibrationResult,
     configurations: Configuration | Sequence[Configuration],
@@ -400,18 +346,14 @@ def profile_intervals(
     """Find confidence intervals from the likelihood itself, not its linearisation.
 
     `calibrate` does this by itself for parameters whose standard error does not hold,
-    see its `intervals`; this is for another level, or to compare. Value +- 1.96
-    standard errors holds where the errors are linear in the parameters over that range.
-    Where the data determine a parameter only to a third of its value or worse, they are
-    not. Here a parameter is moved away from the fit and held, all
-    others are calibrated again, and the interval ends where the squared errors have
-    risen by what chance allows (Bates and Watts, Nonlinear Regression Analysis, 1988,
-    sec. 6.1). It need not be symmetric, and may end at a bound that the data do not
-    exclude. What is held fixed and may be wrong adds to the distance of each end, in
-    squares, as it does to the standard error (see `ErrorBudget`). The confidence is
-    that of each interval alone, not of all together, and other optima than the fit are
-    not searched for. Each end takes a few calibrations from near their optimum, and is
-    nan if they do not converge.
+    see its `intervals`; this is for another level, or to compare. A parameter is moved
+    away from the fit and held, all others are calibrated again, and the interval ends
+    where the squared errors have risen by what chance allows (Bates and Watts,
+    Nonlinear Regression Analysis, 1988, sec. 6.1). It need not be symmetric, and may
+    end at a bound that the data do not exclude. What is held fixed and may be wrong
+    adds to the distance of each end, in squares (see `ErrorBudget`). The confidence is
+    that of each interval alone, and other optima than the fit are not searched for.
+    Each end takes a few calibrations, and is nan if they do not converge.
 
     Args:
         result: A calibration that converged.
@@ -441,7 +383,12 @@ def profile_intervals(
     for name in names:
         if name not in space.names:
             raise unknown_name("parameter", name, space.names)
-    rise = _rise(result, level)
+    spread = result.uncertainty
+    if spread.noise == "estimated" and spread.degrees_of_freedom < 1:
+        raise ValueError(
+            "the noise cannot be estimated without more measured coordinates than "
+            'parameters: calibrate with noise = "stated", or add measurements.'
+        )
     configurations = as_sequence(configurations)
     fitted = [f.name for f in result.configurations if f.role == "calibration"]
     if [c.name for c in configurations] != fitted:
@@ -451,8 +398,7 @@ def profile_intervals(
         )
     problem = build_problem(result.model, space, configurations, result.newton)
     problem = problem.with_noise(result.noise)
-    with Workers(problem.model, len(problem.configurations.gravity)) as workers:
-        now = Evaluator(problem, workers).from_rest(result.z)
+    now = evaluate(problem, result.z)
     check_converged(now.equilibrium, tuple(c.name for c in configurations))
     cost, before = float(now.cost), result.history[-1].cost
     if not abs(cost - before) <= SAME_COST * before + 1e-9:
@@ -460,29 +406,19 @@ def profile_intervals(
             f"the fit has a cost of {before:.6g}, but {cost:.6g} with these "
             "configurations: give those that were calibrated, with their measurements."
         )
+    columns = [space.names.index(name) for name in names]
     ends = profile_ends(
         problem,
         result.settings,
         z=result.z,
         rows=now.rows,
-        rise=rise,
-        which=[space.names.index(name) for name in names],
+        rise=spread.noise_scale * _quantile(result, level),
+        which=columns,
     )
     return tuple(
-        whole_interval(result, space.names.index(name), level, pair)
-        for name, pair in zip(names, ends, strict=True)
+        _whole(result, column, level, pair)
+        for column, pair in zip(columns, ends, strict=True)
     )
-
-
-def _rise(result: CalibrationResult, level: float) -> float:
-    """Return the root of the rise of the squared errors that chance allows."""
-    spread, estimated = result.uncertainty, result.uncertainty.noise == "estimated"
-    if estimated and spread.degrees_of_freedom < 1:
-        raise ValueError(
-            "the noise cannot be estimated without more measured coordinates than "
-            'parameters: calibrate with noise = "stated", or add measurements.'
-        )
-    return spread.noise_scale * quantile_of(result, level)
 
 
 def interval_between(
@@ -493,15 +429,7 @@ def interval_between(
     level: float,
     first_order: bool = False,
 ) -> ParameterInterval:
-    """Make the interval of a parameter from the distances of its ends.
-
-    Args:
-        own: The parameter.
-        z: Its scaled value [-].
-        ends: Its lower and its upper end.
-        level: Confidence [-].
-        first_order: Whether the ends are those of a standard error.
-    """
+    """Make the interval of a parameter from its lower and its upper end."""
     low, high = ends
     kind, why = _kind(low, high, own, z, first_order)
     return ParameterInterval(
@@ -531,9 +459,7 @@ def _kind(low, high, own: Parameter, z, first_order: bool) -> tuple[IntervalKind
         for end, sign, side in ((low, -1.0, "below"), (high, 1.0, "above")):
             if end.why == "likelihood":
                 value = float(own.from_scaled(z + sign * end.distance))
-                factor, unit = readable_unit([value], own.unit)
-                text = f"{factor * value:.4g} {unit}".rstrip()
-                why += f" (the end {side} is {text})"
+                why += f" (the end {side} is {readable_values([value], own.unit)})"
         return "none", why
     if found == ["bound", "bound"]:
         return "none", "the data exclude no value within its bounds"

@@ -9,7 +9,7 @@ from scipy.special import chdtrc
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax._units import readable_unit
+from softcal_jax._units import readable_values
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.calibration._configuration_result import ConfigurationResult
 from softcal_jax.calibration._problem import CalibrationProblem, n_measured
@@ -106,22 +106,24 @@ class ResidualChecks(Module):
                 "load and supports, or the law."
             )
         allowed = UNLIKELY / max(len(self.left_out), 1)
-        for own in self.left_out:
-            far = own.rms > FAR * own.motion and own.by_scatter < UNLIKELY
-            if own.probability < allowed or far:
-                share = f", {100.0 * own.rms / own.motion:.0f} % of how far they moved"
+        for pose in self.left_out:
+            far = pose.rms > FAR * pose.motion and pose.by_scatter < UNLIKELY
+            if pose.probability < allowed or far:
+                share = ""
+                if pose.motion > 0.0:
+                    percent = 100.0 * pose.rms / pose.motion
+                    share = f", {percent:.0f} % of how far they moved"
                 reasons.append(
-                    f"{own.name} is not predicted by the others: its markers would be "
-                    f"{1e3 * own.rms:.2f} mm off{share * bool(own.motion > 0.0)}, and "
-                    f"{1e3 * own.expected:.2g} mm is what errors explain."
+                    f"{pose.name} is not predicted by the others: its markers would be "
+                    f"{1e3 * pose.rms:.2f} mm off{share}, and {1e3 * pose.expected:.2g}"
+                    " mm is what errors explain."
                 )
         for one in disagreeing(self.recordings):
-            factor, unit = readable_unit([one.fit], one.unit)
+            value, fit = (readable_values([v], one.unit) for v in (one.value, one.fit))
             reasons.append(
-                f"{one.recording} alone gives {one.parameter} = "
-                f"{factor * one.value:.4g} {unit}".rstrip()
-                + f", {abs(one.apart):.1f} standard errors from the fit's "
-                f"{factor * one.fit:.4g}: they contradict each other."
+                f"{one.recording} alone gives {one.parameter} = {value}, "
+                f"{abs(one.apart):.1f} standard errors from the fit's {fit}: they "
+                "contradict each other."
             )
         return tuple(reasons)
 
@@ -139,43 +141,30 @@ def residual_checks(
     spread: Uncertainty,
     fits: Sequence[ConfigurationResult],
 ) -> ResidualChecks:
-    """Check a fit by its residuals.
-
-    Args:
-        linear: The fit, without what was held out.
-        configurations: The fitted configurations.
-        effectors: Their effectors.
-        spread: Uncertainty by the noise.
-        fits: Fits of the configurations.
-    """
+    """Check a fit by its residuals, without what was held out."""
     weight, estimated = np.asarray(effectors.inverse_std), spread.noise == "estimated"
     names, test = tuple(c.name for c in configurations), None
     if estimated and spread.has_noise:
         shared, pose = _shared_errors(weight, effectors.nodes.shape[-2], fits)
         test = lack_of_fit(linear, shared[weight.ravel() > 0.0], pose)
-    predicted: tuple[LeftOut, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
     if len(names) >= FEWEST and (spread.has_noise or not estimated):
-        by_scatter = [None] * len(names)
+        of = spread.degrees_of_freedom if estimated else None
+        by_scatter = [float("nan")] * len(names)
         if test is not None:
-            by_scatter = predicted_by_others(linear.with_jitter(test.jitter))
-        predicted = tuple(
-            _left_out(
-                fit,
-                prediction,
-                weight[c],
-                of=spread.degrees_of_freedom if estimated else None,
-                by_scatter=_by_scatter(other, test),
-            )
-            for c, (fit, prediction, other) in enumerate(
-                zip(fits, predicted_by_others(linear), by_scatter, strict=True)
-            )
-        )
+            others = predicted_by_others(linear.with_jitter(test.jitter))
+            by_scatter = [
+                chance(other.chi_squared, other.degrees_of_freedom, of=test.within)
+                for other in others
+            ]
+        each = zip(fits, predicted_by_others(linear), weight, by_scatter, strict=True)
+        left_out = tuple(_left_out(*one, of=of) for one in each)
     level = probability = float("nan")
     if estimated and spread.has_noise and all(c.states_noise for c in configurations):
         level = spread.noise_scale
         dof = jitter_freedom(linear.with_jitter(1.0))
         probability = float(chdtrc(dof, dof * level**2))
-    return ResidualChecks(names, test, predicted, level=level, probability=probability)
+    return ResidualChecks(names, test, left_out, level=level, probability=probability)
 
 
 def _shared_errors(
@@ -188,33 +177,22 @@ def _shared_errors(
     For each configuration the offsets of its points along the axes, and its motion as
     simulated: the measured one holds the errors that are tested.
     """
-    columns, of = [], []
+    columns = np.zeros((len(fits), 4, *weight.shape))
     for c, fit in enumerate(fits):
-        own = np.zeros((4, *weight.shape))
-        own[[0, 1, 2], c, :n_points, [0, 1, 2]] = weight[c, :n_points].T
+        columns[c, [0, 1, 2], c, :n_points, [0, 1, 2]] = weight[c, :n_points].T
         for e in fit.points:
             moved = np.where(e.seen, e.simulated - e.at_rest, 0.0)
-            own[3, c, e.index] = weight[c, e.index] * moved
-        columns += list(own.reshape(4, -1))
-        of += [c] * 4
-    return np.stack(columns, axis=1), np.array(of)
-
-
-def _by_scatter(prediction: PosePrediction | None, test: LackOfFit | None) -> float:
-    """Return the chance of a prediction by the noise within configurations."""
-    if prediction is None or test is None:
-        return float("nan")
-    squares, dof = prediction.chi_squared, prediction.degrees_of_freedom
-    return chance(squares, dof, of=test.within)
+            columns[c, 3, c, e.index] = weight[c, e.index] * moved
+    return columns.reshape(-1, weight.size).T, np.repeat(np.arange(len(fits)), 4)
 
 
 def _left_out(
     fit: ConfigurationResult,
     prediction: PosePrediction,
     weight: Float[HostArray, "n_rows 3"],
+    by_scatter: float,
     *,
     of: int | None,
-    by_scatter: float,
 ) -> LeftOut:
     """Describe a prediction in metres."""
     seen = weight > 0.0
@@ -224,29 +202,13 @@ def _left_out(
         rows[seen] = values / weight[seen]
         squares = [np.sum(rows[e.index] ** 2) for e in fit.points]
         rms.append(float(np.sqrt(np.mean(squares))) if squares else float("nan"))
-    return LeftOut(
-        name=fit.name,
-        rms=rms[0],
-        expected=rms[1],
-        motion=fit.motion,
-        probability=chance(
-            prediction.chi_squared,
-            prediction.degrees_of_freedom,
-            of=of,
-            jitter_is_of_all=True,
-        ),
-        by_scatter=by_scatter,
-    )
+    squares, dof = prediction.chi_squared, prediction.degrees_of_freedom
+    probability = chance(squares, dof, of=of, jitter_is_of_all=True)
+    return LeftOut(fit.name, *rms, fit.motion, probability, by_scatter)
 
 
 EQUAL = 1e-6
 """Difference of scaled parameters below which they count as equal [-]."""
-
-ROUGH = 0.3
-"""Relative standard error from which a linearised interval is only rough [-]."""
-
-ROUGH_SHARE = 0.1
-"""The same for a parameter on a linear scale, relative to its range [-]."""
 
 
 class CalibrationWarning(SoftcalWarning):
@@ -347,36 +309,23 @@ def order_notes(space: ParameterSpace, z: Float[Array, " n_p"]) -> list[str]:
 
 
 def uncertainty_notes(problem: CalibrationProblem, spread: Uncertainty) -> list[str]:
-    """Say which standard errors are missing or rough, and what they rest on."""
-    space, dof = problem.space, spread.degrees_of_freedom
-    names, std = np.array(space.names), np.sqrt(np.diag(spread.covariance))
+    """Say which standard errors are missing, and what the others rest on."""
+    dof = spread.degrees_of_freedom
+    names, std = np.array(problem.space.names), np.sqrt(np.diag(spread.covariance))
     notes = [
         f"{name} ended on a bound: widen it, or the model cannot match the data. It "
         "has no standard error."
         for name in names[spread.at_bound]
     ]
-    held, free = names[spread.at_bound], names[~spread.at_bound & np.isfinite(std)]
-    if len(held) and len(free):
-        notes.append(
-            f"Standard errors of {', '.join(free)} hold with {', '.join(held)} kept on "
-            "the bound, and are larger without it."
-        )
     undetermined = np.isnan(std) & ~spread.at_bound
     if np.any(undetermined):
-        blind = ", ".join(names[undetermined])
-        why, remedy = "the data cannot tell them apart", "Add measurements."
+        blind, why = ", ".join(names[undetermined]), "the data cannot tell them apart"
         if dof <= 0:
             why = (
-                "more measured coordinates than parameters are needed, and there are "
-                f"{dof} to spare"
+                f"there are {dof} more measured coordinates than parameters, too few "
+                'to estimate the noise; with noise = "stated" it is taken as it is'
             )
-            if spread.noise == "estimated":
-                why = f"to estimate the noise from the residuals, {why}"
-                remedy = (
-                    "Add measurements, or state the `std` of the markers and take it "
-                    'as it is with noise = "stated".'
-                )
-        notes.append(f"No standard error for {blind}: {why}. {remedy}")
+        notes.append(f"No standard error for {blind}: {why}. Add measurements.")
     elif spread.noise == "estimated":
         notes.append(
             f"Standard errors rest on the noise estimated from the residuals ({dof} "
@@ -389,15 +338,6 @@ def uncertainty_notes(problem: CalibrationProblem, spread: Uncertainty) -> list[
             "match the data that well, or the noise is larger than stated; standard "
             "errors are too small."
         )
-    # Too poorly determined for linearised standard errors.
-    ranges = np.asarray(space.upper() - space.lower())
-    log = np.array([q.scale == "log" for q in space.parameters])
-    rough = std > np.where(log, ROUGH, ROUGH_SHARE * ranges)
-    if np.any(rough):
-        notes.append(
-            f"The data determine {', '.join(names[rough])} so badly that value +- 1.96 "
-            "standard errors is only rough; intervals by the likelihood itself hold."
-        )
     return notes
 
 
@@ -408,8 +348,7 @@ def warn_if_locking(model: Model, space: ParameterSpace) -> None:
     for parameter in space.parameters:
         if parameter.field.split(".")[-1] == "nu" and float(parameter.upper) >= 0.49:
             warnings.warn(
-                f"parameter {parameter.name!r} may reach nu = "
-                f"{float(parameter.upper):g}, "
+                f"parameter {parameter.name!r} may reach nu = {parameter.upper:g}, "
                 'where the formulation "displacement" locks: build the model with '
                 'formulation="mean-dilatation", or lower the bound below 0.49.',
                 CalibrationWarning,
@@ -426,9 +365,8 @@ def warn_if_too_few_data(problem: CalibrationProblem) -> None:
         without = " without a prior" if problem.space.has_prior else ""
         warnings.warn(
             f"{wanted} parameters{without} but only {measured} measured coordinates: "
-            f"at least {wanted - measured} more are missing (another marker gives 3, "
-            "another configuration as many as it has markers times 3). The fit is not "
-            "unique.",
+            f"at least {wanted - measured} more are missing (a marker gives 3 in each "
+            "configuration). The fit is not unique.",
             CalibrationWarning,
             stacklevel=4,
         )

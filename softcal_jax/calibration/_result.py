@@ -22,7 +22,6 @@ from softcal_jax.inference import ErrorBudget, LinearModel, Uncertainty
 MOST_OPTIMA = 5
 """Most optima that are listed; the others are only counted."""
 
-
 SKEWED = 1.8
 """Ratio of the halves of an interval from which it is no value +- error [-].
 
@@ -62,15 +61,10 @@ class ParameterInterval(Module):
     kind: IntervalKind = "profile"
     why: str = ""
 
-    @property
-    def is_any_angle(self) -> bool:
-        """Whether it is a whole turn of an axis."""
-        turn = self.unit == "rad" and np.isclose(self.upper - self.lower, np.pi)
-        return bool(turn) and self.lower_end == self.upper_end == "bound"
-
     def __str__(self) -> str:
         """Write its ends in a readable unit, or why there are none, in one line."""
-        if self.is_any_angle:
+        turn = self.unit == "rad" and np.isclose(self.upper - self.lower, np.pi)
+        if turn and self.lower_end == self.upper_end == "bound":
             return "any angle"
         if self.kind == "none":
             return self.why
@@ -153,7 +147,7 @@ def parameter_estimates(
     return tuple(
         ParameterEstimate(
             name=parameter.name,
-            value=float(value),
+            value=float(values[i]),
             standard_error=float(errors[i]),
             start=float(before[i]),
             lower=float(parameter.lower),
@@ -162,9 +156,7 @@ def parameter_estimates(
             at_bound=bool(spread.at_bound[i]),
             given=() if spread.at_bound[i] else held,
         )
-        for i, (parameter, value) in enumerate(
-            zip(space.parameters, values, strict=True)
-        )
+        for i, parameter in enumerate(space.parameters)
     )
 
 
@@ -219,6 +211,11 @@ class Optimum(Module):
     values: dict[str, float]
     starts: tuple[int, ...]
 
+    @property
+    def words(self) -> str:
+        """Its parameters, like "E 1.5e+05, nu 0.45"."""
+        return ", ".join(f"{name} {value:.4g}" for name, value in self.values.items())
+
 
 class MultiStartResult(Module):
     """Result of a search from many starts.
@@ -252,40 +249,26 @@ class MultiStartResult(Module):
         """Index of the lowest cost, among the converged runs if any is."""
         return best_of(self.cost, self.converged)
 
-    @property
-    def second_best(self) -> Optimum | None:
-        """The optimum with the lowest cost after the best; None if there is none."""
-        return self.optima[1] if len(self.optima) > 1 else None
-
     def __str__(self) -> str:
         """Write one line per optimum, the best few, and the runs that found none."""
-        n, second = len(self.cost), self.second_best
+        n, n_converged = len(self.cost), int(self.converged.sum())
         lines = [
-            f"{n} starts, {int(self.converged.sum())} converged, "
-            f"{len(self.optima)} distinct optima."
+            f"{n} starts, {n_converged} converged, {len(self.optima)} distinct optima."
         ]
-        if second is not None:
-            higher = second.cost - self.optima[0].cost
-            lines.append(f"  The second-best costs {higher:.3g} more than the best.")
         for best in self.optima[:MOST_OPTIMA]:
-            values = ", ".join(f"{k} {v:.4g}" for k, v in best.values.items())
             origin = f"from {len(best.starts)} starts" if best.starts else "on the way"
-            lines.append(f"  cost {best.cost:.3g} {origin}: {values}")
+            lines.append(f"  cost {best.cost:.3g} {origin}: {best.words}")
         if len(self.optima) > MOST_OPTIMA:
             lines.append(f"  and {len(self.optima) - MOST_OPTIMA} more.")
-        unfinished = np.flatnonzero(~self.converged & np.isfinite(self.cost))
-        if unfinished.size:
+        lost = np.isinf(self.cost)
+        unfinished = ~self.converged & ~lost
+        if unfinished.any():
+            lowest = self.cost[unfinished].min()
             lines.append(
-                f"  {unfinished.size} not converged (starts "
-                f"{', '.join(map(str, unfinished))}), lowest cost "
-                f"{self.cost[unfinished].min():.3g}."
+                f"  {unfinished.sum()} not converged, lowest cost {lowest:.3g}."
             )
-        lost = np.flatnonzero(np.isinf(self.cost))
-        if lost.size:
-            lines.append(
-                f"  {lost.size} without equilibrium at the start (starts "
-                f"{', '.join(map(str, lost))})."
-            )
+        if lost.any():
+            lines.append(f"  {lost.sum()} without equilibrium at the start.")
         return "\n".join(lines)
 
 
@@ -356,18 +339,19 @@ class CalibrationResult(Result):
     def __str__(self) -> str:
         """Write the parameters, the fits and the notes, in a few lines."""
         lines = [f"Calibration {self._end}."]
-        lines += [
-            f"  {p.name} = {p.value:.5g}{_plus_minus(p)} {p.unit} "
-            f"(start {p.start:.5g}, bounds {p.lower:.5g} to {p.upper:.5g})"
-            for p in self.parameters
-        ]
+        for p in self.parameters:
+            error = f" +- {p.standard_error:.2g}" if p.is_symmetric else ""
+            lines.append(
+                f"  {p.name} = {p.value:.5g}{error} {p.unit} "
+                f"(start {p.start:.5g}, bounds {p.lower:.5g} to {p.upper:.5g})"
+            )
         lines += [f"  {line}" for line in str(self.budget).splitlines()]
         lines += [
             f"  {100 * i.level:g} % interval of {i.name}: {i} ({i.kind})"
             for i in self.intervals
         ]
         lines += [f"  {fit}" for fit in self.configurations]
-        if self.starts is not None and self.starts.second_best is not None:
+        if self.starts is not None and len(self.starts.optima) > 1:
             lines += [f"  {line}" for line in str(self.starts).splitlines()]
         if self.checks is not None:
             lines += [f"  {line}" for line in self.checks.agreement]
@@ -384,7 +368,3 @@ class CalibrationResult(Result):
         if name not in values:
             raise unknown_name("parameter", name, values)
         return values[name]
-
-
-def _plus_minus(own: ParameterEstimate) -> str:
-    return f" +- {own.standard_error:.2g}" if own.is_symmetric else ""

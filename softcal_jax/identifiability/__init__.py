@@ -7,7 +7,6 @@ from softcal_jax.identifiability._assessment import (
     Tone,
     assess,
     end_of,
-    predict_spread,
     verdict_of,
 )
 from softcal_jax.identifiability._identify import identifiability, identify
@@ -52,7 +51,6 @@ __all__ = [
     "identifiability",
     "identify",
     "percent",
-    "predict_spread",
     "rank_configurations",
     "verdict_of",
 ]

@@ -59,15 +59,13 @@ def conditioning(
     W_ep W_pp^-1 with W_ep in metres, which depend on the scaling S of the parameters.
     The paper does not say how W_pp is stacked over configurations: here it is the sum
     of H_p K_c^-1 H_p^T, since all configurations share lambda_p and energies add up.
+    A condition number is infinite where a singular value is zero (to rounding): fewer
+    data than parameters, or a blind direction.
 
     Args:
         W: Compliances stacked over configurations, in units of the noise [-].
         W_ep: The same in metres [m].
         W_pp: Sum over configurations of H_p K_c^-1 H_p^T [J].
-
-    Returns:
-        The decomposition. A condition number is infinite where a singular value is zero
-        (to rounding): fewer data than parameters, or a blind direction.
     """
     if not np.all(np.isfinite(W)):
         raise ValueError(
@@ -76,12 +74,15 @@ def conditioning(
     _, singular, Vt = np.linalg.svd(W)
     peak = np.argmax(np.abs(Vt), axis=1)
     signs = np.sign(Vt[np.arange(len(Vt)), peak])
+    per_joule = np.nan
+    if W_ep is not None and W_pp is not None:
+        per_joule = _condition_per_joule(W_ep, W_pp)
     return Conditioning(
         singular_values=np.pad(singular, (0, W.shape[1] - len(singular))),
         directions=(signs[:, None] * Vt).T,
         condition_weighted=_condition(W),
         condition_W_ep=np.nan if W_ep is None else _condition(W_ep),
-        condition_W_ep_W_pp=_condition_per_joule(W_ep, W_pp),
+        condition_W_ep_W_pp=per_joule,
     )
 
 
@@ -95,11 +96,9 @@ def _condition(W: Float[HostArray, "n_e n_p"]) -> float:
 
 
 def _condition_per_joule(
-    W_ep: Float[HostArray, "n_e n_p"] | None, W_pp: Float[HostArray, "n_p n_p"] | None
+    W_ep: Float[HostArray, "n_e n_p"], W_pp: Float[HostArray, "n_p n_p"]
 ) -> float:
     """Compute the condition number of W_ep W_pp^-1; infinite for a singular W_pp."""
-    if W_ep is None or W_pp is None:
-        return np.nan
     size = np.sqrt(np.maximum(np.diag(W_pp), 0.0))
     if not np.all(size > 0.0):
         return np.inf
@@ -181,8 +180,7 @@ class Spread(Module):
     def along(self, rows: Float[HostArray, "n n_p"]) -> Float[HostArray, " n"]:
         """Return standard errors of linear functions of the parameters [-].
 
-        Args:
-            rows: Their derivatives by the parameters, in units of the asked errors.
+        `rows` are their derivatives by the parameters, in units of the asked errors.
         """
         size = np.linalg.norm(rows, axis=1)
         astray = np.linalg.norm(rows @ self.unseen.T, axis=1) > RANK * size
@@ -201,11 +199,8 @@ def spread_of(linear: LinearModel) -> Spread:
 
     That of the noise and the priors, C, plus D D^T with D = -G W_c of the errors that
     are considered, as in `ErrorBudget`. Bounds are no measurement: what neither data
-    nor prior see has no finite error.
-
-    Args:
-        linear: The fit, its unknowns in units of their asked standard errors, so that
-            moduli and angles are comparable.
+    nor prior see has no finite error. Unknowns are in units of their asked standard
+    errors, so that moduli and angles are comparable.
     """
     seen = linear.solution
     moved = -linear.pull() @ linear.considered.values
@@ -218,9 +213,6 @@ def information(linear: LinearModel) -> Float[HostArray, "n_p n_p"]:
 
     W^T U (I + B B^T)^-1 U^T W with whitened W = U S V^T and B = U^T W_c, which exists
     where the covariance does not.
-
-    Args:
-        linear: The fit, in the units of `spread_of`.
     """
     fit = linear.of_fit()
     W, W_c = (fit.whiten(x) / fit.scale for x in (fit.W, fit.considered.values))
@@ -259,14 +251,9 @@ def named_directions(spread: Spread, names: Sequence[str]) -> tuple[Direction, .
     directions = []
     for row in np.argsort(ratios, kind="stable"):
         v = rows[row] * np.sign(rows[row, np.argmax(np.round(np.abs(rows[row]), 6))])
-        directions.append(
-            Direction(
-                components=v,
-                ratio=float(ratios[row]),
-                verdict=verdict(float(ratios[row])),
-                words=direction_words(v, names),
-            )
-        )
+        ratio = float(ratios[row])
+        words = direction_words(v, names)
+        directions.append(Direction(v, ratio, verdict(ratio), words))
     return tuple(directions)
 
 
@@ -421,8 +408,8 @@ class Identifiability(Result):
             return ()
         missing, first = self.n_parameters - self.n_data, ""
         if missing > 0:
-            several = "s are" if missing > 1 else " is"
-            first = f"At least {missing} more measured coordinate{several} needed. "
+            more = f"{missing} more measured coordinate{'s' * (missing > 1)}"
+            first = f"It takes at least {more}. "
         return (
             f"{first}What to do: another configuration (load, orientation, other end "
             "clamped), more markers, or less noise; ranking candidates tells which "
@@ -437,18 +424,16 @@ class Identifiability(Result):
             f"Errors of the {cause} are not among these: their size is not known here."
             for cause in self.unknown
         ]
-        blind = self.blind
-        if blind:
+        worst_first = self.blind[::-1]
+        if worst_first:
             lines.append(
-                f"The data hardly see {len(blind)} of {n_p} "
+                f"The data hardly see {len(worst_first)} of {n_p} "
                 f"direction{'s' * (n_p != 1)} (standard error over the asked one):"
             )
-            lines += [
-                f"  {d.words} ({percent(d.ratio)})"
-                for d in blind[: -MOST_SHOWN - 1 : -1]
-            ]
-            if len(blind) > MOST_SHOWN:
-                lines.append(f"  and {len(blind) - MOST_SHOWN} more.")
+            shown = worst_first[:MOST_SHOWN]
+            lines += [f"  {d.words} ({percent(d.ratio)})" for d in shown]
+            if len(worst_first) > MOST_SHOWN:
+                lines.append(f"  and {len(worst_first) - MOST_SHOWN} more.")
         if self.has_prior:
             lines.append(
                 f"The data tell more than the prior along {self.informed} of {n_p} "
