@@ -17,16 +17,18 @@ from softcal_jax.identifiability._ranking import (
     rank_configurations,
 )
 from softcal_jax.identifiability._result import (
+    Identifiability,
+    ParameterOutlook,
+    percent,
+)
+from softcal_jax.identifiability._spread import (
     IDENTIFIABLE_UP_TO,
     WEAK_UP_TO,
     Conditioning,
     Direction,
-    Identifiability,
-    ParameterOutlook,
     Spread,
     Verdict,
     conditioning,
-    percent,
 )
 
 __all__ = [
