@@ -326,7 +326,7 @@ def _failures(
 ) -> tuple[str, ...]:
     """Say why configurations have no equilibrium, or no regular tangent there."""
     failures = ["" if ok else RESULTS[RESULTS.singular] for ok in regular]
-    for c in np.flatnonzero(~np.asarray(solution.converged)):
+    for c in np.flatnonzero(~np.asarray(solution.converged)).tolist():
         failures[c] = RESULTS[lane_of(solution.result, c)]
     return tuple(failures)
 

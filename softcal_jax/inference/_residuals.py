@@ -65,15 +65,13 @@ def lack_of_fit(
 
     The jitter is that of the scatter within configurations, where neither parameters
     nor offsets nor shares of the motion reach. With it, offsets as stated and what is
-    considered, the rest is compared by an F test.
+    considered, the rest is compared by an F test. None where nothing is left on either
+    side.
 
     Args:
         linear: The fit.
         shared: What the coordinates of a configuration may share: offsets, its motion.
         pose: Configuration of each of these columns.
-
-    Returns:
-        The test; None where nothing is left on either side.
     """
     explained = span(np.concatenate([linear.W[:, ~linear.held], shared], axis=1))
     rest = linear.r - explained @ (explained.T @ linear.r)
@@ -111,9 +109,6 @@ def jitter_freedom(linear: LinearModel) -> float:
     They are 2 s^4 over the variance of that estimate (Satterthwaite, Biometrics
     Bulletin 2, 1946): all residuals tell of the jitter if they are independent, and
     those that offsets cover hardly do.
-
-    Args:
-        linear: The fit.
     """
     Q = span(np.concatenate([linear.W, linear.correlated.values], axis=1))
     within = linear.scale**2 * (Q.T @ linear.left(Q))
@@ -145,9 +140,6 @@ def predicted_by_others(linear: LinearModel) -> list[PosePrediction]:
     considered (block deletion: Cook and Weisberg, Residuals and Influence in
     Regression, 1982, sec. 3.5). An offset that the same recording shows elsewhere is
     taken off.
-
-    Args:
-        linear: The fit.
     """
     whole, followed = linear.errors_left(), linear.left(linear.considered.values)
     predictions = []
@@ -176,14 +168,13 @@ def predicted_by_others(linear: LinearModel) -> list[PosePrediction]:
 def chance(
     squares: float, n: int, *, of: int | None = None, jitter_is_of_all: bool = False
 ) -> float:
-    """Return the probability of a sum of squares as large.
+    """Return the probability of a sum of n squares as large, over their covariance.
 
     Args:
-        squares: Sum of n squares, over their covariance.
+        squares: The sum.
         n: Its degrees of freedom.
         of: Degrees of freedom of the jitter if it was estimated; None if stated.
-        jitter_is_of_all: Whether these squares are among those that it was estimated
-            from; they are taken out.
+        jitter_is_of_all: Whether it was from these squares too; they are taken out.
     """
     if n == 0:
         return float("nan")
@@ -254,16 +245,15 @@ def recording_estimates(
     (G_k E_k - G) times the errors, of which the covariance is that of the noise, and
     W_c W_c^T of what is considered.
 
+    None where the residuals show no noise, or fewer than two recordings determine a
+    parameter.
+
     Args:
         linear: The fit; rows of recordings that were held out among its rows.
         recordings: Recording of each configuration, None for those to leave out.
         space: The parameters.
         z: Where the fit ended, scaled [-].
         spread: Its uncertainty by the noise.
-
-    Returns:
-        Estimates of the parameters that two or more recordings determine; none where
-        the residuals show no noise.
     """
     names = [name for name in dict.fromkeys(recordings) if name is not None]
     if not spread.has_noise or len(names) < 2:
@@ -271,14 +261,9 @@ def recording_estimates(
     of_row = np.array(recordings, object)[linear.pose]
     whole = np.nan_to_num(linear.gain())
     by_prior = np.nan_to_num(linear.covariance()) * linear.prior_weights
-    per_error = np.concatenate(
-        [
-            linear.scale * np.eye(len(linear.r)),
-            linear.scale * linear.correlated.values,
-            linear.considered.values,
-        ],
-        axis=1,
-    )
+    jitter = np.eye(len(linear.r))
+    noise = linear.scale * np.concatenate([jitter, linear.correlated.values], axis=1)
+    per_error = np.concatenate([noise, linear.considered.values], axis=1)
     size = lambda L: np.linalg.norm(L @ per_error, axis=1)
     fits = np.asarray(space.from_scaled(jax.device_put(z)))
     slopes, asked, here = space.slopes(z), asked_errors(space, z), np.asarray(z)

@@ -91,12 +91,6 @@ class Uncertainty(Module):
             return float(2.0 * ndtr(-abs(apart)))
         return float(2.0 * stdtr(self.degrees_of_freedom, -abs(apart)))
 
-    @property
-    def correlation(self) -> Float[HostArray, "n_p n_p"]:
-        """Correlation of the parameters [-]."""
-        std = np.sqrt(np.diag(self.covariance))
-        return self.covariance / np.outer(std, std)
-
 
 def uncertainty(
     linear: LinearModel,
@@ -114,10 +108,13 @@ def uncertainty(
     Args:
         linear: The fit, with a `scale` of 1.
         noise: Where the noise comes from.
-        scale: s of an estimated noise where it is known already, see `weighed_fit` [-].
+        scale: s of an estimated noise where it is known already [-].
     """
     n = int(linear.fitted.sum())
-    dof = linear.n_data - _informed(linear)
+    informed = int(np.sum(~linear.held))
+    if np.any(linear.prior_weights):
+        informed = round(float(np.sum(linear.solution.basis[:n] ** 2)))
+    dof = linear.n_data - informed
     chi_squared = float(np.sum(linear.whitened().error[:n] ** 2))
     if noise == "stated":
         scale = 1.0
@@ -127,14 +124,6 @@ def uncertainty(
     if np.isfinite(scale):
         covariance = linear.with_scale(scale).covariance()
     return Uncertainty(covariance, noise, scale, dof, chi_squared, linear.held)
-
-
-def _informed(linear: LinearModel) -> int:
-    """Count the parameters that the data determine rather than the prior, rounded."""
-    if not np.any(linear.prior_weights):
-        return int(np.sum(~linear.held))
-    n = int(linear.fitted.sum())
-    return round(float(np.sum(linear.solution.basis[:n] ** 2)))
 
 
 LESS_NOISE = ": measure more poses, or with less noise"
@@ -178,8 +167,7 @@ class ErrorBudget(Module):
         noise: Covariance of the scaled parameters by the jitter of coordinates, and
             what the priors leave [-].
         causes: What else may be wrong, the largest first.
-        unknown: Causes that count, but whose size could not be estimated: "mesh" where
-            `mesh_errors` cannot tell.
+        unknown: Causes that count, but whose size could not be estimated, like "mesh".
     """
 
     names: tuple[str, ...]
@@ -208,11 +196,7 @@ class ErrorBudget(Module):
         return {name: self.slopes * np.sqrt(v) for name, v in variances.items()}
 
     def sentence(self, name: str) -> str:
-        """Say how uncertain a parameter is and why, like "noise 4 %, nu 31 %".
-
-        Args:
-            name: Name of the parameter.
-        """
+        """Say how uncertain a parameter is and why, like "noise 4 %, nu 31 %"."""
         i = self.names.index(name)
         total = self.standard_errors[i]
         if not np.isfinite(total):
@@ -220,10 +204,8 @@ class ErrorBudget(Module):
         errors = {cause: float(std[i]) for cause, std in self.by_cause().items()}
         shown = [c for c in errors if c == NOISE or errors[c] >= SMALL * total]
         shown.sort(key=lambda c: (c != NOISE, -errors[c]))
-        text = ", ".join(
-            f"{cause} {self.readable(i, errors[cause])}" for cause in shown
-        )
-        text += "".join(f", {cause} unknown" for cause in self.unknown)
+        parts = [f"{cause} {self.readable(i, errors[cause])}" for cause in shown]
+        text = ", ".join([*parts, *(f"{cause} unknown" for cause in self.unknown)])
         worst = max(errors, key=lambda c: errors[c])
         if worst == NOISE:
             return text + LESS_NOISE * (len(shown) > 1)
@@ -231,12 +213,7 @@ class ErrorBudget(Module):
         return f"{text}: {REMEDIES.get(names[0], f'measure {worst} first')}"
 
     def readable(self, i: int, std: float) -> str:
-        """Write an error in percent of the value; angles and offsets as they are.
-
-        Args:
-            i: Index of the parameter.
-            std: The error, in SI.
-        """
+        """Write an error of a parameter [SI]: in percent, but of angles and offsets."""
         value, unit = abs(float(self.values[i])), self.units[i]
         if unit in ("rad", "m") or value == 0.0:
             factor, shown = readable_unit([std], unit)
