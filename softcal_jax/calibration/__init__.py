@@ -25,11 +25,7 @@ from softcal_jax.calibration._noise import (
     correlated_noise,
 )
 from softcal_jax.calibration._notes import CalibrationWarning, LeftOut, ResidualChecks
-from softcal_jax.calibration._problem import (
-    CalibrationProblem,
-    n_measured,
-    without_names,
-)
+from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._profile import LowerCostFound, profile_ends
 from softcal_jax.calibration._qp import QPStep, bounded_step
 from softcal_jax.calibration._result import (
@@ -110,7 +106,6 @@ __all__ = [
     "levenberg_marquardt",
     "linear_model",
     "multi_start",
-    "n_measured",
     "profile_ends",
     "profile_intervals",
     "propose",
@@ -120,5 +115,4 @@ __all__ = [
     "simulated_measurements",
     "simulation_result",
     "synthetic_measurements",
-    "without_names",
 ]

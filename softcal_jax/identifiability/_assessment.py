@@ -27,9 +27,8 @@ class Prediction(Module):
     Attributes:
         name: Name of the configuration.
         role: Whether it was fitted or held out.
-        std: Standard error of its markers by that of the parameters, as a root mean
-            square distance like that of the residuals [m]; infinite where it depends on
-            parameters that nothing sees.
+        std: Standard error of its markers by that of the parameters, a root mean square
+            distance [m]; infinite where it depends on parameters that nothing sees.
     """
 
     name: str
@@ -62,11 +61,10 @@ class Assessment(Result):
     """Verdict on a calibration.
 
     Attributes:
-        identified: Whether all parameters may be trusted: the fit converged, the noise
-            settled beside it, its residuals are no larger than the stated noise, every
-            configuration, held out or not, is explained, no parameter sits on a bound,
-            no other optimum fits as well, tets do not lock, and every parameter is
-            known as well as was asked.
+        identified: Whether all parameters may be trusted: the fit and its noise
+            converged, its residuals are no larger than the stated noise, every
+            configuration is explained, no parameter sits on a bound, no other optimum
+            fits as well, tets do not lock, and all are known as well as was asked.
         reasons: Why not, one sentence each; empty if identified.
         misfit_probability: Probability of residuals this large if model and stated
             noise are right; None if the noise was estimated from them [-].
@@ -269,20 +267,18 @@ def end_of(result: CalibrationResult) -> str:
         return "The fit ended before its first step."
     settings, last = result.settings, result.history[-1]
     size = max(abs(step) for step in last.lambda_p)
-    if not result.converged:
-        if last.step >= settings.max_steps:
-            return f"The fit ended at max_steps = {settings.max_steps}."
-        return (
-            "The fit ended where every step was refused, though the cost still falls."
+    if not result.converged and last.step >= settings.max_steps:
+        where = f"at max_steps = {settings.max_steps}"
+    elif not result.converged:
+        where = "where every step was refused, though the cost still falls"
+    elif not last.accepted:
+        where = "where steps were refused and the cost is flat: its slope vanishes to "
+        where += f"{FLAT:g}"
+    elif size <= settings.tol:
+        where = f"as |lambda_p| = {size:.1e} is below {settings.tol:g}"
+    else:
+        where = (
+            f"as one more step, |lambda_p| = {size:.1e}, would lower the cost by less "
+            f"than {SMALLEST_FALL:g} of it"
         )
-    if not last.accepted:
-        return (
-            "The fit ended where steps were refused and the cost is flat: its slope "
-            f"vanishes to {FLAT:g}."
-        )
-    if size <= settings.tol:
-        return f"The fit ended as |lambda_p| = {size:.1e} is below {settings.tol:g}."
-    return (
-        f"The fit ended as one more step, |lambda_p| = {size:.1e}, would lower the "
-        f"cost by less than {SMALLEST_FALL:g} of it."
-    )
+    return f"The fit ended {where}."

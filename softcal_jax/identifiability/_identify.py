@@ -169,8 +169,8 @@ def identify(
         parameters: Parameters that would be calibrated, with start and bounds.
         configurations: Configurations with markers, of which `std` and `axes` are used;
             `measured` is ignored and may be missing.
-        at: Scaled values z to linearise at; the start by default. The `to_scaled` of a
-            `ParameterSpace` converts SI values [-].
+        at: Scaled values z to linearise at, see `ParameterSpace.to_scaled`; the start
+            by default [-].
         noise: Standard deviation of every measured coordinate; by default that of the
             markers [m].
         newton: Settings of the equilibrium.

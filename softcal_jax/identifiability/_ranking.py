@@ -43,10 +43,8 @@ class Gain(Module):
 
     Attributes:
         name: Name of the candidate.
-        d_gain: Twice the decrease of the log volume of the parameters' uncertainty,
-            log det(M + J) - log det M [nat].
-        e_gain: Increase of the smallest eigenvalue of M, in units of what the asked
-            standard error tells [-].
+        d_gain: log det(M + J) - log det M, see `rank_configurations` [nat].
+        e_gain: Increase of the smallest eigenvalue of M [-].
         blind_left: Number of directions that it leaves unidentifiable.
         parameter: Parameter whose standard error falls most, relative to the asked one.
         before: Its standard error without the candidate, in SI; infinite where nothing
@@ -197,8 +195,8 @@ def rank_configurations(
         model: The model.
         parameters: Parameters that are, or would be, calibrated.
         configurations: Configurations measured already; may be empty.
-        candidates: Configurations that might be measured, with any loads, orientation,
-            supports and markers, and with names of their own.
+        candidates: Configurations that might be measured, with names of their own;
+            those without an equilibrium or markers are listed with the reason.
         at: Scaled values z to linearise at, such as `CalibrationResult.z`; the start
             by default [-].
         noise: Standard deviation of every measured coordinate; by default that of the
@@ -208,10 +206,6 @@ def rank_configurations(
             `Uncertain` by default.
         precision: Standard error that is asked for, relative to the value [-].
         progress: Called after every few iterations of an equilibrium.
-
-    Returns:
-        The candidates, the best first. Those without an equilibrium at these values or
-        without markers are listed with the reason.
 
     Raises:
         ValueError: If an input is wrong, there is no candidate, or a name repeats.

@@ -83,8 +83,12 @@ class Identifiability(Result):
 
     @property
     def covariance(self) -> Float[HostArray, "n_p n_p"]:
-        """Covariance of the scaled parameters, see `Spread.covariance` [-]."""
-        return self.spread.covariance() * np.outer(self.asked, self.asked)
+        """Covariance of the scaled parameters; inf for blind ones, nan with others."""
+        factor, blind = self.spread.factor, self.spread.blind
+        full = factor @ factor.T * np.outer(self.asked, self.asked)
+        full[blind] = full[:, blind] = np.nan
+        full[blind, blind] = np.inf
+        return full
 
     @property
     def n_parameters(self) -> int:
@@ -94,10 +98,9 @@ class Identifiability(Result):
     @property
     def correlation(self) -> Float[HostArray, "n_p n_p"]:
         """Correlation of the parameters [-]; nan for those that nothing sees."""
-        covariance = self.spread.covariance()
-        std = np.sqrt(np.diag(covariance))
+        std = np.sqrt(np.diag(self.covariance))
         with np.errstate(invalid="ignore"):  # infinite over infinite
-            return covariance / np.outer(std, std)
+            return self.covariance / np.outer(std, std)
 
     @property
     def blind(self) -> tuple[Direction, ...]:

@@ -136,8 +136,7 @@ class Direction(Module):
     """A combination of parameters, and how well the data see it.
 
     Attributes:
-        components: Its unit vector, parameters in units of their asked standard errors
-            [-].
+        components: Its unit vector, in units of the asked standard errors [-].
         ratio: Largest standard error, over the asked one, that it alone gives to a
             parameter; infinite where neither data nor prior see it [-].
         verdict: Verdict on the ratio.
@@ -166,13 +165,6 @@ class Spread(Module):
     def errors(self) -> Float[HostArray, " n_p"]:
         """Return standard errors of the parameters, infinite for blind ones [-]."""
         return np.where(self.blind, np.inf, np.linalg.norm(self.factor, axis=1))
-
-    def covariance(self) -> Float[HostArray, "n_p n_p"]:
-        """Return their covariance; of blind ones infinite, and nan with others [-]."""
-        full = self.factor @ self.factor.T
-        full[self.blind] = full[:, self.blind] = np.nan
-        full[self.blind, self.blind] = np.inf
-        return full
 
     def along(self, rows: Float[HostArray, "n n_p"]) -> Float[HostArray, " n"]:
         """Return standard errors of linear functions of the parameters [-].
@@ -277,14 +269,13 @@ def direction_words(v: Float[HostArray, " n_p"], names: Sequence[str]) -> str:
     """
     # Rounded, so that equal components keep the order of the parameters.
     order = sorted(range(len(v)), key=lambda i: -round(float(v[i] ** 2), 6))
-    large = [i for i in order if v[i] ** 2 >= SHARE]
-    named = (large or order)[:MOST_NAMED]
-    more = len(large or order) - len(named)
+    large = [i for i in order if v[i] ** 2 >= SHARE] or order
+    named, more = large[:MOST_NAMED], len(large[MOST_NAMED:])
     sign = np.sign(v[named[0]])
     up = [names[i] for i in named if v[i] * sign > 0]
     down = [names[i] for i in named if v[i] * sign < 0]
     rest = f" and {more} more" if more > 0 else ""
-    if not down:
-        together = " up together" if len(up) > 1 or rest else ""
-        return f"{listed(up)}{rest}{together}"
-    return f"{listed(up)} up while {listed(down)} down{rest}"
+    if down:
+        return f"{listed(up)} up while {listed(down)} down{rest}"
+    together = " up together" if len(up) > 1 or rest else ""
+    return f"{listed(up)}{rest}{together}"

@@ -8,7 +8,7 @@ from softcal_jax.inference._linear_model import (
     independent,
     no_errors,
 )
-from softcal_jax.inference._rank import RANK, Determined, determined, span
+from softcal_jax.inference._rank import RANK, determined, span
 from softcal_jax.inference._reml import freedom_between, restricted_likelihood
 from softcal_jax.inference._residuals import (
     LackOfFit,
@@ -42,7 +42,6 @@ __all__ = [
     "REMEDIES",
     "UNLIKELY",
     "Cause",
-    "Determined",
     "ErrorBudget",
     "ErrorColumns",
     "LackOfFit",
