@@ -11,12 +11,12 @@ from softcal_jax.calibration._build import as_sequence
 from softcal_jax.calibration._fit import Resume, Task, Watch, fit
 from softcal_jax.calibration._intervals import (
     LEVEL,
-    Fitted,
     check_level,
     with_intervals,
 )
 from softcal_jax.calibration._result import (
     CalibrationResult,
+    Fitted,
     HistoryEntry,
 )
 from softcal_jax.calibration._search import (

@@ -37,7 +37,6 @@ from softcal_jax.calibration._evaluation import (
     effector_errors,
     held_out_responses,
 )
-from softcal_jax.calibration._intervals import Fitted
 from softcal_jax.calibration._linear import linear_model
 from softcal_jax.calibration._noise import (
     CorrelatedNoise,
@@ -55,6 +54,7 @@ from softcal_jax.calibration._offsets import attachment_offsets, with_offsets
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._result import (
     CalibrationResult,
+    Fitted,
     HistoryEntry,
     MultiStartResult,
     parameter_estimates,

@@ -12,7 +12,8 @@ from softcal_jax.actuators import Cable, Guide, Motor
 from softcal_jax.bodies import Pose, RigidBody, hinge_axes, rotation_matrix
 from softcal_jax.calibration import build_problem, simulated_measurements
 from softcal_jax.calibration import calibrate as calibrate_with
-from softcal_jax.calibration._considered import ConsideredErrors, MeshErrors
+from softcal_jax.calibration._considered import ConsideredErrors
+from softcal_jax.calibration._mesh_error import MeshErrors
 from softcal_jax.calibration._noise import noise_columns
 from softcal_jax.calibration._unknowns import Unknown, unknowns
 from softcal_jax.configurations import (

@@ -24,17 +24,16 @@ from softcal_jax.calibration import (
     build_problem,
     calibrate,
 )
+from softcal_jax.calibration._first_order import _Checked, _end_holds
 from softcal_jax.calibration._intervals import (
     MOST_RETURNS,
-    Fitted,
     ProfileEnd,
-    _Checked,
     _considered_error,
-    _end_holds,
     interval_between,
     no_interval,
     with_intervals,
 )
+from softcal_jax.calibration._result import Fitted
 from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
 from softcal_jax.inference import ErrorColumns, Whitened, independent
 

@@ -12,7 +12,7 @@ from softcal_jax.actuators import Cable, Motor
 from softcal_jax.bodies import Pose, RigidBody
 from softcal_jax.calibration import (
     MESH,
-    _considered,
+    _mesh_error,
     build_problem,
     considered_errors,
     evaluate,
@@ -246,7 +246,7 @@ def test_groups_mean_what_they_did_on_the_coarse_mesh():
         loads=[EdgeForce(corners, (0.0, 0.0, -1.0))],
         effectors=[Centroid("c", "x_max"), SupportReaction("r", "x_min")],
     )
-    alike = _considered._as_found(pose, r)
+    alike = _mesh_error._as_found(pose, r)
     lanes = [
         configuration_lanes(*own).arrays
         for own in ((coarse, [pose]), (r.mesh, [alike]))
@@ -274,7 +274,7 @@ def test_posts_that_were_short_enough_are_so_on_the_finer_mesh():
             configuration_lanes(coarse, [pose])
         except ValueError:
             continue
-        configuration_lanes(r.mesh, [_considered._as_found(pose, r)])
+        configuration_lanes(r.mesh, [_mesh_error._as_found(pose, r)])
         try:
             configuration_lanes(r.mesh, [pose])
         except ValueError:
@@ -291,7 +291,7 @@ def test_a_slack_cable_does_nothing_at_rest():
     pose = Configuration("pose", "x_min", actuation=imposed)
     batch, _ = configuration_lanes(mesh, [pose], model.mechanism)
     forces = jnp.array([[0.1, 0.0]])
-    seen = _considered._comparable(model, batch, forces).actuation
+    seen = _mesh_error._comparable(model, batch, forces).actuation
     np.testing.assert_array_equal(seen.by_displacement, [[True, False]])
     np.testing.assert_array_equal(seen.value, [[1e-3, 0.0]])
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from wording import says
 
 from softcal_jax.bodies import Pose, RigidBody
-from softcal_jax.calibration import _considered, calibrate
+from softcal_jax.calibration import _mesh_error, calibrate
 from softcal_jax.configurations import (
     BodyFrame,
     Configuration,
@@ -182,7 +182,7 @@ def test_what_it_would_tell_is_known_before():
 @pytest.mark.slow
 def test_before_measuring_an_unknown_error_of_the_mesh_is_named(monkeypatch):
     """A mesh that is too large to be refined."""
-    monkeypatch.setattr(_considered, "MOST_TETS", {1: 1, 2: 1})
+    monkeypatch.setattr(_mesh_error, "MOST_TETS", {1: 1, 2: 1})
     outlook = identify(MODEL, E, poses(), newton=TIGHT)
     assert outlook.unknown == ("mesh",)
     assert says(outlook, "mesh", "not among these")
