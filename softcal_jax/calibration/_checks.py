@@ -8,7 +8,6 @@ import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluation, effector_errors
-from softcal_jax.calibration._held_faces import held_nodes
 from softcal_jax.calibration._lanes import (
     as_guess,
     effectors_of,
@@ -16,6 +15,7 @@ from softcal_jax.calibration._lanes import (
     equilibria,
 )
 from softcal_jax.calibration._problem import CalibrationProblem
+from softcal_jax.calibration._unknowns import held_nodes
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
