@@ -3,6 +3,7 @@
 from softcal_jax.calibration._begin import EquilibriumProgress, reports_of
 from softcal_jax.calibration._build import as_sequence, build_problem
 from softcal_jax.calibration._calibrate import calibrate
+from softcal_jax.calibration._checked_intervals import LEVEL
 from softcal_jax.calibration._checkpoint import Clock
 from softcal_jax.calibration._checks import (
     levenberg_marquardt,
@@ -16,7 +17,7 @@ from softcal_jax.calibration._configuration_result import (
 )
 from softcal_jax.calibration._considered import MESH, considered_errors
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, at_rest, evaluate
-from softcal_jax.calibration._intervals import LEVEL, profile_intervals
+from softcal_jax.calibration._intervals import profile_intervals
 from softcal_jax.calibration._lanes import effectors_of, equilibria, lane_of
 from softcal_jax.calibration._linear import linear_model
 from softcal_jax.calibration._noise import (

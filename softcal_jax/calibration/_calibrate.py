@@ -8,15 +8,15 @@ from typing import Literal
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._begin import EquilibriumProgress
 from softcal_jax.calibration._build import as_sequence
-from softcal_jax.calibration._fit import Resume, Task, Watch, fit
-from softcal_jax.calibration._intervals import (
+from softcal_jax.calibration._checked_intervals import (
     LEVEL,
+    Fitted,
     check_level,
     with_intervals,
 )
+from softcal_jax.calibration._fit import Resume, Task, Watch, fit
 from softcal_jax.calibration._result import (
     CalibrationResult,
-    Fitted,
     HistoryEntry,
 )
 from softcal_jax.calibration._search import (

@@ -20,6 +20,7 @@ import numpy as np
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._begin import Beginning, EquilibriumProgress, begin
 from softcal_jax.calibration._build import build
+from softcal_jax.calibration._checked_intervals import Fitted
 from softcal_jax.calibration._checkpoint import Clock, Journal
 from softcal_jax.calibration._checks import (
     check_cost,
@@ -54,7 +55,6 @@ from softcal_jax.calibration._offsets import attachment_offsets, with_offsets
 from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._result import (
     CalibrationResult,
-    Fitted,
     HistoryEntry,
     MultiStartResult,
     parameter_estimates,

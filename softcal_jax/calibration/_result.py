@@ -1,7 +1,7 @@
 """What a calibration returns."""
 
 import math
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -10,14 +10,11 @@ from softcal_jax._names import listed, unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable_estimate, readable_unit
 from softcal_jax.calibration._configuration_result import ConfigurationResult
-from softcal_jax.calibration._evaluation import Evaluation
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._notes import ResidualChecks
-from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.calibration._runs import best_of
 from softcal_jax.calibration._source import ProjectSource
 from softcal_jax.calibration._state import CalibrationSettings
-from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import PRECISION, ParameterSpace
 from softcal_jax.inference import ErrorBudget, LinearModel, Uncertainty
@@ -371,12 +368,3 @@ class CalibrationResult(Result):
         if name not in values:
             raise unknown_name("parameter", name, values)
         return values[name]
-
-
-class Fitted(NamedTuple):
-    """A calibration at its end, and what its intervals are computed from."""
-
-    result: CalibrationResult
-    problem: CalibrationProblem
-    configurations: tuple[Configuration, ...]
-    evaluation: Evaluation

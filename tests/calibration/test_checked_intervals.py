@@ -24,16 +24,17 @@ from softcal_jax.calibration import (
     build_problem,
     calibrate,
 )
-from softcal_jax.calibration._first_order import _Checked, _end_holds
-from softcal_jax.calibration._intervals import (
+from softcal_jax.calibration._checked_intervals import (
     MOST_RETURNS,
+    Fitted,
     ProfileEnd,
+    _Checked,
     _considered_error,
+    _end_holds,
     interval_between,
     no_interval,
     with_intervals,
 )
-from softcal_jax.calibration._result import Fitted
 from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
 from softcal_jax.inference import ErrorColumns, Whitened, independent
 
@@ -312,7 +313,7 @@ def test_a_lower_cost_is_gone_on_from(result, poses, monkeypatch, times):
             raise LowerCostFound(result.z, 1.0, 2.0)
         return intervals
 
-    monkeypatch.setattr("softcal_jax.calibration._intervals._intervals", found)
+    monkeypatch.setattr("softcal_jax.calibration._checked_intervals._intervals", found)
     last, none = result.history[-1], np.zeros((0, 2))
     starts = MultiStartResult(
         names=tuple(result.space.names),
@@ -326,7 +327,7 @@ def test_a_lower_cost_is_gone_on_from(result, poses, monkeypatch, times):
         optima=(Optimum(last.cost, last.values, (0,)),),
     )
     # Nothing but the cost of an evaluation is asked for, in the same units.
-    own = "softcal_jax.calibration._intervals.weighed"
+    own = "softcal_jax.calibration._checked_intervals.weighed"
     monkeypatch.setattr(
         own, lambda problem, z, response: SimpleNamespace(cost=response)
     )

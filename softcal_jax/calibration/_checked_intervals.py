@@ -1,0 +1,375 @@
+"""The intervals that a calibration prints: to first order where that holds, or not."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from scipy.special import ndtri, stdtrit
+
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._units import readable_values
+from softcal_jax.calibration._checkpoint import Clock
+from softcal_jax.calibration._considered import MESH
+from softcal_jax.calibration._evaluation import (
+    Evaluation,
+    Evaluator,
+    weighed,
+)
+from softcal_jax.calibration._linear import linear_model
+from softcal_jax.calibration._problem import CalibrationProblem, without_names
+from softcal_jax.calibration._profile import (
+    LOWER,
+    LowerCostFound,
+    ProfileEnd,
+    profile_ends,
+    room_beside,
+)
+from softcal_jax.calibration._result import (
+    CalibrationResult,
+    IntervalKind,
+    Optimum,
+    ParameterInterval,
+)
+from softcal_jax.configurations import Configuration
+from softcal_jax.equilibrium import Workers
+from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.inference import EXACT, LinearModel
+
+LEVEL = 0.95
+"""Confidence of intervals unless another one is asked for [-]."""
+
+MOST_RETURNS = 3
+"""How often a calibration goes on from a lower cost that a profile has found."""
+
+CURVED = 0.1
+"""Relative error of the root of the rise at which an end is no longer first-order [-].
+
+On a parabola the root of the rise of twice the cost is the distance over the standard
+error. With both ends a tenth too close to the fit, an interval that says 95 % holds
+92 % of the time; with one too close and the other too far, 94 %.
+"""
+
+
+class Fitted(NamedTuple):
+    """A calibration at its end, and what its intervals are computed from."""
+
+    result: CalibrationResult
+    problem: CalibrationProblem
+    configurations: tuple[Configuration, ...]
+    evaluation: Evaluation
+
+
+class _Checked(NamedTuple):
+    """A calibration at z, where it ended; `quantile` standard errors lead to an end.
+
+    `about` returns the linear model about other scaled parameters, from these and their
+    evaluation, with the noise of `linear`.
+    """
+
+    evaluate: Callable[..., Evaluation]
+    about: Callable[[Float[Array, " n_p"], Evaluation], LinearModel]
+    space: ParameterSpace
+    z: HostArray
+    at: Evaluation
+    linear: LinearModel
+    quantile: float
+
+
+def _first_order_holds(
+    fitted: Fitted, quantile: float, which: Sequence[int]
+) -> list[bool]:
+    """Check the cost at both ends of the first-order intervals of parameters.
+
+    A parameter is moved by `quantile` standard errors, and the others with it along the
+    column of their covariance, as the profile does on a parabola. There the root of the
+    rise of twice the cost must be the quantile within `CURVED`, and still be that if
+    the others took one more Gauss-Newton step: the first shows a valley that bends, the
+    second one whose floor falls off. One evaluation for each end, all side by side.
+
+    Raises:
+        LowerCostFound: If the cost is lower at an end than at the fit.
+    """
+    result, problem, configurations, at = fitted
+    linear = result.linear.of_fit()
+
+    def about(z: Float[Array, " n_p"], there: Evaluation) -> LinearModel:
+        model = linear_model(
+            problem,
+            configurations,
+            z=z,
+            W_ep=there.response.W_ep,
+            ok=there.response.ok,
+            delta_e=there.delta_e,
+            rows=there.rows,
+        )
+        return model.with_scale(linear.scale)
+
+    sides = [(column, sign) for column in which for sign in (-1, 1)]
+    lanes = len(sides) * len(configurations)
+    with Workers(problem.model, max(lanes, 1)) as workers:
+        fit = _Checked(
+            evaluate=Evaluator(problem, workers),
+            about=about,
+            space=problem.space,
+            z=np.asarray(result.z),
+            at=at,
+            linear=linear,
+            quantile=quantile,
+        )
+        ends = workers.side_by_side(partial(_end_holds, fit, *side) for side in sides)
+    return [low and high for low, high in zip(ends[::2], ends[1::2], strict=True)]
+
+
+def _end_holds(fit: _Checked, column: int, sign: int) -> bool:
+    """Check one end; see `_first_order_holds`."""
+    space, linear = fit.space, fit.linear
+    covariance = linear.covariance()
+    free = linear.known
+    std = np.sqrt(covariance[column, column])
+    if fit.quantile * std >= room_beside(space, fit.z, column, sign):
+        return False
+    step = np.where(free, sign * fit.quantile * covariance[column] / std, 0.0)
+    down, up = map(np.asarray, space.room(jax.device_put(fit.z)))
+    step = np.clip(step, down, up)
+    if _breaks_order(space, fit.z + step):
+        return False
+    z = jax.device_put(fit.z + step)
+    there = fit.evaluate(z, fit.at.response.equilibrium.displacement)
+    if not there.ok:
+        return False
+    rise_of_end = (fit.quantile * linear.scale) ** 2
+    if float(there.cost) < float(fit.at.cost) - 0.5 * LOWER * rise_of_end:
+        raise LowerCostFound(z, float(there.cost), float(fit.at.cost))
+    moved = fit.about(z, there)
+    # The fit stops where its slope has nearly vanished, and what is left counts here.
+    slope = np.where(linear.held, 0.0, linear.slope())
+    rise = moved.squares() - linear.squares() - 2.0 * slope @ step
+    left = moved.slope() - slope
+    # What ended on a bound may leave it again, now that this parameter has moved.
+    leaves = np.where(left < 0.0, up > 0.0, down < 0.0) & linear.held
+    others = np.flatnonzero((free & (step > down) & (step < up)) | leaves)
+    others = others[others != column]
+    left = left[others]
+    curvature = moved.curvature()[np.ix_(others, others)]
+    fall = left @ np.linalg.lstsq(curvature, left, rcond=None)[0] if len(left) else 0.0
+    roots = np.sqrt(np.maximum([rise, rise - fall], 0.0))
+    return bool(np.all(np.abs(roots - fit.quantile) <= CURVED * fit.quantile))
+
+
+def _breaks_order(space, z: HostArray) -> bool:
+    """Return whether moduli are in the wrong order."""
+    A, b = map(np.asarray, space.order_rows())
+    chart = space.chart
+    crossed = chart is not None and np.any(z[chart.small] > z[chart.large])
+    return bool(np.any(A @ z > b) or crossed)
+
+
+GoOn = Callable[[Fitted, Float[Array, " n_p"]], Fitted]
+"""Continues a calibration from other scaled parameters."""
+
+Told = Callable[[CalibrationResult], None]
+
+
+def check_level(level: float) -> None:
+    """Raise ValueError unless a level of confidence lies between 0 and 1."""
+    if not 0.0 < level < 1.0:
+        raise ValueError(f"level must lie between 0 and 1, like 0.95; got {level:g}.")
+
+
+def with_intervals(
+    fitted: Fitted, level: float, go_on: GoOn, told: Told
+) -> CalibrationResult:
+    """Give every parameter the interval that may be printed, or say why it has none.
+
+    Where the cost at the ends of a first-order interval is that of its parabola, see
+    `_first_order_holds`, that interval is taken; elsewhere the profile of the
+    likelihood replaces it, and before `told` is called with the result so far. Where
+    either finds a lower cost, the calibration goes on from there.
+    """
+    first = fitted.result
+    with Clock() as clock:
+        fitted, found = _settled(fitted, level, go_on, told)
+    result = fitted.result
+    notes = result.notes
+    if result is not first:
+        notes += (
+            f"While intervals were computed, a lower cost was found than that of the "
+            f"first fit, {result.history[-1].cost:.6g} instead of "
+            f"{first.history[-1].cost:.6g}: the calibration went on from there.",
+        )
+    pairs = zip(result.parameters, found, strict=True)
+    timing = {k: result.timing_s[k] + more for k, more in clock.seconds.items()}
+    return replace(
+        result,
+        parameters=tuple(replace(own, interval=interval) for own, interval in pairs),
+        notes=notes,
+        timing_s=timing,
+    )
+
+
+def _settled(
+    fitted: Fitted, level: float, go_on: GoOn, told: Told
+) -> tuple[Fitted, list[ParameterInterval]]:
+    """Return the calibration at the lowest cost that was found, and its intervals."""
+    for _ in range(MOST_RETURNS):
+        try:
+            return fitted, _intervals(fitted, level, told)
+        except LowerCostFound as lower:
+            other = go_on(fitted, lower.z)
+        # Where the noise follows the motion, each fit has weights of its own.
+        problem = without_names(fitted.problem)
+        cost = weighed(problem, other.result.z, other.evaluation.response).cost
+        if not (other.result.converged and float(cost) < float(fitted.evaluation.cost)):
+            break
+        fitted, search = other, other.result.starts
+        if search is not None:
+            last = other.result.history[-1]
+            optima = (Optimum(last.cost, last.values, ()), *search.optima)
+            search = replace(search, optima=optima)
+            fitted = other._replace(result=replace(other.result, starts=search))
+    why = "the cost still falls along its profile: calibrate from more `starts`"
+    return fitted, _none(fitted, level, why)
+
+
+def _none(fitted: Fitted, level: float, why: str) -> list[ParameterInterval]:
+    parameters = fitted.problem.space.parameters
+    return [no_interval(own, level=level, why=why) for own in parameters]
+
+
+def _intervals(fitted: Fitted, level: float, told: Told) -> list[ParameterInterval]:
+    """Find the interval of every parameter, or raise `LowerCostFound`."""
+    result, spread = fitted.result, fitted.result.uncertainty
+    if not result.converged:
+        return _none(fitted, level, "the calibration did not converge")
+    if not np.isfinite(spread.noise_scale):
+        return _none(fitted, level, "too few data to estimate the noise")
+    if MESH in result.budget.unknown:
+        return _none(fitted, level, "how far the mesh moves it could not be estimated")
+    std = np.sqrt(np.diag(spread.covariance))
+    known = np.flatnonzero(np.isfinite(std)).tolist()
+    bent = np.flatnonzero(spread.at_bound).tolist()
+    quantile = quantile_of(result, level)
+    if spread.noise_scale <= EXACT:
+        # The ends are closer to the fit than the equilibria are exact.
+        straight, bent = known, []
+    else:
+        holds = _first_order_holds(fitted, quantile, known)
+        checked = list(zip(known, holds, strict=True))
+        straight = [column for column, good in checked if good]
+        bent += [column for column, good in checked if not good]
+    intervals = _none(fitted, level, "the data do not determine it")
+    for column in np.flatnonzero(spread.at_bound):
+        why = "it ended on a bound, and the residuals show no noise"
+        intervals[column] = replace(intervals[column], why=why)
+    for column in straight:
+        end = ProfileEnd(float(quantile * std[column]), "likelihood")
+        ends = end, end
+        whole = whole_interval(result, column, level, ends, first_order=True)
+        intervals[column] = whole
+    if bent:
+        told(result)
+        profiles = profile_ends(
+            fitted.problem,
+            result.settings,
+            z=result.z,
+            rows=fitted.evaluation.rows,
+            rise=quantile * spread.noise_scale,
+            which=bent,
+        )
+        for column, ends in zip(bent, profiles, strict=True):
+            intervals[column] = whole_interval(result, column, level, ends)
+    return intervals
+
+
+def quantile_of(result: CalibrationResult, level: float) -> float:
+    """Return how many standard errors chance allows: normal, or Student's t [-]."""
+    spread, tail = result.uncertainty, 0.5 * (1.0 + level)
+    if spread.noise == "stated":
+        return float(ndtri(tail))
+    return float(stdtrit(spread.degrees_of_freedom, tail))
+
+
+def _considered_error(result: CalibrationResult, column: int) -> float:
+    """Compute the standard error by what is held fixed and may be wrong [-].
+
+    A parameter on a bound counts as free: its interval ends inside.
+    """
+    linear = result.linear.with_free(column)
+    moved = linear.gain()[column] @ linear.considered.values
+    return float(np.nan_to_num(np.linalg.norm(moved)))
+
+
+def whole_interval(
+    result: CalibrationResult,
+    column: int,
+    level: float,
+    ends: Sequence[ProfileEnd],
+    *,
+    first_order: bool = False,
+) -> ParameterInterval:
+    """Make the interval of a parameter from the ends that the noise gives it.
+
+    Both move out by what is held fixed and may be wrong, in squares, up to the bounds.
+    """
+    reach = ndtri(0.5 * (1.0 + level)) * _considered_error(result, column)
+    wider = []
+    for end, sign in zip(ends, (-1, 1), strict=True):
+        room = room_beside(result.space, result.z, column, sign)
+        distance = float(np.hypot(end.distance, reach))
+        if end.why == "likelihood" and distance >= room:
+            wider.append(ProfileEnd(room, "bound"))
+        else:
+            wider.append(end if end.why == "bound" else ProfileEnd(distance, end.why))
+    own, z = result.space.parameters[column], result.z[column]
+    return interval_between(own, z, wider, level=level, first_order=first_order)
+
+
+def interval_between(
+    own: Parameter,
+    z: Float[Array, ""],
+    ends: Sequence[ProfileEnd],
+    *,
+    level: float,
+    first_order: bool = False,
+) -> ParameterInterval:
+    """Make the interval of a parameter from its lower and its upper end."""
+    low, high = ends
+    kind, why = _kind(low, high, own, z, first_order)
+    return ParameterInterval(
+        name=own.name,
+        level=level,
+        lower=float(own.from_scaled(z - low.distance)),
+        upper=float(own.from_scaled(z + high.distance)),
+        lower_end=low.why,
+        upper_end=high.why,
+        unit=own.unit,
+        kind=kind,
+        why=why,
+    )
+
+
+def no_interval(own: Parameter, *, level: float, why: str) -> ParameterInterval:
+    """Make the interval of a parameter that has none."""
+    ends = (math.nan, math.nan, "not found", "not found")
+    return ParameterInterval(own.name, level, *ends, own.unit, "none", why)
+
+
+def _kind(low, high, own: Parameter, z, first_order: bool) -> tuple[IntervalKind, str]:
+    """Name the kind of an interval, and why it is none."""
+    found = [end.why for end in (low, high)]
+    if "not found" in found:
+        why = "fits along its profile do not converge"
+        for end, sign, side in ((low, -1.0, "below"), (high, 1.0, "above")):
+            if end.why == "likelihood":
+                value = float(own.from_scaled(z + sign * end.distance))
+                why += f" (the end {side} is {readable_values([value], own.unit)})"
+        return "none", why
+    if found == ["bound", "bound"]:
+        return "none", "the data exclude no value within its bounds"
+    if "bound" in found:
+        return "one-sided", ""
+    return ("first-order" if first_order else "profile"), ""
