@@ -14,11 +14,7 @@ from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.calibration._checkpoint import Clock
 from softcal_jax.calibration._considered import MESH
-from softcal_jax.calibration._evaluation import (
-    Evaluation,
-    Evaluator,
-    weighed,
-)
+from softcal_jax.calibration._evaluation import Evaluation, Evaluator, weighed
 from softcal_jax.calibration._linear import linear_model
 from softcal_jax.calibration._problem import CalibrationProblem, without_names
 from softcal_jax.calibration._profile import (

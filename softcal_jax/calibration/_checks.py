@@ -146,6 +146,8 @@ def synthetic_measurements(
 ) -> tuple[Configuration, ...]:
     """Return configurations with the measurements that known parameters would give.
 
+    See `simulated_measurements` for other arguments and errors.
+
     Args:
         model: The body.
         space: The parameters.
@@ -156,9 +158,7 @@ def synthetic_measurements(
         newton: Settings of the equilibrium.
 
     Raises:
-        ValueError: If a value is missing or unknown, or a configuration has no
-            effectors.
-        RuntimeError: If a configuration has no equilibrium.
+        ValueError: If a value is missing or unknown.
     """
     unknown = sorted(set(values) ^ set(space.names))
     if unknown:

@@ -248,27 +248,18 @@ def configuration_results(
     `before` are the effectors with the start parameters; `model` and `response` are
     those with the calibrated ones.
     """
-    effectors = [
-        tuple(
+    effectors, values = [], (np.asarray(before), np.asarray(response.effectors))
+    for records, first, last in zip(lanes.effectors, *values, strict=True):
+        filled_in = [
             replace(e, simulated_before=e.among(first), simulated=e.among(last))
-            for e in of_pose
-        )
-        for of_pose, first, last in zip(
-            lanes.effectors,
-            np.asarray(before),
-            np.asarray(response.effectors),
-            strict=True,
-        )
-    ]
+            for e in records
+        ]
+        effectors.append(tuple(filled_in))
     held_out = len(configurations) - n_fitted
     roles: tuple[Role, ...] = ("calibration",) * n_fitted + ("validation",) * held_out
+    arrays, solution = lanes.arrays, response.equilibrium
     results = _results(
-        model,
-        configurations,
-        lanes.arrays,
-        response.equilibrium,
-        roles=roles,
-        effectors=effectors,
+        model, configurations, arrays, solution, roles=roles, effectors=effectors
     )
     W_ep = np.asarray(response.W_ep).reshape(*np.shape(response.effectors), -1)
     columns = [None] * len(results) if noise is None else _columns(lanes, noise)
@@ -326,21 +317,22 @@ def _simulated(
     solution: EquilibriumSolution,
 ) -> tuple[EffectorRecord, ...]:
     """Fill in the values at one equilibrium, as if nothing had been measured."""
-    records = tuple(
+    values = None
+    if records and solution.converged:
+        # Positions are cheap enough to compute without compiling.
+        compute = _effector_values if lane.effectors.has_forces else effector_values
+        states = solution.displacement, solution.multipliers
+        values = np.asarray(compute(model, lane, *states))
+    return tuple(
         replace(
-            record,
-            measured=np.full_like(record.measured, np.nan),
-            std=np.full_like(record.std, np.inf),
+            e,
+            measured=np.full_like(e.measured, np.nan),
+            std=np.full_like(e.std, np.inf),
             reference=np.eye(3),
+            simulated=e.simulated if values is None else e.among(values),
         )
-        for record in records
+        for e in records
     )
-    if not (records and solution.converged):
-        return records
-    # Positions are cheap enough to compute without compiling.
-    compute = _effector_values if lane.effectors.has_forces else effector_values
-    values = compute(model, lane, solution.displacement, solution.multipliers)
-    return tuple(replace(e, simulated=e.among(np.asarray(values))) for e in records)
 
 
 def _results(

@@ -13,9 +13,7 @@ from softcal_jax.calibration._lanes import lane_of
 from softcal_jax.calibration._mesh_error import MeshErrors, mesh_errors
 from softcal_jax.calibration._problem import CalibrationProblem, without_names
 from softcal_jax.calibration._unknowns import Unknown, unknowns
-from softcal_jax.configurations import (
-    Configuration,
-)
+from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Program,

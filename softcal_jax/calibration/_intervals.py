@@ -10,16 +10,9 @@ from softcal_jax.calibration._checked_intervals import (
     quantile_of,
     whole_interval,
 )
-from softcal_jax.calibration._evaluation import (
-    evaluate,
-)
-from softcal_jax.calibration._profile import (
-    profile_ends,
-)
-from softcal_jax.calibration._result import (
-    CalibrationResult,
-    ParameterInterval,
-)
+from softcal_jax.calibration._evaluation import evaluate
+from softcal_jax.calibration._profile import profile_ends
+from softcal_jax.calibration._result import CalibrationResult, ParameterInterval
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import check_converged
 

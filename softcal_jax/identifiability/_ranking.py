@@ -13,18 +13,9 @@ from softcal_jax.calibration import EquilibriumProgress, as_sequence
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import PRECISION, Uncertain, asked_errors
-from softcal_jax.identifiability._identify import (
-    AnyVector,
-    Parameters,
-    Survey,
-    survey,
-)
+from softcal_jax.identifiability._identify import AnyVector, Parameters, Survey, survey
 from softcal_jax.identifiability._result import number
-from softcal_jax.identifiability._spread import (
-    information,
-    named_directions,
-    spread_of,
-)
+from softcal_jax.identifiability._spread import information, named_directions, spread_of
 from softcal_jax.inference import LinearModel
 
 NOTHING = 10.0
