@@ -165,8 +165,6 @@ def _breaks_order(space, z: HostArray) -> bool:
 
 
 GoOn = Callable[[Fitted, Float[Array, " n_p"]], Fitted]
-"""Continues a calibration from other scaled parameters."""
-
 Told = Callable[[CalibrationResult], None]
 
 

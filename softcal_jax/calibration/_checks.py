@@ -1,4 +1,4 @@
-"""Checks of a calibration: synthetic measurements, and a second optimiser."""
+"""Checks of a calibration: what there is to learn, known truths, another optimiser."""
 
 from collections.abc import Callable, Mapping, Sequence
 

@@ -54,15 +54,12 @@ from softcal_jax.sensitivity import stiffness_row
 
 LOCKING, REFINEMENT = REMEDIES
 
-
 MOST_TETS = {1: 50_000, 2: 12_500}
 """Most tets whose error is estimated, by order: the finer mesh has at most 100 000
 quadratic tets, hence about 150 000 nodes."""
 
-
 AT_ONCE = 4
 """Configurations of one factorization in one program."""
-
 
 MOST_CHANGE = 10.0
 """Largest change, relative to that of the linear coarse body as it becomes softer [-].

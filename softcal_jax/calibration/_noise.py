@@ -54,6 +54,19 @@ from softcal_jax.inference import ATTACHMENTS, RANK, ErrorColumns, no_errors
 FAR_BEYOND: Mapping[str, float] = {"point": 1.0, "turn": 100.0}
 """Standard deviation of the offset of an effector, far beyond that of any [m, rad]."""
 
+RECORDINGS = "recordings"
+"""Name of the offsets of recordings in the budget."""
+
+CREEP = "creep"
+"""Name of the share of the motion in the budget."""
+
+FIRST_SHARE = 0.02
+"""Share of the motion to begin with, where it is to be estimated [-]."""
+
+AXES = "xyz"
+
+AnyArray = Array | HostArray
+
 Attachment = tuple[str, str, str]
 """Names of the reference and of an effector, and its quantity."""
 
@@ -156,24 +169,8 @@ def independent_recordings(configurations: Sequence[Configuration]) -> list[str]
     The noise of the reference is in all of them, so they are no independent witnesses.
     """
     recording = {c.name: c.recording or c.name for c in configurations}
-    return [
-        recording.get(c.displacement_from or c.name, c.displacement_from or c.name)
-        for c in configurations
-    ]
-
-
-AnyArray = Array | HostArray
-
-RECORDINGS = "recordings"
-"""Name of the offsets of recordings in the budget."""
-
-CREEP = "creep"
-"""Name of the share of the motion in the budget."""
-
-FIRST_SHARE = 0.02
-"""Share of the motion to begin with, where it is to be estimated [-]."""
-
-AXES = "xyz"
+    origins = [c.displacement_from or c.name for c in configurations]
+    return [recording.get(name, name) for name in origins]
 
 
 class CorrelatedNoise(Module):
@@ -212,29 +209,25 @@ class CorrelatedNoise(Module):
         shape depends on the batch alone.
         """
         weight = effectors.inverse_std
-        xp = jnp if isinstance(weight, jax.Array) else np
-        n_c, n_rows = weight.shape[:2]
+        xp: Any = jnp if isinstance(weight, jax.Array) else np
+        noise, dtype = jax.tree.map(xp.asarray, self), weight.dtype
+        n_e, n_c, n_rows = weight.size, *weight.shape[:2]
         is_point = xp.arange(n_rows) < effectors.nodes.shape[-2]
-        recording = xp.asarray(self.recording)
-        same = recording[:, None] == xp.arange(n_c, dtype=recording.dtype)[None, :]
-        own, axes = xp.eye(n_c, dtype=weight.dtype), xp.eye(3, dtype=weight.dtype)
-        of_points = weight * is_point.astype(weight.dtype)[None, :, None]
-        offset, same = xp.asarray(self.offset), same.astype(weight.dtype)
-        shifts = xp.einsum("crx,cx,cg,xy->crxgy", of_points, offset, same, axes)
-        motion, share = xp.asarray(self.motion), xp.asarray(self.share)
-        shares = xp.einsum("crx,c,cd->crxd", weight * motion, share, own)
-        n_e = weight.size
+        of_points = weight * is_point.astype(dtype)[None, :, None]
+        first = xp.arange(n_c, dtype=noise.recording.dtype)
+        same = (noise.recording[:, None] == first[None, :]).astype(dtype)
+        each, axes = xp.eye(n_c, dtype=dtype), xp.eye(3, dtype=dtype)
+        shifts = xp.einsum("crx,cx,cg,xy->crxgy", of_points, noise.offset, same, axes)
+        shares = xp.einsum("crx,c,cd->crxd", weight * noise.motion, noise.share, each)
         parts = [shifts.reshape(n_e, 3 * n_c), shares.reshape(n_e, n_c)]
         n = self.attachment_std.shape[-1]
         if n > 0:
-            attachment = xp.asarray(self.attachment)
-            index = xp.arange(n, dtype=attachment.dtype)
-            own = attachment[:, :, None] == index[None, None]
-            own = own.astype(weight.dtype) * xp.asarray(self.attachment_std)[None, None]
-            turned = xp.asarray(self.attachment_axes)
-            attached = xp.einsum("crx,crm,crxy->crxmy", weight, own, turned)
+            index = xp.arange(n, dtype=noise.attachment.dtype)
+            of_row = (noise.attachment[:, :, None] == index[None, None]).astype(dtype)
+            std, turned = noise.attachment_std[None, None], noise.attachment_axes
+            attached = xp.einsum("crx,crm,crxy->crxmy", weight, of_row * std, turned)
             parts.append(attached.reshape(n_e, 3 * n))
-        return xp.concatenate(parts, axis=1) / xp.asarray(self.jitter)
+        return xp.concatenate(parts, axis=1) / noise.jitter
 
     def attachment_offsets(
         self,

@@ -1,4 +1,4 @@
-"""Notes and warnings on a calibration, in words."""
+"""What speaks against a calibration: checks of its residuals, notes and warnings."""
 
 import warnings
 from collections.abc import Sequence
@@ -37,6 +37,9 @@ FEWEST = 3
 
 FAR = 0.25
 """Share of the motion by which a prediction may be off, where no std is stated [-]."""
+
+EQUAL = 1e-6
+"""Difference of scaled parameters below which they count as equal [-]."""
 
 
 class LeftOut(Module):
@@ -205,10 +208,6 @@ def _left_out(
     squares, dof = prediction.chi_squared, prediction.degrees_of_freedom
     probability = chance(squares, dof, of=of, jitter_is_of_all=True)
     return LeftOut(fit.name, *rms, fit.motion, probability, by_scatter)
-
-
-EQUAL = 1e-6
-"""Difference of scaled parameters below which they count as equal [-]."""
 
 
 class CalibrationWarning(SoftcalWarning):
