@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Bool, Float, HostArray
+from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._evaluation import Evaluation, effector_errors
 from softcal_jax.calibration._lanes import (
     as_guess,
@@ -43,20 +43,12 @@ def check_effects(problem: CalibrationProblem) -> None:
     What only an equilibrium shows is left to `check_sensitive`.
     """
     arrays = jax.tree.map(np.asarray, problem.configurations)
-    effectors = arrays.effectors
-    counts = np.any(effectors.inverse_std > 0.0, axis=2)
-    if not np.any(counts):
+    if not np.any(arrays.effectors.inverse_std > 0.0):
         raise ValueError(
             "no coordinate is measured: every marker has `axes` that leave all of them "
             "out, or no value. Measure at least one coordinate."
         )
     held = held_nodes(problem.model, problem.configurations)
-    if all(problem.space.sets_fields) and _all_on_held(effectors, counts, held):
-        raise ValueError(
-            "nothing to learn: all markers are on parts that are held (supports, "
-            "clamps, rigid bodies that are held or on a motor), so no parameter moves "
-            "them. Put markers where the body moves."
-        )
     for entry in problem.space.entries:
         missing = _missing(problem, entry, arrays, held)
         if missing:
@@ -65,17 +57,6 @@ def check_effects(problem: CalibrationProblem) -> None:
                 f"nothing to learn of {names}: {missing}. Leave it out, or add a "
                 "configuration that depends on it."
             )
-
-
-def _all_on_held(effectors, counts: Bool[HostArray, "n_c n_rows"], held) -> bool:
-    """Return whether each measured row is a point on nodes that are held."""
-    n_points = effectors.nodes.shape[1]
-    if np.any(counts[:, n_points:]):
-        return False
-    lanes = np.arange(len(held))[:, None, None]
-    mesh_nodes = np.minimum(effectors.nodes, held.shape[1] - 1)
-    free = ~held[lanes, mesh_nodes] | (effectors.nodes >= held.shape[1])
-    return not np.any(np.any(free & (effectors.weights != 0.0), axis=2) & counts)
 
 
 def _missing(problem: CalibrationProblem, entry, arrays, held) -> str:
@@ -112,7 +93,8 @@ def check_sensitive(problem: CalibrationProblem, first: Evaluation) -> None:
     raise ValueError(
         f"nothing to learn of {names}: no measured coordinate moves with it at the "
         "start equilibrium. Check that a load, gravity or an actuator deforms the body "
-        "where it is measured, or start from another value."
+        "where it is measured, and not only parts that are held, or start from another "
+        "value."
     )
 
 

@@ -32,7 +32,6 @@ from softcal_jax.inference import UNLIKELY, whitened
 from softcal_jax.sensitivity import Response
 
 Role = Literal["calibration", "validation", "simulation"]
-Misfit = Literal["worse than before", "unexplained"]
 
 
 class ConfigurationResult(Module):
@@ -167,10 +166,8 @@ class ConfigurationResult(Module):
             stacked = whitened(columns / noise_scale, stacked)
         return float(chdtrc(n, np.sum(stacked**2))) if n else float("nan")
 
-    def misfit(
-        self, noise: Literal["stated", "estimated"], noise_scale: float = 1.0
-    ) -> Misfit | None:
-        """Say how the calibrated model contradicts it, if it does.
+    def misfit(self, noise: Literal["stated", "estimated"], noise_scale: float) -> bool:
+        """Tell whether the calibrated model contradicts it.
 
         Residuals that a stated noise explains are no misfit, however large. A noise
         that is estimated from the residuals explains nothing, but for a pose whose
@@ -179,17 +176,15 @@ class ConfigurationResult(Module):
 
         Args:
             noise: Where the noise comes from.
-            noise_scale: Factor on the stated standard deviations, see
-                `Uncertainty.level`.
+            noise_scale: Factor on the stated standard deviations [-].
         """
         at_rest, simulated = lambda e: e.at_rest, lambda e: e.simulated
         stays = self._chance(at_rest, points=True) >= UNLIKELY
         compared = noise == "stated" or stays
         if compared and self._chance(simulated, noise_scale) >= UNLIKELY:
-            return None
-        if self.role == "calibration" and self.rms_after > self.rms_before:
-            return "worse than before"
-        return "unexplained" if self.rms_after > 0.25 * self.motion else None
+            return False
+        worse = self.role == "calibration" and self.rms_after > self.rms_before
+        return worse or self.rms_after > 0.25 * self.motion
 
     @property
     def largest_displacement(self) -> float:

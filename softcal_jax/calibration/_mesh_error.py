@@ -298,16 +298,11 @@ def _linear_motion(
             lambda du: jax.jvp(lambda u: internal_force(model, u), (rest,), (du,))[1]
         )(whole)
         softer = jax.vmap(lambda f: stiffness_row(lin, f))(internal)
-        softer = jax.tree.map(lambda own: own[:, 0], softer)
-        more = sensitivity(lin, softer)
+        more = sensitivity(lin, jax.tree.map(lambda rows: rows[:, 0], softer))
         assert more.displacement is not None
         assert more.multipliers is not None
-        by_stiffness = jax.vmap(readings)(
-            lanes,
-            jax.tree.map(lambda own: own[:, None], softer),
-            more.displacement[:, None],
-            more.multipliers[:, None],
-        )
+        states = more.displacement[:, None], more.multipliers[:, None]
+        by_stiffness = jax.vmap(readings)(lanes, softer, *states)
         found = jnp.concatenate([found, by_stiffness], axis=1)
     return jnp.where(solved.ok, found, jnp.nan)
 

@@ -256,23 +256,12 @@ def _misfit_notes(
     fits: Sequence[ConfigurationResult], spread: Uncertainty
 ) -> list[str]:
     """Name configurations that the calibrated model does not explain."""
-    notes = []
-    for fit in fits:
-        misfit = fit.misfit(spread.noise, spread.level)
-        if misfit == "worse than before":
-            notes.append(
-                f"{fit.name} fits worse than before the calibration "
-                f"({1e3 * fit.rms_before:.2f} to {1e3 * fit.rms_after:.2f} mm): it "
-                "contradicts the other configurations. Check its load, supports and "
-                "marker names."
-            )
-        elif misfit == "unexplained":
-            notes.append(
-                f"{fit.name} is not explained by the model: after calibration the "
-                f"markers are still {fit.off}. Check units, loads, gravity and marker "
-                "names."
-            )
-    return notes
+    return [
+        f"{fit.name} is not explained by the model: after calibration its markers are "
+        f"still {fit.off}. Check its load, supports, gravity, units and marker names."
+        for fit in fits
+        if fit.misfit(spread.noise, spread.level)
+    ]
 
 
 def _rounding_notes(fits: Sequence[ConfigurationResult]) -> list[str]:
