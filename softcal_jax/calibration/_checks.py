@@ -128,16 +128,8 @@ def synthetic_measurements(
 ) -> tuple[Configuration, ...]:
     """Return configurations with the measurements that known parameters would give.
 
-    See `simulated_measurements` for other arguments and errors.
-
-    Args:
-        model: The body.
-        space: The parameters.
-        configurations: Poses with effectors; measured values are replaced.
-        values: Value of every parameter, by name, in SI units.
-        noise: Whether to add Gaussian noise with the stated standard deviations.
-        seed: Seed of the noise.
-        newton: Settings of the equilibrium.
+    `values` has one for every parameter of the `space`, by name, in SI units. Other
+    arguments and errors are those of `simulated_measurements`.
 
     Raises:
         ValueError: If a value is missing or unknown.

@@ -81,16 +81,7 @@ def considered_errors(
     z: Float[Array, " n_p"],
     equilibrium: EquilibriumSolution,
 ) -> ConsideredErrors:
-    """Compute W_c: change of the effectors per standard deviation of each error.
-
-    Args:
-        workers: Run the configurations.
-        problem: The calibration.
-        configurations: Its configurations.
-        uncertain: What is uncertain.
-        z: Scaled parameters [-].
-        equilibrium: The equilibria, one lane per configuration.
-    """
+    """Compute W_c: change of the effectors per standard deviation of each error."""
     of_mesh = uncertain.mesh > 0
     every = unknowns(
         problem.model, problem.space, configurations, problem.configurations, uncertain

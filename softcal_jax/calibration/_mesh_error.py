@@ -96,14 +96,8 @@ def mesh_errors(
     """Estimate the standard deviation of the effectors by the mesh.
 
     Once for all configurations, since preparing and factorizing the finer body is
-    nearly all of the work.
-
-    Args:
-        problem: The calibration, without names.
-        configurations: Its configurations.
-        z: Scaled parameters [-].
-        forces: Of the actuators whose displacement is imposed, at the equilibria.
-        of_stiffness: Change of the effectors per relative change of the stiffness.
+    nearly all of the work. `forces` are those of the actuators at the equilibria, and
+    `of_stiffness` the change of the effectors per relative change of the stiffness.
     """
     model, n_c = problem.model, len(configurations)
     name = LOCKING if model.mesh.order == 1 else REFINEMENT

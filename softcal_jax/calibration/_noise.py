@@ -126,10 +126,7 @@ def check_references(
 ) -> None:
     """Raise ValueError unless references are fitted, with the same effectors.
 
-    Args:
-        configurations: The configurations, those that are fitted among them.
-        effectors: Effectors of each.
-        fitted: Those that are fitted; by default all.
+    By default all configurations are `fitted`.
     """
     known = {c.name: c for c in (configurations if fitted is None else fitted)}
     read = {
@@ -319,13 +316,7 @@ def correlated_noise(
 ) -> CorrelatedNoise:
     """Collect the noise of configurations; what is estimated has its first value.
 
-    Args:
-        configurations: The configurations.
-        model: The body.
-        space: The parameters; an offset among them is no noise.
-        arrays: The configurations as arrays.
-        records: Effectors of each, with measured values.
-        uncertain: The offsets of recordings.
+    An offset of a recording that is among the parameters is no noise.
     """
     names = recording_names(configurations)
     offset = [

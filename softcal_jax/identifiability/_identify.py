@@ -241,8 +241,8 @@ def survey(
 ) -> Survey:
     """Solve configurations at one value of the parameters and differentiate them.
 
-    Arguments and errors are those of `rank_configurations`. The first `required`
-    configurations, by default all, must have an equilibrium.
+    Arguments and errors are those of `identify`. The first `required` configurations,
+    by default all, must have an equilibrium.
     """
     check_process()
     if noise is not None and not 0.0 < noise < np.inf:

@@ -182,21 +182,9 @@ def rank_configurations(
     eigenvalue of M (E-optimality) is given too: D rewards shrinking any direction of
     the uncertainty, E only the worst one.
 
-    Args:
-        model: The model.
-        parameters: Parameters that are, or would be, calibrated.
-        configurations: Configurations measured already; may be empty.
-        candidates: Configurations that might be measured, with names of their own;
-            those without an equilibrium or markers are listed with the reason.
-        at: Scaled values z to linearise at, such as `CalibrationResult.z`; the start
-            by default [-].
-        noise: Standard deviation of every measured coordinate; by default that of the
-            markers [m].
-        newton: Settings of the equilibrium.
-        uncertain: How well everything is known that is not calibrated; the defaults of
-            `Uncertain` by default.
-        precision: Standard error that is asked for, relative to the value [-].
-        progress: Called after every few iterations of an equilibrium.
+    The `configurations` are measured already, and may be none; the `candidates` might
+    be, and have names of their own. Those without an equilibrium or markers are listed
+    with the reason. Other arguments are those of `identify`.
 
     Raises:
         ValueError: If an input is wrong, there is no candidate, or a name repeats.
