@@ -91,6 +91,12 @@ class Uncertainty(Module):
             return float(2.0 * ndtr(-abs(apart)))
         return float(2.0 * stdtr(self.degrees_of_freedom, -abs(apart)))
 
+    @property
+    def correlation(self) -> Float[HostArray, "n_p n_p"]:
+        """Correlation of the parameters [-]."""
+        std = np.sqrt(np.diag(self.covariance))
+        return self.covariance / np.outer(std, std)
+
 
 def uncertainty(
     linear: LinearModel,

@@ -113,3 +113,12 @@ def test_no_degree_of_freedom_no_estimated_noise():
     assert spread.degrees_of_freedom == 0
     assert np.isnan(spread.noise_scale)
     assert np.isnan(spread.covariance).all()
+
+
+def test_correlation_of_what_is_known():
+    W = np.array([[2.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+    spread = uncertainty(linear(W), "stated")
+    correlation = spread.correlation
+    np.testing.assert_allclose(correlation[0, 1], -np.sqrt(0.5), rtol=1e-12)
+    np.testing.assert_allclose(np.diag(correlation)[:2], 1.0, rtol=1e-12)
+    assert np.isnan(correlation[2]).all()
