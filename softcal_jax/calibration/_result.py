@@ -249,6 +249,11 @@ class MultiStartResult(Module):
         """Index of the lowest cost, among the converged runs if any is."""
         return best_of(self.cost, self.converged)
 
+    @property
+    def second_best(self) -> Optimum | None:
+        """The optimum with the lowest cost after the best; None if there is none."""
+        return self.optima[1] if len(self.optima) > 1 else None
+
     def __str__(self) -> str:
         """Write one line per optimum, the best few, and the runs that found none."""
         n, n_converged = len(self.cost), int(self.converged.sum())
@@ -351,7 +356,7 @@ class CalibrationResult(Result):
             for i in self.intervals
         ]
         lines += [f"  {fit}" for fit in self.configurations]
-        if self.starts is not None and len(self.starts.optima) > 1:
+        if self.starts is not None and self.starts.second_best is not None:
             lines += [f"  {line}" for line in str(self.starts).splitlines()]
         if self.checks is not None:
             lines += [f"  {line}" for line in self.checks.agreement]

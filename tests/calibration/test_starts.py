@@ -277,6 +277,7 @@ def test_mirror_images_find_the_better_optimum(measured, plain, mirrored):
     # The other one was passed on the way, and is kept as the second-best.
     best, *others = mirrored.optima
     assert best.starts == (0, 1, 2)
+    assert others[0] is mirrored.second_best
     assert {o.starts for o in others} == {()}
     passed = [o.cost for o in others]
     assert passed == sorted(passed)
@@ -338,6 +339,8 @@ def test_only_a_few_optima_are_listed():
     lines = str(found).splitlines()
     assert sum(line.startswith("  cost") for line in lines) == 5
     assert lines[-1] == "  and 2 more."
+    assert found.second_best is found.optima[1]
+    assert ends([10.0], [1.0]).second_best is None
 
 
 def test_calibrate_needs_a_start(measured):
