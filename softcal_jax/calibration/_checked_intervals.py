@@ -92,15 +92,15 @@ def _first_order_holds(
     result, problem, configurations, at = fitted
     linear = result.linear.of_fit()
 
-    def about(z: Float[Array, " n_p"], there: Evaluation) -> LinearModel:
+    def about(z: Float[Array, " n_p"], end: Evaluation) -> LinearModel:
         model = linear_model(
             problem,
             configurations,
             z=z,
-            W_ep=there.response.W_ep,
-            ok=there.response.ok,
-            delta_e=there.delta_e,
-            rows=there.rows,
+            W_ep=end.response.W_ep,
+            ok=end.response.ok,
+            delta_e=end.delta_e,
+            rows=end.rows,
         )
         return model.with_scale(linear.scale)
 
@@ -134,13 +134,13 @@ def _end_holds(fit: _Checked, column: int, sign: int) -> bool:
     if _breaks_order(space, fit.z + step):
         return False
     z = jax.device_put(fit.z + step)
-    there = fit.evaluate(z, fit.at.response.equilibrium.displacement)
-    if not there.ok:
+    end = fit.evaluate(z, fit.at.response.equilibrium.displacement)
+    if not end.ok:
         return False
     rise_of_end = (fit.quantile * linear.scale) ** 2
-    if float(there.cost) < float(fit.at.cost) - 0.5 * LOWER * rise_of_end:
-        raise LowerCostFound(z, float(there.cost), float(fit.at.cost))
-    moved = fit.about(z, there)
+    if float(end.cost) < float(fit.at.cost) - 0.5 * LOWER * rise_of_end:
+        raise LowerCostFound(z, float(end.cost), float(fit.at.cost))
+    moved = fit.about(z, end)
     # The fit stops where its slope has nearly vanished, and what is left counts here.
     slope = np.where(linear.held, 0.0, linear.slope())
     rise = moved.squares() - linear.squares() - 2.0 * slope @ step
@@ -165,7 +165,7 @@ def _breaks_order(space, z: HostArray) -> bool:
 
 
 GoOn = Callable[[Fitted, Float[Array, " n_p"]], Fitted]
-Told = Callable[[CalibrationResult], None]
+Profiling = Callable[[CalibrationResult], None]
 
 
 def check_level(level: float) -> None:
@@ -175,18 +175,18 @@ def check_level(level: float) -> None:
 
 
 def with_intervals(
-    fitted: Fitted, level: float, go_on: GoOn, told: Told
+    fitted: Fitted, level: float, go_on: GoOn, profiling: Profiling
 ) -> CalibrationResult:
     """Give every parameter the interval that may be printed, or say why it has none.
 
     Where the cost at the ends of a first-order interval is that of its parabola, see
     `_first_order_holds`, that interval is taken; elsewhere the profile of the
-    likelihood replaces it, and before `told` is called with the result so far. Where
-    either finds a lower cost, the calibration goes on from there.
+    likelihood replaces it, and `profiling` is called with the result so far. Where
+    either finds a lower cost, the calibration goes on from it.
     """
     first = fitted.result
     with Clock() as clock:
-        fitted, found = _settled(fitted, level, go_on, told)
+        fitted, found = _settled(fitted, level, go_on, profiling)
     result = fitted.result
     notes = result.notes
     if result is not first:
@@ -206,12 +206,12 @@ def with_intervals(
 
 
 def _settled(
-    fitted: Fitted, level: float, go_on: GoOn, told: Told
+    fitted: Fitted, level: float, go_on: GoOn, profiling: Profiling
 ) -> tuple[Fitted, list[ParameterInterval]]:
     """Return the calibration at the lowest cost that was found, and its intervals."""
     for _ in range(MOST_RETURNS):
         try:
-            return fitted, _intervals(fitted, level, told)
+            return fitted, _intervals(fitted, level, profiling)
         except LowerCostFound as lower:
             other = go_on(fitted, lower.z)
         # Where the noise follows the motion, each fit has weights of its own.
@@ -234,7 +234,9 @@ def _none(fitted: Fitted, level: float, why: str) -> list[ParameterInterval]:
     return [no_interval(own, level=level, why=why) for own in parameters]
 
 
-def _intervals(fitted: Fitted, level: float, told: Told) -> list[ParameterInterval]:
+def _intervals(
+    fitted: Fitted, level: float, profiling: Profiling
+) -> list[ParameterInterval]:
     """Find the interval of every parameter, or raise `LowerCostFound`."""
     result, spread = fitted.result, fitted.result.uncertainty
     if not result.converged:
@@ -265,7 +267,7 @@ def _intervals(fitted: Fitted, level: float, told: Told) -> list[ParameterInterv
         whole = whole_interval(result, column, level, ends, first_order=True)
         intervals[column] = whole
     if bent:
-        told(result)
+        profiling(result)
         profiles = profile_ends(
             fitted.problem,
             result.settings,

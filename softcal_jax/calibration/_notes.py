@@ -207,7 +207,8 @@ def _left_out(
         rms.append(float(np.sqrt(np.mean(squares))) if squares else float("nan"))
     squares, dof = prediction.chi_squared, prediction.degrees_of_freedom
     probability = chance(squares, dof, of=of, jitter_is_of_all=True)
-    return LeftOut(fit.name, *rms, fit.motion, probability, by_scatter)
+    off, expected = rms
+    return LeftOut(fit.name, off, expected, fit.motion, probability, by_scatter)
 
 
 class CalibrationWarning(SoftcalWarning):
