@@ -10,6 +10,31 @@ from softcal_jax._names import listed
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.inference import RANK, LinearModel
 
+Verdict = Literal["identifiable", "weakly identifiable", "not identifiable"]
+
+IDENTIFIABLE_UP_TO = 1.0
+"""Standard error, over the asked one, up to which a parameter is identifiable [-]."""
+
+WEAK_UP_TO = 3.0
+"""The same up to which it is weakly identifiable [-].
+
+With the default precision that is 30 % of a value, or 17 degrees of an axis: an order
+of magnitude, which no part can be designed with.
+"""
+
+SHARE = 0.1
+"""Squared component of a unit vector from which on its parameter is named [-]."""
+
+MOST_NAMED = 4
+"""Most parameters named for a direction, so that its text stays readable."""
+
+LOST = 30.0
+"""Standard error, over the asked one, above which a direction counts as unseen [-].
+
+Three times a value or more is no knowledge of it, so such directions are
+interchangeable and any basis of their span is as good as another.
+"""
+
 
 class Conditioning(Module):
     """How evenly the data see the parameters.
@@ -104,32 +129,6 @@ def _condition_per_joule(
     if np.linalg.eigvalsh(unit)[0] <= len(size) * np.finfo(float).eps:
         return np.inf
     return _condition(np.linalg.solve(unit, (W_ep / size).T).T / size)
-
-
-Verdict = Literal["identifiable", "weakly identifiable", "not identifiable"]
-
-IDENTIFIABLE_UP_TO = 1.0
-"""Standard error, over the asked one, up to which a parameter is identifiable [-]."""
-
-WEAK_UP_TO = 3.0
-"""The same up to which it is weakly identifiable [-].
-
-With the default precision that is 30 % of a value, or 17 degrees of an axis: an order
-of magnitude, which no part can be designed with.
-"""
-
-SHARE = 0.1
-"""Squared component of a unit vector from which on its parameter is named [-]."""
-
-MOST_NAMED = 4
-"""Most parameters named for a direction, so that its text stays readable."""
-
-LOST = 30.0
-"""Standard error, over the asked one, above which a direction counts as unseen [-].
-
-Three times a value or more is no knowledge of it, so such directions are
-interchangeable and any basis of their span is as good as another.
-"""
 
 
 class Direction(Module):

@@ -33,6 +33,15 @@ beside it is curvature, not an error of the pose.
 ROUNDING = 1e-9
 """Size of residuals, over the errors that they are left of, that is rounding [-]."""
 
+NO_DIFFERENCE = 1e-6
+"""Standard error of a difference that is rounding, over that of the values [-]."""
+
+DETERMINED = 5.0
+"""Standard error from which a recording alone does not determine a parameter [-].
+
+In units of the one that is asked for by default: half the value of a modulus.
+"""
+
 
 class LackOfFit(Module):
     """Scatter between configurations compared with that within them.
@@ -187,16 +196,6 @@ def chance(
         return float("nan")
     rest = max(of - squares, 1e-12) / others
     return float(fdtrc(n, others, squares / n / rest))
-
-
-NO_DIFFERENCE = 1e-6
-"""Standard error of a difference that is rounding, over that of the values [-]."""
-
-DETERMINED = 5.0
-"""Standard error from which a recording alone does not determine a parameter [-].
-
-In units of the one that is asked for by default: half the value of a modulus.
-"""
 
 
 class RecordingEstimate(Module):

@@ -27,6 +27,15 @@ UNLIKELY = 0.01
 EXACT = 1e-3
 """Ratio of residuals to noise below which the residuals are no sample of it [-]."""
 
+LESS_NOISE = ": measure more poses, or with less noise"
+"""What helps where the noise is the largest of several causes."""
+
+REMEDIES = {"locking": "use quadratic tets", "refinement": "take a finer mesh"}
+"""What helps against the error of the mesh: that of linear tets, of quadratic ones."""
+
+SMALL = 0.1
+"""Share of the standard error below which a sentence leaves a cause out [-]."""
+
 
 class Uncertainty(Module):
     """Covariance of the parameters, to first order.
@@ -130,16 +139,6 @@ def uncertainty(
     if np.isfinite(scale):
         covariance = linear.with_scale(scale).covariance()
     return Uncertainty(covariance, noise, scale, dof, chi_squared, linear.held)
-
-
-LESS_NOISE = ": measure more poses, or with less noise"
-"""What helps where the noise is the largest of several causes."""
-
-REMEDIES = {"locking": "use quadratic tets", "refinement": "take a finer mesh"}
-"""What helps against the error of the mesh: that of linear tets, of quadratic ones."""
-
-SMALL = 0.1
-"""Share of the standard error below which a sentence leaves a cause out [-]."""
 
 
 class Cause(Module):
