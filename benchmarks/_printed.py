@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax.calibration import CalibrationResult
-from softcal_jax.calibration._interval import IntervalKind
+from softcal_jax.calibration._result import IntervalKind
 
 
 class Printed(NamedTuple):

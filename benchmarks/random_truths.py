@@ -48,7 +48,7 @@ from softcal_jax.calibration import (
     calibrate,
     synthetic_measurements,
 )
-from softcal_jax.calibration._interval import IntervalKind
+from softcal_jax.calibration._result import IntervalKind
 from softcal_jax.identifiability import assess
 
 TRUTHS = 40

@@ -8,7 +8,6 @@ from softcal_jax.calibration._checks import (
     levenberg_marquardt,
     simulated_measurements,
     synthetic_measurements,
-    with_measured,
 )
 from softcal_jax.calibration._configuration_result import (
     ConfigurationResult,
@@ -17,10 +16,13 @@ from softcal_jax.calibration._configuration_result import (
 )
 from softcal_jax.calibration._considered import MESH, considered_errors
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, at_rest, evaluate
-from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._intervals import profile_intervals
-from softcal_jax.calibration._noise import CorrelatedNoise, correlated_noise
-from softcal_jax.calibration._notes import CalibrationWarning
+from softcal_jax.calibration._noise import (
+    CorrelatedNoise,
+    check_references,
+    correlated_noise,
+)
+from softcal_jax.calibration._notes import CalibrationWarning, LeftOut, ResidualChecks
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     CalibrationSettings,
@@ -33,14 +35,13 @@ from softcal_jax.calibration._problem import (
 )
 from softcal_jax.calibration._profile import LowerCostFound, profile_ends
 from softcal_jax.calibration._qp import QPStep, bounded_step
-from softcal_jax.calibration._references import check_references
-from softcal_jax.calibration._residual_checks import LeftOut, ResidualChecks
 from softcal_jax.calibration._result import (
     CalibrationResult,
     HistoryEntry,
     MultiStartResult,
     Optimum,
     ParameterEstimate,
+    ParameterInterval,
 )
 from softcal_jax.calibration._runs import Run, best_of, descend, images_of, run_start
 from softcal_jax.calibration._starts import (
@@ -122,5 +123,4 @@ __all__ = [
     "simulated_measurements",
     "simulation_result",
     "synthetic_measurements",
-    "with_measured",
 ]

@@ -13,17 +13,16 @@ from softcal_jax.calibration._checked_intervals import (
     check_level,
     with_intervals,
 )
+from softcal_jax.calibration._checks import check_effects
 from softcal_jax.calibration._fit import Batch, Resume, Task, Watch, fit
-from softcal_jax.calibration._noise import correlated_noise
+from softcal_jax.calibration._noise import check_references, correlated_noise
 from softcal_jax.calibration._notes import warn_if_locking, warn_if_too_few_data
-from softcal_jax.calibration._nothing_to_learn import check_effects
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     CalibrationSettings,
     EquilibriumProgress,
     lane_of,
 )
-from softcal_jax.calibration._references import check_references
 from softcal_jax.calibration._result import CalibrationResult, HistoryEntry
 from softcal_jax.calibration._starts import SearchProgress, check_starts, default_starts
 from softcal_jax.configurations import (

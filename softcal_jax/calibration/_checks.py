@@ -1,14 +1,13 @@
-"""Checks of a calibration: synthetic measurements, and a second optimiser."""
+"""Checks of a calibration: what there is to learn, known truths, another optimiser."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.calibration._evaluation import effector_errors
+from softcal_jax.calibration._evaluation import Evaluation, effector_errors
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     as_guess,
@@ -16,6 +15,7 @@ from softcal_jax.calibration._problem import (
     effectors_on_all_cores,
     equilibria,
 )
+from softcal_jax.calibration._unknowns import held_nodes
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -31,7 +31,89 @@ from softcal_jax.equilibrium import (
     solve_equilibrium,
     solve_from_rest,
 )
-from softcal_jax.fields import ParameterSpace
+from softcal_jax.fields import AbstractFieldEntry, ParameterSpace, Poses, SetupParameter
+
+ROUNDING = 1e-12
+"""Change of a coordinate by a unit of lambda_p, over its size, that is rounding [-]."""
+
+
+def check_effects(problem: CalibrationProblem) -> None:
+    """Raise ValueError unless something is measured that may depend on each parameter.
+
+    What only an equilibrium shows is left to `check_sensitive`.
+    """
+    arrays = jax.tree.map(np.asarray, problem.configurations)
+    if not np.any(arrays.effectors.inverse_std > 0.0):
+        raise ValueError(
+            "no coordinate is measured: every marker has `axes` that leave all of them "
+            "out, or no value. Measure at least one coordinate."
+        )
+    held = held_nodes(problem.model, problem.configurations)
+    for entry in problem.space.entries:
+        missing = _missing(problem, entry, arrays, held)
+        if missing:
+            names = ", ".join(repr(q.name) for q in entry.parameters)
+            raise ValueError(
+                f"nothing to learn of {names}: {missing}. Leave it out, or add a "
+                "configuration that depends on it."
+            )
+
+
+def _missing(problem: CalibrationProblem, entry, arrays, held) -> str:
+    """Say why no configuration depends on an entry; empty if one may."""
+    if isinstance(entry, AbstractFieldEntry):
+        mesh, region = problem.model.mesh, entry.region
+        tets = mesh.tets if region is None else mesh.tets[mesh.tets_of(region)]
+        if held[:, tets].all():
+            where = "the body" if region is None else repr(region)
+            return f"all tets of {where} are held in every pose"
+        if entry.fields == ("density",) and not np.any(arrays.gravity):
+            return "no configuration has gravity"
+    if isinstance(entry, SetupParameter) and entry.quantity.absent:
+        recordings = ("",) * len(arrays.gravity)
+        poses = Poses(problem.model, arrays, recordings)
+        if not any(key is not None for key in entry.quantity.occurs(poses)[entry.of]):
+            return entry.quantity.absent.format(of=entry.of)
+    return ""
+
+
+def check_sensitive(problem: CalibrationProblem, first: Evaluation) -> None:
+    """Raise ValueError unless a measured coordinate depends on some parameter.
+
+    One parameter without effect beside others that have one is no error: the angle of
+    an axis has none where the moduli are equal. `first` is the evaluation at the start.
+    """
+    weight = np.asarray(problem.configurations.effectors.inverse_std)
+    effectors = np.abs(np.asarray(first.effectors))
+    size = np.max(weight * effectors, initial=0.0)
+    W = np.asarray(first.rows.W)[: weight.size]
+    if not np.all(np.isfinite(W)) or np.max(np.abs(W)) > ROUNDING * size:
+        return
+    names = ", ".join(map(repr, problem.space.names))
+    raise ValueError(
+        f"nothing to learn of {names}: no measured coordinate moves with it at the "
+        "start equilibrium. Check that a load, gravity or an actuator deforms the body "
+        "where it is measured, and not only parts that are held, or start from another "
+        "value."
+    )
+
+
+def check_cost(
+    problem: CalibrationProblem, first: Evaluation, names: Sequence[str]
+) -> None:
+    """Raise ValueError if a standard deviation is so small that the cost overflows."""
+    error = np.asarray(first.rows.error)
+    with np.errstate(over="ignore", invalid="ignore"):
+        if np.isfinite(error @ error):
+            return
+    weight = np.asarray(problem.configurations.effectors.inverse_std)
+    c = int(np.argmax(np.max(weight, axis=(1, 2))))
+    raise ValueError(
+        "the cost at the start is not finite, since an error is too large beside its "
+        f"standard deviation: the smallest is {1.0 / np.max(weight):.3g} in SI units, "
+        f"in configuration {names[c]!r}. Check the `std` of effectors and priors, and "
+        "their units."
+    )
 
 
 def synthetic_measurements(
@@ -46,19 +128,11 @@ def synthetic_measurements(
 ) -> tuple[Configuration, ...]:
     """Return configurations with the measurements that known parameters would give.
 
-    Args:
-        model: The body.
-        space: The parameters.
-        configurations: Poses with effectors; measured values are replaced.
-        values: Value of every parameter, by name, in SI units.
-        noise: Whether to add Gaussian noise with the stated standard deviations.
-        seed: Seed of the noise.
-        newton: Settings of the equilibrium.
+    `values` has one for every parameter of the `space`, by name, in SI units. Other
+    arguments and errors are those of `simulated_measurements`.
 
     Raises:
-        ValueError: If a value is missing or unknown, or a configuration has no
-            effectors.
-        RuntimeError: If a configuration has no equilibrium.
+        ValueError: If a value is missing or unknown.
     """
     unknown = sorted(set(values) ^ set(space.names))
     if unknown:
@@ -122,8 +196,8 @@ def simulated_measurements(
     random = np.random.default_rng(seed)
     effectors, weights = np.asarray(effectors), np.asarray(arrays.effectors.inverse_std)
     measured = []
-    for lane, (c, own) in enumerate(zip(configurations, records, strict=True)):
-        rows = [record.index for record in own]
+    for lane, (c, of_pose) in enumerate(zip(configurations, records, strict=True)):
+        rows = [record.index for record in of_pose]
         e, weight = effectors[lane, rows], weights[lane, rows]
         if noise:
             std = np.where(weight > 0.0, 1.0 / np.maximum(weight, 1e-300), 0)
@@ -132,23 +206,13 @@ def simulated_measurements(
     return tuple(measured)
 
 
-def with_measured(configuration: Configuration, measured) -> Configuration:
-    """Return the configuration with other measured marker positions [m]."""
-    return replace(configuration, measured=measured)
-
-
 def levenberg_marquardt(
     problem: CalibrationProblem,
 ) -> tuple[Float[Array, " n_p"], bool]:
     """Fit by Levenberg-Marquardt of optimistix, without bounds, to check `calibrate`.
 
     The Jacobian is by autodiff through the implicit derivative of the equilibrium.
-
-    Args:
-        problem: The calibration.
-
-    Returns:
-        Scaled parameters, and whether it converged inside the bounds.
+    Returns scaled parameters, and whether it converged inside the bounds.
     """
     import optimistix as optx  # here, as it takes a fifth of the package's import time
 
@@ -157,13 +221,11 @@ def levenberg_marquardt(
 
     def errors(z, problem: CalibrationProblem):
         model, configurations = problem.at(z)
-        solve = lambda c, u: solve_equilibrium(
-            model, c, guess=u, settings=problem.newton
-        )
+        newton = problem.newton
+        solve = lambda c, u: solve_equilibrium(model, c, guess=u, settings=newton)
         solution = jax.vmap(solve)(configurations, guess)
-        delta_e = effector_errors(
-            problem, effectors_of(model, configurations, solution)
-        )
+        e = effectors_of(model, configurations, solution)
+        delta_e = effector_errors(problem, e)
         none = jnp.zeros((delta_e.size, z.shape[0]))
         error = problem.rows(z, delta_e, none).error
         # A step to parameters without equilibrium must be refused.

@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtrc
@@ -13,6 +12,7 @@ from scipy.special import chdtrc
 from softcal_jax._module import Module, Result
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration._noise import AnyArray, CorrelatedNoise
+from softcal_jax.calibration._problem import lane_of
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -32,7 +32,6 @@ from softcal_jax.inference import UNLIKELY, whitened
 from softcal_jax.sensitivity import Response
 
 Role = Literal["calibration", "validation", "simulation"]
-Misfit = Literal["worse than before", "unexplained"]
 
 
 class ConfigurationResult(Module):
@@ -58,8 +57,7 @@ class ConfigurationResult(Module):
             lambda_p; None where nothing was calibrated.
         columns: Correlated part of the noise of all coordinates, in the order of the
             effectors, in units of their standard deviations; see `CorrelatedNoise` [-].
-        posed: The configuration as described: supports, loads, gravity; None where a
-            result was made without.
+        posed: The configuration as described; None where a result was made without.
     """
 
     name: str
@@ -107,15 +105,12 @@ class ConfigurationResult(Module):
 
     @property
     def rms_before(self) -> float:
-        """Root mean square of the marker distances with the start parameters [m].
-
-        NaN if there is no equilibrium with them, and without markers.
-        """
+        """Root mean square of the marker distances with the start parameters [m]."""
         return _rms([e.error(e.simulated_before) for e in self.points])
 
     @property
     def rms_after(self) -> float:
-        """Root mean square of the marker distances after calibration [m]; likewise."""
+        """Root mean square of the marker distances after calibration [m]."""
         return _rms(self.error_after)
 
     @property
@@ -125,10 +120,7 @@ class ConfigurationResult(Module):
 
     @property
     def turn_before(self) -> float:
-        """Root mean square angle between simulated and measured orientations [rad].
-
-        With the start parameters; NaN without an orientation or an equilibrium.
-        """
+        """Root mean square angle to measured orientations before calibration [rad]."""
         return _rms([e.error(e.simulated_before) for e in self.turns])
 
     @property
@@ -143,27 +135,11 @@ class ConfigurationResult(Module):
 
     @property
     def off(self) -> str:
-        """Marker distances after calibration, "1.06 mm off, 6 % of how far they moved".
-
-        Without the share if the markers did not move.
-        """
+        """Marker distances, like "1.06 mm off, 6 % of how far they moved"."""
         text = f"{1e3 * self.rms_after:.2f} mm off"
         if self.motion > 0.0:
             text += f", {100.0 * self.rms_share:.0f} % of how far they moved"
         return text
-
-    def noise_probability(self, noise_scale: float = 1.0) -> float:
-        """Compute the probability of residuals as large from the noise alone [-].
-
-        Args:
-            noise_scale: Factor on the stated standard deviations [-].
-        """
-        return self._chance(lambda e: e.simulated, noise_scale)
-
-    @property
-    def stays(self) -> bool:
-        """Whether the stated noise explains that its markers are not at rest."""
-        return self._chance(lambda e: e.at_rest, points=True) >= UNLIKELY
 
     def _chance(
         self,
@@ -174,24 +150,24 @@ class ConfigurationResult(Module):
     ) -> float:
         """Compute the probability that noise alone puts effectors as far from values.
 
-        From the chi-squared distribution of the measured coordinates; NaN without any.
-        With `points`, of these alone.
+        From the chi-squared distribution of the measured coordinates, or with `points`
+        of these alone; NaN without any.
         """
-        counts = [e.quantity == "point" or not points for e in self.effectors]
-        asked = [e for e, own in zip(self.effectors, counts, strict=True) if own]
-        own = [e.error(value(e)) / e.std for e in asked]
-        errors = np.concatenate([np.zeros(0), *own]) / noise_scale
+        errors, rows, n = [np.zeros(0)], [], 0
+        for e in self.effectors:
+            asked = e.quantity == "point" or not points
+            rows += [asked] * len(e.std)
+            if asked:
+                errors.append(e.error(value(e)) / e.std)
+                n += int(e.seen.sum())
+        stacked = np.concatenate(errors) / noise_scale
         if self.columns is not None:
-            sizes = [len(e.std) for e in self.effectors]
-            rows = np.repeat(np.array(counts, bool), sizes)
-            errors = whitened(self.columns[rows] / noise_scale, errors)
-        n = sum(int(e.seen.sum()) for e in asked)
-        return float(chdtrc(n, np.sum(errors**2))) if n else float("nan")
+            columns = self.columns[np.array(rows, bool)]
+            stacked = whitened(columns / noise_scale, stacked)
+        return float(chdtrc(n, np.sum(stacked**2))) if n else float("nan")
 
-    def misfit(
-        self, noise: Literal["stated", "estimated"], noise_scale: float = 1.0
-    ) -> Misfit | None:
-        """Say how the calibrated model contradicts it, if it does.
+    def misfit(self, noise: Literal["stated", "estimated"], noise_scale: float) -> bool:
+        """Tell whether the calibrated model contradicts it.
 
         Residuals that a stated noise explains are no misfit, however large. A noise
         that is estimated from the residuals explains nothing, but for a pose whose
@@ -200,15 +176,15 @@ class ConfigurationResult(Module):
 
         Args:
             noise: Where the noise comes from.
-            noise_scale: Factor on the stated standard deviations, see
-                `Uncertainty.level`.
+            noise_scale: Factor on the stated standard deviations [-].
         """
-        compared = noise == "stated" or self.stays
-        if compared and self.noise_probability(noise_scale) >= UNLIKELY:
-            return None
-        if self.role == "calibration" and self.rms_after > self.rms_before:
-            return "worse than before"
-        return "unexplained" if self.rms_after > 0.25 * self.motion else None
+        at_rest, simulated = lambda e: e.at_rest, lambda e: e.simulated
+        stays = self._chance(at_rest, points=True) >= UNLIKELY
+        compared = noise == "stated" or stays
+        if compared and self._chance(simulated, noise_scale) >= UNLIKELY:
+            return False
+        worse = self.role == "calibration" and self.rms_after > self.rms_before
+        return worse or self.rms_after > 0.25 * self.motion
 
     @property
     def largest_displacement(self) -> float:
@@ -262,41 +238,26 @@ def configuration_results(
     response: Response,
     noise: CorrelatedNoise | None,
 ) -> tuple[ConfigurationResult, ...]:
-    """Describe fitted and held-out configurations that have an equilibrium.
+    """Describe configurations that have an equilibrium, the fitted ones first.
 
-    Args:
-        model: The model with the calibrated parameters.
-        configurations: The configurations, the fitted ones first.
-        lanes: Their arrays and effectors.
-        n_fitted: Number of those that were fitted.
-        before: Effectors with the start parameters.
-        response: Equilibria, effectors and compliances with the calibrated ones.
-        noise: Their noise.
+    `before` are the effectors with the start parameters; `model` and `response` are
+    those with the calibrated ones.
     """
-    effectors = [
-        tuple(
+    effectors, values = [], (np.asarray(before), np.asarray(response.effectors))
+    for records, first, last in zip(lanes.effectors, *values, strict=True):
+        filled_in = [
             replace(e, simulated_before=e.among(first), simulated=e.among(last))
-            for e in of_pose
-        )
-        for of_pose, first, last in zip(
-            lanes.effectors,
-            np.asarray(before),
-            np.asarray(response.effectors),
-            strict=True,
-        )
-    ]
+            for e in records
+        ]
+        effectors.append(tuple(filled_in))
     held_out = len(configurations) - n_fitted
     roles: tuple[Role, ...] = ("calibration",) * n_fitted + ("validation",) * held_out
+    arrays, solution = lanes.arrays, response.equilibrium
     results = _results(
-        model,
-        configurations,
-        lanes.arrays,
-        response.equilibrium,
-        roles=roles,
-        effectors=effectors,
+        model, configurations, arrays, solution, roles=roles, effectors=effectors
     )
     W_ep = np.asarray(response.W_ep).reshape(*np.shape(response.effectors), -1)
-    columns = _columns(lanes, noise)
+    columns = [None] * len(results) if noise is None else _columns(lanes, noise)
     return tuple(
         replace(result, W_ep=W, columns=A)
         for result, W, A in zip(results, W_ep, columns, strict=True)
@@ -304,35 +265,26 @@ def configuration_results(
     )
 
 
-def _columns(
-    lanes: ConfigurationLanes, noise: CorrelatedNoise | None
-) -> list[HostArray | None]:
+def _columns(lanes: ConfigurationLanes, noise: CorrelatedNoise) -> list[HostArray]:
     """Return the correlated noise of each configuration alone, see its results."""
-    if noise is None:
-        return [None] * len(lanes.effectors)
     effectors = lanes.arrays.effectors
     # Measured values are without the offsets of attachments.
     A = noise.on_host(effectors)[:, : noise.n_common] * np.asarray(noise.jitter)
     A = A.reshape(*np.shape(effectors.inverse_std), noise.n_common)
-    found: list[HostArray | None] = []
-    for own, records in zip(A, lanes.effectors, strict=True):
-        rows = [own[e.index, : len(e.std)] for e in records]
+    columns = []
+    for of_pose, records in zip(A, lanes.effectors, strict=True):
+        rows = [of_pose[e.index, : len(e.std)] for e in records]
         stacked = np.concatenate([np.zeros((0, A.shape[-1])), *rows])
-        found.append(stacked[:, np.any(stacked != 0.0, axis=0)])
-    return found
+        columns.append(stacked[:, np.any(stacked != 0.0, axis=0)])
+    return columns
 
 
 def simulation_result(
     model: Model, configurations: Sequence[Configuration], solution: EquilibriumSolution
 ) -> SimulationResult:
-    """Describe a forward simulation.
+    """Describe a forward simulation; what has no equilibrium says why.
 
-    Args:
-        model: The model.
-        configurations: What was simulated; measured values are ignored, and turns are
-            counted from rest.
-        solution: Their equilibria, one lane per configuration; without one, the
-            result says why.
+    Measured values are ignored, and turns are counted from rest.
     """
     lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
     reference = lambda arrays: arrays.effectors.turn_reference
@@ -340,16 +292,12 @@ def simulation_result(
     arrays = eqx.tree_at(reference, lanes.arrays, from_rest)
 
     effectors = [
-        _simulated(own, model, _lane(arrays, i), _lane(solution, i))
-        for i, own in enumerate(lanes.effectors)
+        _simulated(records, model, lane_of(arrays, i), lane_of(solution, i))
+        for i, records in enumerate(lanes.effectors)
     ]
+    roles: tuple[Role, ...] = ("simulation",) * len(configurations)
     results = _results(
-        model,
-        configurations,
-        arrays,
-        solution,
-        roles=("simulation",) * len(configurations),
-        effectors=effectors,
+        model, configurations, arrays, solution, roles=roles, effectors=effectors
     )
     return SimulationResult(model, results)
 
@@ -364,29 +312,27 @@ def _simulated(
     solution: EquilibriumSolution,
 ) -> tuple[EffectorRecord, ...]:
     """Fill in the values at one equilibrium, as if nothing had been measured."""
-    records = tuple(
+    values = None
+    if records and solution.converged:
+        # Positions are cheap enough to compute without compiling.
+        compute = _effector_values if lane.effectors.has_forces else effector_values
+        states = solution.displacement, solution.multipliers
+        values = np.asarray(compute(model, lane, *states))
+    return tuple(
         replace(
-            record,
-            measured=np.full_like(record.measured, np.nan),
-            std=np.full_like(record.std, np.inf),
+            e,
+            measured=np.full_like(e.measured, np.nan),
+            std=np.full_like(e.std, np.inf),
             reference=np.eye(3),
+            simulated=e.simulated if values is None else e.among(values),
         )
-        for record in records
+        for e in records
     )
-    if not (records and solution.converged):
-        return records
-    # Positions are cheap enough to compute without compiling.
-    compute = _effector_values if lane.effectors.has_forces else effector_values
-    values = np.asarray(
-        compute(model, lane, solution.displacement, solution.multipliers)
-    )
-    return tuple(replace(e, simulated=e.among(values)) for e in records)
 
 
 def _results(
     model, configurations, arrays, solution, *, roles: Sequence[Role], effectors
 ) -> tuple[ConfigurationResult, ...]:
-    """Describe every configuration of a batch."""
     states = robot_states(model, configurations, solution, arrays)
     return tuple(
         ConfigurationResult(
@@ -411,16 +357,10 @@ def _results(
 
 def _outcome(solution: EquilibriumSolution, i: int) -> str:
     """Say how the solve of a configuration ended."""
-    words = RESULTS[_lane(solution.result, i)]
+    words = RESULTS[lane_of(solution.result, i)]
     if not solution.at_rounding[i]:
         return words
     # Without any load, rounding is all that there is.
     loaded = solution.rounding[i] < 1.0
     residual = f" (residual {solution.residual[i]:.1e})" if loaded else ""
     return f"{words} at rounding{residual}"
-
-
-def _lane(batch, i: int):
-    """Pick one configuration of a batch."""
-    # Sliced on the host: on the device, each shape compiles a program.
-    return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[i], batch))

@@ -48,13 +48,9 @@ class ConsideredErrors(NamedTuple):
     ) -> ErrorColumns:
         """Return W_c of all rows, in stated standard deviations.
 
-        A change is zero in configurations that do not have the error. The error of the
-        mesh is not among them where it is not known of a fitted configuration, and zero
-        in one that was held out.
-
-        Args:
-            n_fitted: Number of configurations that are fitted, which come first.
-            weight: 1 / stated standard deviations, 0 where nothing is measured.
+        A change is zero in configurations that do not have the error. That of the mesh
+        is left out where it is not known of a fitted configuration, which come first,
+        and zero where it is not known of one that was held out.
         """
         parts: list[tuple[str, str, HostArray]] = []
         for error, column in zip(self.errors, self.columns, strict=True):
@@ -84,16 +80,7 @@ def considered_errors(
     z: Float[Array, " n_p"],
     equilibrium: EquilibriumSolution,
 ) -> ConsideredErrors:
-    """Compute W_c: change of the effectors per standard deviation of each error.
-
-    Args:
-        workers: Run the configurations.
-        problem: The calibration.
-        configurations: Its configurations.
-        uncertain: What is uncertain.
-        z: Scaled parameters [-].
-        equilibrium: The equilibria, one lane per configuration.
-    """
+    """Compute W_c: change of the effectors per standard deviation of each error."""
     of_mesh = uncertain.mesh > 0
     every = unknowns(
         problem.model, problem.space, configurations, problem.configurations, uncertain
@@ -102,17 +89,12 @@ def considered_errors(
     problem = without_names(problem)
     if not of_mesh and not any(error.happens for error in errors):
         errors = ()
-    columns = _all_columns(
-        workers, problem, errors, z, equilibrium.displacement, of_stiffness=of_mesh
-    )
+    u, forces = equilibrium.displacement, equilibrium.multipliers
+    columns = _all_columns(workers, problem, errors, z, u, of_stiffness=of_mesh)
     if not of_mesh:
         return ConsideredErrors(errors, columns, None)
     mesh = mesh_errors(
-        problem,
-        configurations,
-        z,
-        forces=equilibrium.multipliers,
-        of_stiffness=columns[-1],
+        problem, configurations, z, forces=forces, of_stiffness=columns[-1]
     )
     mesh = mesh._replace(changes=uncertain.mesh * mesh.changes)
     return ConsideredErrors(errors, columns[:-1], mesh)

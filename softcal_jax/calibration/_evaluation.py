@@ -1,14 +1,18 @@
 """Equilibria, errors and compliances of a calibration at some parameters."""
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from softcal_jax._module import Module, one_line
-from softcal_jax._typing import Array, Bool, Float
+from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
@@ -20,14 +24,16 @@ from softcal_jax.calibration._problem import (
     stacked,
     without_names,
 )
-from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.configurations import Configuration, ConfigurationArrays
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
+    LoadPath,
     Model,
     Program,
     Workers,
+    solve_equilibrium,
 )
-from softcal_jax.fields import ParameterSpace
+from softcal_jax.fields import ParameterSpace, SetupParameter
 from softcal_jax.inference import Whitened
 from softcal_jax.sensitivity import (
     EnergyCompliance,
@@ -65,12 +71,6 @@ class Evaluation(Module):
         return self.response.effectors
 
     @property
-    def compliance(self) -> Float[Array, "n_e n_p"]:
-        """Stacked W_ep in the units of the effectors, per unit of lambda_p."""
-        W_ep = self.response.W_ep
-        return W_ep.reshape(-1, W_ep.shape[-1])
-
-    @property
     def cost(self) -> Float[Array, ""]:
         """Half the sum of squared errors in noise units; infinite if not ok [-].
 
@@ -92,6 +92,7 @@ def effector_errors(
     return jnp.where(effectors.inverse_std > 0.0, e - effectors.measured, 0.0)
 
 
+@eqx.filter_jit
 def evaluate_lane(
     problem: CalibrationProblem,
     z: Float[Array, " n_p"],
@@ -130,26 +131,10 @@ def weighed(
     return Evaluation(response, delta_e, rows, finite)
 
 
-def in_other_units(
-    problem: CalibrationProblem, z: Float[Array, " n_p"], old: Evaluation
-) -> Evaluation:
-    """Return an evaluation in the units of another noise.
-
-    Args:
-        problem: The calibration with that noise, without names.
-        z: Scaled parameters [-].
-        old: The evaluation there.
-    """
-    return weighed(problem, z, old.response)
-
-
 def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:
     """Return displacements of zero, as a guess [m]."""
     n_c = problem.configurations.gravity.shape[0]
     return jnp.zeros((n_c, problem.model.n_points, 3))
-
-
-_evaluate_lane = eqx.filter_jit(evaluate_lane)
 
 
 @eqx.filter_jit
@@ -196,7 +181,7 @@ class Evaluator:
         self.shared = eqx.tree_at(where, alone, (None, space))
         n_c = problem.configurations.gravity.shape[0]
         self.lanes = [lane_of(problem.configurations, c) for c in range(n_c)]
-        self._program = Program(_evaluate_lane, self.shared)
+        self._program = Program(evaluate_lane, self.shared)
 
     def with_space(self, space: ParameterSpace) -> "Evaluator":
         """Return an evaluator of the same lanes with another order, chart or pin."""
@@ -223,8 +208,7 @@ class Evaluator:
         Args:
             z: Scaled parameters [-].
             guess: Displacements to start from [m].
-            before: Displacements of the equilibria that the guess extrapolates to first
-                order, if it does [m].
+            before: Equilibria that the guess extrapolates to first order, if any [m].
             precise: Whether the compliances are exact, see `evaluate_lane`.
         """
         before = guess if before is None else before
@@ -262,7 +246,7 @@ class Evaluator:
         return weighed(self.numbered, z, self.response_from_rest(z))
 
     def response_from_rest(self, z: Float[Array, " n_p"]) -> Response:
-        """Respond without a guess from another evaluation, likewise."""
+        """Respond without a guess from another evaluation."""
         guess = at_rest(self.problem)
         if self.problem.model.mechanism.bodies.n_bodies > 0:
             guess = as_guess(self.equilibria(z))
@@ -292,3 +276,84 @@ def evaluate(
     with Workers(problem.model, problem.configurations.gravity.shape[0]) as workers:
         evaluator = Evaluator(problem, workers)
         return evaluator.from_rest(z) if guess is None else evaluator(z, guess)
+
+
+class HeldOut(NamedTuple):
+    """Held-out configurations with the calibrated parameters; `before` by the start.
+
+    `before` are effectors, nan without an equilibrium; `notes` say which have none.
+    """
+
+    before: Float[HostArray, "n_c n_rows 3"]
+    response: Response
+    notes: tuple[str, ...]
+
+
+def held_out_responses(
+    evaluate: Evaluator,
+    configurations: Sequence[Configuration],
+    *,
+    start: Float[Array, " n_p"],
+    z: Float[Array, " n_p"],
+) -> HeldOut:
+    """Solve held-out configurations with the start and the calibrated parameters.
+
+    Near a limit point an equilibrium need not be found from rest: there the path of the
+    configuration is followed by arc length, and its end is where the search begins
+    anew. A configuration without equilibrium is left out with a note: it must neither
+    count as a prediction nor cost the user the fit.
+    """
+    first, last = evaluate.workers.side_by_side(
+        partial(evaluate.response_from_rest, p) for p in (start, z)
+    )
+    guess, carried = _along_paths(evaluate, z, last.equilibrium)
+    if any(share == 1.0 for share in carried.values()):
+        last = evaluate.response(z, guess)
+    converged = np.asarray(last.equilibrium.converged)
+    notes = [
+        f"{configurations[i].name} is not predicted: with the calibrated parameters it "
+        "has no equilibrium. Along its path (`LoadPath`) it carries at most "
+        f"{100.0 * share:.3g} % of its load."
+        for i, share in carried.items()
+        if not converged[i]
+    ]
+    notes += unscoped_notes(evaluate.problem.space, configurations)
+    # A pose that only the start parameters cannot hold has no "before".
+    held = np.asarray(first.equilibrium.converged)[:, None, None]
+    before = np.where(held, np.asarray(first.effectors), np.nan)
+    return HeldOut(before, last, tuple(notes))
+
+
+def _along_paths(
+    evaluate: Evaluator, z: Float[Array, " n_p"], solution: EquilibriumSolution
+) -> tuple[Float[Array, "n_c n_points 3"], dict[int, float]]:
+    """Follow what is not in equilibrium from rest along its load.
+
+    Returns displacements to start from, and the largest share of its load that each of
+    these configurations carries.
+    """
+    lost = np.flatnonzero(~np.asarray(solution.converged)).tolist()
+    if not lost:
+        return solution.displacement, {}
+    guess, carried = np.array(solution.displacement), {}
+    model, arrays = evaluate.problem.at(z)
+    for i in lost:
+        newton, lane = evaluate.problem.newton, lane_of(arrays, i)
+        path = solve_equilibrium(model, lane, settings=newton, path=LoadPath())
+        carried[i] = min(float(np.max(path.load)), 1.0)
+        guess[i] = path.displacement[-1]
+    return jax.device_put(guess), carried
+
+
+def unscoped_notes(
+    space: ParameterSpace, held_out: Sequence[Configuration]
+) -> list[str]:
+    """Say which held-out configurations have no unknown of their own."""
+    return [
+        f"{c.name} is predicted without {entry.noun}, which {entry.by}s that were "
+        "fitted have of their own: it counts as stated."
+        for entry in space.entries
+        if isinstance(entry, SetupParameter) and entry.each
+        for c in held_out
+        if entry.member(c) not in entry.each
+    ]

@@ -18,24 +18,35 @@ import numpy as np
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checked_intervals import Fitted
 from softcal_jax.calibration._checkpoint import Clock, Journal
+from softcal_jax.calibration._checks import check_cost, check_sensitive
 from softcal_jax.calibration._configuration_result import (
     ConfigurationResult,
     configuration_results,
 )
 from softcal_jax.calibration._considered import ConsideredErrors, considered_errors
-from softcal_jax.calibration._evaluation import Evaluation, Evaluator, effector_errors
-from softcal_jax.calibration._held_out import held_out_responses
-from softcal_jax.calibration._noise import CorrelatedNoise
-from softcal_jax.calibration._notes import fit_notes, result_notes
-from softcal_jax.calibration._nothing_to_learn import check_cost, check_sensitive
+from softcal_jax.calibration._evaluation import (
+    Evaluation,
+    Evaluator,
+    effector_errors,
+    held_out_responses,
+)
+from softcal_jax.calibration._noise import (
+    CorrelatedNoise,
+    attachments,
+    independent_recordings,
+)
+from softcal_jax.calibration._notes import (
+    ResidualChecks,
+    fit_notes,
+    residual_checks,
+    result_notes,
+)
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     CalibrationSettings,
     EquilibriumProgress,
     linear_model,
 )
-from softcal_jax.calibration._references import attachments, independent_recordings
-from softcal_jax.calibration._residual_checks import ResidualChecks, residual_checks
 from softcal_jax.calibration._result import (
     CalibrationResult,
     HistoryEntry,

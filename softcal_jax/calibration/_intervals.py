@@ -10,12 +10,11 @@ from softcal_jax.calibration._checked_intervals import (
     quantile_of,
     whole_interval,
 )
-from softcal_jax.calibration._evaluation import Evaluator
-from softcal_jax.calibration._interval import ParameterInterval
+from softcal_jax.calibration._evaluation import evaluate
 from softcal_jax.calibration._profile import profile_ends
-from softcal_jax.calibration._result import CalibrationResult
+from softcal_jax.calibration._result import CalibrationResult, ParameterInterval
 from softcal_jax.configurations import Configuration
-from softcal_jax.equilibrium import Workers, check_converged
+from softcal_jax.equilibrium import check_converged
 
 SAME_COST = 1e-4
 """Relative difference of costs that cannot be of the same configurations [-]."""
@@ -31,18 +30,14 @@ def profile_intervals(
     """Find confidence intervals from the likelihood itself, not its linearisation.
 
     `calibrate` does this by itself for parameters whose standard error does not hold,
-    see its `intervals`; this is for another level, or to compare. Value +- 1.96
-    standard errors holds where the errors are linear in the parameters over that range.
-    Where the data determine a parameter only to a third of its value or worse, they are
-    not. Here a parameter is moved away from the fit and held, all
-    others are calibrated again, and the interval ends where the squared errors have
-    risen by what chance allows (Bates and Watts, Nonlinear Regression Analysis, 1988,
-    sec. 6.1). It need not be symmetric, and may end at a bound that the data do not
-    exclude. What is held fixed and may be wrong adds to the distance of each end, in
-    squares, as it does to the standard error (see `ErrorBudget`). The confidence is
-    that of each interval alone, not of all together, and other optima than the fit are
-    not searched for. Each end takes a few calibrations from near their optimum, and is
-    nan if they do not converge.
+    see its `intervals`; this is for another level, or to compare. A parameter is moved
+    away from the fit and held, all others are calibrated again, and the interval ends
+    where the squared errors have risen by what chance allows (Bates and Watts,
+    Nonlinear Regression Analysis, 1988, sec. 6.1). It need not be symmetric, and may
+    end at a bound that the data do not exclude. What is held fixed and may be wrong
+    adds to the distance of each end, in squares (see `ErrorBudget`). The confidence is
+    that of each interval alone, and other optima than the fit are not searched for.
+    Each end takes a few calibrations, and is nan if they do not converge.
 
     Args:
         result: A calibration that converged.
@@ -72,7 +67,12 @@ def profile_intervals(
     for name in names:
         if name not in space.names:
             raise unknown_name("parameter", name, space.names)
-    rise = _rise(result, level)
+    spread = result.uncertainty
+    if spread.noise == "estimated" and spread.degrees_of_freedom < 1:
+        raise ValueError(
+            "the noise cannot be estimated without more measured coordinates than "
+            'parameters: calibrate with noise = "stated", or add measurements.'
+        )
     configurations = as_sequence(configurations)
     fitted = [f.name for f in result.configurations if f.role == "calibration"]
     if [c.name for c in configurations] != fitted:
@@ -82,8 +82,7 @@ def profile_intervals(
         )
     problem = build_problem(result.model, space, configurations, result.newton)
     problem = problem.with_noise(result.noise)
-    with Workers(problem.model, len(problem.configurations.gravity)) as workers:
-        now = Evaluator(problem, workers).from_rest(result.z)
+    now = evaluate(problem, result.z)
     check_converged(now.equilibrium, tuple(c.name for c in configurations))
     cost, before = float(now.cost), result.history[-1].cost
     if not abs(cost - before) <= SAME_COST * before + 1e-9:
@@ -91,26 +90,16 @@ def profile_intervals(
             f"the fit has a cost of {before:.6g}, but {cost:.6g} with these "
             "configurations: give those that were calibrated, with their measurements."
         )
+    columns = [space.names.index(name) for name in names]
     ends = profile_ends(
         problem,
         result.settings,
         z=result.z,
         rows=now.rows,
-        rise=rise,
-        which=[space.names.index(name) for name in names],
+        rise=spread.noise_scale * quantile_of(result, level),
+        which=columns,
     )
     return tuple(
-        whole_interval(result, space.names.index(name), level, pair)
-        for name, pair in zip(names, ends, strict=True)
+        whole_interval(result, column, level, pair)
+        for column, pair in zip(columns, ends, strict=True)
     )
-
-
-def _rise(result: CalibrationResult, level: float) -> float:
-    """Return the root of the rise of the squared errors that chance allows."""
-    spread, estimated = result.uncertainty, result.uncertainty.noise == "estimated"
-    if estimated and spread.degrees_of_freedom < 1:
-        raise ValueError(
-            "the noise cannot be estimated without more measured coordinates than "
-            'parameters: calibrate with noise = "stated", or add measurements.'
-        )
-    return spread.noise_scale * quantile_of(result, level)

@@ -52,6 +52,7 @@ from softcal_jax.mesh import Refinement, node_indices
 from softcal_jax.sensitivity import stiffness_row
 
 LOCKING, REFINEMENT = REMEDIES
+
 MOST_TETS = {1: 50_000, 2: 12_500}
 """Most tets whose error is estimated, by order: the finer mesh has at most 100 000
 quadratic tets, hence about 150 000 nodes."""
@@ -93,17 +94,9 @@ def mesh_errors(
 ) -> MeshErrors:
     """Estimate the standard deviation of the effectors by the mesh.
 
-    To be called once for all configurations, since preparing and factorizing the finer
-    body is nearly all of the work.
-
-    Args:
-        problem: The calibration, without names.
-        configurations: Its configurations.
-        z: Scaled parameters [-].
-        forces: Forces of the actuators whose displacement is imposed, at the
-            equilibria.
-        of_stiffness: Change of the effectors there per relative change of the
-            stiffness.
+    Once for all configurations, since preparing and factorizing the finer body is
+    nearly all of the work. `forces` are those of the actuators at the equilibria, and
+    `of_stiffness` the change of the effectors per relative change of the stiffness.
     """
     model, n_c = problem.model, len(configurations)
     name = LOCKING if model.mesh.order == 1 else REFINEMENT
@@ -140,15 +133,12 @@ def _refined(
     refinement: Refinement,
 ) -> ConfigurationArrays:
     """Pose the finer mesh like the coarse one, with the same supports and loads."""
-    batch = problem.configurations
+    batch, r = problem.configurations, refinement
     shared = SharedNames(batch.springs.names, batch.loads.names)
-    alike = [_as_found(c, refinement) for c in configurations]
+    alike = [_as_found(c, r) for c in configurations]
     posed, _ = configuration_lanes(fine.mesh, alike, fine.mechanism, shared=shared)
-    each = range(len(configurations))
-    fixed, imposed = map(np.asarray, (batch.fixed, batch.imposed))
-    r = refinement
-    held = [r.with_new(fixed[c], r.among(fixed[c])) for c in each]
-    moved = [r.with_new(imposed[c], r.carried(imposed[c])) for c in each]
+    held = [r.with_new(fixed, r.among(fixed)) for fixed in np.asarray(batch.fixed)]
+    moved = [r.with_new(u, r.carried(u)) for u in np.asarray(batch.imposed)]
     where = lambda c: (c.fixed, c.imposed)
     return eqx.tree_at(where, posed, (np.stack(held), np.stack(moved)))
 
@@ -191,14 +181,11 @@ def _comparable(
     imposed = np.asarray(batch.actuation.by_displacement)
     slack = imposed & unilateral & (np.asarray(forces) <= 0.0)
     value = np.where(slack, 0.0, np.asarray(batch.actuation.value))
-    turns = np.asarray(batch.effectors.turn_reference)
-    where = lambda c: (
-        c.actuation.by_displacement,
-        c.actuation.value,
-        c.effectors.turn_reference,
-    )
-    upright = np.broadcast_to(np.eye(3), turns.shape)
-    return eqx.tree_at(where, batch, (imposed & ~slack, value, upright))
+    turns = lambda c: c.effectors.turn_reference
+    upright = np.broadcast_to(np.eye(3), np.shape(turns(batch)))
+    driven = lambda c: (c.actuation.by_displacement, c.actuation.value)
+    batch = eqx.tree_at(turns, batch, upright)
+    return eqx.tree_at(driven, batch, (imposed & ~slack, value))
 
 
 def _linear_motions(
@@ -212,8 +199,8 @@ def _linear_motions(
     """Compute how far loads, then imposed motions if any, move the effectors.
 
     And last, `of_stiffness`, the change of these per relative change of the stiffness.
-    Configurations that are held alike share a factorization. One after the other, since
-    a body eight times as large needs all cores for itself.
+    One group of those held alike after the other, since a body eight times as large
+    needs all cores for itself.
     """
     actuation = batch.actuation
     imposed = np.asarray(actuation.value)[np.asarray(actuation.by_displacement)]
@@ -222,16 +209,16 @@ def _linear_motions(
     found: dict[int, HostArray] = {}
     for group in _held_alike(batch):
         for k in range(0, len(group), AT_ONCE):
-            own = group[k : k + AT_ONCE]
+            some = group[k : k + AT_ONCE]
             # Always as many, so that one program serves any number of them.
-            lanes = lane_of(batch, np.resize(own, AT_ONCE))
+            lanes = lane_of(batch, np.resize(some, AT_ONCE))
             rows = _linear_motion(model, space, moves, of_stiffness, z, lanes)
-            found |= dict(zip(own, np.asarray(rows), strict=False))
+            found |= dict(zip(some, np.asarray(rows), strict=False))
     return np.stack([found[c] for c in sorted(found)], axis=1)
 
 
 def _held_alike(batch: ConfigurationArrays) -> list[list[int]]:
-    """Group configurations whose bodies at rest have the same stiffness."""
+    """Group configurations whose bodies at rest share a factorization."""
     # A parameter may set the stiffness of springs by the name of their configuration.
     sprung = np.any(np.asarray(batch.springs.stiffness) > 0.0, axis=1, keepdims=True)
     held = (
@@ -304,16 +291,11 @@ def _linear_motion(
             lambda du: jax.jvp(lambda u: internal_force(model, u), (rest,), (du,))[1]
         )(whole)
         softer = jax.vmap(lambda f: stiffness_row(lin, f))(internal)
-        softer = jax.tree.map(lambda own: own[:, 0], softer)
-        more = sensitivity(lin, softer)
+        more = sensitivity(lin, jax.tree.map(lambda rows: rows[:, 0], softer))
         assert more.displacement is not None
         assert more.multipliers is not None
-        by_stiffness = jax.vmap(readings)(
-            lanes,
-            jax.tree.map(lambda own: own[:, None], softer),
-            more.displacement[:, None],
-            more.multipliers[:, None],
-        )
+        states = more.displacement[:, None], more.multipliers[:, None]
+        by_stiffness = jax.vmap(readings)(lanes, softer, *states)
         found = jnp.concatenate([found, by_stiffness], axis=1)
     return jnp.where(solved.ok, found, jnp.nan)
 

@@ -6,25 +6,40 @@ The covariance of the stacked measured coordinates is
 
 with jitter of each coordinate, and few known columns U: a rigid offset of the points of
 each recording along each axis, for each configuration a share of its motion, and of
-points and frames whose displacement from a reference counts the offset of each, see
-`_references`. In units of the jitter this is I + A A^T with
-A = diag(std)^-1 U Sigma^1/2 / s, and the errors and compliances of a fit are multiplied
-by (I + A A^T)^-1/2, after which they are independent with the variance s^2 in units of
-`std` (generalised least squares; Seber and Wild, Nonlinear Regression, 1989,
-sec. 2.1.4).
+points and frames whose displacement from a reference counts the offset of each. In
+units of the jitter this is I + A A^T with A = diag(std)^-1 U Sigma^1/2 / s, and the
+errors and compliances of a fit are multiplied by (I + A A^T)^-1/2, after which they are
+independent with the variance s^2 in units of `std` (generalised least squares; Seber
+and Wild, Nonlinear Regression, 1989, sec. 2.1.4).
+
+Where a marker was glued is known to a millimetre or so, and its motion between two
+poses to a tenth of that. A configuration that names another one as its reference is
+compared by differences of poses on both sides, measured and simulated. Every point then
+has an unknown offset, and every 6-D sensor an unknown mounting, that both share. As
+columns of the covariance, with a standard deviation far beyond any offset, they take
+out what the errors have in common and nothing else: generalised least squares on the
+differences, of which all have the noise of the reference.
+
+A point keeps its offset along the axes of the mesh. A sensor that is mounted with an
+offset d and a turn r is at T M on a body at T, and T_c T_r^-1, the rigid motion from
+the reference r to a configuration c, is the same for every mounting M. To first order
+the errors of its position and orientation are R d and R r, with the rotation R of the
+body in each pose. Sensitivities are those of the nominal point and axes, which half the
+unknown turn tilts, so the mounting should be known to millimetres and some degrees.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from softcal_jax._module import Module
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax.calibration._references import attachments
 from softcal_jax.calibration._unknowns import recording_names, unknowns
 from softcal_jax.configurations import (
     Configuration,
@@ -36,7 +51,8 @@ from softcal_jax.equilibrium import Model
 from softcal_jax.fields import ParameterSpace, Uncertain
 from softcal_jax.inference import ATTACHMENTS, RANK, ErrorColumns, no_errors
 
-AnyArray = Array | HostArray
+FAR_BEYOND: Mapping[str, float] = {"point": 1.0, "turn": 100.0}
+"""Standard deviation of the offset of an effector, far beyond that of any [m, rad]."""
 
 RECORDINGS = "recordings"
 """Name of the offsets of recordings in the budget."""
@@ -49,6 +65,110 @@ FIRST_SHARE = 0.02
 
 AXES = "xyz"
 
+AnyArray = Array | HostArray
+
+Attachment = tuple[str, str, str]
+"""Names of the reference and of an effector, and its quantity."""
+
+
+class Attachments(NamedTuple):
+    """Where effectors are attached whose displacement counts, and not their position.
+
+    Attributes:
+        of_row: Index of the attachment of each row, -1 for rows without.
+        axes: Axes of its offset, as a matrix for each row [-].
+        keys: What each is, by this index.
+    """
+
+    of_row: Int[HostArray, "n_c n_rows"]
+    axes: Float[HostArray, "n_c n_rows 3 3"]
+    keys: tuple[Attachment, ...]
+
+
+def attachments(
+    configurations: Sequence[Configuration],
+    effectors: Sequence[Sequence[EffectorRecord]],
+    n_rows: int,
+) -> Attachments:
+    """Number the points and frames whose displacement counts.
+
+    Effectors of the same name share their offset in all configurations with the same
+    reference, and in the reference itself.
+    """
+    references = {c.displacement_from for c in configurations} - {None}
+    index = np.full((len(configurations), n_rows), -1, np.int32)
+    axes = np.tile(np.eye(3), (*index.shape, 1, 1))
+    keys: dict[Attachment, int] = {}
+    for lane, (c, records) in enumerate(zip(configurations, effectors, strict=True)):
+        reference = c.displacement_from or (c.name if c.name in references else None)
+        if reference is None:
+            continue
+        turned = {e.name: _orientation(e) for e in records if e.is_turn}
+        for e in records:
+            if e.quantity in FAR_BEYOND:
+                key = (reference, e.name, e.quantity)
+                index[lane, e.index] = keys.setdefault(key, len(keys))
+                axes[lane, e.index] = turned.get(e.name, np.eye(3))
+    return Attachments(index, axes, tuple(keys))
+
+
+def _orientation(turn: EffectorRecord) -> Float[HostArray, "3 3"]:
+    """Return the measured rotation of a body from rest, as a matrix [-]."""
+    measured = Rotation.from_rotvec(np.nan_to_num(turn.measured)).as_matrix()
+    return measured @ turn.reference
+
+
+def check_references(
+    configurations: Sequence[Configuration],
+    effectors: Sequence[Sequence[EffectorRecord]],
+    *,
+    fitted: Sequence[Configuration] | None = None,
+) -> None:
+    """Raise ValueError unless references are fitted, with the same effectors.
+
+    By default all configurations are `fitted`.
+    """
+    known = {c.name: c for c in (configurations if fitted is None else fitted)}
+    read = {
+        c.name: {(e.name, e.quantity): bool(np.any(e.seen)) for e in own}
+        for c, own in zip(configurations, effectors, strict=True)
+    }
+    for c in configurations:
+        name = c.displacement_from
+        if name is None:
+            continue
+        what = f"displacement_from of configuration {c.name!r}"
+        if name not in known:
+            raise unknown_name(f"configuration in {what}", name, known)
+        if name == c.name or known[name].displacement_from is not None:
+            raise ValueError(
+                f"{what} is {name!r}, which has a reference itself: name a "
+                "configuration that has none, such as the robot at rest."
+            )
+        compared = {k: seen for k, seen in read[c.name].items() if k[1] in FAR_BEYOND}
+        if not compared:
+            raise ValueError(
+                f"{what} is {name!r}, but it has no points or frames, whose "
+                "displacement could count: add markers or a `BodyFrame`."
+            )
+        for key, seen in compared.items():
+            if seen and not read[name].get(key, False):
+                raise ValueError(
+                    f"{what} is {name!r}, where {key[0]!r} was not measured: only "
+                    "points and frames that both have can be compared by their "
+                    "displacement."
+                )
+
+
+def independent_recordings(configurations: Sequence[Configuration]) -> list[str]:
+    """Return the recording of each configuration, one for all that share a reference.
+
+    The noise of the reference is in all of them, so they are no independent witnesses.
+    """
+    recording = {c.name: c.recording or c.name for c in configurations}
+    origins = [c.displacement_from or c.name for c in configurations]
+    return [recording.get(name, name) for name in origins]
+
 
 class CorrelatedNoise(Module):
     """Covariance of the stacked errors, for a batch of configurations.
@@ -56,8 +176,7 @@ class CorrelatedNoise(Module):
     Attributes:
         recording: Index of the first configuration of the same recording.
         offset: Standard deviation of the offset of its points, along each axis [m].
-        motion: Motion of the points, as `following` says; 0 for rows that are no points
-            [m].
+        motion: Motion of the points, as measured or simulated; 0 for other rows [m].
         share: Standard deviation of the share of this motion that is noise [-].
         jitter: Factor on the stated standard deviations of the coordinates [-].
         attachment: Index of the attachment whose offset each row has; -1 for none.
@@ -87,29 +206,25 @@ class CorrelatedNoise(Module):
         shape depends on the batch alone.
         """
         weight = effectors.inverse_std
-        xp = jnp if isinstance(weight, jax.Array) else np
-        n_c, n_rows = weight.shape[:2]
+        xp: Any = jnp if isinstance(weight, jax.Array) else np
+        noise, dtype = jax.tree.map(xp.asarray, self), weight.dtype
+        n_e, n_c, n_rows = weight.size, *weight.shape[:2]
         is_point = xp.arange(n_rows) < effectors.nodes.shape[-2]
-        recording = xp.asarray(self.recording)
-        same = recording[:, None] == xp.arange(n_c, dtype=recording.dtype)[None, :]
-        own, axes = xp.eye(n_c, dtype=weight.dtype), xp.eye(3, dtype=weight.dtype)
-        of_points = weight * is_point.astype(weight.dtype)[None, :, None]
-        offset, same = xp.asarray(self.offset), same.astype(weight.dtype)
-        shifts = xp.einsum("crx,cx,cg,xy->crxgy", of_points, offset, same, axes)
-        motion, share = xp.asarray(self.motion), xp.asarray(self.share)
-        shares = xp.einsum("crx,c,cd->crxd", weight * motion, share, own)
-        n_e = weight.size
+        of_points = weight * is_point.astype(dtype)[None, :, None]
+        first = xp.arange(n_c, dtype=noise.recording.dtype)
+        same = (noise.recording[:, None] == first[None, :]).astype(dtype)
+        each, axes = xp.eye(n_c, dtype=dtype), xp.eye(3, dtype=dtype)
+        shifts = xp.einsum("crx,cx,cg,xy->crxgy", of_points, noise.offset, same, axes)
+        shares = xp.einsum("crx,c,cd->crxd", weight * noise.motion, noise.share, each)
         parts = [shifts.reshape(n_e, 3 * n_c), shares.reshape(n_e, n_c)]
         n = self.attachment_std.shape[-1]
         if n > 0:
-            attachment = xp.asarray(self.attachment)
-            index = xp.arange(n, dtype=attachment.dtype)
-            own = attachment[:, :, None] == index[None, None]
-            own = own.astype(weight.dtype) * xp.asarray(self.attachment_std)[None, None]
-            turned = xp.asarray(self.attachment_axes)
-            attached = xp.einsum("crx,crm,crxy->crxmy", weight, own, turned)
+            index = xp.arange(n, dtype=noise.attachment.dtype)
+            of_row = (noise.attachment[:, :, None] == index[None, None]).astype(dtype)
+            std, turned = noise.attachment_std[None, None], noise.attachment_axes
+            attached = xp.einsum("crx,crm,crxy->crxmy", weight, of_row * std, turned)
             parts.append(attached.reshape(n_e, 3 * n))
-        return xp.concatenate(parts, axis=1) / xp.asarray(self.jitter)
+        return xp.concatenate(parts, axis=1) / noise.jitter
 
     def attachment_offsets(
         self,
@@ -119,10 +234,7 @@ class CorrelatedNoise(Module):
     ) -> Float[HostArray, "n_attachments 3"]:
         """Return what the errors of each have in common, by least squares [m, rad].
 
-        Args:
-            effectors: The effectors.
-            delta_e: Simulated minus measured values of the effectors.
-            fitted: Configurations that they are found from; by default all.
+        They are found from the configurations that are `fitted`, by default all.
         """
         weight = np.asarray(effectors.inverse_std)
         rows = np.ones(len(weight), bool) if fitted is None else fitted
@@ -138,10 +250,7 @@ class CorrelatedNoise(Module):
         delta_e: Float[AnyArray, "n_c n_rows 3"],
         fitted: Bool[HostArray, " n_c"] | None = None,
     ) -> Float[HostArray, "n_c n_rows 3"]:
-        """Subtract from errors what those of each attachment have in common.
-
-        Arguments are those of `attachment_offsets`.
-        """
+        """Subtract from errors what those of each attachment have in common."""
         if self.attachment_std.shape[-1] == 0:
             return np.asarray(delta_e)
         weight = np.asarray(effectors.inverse_std)
@@ -163,32 +272,10 @@ class CorrelatedNoise(Module):
         A = self.on_host(effectors)[:, self.n_common :] * np.asarray(self.jitter)
         return A.reshape(*np.shape(effectors.inverse_std), A.shape[1])
 
-    def following(
-        self,
-        measured: Float[AnyArray, "n_c n_rows 3"],
-        delta_e: Float[AnyArray, "n_c n_rows 3"],
-        n_points: int,
-    ) -> "CorrelatedNoise":
-        """Return it with shares of the simulated motion.
-
-        Shares of the measured motion favour a robot that does not move: a share of
-        minus one then explains all of the data.
-
-        Args:
-            measured: The measured motion, see `measured_motion` [m].
-            delta_e: Simulated minus measured values of the effectors.
-            n_points: Number of rows that are points, which come first.
-        """
-        moved = np.array(measured)
-        moved[:, :n_points] += np.asarray(delta_e)[:, :n_points]
-        return replace(self, motion=_on_device(moved, like=self.motion))
-
-    def moving(
-        self, motion: Float[AnyArray, "n n_rows 3"], first: int
-    ) -> "CorrelatedNoise":
+    def moving(self, motion: Float[AnyArray, "n n_rows 3"]) -> "CorrelatedNoise":
         """Return it with another motion of the first few configurations [m]."""
         moved = np.array(self.motion)
-        moved[:first] = motion
+        moved[: len(motion)] = motion
         return replace(self, motion=_on_device(moved, like=self.motion))
 
     def of_first(self, n: int) -> "CorrelatedNoise":
@@ -200,13 +287,9 @@ class CorrelatedNoise(Module):
     def scaled(
         self, *, jitter: float, offset: float, share: float, of: Bool[HostArray, " n_c"]
     ) -> "CorrelatedNoise":
-        """Return it with another jitter, and factors on offsets and on some shares.
+        """Return it with another jitter, and factors on offsets and shares.
 
-        Args:
-            jitter: The new factor on the stated standard deviations [-].
-            offset: Factor on the offsets [-].
-            share: Factor on the shares of the motion [-].
-            of: Configurations whose share changes.
+        `of` flags the configurations whose share changes.
         """
         shares = np.where(of, share, 1.0) * np.asarray(self.share)
         return replace(
@@ -233,13 +316,7 @@ def correlated_noise(
 ) -> CorrelatedNoise:
     """Collect the noise of configurations; what is estimated has its first value.
 
-    Args:
-        configurations: The configurations.
-        model: The body.
-        space: The parameters; an offset among them is no noise.
-        arrays: The configurations as arrays.
-        records: Records of the effectors of each, with measured values.
-        uncertain: The offsets of recordings.
+    An offset of a recording that is among the parameters is no noise.
     """
     names = recording_names(configurations)
     offset = [
@@ -253,36 +330,24 @@ def correlated_noise(
     dtype = np.asarray(effectors.inverse_std).dtype
     n_rows = np.shape(effectors.measured)[1]
     attached = attachments(configurations, records, n_rows)
+    far = [FAR_BEYOND[quantity] for *_, quantity in attached.keys]
+    # Minus the error of a point at rest: 0 for coordinates that were not measured.
+    motion = np.zeros((len(configurations), n_rows, 3), dtype)
+    for lane, of_pose in enumerate(records):
+        for e in of_pose:
+            if e.quantity == "point":
+                motion[lane, e.index] = -e.error(e.at_rest)
     noise = CorrelatedNoise(
         recording=np.array([names.index(name) for name in names], np.int32),
         offset=np.asarray(np.transpose(offset), dtype),
-        motion=np.asarray(measured_motion(records, n_rows), dtype),
+        motion=motion,
         share=np.asarray(shares, dtype),
         jitter=np.ones((), dtype),
         attachment=attached.of_row,
         attachment_axes=np.asarray(attached.axes, dtype),
-        attachment_std=np.asarray(attached.std, dtype),
+        attachment_std=np.asarray(far, dtype),
     )
     return jax.device_put(noise)
-
-
-def measured_motion(
-    effectors: Sequence[Sequence[EffectorRecord]], n_rows: int
-) -> Float[HostArray, "n_c n_rows 3"]:
-    """Return how far measured points are from where they are at rest [m].
-
-    It is zero for coordinates that were not measured, and for rows that are no points.
-
-    Args:
-        effectors: Effectors of each configuration.
-        n_rows: Rows of each configuration.
-    """
-    motion = np.zeros((len(effectors), n_rows, 3))
-    for lane, own in enumerate(effectors):
-        for e in own:
-            if e.quantity == "point":
-                motion[lane, e.index] = -e.error(e.at_rest)
-    return motion
 
 
 def noise_columns(
@@ -290,13 +355,7 @@ def noise_columns(
     effectors: EffectorArrays,
     configurations: Sequence[Configuration],
 ) -> ErrorColumns:
-    """Return the columns A of a noise on the host, by cause and name, without zeros.
-
-    Args:
-        noise: The noise; None for one without columns.
-        effectors: The effectors of a batch.
-        configurations: Its configurations.
-    """
+    """Return the columns A of a noise on the host, by cause and name, without zeros."""
     if noise is None:
         return no_errors(np.size(effectors.inverse_std))
     A = noise.on_host(effectors)

@@ -1,12 +1,15 @@
-"""Notes and warnings on a calibration, in words."""
+"""What speaks against a calibration: checks of its residuals, notes and warnings."""
 
 import warnings
 from collections.abc import Sequence
 
 import jax.numpy as jnp
 import numpy as np
+from scipy.special import chdtrc
 
-from softcal_jax._typing import Array, Float
+from softcal_jax._module import Module
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._units import readable_values
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.calibration._configuration_result import ConfigurationResult
 from softcal_jax.calibration._problem import (
@@ -15,19 +18,201 @@ from softcal_jax.calibration._problem import (
     n_measured,
 )
 from softcal_jax.calibration._step import CalibrationState
-from softcal_jax.configurations import Configuration
+from softcal_jax.configurations import Configuration, EffectorArrays
 from softcal_jax.equilibrium import Model
-from softcal_jax.fields import ParameterSpace, SetupParameter
-from softcal_jax.inference import Uncertainty
+from softcal_jax.fields import ParameterSpace
+from softcal_jax.inference import (
+    UNLIKELY,
+    LackOfFit,
+    LinearModel,
+    PosePrediction,
+    RecordingEstimate,
+    Uncertainty,
+    agreement_sentences,
+    chance,
+    disagreeing,
+    jitter_freedom,
+    lack_of_fit,
+    predicted_by_others,
+)
+
+FEWEST = 3
+"""Fewest configurations of which one is left out: the others must say something."""
+
+FAR = 0.25
+"""Share of the motion by which a prediction may be off, where no std is stated [-]."""
 
 EQUAL = 1e-6
 """Difference of scaled parameters below which they count as equal [-]."""
 
-ROUGH = 0.3
-"""Relative standard error from which a linearised interval is only rough [-]."""
 
-ROUGH_SHARE = 0.1
-"""The same for a parameter on a linear scale, relative to its range [-]."""
+class LeftOut(Module):
+    """A configuration as the others predict it, linearised at the optimum.
+
+    Attributes:
+        name: Its name.
+        rms: Root mean square distance of predicted from measured points; nan where the
+            others do not determine a parameter that it takes, and without points [m].
+        expected: That which noise, parameters and what is held fixed explain [m].
+        motion: Root mean square motion of the points [m].
+        probability: Chance of errors as large; nan where nothing is predicted, or no
+            residuals are left to estimate the noise from [-].
+        by_scatter: The same where the noise is that of the scatter within
+            configurations; nan where it is stated, or there is no such scatter [-].
+    """
+
+    name: str
+    rms: float
+    expected: float
+    motion: float
+    probability: float
+    by_scatter: float
+
+
+class ResidualChecks(Module):
+    """What the residuals of a fit say about its model.
+
+    Attributes:
+        names: The fitted configurations.
+        lack_of_fit: Scatter between configurations against that within them; None where
+            the noise is stated, which is tested by chi-squared, or nothing is left.
+        left_out: Each configuration as the others predict it; empty for fewer than
+            three.
+        recordings: Parameters from single recordings, held out or not, if two or more
+            determine them.
+        level: Standard deviation that the residuals show over the one that was stated;
+            nan unless it was stated, and estimated all the same [-].
+        probability: Chance of a level as high; nan likewise [-].
+    """
+
+    names: tuple[str, ...]
+    lack_of_fit: LackOfFit | None
+    left_out: tuple[LeftOut, ...]
+    recordings: tuple[RecordingEstimate, ...] = ()
+    level: float = float("nan")
+    probability: float = float("nan")
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why the model cannot be right, one sentence each; empty if nothing is."""
+        reasons = []
+        if self.probability < UNLIKELY:
+            reasons.append(
+                f"The residuals are {self.level:.3g} times as large as the stated std "
+                f"(probability {self.probability:.1g}): the model cannot match "
+                "the data that well, or they were measured worse than stated."
+            )
+        test = self.lack_of_fit
+        if test is not None and test.probability < UNLIKELY:
+            worst = self.names[int(np.argmax(test.shares))]
+            reasons.append(
+                "Whole configurations are off, not single markers: the scatter between "
+                f"them is {test.ratio:.3g} times that expected from the scatter within "
+                f"(F with {test.between} and {test.within} degrees of freedom, "
+                f"probability {test.probability:.1g}), most of all {worst}. Check its "
+                "load and supports, or the law."
+            )
+        allowed = UNLIKELY / max(len(self.left_out), 1)
+        for pose in self.left_out:
+            far = pose.rms > FAR * pose.motion and pose.by_scatter < UNLIKELY
+            if pose.probability < allowed or far:
+                share = ""
+                if pose.motion > 0.0:
+                    percent = 100.0 * pose.rms / pose.motion
+                    share = f", {percent:.0f} % of how far they moved"
+                reasons.append(
+                    f"{pose.name} is not predicted by the others: its markers would be "
+                    f"{1e3 * pose.rms:.2f} mm off{share}, and {1e3 * pose.expected:.2g}"
+                    " mm is what errors explain."
+                )
+        for one in disagreeing(self.recordings):
+            value, fit = (readable_values([v], one.unit) for v in (one.value, one.fit))
+            reasons.append(
+                f"{one.recording} alone gives {one.parameter} = {value}, "
+                f"{abs(one.apart):.1f} standard errors from the fit's {fit}: they "
+                "contradict each other."
+            )
+        return tuple(reasons)
+
+    @property
+    def agreement(self) -> tuple[str, ...]:
+        """What single recordings say about the parameters, one sentence each."""
+        return tuple(agreement_sentences(self.recordings))
+
+
+def residual_checks(
+    linear: LinearModel,
+    configurations: Sequence[Configuration],
+    *,
+    effectors: EffectorArrays,
+    spread: Uncertainty,
+    fits: Sequence[ConfigurationResult],
+) -> ResidualChecks:
+    """Check a fit by its residuals, without what was held out."""
+    weight, estimated = np.asarray(effectors.inverse_std), spread.noise == "estimated"
+    names, test = tuple(c.name for c in configurations), None
+    if estimated and spread.has_noise:
+        shared, pose = _shared_errors(weight, effectors.nodes.shape[-2], fits)
+        test = lack_of_fit(linear, shared[weight.ravel() > 0.0], pose)
+    left_out: tuple[LeftOut, ...] = ()
+    if len(names) >= FEWEST and (spread.has_noise or not estimated):
+        of = spread.degrees_of_freedom if estimated else None
+        by_scatter = [float("nan")] * len(names)
+        if test is not None:
+            others = predicted_by_others(linear.with_jitter(test.jitter))
+            by_scatter = [
+                chance(other.chi_squared, other.degrees_of_freedom, of=test.within)
+                for other in others
+            ]
+        each = zip(fits, predicted_by_others(linear), weight, by_scatter, strict=True)
+        left_out = tuple(_left_out(*one, of=of) for one in each)
+    level = probability = float("nan")
+    if estimated and spread.has_noise and all(c.states_noise for c in configurations):
+        level = spread.noise_scale
+        dof = jitter_freedom(linear.with_jitter(1.0))
+        probability = float(chdtrc(dof, dof * level**2))
+    return ResidualChecks(names, test, left_out, level=level, probability=probability)
+
+
+def _shared_errors(
+    weight: Float[HostArray, "n_c n_rows 3"],
+    n_points: int,
+    fits: Sequence[ConfigurationResult],
+) -> tuple[HostArray, HostArray]:
+    """Return what coordinates of a configuration may share, and whose each is.
+
+    For each configuration the offsets of its points along the axes, and its motion as
+    simulated: the measured one holds the errors that are tested.
+    """
+    columns = np.zeros((len(fits), 4, *weight.shape))
+    for c, fit in enumerate(fits):
+        columns[c, [0, 1, 2], c, :n_points, [0, 1, 2]] = weight[c, :n_points].T
+        for e in fit.points:
+            moved = np.where(e.seen, e.simulated - e.at_rest, 0.0)
+            columns[c, 3, c, e.index] = weight[c, e.index] * moved
+    return columns.reshape(-1, weight.size).T, np.repeat(np.arange(len(fits)), 4)
+
+
+def _left_out(
+    fit: ConfigurationResult,
+    prediction: PosePrediction,
+    weight: Float[HostArray, "n_rows 3"],
+    by_scatter: float,
+    *,
+    of: int | None,
+) -> LeftOut:
+    """Describe a prediction in metres."""
+    seen = weight > 0.0
+    rms = []
+    for values in (prediction.error, prediction.std):
+        rows = np.zeros(weight.shape)
+        rows[seen] = values / weight[seen]
+        squares = [np.sum(rows[e.index] ** 2) for e in fit.points]
+        rms.append(float(np.sqrt(np.mean(squares))) if squares else float("nan"))
+    squares, dof = prediction.chi_squared, prediction.degrees_of_freedom
+    probability = chance(squares, dof, of=of, jitter_is_of_all=True)
+    off, expected = rms
+    return LeftOut(fit.name, off, expected, fit.motion, probability, by_scatter)
 
 
 class CalibrationWarning(SoftcalWarning):
@@ -76,23 +261,12 @@ def _misfit_notes(
     fits: Sequence[ConfigurationResult], spread: Uncertainty
 ) -> list[str]:
     """Name configurations that the calibrated model does not explain."""
-    notes = []
-    for fit in fits:
-        misfit = fit.misfit(spread.noise, spread.level)
-        if misfit == "worse than before":
-            notes.append(
-                f"{fit.name} fits worse than before the calibration "
-                f"({1e3 * fit.rms_before:.2f} to {1e3 * fit.rms_after:.2f} mm): it "
-                "contradicts the other configurations. Check its load, supports and "
-                "marker names."
-            )
-        elif misfit == "unexplained":
-            notes.append(
-                f"{fit.name} is not explained by the model: after calibration the "
-                f"markers are still {fit.off}. Check units, loads, gravity and marker "
-                "names."
-            )
-    return notes
+    return [
+        f"{fit.name} is not explained by the model: after calibration its markers are "
+        f"still {fit.off}. Check its load, supports, gravity, units and marker names."
+        for fit in fits
+        if fit.misfit(spread.noise, spread.level)
+    ]
 
 
 def _rounding_notes(fits: Sequence[ConfigurationResult]) -> list[str]:
@@ -128,36 +302,23 @@ def order_notes(space: ParameterSpace, z: Float[Array, " n_p"]) -> list[str]:
 
 
 def uncertainty_notes(problem: CalibrationProblem, spread: Uncertainty) -> list[str]:
-    """Say which standard errors are missing or rough, and what they rest on."""
-    space, dof = problem.space, spread.degrees_of_freedom
-    names, std = np.array(space.names), np.sqrt(np.diag(spread.covariance))
+    """Say which standard errors are missing, and what the others rest on."""
+    dof = spread.degrees_of_freedom
+    names, std = np.array(problem.space.names), np.sqrt(np.diag(spread.covariance))
     notes = [
         f"{name} ended on a bound: widen it, or the model cannot match the data. It "
         "has no standard error."
         for name in names[spread.at_bound]
     ]
-    held, free = names[spread.at_bound], names[~spread.at_bound & np.isfinite(std)]
-    if len(held) and len(free):
-        notes.append(
-            f"Standard errors of {', '.join(free)} hold with {', '.join(held)} kept on "
-            "the bound, and are larger without it."
-        )
     undetermined = np.isnan(std) & ~spread.at_bound
     if np.any(undetermined):
-        blind = ", ".join(names[undetermined])
-        why, remedy = "the data cannot tell them apart", "Add measurements."
+        blind, why = ", ".join(names[undetermined]), "the data cannot tell them apart"
         if dof <= 0:
             why = (
-                "more measured coordinates than parameters are needed, and there are "
-                f"{dof} to spare"
+                f"there are {dof} more measured coordinates than parameters, too few "
+                'to estimate the noise; with noise = "stated" it is taken as it is'
             )
-            if spread.noise == "estimated":
-                why = f"to estimate the noise from the residuals, {why}"
-                remedy = (
-                    "Add measurements, or state the `std` of the markers and take it "
-                    'as it is with noise = "stated".'
-                )
-        notes.append(f"No standard error for {blind}: {why}. {remedy}")
+        notes.append(f"No standard error for {blind}: {why}. Add measurements.")
     elif spread.noise == "estimated":
         notes.append(
             f"Standard errors rest on the noise estimated from the residuals ({dof} "
@@ -170,15 +331,6 @@ def uncertainty_notes(problem: CalibrationProblem, spread: Uncertainty) -> list[
             "match the data that well, or the noise is larger than stated; standard "
             "errors are too small."
         )
-    # Too poorly determined for linearised standard errors.
-    ranges = np.asarray(space.upper() - space.lower())
-    log = np.array([q.scale == "log" for q in space.parameters])
-    rough = std > np.where(log, ROUGH, ROUGH_SHARE * ranges)
-    if np.any(rough):
-        notes.append(
-            f"The data determine {', '.join(names[rough])} so badly that value +- 1.96 "
-            "standard errors is only rough; intervals by the likelihood itself hold."
-        )
     return notes
 
 
@@ -189,8 +341,7 @@ def warn_if_locking(model: Model, space: ParameterSpace) -> None:
     for parameter in space.parameters:
         if parameter.field.split(".")[-1] == "nu" and float(parameter.upper) >= 0.49:
             warnings.warn(
-                f"parameter {parameter.name!r} may reach nu = "
-                f"{float(parameter.upper):g}, "
+                f"parameter {parameter.name!r} may reach nu = {parameter.upper:g}, "
                 'where the formulation "displacement" locks: build the model with '
                 'formulation="mean-dilatation", or lower the bound below 0.49.',
                 CalibrationWarning,
@@ -207,23 +358,8 @@ def warn_if_too_few_data(problem: CalibrationProblem) -> None:
         without = " without a prior" if problem.space.has_prior else ""
         warnings.warn(
             f"{wanted} parameters{without} but only {measured} measured coordinates: "
-            f"at least {wanted - measured} more are missing (another marker gives 3, "
-            "another configuration as many as it has markers times 3). The fit is not "
-            "unique.",
+            f"at least {wanted - measured} more are missing (a marker gives 3 in each "
+            "configuration). The fit is not unique.",
             CalibrationWarning,
             stacklevel=4,
         )
-
-
-def unscoped_notes(
-    space: ParameterSpace, held_out: Sequence[Configuration]
-) -> list[str]:
-    """Say which held-out configurations have no unknown of their own."""
-    return [
-        f"{c.name} is predicted without {entry.noun}, which {entry.by}s that were "
-        "fitted have of their own: it counts as stated."
-        for entry in space.entries
-        if isinstance(entry, SetupParameter) and entry.each
-        for c in held_out
-        if entry.member(c) not in entry.each
-    ]

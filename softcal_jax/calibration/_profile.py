@@ -11,8 +11,8 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator
-from softcal_jax.calibration._interval import ProfileEnd
 from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
+from softcal_jax.calibration._result import IntervalEnd
 from softcal_jax.calibration._runs import Run, in_plain_steps, minimise
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import ParameterSpace, Pin
@@ -49,6 +49,16 @@ LOWER = 1e-3
 
 It is more than rounding, or a loop that stopped a little early, can explain.
 """
+
+
+class ProfileEnd(NamedTuple):
+    """One end of an interval: its scaled distance from the fit, nan if not found [-].
+
+    `why` says what ends it, as in `ParameterInterval`.
+    """
+
+    distance: float
+    why: IntervalEnd
 
 
 class NotFound(Exception):
@@ -98,12 +108,9 @@ def profile_ends(
         problem: The calibration.
         settings: Settings of the outer loop, for the fits along the profile.
         z: Where the calibration ended, scaled [-].
-        rows: Its errors and compliances there, in noise units, priors included [-].
+        rows: Its `Evaluation.rows` there [-].
         rise: Root of the rise of twice the cost at the end of an interval [-].
         which: Indices of the parameters.
-
-    Returns:
-        The lower and the upper end for each of them.
 
     Raises:
         LowerCostFound: If the calibration is not in the best optimum.
@@ -177,7 +184,7 @@ def _end(profile: "_Profile") -> ProfileEnd:
 
 
 class _Jump(Exception):
-    """The excess jumps within a narrow bracket."""
+    pass
 
 
 def root(
@@ -190,17 +197,8 @@ def root(
     """Find the zero of an excess between two distances where its signs differ.
 
     By Brent's method, which ends where the excess is 0. Where the cost is a parabola
-    the excess is linear, and the first guess is the root.
-
-    Args:
-        excess: The function; 0 within its tolerance.
-        inside: Distance where it is negative.
-        outside: Distance where it is positive.
-        steep: Difference of the excess, over that of the distance relative to
-            `outside`, at which a narrow bracket is a jump.
-
-    Returns:
-        The root, twice; or the distances on both sides of a jump, the inner one first.
+    the excess is linear, and the first guess is the root. It is returned twice; of a
+    jump, steeper than `steep` within a narrow bracket, both sides, the inner one first.
     """
     from scipy.optimize import brentq
 
@@ -276,10 +274,9 @@ class _Profile:
         variance = calibration.covariance[column, column]
         self.calibration, self.column, self.sign = calibration, column, sign
         self.std = float(np.sqrt(variance))
-        self.reach, self.limit = (
-            calibration.rise * self.std,
-            room_beside(space, calibration.z, column, sign),
-        )
+        self.reach = calibration.rise * self.std
+        self.limit = room_beside(space, calibration.z, column, sign)
+        self.least_fall = CLOSE_ENOUGH * calibration.rise**2
         self.path = sign * calibration.covariance[column] / variance
         self.seen = {0.0: _Rest(0.0, calibration.z, -calibration.rise)}
 
@@ -334,25 +331,20 @@ class _Profile:
         value = 0.0 if near else value
         return _Rest(distance + self.sign * far, run.z, value)
 
-    @property
-    def _steady(self) -> tuple[int, float]:
-        """Steps and fall of twice the cost that are small for an end, see `STEADY`."""
-        return STEADY, CLOSE_ENOUGH * self.calibration.rise**2
-
     def _is_steady(self, run: Run) -> bool:
         """Return whether a fit stands still, as exactly as an end is sought."""
         squares = run.errors[np.isfinite(run.errors)] ** 2
-        steps, least = self._steady
-        if len(squares) <= steps:
+        if len(squares) <= STEADY:
             return False
-        return bool(squares[-1 - steps] - squares[-1] <= least)
+        return bool(squares[-1 - STEADY] - squares[-1] <= self.least_fall)
 
     def _pinned(self, space: ParameterSpace, pin: Pin, start) -> Run:
         """Calibrate with the parameter held."""
         pinned = eqx.tree_at(lambda s: s.pin, space, pin, is_leaf=lambda x: x is None)
-        evaluate = self.calibration.evaluate.with_space(pinned)
+        evaluate, settings = self.calibration.evaluate, self.calibration.settings
+        steady = STEADY, self.least_fall
         return minimise(
-            evaluate, self.calibration.settings, jnp.asarray(start), steady=self._steady
+            evaluate.with_space(pinned), settings, jnp.asarray(start), steady=steady
         )
 
     def _check(self, pin: Pin, run: Run) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """What a calibration returns."""
 
 import math
+from typing import Literal
 
 import numpy as np
 
@@ -8,12 +9,11 @@ from softcal_jax._files import ProjectSource
 from softcal_jax._module import Module, Result
 from softcal_jax._names import listed, unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax._units import readable_estimate
+from softcal_jax._units import readable_estimate, readable_unit
 from softcal_jax.calibration._configuration_result import ConfigurationResult
-from softcal_jax.calibration._interval import ParameterInterval
 from softcal_jax.calibration._noise import CorrelatedNoise
+from softcal_jax.calibration._notes import ResidualChecks
 from softcal_jax.calibration._problem import CalibrationSettings
-from softcal_jax.calibration._residual_checks import ResidualChecks
 from softcal_jax.calibration._runs import best_of
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import PRECISION, ParameterSpace
@@ -22,12 +22,57 @@ from softcal_jax.inference import ErrorBudget, LinearModel, Uncertainty
 MOST_OPTIMA = 5
 """Most optima that are listed; the others are only counted."""
 
-
 SKEWED = 1.8
 """Ratio of the halves of an interval from which it is no value +- error [-].
 
 That of a modulus known to 30 %, whose interval is symmetric in its logarithm.
 """
+
+IntervalEnd = Literal["likelihood", "bound", "not found"]
+IntervalKind = Literal["first-order", "profile", "one-sided", "none"]
+
+
+class ParameterInterval(Module):
+    """Confidence interval of a calibrated parameter, in SI units.
+
+    Attributes:
+        name: Its name.
+        level: Confidence [-].
+        lower: Lower end; nan if it was not found.
+        upper: Upper end; likewise. A periodic angle may lie beyond its bounds.
+        lower_end: What ends it below: "likelihood"; "bound", if the data do not exclude
+            the bound of the parameter (or half a turn of a periodic angle); or "not
+            found", if fits along the profile did not converge, or were not tried.
+        upper_end: The same above.
+        unit: SI unit.
+        kind: How it was found: "first-order", from a standard error that the cost
+            confirms; "profile", from the likelihood itself; "one-sided", likewise, with
+            a limit on one side and a bound on the other; or "none".
+        why: Why there is none; empty if there is one.
+    """
+
+    name: str
+    level: float
+    lower: float
+    upper: float
+    lower_end: IntervalEnd
+    upper_end: IntervalEnd
+    unit: str
+    kind: IntervalKind = "profile"
+    why: str = ""
+
+    def __str__(self) -> str:
+        """Write its ends in a readable unit, or why there are none, in one line."""
+        turn = self.unit == "rad" and np.isclose(self.upper - self.lower, np.pi)
+        if turn and self.lower_end == self.upper_end == "bound":
+            return "any angle"
+        if self.kind == "none":
+            return self.why
+        factor, unit = readable_unit([self.lower, self.upper], self.unit)
+        both = (self.lower, self.lower_end), (self.upper, self.upper_end)
+        words = {"bound": " (bound)"}
+        ends = [f"{factor * value:.4g}{words.get(end, '')}" for value, end in both]
+        return f"{ends[0]} to {ends[1]} {unit}".rstrip()
 
 
 class ParameterEstimate(Module):
@@ -102,7 +147,7 @@ def parameter_estimates(
     return tuple(
         ParameterEstimate(
             name=parameter.name,
-            value=float(value),
+            value=float(values[i]),
             standard_error=float(errors[i]),
             start=float(before[i]),
             lower=float(parameter.lower),
@@ -111,9 +156,7 @@ def parameter_estimates(
             at_bound=bool(spread.at_bound[i]),
             given=() if spread.at_bound[i] else held,
         )
-        for i, (parameter, value) in enumerate(
-            zip(space.parameters, values, strict=True)
-        )
+        for i, parameter in enumerate(space.parameters)
     )
 
 
@@ -168,6 +211,11 @@ class Optimum(Module):
     values: dict[str, float]
     starts: tuple[int, ...]
 
+    @property
+    def words(self) -> str:
+        """Its parameters, like "E 1.5e+05, nu 0.45"."""
+        return ", ".join(f"{name} {value:.4g}" for name, value in self.values.items())
+
 
 class MultiStartResult(Module):
     """Result of a search from many starts.
@@ -208,33 +256,24 @@ class MultiStartResult(Module):
 
     def __str__(self) -> str:
         """Write one line per optimum, the best few, and the runs that found none."""
-        n, second = len(self.cost), self.second_best
+        n, n_converged = len(self.cost), int(self.converged.sum())
         lines = [
-            f"{n} starts, {int(self.converged.sum())} converged, "
-            f"{len(self.optima)} distinct optima."
+            f"{n} starts, {n_converged} converged, {len(self.optima)} distinct optima."
         ]
-        if second is not None:
-            higher = second.cost - self.optima[0].cost
-            lines.append(f"  The second-best costs {higher:.3g} more than the best.")
         for best in self.optima[:MOST_OPTIMA]:
-            values = ", ".join(f"{k} {v:.4g}" for k, v in best.values.items())
             origin = f"from {len(best.starts)} starts" if best.starts else "on the way"
-            lines.append(f"  cost {best.cost:.3g} {origin}: {values}")
+            lines.append(f"  cost {best.cost:.3g} {origin}: {best.words}")
         if len(self.optima) > MOST_OPTIMA:
             lines.append(f"  and {len(self.optima) - MOST_OPTIMA} more.")
-        unfinished = np.flatnonzero(~self.converged & np.isfinite(self.cost))
-        if unfinished.size:
+        lost = np.isinf(self.cost)
+        unfinished = ~self.converged & ~lost
+        if unfinished.any():
+            lowest = self.cost[unfinished].min()
             lines.append(
-                f"  {unfinished.size} not converged (starts "
-                f"{', '.join(map(str, unfinished))}), lowest cost "
-                f"{self.cost[unfinished].min():.3g}."
+                f"  {unfinished.sum()} not converged, lowest cost {lowest:.3g}."
             )
-        lost = np.flatnonzero(np.isinf(self.cost))
-        if lost.size:
-            lines.append(
-                f"  {lost.size} without equilibrium at the start (starts "
-                f"{', '.join(map(str, lost))})."
-            )
+        if lost.any():
+            lines.append(f"  {lost.sum()} without equilibrium at the start.")
         return "\n".join(lines)
 
 
@@ -305,11 +344,12 @@ class CalibrationResult(Result):
     def __str__(self) -> str:
         """Write the parameters, the fits and the notes, in a few lines."""
         lines = [f"Calibration {self._end}."]
-        lines += [
-            f"  {p.name} = {p.value:.5g}{_plus_minus(p)} {p.unit} "
-            f"(start {p.start:.5g}, bounds {p.lower:.5g} to {p.upper:.5g})"
-            for p in self.parameters
-        ]
+        for p in self.parameters:
+            error = f" +- {p.standard_error:.2g}" if p.is_symmetric else ""
+            lines.append(
+                f"  {p.name} = {p.value:.5g}{error} {p.unit} "
+                f"(start {p.start:.5g}, bounds {p.lower:.5g} to {p.upper:.5g})"
+            )
         lines += [f"  {line}" for line in str(self.budget).splitlines()]
         lines += [
             f"  {100 * i.level:g} % interval of {i.name}: {i} ({i.kind})"
@@ -333,7 +373,3 @@ class CalibrationResult(Result):
         if name not in values:
             raise unknown_name("parameter", name, values)
         return values[name]
-
-
-def _plus_minus(own: ParameterEstimate) -> str:
-    return f" +- {own.standard_error:.2g}" if own.is_symmetric else ""

@@ -12,10 +12,11 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
-from softcal_jax.calibration._evaluation import Evaluator, in_other_units
+from softcal_jax.calibration._evaluation import Evaluator, weighed
 from softcal_jax.calibration._noise import (
     FIRST_SHARE,
     RECORDINGS,
+    AnyArray,
     CorrelatedNoise,
     creep_of,
 )
@@ -85,24 +86,18 @@ class Weighed(NamedTuple):
     ) -> CorrelatedNoise:
         """Return the noise of all configurations with what the fitted ones showed.
 
-        Args:
-            start: The noise of all to begin with.
-            configurations: All of them, the fitted ones first.
+        `start` is that to begin with; the fitted configurations come first.
         """
-        n = len(self.sought.share)
-        largest = lambda a: float(np.max(np.abs(a), initial=0.0))
-        ratio = lambda a, b: largest(a) / largest(b) if largest(b) > 0.0 else 1.0
-        of_fit = np.asarray(start.share)[:n], np.asarray(start.offset)[:n]
+        sought, n = self.sought.share, len(self.sought.share)
+        ratio = lambda a, b: _largest(a) / _largest(b) if _largest(b) > 0.0 else 1.0
+        shares = np.asarray(self.noise.share), np.asarray(start.share)[:n]
         scaled = start.scaled(
             jitter=float(self.noise.jitter),
-            offset=ratio(self.noise.offset, of_fit[1]),
-            share=ratio(
-                np.asarray(self.noise.share)[self.sought.share],
-                of_fit[0][self.sought.share],
-            ),
+            offset=ratio(self.noise.offset, np.asarray(start.offset)[:n]),
+            share=ratio(shares[0][sought], shares[1][sought]),
             of=np.array([c.relative_std == "estimated" for c in configurations]),
         )
-        return scaled.moving(self.noise.motion, n)
+        return scaled.moving(self.noise.motion)
 
 
 def sought_noise(
@@ -125,14 +120,8 @@ def weighed_fit(
 ) -> Weighed:
     """Take steps to the optimum, update the noise, and go on until both stand still.
 
-    Args:
-        evaluate: Evaluator of the calibration, with the noise to begin with.
-        settings: Settings of the outer loop.
-        state: State to begin with.
-        configurations: The configurations.
-        sought: What of the noise is estimated.
-        motion: Measured motion of the points [m].
-        note: Called with state and noise after each step.
+    Begins with the noise of the evaluator. `motion` is the measured one of the points
+    [m]; `note` is called with state and noise after each step.
     """
     noise, scale, notes, settled = evaluate.problem.noise, None, [], True
     n_points = evaluate.problem.configurations.effectors.nodes.shape[-2]
@@ -156,29 +145,27 @@ def weighed_fit(
         new = _estimated(linear, noise, sought, configurations)
         known = new is not None and sought.jitter
         scale = float(noise.jitter) if known else None
-        new = (new or noise).following(motion, state.evaluation.delta_e, n_points)
-        if _change(noise, new) <= SETTLED:
+        # Shares of the measured motion favour a robot that does not move: a share of
+        # minus one then explains all of the data.
+        simulated = motion.copy()
+        simulated[:, :n_points] += np.asarray(state.evaluation.delta_e)[:, :n_points]
+        new = (new or noise).moving(simulated)
+        change = _change(noise, new)
+        if change <= SETTLED:
             break
         if n == MOST_ROUNDS - 1:
             settled = False
             notes.append(
                 "The noise did not settle beside the fit: it still "
-                f"changes by {100.0 * _change(noise, new):.0f} %. State the `std` of "
-                'the effectors with noise = "stated", or the offset of recordings.'
+                f"changes by {100.0 * change:.0f} %. State the `std` of the effectors "
+                'with noise = "stated", or the offset of recordings.'
             )
             break
         noise, evaluate = new, evaluate.with_noise(new)
-        evaluation = in_other_units(evaluate.numbered, state.z, state.evaluation)
+        evaluation = weighed(evaluate.numbered, state.z, state.evaluation.response)
         state = initial_state(settings, state.z, evaluation)
     notes += _noise_notes(noise, sought)
-    return Weighed(
-        state=state,
-        noise=noise,
-        sought=sought,
-        scale=scale,
-        notes=tuple(notes),
-        settled=settled,
-    )
+    return Weighed(state, noise, sought, scale, tuple(notes), settled)
 
 
 class _Components(NamedTuple):
@@ -208,34 +195,24 @@ def _enough(
     """Drop what the data cannot tell, with a note that says what counts instead."""
     columns, notes = _components(linear, sought, configurations), []
 
-    def too_few(
-        what: str, A: HostArray, fewest: int, *, taken: str, remedy: str
-    ) -> bool:
+    def too_few(what: str, A: HostArray, fewest: int, instead: str) -> bool:
         between, within = freedom_between(linear, A)
         if between >= fewest and within >= 1:
             return False
         notes.append(
             f"{what} cannot be estimated: of the residuals that parameters leave, at "
             f"least {fewest} must show it and one must not, and there are {between} "
-            f"and {within}. {taken} is taken; state `{remedy}`, or measure more."
+            f"and {within}. {instead}, or measure more."
         )
         return True
 
-    if sought.offset and too_few(
-        "The offset of the recordings",
-        columns.offsets,
-        FEWEST_OFFSETS,
-        taken=f"{1e3 * OFFSET:g} mm",
-        remedy="recordings",
-    ):
+    instead = f"{1e3 * OFFSET:g} mm is taken; state `recordings`"
+    what = "The offset of the recordings"
+    if sought.offset and too_few(what, columns.offsets, FEWEST_OFFSETS, instead):
         sought = sought._replace(offset=False)
-    if sought.share.any() and too_few(
-        "The share of the motion",
-        columns.shares,
-        FEWEST_SHARES,
-        taken=f"{100.0 * FIRST_SHARE:g} %",
-        remedy="relative_std",
-    ):
+    instead = f"{100.0 * FIRST_SHARE:g} % is taken; state `relative_std`"
+    what = "The share of the motion"
+    if sought.share.any() and too_few(what, columns.shares, FEWEST_SHARES, instead):
         sought = sought._replace(share=np.zeros_like(sought.share))
     if sought.jitter and linear.correlated.values.shape[1] > 0:
         _, within = freedom_between(linear, linear.correlated.values)
@@ -292,12 +269,15 @@ def _noise_notes(noise: CorrelatedNoise, sought: SoughtNoise) -> list[str]:
 
 def _change(old: CorrelatedNoise, new: CorrelatedNoise) -> float:
     """Return the largest relative change of a standard deviation [-]."""
-    largest = lambda a: np.max(np.abs(a), initial=0.0)
     before, after = (
-        np.array([n.jitter, largest(n.offset), largest(n.share)]) for n in (old, new)
+        np.array([n.jitter, _largest(n.offset), _largest(n.share)]) for n in (old, new)
     )
     creep = [
         np.asarray(n.motion) * np.asarray(n.share)[:, None, None] for n in (old, new)
     ]
-    change = np.append(np.abs(after - before), largest(creep[1] - creep[0]))
-    return float(np.max(change / np.maximum([*before, largest(creep[0])], 1e-300)))
+    change = np.append(np.abs(after - before), _largest(creep[1] - creep[0]))
+    return float(np.max(change / np.maximum([*before, _largest(creep[0])], 1e-300)))
+
+
+def _largest(values: AnyArray) -> float:
+    return float(np.max(np.abs(values), initial=0.0))

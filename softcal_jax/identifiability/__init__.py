@@ -1,9 +1,15 @@
 """What the data can tell about the parameters, and what to measure next (Sec. V)."""
 
-from softcal_jax.identifiability._assessment import Assessment, assess
-from softcal_jax.identifiability._conditioning import Conditioning, conditioning
+from softcal_jax.identifiability._assessment import (
+    Assessment,
+    Prediction,
+    RunVerdict,
+    Tone,
+    assess,
+    end_of,
+    verdict_of,
+)
 from softcal_jax.identifiability._identify import identifiability, identify
-from softcal_jax.identifiability._prediction import Prediction, predict_spread
 from softcal_jax.identifiability._ranking import (
     Gain,
     Ranking,
@@ -18,11 +24,12 @@ from softcal_jax.identifiability._result import (
 from softcal_jax.identifiability._spread import (
     IDENTIFIABLE_UP_TO,
     WEAK_UP_TO,
+    Conditioning,
     Direction,
     Spread,
     Verdict,
+    conditioning,
 )
-from softcal_jax.identifiability._verdict import RunVerdict, Tone, end_of, verdict_of
 
 __all__ = [
     "IDENTIFIABLE_UP_TO",
@@ -46,7 +53,6 @@ __all__ = [
     "identifiability",
     "identify",
     "percent",
-    "predict_spread",
     "rank_configurations",
     "verdict_of",
 ]

@@ -1,25 +1,70 @@
 """Assess what a finished calibration may claim: converged, consistent, identified."""
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 from scipy.special import chdtri
 
-from softcal_jax._module import Result
-from softcal_jax.calibration import MESH, CalibrationResult, MultiStartResult
+from softcal_jax._module import Module, Result, one_line
+from softcal_jax._text_table import Tone
+from softcal_jax.calibration import (
+    FLAT,
+    MESH,
+    SMALLEST_FALL,
+    CalibrationResult,
+    ConfigurationResult,
+    MultiStartResult,
+)
 from softcal_jax.identifiability._identify import identifiability
-from softcal_jax.identifiability._prediction import Prediction, predict_spread
 from softcal_jax.identifiability._result import Identifiability
 from softcal_jax.inference import ErrorBudget
+
+
+class Prediction(Module):
+    """Uncertainty of one predicted pose.
+
+    Attributes:
+        name: Name of the configuration.
+        role: Whether it was fitted or held out.
+        std: Standard error of its markers by that of the parameters, a root mean square
+            distance [m]; infinite where it depends on parameters that nothing sees.
+    """
+
+    name: str
+    role: str
+    std: float
+
+
+def _predictions(
+    fits: Sequence[ConfigurationResult], report: Identifiability
+) -> tuple[Prediction, ...]:
+    """Carry the covariance of the parameters into the markers of configurations.
+
+    The rows W_ep of Eq. (9) times the covariance by all causes: what a pose would be
+    off by if everything but the parameters were right.
+    """
+    predictions = []
+    for fit in fits:
+        if fit.W_ep is None or not fit.points:
+            continue
+        variance = 0.0
+        for marker in fit.points:
+            rows = marker.seen[:, None] * fit.W_ep[marker.index] * report.asked
+            variance += float(np.sum(report.spread.along(rows) ** 2))
+        std = float(np.sqrt(variance / len(fit.points)))
+        predictions.append(Prediction(fit.name, fit.role, std))
+    return tuple(predictions)
 
 
 class Assessment(Result):
     """Verdict on a calibration.
 
     Attributes:
-        identified: Whether all parameters may be trusted: the fit converged, the noise
-            settled beside it, its residuals are no larger than the stated noise, every
-            configuration, held out or not, is explained, no parameter sits on a bound,
-            no other optimum fits as well, tets do not lock, and every parameter is
-            known as well as was asked.
+        identified: Whether all parameters may be trusted: the fit and its noise
+            converged, its residuals are no larger than the stated noise, every
+            configuration is explained, no parameter sits on a bound, no other optimum
+            fits as well, tets do not lock, and all are known as well as was asked.
         reasons: Why not, one sentence each; empty if identified.
         misfit_probability: Probability of residuals this large if model and stated
             noise are right; None if the noise was estimated from them [-].
@@ -38,9 +83,9 @@ class Assessment(Result):
         """How well poses are predicted, in a sentence; empty without markers."""
         parts = []
         for role, words in (("calibration", "fitted"), ("validation", "held-out")):
-            own = [p.std for p in self.predictions if p.role == role]
-            if own:
-                std = float(np.sqrt(np.mean(np.square(own))))
+            errors = [p.std for p in self.predictions if p.role == role]
+            if errors:
+                std = float(np.sqrt(np.mean(np.square(errors))))
                 off = f"{1e3 * std:.2g} mm" if np.isfinite(std) else "an unknown amount"
                 parts.append(f"the {words} poses by {off}")
         if not parts:
@@ -61,7 +106,7 @@ class Assessment(Result):
     def __str__(self) -> str:
         """The verdict and its reasons, then the identifiability report."""
         lines = ["\n  ".join([self.headline, *self.reasons]), str(self.identifiability)]
-        return "\n".join([*lines, *filter(None, [self.prediction])])
+        return "\n".join([*lines, self.prediction]).rstrip()
 
 
 def assess(result: CalibrationResult, *, precision: float | None = None) -> Assessment:
@@ -70,9 +115,7 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
     The verdict compares standard errors by all causes with those that are asked for,
     see `identifiability`; how wide bounds are does not matter.
 
-    Model error shows as residuals above the noise: with stated noise and a correct
-    model, the sum of squared errors in noise units follows a chi-squared distribution
-    whose degrees of freedom are measured coordinates minus parameters. Noise that is
+    Model error shows as residuals above a stated noise, by chi-squared; noise that is
     estimated from the residuals hides model error.
 
     Args:
@@ -127,33 +170,27 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
             f"The data hardly see {len(report.blind)} of {report.n_parameters} "
             "directions of the parameters."
         )
-    poses = [predict_spread(fit, report) for fit in result.configurations]
     return Assessment(
-        not reasons,
-        tuple(reasons),
-        spread.misfit_probability,
-        report,
-        tuple(pose for pose in poses if pose is not None),
+        identified=not reasons,
+        reasons=tuple(reasons),
+        misfit_probability=spread.misfit_probability,
+        identifiability=report,
+        predictions=_predictions(result.configurations, report),
     )
 
 
 def _locking(budget: ErrorBudget, report: Identifiability) -> list[str]:
     """Say what linear tets may do to the values, unless that is switched off."""
-    remedy = "Use quadratic tets (to_quadratic)."
     errors = budget.by_cause().get(MESH)
     if errors is None and MESH not in budget.unknown:
         return []
-    over_asked = np.array([-1.0])
-    if errors is not None:
+    amount = ", by an unknown amount here"
+    if errors is not None and np.any(np.isfinite(errors)):  # nan on a bound
         asked = np.array([p.asked for p in report.parameters])
-        over_asked = np.nan_to_num(errors / asked, nan=-1.0)
-    worst = int(np.argmax(over_asked))
-    if errors is None or over_asked[worst] < 0.0:  # a value on a bound has no error
-        return [f"Linear tets lock in bending, by an unknown amount here. {remedy}"]
-    return [
-        f"Linear tets lock in bending: {budget.names[worst]} may be off by "
-        f"{budget.readable(worst, errors[worst])} by the mesh alone. {remedy}"
-    ]
+        worst = int(np.nanargmax(errors / asked))
+        error = budget.readable(worst, errors[worst])
+        amount = f": {budget.names[worst]} may be off by {error} by the mesh alone"
+    return [f"Linear tets lock in bending{amount}. Use quadratic tets (to_quadratic)."]
 
 
 def _wide(report: Identifiability, result: CalibrationResult) -> list[str]:
@@ -162,9 +199,8 @@ def _wide(report: Identifiability, result: CalibrationResult) -> list[str]:
     return [
         f"{p.name} is less certain than its bounds are wide: they say more than the "
         "data."
-        for p, own in pairs
-        if np.isfinite(p.standard_error)
-        and p.standard_error > float(own.upper - own.lower)
+        for p, bounds in pairs
+        if float(bounds.upper - bounds.lower) < p.standard_error < np.inf
     ]
 
 
@@ -185,12 +221,64 @@ def _rivals(found: MultiStartResult | None, noise_scale: float) -> list[str]:
         return []
     best, *others = found.optima
     allowed = 0.5 * noise_scale**2 * float(chdtri(1, 0.05))
-    reasons = []
-    for other in others:
-        if other.cost - best.cost <= allowed:
-            values = ", ".join(f"{k} {v:.4g}" for k, v in other.values.items())
-            reasons.append(
-                f"Other values fit as well: {values} (cost {other.cost:.3g}, the best "
-                f"{best.cost:.3g})."
-            )
-    return reasons
+    return [
+        f"Other values fit as well: {other.words} (cost {other.cost:.3g}, the "
+        f"best {best.cost:.3g})."
+        for other in others
+        if other.cost - best.cost <= allowed
+    ]
+
+
+class RunVerdict(NamedTuple):
+    """What may be said of a run, first of all.
+
+    Attributes:
+        sentence: The verdict; it ends with a colon where reasons follow.
+        tone: How it is meant.
+        reasons: What there is to doubt, one sentence each.
+    """
+
+    sentence: str
+    tone: Tone
+    reasons: tuple[str, ...] = ()
+
+    __repr__ = one_line
+
+
+def verdict_of(result: CalibrationResult, found: Assessment) -> RunVerdict:
+    """Say in one sentence whether the values of a calibration can be used."""
+    steps = len(result.history) - 1
+    taken = f"{steps} step{'s' * (steps != 1)}"
+    if not result.converged:
+        text = f"NOT CONVERGED after {taken}: do not use these values."
+        return RunVerdict(text, "bad")
+    if found.identified:
+        text = f"Converged in {taken}, and nothing speaks against the values."
+        return RunVerdict(text, "good")
+    text = f"Converged in {taken}, but take the values with care:"
+    return RunVerdict(text, "doubtful", found.reasons)
+
+
+def end_of(result: CalibrationResult) -> str:
+    """Say which criterion ended the fit, see `CalibrationSettings`."""
+    if result.interrupted:
+        return "The user interrupted the fit."
+    if len(result.history) < 2:
+        return "The fit ended before its first step."
+    settings, last = result.settings, result.history[-1]
+    size = max(abs(step) for step in last.lambda_p)
+    if not result.converged and last.step >= settings.max_steps:
+        where = f"at max_steps = {settings.max_steps}"
+    elif not result.converged:
+        where = "where every step was refused, though the cost still falls"
+    elif not last.accepted:
+        where = "where steps were refused and the cost is flat: its slope vanishes to "
+        where += f"{FLAT:g}"
+    elif size <= settings.tol:
+        where = f"as |lambda_p| = {size:.1e} is below {settings.tol:g}"
+    else:
+        where = (
+            f"as one more step, |lambda_p| = {size:.1e}, would lower the cost by less "
+            f"than {SMALLEST_FALL:g} of it"
+        )
+    return f"The fit ended {where}."

@@ -46,10 +46,10 @@ from softcal_jax.fields import (
     check_parameters,
     check_precision,
 )
-from softcal_jax.identifiability._conditioning import conditioning
 from softcal_jax.identifiability._result import Identifiability, ParameterOutlook
 from softcal_jax.identifiability._spread import (
     Spread,
+    conditioning,
     count_informed,
     information,
     named_directions,
@@ -76,12 +76,10 @@ def identifiability(
 
     The verdict compares the predicted standard error of each parameter with the one
     that is asked for (`IDENTIFIABLE_UP_TO`, `WEAK_UP_TO`), which is relative to the
-    value, or absolute for angles and errors of the setup: the table is in
-    `softcal_jax.fields._precision`. A stated prior (`prior_std`) counts like a
-    measurement. Bounds do not count: a parameter that no data see has no finite error,
-    however narrow they are, and one on a bound counts as free.
-
-    The verdict is local: at E_l = E_t, for example, the fibre angle has no effect.
+    value, or absolute for angles and errors of the setup, see `asked_errors`. A stated
+    prior (`prior_std`) counts like a measurement. Bounds do not count: a parameter that
+    no data see has no finite error, however narrow they are, and one on a bound counts
+    as free. The verdict is local: at E_l = E_t the fibre angle has no effect.
 
     Args:
         linear: The fit, such as `CalibrationResult.linear`.
@@ -133,24 +131,23 @@ def _outlooks(
     errors, data_only = in_si * ratios, in_si * alone.errors()
     weights = np.asarray(space.prior_weights())
     values = np.asarray(space.from_scaled(jax.device_put(z)))
-    outlooks = []
-    for i, parameter in enumerate(space.parameters):
-        plain = parameter.unit == "rad" or values[i] == 0.0
-        outlooks.append(
-            ParameterOutlook(
-                name=parameter.name,
-                value=float(values[i]),
-                standard_error=float(errors[i]),
-                data_only=float(data_only[i]),
-                prior=float(slope[i] / weights[i]) if weights[i] > 0.0 else None,
-                asked=float(in_si[i]),
-                relative=None if plain else float(errors[i] / abs(values[i])),
-                ratio=float(ratios[i]),
-                verdict=verdict(float(ratios[i])),
-                unit=parameter.unit,
-            )
+    radians = np.array([q.unit == "rad" for q in space.parameters])
+    absolute = radians | (values == 0.0)
+    return tuple(
+        ParameterOutlook(
+            name=parameter.name,
+            value=float(values[i]),
+            standard_error=float(errors[i]),
+            data_only=float(data_only[i]),
+            prior=float(slope[i] / weights[i]) if weights[i] > 0.0 else None,
+            asked=float(in_si[i]),
+            relative=None if absolute[i] else float(errors[i] / abs(values[i])),
+            ratio=float(ratios[i]),
+            verdict=verdict(float(ratios[i])),
+            unit=parameter.unit,
         )
-    return tuple(outlooks)
+        for i, parameter in enumerate(space.parameters)
+    )
 
 
 def identify(
@@ -165,17 +162,15 @@ def identify(
     precision: float = PRECISION,
     progress: Callable[[EquilibriumProgress], None] = lambda _: None,
 ) -> Identifiability:
-    """Predict what markers in these configurations would tell, before measuring.
-
-    The verdict is that of `identifiability`.
+    """Predict what markers would tell, before measuring; see `identifiability`.
 
     Args:
         model: The model.
         parameters: Parameters that would be calibrated, with start and bounds.
         configurations: Configurations with markers, of which `std` and `axes` are used;
             `measured` is ignored and may be missing.
-        at: Scaled values z to linearise at; the start by default. The `to_scaled` of a
-            `ParameterSpace` converts SI values [-].
+        at: Scaled values z to linearise at, see `ParameterSpace.to_scaled`; the start
+            by default [-].
         noise: Standard deviation of every measured coordinate; by default that of the
             markers [m].
         newton: Settings of the equilibrium.
@@ -189,11 +184,10 @@ def identify(
         RuntimeError: If a configuration has no equilibrium; the text names it.
     """
     check_precision(precision)
-    poses = as_sequence(configurations)
     seen = survey(
         model,
         parameters,
-        poses,
+        as_sequence(configurations),
         at=at,
         noise=noise,
         newton=newton,
@@ -205,7 +199,7 @@ def identify(
         seen.space,
         seen.z,
         W_ep=seen.W_ep,
-        W_pp=np.sum(seen.W_pp, axis=0),
+        W_pp=seen.W_pp,
         precision=precision,
         unknown=seen.unknown,
     )
@@ -219,7 +213,7 @@ class Survey(Module):
         z: Their scaled values [-].
         linear: Rows of what would be measured, without errors.
         W_ep: Compliances of these rows, in their units, per unit of lambda_p.
-        W_pp: That of each configuration [J].
+        W_pp: Sum over the configurations [J].
         failures: Why a configuration has no equilibrium; empty if it has one.
         unknown: Causes of errors that `linear` lacks, see `ErrorBudget`.
     """
@@ -228,7 +222,7 @@ class Survey(Module):
     z: Float[Array, " n_p"]
     linear: LinearModel
     W_ep: Float[HostArray, "n_e n_p"]
-    W_pp: Float[HostArray, "n_c n_p n_p"]
+    W_pp: Float[HostArray, "n_p n_p"]
     failures: tuple[str, ...]
     unknown: tuple[str, ...] = ()
 
@@ -247,8 +241,8 @@ def survey(
 ) -> Survey:
     """Solve configurations at one value of the parameters and differentiate them.
 
-    Arguments and errors are those of `rank_configurations`. The first `required`
-    configurations, by default all, must have an equilibrium.
+    Arguments and errors are those of `identify`. The first `required` configurations,
+    by default all, must have an equilibrium.
     """
     check_process()
     if noise is not None and not 0.0 < noise < np.inf:
@@ -260,7 +254,7 @@ def survey(
         check_parameters(model, space)
         n_p = len(space.names)
         linear = independent(np.zeros((0, n_p)), tuple(space.names))
-        return Survey(space, z, linear, linear.W, np.zeros((0, n_p, n_p)), ())
+        return Survey(space, z, linear, linear.W, np.zeros((n_p, n_p)), ())
     mesh, mechanism = model.mesh, model.mechanism
     # A configuration without effectors is no error: the verdict says it sees nothing.
     posed = [
@@ -290,9 +284,8 @@ def survey(
     weight = np.asarray(arrays.effectors.inverse_std)
     if noise is not None:
         weight = np.where(weight > 0.0, 1.0 / noise, 0.0)
-    weighed = eqx.tree_at(
-        lambda p: p.configurations.effectors.inverse_std, problem, weight
-    )
+    of_problem = lambda p: p.configurations.effectors.inverse_std
+    weighed = eqx.tree_at(of_problem, problem, weight)
     # Nothing is measured yet: the motion is that of the model.
     records = [
         tuple(replace(e, measured=e.among(rows)) for e in of_pose)
@@ -316,14 +309,13 @@ def survey(
         n_fitted=required,
         considered=doubts.in_std(len(names), weight),
     )
-    failed = np.array([bool(failure) for failure in failures])
-    seen = (weight > 0.0) & ~failed[:, None, None]
+    seen = (weight > 0.0) & (np.array(failures) == "")[:, None, None]
     return Survey(
         space=space,
         z=z,
         linear=linear.all_fitted(),
         W_ep=np.concatenate(np.asarray(compliance.W_ep))[seen.ravel()],
-        W_pp=np.asarray(compliance.W_pp),
+        W_pp=np.sum(np.asarray(compliance.W_pp), axis=0),
         failures=failures,
         unknown=doubts.unknown(len(names)),
     )
@@ -333,12 +325,10 @@ def _failures(
     solution: EquilibriumSolution, regular: Bool[HostArray, " n_c"]
 ) -> tuple[str, ...]:
     """Say why configurations have no equilibrium, or no regular tangent there."""
-    outcomes = []
-    for c, ok in enumerate(regular):
-        one = lane_of(solution, c)
-        outcome = one.result if not one.converged else RESULTS.singular
-        outcomes.append("" if one.converged and ok else str(RESULTS[outcome]))
-    return tuple(outcomes)
+    failures = ["" if ok else RESULTS[RESULTS.singular] for ok in regular]
+    for c in np.flatnonzero(~np.asarray(solution.converged)).tolist():
+        failures[c] = RESULTS[lane_of(solution.result, c)]
+    return tuple(failures)
 
 
 def _scaled_values(

@@ -12,20 +12,10 @@ from softcal_jax._units import readable_unit
 from softcal_jax.calibration import EquilibriumProgress, as_sequence
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
-from softcal_jax.fields import PRECISION, ParameterSpace, Uncertain, asked_errors
-from softcal_jax.identifiability._identify import (
-    AnyVector,
-    Parameters,
-    Survey,
-    survey,
-)
+from softcal_jax.fields import PRECISION, Uncertain, asked_errors
+from softcal_jax.identifiability._identify import AnyVector, Parameters, Survey, survey
 from softcal_jax.identifiability._result import number
-from softcal_jax.identifiability._spread import (
-    Spread,
-    information,
-    named_directions,
-    spread_of,
-)
+from softcal_jax.identifiability._spread import information, named_directions, spread_of
 from softcal_jax.inference import LinearModel
 
 NOTHING = 10.0
@@ -44,10 +34,8 @@ class Gain(Module):
 
     Attributes:
         name: Name of the candidate.
-        d_gain: Twice the decrease of the log volume of the parameters' uncertainty,
-            log det(M + J) - log det M [nat].
-        e_gain: Increase of the smallest eigenvalue of M, in units of what the asked
-            standard error tells [-].
+        d_gain: log det(M + J) - log det M, see `rank_configurations` [nat].
+        e_gain: Increase of the smallest eigenvalue of M [-].
         blind_left: Number of directions that it leaves unidentifiable.
         parameter: Parameter whose standard error falls most, relative to the asked one.
         before: Its standard error without the candidate, in SI; infinite where nothing
@@ -75,13 +63,11 @@ class Gain(Module):
     @property
     def effect(self) -> str:
         """The standard error that falls most, like "E of tip: 101 to 4.1 kPa"."""
-        factor, unit = readable_unit([self.value], self.unit)
-        before, after = (
-            number(factor * error) if np.isfinite(error) else "blind"
-            for error in (self.before, self.after)
-        )
-        if after == "blind":
+        if not np.isfinite(self.after):
             return f"{self.parameter}: still blind"
+        factor, unit = readable_unit([self.value], self.unit)
+        before = number(factor * self.before) if np.isfinite(self.before) else "blind"
+        after = number(factor * self.after)
         return f"{self.parameter}: {before} to {after} {unit}".rstrip()
 
     @property
@@ -96,12 +82,7 @@ class Gain(Module):
 
 
 class Unranked(Module):
-    """A candidate that cannot be ranked.
-
-    Attributes:
-        name: Its name.
-        reason: Why it cannot be ranked.
-    """
+    """A candidate that cannot be ranked, and the reason."""
 
     name: str
     reason: str
@@ -174,10 +155,8 @@ class Ranking(Result):
 
     def __str__(self) -> str:
         """Describe the best candidate, and tabulate all."""
-        if not self.gains:
-            return "\n".join([self.headline, *map(str, self.unranked)])
-        lines = [self.headline, *self.tabulated.lines(), self.legend]
-        return "\n".join([*lines, *map(str, self.unranked)])
+        table = [*self.tabulated.lines(), self.legend] if self.gains else []
+        return "\n".join([self.headline, *table, *map(str, self.unranked)])
 
 
 def rank_configurations(
@@ -203,25 +182,9 @@ def rank_configurations(
     eigenvalue of M (E-optimality) is given too: D rewards shrinking any direction of
     the uncertainty, E only the worst one.
 
-    Args:
-        model: The model.
-        parameters: Parameters that are, or would be, calibrated.
-        configurations: Configurations measured already; may be empty.
-        candidates: Configurations that might be measured, with any loads, orientation,
-            supports and markers, and with names of their own.
-        at: Scaled values z to linearise at, such as `CalibrationResult.z`; the start
-            by default [-].
-        noise: Standard deviation of every measured coordinate; by default that of the
-            markers [m].
-        newton: Settings of the equilibrium.
-        uncertain: How well everything is known that is not calibrated; the defaults of
-            `Uncertain` by default.
-        precision: Standard error that is asked for, relative to the value [-].
-        progress: Called after every few iterations of an equilibrium.
-
-    Returns:
-        The candidates, the best first. Those without an equilibrium at these values or
-        without markers are listed with the reason.
+    The `configurations` are measured already, and may be none; the `candidates` might
+    be, and have names of their own. Those without an equilibrium or markers are listed
+    with the reason. Other arguments are those of `identify`.
 
     Raises:
         ValueError: If an input is wrong, there is no candidate, or a name repeats.
@@ -244,7 +207,7 @@ def rank_configurations(
     names = [c.name for c in tried]
     asked = asked_errors(seen.space, seen.z, precision)
     in_asked = seen.linear.per(asked)
-    before = _told(in_asked.without(*names), seen.space)
+    before = _knowledge(in_asked.without(*names))
     gains, unranked = [], []
     for k, name in enumerate(names, start=len(known)):
         reason = seen.failures[k]
@@ -254,30 +217,30 @@ def rank_configurations(
             unranked.append(Unranked(name, reason))
             continue
         others = [other for other in names if other != name]
-        after = _told(in_asked.without(*others), seen.space)
+        after = _knowledge(in_asked.without(*others))
         gains.append(_gain(name, seen, asked, before=before, after=after))
     gains.sort(key=lambda gain: -gain.d_gain)
     return Ranking(tuple(gains), tuple(unranked), len(asked), before.blind)
 
 
-class _Told(NamedTuple):
+class _Knowledge(NamedTuple):
     """What configurations tell together, in units of the asked standard errors.
 
     `blind` is the number of directions that are not identifiable.
     """
 
-    spread: Spread
+    errors: Float[HostArray, " n_p"]
     information: Float[HostArray, "n_p n_p"]
     blind: int
 
 
-def _told(linear: LinearModel, space: ParameterSpace) -> _Told:
+def _knowledge(linear: LinearModel) -> _Knowledge:
     """Sum up what configurations tell."""
     spread = spread_of(linear)
-    directions = named_directions(spread, space.names)
+    directions = named_directions(spread, linear.names)
     blind = sum(d.verdict == "not identifiable" for d in directions)
     least = np.diag(linear.prior_weights**2 + NOTHING**-2.0)
-    return _Told(spread, least + information(linear), blind)
+    return _Knowledge(spread.errors(), least + information(linear), blind)
 
 
 def _gain(
@@ -285,24 +248,24 @@ def _gain(
     seen: Survey,
     asked: Float[HostArray, " n_p"],
     *,
-    before: _Told,
-    after: _Told,
+    before: _Knowledge,
+    after: _Knowledge,
 ) -> Gain:
-    """Compare what is told without and with a candidate."""
-    bounded = [np.sqrt(np.diag(np.linalg.inv(t.information))) for t in (before, after)]
+    """Compare what is known without and with a candidate."""
+    bounded = [np.sqrt(np.diag(np.linalg.inv(k.information))) for k in (before, after)]
     best = int(np.argmax(bounded[0] - bounded[1]))
     parameter = seen.space.parameters[best]
     in_si = (seen.space.slopes(seen.z) * asked)[best]
     value = np.asarray(seen.space.from_scaled(seen.z))[best]
-    old, new = (np.linalg.eigvalsh(t.information) for t in (before, after))
+    old, new = (np.linalg.eigvalsh(k.information) for k in (before, after))
     return Gain(
         name=name,
         d_gain=float(np.sum(np.log(new)) - np.sum(np.log(old))),
         e_gain=float(new[0] - old[0]),
         blind_left=after.blind,
         parameter=parameter.name,
-        before=float(in_si * before.spread.errors()[best]),
-        after=float(in_si * after.spread.errors()[best]),
+        before=float(in_si * before.errors[best]),
+        after=float(in_si * after.errors[best]),
         value=float(value),
         unit=parameter.unit,
     )

@@ -8,9 +8,9 @@ from softcal_jax._module import Module, Result
 from softcal_jax._text_table import TextTable, text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_unit
-from softcal_jax.identifiability._conditioning import Conditioning
 from softcal_jax.identifiability._spread import (
     WEAK_UP_TO,
+    Conditioning,
     Direction,
     Spread,
     Verdict,
@@ -83,8 +83,12 @@ class Identifiability(Result):
 
     @property
     def covariance(self) -> Float[HostArray, "n_p n_p"]:
-        """Covariance of the scaled parameters, see `Spread.covariance` [-]."""
-        return self.spread.covariance() * np.outer(self.asked, self.asked)
+        """Covariance of the scaled parameters; inf for blind ones, nan with others."""
+        factor, blind = self.spread.factor, self.spread.blind
+        full = factor @ factor.T * np.outer(self.asked, self.asked)
+        full[blind] = full[:, blind] = np.nan
+        full[blind, blind] = np.inf
+        return full
 
     @property
     def n_parameters(self) -> int:
@@ -94,10 +98,9 @@ class Identifiability(Result):
     @property
     def correlation(self) -> Float[HostArray, "n_p n_p"]:
         """Correlation of the parameters [-]; nan for those that nothing sees."""
-        covariance = self.spread.covariance()
-        std = np.sqrt(np.diag(covariance))
+        std = np.sqrt(np.diag(self.covariance))
         with np.errstate(invalid="ignore"):  # infinite over infinite
-            return covariance / np.outer(std, std)
+            return self.covariance / np.outer(std, std)
 
     @property
     def blind(self) -> tuple[Direction, ...]:
@@ -131,8 +134,8 @@ class Identifiability(Result):
             return ()
         missing, first = self.n_parameters - self.n_data, ""
         if missing > 0:
-            several = "s are" if missing > 1 else " is"
-            first = f"At least {missing} more measured coordinate{several} needed. "
+            more = f"{missing} more measured coordinate{'s' * (missing > 1)}"
+            first = f"It takes at least {more}. "
         return (
             f"{first}What to do: another configuration (load, orientation, other end "
             "clamped), more markers, or less noise; ranking candidates tells which "
@@ -147,18 +150,16 @@ class Identifiability(Result):
             f"Errors of the {cause} are not among these: their size is not known here."
             for cause in self.unknown
         ]
-        blind = self.blind
-        if blind:
+        worst_first = self.blind[::-1]
+        if worst_first:
             lines.append(
-                f"The data hardly see {len(blind)} of {n_p} "
+                f"The data hardly see {len(worst_first)} of {n_p} "
                 f"direction{'s' * (n_p != 1)} (standard error over the asked one):"
             )
-            lines += [
-                f"  {d.words} ({percent(d.ratio)})"
-                for d in blind[: -MOST_SHOWN - 1 : -1]
-            ]
-            if len(blind) > MOST_SHOWN:
-                lines.append(f"  and {len(blind) - MOST_SHOWN} more.")
+            shown = worst_first[:MOST_SHOWN]
+            lines += [f"  {d.words} ({percent(d.ratio)})" for d in shown]
+            if len(worst_first) > MOST_SHOWN:
+                lines.append(f"  and {len(worst_first) - MOST_SHOWN} more.")
         if self.has_prior:
             lines.append(
                 f"The data tell more than the prior along {self.informed} of {n_p} "

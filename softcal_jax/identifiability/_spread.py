@@ -1,4 +1,4 @@
-"""Spread of parameters and directions by noise and errors, and the verdict on it."""
+"""How evenly the data see the parameters, and how well each (Sec. V-C)."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -36,12 +36,106 @@ interchangeable and any basis of their span is as good as another.
 """
 
 
+class Conditioning(Module):
+    """How evenly the data see the parameters.
+
+    Attributes:
+        singular_values: Singular values of the noise-weighted W_ep, descending; 0 where
+            there are fewer data than parameters [-].
+        directions: Right singular vectors V as columns: directions of lambda_p. The
+            last ones are what the data see least (the paper says U, which holds
+            effector directions).
+        condition_weighted: Condition number of the noise-weighted W_ep [-].
+        condition_W_ep: Condition number of W_ep in metres; nan if not given [-].
+        condition_W_ep_W_pp: Condition number of W_ep W_pp^-1 in metres per joule, as in
+            Table I; nan if not given [-].
+    """
+
+    singular_values: Float[HostArray, " n_p"]
+    directions: Float[HostArray, "n_p n_p"]
+    condition_weighted: float
+    condition_W_ep: float
+    condition_W_ep_W_pp: float
+
+    def __str__(self) -> str:
+        """Condition numbers and singular values, in two lines."""
+        numbers = {
+            "W_ep in noise units": self.condition_weighted,
+            "W_ep": self.condition_W_ep,
+            "W_ep W_pp^-1": self.condition_W_ep_W_pp,
+        }
+        shown = [f"{k} {v:.3g}" for k, v in numbers.items() if not np.isnan(v)]
+        values = " ".join(f"{s:.3g}" for s in self.singular_values)
+        return f"Condition: {', '.join(shown)}.\nSingular values: {values}."
+
+
+def conditioning(
+    W: Float[HostArray, "n_e n_p"],
+    *,
+    W_ep: Float[HostArray, "n_e n_p"] | None = None,
+    W_pp: Float[HostArray, "n_p n_p"] | None = None,
+) -> Conditioning:
+    """Compute the SVD W = U Sigma V^T and condition numbers; Sec. V-C.
+
+    Statistics need W in units of the noise. The paper gives the numbers of W_ep and
+    W_ep W_pp^-1 with W_ep in metres, which depend on the scaling S of the parameters.
+    The paper does not say how W_pp is stacked over configurations: here it is the sum
+    of H_p K_c^-1 H_p^T, since all configurations share lambda_p and energies add up.
+    A condition number is infinite where a singular value is zero (to rounding): fewer
+    data than parameters, or a blind direction.
+
+    Args:
+        W: Compliances stacked over configurations, in units of the noise [-].
+        W_ep: The same in metres [m].
+        W_pp: Sum over configurations of H_p K_c^-1 H_p^T [J].
+    """
+    if not np.all(np.isfinite(W)):
+        raise ValueError(
+            "W_ep has entries that are not finite: a configuration had no equilibrium."
+        )
+    _, singular, Vt = np.linalg.svd(W)
+    peak = np.argmax(np.abs(Vt), axis=1)
+    signs = np.sign(Vt[np.arange(len(Vt)), peak])
+    per_joule = np.nan
+    if W_ep is not None and W_pp is not None:
+        per_joule = _condition_per_joule(W_ep, W_pp)
+    return Conditioning(
+        singular_values=np.pad(singular, (0, W.shape[1] - len(singular))),
+        directions=(signs[:, None] * Vt).T,
+        condition_weighted=_condition(W),
+        condition_W_ep=np.nan if W_ep is None else _condition(W_ep),
+        condition_W_ep_W_pp=per_joule,
+    )
+
+
+def _condition(W: Float[HostArray, "n_e n_p"]) -> float:
+    """Divide the largest by the smallest singular value; infinite below full rank."""
+    singular = np.linalg.svd(W, compute_uv=False)
+    rounding = max(W.shape) * np.finfo(float).eps
+    if len(singular) < W.shape[1] or singular[-1] <= rounding * singular[0]:
+        return np.inf
+    return float(singular[0] / singular[-1])
+
+
+def _condition_per_joule(
+    W_ep: Float[HostArray, "n_e n_p"], W_pp: Float[HostArray, "n_p n_p"]
+) -> float:
+    """Compute the condition number of W_ep W_pp^-1; infinite for a singular W_pp."""
+    size = np.sqrt(np.maximum(np.diag(W_pp), 0.0))
+    if not np.all(size > 0.0):
+        return np.inf
+    # Scale to a unit diagonal, so that a small scale does not look like blindness.
+    unit = W_pp / np.outer(size, size)
+    if np.linalg.eigvalsh(unit)[0] <= len(size) * np.finfo(float).eps:
+        return np.inf
+    return _condition(np.linalg.solve(unit, (W_ep / size).T).T / size)
+
+
 class Direction(Module):
     """A combination of parameters, and how well the data see it.
 
     Attributes:
-        components: Its unit vector, parameters in units of their asked standard errors
-            [-].
+        components: Its unit vector, in units of the asked standard errors [-].
         ratio: Largest standard error, over the asked one, that it alone gives to a
             parameter; infinite where neither data nor prior see it [-].
         verdict: Verdict on the ratio.
@@ -71,18 +165,10 @@ class Spread(Module):
         """Return standard errors of the parameters, infinite for blind ones [-]."""
         return np.where(self.blind, np.inf, np.linalg.norm(self.factor, axis=1))
 
-    def covariance(self) -> Float[HostArray, "n_p n_p"]:
-        """Return their covariance; of blind ones infinite, and nan with others [-]."""
-        full = self.factor @ self.factor.T
-        full[self.blind] = full[:, self.blind] = np.nan
-        full[self.blind, self.blind] = np.inf
-        return full
-
     def along(self, rows: Float[HostArray, "n n_p"]) -> Float[HostArray, " n"]:
         """Return standard errors of linear functions of the parameters [-].
 
-        Args:
-            rows: Their derivatives by the parameters, in units of the asked errors.
+        `rows` are their derivatives by the parameters, in units of the asked errors.
         """
         size = np.linalg.norm(rows, axis=1)
         astray = np.linalg.norm(rows @ self.unseen.T, axis=1) > RANK * size
@@ -101,11 +187,8 @@ def spread_of(linear: LinearModel) -> Spread:
 
     That of the noise and the priors, C, plus D D^T with D = -G W_c of the errors that
     are considered, as in `ErrorBudget`. Bounds are no measurement: what neither data
-    nor prior see has no finite error.
-
-    Args:
-        linear: The fit, its unknowns in units of their asked standard errors, so that
-            moduli and angles are comparable.
+    nor prior see has no finite error. Unknowns are in units of their asked standard
+    errors, so that moduli and angles are comparable.
     """
     seen = linear.solution
     moved = -linear.pull() @ linear.considered.values
@@ -118,9 +201,6 @@ def information(linear: LinearModel) -> Float[HostArray, "n_p n_p"]:
 
     W^T U (I + B B^T)^-1 U^T W with whitened W = U S V^T and B = U^T W_c, which exists
     where the covariance does not.
-
-    Args:
-        linear: The fit, in the units of `spread_of`.
     """
     fit = linear.of_fit()
     W, W_c = (fit.whiten(x) / fit.scale for x in (fit.W, fit.considered.values))
@@ -159,14 +239,9 @@ def named_directions(spread: Spread, names: Sequence[str]) -> tuple[Direction, .
     directions = []
     for row in np.argsort(ratios, kind="stable"):
         v = rows[row] * np.sign(rows[row, np.argmax(np.round(np.abs(rows[row]), 6))])
-        directions.append(
-            Direction(
-                components=v,
-                ratio=float(ratios[row]),
-                verdict=verdict(float(ratios[row])),
-                words=direction_words(v, names),
-            )
-        )
+        ratio = float(ratios[row])
+        words = direction_words(v, names)
+        directions.append(Direction(v, ratio, verdict(ratio), words))
     return tuple(directions)
 
 
@@ -193,14 +268,13 @@ def direction_words(v: Float[HostArray, " n_p"], names: Sequence[str]) -> str:
     """
     # Rounded, so that equal components keep the order of the parameters.
     order = sorted(range(len(v)), key=lambda i: -round(float(v[i] ** 2), 6))
-    large = [i for i in order if v[i] ** 2 >= SHARE]
-    named = (large or order)[:MOST_NAMED]
-    more = len(large or order) - len(named)
+    large = [i for i in order if v[i] ** 2 >= SHARE] or order
+    named, more = large[:MOST_NAMED], len(large[MOST_NAMED:])
     sign = np.sign(v[named[0]])
     up = [names[i] for i in named if v[i] * sign > 0]
     down = [names[i] for i in named if v[i] * sign < 0]
     rest = f" and {more} more" if more > 0 else ""
-    if not down:
-        together = " up together" if len(up) > 1 or rest else ""
-        return f"{listed(up)}{rest}{together}"
-    return f"{listed(up)} up while {listed(down)} down{rest}"
+    if down:
+        return f"{listed(up)} up while {listed(down)} down{rest}"
+    together = " up together" if len(up) > 1 or rest else ""
+    return f"{listed(up)}{rest}{together}"

@@ -1,17 +1,5 @@
 """Statistics of a fit: one linear model of all unknowns, and what follows from it."""
 
-from softcal_jax.inference._agreement import (
-    RecordingEstimate,
-    agreement_sentences,
-    disagreeing,
-    recording_estimates,
-)
-from softcal_jax.inference._budget import (
-    REMEDIES,
-    Cause,
-    ErrorBudget,
-    error_budget,
-)
 from softcal_jax.inference._linear_model import (
     ATTACHMENTS,
     NOISE,
@@ -20,20 +8,28 @@ from softcal_jax.inference._linear_model import (
     independent,
     no_errors,
 )
-from softcal_jax.inference._rank import RANK, Determined, determined, span
+from softcal_jax.inference._rank import RANK, determined, span
 from softcal_jax.inference._reml import freedom_between, restricted_likelihood
 from softcal_jax.inference._residuals import (
     LackOfFit,
     PosePrediction,
+    RecordingEstimate,
+    agreement_sentences,
     chance,
+    disagreeing,
     jitter_freedom,
     lack_of_fit,
     predicted_by_others,
+    recording_estimates,
 )
 from softcal_jax.inference._uncertainty import (
     EXACT,
+    REMEDIES,
     UNLIKELY,
+    Cause,
+    ErrorBudget,
     Uncertainty,
+    error_budget,
     uncertainty,
 )
 from softcal_jax.inference._whitening import Whitened, whitened, whitened_rows
@@ -46,7 +42,6 @@ __all__ = [
     "REMEDIES",
     "UNLIKELY",
     "Cause",
-    "Determined",
     "ErrorBudget",
     "ErrorColumns",
     "LackOfFit",

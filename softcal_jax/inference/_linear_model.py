@@ -54,9 +54,8 @@ class ErrorColumns(Module):
         """Return the errors that some rows have, of these rows."""
         values = self.values[rows]
         used = np.flatnonzero(np.any(values != 0.0, axis=0))
-        causes, names = (
-            tuple(texts[k] for k in used) for texts in (self.causes, self.names)
-        )
+        causes = tuple(self.causes[k] for k in used)
+        names = tuple(self.names[k] for k in used)
         return ErrorColumns(values[:, used], causes, names)
 
 
@@ -99,11 +98,7 @@ class LinearModel(Module):
     held: Bool[HostArray, " n_p"]
 
     def only(self, rows: Bool[HostArray, " n"]) -> "LinearModel":
-        """Return the model of some rows alone, and of the errors that these have.
-
-        Args:
-            rows: Flags of the rows that stay.
-        """
+        """Return the model of some rows alone, and of the errors that these have."""
         cut = {name: getattr(self, name)[rows] for name in ("pose", "fitted", "r", "W")}
         return replace(
             self,
@@ -115,11 +110,8 @@ class LinearModel(Module):
     def without(self, *poses: str) -> "LinearModel":
         """Return the model as if configurations had not been measured.
 
-        Args:
-            poses: Their names.
-
         Raises:
-            ValueError: If there is no such configuration.
+            ValueError: If there is no configuration of such a name.
         """
         for name in poses:
             if name not in self.poses:
@@ -132,11 +124,7 @@ class LinearModel(Module):
         return self if self.fitted.all() else self.only(self.fitted)
 
     def per(self, unit: Float[HostArray, " n_p"]) -> "LinearModel":
-        """Return the model with unknowns counted in other units.
-
-        Args:
-            unit: Units, in units of lambda_p [-].
-        """
+        """Return the model with unknowns in other units, given per lambda_p [-]."""
         return replace(self, W=self.W * unit, prior_weights=self.prior_weights * unit)
 
     def by_data_alone(self) -> "LinearModel":
@@ -149,25 +137,17 @@ class LinearModel(Module):
         return replace(self, fitted=np.ones(len(self.r), bool))
 
     def with_scale(self, scale: float) -> "LinearModel":
-        """Return the model with all errors of the noise larger by a factor.
-
-        Args:
-            scale: The standard deviation of the independent ones over the stated one
-                [-].
-        """
+        """Return the model with another `scale` of all errors of the noise [-]."""
         return replace(self, scale=scale)
 
     def with_free(self, *columns: int) -> "LinearModel":
         """Return the model with unknowns free, all by default, on a bound or not."""
-        free = np.arange(len(self.names)) if not columns else np.array(columns)
-        return replace(self, held=self.held & ~np.isin(np.arange(len(self.held)), free))
+        held = self.held.copy()
+        held[list(columns) or slice(None)] = False
+        return replace(self, held=held)
 
     def with_jitter(self, scale: float) -> "LinearModel":
-        """Return the model with other independent errors beside the same others.
-
-        Args:
-            scale: Their standard deviation over the stated one [-].
-        """
+        """Return the model with another `scale` of independent errors alone [-]."""
         per_scale = self.correlated.values * (self.scale / scale)
         correlated = replace(self.correlated, values=per_scale)
         return replace(self, scale=scale, correlated=correlated)
@@ -205,8 +185,7 @@ class LinearModel(Module):
     def n_data(self) -> int:
         """Number of fitted coordinates, less those that find mountings of markers."""
         fit = self.of_fit()
-        spent = span(fit.correlated.of(ATTACHMENTS)).shape[1]
-        return len(fit.r) - spent
+        return len(fit.r) - span(fit.correlated.of(ATTACHMENTS)).shape[1]
 
     @cached_property
     def _free(self) -> Int[HostArray, " n_free"]:
@@ -251,21 +230,18 @@ class LinearModel(Module):
 
     def step(self) -> Float[HostArray, " n_p"]:
         """Compute the dz that minimises the errors; NaN for what is not known [-]."""
-        dz = np.full(len(self.names), np.nan)
-        dz[self._free] = -self.solution.factor @ (
-            self.solution.basis.T @ self.whitened().error
-        )
+        dz, solution = np.full(len(self.names), np.nan), self.solution
+        error = self.whitened().error
+        dz[self._free] = -solution.factor @ (solution.basis.T @ error)
         dz[~self.known] = np.nan
         return dz
 
     def deviations(self) -> dict[str, Float[HostArray, "n_p n_errors"]]:
         """Compute how far each error moves the unknowns, by cause [-].
 
-        Per standard deviation of each, and NaN where there is no standard error.
-
-        The jitter and what the priors leave come first, as `NOISE`; then what is
-        marginalised, and what is considered. Their squares sum to the covariance of
-        the estimate by all causes.
+        Per standard deviation of each, NaN where there is no standard error. The jitter
+        and what the priors leave come first, as `NOISE`; then what is marginalised, and
+        what is considered. Their squares sum to the covariance by all causes.
         """
         gain = self.gain()
         by_prior = np.nan_to_num(self.covariance()) * self.prior_weights
@@ -279,9 +255,8 @@ class LinearModel(Module):
 
     def standard_errors(self) -> Float[HostArray, " n_p"]:
         """Compute the standard errors of the unknowns by all causes, scaled [-]."""
-        return np.linalg.norm(
-            np.concatenate([*self.deviations().values()], axis=1), axis=1
-        )
+        parts = [*self.deviations().values()]
+        return np.linalg.norm(np.concatenate(parts, axis=1), axis=1)
 
     def left(self, x: Float[HostArray, "n ..."]) -> Float[HostArray, "n ..."]:
         """Compute M x, M = V^-1 - V^-1 W C W^T V^-1: what the fit leaves of rows.
@@ -311,7 +286,7 @@ def independent(
     Args:
         W: Compliances in stated standard deviations, per unit of lambda_p [-].
         names: The unknowns.
-        r: Errors in stated standard deviations; 0 by default [-].
+        r: Errors likewise; 0 by default [-].
         scale: Standard deviation of the errors over the stated one [-].
     """
     n, n_p = W.shape

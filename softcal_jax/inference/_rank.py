@@ -37,11 +37,7 @@ class Determined(Module):
 
 
 def determined(rows: Float[HostArray, "n n_unknowns"]) -> Determined:
-    """Decompose rows by the rule of this module.
-
-    Args:
-        rows: The rows; all finite.
-    """
+    """Decompose rows, all finite, by the rule of this module."""
     n, n_unknowns = rows.shape
     size = np.linalg.norm(rows, axis=0)
     active = np.flatnonzero(size > NO_EFFECT * np.max(size, initial=0.0))

@@ -117,12 +117,7 @@ def restricted_likelihood(
 
 
 def freedom_between(linear: LinearModel, A: Float[HostArray, "n k"]) -> tuple[int, int]:
-    """Count the residual directions that show a component, and those free of it.
-
-    Args:
-        linear: The fit.
-        A: Columns of the component.
-    """
+    """Count the residual directions that show columns A, and those free of them."""
     W = linear.W[:, ~linear.held]
     rank = span(np.concatenate([W, A], axis=1)).shape[1]
     return rank - span(W).shape[1], len(linear.r) - rank

@@ -1,4 +1,13 @@
-"""Uncertainty of calibrated parameters by the noise."""
+"""Uncertainty of calibrated parameters: by the noise, and the budget of all causes.
+
+What is held fixed is a consider parameter c, with a standard deviation and no estimate
+(Schmidt, Adv. Control Systems 3, 1966; Tapley, Schutz, Born, Statistical Orbit
+Determination, 2004, ch. 6): an error dc moves the optimum by dz = -G W_c dc, with the
+gain G of `LinearModel`, and the covariance of the estimate is that of the noise plus
+the sum of G W_c W_c^T G^T over the causes. Offsets of recordings and creep belong to
+the noise; they are causes too, by the same gain, and what the noise has left is its
+jitter.
+"""
 
 from typing import Literal
 
@@ -7,14 +16,25 @@ import numpy as np
 from scipy.special import chdtrc, ndtr, stdtr
 
 from softcal_jax._module import Module
-from softcal_jax._typing import Bool, Float, HostArray
-from softcal_jax.inference._linear_model import LinearModel
+from softcal_jax._typing import Array, Bool, Float, HostArray
+from softcal_jax._units import readable_unit
+from softcal_jax.fields import ParameterSpace
+from softcal_jax.inference._linear_model import NOISE, LinearModel
 
 UNLIKELY = 0.01
 """Probability of a chi-squared as large by chance, below which the fit misfits."""
 
 EXACT = 1e-3
 """Ratio of residuals to noise below which the residuals are no sample of it [-]."""
+
+LESS_NOISE = ": measure more poses, or with less noise"
+"""What helps where the noise is the largest of several causes."""
+
+REMEDIES = {"locking": "use quadratic tets", "refinement": "take a finer mesh"}
+"""What helps against the error of the mesh: that of linear tets, of quadratic ones."""
+
+SMALL = 0.1
+"""Share of the standard error below which a sentence leaves a cause out [-]."""
 
 
 class Uncertainty(Module):
@@ -103,10 +123,13 @@ def uncertainty(
     Args:
         linear: The fit, with a `scale` of 1.
         noise: Where the noise comes from.
-        scale: s of an estimated noise where it is known already, see `weighed_fit` [-].
+        scale: s of an estimated noise where it is known already [-].
     """
     n = int(linear.fitted.sum())
-    dof = linear.n_data - _informed(linear)
+    informed = int(np.sum(~linear.held))
+    if np.any(linear.prior_weights):
+        informed = round(float(np.sum(linear.solution.basis[:n] ** 2)))
+    dof = linear.n_data - informed
     chi_squared = float(np.sum(linear.whitened().error[:n] ** 2))
     if noise == "stated":
         scale = 1.0
@@ -118,9 +141,131 @@ def uncertainty(
     return Uncertainty(covariance, noise, scale, dof, chi_squared, linear.held)
 
 
-def _informed(linear: LinearModel) -> int:
-    """Count the parameters that the data determine rather than the prior, rounded."""
-    if not np.any(linear.prior_weights):
-        return int(np.sum(~linear.held))
-    n = int(linear.fitted.sum())
-    return round(float(np.sum(linear.solution.basis[:n] ** 2)))
+class Cause(Module):
+    """One reason why the parameters may be wrong.
+
+    Attributes:
+        name: Its name, like "nu".
+        errors: Names of its errors, like "recording_offset x in left".
+        deviations: Change of the scaled parameters per standard deviation of each of
+            its errors [-]; nan for parameters that have no standard error.
+    """
+
+    name: str
+    errors: tuple[str, ...]
+    deviations: Float[HostArray, "n_p n_errors"]
+
+    @property
+    def variance(self) -> Float[HostArray, " n_p"]:
+        """Variance of the scaled parameters by this cause [-]."""
+        return np.sum(self.deviations**2, axis=1)
+
+
+class ErrorBudget(Module):
+    """Standard errors of calibrated parameters, split by cause.
+
+    Attributes:
+        names: Names of the parameters.
+        values: Their values, in SI.
+        slopes: Their change per scaled unit, in SI.
+        units: Their SI units.
+        noise: Covariance of the scaled parameters by the jitter of coordinates, and
+            what the priors leave [-].
+        causes: What else may be wrong, the largest first.
+        unknown: Causes that count, but whose size could not be estimated, like "mesh".
+    """
+
+    names: tuple[str, ...]
+    values: Float[HostArray, " n_p"]
+    slopes: Float[HostArray, " n_p"]
+    units: tuple[str, ...]
+    noise: Float[HostArray, "n_p n_p"]
+    causes: tuple[Cause, ...]
+    unknown: tuple[str, ...] = ()
+
+    @property
+    def covariance(self) -> Float[HostArray, "n_p n_p"]:
+        """Covariance of the scaled parameters by all causes together [-]."""
+        parts = [cause.deviations @ cause.deviations.T for cause in self.causes]
+        return sum(parts, self.noise)
+
+    @property
+    def standard_errors(self) -> Float[HostArray, " n_p"]:
+        """Standard errors by all causes together, in SI."""
+        return self.slopes * np.sqrt(np.diag(self.covariance))
+
+    def by_cause(self) -> dict[str, Float[HostArray, " n_p"]]:
+        """Return standard errors by each cause alone in SI, that of the noise first."""
+        variances = {NOISE: np.diag(self.noise)}
+        variances |= {cause.name: cause.variance for cause in self.causes}
+        return {name: self.slopes * np.sqrt(v) for name, v in variances.items()}
+
+    def sentence(self, name: str) -> str:
+        """Say how uncertain a parameter is and why, like "noise 4 %, nu 31 %"."""
+        i = self.names.index(name)
+        total = self.standard_errors[i]
+        if not np.isfinite(total):
+            return "no standard error"
+        errors = {cause: float(std[i]) for cause, std in self.by_cause().items()}
+        shown = [c for c in errors if c == NOISE or errors[c] >= SMALL * total]
+        shown.sort(key=lambda c: (c != NOISE, -errors[c]))
+        parts = [f"{cause} {self.readable(i, errors[cause])}" for cause in shown]
+        text = ", ".join([*parts, *(f"{cause} unknown" for cause in self.unknown)])
+        worst = max(errors, key=lambda c: errors[c])
+        if worst == NOISE:
+            return text + LESS_NOISE * (len(shown) > 1)
+        (names,) = [cause.errors for cause in self.causes if cause.name == worst]
+        return f"{text}: {REMEDIES.get(names[0], f'measure {worst} first')}"
+
+    def readable(self, i: int, std: float) -> str:
+        """Write an error of a parameter [SI]: in percent, but of angles and offsets."""
+        value, unit = abs(float(self.values[i])), self.units[i]
+        if unit in ("rad", "m") or value == 0.0:
+            factor, shown = readable_unit([std], unit)
+            return f"{factor * std:.2g} {shown}".rstrip()
+        percent = 100.0 * std / value
+        return f"{percent:.0f} %" if percent >= 100.0 else f"{percent:.2g} %"
+
+    def __str__(self) -> str:
+        """Write one line for each parameter."""
+        return "\n".join(f"{name}: {self.sentence(name)}" for name in self.names)
+
+
+def error_budget(
+    linear: LinearModel,
+    space: ParameterSpace,
+    z: Float[Array, " n_p"],
+    *,
+    noise_is_known: bool,
+    unknown: tuple[str, ...],
+) -> ErrorBudget:
+    """Split the uncertainty of a fit by cause.
+
+    Args:
+        linear: The fit.
+        space: Its parameters.
+        z: Where it ended, scaled [-].
+        noise_is_known: Whether the level of the noise is; where the residuals are too
+            few to tell, the errors by noise are nan.
+        unknown: Causes that count and are not among the errors of `linear`.
+    """
+    deviations = linear.deviations()
+    jitter = deviations.pop(NOISE)
+    noise = jitter @ jitter.T if noise_is_known else np.full((len(z),) * 2, np.nan)
+    both = (linear.correlated, linear.considered)
+    errors = [pair for own in both for pair in zip(own.causes, own.names, strict=True)]
+    causes = [
+        Cause(name, tuple(error for cause, error in errors if cause == name), moved)
+        for name, moved in deviations.items()
+    ]
+    whole = np.nan_to_num(sum(cause.variance for cause in causes))
+    size = lambda cause: np.nansum(cause.variance / np.where(whole > 0.0, whole, 1.0))
+    return ErrorBudget(
+        names=tuple(space.names),
+        values=np.asarray(space.from_scaled(z)),
+        slopes=space.slopes(z),
+        units=tuple(q.unit for q in space.parameters),
+        noise=noise,
+        causes=tuple(sorted(causes, key=size, reverse=True)),
+        unknown=unknown,
+    )

@@ -40,10 +40,6 @@ def whitened(B: OneKind, x: OneKind) -> OneKind:
 
     With B^T B = P diag(b^2) P^T and r = sqrt(1 + b^2) it is
     x - B P diag(1 / (r (1 + r))) P^T B^T x, which is regular at b = 0.
-
-    Args:
-        B: Correlated columns, n x n_columns.
-        x: Values of n rows, or several columns of them.
     """
     xp: Any = jnp if isinstance(B, jax.Array) else np
     square, P = xp.linalg.eigh(B.T @ B)

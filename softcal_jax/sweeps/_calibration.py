@@ -4,7 +4,7 @@ import dataclasses
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,6 @@ from softcal_jax.calibration import (
     CalibrationResult,
     random_starts,
     synthetic_measurements,
-    with_measured,
 )
 from softcal_jax.configurations import Configuration
 from softcal_jax.fields import ParameterSpace
@@ -225,9 +224,8 @@ def _with_noise(configuration: Configuration, random) -> Configuration:
         )
     weight = markers.inverse_std()
     std = np.divide(1.0, weight, out=np.zeros_like(weight), where=weight > 0.0)
-    return with_measured(
-        configuration, measured + std * random.standard_normal(measured.shape)
-    )
+    noisy = measured + std * random.standard_normal(measured.shape)
+    return replace(configuration, measured=noisy)
 
 
 def _figures(result: CalibrationResult) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from benchmarks._printed import Printed
 from benchmarks._problem import Goal, Options
 from benchmarks._wrong_models import DOWN, Wrong
 from softcal_jax.calibration import calibrate
-from softcal_jax.calibration._interval import IntervalKind
+from softcal_jax.calibration._result import IntervalKind
 
 
 def interval(lower, upper, turn=0.0, kind: IntervalKind = "first-order"):

@@ -27,14 +27,13 @@ from softcal_jax.calibration import (
 from softcal_jax.calibration._checked_intervals import (
     MOST_RETURNS,
     Fitted,
-    _considered_error,
-    with_intervals,
-)
-from softcal_jax.calibration._first_order import _Checked, _end_holds
-from softcal_jax.calibration._interval import (
     ProfileEnd,
+    _Checked,
+    _considered_error,
+    _end_holds,
     interval_between,
     no_interval,
+    with_intervals,
 )
 from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
 from softcal_jax.inference import ErrorColumns, Whitened, independent
@@ -328,17 +327,20 @@ def test_a_lower_cost_is_gone_on_from(result, poses, monkeypatch, times):
         optima=(Optimum(last.cost, last.values, (0,)),),
     )
     # Nothing but the cost of an evaluation is asked for, in the same units.
-    own = "softcal_jax.calibration._checked_intervals.in_other_units"
-    monkeypatch.setattr(own, lambda problem, z, evaluation: evaluation)
+    own = "softcal_jax.calibration._checked_intervals.weighed"
+    monkeypatch.setattr(
+        own, lambda problem, z, response: SimpleNamespace(cost=response)
+    )
+    at = lambda cost: SimpleNamespace(cost=cost, response=cost)
     fitted = of_problem(replace(result, starts=starts), poses)
-    fitted = fitted._replace(evaluation=SimpleNamespace(cost=last.cost))
+    fitted = fitted._replace(evaluation=at(last.cost))
 
     def go_on(done, z):
         cost = 0.9 * done.result.history[-1].cost
         lower = replace(done.result.history[-1], cost=cost)
         return done._replace(
             result=replace(done.result, history=(lower,)),
-            evaluation=SimpleNamespace(cost=cost),
+            evaluation=at(cost),
         )
 
     after = with_intervals(fitted, 0.95, go_on, never)

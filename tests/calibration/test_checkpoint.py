@@ -3,6 +3,7 @@
 import errno
 import os
 import signal
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,6 @@ from softcal_jax.calibration import (
     SearchProgress,
     calibrate,
     synthetic_measurements,
-    with_measured,
 )
 from softcal_jax.fields import exactly_known
 from softcal_jax.robots import anisotropic_beam
@@ -225,7 +225,7 @@ def test_checkpoint_of_another_calibration_is_refused(tmp_path, data, fit, what)
     if what == "measurement":
         moved = data[1].measured.copy()
         moved[0, 2] += 1e-9
-        changed = {"data": [data[0], with_measured(data[1], moved)]}
+        changed = {"data": [data[0], replace(data[1], measured=moved)]}
     elif what == "noise":
         changed = {"noise": "estimated"}
     elif what == "settings":

@@ -99,7 +99,7 @@ def test_the_standard_error_is_that_of_generalised_least_squares(changed, share)
     data = measured(**changed)
     result = fit(data)
     at = evaluate(build_problem(MODEL, E, data), result.z)
-    error, W = np.ravel(at.delta_e), np.asarray(at.compliance)
+    error, W = np.ravel(at.delta_e), np.concatenate(at.response.W_ep)
     motion = np.asarray(result.noise.motion)
     simulated = np.asarray(at.effectors) - MARKERS.positions
     if share:  # it settles to a hundredth
@@ -161,7 +161,8 @@ def test_the_estimated_jitter_is_that_of_the_residuals_beside_stated_offsets():
     assert result.uncertainty.noise_scale == float(result.noise.jitter)
     V = covariance_of(measured(0), OFFSET, jitter=STD * float(result.noise.jitter))
     data = measured(0, jitter=2e-4)
-    W = np.asarray(evaluate(build_problem(MODEL, E, data), result.z).compliance)
+    at = evaluate(build_problem(MODEL, E, data), result.z)
+    W = np.concatenate(at.response.W_ep)
     expected = np.linalg.inv(W.T @ np.linalg.solve(V, W))
     np.testing.assert_allclose(result.budget.covariance, expected, rtol=1e-3)
     # The weights stood still, so fitting again with them changes nothing.

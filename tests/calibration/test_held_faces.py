@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softcal_jax.calibration._held_faces import outward_motion
+from softcal_jax.calibration._unknowns import outward_motion
 from softcal_jax.mesh import beam
 
 

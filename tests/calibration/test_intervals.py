@@ -21,7 +21,6 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.calibration import calibrate as calibrate_with
 from softcal_jax.calibration._calibrate import build_problem
-from softcal_jax.calibration._notes import uncertainty_notes
 from softcal_jax.calibration._profile import NotFound, _end, bracket, root
 from softcal_jax.calibration._runs import in_plain_steps, minimise
 from softcal_jax.fields import (
@@ -344,11 +343,3 @@ def test_a_pin_takes_the_place_of_a_prior():
     gap = 20.0 * (float(z[1]) - 0.3)
     np.testing.assert_allclose(held.from_prior(z), [2e-6, gap], rtol=1e-12)
     assert ParameterSpace(unknowns(), pin=pin).has_prior
-
-
-def test_a_badly_known_parameter_has_a_note(poses, result):
-    problem = build_problem(result.model, result.space, poses, result.newton)
-    for std, said in ((0.29, False), (0.31, True)):
-        spread = replace(result.uncertainty, covariance=np.diag([std**2, 1e-4]))
-        notes = " ".join(uncertainty_notes(problem, spread))
-        assert ("determine E so badly" in notes) == said

@@ -141,7 +141,7 @@ def test_order_of_the_starts_changes_nothing(measured, mirrored):
     assert again.steps[1] == 1
     assert again.best in (0, 2)
     assert all(1 not in optimum.starts for optimum in again.optima)
-    assert says(again, "1 without equilibrium", "starts 1")
+    assert says(again, "1 without equilibrium")
 
 
 def test_one_start_alone_ends_as_among_others(measured, mirrored):
@@ -411,13 +411,12 @@ def test_report_lists_optima_unfinished_and_lost_runs():
         [True, True, True, False, False, False],
     )
     values = "E_t of CP 1 8e+05, E_t of CP 2 7e+05, E_l of CP 1 3e+05, E_l of CP 2 2e"
-    whole, second, best, worse, unfinished, lost = str(found).splitlines()
+    whole, best, worse, unfinished, lost = str(found).splitlines()
     assert says(whole, "6 starts", "3 converged", "2 distinct")
-    assert says(second, "second-best", "3 more")
     assert says(best, "cost 2", "1 starts", f"{values}+05, theta of CP 1 0.3491")
     assert says(worse, "cost 5", "2 starts", f"{values}+05, theta of CP 1 0.1745")
-    assert says(unfinished, "2 not converged", "starts 3, 4", "3.25")
-    assert says(lost, "1 without equilibrium", "starts 5")
+    assert says(unfinished, "2 not converged", "3.25")
+    assert says(lost, "1 without equilibrium")
 
 
 @pytest.mark.parametrize("tensor_steps", [True, False])

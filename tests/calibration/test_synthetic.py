@@ -1,10 +1,12 @@
 """Measurements that the model makes of itself."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
 
-from softcal_jax.calibration import synthetic_measurements, with_measured
+from softcal_jax.calibration import synthetic_measurements
 from softcal_jax.configurations import Configuration, Markers, configuration_arrays
 from softcal_jax.equilibrium import build_model, marker_positions, solve_equilibrium
 from softcal_jax.fields import Parameter, ParameterSpace
@@ -92,7 +94,7 @@ def test_noise_is_that_of_its_seed(model, exact, poses):
 
 
 def test_measured_positions_are_replaced_and_all_else_is_kept(exact):
-    moved = with_measured(exact[0], exact[0].measured + 1.0)
+    moved = replace(exact[0], measured=exact[0].measured + 1.0)
     np.testing.assert_array_equal(moved.measured, exact[0].measured + 1.0)
     for name in ("name", "supports", "gravity", "loads"):
         assert getattr(moved, name) == getattr(exact[0], name)

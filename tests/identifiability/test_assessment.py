@@ -15,7 +15,6 @@ from softcal_jax.calibration import (
     Optimum,
     calibrate,
     synthetic_measurements,
-    with_measured,
 )
 from softcal_jax.configurations import (
     Configuration,
@@ -108,7 +107,7 @@ def test_probability_of_the_misfit_is_that_of_chi_squared(good):
 def test_model_error_shows_above_the_stated_noise(model, data):
     """A marker is 0.2 mm, ten standard deviations, from where any modulus puts it."""
     off = data[1].measured + np.array([[0.0, 0.0, 0.0], [2e-4, 0.0, 0.0]])
-    wrong = [data[0], with_measured(data[1], off)]
+    wrong = [data[0], replace(data[1], measured=off)]
     stated = assess(fit(model, space(), wrong, noise="stated"))
     assert not stated.identified
     assert stated.misfit_probability < 1e-6
@@ -126,7 +125,7 @@ def test_model_error_shows_above_the_stated_noise(model, data):
 def test_a_default_std_states_nothing(model, data):
     """A marker is off by twenty times a std that was typed, or that nobody typed."""
     off = data[1].measured + np.array([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0]])
-    wrong = [data[0], with_measured(data[1], off)]
+    wrong = [data[0], replace(data[1], measured=off)]
     names = "middle", "tip"
     unstated = [replace(c, markers=Markers(names, POINTS)) for c in wrong]
     stated = [replace(c, markers=Markers(names, POINTS, 1e-3)) for c in wrong]
@@ -141,7 +140,7 @@ def test_a_pose_that_is_not_explained_reaches_the_verdict(model, data):
     """Pulled to the wrong side, which an estimated noise would call large noise."""
     pulled = data[1]
     rest = np.asarray(POINTS)
-    wrong = with_measured(pulled, rest - (pulled.measured - rest) * [1.0, 1.0, -1.0])
+    wrong = replace(pulled, measured=rest - (pulled.measured - rest) * [1.0, 1.0, -1.0])
     verdict = assess(fit(model, space(), [data[0], wrong]))
     assert not verdict.identified
     assert says(verdict.reasons, "pull", "fitted", "contradicts")
@@ -233,7 +232,7 @@ def test_parameter_on_its_bound(model, data):
 def test_data_too_coarse_to_tell(model, data):
     """The same positions, stated to be known to a decimetre only."""
     coarse = [
-        with_measured(pose, fine.measured)
+        replace(pose, measured=fine.measured)
         for pose, fine in zip(poses(std=0.1), data, strict=True)
     ]
     verdict = assess(fit(model, space(), coarse, noise="stated"))

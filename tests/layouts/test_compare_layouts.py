@@ -19,7 +19,6 @@ from benchmarks._compilations import Compilations
 from softcal_jax.calibration import (
     build_problem,
     synthetic_measurements,
-    with_measured,
 )
 from softcal_jax.calibration import calibrate as calibrate_with
 from softcal_jax.fields import Parameter, ParameterSpace, as_space, exactly_known
@@ -295,7 +294,7 @@ def test_one_standard_error_rule():
 )
 def test_bad_input(layouts, n, options, text):
     poses = (HANG, PULL, SWAP)[:n]
-    data = [with_measured(c, c.markers.positions) for c in poses]
+    data = [replace(c, measured=c.markers.positions) for c in poses]
     with pytest.raises(ValueError, match=text):
         compare_layouts(bar(CELLS), layouts, data, make_parameters=moduli, **options)
 
