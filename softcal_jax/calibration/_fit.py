@@ -359,9 +359,8 @@ def _judged(
         spread=spread,
         fits=predicted.fits[:n_fitted],
     )
-    witnesses = _witnesses(task, doubts)
     recordings = recording_estimates(
-        linear, witnesses, space=task.space, z=z, spread=spread
+        linear, _witnesses(task, doubts), space=task.space, z=z, spread=spread
     )
     checks = replace(checks, recordings=recordings)
     notes = result_notes(problem.of_first(n_fitted), predicted.fits, z, spread)
