@@ -333,13 +333,9 @@ def _judged(
 ) -> _Judged:
     """Judge the values by the linear model at the optimum."""
     z, n_fitted, problem = weighed.state.z, len(task.fitted), predicted.problem
+    solved = predicted.response.equilibrium
     doubts = considered_errors(
-        workers,
-        problem,
-        task.configurations,
-        task.uncertain,
-        z=z,
-        equilibrium=predicted.response.equilibrium,
+        workers, problem, task.configurations, task.uncertain, z=z, equilibrium=solved
     )
     linear = _linear(task, weighed, predicted, doubts)
     spread = uncertainty(linear.with_scale(1.0), task.noise, weighed.scale)
@@ -372,7 +368,7 @@ def _linear(
 ) -> LinearModel:
     """Make the linear model of all configurations at the optimum."""
     n_fitted, problem = len(task.fitted), predicted.problem
-    weight = np.asarray(problem.configurations.effectors.inverse_std)
+    effectors = problem.configurations.effectors
     return linear_model(
         problem,
         task.configurations,
@@ -382,7 +378,7 @@ def _linear(
         delta_e=effector_errors(problem, predicted.response.effectors),
         rows=weighed.state.evaluation.rows,
         n_fitted=n_fitted,
-        considered=doubts.in_std(n_fitted, weight),
+        considered=doubts.in_std(n_fitted, np.asarray(effectors.inverse_std)),
     )
 
 
