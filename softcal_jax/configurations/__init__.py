@@ -33,6 +33,7 @@ from softcal_jax.configurations._effectors import (
     BodyAngle,
     BodyFrame,
     Centroid,
+    RegionCentre,
     SupportReaction,
 )
 from softcal_jax.configurations._loads import (
@@ -90,6 +91,7 @@ __all__ = [
     "PointForce",
     "PoseTable",
     "Recording",
+    "RegionCentre",
     "Registration",
     "SharedNames",
     "Support",

@@ -21,6 +21,7 @@ from softcal_jax.configurations import (
     BodyFrame,
     Centroid,
     Mechanism,
+    RegionCentre,
     SupportReaction,
     Unstated,
 )
@@ -165,6 +166,12 @@ class CentroidTable(EffectorTable):
     group: Group
 
 
+class RegionCentreTable(EffectorTable):
+    makes = RegionCentre
+    type: Literal["region-centre"]
+    region: str = Field(description='name of a tet group: "tip"')
+
+
 class SupportReactionTable(EffectorTable):
     makes = SupportReaction
     type: Literal["reaction"]
@@ -201,6 +208,7 @@ class ActuatorForceTable(_OfActuator):
 AnyEffector = Annotated[
     BodyFrameTable
     | CentroidTable
+    | RegionCentreTable
     | SupportReactionTable
     | BodyAngleTable
     | ActuatorDisplacementTable
