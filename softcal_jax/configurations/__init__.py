@@ -33,7 +33,6 @@ from softcal_jax.configurations._effectors import (
     BodyAngle,
     BodyFrame,
     Centroid,
-    RegionCentre,
     SupportReaction,
 )
 from softcal_jax.configurations._loads import (
@@ -91,7 +90,6 @@ __all__ = [
     "PointForce",
     "PoseTable",
     "Recording",
-    "RegionCentre",
     "Registration",
     "SharedNames",
     "Support",

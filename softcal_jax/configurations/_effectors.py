@@ -17,7 +17,7 @@ from softcal_jax.configurations._effector import (
 )
 from softcal_jax.configurations._mechanism import Mechanism
 from softcal_jax.configurations._values import Unstated, as_floats, optional_floats
-from softcal_jax.mesh import TetMesh, node_indices, volumes
+from softcal_jax.mesh import TetMesh, node_indices
 
 
 class BodyFrame(AbstractEffector):
@@ -101,36 +101,6 @@ class Centroid(AbstractEffector):
         weights = np.full(nodes.size, 1.0 / nodes.size)
         nodes = nodes.astype(np.int32)
         row = EffectorRow(self.name, "point", "m", nodes=nodes, weights=weights)
-        return row.with_value(self.measured, self.std)
-
-
-class RegionCentre(AbstractEffector):
-    """Centre of a region of the body, with tets weighted by their volume.
-
-    Attributes:
-        region: Name of a tet group.
-        measured: Measured position [m].
-        std: Standard deviation of each coordinate [m].
-    """
-
-    name: str
-    region: str
-    measured: Float[HostArray, "3"] | None = eqx.field(
-        converter=optional_floats, default=None
-    )
-    std: float = Unstated(1e-3)
-
-    def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        del mechanism
-        own = mesh.tets_of(self.region)
-        nodes, shares = mesh.tets[own, :4], volumes(mesh)[own, None] / 4.0
-        weights = np.zeros(mesh.n_nodes)
-        np.add.at(weights, nodes, np.broadcast_to(shares, nodes.shape))
-        used = np.flatnonzero(weights)
-        weights = weights[used] / weights.sum()
-        row = EffectorRow(
-            self.name, "point", "m", nodes=used.astype(np.int32), weights=weights
-        )
         return row.with_value(self.measured, self.std)
 
 

@@ -21,7 +21,6 @@ from softcal_jax.configurations import (
     BodyFrame,
     Centroid,
     Mechanism,
-    RegionCentre,
     SupportReaction,
     Unstated,
 )
@@ -166,12 +165,6 @@ class CentroidTable(EffectorTable):
     group: Group
 
 
-class RegionCentreTable(EffectorTable):
-    makes = RegionCentre
-    type: Literal["region-centre"]
-    region: str = Field(description='name of a tet group: "tip"')
-
-
 class SupportReactionTable(EffectorTable):
     makes = SupportReaction
     type: Literal["reaction"]
@@ -208,7 +201,6 @@ class ActuatorForceTable(_OfActuator):
 AnyEffector = Annotated[
     BodyFrameTable
     | CentroidTable
-    | RegionCentreTable
     | SupportReactionTable
     | BodyAngleTable
     | ActuatorDisplacementTable
