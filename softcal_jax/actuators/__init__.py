@@ -12,7 +12,7 @@ from softcal_jax.actuators._arrays import (
     curvature_entries,
     displacement_rows,
 )
-from softcal_jax.actuators._cable import Cable, CableSegments, Guide, Strut
+from softcal_jax.actuators._cable import Cable, CableSegments, Guide
 from softcal_jax.actuators._cliques import ActuatorGeometry
 from softcal_jax.actuators._forces import ForceActuator, Motor, SurfaceForceActuator
 from softcal_jax.actuators._lid import ChamberLids, free_rim_nodes
@@ -38,7 +38,6 @@ __all__ = [
     "Kind",
     "Motor",
     "PressureFaces",
-    "Strut",
     "SurfaceForceActuator",
     "SurfacePressure",
     "actuator_arrays",

@@ -162,26 +162,6 @@ class Cable(AbstractActuator):
         return *rest.on_body(guide.point, guide.on, owner), np.zeros(3)
 
 
-class Strut(AbstractActuator):
-    """A rod between two points that a drive makes longer, like a linear actuator.
-
-    delta_a is by how much it is longer than at rest [m], lambda_a the force with which
-    it pushes its ends apart [N].
-
-    Attributes:
-        ends: Its ends, as the guides of a cable.
-    """
-
-    ends: tuple[Guide, Guide]
-    kind: ClassVar[Kind] = Kind("strut", "N", "m")
-
-    def cliques(self, rest: RestState, owner: int) -> "tuple[StrutLengths]":
-        """Return its two ends."""
-        cable = Cable(self.name, self.ends)
-        carriers = [cable._carriers(i, rest) for i in range(2)]
-        return (StrutLengths(*_stacked([_along(carriers)], owner)),)
-
-
 def _fixed_length(a: Guide, b: Guide) -> bool:
     """Tell whether the distance of two guides never changes."""
     return a.on == b.on and a.on != "mesh"
@@ -273,14 +253,6 @@ class CableSegments(AbstractGuided, AbstractPotentialCliques):
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
         start, end = self.weights @ x + self.fixed
         return -_length(end - start)
-
-
-class StrutLengths(AbstractGuided, AbstractPotentialCliques):
-    """Struts between two points; each adds its length."""
-
-    def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
-        start, end = self.weights @ x + self.fixed
-        return _length(end - start)
 
 
 class FrictionalCables(AbstractGuided):

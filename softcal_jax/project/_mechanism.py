@@ -18,7 +18,6 @@ from softcal_jax.actuators import (
     ForceActuator,
     Guide,
     Motor,
-    Strut,
     SurfaceForceActuator,
     SurfacePressure,
 )
@@ -174,12 +173,6 @@ class CableTable(ActuatorTable):
         return [g if isinstance(g, dict) else {"point": g} for g in value]
 
 
-class StrutTable(ActuatorTable):
-    makes = Strut
-    type: Literal["strut"]
-    ends: tuple[GuideTable, GuideTable]
-
-
 class ChamberTable(ActuatorTable):
     makes = Chamber
     asked = 'its pressure, like "10 kPa", or its growth in volume, like "2 ml"'
@@ -218,7 +211,6 @@ class SurfaceForceActuatorTable(ActuatorTable):
 
 AnyActuator = Annotated[
     CableTable
-    | StrutTable
     | ChamberTable
     | SurfacePressureTable
     | MotorTable
