@@ -69,7 +69,6 @@ class Uncertain(Module):
         zeros: Zero error of each motor [rad].
         mountings: Place of each held rigid body, along each axis [m].
         masses: Mass of each rigid body, relative [-].
-        turns: Orientation of the frame of each recording, about each axis [rad].
         mesh: Error of the mesh, in units of its estimate [-]. One error for all
             configurations. The estimate is how far a finer mesh would move what is
             measured: quadratic tets in place of linear ones, or eight of each. Zero for
@@ -89,7 +88,6 @@ class Uncertain(Module):
     zeros: float = _std(0.5 * DEGREE, "rad")
     mountings: float = _std(0.5e-3, "m")
     masses: float = _std(0.02, "%")
-    turns: float = _std(0.1 * DEGREE, "rad")
     mesh: float = _std(1.0)
 
     def __check_init__(self):
@@ -328,8 +326,8 @@ QUANTITIES["recording_turn"] = Quantity(
     components=_XYZ,
     unit="rad",
     of_configuration=True,
-    uncertain="turns",
-    occurs=lambda p: {"": tuple(p.recordings)},
+    uncertain="gravity",  # a tracker's base is levelled as well as the robot
+    role="none",
 )
 
 
