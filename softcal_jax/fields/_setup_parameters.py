@@ -68,7 +68,6 @@ class Uncertain(Module):
             finds it from how far recordings differ, where there are enough of them.
         zeros: Zero error of each motor [rad].
         mountings: Place of each held rigid body, along each axis [m].
-        masses: Mass of each rigid body, relative [-].
         mesh: Error of the mesh, in units of its estimate [-]. One error for all
             configurations. The estimate is how far a finer mesh would move what is
             measured: quadratic tets in place of linear ones, or eight of each. Zero for
@@ -87,7 +86,6 @@ class Uncertain(Module):
     recordings: float | Literal["estimated"] = _std(OFFSET, "m")
     zeros: float = _std(0.5 * DEGREE, "rad")
     mountings: float = _std(0.5e-3, "m")
-    masses: float = _std(0.02, "%")
     mesh: float = _std(1.0)
 
     def __check_init__(self):
@@ -153,35 +151,6 @@ def mounting(
     return setup_parameters(
         "mounting", body, limit=limit, prior_std=prior_std, nominal=nominal
     )
-
-
-QUANTITIES["body_mass"] = Quantity(
-    "mass of {of}",
-    entry_of("mechanism.bodies.mass"),
-    noun="rigid body",
-    names=attrgetter("mechanism.bodies.names"),
-    relative=True,
-    unit="kg",
-    uncertain="masses",
-    occurs=lambda p: each_of(
-        p.model.mechanism.bodies.names,
-        np.any(p.arrays.gravity, axis=1, keepdims=True)
-        & (np.asarray(p.model.mechanism.bodies.mass) > 0.0),
-    ),
-    absent="{of} has no mass, or no configuration has gravity",
-)
-
-
-def body_mass(
-    body: str, nominal: float, *, limit: float = 2.0, prior_std: float | None
-) -> SetupParameter:
-    """Make the mass of a rigid body a parameter.
-
-    It is about the `nominal` one [kg]. The options are those of `load_factor`.
-    """
-    return setup_parameters(
-        "body_mass", body, limit=limit, prior_std=prior_std, nominal=nominal
-    )[0]
 
 
 def _put_friction(model: Any, index: tuple[int, ...], change: Change) -> Any:

@@ -13,7 +13,6 @@ from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax.fields import (
     Entry,
     actuator_factor,
-    body_mass,
     clamp_stiffness,
     friction,
     gravity_tilt,
@@ -113,20 +112,6 @@ class MountingTable(SetupTable):
     def subjects(self, project: WholeFile) -> Subjects:
         tables = project.bodies.items()
         return {name: (own.mounting.translation,) for name, own in tables}
-
-
-class BodyMassTable(SetupTable):
-    """Masses of rigid bodies, one parameter each."""
-
-    makes = body_mass
-    noun = "rigid body"
-    section = "[bodies]"
-    limit: float = 2.0
-    body_mass: Names
-
-    def subjects(self, project: WholeFile) -> Subjects:
-        bodies = project.bodies.items()
-        return {name: (own.mass,) for name, own in bodies if own.mass}
 
 
 class FrictionTable(SetupTable):
@@ -255,7 +240,6 @@ AnySetup = Annotated[
     | LoadFactorTable
     | ActuatorFactorTable
     | ClampStiffnessTable
-    | FrictionTable
-    | BodyMassTable,
+    | FrictionTable,
     Choice(by_keys),
 ]
