@@ -82,7 +82,10 @@ def budget_chart(result: CalibrationResult) -> list[Html]:
         _bar(parameter, {cause: float(share[i]) for cause, share in shares.items()})
         for i, parameter in known[:MOST_BARS]
     ]
-    legend = node("ul", *map(_entry, range(len(shares)), shares), class_="legend")
+    # Colours repeat, so what is too thin to be seen is left out.
+    named = [max(share) >= LEAST_NAMED for share in shares.values()]
+    entries = [_entry(k, cause) for k, cause in enumerate(shares) if named[k]]
+    legend = node("ul", *entries, class_="legend")
     caption = (
         "Where the standard error of each parameter comes from: share of each cause in "
         "its square. The longest part is what to measure better first."
