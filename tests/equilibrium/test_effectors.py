@@ -217,13 +217,13 @@ def test_bad_effectors(unchecked):
         r"'t' has the value .*, expected a finite number \[N\]",
         ActuatorForce("t", "cable", np.ones(3)),
     )
-    bad(r"'c' is at 0.1, expected three finite", Centroid("c", "at 2", 0.1))
+    bad("'c' has the value 0.1, expected three finite", Centroid("c", "at 2", 0.1))
     bad(
         "axis of effector 'a' .*not all zero",
         BodyAngle("a", "tip", "plate", (0.0, 0.0, 0.0)),
     )
     bad(
-        r"'c' is at \[nan +0. +0.\], expected three finite",
+        r"'c' has the value \[nan +0. +0.\], expected three finite",
         Centroid("c", "at 2", np.array([np.nan, 0.0, 0.0])),
     )
     bad(
@@ -232,6 +232,6 @@ def test_bad_effectors(unchecked):
     )
     bad("effector 'r': unknown group 'at 9'", SupportReaction("r", "at 9"))
     bad(
-        "'r' measured .*expected three finite",
+        "'r' has the value .*expected three finite",
         SupportReaction("r", "x_min", np.array([np.inf, 0.0, 0.0])),
     )
