@@ -72,11 +72,14 @@ class NodalForces(AbstractLoad):
         """Place the forces, added up where a node is named twice, on all nodes [N]."""
         nodes = node_indices(mesh, self.nodes, "a nodal force")
         forces = np.asarray(self.forces, float)
-        if forces.shape != (len(nodes), 3) or not np.all(np.isfinite(forces)):
+        if forces.shape != (len(nodes), 3):
             raise ValueError(
-                f"{len(nodes)} nodes need finite forces of shape ({len(nodes)}, 3) "
-                f"[N], got {forces.tolist()}."
+                f"{len(nodes)} nodes need forces of shape ({len(nodes)}, 3) [N], got "
+                f"{forces.shape}."
             )
+        for node, force in zip(nodes, forces, strict=True):
+            if not np.all(np.isfinite(force)):
+                raise ValueError(f"node {node} needs a finite force [N], got {force}.")
         return _added(mesh, nodes, forces)
 
 

@@ -1,5 +1,7 @@
 """Markers: material points whose positions are measured, and nodes that carry them."""
 
+from collections.abc import Iterable
+
 import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike
@@ -15,11 +17,15 @@ STD = Unstated(1e-3)
 """Standard deviation of the measurement where none is stated [m]."""
 
 
+def _as_names(names: str | Iterable[str]) -> tuple[str, ...]:
+    return (names,) if isinstance(names, str) else tuple(names)
+
+
 class Markers(Module):
     """Material points of the body, on it or on posts that stand slightly outside.
 
     Attributes:
-        names: One name per marker.
+        names: One name per marker; a single one may be given by itself.
         positions: Positions at rest, in the frame of the mesh [m].
         std: Standard deviation of the measurement: one for all, one per marker, or one
             per marker and axis; the default of 1 mm only weighs them [m].
@@ -32,7 +38,7 @@ class Markers(Module):
             side of a slit or a second finger [m].
     """
 
-    names: tuple[str, ...] = eqx.field(converter=tuple)
+    names: tuple[str, ...] = eqx.field(converter=_as_names)
     positions: Float[HostArray, "n_markers 3"] = eqx.field(converter=as_floats)
     std: Float[ArrayLike, "..."] = STD
     axes: str = "xyz"
@@ -48,21 +54,28 @@ class Markers(Module):
                     f"got {getattr(self, name):g}."
                 )
         n = len(self.names)
-        if self.positions.shape != (n, 3) or not np.all(np.isfinite(self.positions)):
+        if self.positions.shape != (n, 3):
             raise ValueError(
-                f"{n} marker names need finite positions of shape ({n}, 3) [m], got "
-                f"{self.positions.tolist()}."
+                f"{n} marker names need positions of shape ({n}, 3) [m], got "
+                f"{self.positions.shape}."
             )
+        for name, position in zip(self.names, self.positions, strict=True):
+            if not np.all(np.isfinite(position)):
+                raise ValueError(
+                    f"marker {name!r} needs a finite position [m], got {position}."
+                )
         repeated = sorted({name for name in self.names if self.names.count(name) > 1})
         if repeated:
             raise ValueError(f"marker {repeated[0]!r} is named more than once.")
         std = np.asarray(self.std, float)
         fits = std.shape in ((), (n,), (n, 3))
-        if not (fits and np.all(np.isfinite(std) & (std > 0))):
+        bad = std[~(np.isfinite(std) & (std > 0))]
+        if not fits or bad.size:
+            got = f"{bad[0]:g}" if fits else f"shape {std.shape}"
             raise ValueError(
                 "std must be positive and finite [m], one number, one per marker "
-                f"({n},) or one per marker and axis ({n}, 3), got {std.tolist()}; a "
-                "coordinate without precision is left out with `axes`."
+                f"({n},) or one per marker and axis ({n}, 3), got {got}; a coordinate "
+                "without precision is left out with `axes`."
             )
 
     def inverse_std(self) -> Float[HostArray, "n_markers 3"]:
