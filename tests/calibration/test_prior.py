@@ -16,7 +16,7 @@ from softcal_jax.calibration import calibrate as calibrate_with
 from softcal_jax.calibration._notes import warn_if_too_few_data
 from softcal_jax.configurations import Configuration, Markers
 from softcal_jax.equilibrium import build_model
-from softcal_jax.fields import Parameter, ParameterSpace
+from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
 from softcal_jax.inference import independent, uncertainty
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
@@ -37,8 +37,9 @@ def modulus(prior_std, start=300e3):
 @pytest.mark.slow  # three calibrations that compile
 def test_a_weak_prior_leaves_the_data_alone_and_a_strong_one_wins():
     data = simulated_measurements(MODEL, [POSE])
+    known = {"noise": "stated", "uncertain": exactly_known()}
     found = {
-        std: calibrate(MODEL, modulus(std), data, noise="stated").value("E")
+        std: calibrate(MODEL, modulus(std), data, **known).value("E")
         for std in (None, 10.0, 1e-5)
     }
     np.testing.assert_allclose(found[None], 400e3, rtol=1e-5)
