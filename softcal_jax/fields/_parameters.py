@@ -23,16 +23,18 @@ Value = TypeVar("Value")
 class once(cached_property[Value]):
     """Property whose first value is kept, for what loops on the host ask for often.
 
-    Unlike that of its base, a traced value is not kept: it is of no use outside its
-    trace.
+    Unlike that of its base, a traced value is never kept: it is of no use outside its
+    trace, and another thread would take it.
     """
 
     if not TYPE_CHECKING:  # its type is that of the base
 
         def __get__(self, module: Any, owner: Any = None) -> Any:
-            value = super().__get__(module, owner)
-            if module is not None and any(map(is_traced, jax.tree.leaves(value))):
-                del vars(module)[self.attrname]
+            if module is None:
+                return self
+            value = self.func(module)
+            if not any(map(is_traced, jax.tree.leaves(value))):
+                vars(module)[self.attrname] = value
             return value
 
 
