@@ -214,13 +214,28 @@ class SetupParameter(AbstractSetupEntry):
     def __check_init__(self):
         if self.kind not in QUANTITIES:
             raise unknown_name("kind of a setup parameter", self.kind, QUANTITIES)
+        quantity, what = self.quantity, f"parameter {self.label!r}"
+        if self.axis not in (quantity.components or ("",)):
+            raise unknown_name(f"axis of {what}", self.axis, quantity.components)
+        if not quantity.relative and self.unknowns[0].scale != "linear":
+            raise ValueError(
+                f'{what} needs scale="linear": zero is a value that it may have.'
+            )
         if self.by not in _BY:
-            raise unknown_name(f"`by` of parameter {self.label!r}", self.by, _BY)
+            raise unknown_name(f"`by` of {what}", self.by, _BY)
+        if self.each and not quantity.of_configuration:
+            raise ValueError(
+                f"{what}: {self.kind} belongs to the robot, which all configurations "
+                "share; leave `each` out."
+            )
+        if len(self.unknowns) != max(1, len(self.each)):
+            raise ValueError(
+                f"{what} has {len(self.unknowns)} unknowns; expected one for each "
+                f"{self.by} named, or one for all."
+            )
         for name in self.each:
             if self.each.count(name) > 1:
-                raise ValueError(
-                    f"parameter {self.label!r}: {name!r} stands twice in `each`."
-                )
+                raise ValueError(f"{what}: {name!r} stands twice in `each`.")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

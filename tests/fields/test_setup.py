@@ -127,6 +127,17 @@ def test_bad_input():
         )
     with pytest.raises(ValueError, match=r"unknown kind .* 'zero'"):
         SetupParameter("zero", "m", [SPACE.parameters[1]])
+    zero, place = SPACE.parameters[1:3]
+    with pytest.raises(ValueError, match=r"axis of parameter .* 'w'"):
+        SetupParameter("mounting", "base", [place], "w")
+    with pytest.raises(ValueError, match=r"axis of parameter .* 'x'"):
+        SetupParameter("motor_zero", "m", [zero], "x")
+    with pytest.raises(ValueError, match=r'needs scale="linear"'):
+        SetupParameter("motor_zero", "m", [Parameter("zero", "", 1.0, 0.5, 2.0)])
+    with pytest.raises(ValueError, match="motor_zero belongs to the robot"):
+        SetupParameter("motor_zero", "m", [zero], each=["a"])
+    with pytest.raises(ValueError, match="has 2 unknowns; expected one for each"):
+        SetupParameter("gravity_tilt", "", [zero, place], "first")
     with pytest.raises(ValueError, match="'a' stands twice in `each`"):
         load_factor(prior_std=None, each=["a", "a"])
     for make in (gravity_tilt, load_factor):
