@@ -60,13 +60,17 @@ class Tally:
         """Begin a run, of so many trials, some of which have ended in these states."""
         self._total, self._before = total, len(states)
         self._states = list(states)
-        self._ends: deque[float] = deque(maxlen=WINDOW)
+        self._workers: set[str] = set()
+        self._ends: deque[tuple[float, bool]] = deque(maxlen=WINDOW)
 
     def now(self, row: TrialRow | None = None) -> Progress:
         """Count a trial that has just ended, if any, and return the progress."""
         if row is not None:
             self._states.append(row.state)
-            self._ends.append(time.monotonic())
+            # The first trial of a worker compiles for all of its later ones.
+            counts = row.worker in self._workers
+            self._workers.add(row.worker)
+            self._ends.append((time.monotonic(), counts))
         count = self._states.count
         return Progress(
             total=self._total,
@@ -79,8 +83,10 @@ class Tally:
         )
 
     def _rate(self) -> float | None:
-        span = self._ends[-1] - self._ends[0] if self._ends else 0.0
-        return (len(self._ends) - 1) / span if span else None
+        """Return trials per second since the first of the last rows."""
+        times, counts = zip(*self._ends, strict=True) if self._ends else ((0.0,), ())
+        n, span = sum(counts[1:]), times[-1] - times[0]
+        return n / span if n and span else None
 
 
 def rate_text(per_second: float) -> str:

@@ -1,6 +1,7 @@
 """What a database of a sweep holds, checked: it may have been edited by hand."""
 
 import sqlite3
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +65,11 @@ def stored_sweep(file: sqlite3.Connection, path: Path) -> SweepResult:
 def _row(named: dict[str, Any]) -> TrialRow:
     where = f"trials.{named['key']}"
     parsed = {name: _checked(f"{where}.{name}", _JSON, named[name]) for name in AS_JSON}
-    return _checked(where, _ROW, named | parsed)
+    row = _checked(where, _ROW, named | parsed)
+    for name, figure in row.figures.items():
+        if isinstance(figure, int) and abs(figure) > sys.float_info.max:
+            raise ValueError(f"{where}.figures.{name} is a number that is too large")
+    return row
 
 
 def _checked(where: str, kind: TypeAdapter, value: Any) -> Any:

@@ -16,6 +16,9 @@ from softcal_jax._names import unknown_name
 
 Point = dict[str, Any]
 
+_MOST_POINTS = 2**62
+"""Points of a grid that whole numbers of 64 bits can count."""
+
 
 @dataclass(frozen=True)
 class Range:
@@ -106,6 +109,11 @@ def sample(
             raise ValueError(
                 f"the axes have {total} different points, so {n} cannot be "
                 "sampled; ask for fewer, or for the whole grid."
+            )
+        if total > _MOST_POINTS:
+            raise ValueError(
+                f"the axes have more than {_MOST_POINTS:.3g} different points, too "
+                "many to number; leave an axis out, or give fewer values."
             )
         chosen = np.sort(random.choice(total, n, replace=False))
         cells = np.array(np.unravel_index(chosen, sizes)).T.tolist()

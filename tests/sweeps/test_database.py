@@ -132,6 +132,10 @@ def test_a_full_disk_is_called_that(tmp_path, monkeypatch, n_trials):
             "UPDATE trials SET figures = '{\"x\": [1]}'",
             r"figures\.x\.\w+ is \[1\]: Input should",
         ),
+        (
+            f"UPDATE trials SET figures = '{{\"x\": 1{'0' * 400}}}'",
+            r"figures\.x is a number that is too large",
+        ),
         ("UPDATE trials SET notes = '3'", r"notes is 3: Input should be a valid tuple"),
         ("UPDATE trials SET seconds = 'long'", r"seconds is 'long': Input should be a"),
         ("UPDATE trials SET worker = x'ff'", r"worker is b'\\xff': Input should be a"),

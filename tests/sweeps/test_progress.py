@@ -8,8 +8,8 @@ from softcal_jax.sweeps import _progress as progress_module
 from softcal_jax.sweeps._progress import Tally, duration, rate_text
 
 
-def row(state="converged"):
-    return TrialRow("key", {}, state)
+def row(state="converged", worker="a"):
+    return TrialRow("key", {}, state, worker=worker)
 
 
 def test_the_rate_leaves_out_the_first_trial_which_compiles(monkeypatch):
@@ -28,6 +28,16 @@ def test_the_rate_leaves_out_the_first_trial_which_compiles(monkeypatch):
     assert says(
         now, "6 of 20 ... 1 failed, 1 not converged ... 1 per second, 14 s left"
     )
+
+
+def test_workers_that_end_together_are_no_hurry(monkeypatch):
+    """Two of them, a trial each in 10 s."""
+    clock = iter([60.0, 60.001, 70.0, 70.001])
+    monkeypatch.setattr(progress_module.time, "monotonic", lambda: next(clock))
+    tally = Tally(100, [])
+    assert [tally.now(row(worker=w)).rate for w in "ab"] == [None, None]
+    assert tally.now(row(worker="a")).rate == pytest.approx(0.1)
+    assert tally.now(row(worker="b")).rate == pytest.approx(0.2, rel=1e-3)
 
 
 def test_words():
