@@ -56,6 +56,7 @@ from softcal_jax.configurations._registration import Registration, register
 from softcal_jax.configurations._supports import Support
 from softcal_jax.configurations._tracker import (
     PoseTable,
+    TrackerWarning,
     average_poses,
     in_frame,
     read_polhemus,
@@ -97,6 +98,7 @@ __all__ = [
     "SurfaceForce",
     "SurfaceTraction",
     "Traces",
+    "TrackerWarning",
     "Unstated",
     "actuation_arrays",
     "average_poses",

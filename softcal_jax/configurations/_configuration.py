@@ -210,6 +210,14 @@ def configuration_lanes(
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"configuration {name!r} is named more than once.")
+    by_key: dict[int, str] = {}
+    for name in [*names, *(c.recording for c in configurations if c.recording)]:
+        if by_key.setdefault(name_key(name), name) != name:
+            raise ValueError(
+                f"the names {by_key[name_key(name)]!r} and {name!r} of configurations "
+                "or recordings cannot be told apart: their CRC-32 is the same. Rename "
+                "one of them."
+            )
     shared = shared_names(configurations) if shared is None else shared
     rows = [_effector_rows(mesh, c, mechanism) for c in configurations]
     lanes, records = [], []

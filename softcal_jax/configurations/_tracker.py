@@ -1,6 +1,7 @@
 """Poses of the sensors of a 6-D tracker: their files, change of frame, and means."""
 
 import os
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from softcal_jax._module import Module
 from softcal_jax._names import METRES, suggestion, unknown_name
 from softcal_jax._text import shortened
 from softcal_jax._typing import Float, HostArray
+from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.bodies import Pose
 from softcal_jax.configurations._csv_table import (
     CsvTable,
@@ -23,6 +25,10 @@ from softcal_jax.configurations._csv_table import (
 
 _ONE_POSE = np.deg2rad(30.0)
 """Largest turn of a reading of one pose from the mean of the readings [rad]."""
+
+
+class TrackerWarning(SoftcalWarning):
+    """Something in a tracker's file that is probably a mistake."""
 
 
 class PoseTable(Module):
@@ -150,6 +156,9 @@ def read_poses(
         FileNotFoundError: If there is no such file.
         ValueError: As for `read_markers`, or if an angle is out of its range or a
             quaternion is not of unit length.
+
+    Warns:
+        TrackerWarning: If angles in degrees look like radians.
     """
     table = read_table(path, "sensor", select, delimiter=delimiter, decimal=decimal)
     columns, metres = coordinates(table, length_unit)
@@ -201,6 +210,9 @@ def read_polhemus(
         FileNotFoundError: If there is no such file.
         ValueError: If a unit is unknown, a line does not hold seven finite numbers, the
             station is not there, or an angle is out of its range.
+
+    Warns:
+        TrackerWarning: As for `read_poses`.
     """
     check_length_unit(length_unit)
     if angle_unit not in _RADIANS:
@@ -291,5 +303,14 @@ def _from_angles(
             f"{path}, line {lines[row]}: the {_ANGLES[k]} is {angles[row, k]:g} "
             f"{unit}, beyond {limits[k]:.4g} {unit}: check the unit of the angles, "
             "angle_unit or columns like azimuth_deg."
+        )
+    # Numbers that could all be radians, and are too large to ignore.
+    sizes = np.abs(angles).max(axis=0)
+    if unit == "deg" and all(sizes <= [3.142, 1.571, 3.142]) and sizes.max() > 1.0:
+        warnings.warn(
+            f"{path}: every angle lies within half a turn if it is in radians. If they "
+            "are not degrees, say so by angle_unit or columns like azimuth_rad.",
+            TrackerWarning,
+            stacklevel=3,
         )
     return Rotation.from_euler("ZYX", angles * _RADIANS[unit]).as_matrix()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from softcal_jax.configurations import read_polhemus, read_poses
+from softcal_jax.configurations import TrackerWarning, read_polhemus, read_poses
 
 HEADER = "sensor,x_mm,y_mm,z_mm,azimuth_deg,elevation_deg,roll_deg\n"
 QUATERNIONS = "sensor,x_m,y_m,z_m,qw,qx,qy,qz\n"
@@ -118,6 +118,16 @@ def test_bad_rows(table, row, text):
 def test_degrees_under_a_header_of_radians(table):
     with refused("line 2: the roll ... 45 rad ... 6.283 rad ... unit"):
         read_poses(table(HEADER.replace("deg", "rad") + "s,0,0,0,0,0,45\n"))
+
+
+def test_radians_under_a_header_of_degrees(table):
+    with pytest.warns(TrackerWarning, match="not degrees, say so by angle_unit or"):
+        read_poses(table(HEADER + "s,0,0,0,1.57,0,0\ns,0,0,0,-3.1,0.2,0.1\n"))
+
+
+@pytest.mark.parametrize("angles", ["0.9,0.1,-0.3", "1.57,0,3.2", "0,1.6,0"])
+def test_small_angles_are_not_suspect(table, angles):
+    read_poses(table(HEADER + f"s,0,0,0,{angles}\n"))
 
 
 def test_unknown_sensor(table):
