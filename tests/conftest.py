@@ -23,7 +23,7 @@ os.environ.setdefault(
 )
 
 # With as many workers as cores, a second thread of PARDISO or NumPy waits for its turn
-# on a core at every barrier, spinning: solves can take four times as long.
+# on a core, and may spin meanwhile.
 os.environ.setdefault("MKL_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
