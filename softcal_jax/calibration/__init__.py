@@ -1,7 +1,12 @@
 """Calibration: stacked errors, bounded QP, outer loop (paper Eqs. 9 to 11)."""
 
 from softcal_jax._files import ProjectSource, SourceFile
-from softcal_jax.calibration._calibrate import as_sequence, build_problem, calibrate
+from softcal_jax.calibration._calibrate import (
+    as_sequence,
+    build_problem,
+    calibrate,
+    profile_intervals,
+)
 from softcal_jax.calibration._checked_intervals import LEVEL
 from softcal_jax.calibration._checkpoint import Clock
 from softcal_jax.calibration._checks import (
@@ -14,9 +19,7 @@ from softcal_jax.calibration._configuration_result import (
     SimulationResult,
     simulation_result,
 )
-from softcal_jax.calibration._considered import MESH, considered_errors
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, at_rest, evaluate
-from softcal_jax.calibration._intervals import profile_intervals
 from softcal_jax.calibration._noise import (
     CorrelatedNoise,
     check_references,
@@ -29,7 +32,6 @@ from softcal_jax.calibration._problem import (
     EquilibriumProgress,
     effectors_of,
     equilibria,
-    lane_of,
     linear_model,
     reports_of,
 )
@@ -66,7 +68,6 @@ __all__ = [
     "FROM_ANYWHERE",
     "KKT_TOLERANCE",
     "LEVEL",
-    "MESH",
     "SMALLEST_FALL",
     "CalibrationProblem",
     "CalibrationResult",
@@ -101,7 +102,6 @@ __all__ = [
     "calibrate",
     "check_references",
     "check_starts",
-    "considered_errors",
     "correlated_noise",
     "default_starts",
     "descend",
@@ -110,7 +110,6 @@ __all__ = [
     "evaluate",
     "images_of",
     "initial_state",
-    "lane_of",
     "levenberg_marquardt",
     "linear_model",
     "multi_start",

@@ -1,19 +1,24 @@
-"""The calibration: from configurations and measurements to parameters."""
+"""The calibration: from measured configurations to parameters and their intervals."""
 
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
+from softcal_jax._lanes import lane_of
+from softcal_jax._names import unknown_name
 from softcal_jax._process import check_process
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checked_intervals import (
     LEVEL,
     Fitted,
     check_level,
+    quantile_of,
+    whole_interval,
     with_intervals,
 )
 from softcal_jax.calibration._checks import check_effects
+from softcal_jax.calibration._evaluation import evaluate
 from softcal_jax.calibration._fit import Batch, Resume, Task, Watch, fit
 from softcal_jax.calibration._noise import check_references, correlated_noise
 from softcal_jax.calibration._notes import warn_if_locking, warn_if_too_few_data
@@ -21,16 +26,20 @@ from softcal_jax.calibration._problem import (
     CalibrationProblem,
     CalibrationSettings,
     EquilibriumProgress,
-    lane_of,
 )
-from softcal_jax.calibration._result import CalibrationResult, HistoryEntry
+from softcal_jax.calibration._profile import profile_ends
+from softcal_jax.calibration._result import (
+    CalibrationResult,
+    HistoryEntry,
+    ParameterInterval,
+)
 from softcal_jax.calibration._starts import SearchProgress, check_starts, default_starts
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationLanes,
     configuration_lanes,
 )
-from softcal_jax.equilibrium import Model, NewtonSettings
+from softcal_jax.equilibrium import Model, NewtonSettings, check_converged
 from softcal_jax.fields import (
     PRECISION,
     Entry,
@@ -42,6 +51,7 @@ from softcal_jax.fields import (
     check_scopes,
     exactly_known,
 )
+from softcal_jax.unknowns import Setting
 
 
 def calibrate(
@@ -194,6 +204,77 @@ def _batch(task: Task) -> Batch:
     return Batch(everything, fitted, lanes)
 
 
+def profile_intervals(
+    result: CalibrationResult,
+    *,
+    parameters: str | Sequence[str] | None = None,
+    level: float = LEVEL,
+) -> tuple[ParameterInterval, ...]:
+    """Find confidence intervals from the likelihood itself, not its linearisation.
+
+    `calibrate` does so where a standard error does not hold; this is for another level,
+    or to compare. A parameter is held away from the fit, all others are calibrated
+    again, and the interval ends where the squared errors have risen by what chance
+    allows (Bates and Watts, Nonlinear Regression Analysis, 1988, sec. 6.1). It need not
+    be symmetric, and may end at a bound that the data do not exclude. What is held
+    fixed and may be wrong adds to the distance of each end, in squares. The confidence
+    is that of each interval alone; other optima are not searched for. Each end takes a
+    few calibrations, and is nan if they do not converge.
+
+    Args:
+        result: A calibration that converged.
+        parameters: Names of the parameters that get an interval; all by default.
+        level: Confidence [-].
+
+    Raises:
+        ValueError: If the calibration did not converge, a parameter is unknown, the
+            level is not between 0 and 1, or the noise was estimated from too few
+            residuals.
+        RuntimeError: If a configuration has no equilibrium with the fitted parameters.
+        LowerCostFound: If a fit along the way has a lower cost than the calibration,
+            which then is not in the best optimum; the error holds its parameters, to
+            calibrate again from.
+    """
+    space = result.space
+    check_level(level)
+    if not result.converged:
+        raise ValueError(
+            "the calibration did not converge, so it has no intervals: raise max_steps "
+            "or look at its notes."
+        )
+    if isinstance(parameters, str):
+        parameters = [parameters]
+    names = list(space.names if parameters is None else parameters)
+    for name in names:
+        if name not in space.names:
+            raise unknown_name("parameter", name, space.names)
+    spread = result.uncertainty
+    if spread.noise == "estimated" and spread.degrees_of_freedom < 1:
+        raise ValueError(
+            "the noise cannot be estimated without more measured coordinates than "
+            'parameters: calibrate with noise = "stated", or add measurements.'
+        )
+    fitted = [f.posed for f in result.configurations if f.role == "calibration"]
+    configurations = [posed for posed in fitted if posed is not None]
+    problem = build_problem(result.model, space, configurations, result.newton)
+    problem = problem.with_noise(result.noise)
+    now = evaluate(problem, result.z)
+    check_converged(now.equilibrium, tuple(c.name for c in configurations))
+    columns = [space.names.index(name) for name in names]
+    ends = profile_ends(
+        problem,
+        result.settings,
+        z=result.z,
+        rows=now.rows,
+        rise=spread.noise_scale * quantile_of(result, level),
+        which=columns,
+    )
+    return tuple(
+        whole_interval(result, column, level, pair)
+        for column, pair in zip(columns, ends, strict=True)
+    )
+
+
 def build_problem(
     model: Model,
     parameters: ParameterSpace | Entry | Sequence[Entry],
@@ -236,14 +317,8 @@ def _stacked(
     lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
     check_parameters(model, space, lane_of(lanes.arrays, 0))
     warn_if_locking(model, space)
-    noise = correlated_noise(
-        configurations,
-        model=model,
-        space=space,
-        arrays=lanes.arrays,
-        records=lanes.effectors,
-        uncertain=uncertain,
-    )
+    setting = Setting(model, space, configurations, lanes.arrays, uncertain)
+    noise = correlated_noise(setting, lanes.effectors)
     return CalibrationProblem(model, space, lanes.arrays, newton, noise), lanes
 
 

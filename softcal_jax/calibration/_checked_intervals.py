@@ -13,7 +13,6 @@ from scipy.special import ndtri, stdtrit
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.calibration._checkpoint import Clock
-from softcal_jax.calibration._considered import MESH
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, weighed
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
@@ -37,6 +36,7 @@ from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.inference import EXACT, LinearModel
+from softcal_jax.unknowns import MESH
 
 LEVEL = 0.95
 """Confidence of intervals unless another one is asked for [-]."""

@@ -15,7 +15,6 @@ from softcal_jax.calibration._problem import (
     effectors_on_all_cores,
     equilibria,
 )
-from softcal_jax.calibration._unknowns import held_nodes
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -32,6 +31,7 @@ from softcal_jax.equilibrium import (
     solve_from_rest,
 )
 from softcal_jax.fields import AbstractFieldEntry, ParameterSpace, Poses, SetupParameter
+from softcal_jax.unknowns import held_nodes
 
 ROUNDING = 1e-12
 """Change of a coordinate by a unit of lambda_p, over its size, that is rounding [-]."""

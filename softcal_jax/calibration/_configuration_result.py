@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtrc
 
+from softcal_jax._lanes import lane_of
 from softcal_jax._module import Module, Result
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration._noise import AnyArray, CorrelatedNoise
-from softcal_jax.calibration._problem import lane_of
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._lanes import lane_of, stacked
 from softcal_jax._module import Module, one_line
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._noise import CorrelatedNoise
@@ -20,8 +21,6 @@ from softcal_jax.calibration._problem import (
     as_guess,
     effectors_on_all_cores,
     equilibria,
-    lane_of,
-    stacked,
     without_names,
 )
 from softcal_jax.configurations import Configuration, ConfigurationArrays

@@ -23,7 +23,6 @@ from softcal_jax.calibration._configuration_result import (
     ConfigurationResult,
     configuration_results,
 )
-from softcal_jax.calibration._considered import ConsideredErrors, considered_errors
 from softcal_jax.calibration._evaluation import (
     Evaluation,
     Evaluator,
@@ -76,6 +75,7 @@ from softcal_jax.inference import (
     uncertainty,
 )
 from softcal_jax.sensitivity import Response
+from softcal_jax.unknowns import ConsideredErrors, Setting, considered_errors
 
 
 class Task(NamedTuple):
@@ -156,7 +156,7 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
     """Calibrate as `calibrate` does, without intervals, or go on from a `resume`."""
     # A checkpoint is of one set of starts and one noise.
     own = () if task.start is None else tuple(task.start.tolist())
-    mark = (task.starts, task.seed, *own, task.noise, task.uncertain.recordings)
+    mark = (task.starts, task.seed, *own, task.noise, *task.uncertain.estimated)
     journal = Journal(
         batch.fitted, task.settings, watch.checkpoint, watch.progress, search=mark
     )
@@ -244,7 +244,7 @@ def _descended(task: Task, start: Start, place: _Place, journal: Journal) -> Wei
     sought = sought_noise(
         task.fitted,
         jitter=task.noise == "estimated",
-        offset=task.uncertain.recordings == "estimated",
+        offset=bool(task.uncertain.estimated),
     )
     try:
         if journal.interrupted:  # in the search
@@ -334,9 +334,14 @@ def _judged(
     """Judge the values by the linear model at the optimum."""
     z, n_fitted, problem = weighed.state.z, len(task.fitted), predicted.problem
     solved = predicted.response.equilibrium
-    doubts = considered_errors(
-        workers, problem, task.configurations, task.uncertain, z=z, equilibrium=solved
+    setting = Setting(
+        task.model,
+        task.space,
+        task.configurations,
+        problem.configurations,
+        task.uncertain,
     )
+    doubts = considered_errors(workers, setting, z=z, equilibrium=solved)
     linear = _linear(task, weighed, predicted, doubts)
     spread = uncertainty(linear.with_scale(1.0), task.noise, weighed.scale)
     noise_is_known = bool(np.isfinite(spread.noise_scale))

@@ -40,16 +40,13 @@ from scipy.spatial.transform import Rotation
 from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax.calibration._unknowns import recording_names, unknowns
 from softcal_jax.configurations import (
     Configuration,
-    ConfigurationArrays,
     EffectorArrays,
     EffectorRecord,
 )
-from softcal_jax.equilibrium import Model
-from softcal_jax.fields import ParameterSpace, Uncertain
 from softcal_jax.inference import ATTACHMENTS, RANK, ErrorColumns, no_errors
+from softcal_jax.unknowns import Setting, recording_names, unknowns
 
 FAR_BEYOND: Mapping[str, float] = {"point": 1.0, "turn": 100.0}
 """Standard deviation of the offset of an effector, far beyond that of any [m, rad]."""
@@ -306,25 +303,19 @@ def _on_device(new: Any, *, like: Float[AnyArray, "..."]) -> Float[Array, "..."]
 
 
 def correlated_noise(
-    configurations: Sequence[Configuration],
-    *,
-    model: Model,
-    space: ParameterSpace,
-    arrays: ConfigurationArrays,
-    records: Sequence[Sequence[EffectorRecord]],
-    uncertain: Uncertain,
+    setting: Setting, records: Sequence[Sequence[EffectorRecord]]
 ) -> CorrelatedNoise:
     """Collect the noise of configurations; what is estimated has its first value.
 
     An offset of a recording that is among the parameters is no noise.
     """
+    configurations, effectors = setting.configurations, setting.arrays.effectors
     names = recording_names(configurations)
     offset = [
         [0.0 if key is None else unknown.prior for key in unknown.scope]
-        for unknown in unknowns(model, space, configurations, arrays, uncertain)
+        for unknown in unknowns(setting)
         if unknown.role == "noise"
     ]
-    effectors = arrays.effectors
     std = [c.relative_std for c in configurations]
     shares = np.array([FIRST_SHARE if s == "estimated" else s for s in std], float)
     dtype = np.asarray(effectors.inverse_std).dtype

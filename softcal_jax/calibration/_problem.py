@@ -3,13 +3,14 @@
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._lanes import lane_of, stacked
 from softcal_jax._module import Module, one_line
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.calibration._noise import CorrelatedNoise, noise_columns
@@ -34,8 +35,6 @@ from softcal_jax.inference import (
     span,
     whitened_rows,
 )
-
-T = TypeVar("T")
 
 MOST_STEPS = 1_000_000
 """Largest `max_steps`: the history of every run has room for so many."""
@@ -83,19 +82,8 @@ def reports_of(
     )
 
 
-def lane_of(batch: T, index: int | slice | Int[HostArray, " n"]) -> T:
-    """Return one lane of a batch, or a batch of several."""
-    # Sliced on the host: on the device, each shape compiles two more programs.
-    return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[index], batch))
-
-
 def _lanes_of(batch: ConfigurationArrays) -> list[ConfigurationArrays]:
     return [lane_of(batch, c) for c in range(len(batch.gravity))]
-
-
-def stacked(lanes: Sequence[T]) -> T:
-    """Return lanes as a batch, without a program for each number of them."""
-    return jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *lanes))
 
 
 _begin = eqx.filter_jit(begin_newton)

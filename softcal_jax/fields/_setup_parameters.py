@@ -88,10 +88,15 @@ class Uncertain(Module):
     mountings: float = _std(0.5e-3, "m")
     mesh: float = _std(1.0)
 
+    @property
+    def estimated(self) -> tuple[str, ...]:
+        """Names of what is not stated, but found beside the fit."""
+        of_noise = {q.uncertain for q in QUANTITIES.values() if q.role == "noise"}
+        return tuple(n for n in sorted(of_noise) if getattr(self, n) == "estimated")
+
     def __check_init__(self):
         for name, std in vars(self).items():
-            asked = name == "recordings" and std == "estimated"
-            if not asked and not 0.0 <= float(std) < np.inf:
+            if name not in self.estimated and not 0.0 <= float(std) < np.inf:
                 raise ValueError(
                     f"the uncertainty of {name} must be finite and not negative, got "
                     f"{std}; 0 if it is known exactly."

@@ -10,7 +10,6 @@ from softcal_jax._module import Module, Result, one_line
 from softcal_jax._text_table import Tone
 from softcal_jax.calibration import (
     FLAT,
-    MESH,
     SMALLEST_FALL,
     CalibrationResult,
     ConfigurationResult,
@@ -19,6 +18,7 @@ from softcal_jax.calibration import (
 from softcal_jax.identifiability._identify import identifiability
 from softcal_jax.identifiability._result import Identifiability
 from softcal_jax.inference import ErrorBudget
+from softcal_jax.unknowns import MESH
 
 
 class Prediction(Module):

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._lanes import lane_of
 from softcal_jax._module import Module
 from softcal_jax._process import check_process
 from softcal_jax._typing import Array, Bool, Float, HostArray
@@ -17,9 +18,7 @@ from softcal_jax.calibration import (
     Evaluator,
     as_sequence,
     check_references,
-    considered_errors,
     correlated_noise,
-    lane_of,
     linear_model,
     reports_of,
 )
@@ -57,6 +56,7 @@ from softcal_jax.identifiability._spread import (
     verdict,
 )
 from softcal_jax.inference import LinearModel, independent
+from softcal_jax.unknowns import Setting, considered_errors
 
 Parameters = ParameterSpace | Entry | Sequence[Entry]
 AnyVector = Array | HostArray
@@ -274,9 +274,8 @@ def survey(
         if required:
             check_converged(lane_of(solution, slice(required)), names)
         compliance = evaluator.energy_compliances(z, solution.displacement)
-        doubts = considered_errors(
-            workers, problem, configurations, uncertain, z=z, equilibrium=solution
-        )
+        setting = Setting(model, space, configurations, arrays, uncertain)
+        doubts = considered_errors(workers, setting, z=z, equilibrium=solution)
     failures = _failures(solution, np.asarray(compliance.ok))
     for name, failure in zip(names[:required], failures, strict=False):
         if failure:
@@ -292,12 +291,7 @@ def survey(
         for of_pose, rows in zip(lanes.effectors, np.nan_to_num(moved), strict=True)
     ]
     correlated = correlated_noise(
-        configurations,
-        model=model,
-        space=space,
-        arrays=weighed.configurations,
-        records=records,
-        uncertain=uncertain,
+        setting._replace(arrays=weighed.configurations), records
     )
     linear = linear_model(
         weighed.with_noise(correlated),

@@ -12,10 +12,7 @@ from softcal_jax.actuators import Cable, Guide, Motor
 from softcal_jax.bodies import Pose, RigidBody, hinge_axes, rotation_matrix
 from softcal_jax.calibration import build_problem, simulated_measurements
 from softcal_jax.calibration import calibrate as calibrate_with
-from softcal_jax.calibration._considered import ConsideredErrors
-from softcal_jax.calibration._mesh_error import MeshErrors
 from softcal_jax.calibration._noise import noise_columns
-from softcal_jax.calibration._unknowns import Unknown, unknowns
 from softcal_jax.configurations import (
     Configuration,
     ImposedDisplacement,
@@ -36,6 +33,9 @@ from softcal_jax.fields import (
 from softcal_jax.inference import NOISE
 from softcal_jax.materials import Corotational, Isotropic, NeoHookean
 from softcal_jax.mesh import beam, to_quadratic
+from softcal_jax.unknowns import ConsideredErrors, Setting, unknowns
+from softcal_jax.unknowns._mesh_error import MeshErrors
+from softcal_jax.unknowns._unknowns import Unknown
 
 calibrate = partial(calibrate_with, intervals=None)
 
@@ -359,9 +359,10 @@ def all_errors(*parameters):
     problem = build_problem(PLAIN, (E, *parameters), measured, uncertain=STD)
     effectors = problem.configurations.effectors
     of_noise = noise_columns(problem.noise, effectors, measured).names
-    every = unknowns(
+    setting = Setting(
         problem.model, problem.space, measured, problem.configurations, STD
     )
+    every = unknowns(setting)
     held = [own.groups(1) for own in every if own.role == "considered"]
     return set(of_noise) | {name for own in held for name, _ in own}
 

@@ -12,7 +12,6 @@ from scipy.stats import norm
 from wording import says
 
 from softcal_jax.calibration import (
-    MESH,
     CalibrationResult,
     Evaluation,
     Evaluator,
@@ -37,6 +36,7 @@ from softcal_jax.calibration._checked_intervals import (
 )
 from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
 from softcal_jax.inference import ErrorColumns, Whitened, independent
+from softcal_jax.unknowns import MESH
 
 EXACTLY = {"noise": "stated", "uncertain": exactly_known()}
 CLOSE = 3e-3

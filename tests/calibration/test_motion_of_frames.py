@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from wording import says
 
 from softcal_jax.bodies import Pose, RigidBody
-from softcal_jax.calibration import _mesh_error, calibrate
+from softcal_jax.calibration import calibrate
 from softcal_jax.configurations import (
     BodyFrame,
     Configuration,
@@ -31,6 +31,7 @@ from softcal_jax.fields import Parameter, exactly_known, set_field
 from softcal_jax.identifiability import identify
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
+from softcal_jax.unknowns import _mesh_error
 
 MESH = beam(0.1, 0.02, 0.02, (3, 1, 1), order=1)
 END = np.array([0.1, 0.01, 0.01])

@@ -9,7 +9,6 @@ import pytest
 from wording import says
 
 from softcal_jax.calibration import (
-    MESH,
     CalibrationSettings,
     MultiStartResult,
     Optimum,
@@ -28,6 +27,7 @@ from softcal_jax.identifiability import assess
 from softcal_jax.inference import UNLIKELY, Cause
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import TetMesh, beam, to_quadratic
+from softcal_jax.unknowns import MESH
 
 TARGET = {"E of root": 1.5e5, "E of tip": 0.8e5}
 POINTS = ((0.05, 0.01, 0.02), (0.1, 0.01, 0.0))

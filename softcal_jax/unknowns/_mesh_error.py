@@ -13,7 +13,6 @@ its parts are not those of the whole. As the body deforms, the loads move it les
 more, than they move the linear one; so does the error.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -23,8 +22,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._lanes import lane_of
 from softcal_jax._typing import Array, Bool, Float, HostArray
-from softcal_jax.calibration._problem import CalibrationProblem, lane_of
 from softcal_jax.configurations import (
     Centroid,
     Configuration,
@@ -50,6 +49,7 @@ from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import REMEDIES
 from softcal_jax.mesh import Refinement, node_indices
 from softcal_jax.sensitivity import stiffness_row
+from softcal_jax.unknowns._unknowns import Setting
 
 LOCKING, REFINEMENT = REMEDIES
 
@@ -85,8 +85,7 @@ class MeshErrors(NamedTuple):
 
 
 def mesh_errors(
-    problem: CalibrationProblem,
-    configurations: Sequence[Configuration],
+    setting: Setting,
     z: Float[Array, " n_p"],
     *,
     forces: Float[Array, "n_c n_a"],
@@ -98,7 +97,7 @@ def mesh_errors(
     nearly all of the work. `forces` are those of the actuators at the equilibria, and
     `of_stiffness` the change of the effectors per relative change of the stiffness.
     """
-    model, n_c = problem.model, len(configurations)
+    model, batch, n_c = setting.model, setting.arrays, len(setting.configurations)
     name = LOCKING if model.mesh.order == 1 else REFINEMENT
     if of_stiffness.size == 0:
         return MeshErrors(name, of_stiffness, np.ones(n_c, bool))
@@ -107,18 +106,18 @@ def mesh_errors(
         return unknown
     try:
         fine, refinement = refined_model(model)
-        posed = _refined(problem, configurations, fine, refinement)
+        posed = _refined(setting, fine, refinement)
     except ValueError:  # a group may name what the finer mesh does not have
         return unknown
     if np.any(np.asarray(fine.weights) < 0.0):
         return unknown
-    motions = partial(_linear_motions, space=problem.space, z=z)
-    seen = _comparable(model, problem.configurations, forces)
+    motions = partial(_linear_motions, space=setting.space, z=z)
+    seen = _comparable(model, batch, forces)
     *coarse, at_rest = motions(model, seen, of_stiffness=True)
     exact = motions(fine, _comparable(fine, posed, forces), of_stiffness=False)
     changes = exact - np.stack(coarse)
     known = np.all(np.isfinite([*changes, at_rest]), axis=(0, 2))
-    weights = np.asarray(problem.configurations.effectors.inverse_std).reshape(n_c, -1)
+    weights = np.asarray(batch.effectors.inverse_std).reshape(n_c, -1)
     size = lambda e: np.linalg.norm(weights * e, axis=1, keepdims=True)
     # To first order a body half as stiff is moved by its loads twice as far.
     moved = np.maximum(size(at_rest), size(changes[0]) / MOST_CHANGE)
@@ -126,16 +125,11 @@ def mesh_errors(
     return MeshErrors(name, softening * changes[0] + changes[1:].sum(axis=0), known)
 
 
-def _refined(
-    problem: CalibrationProblem,
-    configurations: Sequence[Configuration],
-    fine: Model,
-    refinement: Refinement,
-) -> ConfigurationArrays:
+def _refined(setting: Setting, fine: Model, r: Refinement) -> ConfigurationArrays:
     """Pose the finer mesh like the coarse one, with the same supports and loads."""
-    batch, r = problem.configurations, refinement
+    batch = setting.arrays
     shared = SharedNames(batch.springs.names, batch.loads.names)
-    alike = [_as_found(c, r) for c in configurations]
+    alike = [_as_found(c, r) for c in setting.configurations]
     posed, _ = configuration_lanes(fine.mesh, alike, fine.mechanism, shared=shared)
     held = [r.with_new(fixed, r.among(fixed)) for fixed in np.asarray(batch.fixed)]
     moved = [r.with_new(u, r.carried(u)) for u in np.asarray(batch.imposed)]

@@ -79,36 +79,34 @@ class Unknown(NamedTuple):
             yield name, np.array([other == key for other in self.scope])
 
 
-class _Setting(NamedTuple):
-    """A calibration as the lists below ask for it."""
+class Setting(NamedTuple):
+    """What is calibrated from what: configurations as described and as arrays."""
 
     model: Model
     space: ParameterSpace
     configurations: Sequence[Configuration]
-    poses: Poses
+    arrays: ConfigurationArrays
     uncertain: Uncertain
 
+    @property
+    def poses(self) -> Poses:
+        """The configurations, as kinds of parameters ask for them."""
+        on_host = jax.tree.map(np.asarray, self.arrays)
+        return Poses(self.model, on_host, recording_names(self.configurations))
 
-def unknowns(
-    model: Model,
-    space: ParameterSpace,
-    configurations: Sequence[Configuration],
-    arrays: ConfigurationArrays,
-    uncertain: Uncertain,
-) -> tuple[Unknown, ...]:
+
+def unknowns(setting: Setting) -> tuple[Unknown, ...]:
     """List all unknowns of a calibration.
 
     Those that cannot occur in any configuration are among them, in the scope of none:
     which errors are computed is part of a compiled program, and so one serves all
     poses.
     """
-    on_host = jax.tree.map(np.asarray, arrays)
-    poses = Poses(model, on_host, recording_names(configurations))
-    setting = _Setting(model, space, configurations, poses, uncertain)
+    poses = setting.poses
     return (
-        *_fitted(setting),
+        *_fitted(setting, poses),
         *_of_fields(setting),
-        *_of_setup(setting),
+        *_of_setup(setting, poses),
         _of_clamps(setting),
     )
 
@@ -118,32 +116,32 @@ def recording_names(configurations: Sequence[Configuration]) -> list[str]:
     return [c.recording or c.name for c in configurations]
 
 
-def _fitted(setting: _Setting) -> Iterator[Unknown]:
+def _fitted(setting: Setting, poses: Poses) -> Iterator[Unknown]:
     """List what is fitted of the setup, the loads and the recordings, and where."""
     everywhere = ("",) * len(setting.configurations)
     for entry in setting.space.entries:
         if isinstance(entry, SetupParameter):
-            scope = entry.quantity.occurs(setting.poses).get(entry.of, everywhere)
+            scope = entry.quantity.occurs(poses).get(entry.of, everywhere)
             yield Unknown(entry.label, entry.label, entry, np.nan, "fitted", scope)
 
 
-def _of_setup(setting: _Setting) -> Iterator[Unknown]:
+def _of_setup(setting: Setting, poses: Poses) -> Iterator[Unknown]:
     """List errors of the setup, the loads and the recordings that are not fitted."""
     for kind, quantity in QUANTITIES.items():
         if quantity.role not in ("considered", "noise"):
             continue
-        stated = getattr(setting.uncertain, quantity.uncertain)
-        std = OFFSET if stated == "estimated" else stated
-        for of, scope in quantity.occurs(setting.poses).items():
+        cause, role = quantity.uncertain, quantity.role
+        found = cause in setting.uncertain.estimated
+        std = OFFSET if found else getattr(setting.uncertain, cause)
+        for of, scope in quantity.occurs(poses).items():
             for axis in quantity.components or ("",):
                 name = " ".join(word for word in (kind, of, axis) if word)
                 entry = SetupError(name=name, std=std, kind=kind, of=of, axis=axis)
                 where = _where(scope, _not_fitted(setting, entry) & (std > 0.0))
-                cause, role = quantity.uncertain, quantity.role
                 yield Unknown(cause, name, entry, std, role, where)
 
 
-def _not_fitted(setting: _Setting, error: SetupError) -> Bool[HostArray, " n_c"]:
+def _not_fitted(setting: Setting, error: SetupError) -> Bool[HostArray, " n_c"]:
     """Return in which configurations no parameter is the error of this kind."""
     free = np.ones(len(setting.configurations), bool)
     for entry in setting.space.entries:
@@ -160,7 +158,7 @@ def _where(scope: Scope, flags: Bool[HostArray, " n_c"]) -> Scope:
     return tuple(key if flag else None for key, flag in zip(scope, flags, strict=True))
 
 
-def _of_fields(setting: _Setting) -> Iterator[Unknown]:
+def _of_fields(setting: Setting) -> Iterator[Unknown]:
     """List errors of Poisson's ratios, and of the density where there is gravity."""
     model, uncertain = setting.model, setting.uncertain
     everywhere: Scope = ("",) * len(setting.configurations)
@@ -176,7 +174,7 @@ def _of_fields(setting: _Setting) -> Iterator[Unknown]:
     share, std = _share_not_fitted(setting, "density"), uncertain.density
     heavy = np.any(share * np.asarray(model.density) > 0.0) and std > 0.0
     entry = FieldError("density", std, "density", jax.device_put(share), relative=True)
-    falls = np.any(setting.poses.arrays.gravity, axis=1) & heavy
+    falls = np.any(np.asarray(setting.arrays.gravity), axis=1) & heavy
     scope = _where(everywhere, falls)
     yield Unknown("density", "density", entry, std, "considered", scope)
 
@@ -190,7 +188,7 @@ def _ratios(model: Model) -> Iterator[tuple[str, HostArray]]:
             yield field, np.asarray(leaf.values if is_point_values(leaf) else leaf)
 
 
-def _share_not_fitted(setting: _Setting, field: str) -> HostArray:
+def _share_not_fitted(setting: Setting, field: str) -> HostArray:
     """Return 1 for each tet in which no parameter sets a field, 0 for the others."""
     mesh = setting.model.mesh
     share = np.ones(setting.model.n_tets)
@@ -201,10 +199,10 @@ def _share_not_fitted(setting: _Setting, field: str) -> HostArray:
     return share
 
 
-def _of_clamps(setting: _Setting) -> Unknown:
+def _of_clamps(setting: Setting) -> Unknown:
     """Return the error of the depth of clamps, one for all that hold alike."""
     model, std = setting.model, setting.uncertain.clamp
-    held = held_nodes(model, setting.poses.arrays)
+    held = held_nodes(model, setting.arrays)
     keys = tuple(nodes.tobytes() for nodes in held)
     each = dict(zip(keys, held, strict=True))
     motion_of = {k: std * outward_motion(model.mesh, own) for k, own in each.items()}

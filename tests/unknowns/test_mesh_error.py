@@ -11,10 +11,7 @@ import pytest
 from softcal_jax.actuators import Cable, Motor
 from softcal_jax.bodies import Pose, RigidBody
 from softcal_jax.calibration import (
-    MESH,
-    _mesh_error,
     build_problem,
-    considered_errors,
     evaluate,
     simulated_measurements,
 )
@@ -49,6 +46,7 @@ from softcal_jax.materials import (
     TransverseHyperelastic,
 )
 from softcal_jax.mesh import beam, finer, refine, to_quadratic
+from softcal_jax.unknowns import MESH, Setting, _mesh_error, considered_errors
 
 REFERENCE = 6.7812
 """Sag of a silicone cantilever [mm]: mixed hexahedra of FElupe, extrapolated, in
@@ -76,14 +74,14 @@ def considered_at_start(problem, configurations):
     at = evaluate(problem, z)
     assert np.all(at.equilibrium.converged)
     with Workers(problem.model, len(configurations)) as workers:
-        errors = considered_errors(
-            workers,
-            problem,
+        setting = Setting(
+            problem.model,
+            problem.space,
             configurations,
+            problem.configurations,
             ONLY_THE_MESH,
-            z=z,
-            equilibrium=at.equilibrium,
         )
+        errors = considered_errors(workers, setting, z=z, equilibrium=at.equilibrium)
         return at.effectors, errors
 
 

@@ -8,11 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._lanes import lane_of
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration._mesh_error import MeshErrors, mesh_errors
-from softcal_jax.calibration._problem import CalibrationProblem, lane_of, without_names
-from softcal_jax.calibration._unknowns import Unknown, unknowns
-from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Program,
@@ -21,9 +18,11 @@ from softcal_jax.equilibrium import (
     linearise,
     sensitivity,
 )
-from softcal_jax.fields import ParameterSpace, Uncertain
+from softcal_jax.fields import ParameterSpace, unnamed
 from softcal_jax.inference import ErrorColumns
 from softcal_jax.sensitivity import clamp_row, parameter_rows, stiffness_row
+from softcal_jax.unknowns._mesh_error import MeshErrors, mesh_errors
+from softcal_jax.unknowns._unknowns import Setting, Unknown, unknowns
 
 MESH = "mesh"
 """Name of the error of the mesh, see `mesh_errors`."""
@@ -73,36 +72,29 @@ class ConsideredErrors(NamedTuple):
 
 def considered_errors(
     workers: Workers,
-    problem: CalibrationProblem,
-    configurations: Sequence[Configuration],
-    uncertain: Uncertain,
+    setting: Setting,
     *,
     z: Float[Array, " n_p"],
     equilibrium: EquilibriumSolution,
 ) -> ConsideredErrors:
     """Compute W_c: change of the effectors per standard deviation of each error."""
-    of_mesh = uncertain.mesh > 0
-    every = unknowns(
-        problem.model, problem.space, configurations, problem.configurations, uncertain
-    )
-    errors = tuple(unknown for unknown in every if unknown.role == "considered")
-    problem = without_names(problem)
+    of_mesh = setting.uncertain.mesh > 0
+    errors = tuple(u for u in unknowns(setting) if u.role == "considered")
     if not of_mesh and not any(error.happens for error in errors):
         errors = ()
     u, forces = equilibrium.displacement, equilibrium.multipliers
-    columns = _all_columns(workers, problem, errors, z, u, of_stiffness=of_mesh)
+    setting = setting._replace(space=unnamed(setting.space))
+    columns = _all_columns(workers, setting, errors, z, u, of_stiffness=of_mesh)
     if not of_mesh:
         return ConsideredErrors(errors, columns, None)
-    mesh = mesh_errors(
-        problem, configurations, z, forces=forces, of_stiffness=columns[-1]
-    )
-    mesh = mesh._replace(changes=uncertain.mesh * mesh.changes)
+    mesh = mesh_errors(setting, z, forces=forces, of_stiffness=columns[-1])
+    mesh = mesh._replace(changes=setting.uncertain.mesh * mesh.changes)
     return ConsideredErrors(errors, columns[:-1], mesh)
 
 
 def _all_columns(
     workers: Workers,
-    problem: CalibrationProblem,
+    setting: Setting,
     errors: Sequence[Unknown],
     z,
     displacement,
@@ -111,7 +103,7 @@ def _all_columns(
 ) -> Float[HostArray, "n_rows n_c n_e"]:
     """Compute W_c as if each configuration had each error, see `_columns`."""
     n_c, n_rows = len(displacement), len(errors) + of_stiffness
-    n_e = problem.configurations.effectors.measured.size // n_c
+    n_e = setting.arrays.effectors.measured.size // n_c
     if n_e * n_rows == 0:
         return np.zeros((n_rows, n_c, n_e))
     entries = tuple(error.entry for error in errors if error.entry is not None)
@@ -121,12 +113,12 @@ def _all_columns(
         (
             tuple(jax.device_put(of_pose[c]) for of_pose in motions),
             z,
-            lane_of(problem.configurations, c),
+            lane_of(setting.arrays, c),
             lane_of(displacement, c),
         )
         for c in range(n_c)
     ]
-    program = Program(_columns, problem.model, problem.space, space, of_stiffness)
+    program = Program(_columns, setting.model, setting.space, space, of_stiffness)
     of_lanes = workers.map(program, lanes)
     return np.stack([np.asarray(own).T for own in of_lanes], axis=1)
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from softcal_jax.calibration._unknowns import outward_motion
 from softcal_jax.mesh import beam
+from softcal_jax.unknowns._unknowns import outward_motion
 
 
 @pytest.mark.parametrize("order", [1, 2])

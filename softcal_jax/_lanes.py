@@ -1,0 +1,22 @@
+"""Lanes of a batch: one configuration each, taken apart and joined on the host."""
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+import jax
+import numpy as np
+
+from softcal_jax._typing import HostArray, Int
+
+T = TypeVar("T")
+
+
+def lane_of(batch: T, index: int | slice | Int[HostArray, " n"]) -> T:
+    """Return one lane of a batch, or a batch of several."""
+    # Sliced on the host: on the device, each shape compiles two more programs.
+    return jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[index], batch))
+
+
+def stacked(lanes: Sequence[T]) -> T:
+    """Return lanes as a batch, without a program for each number of them."""
+    return jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *lanes))
