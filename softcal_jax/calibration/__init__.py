@@ -19,7 +19,13 @@ from softcal_jax.calibration._configuration_result import (
     SimulationResult,
     simulation_result,
 )
-from softcal_jax.calibration._evaluation import Evaluation, Evaluator, at_rest, evaluate
+from softcal_jax.calibration._evaluation import (
+    Evaluation,
+    Evaluator,
+    at_rest,
+    evaluate,
+    linearised,
+)
 from softcal_jax.calibration._noise import (
     CorrelatedNoise,
     check_references,
@@ -112,6 +118,7 @@ __all__ = [
     "initial_state",
     "levenberg_marquardt",
     "linear_model",
+    "linearised",
     "multi_start",
     "profile_ends",
     "profile_intervals",

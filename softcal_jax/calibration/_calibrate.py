@@ -103,12 +103,12 @@ def calibrate(
         start: Scaled parameters to start from, instead of the start of the parameters;
             priors stay centred on the latter [-].
         intervals: Confidence of the intervals of the parameters, or None for none [-].
-            They take two evaluations for each parameter; where these show that its
-            standard error does not hold, a few fits for each of its ends.
-        checkpoint: File in which the state is saved: after every step, and in a search
-            from many starts after every image of a run. If it exists, the calibration
-            resumes from it, with the same result. Where it cannot be written any more,
-            as on a full disk, the calibration goes on with a warning and a note.
+            They take two evaluations for each parameter, and a few fits for each end
+            where its standard error does not hold.
+        checkpoint: File in which the state is saved after every step, and in a search
+            after every image of a run. If it exists, the calibration resumes from it,
+            with the same result. Where it cannot be written any more, as on a full
+            disk, the calibration goes on with a warning and a note.
         progress: Called after the first evaluation and after each step.
         search_progress: Called when a run from one of many starts has ended.
         equilibrium_progress: Called while the first equilibria are solved.
@@ -127,10 +127,9 @@ def calibrate(
         OSError: If the checkpoint cannot be written from the start, or another process
             is writing to it.
         RuntimeError: If a fitted configuration has no equilibrium at the start, nor
-            with the moduli raised up to their bounds; the text names it. If raising
-            them helps, the fit begins there, with a note. Later failures only shorten
-            the step, and a held-out configuration without equilibrium is left out with
-            a note.
+            with the moduli raised up to their bounds; the text names it. Later failures
+            only shorten the step, and a held-out configuration without equilibrium is
+            left out with a note.
     """
     if noise not in ("estimated", "stated"):
         raise ValueError(f'noise must be "estimated" or "stated", got {noise!r}.')

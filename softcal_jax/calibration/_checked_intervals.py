@@ -13,10 +13,14 @@ from scipy.special import ndtri, stdtrit
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.calibration._checkpoint import Clock
-from softcal_jax.calibration._evaluation import Evaluation, Evaluator, weighed
+from softcal_jax.calibration._evaluation import (
+    Evaluation,
+    Evaluator,
+    linearised,
+    weighed,
+)
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
-    linear_model,
     without_names,
 )
 from softcal_jax.calibration._profile import (
@@ -96,16 +100,7 @@ def _first_order_holds(
     linear = result.linear.of_fit()
 
     def about(z: Float[Array, " n_p"], end: Evaluation) -> LinearModel:
-        model = linear_model(
-            problem,
-            configurations,
-            z=z,
-            W_ep=end.response.W_ep,
-            ok=end.response.ok,
-            delta_e=end.delta_e,
-            rows=end.rows,
-        )
-        return model.with_scale(linear.scale)
+        return linearised(problem, configurations, z, end).with_scale(linear.scale)
 
     sides = [(column, sign) for column in which for sign in (-1, 1)]
     lanes = len(sides) * len(configurations)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -21,6 +21,7 @@ from softcal_jax.calibration._problem import (
     as_guess,
     effectors_on_all_cores,
     equilibria,
+    linear_model,
     without_names,
 )
 from softcal_jax.configurations import Configuration, ConfigurationArrays
@@ -33,7 +34,7 @@ from softcal_jax.equilibrium import (
     solve_equilibrium,
 )
 from softcal_jax.fields import ParameterSpace, SetupParameter
-from softcal_jax.inference import Whitened
+from softcal_jax.inference import LinearModel, Whitened
 from softcal_jax.sensitivity import (
     EnergyCompliance,
     Response,
@@ -275,6 +276,26 @@ def evaluate(
     with Workers(problem.model, problem.configurations.gravity.shape[0]) as workers:
         evaluator = Evaluator(problem, workers)
         return evaluator.from_rest(z) if guess is None else evaluator(z, guess)
+
+
+def linearised(
+    problem: CalibrationProblem,
+    configurations: Sequence[Configuration],
+    z: Float[Array, " n_p"],
+    evaluation: Evaluation,
+    **more: Any,
+) -> LinearModel:
+    """Make the linear model of an evaluation; `more` is handed to `linear_model`."""
+    return linear_model(
+        problem,
+        configurations,
+        z=z,
+        W_ep=evaluation.response.W_ep,
+        ok=evaluation.response.ok,
+        delta_e=evaluation.delta_e,
+        rows=evaluation.rows,
+        **more,
+    )
 
 
 class HeldOut(NamedTuple):

@@ -28,6 +28,7 @@ from softcal_jax.calibration._evaluation import (
     Evaluator,
     effector_errors,
     held_out_responses,
+    linearised,
 )
 from softcal_jax.calibration._noise import (
     CorrelatedNoise,
@@ -44,7 +45,6 @@ from softcal_jax.calibration._problem import (
     CalibrationProblem,
     CalibrationSettings,
     EquilibriumProgress,
-    linear_model,
 )
 from softcal_jax.calibration._result import (
     CalibrationResult,
@@ -374,16 +374,15 @@ def _linear(
     """Make the linear model of all configurations at the optimum."""
     n_fitted, problem = len(task.fitted), predicted.problem
     effectors = problem.configurations.effectors
-    return linear_model(
-        problem,
-        task.configurations,
-        z=weighed.state.z,
-        W_ep=predicted.response.W_ep,
-        ok=predicted.response.ok,
+    whole = replace(
+        weighed.state.evaluation,
+        response=predicted.response,
         delta_e=effector_errors(problem, predicted.response.effectors),
-        rows=weighed.state.evaluation.rows,
-        n_fitted=n_fitted,
-        considered=doubts.in_std(n_fitted, np.asarray(effectors.inverse_std)),
+    )
+    considered = doubts.in_std(n_fitted, np.asarray(effectors.inverse_std))
+    z, configurations = weighed.state.z, task.configurations
+    return linearised(
+        problem, configurations, z, whole, n_fitted=n_fitted, considered=considered
     )
 
 

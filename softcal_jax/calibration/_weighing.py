@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
-from softcal_jax.calibration._evaluation import Evaluator, weighed
+from softcal_jax.calibration._evaluation import Evaluator, linearised, weighed
 from softcal_jax.calibration._noise import (
     FIRST_SHARE,
     RECORDINGS,
@@ -20,7 +20,7 @@ from softcal_jax.calibration._noise import (
     CorrelatedNoise,
     creep_of,
 )
-from softcal_jax.calibration._problem import CalibrationSettings, linear_model
+from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._runs import settle
 from softcal_jax.calibration._step import CalibrationState, initial_state
 from softcal_jax.configurations import Configuration
@@ -131,15 +131,7 @@ def weighed_fit(
         state = settle(evaluate, settings, state, noted)
         if not state.converged:
             break
-        linear = linear_model(
-            evaluate.problem,
-            configurations,
-            z=state.z,
-            W_ep=state.evaluation.response.W_ep,
-            ok=state.evaluation.response.ok,
-            delta_e=state.evaluation.delta_e,
-            rows=state.evaluation.rows,
-        )
+        linear = linearised(evaluate.problem, configurations, state.z, state.evaluation)
         if n == 0:
             sought, notes = _enough(linear, sought, configurations)
         new = _estimated(linear, noise, sought, configurations)

@@ -19,7 +19,7 @@ from softcal_jax.calibration import (
     best_of,
     default_starts,
     images_of,
-    linear_model,
+    linearised,
     random_starts,
     run_start,
 )
@@ -170,15 +170,8 @@ def _score(
     last, failure = fits[-1], _failure(fits[-1], None)
     seen = None
     if np.all(last.after.equilibrium.converged):
-        linear = linear_model(
-            problem,
-            configurations,
-            z=jnp.asarray(last.run.z),
-            W_ep=last.after.response.W_ep,
-            ok=last.after.response.ok,
-            delta_e=last.after.delta_e,
-            rows=last.after.rows,
-        )
+        z = jnp.asarray(last.run.z)
+        linear = linearised(problem, configurations, z, last.after)
         seen = identifiability(linear.with_scale(1.0), problem.space, last.run.z)
     distance, over_noise = rms(last, failure, whole, every)
     return ModelScore(

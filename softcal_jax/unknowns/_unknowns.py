@@ -14,6 +14,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from softcal_jax._module import one_line
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.configurations import Configuration, ConfigurationArrays
 from softcal_jax.elements import TET_EDGES
@@ -87,6 +88,8 @@ class Setting(NamedTuple):
     configurations: Sequence[Configuration]
     arrays: ConfigurationArrays
     uncertain: Uncertain
+
+    __repr__ = one_line
 
     @property
     def poses(self) -> Poses:
