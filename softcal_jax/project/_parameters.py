@@ -14,7 +14,7 @@ from softcal_jax.fields import (
     ParameterSpace,
     check_names,
 )
-from softcal_jax.project._constants import Constant
+from softcal_jax.project._laws import Constant
 from softcal_jax.project._problems import known_name, one_of, under
 from softcal_jax.project._quantities import is_number, parse_in_si, shown
 from softcal_jax.project._table import (
@@ -63,7 +63,8 @@ class ControlPointsTable(Table):
 class ParameterTable(Table):
     """One unknown constant of the material, or one per control point.
 
-    The validation context is the schema of the material, which has its constants.
+    The validation context is the schema of the material, which has its constants, or
+    None if there is no such law.
     """
 
     field: str = Field(description='a constant of the material, like "E" or "density"')
@@ -92,10 +93,10 @@ class ParameterTable(Table):
     @classmethod
     def _check_field(cls, value: str, info: Any) -> str:
         material = info.context
-        if value not in material.constants:
+        if material is not None and value not in material.constants:
             known = one_of(value, material.constants)
-            unknown = f"got {shown(value)}; expected {known}"
-            raise ValueError(material.foreign(value) or unknown)
+            elsewhere = material.foreign(value)
+            raise ValueError(f"got {shown(value)}; expected {known}{elsewhere}")
         return value
 
     @field_validator("lower", "upper", "start", "S", "fixed", mode="before")
@@ -217,8 +218,9 @@ def build_space(table: WholeFile) -> ParameterSpace | None:
 
 
 def _constant(info: Any) -> Constant | None:
-    """Return the constant of a parameter; None if its field is wrong itself."""
-    return info.context.constants.get(info.data.get("field"))
+    """Return the constant of a parameter; None if its field or the law is wrong."""
+    material = info.context
+    return None if material is None else material.constants.get(info.data.get("field"))
 
 
 def _each(

@@ -4,9 +4,10 @@ The description of a key is also the text of the message if the key is missing.
 """
 
 from collections.abc import Mapping, Set
+from contextlib import suppress
 from copy import deepcopy
 from pathlib import Path
-from typing import Annotated, Any, Generic, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, Field, ValidationError, create_model, field_validator
 
@@ -25,18 +26,16 @@ from softcal_jax.project._parameters import (
 )
 from softcal_jax.project._problems import (
     ProjectError,
-    at,
     describe,
     known_here,
     one_by_one,
 )
 from softcal_jax.project._setup import AnySetup
-from softcal_jax.project._table import Flag, Integer, Number, Table
+from softcal_jax.project._table import Choice, Flag, Integer, Number, Table
 from softcal_jax.project._toml import read_toml
 from softcal_jax.project._uncertain import UncertainTable
 
 T = TypeVar("T", bound=BaseModel)
-M = TypeVar("M", bound=Material)
 
 
 class SettingsTable(Table):
@@ -85,13 +84,16 @@ class SharedTable(
     """The table [shared], whose values are checked in each configuration."""
 
 
-class ProjectTable(Table, Generic[M]):
-    """A whole project file, with the schema of its law as parameter."""
+AnyMaterial = Annotated[Material, Choice(lambda value, _: material_table(value))]
+
+
+class ProjectTable(Table):
+    """A whole project file."""
 
     name: str = Field(description="name of the project")
     mesh: MeshTable = Field(description="a table [mesh]")
     groups: dict[str, GroupTable] = Field(default_factory=dict)
-    material: M = Field(description="a table [material]")
+    material: AnyMaterial = Field(description="a table [material]")
     bodies: dict[str, BodyTable] = Field(default_factory=dict)
     actuators: dict[str, AnyActuator] = Field(default_factory=dict)
     control_points: dict[str, ControlPointsTable] = Field(default_factory=dict)
@@ -138,13 +140,11 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
     `changes` replace values of the file, see `load_project`.
     """
     raw = _with_changes(path, read_toml(path, "project file"), changes)
-    with at(path, "material.law"):
+    problems, table, material = [], None, None
+    with suppress(ValueError):  # which is said of [material] below
         material = material_table(raw.get("material"))
-    problems, table = [], None
     try:
-        table = ProjectTable[material].model_validate(
-            _with_shared(raw), context=material
-        )
+        table = ProjectTable.model_validate(_with_shared(raw), context=material)
     except ValidationError as error:
         problems = describe(error, raw)
     if not (raw.get("configurations") or raw.get("candidates")):
