@@ -2,7 +2,6 @@
 
 import argparse
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +9,6 @@ from typing import TYPE_CHECKING
 from softcal_jax.cli._shared import (
     BAD_INPUT,
     NOT_CONVERGED,
-    OK,
     Display,
     Stop,
     add_output,
@@ -47,17 +45,13 @@ equilibrium, 2 bad input
 """
 
 
-def inverse(args: argparse.Namespace, show: Display) -> int:
+def inverse(args: argparse.Namespace, show: Display) -> None:
     """Search for the actuation that meets the goals, and write it."""
     check_folder(args)
     from softcal_jax import report
     from softcal_jax.control import ControlSettings, solve_inverse
     from softcal_jax.export import Made
-    from softcal_jax.project import (
-        actuation_as_typed,
-        limits_as_typed,
-        with_goals_as_typed,
-    )
+    from softcal_jax.project import inverse_as_typed
 
     start_computing(show)
     show.now(f"reading {args.results}")
@@ -66,13 +60,13 @@ def inverse(args: argparse.Namespace, show: Display) -> int:
         project = loaded.project
         _check_parameters(loaded.space)
         posed, _ = loaded.posed(args.configuration)
-        goals = dict(_pairs("--goal", args.goal, 'tip="(100, 10, 12) mm"'))
-        starts = dict(_pairs("--start", args.start, 'air="10 kPa"'))
-        ranges = _pairs("--limit", args.limit, 'air="0 kPa to 50 kPa"')
-        limits = limits_as_typed(project, ranges)
-        posed = with_goals_as_typed(project, posed, goals)
-        asked = {**posed.actuation, **actuation_as_typed(project, starts)}
-        posed = replace(posed, actuation=asked)
+        posed, limits = inverse_as_typed(
+            project,
+            posed,
+            goals=dict(_pairs("--goal", args.goal, 'tip="(100, 10, 12) mm"')),
+            starts=dict(_pairs("--start", args.start, 'air="10 kPa"')),
+            limits=_pairs("--limit", args.limit, 'air="0 kPa to 50 kPa"'),
+        )
     show.lap("reading")
     commanded = ", ".join(posed.actuation) or "nothing"
     show.note(f"{project.name}, configuration {posed.name}: {commanded} is commanded")
@@ -107,7 +101,6 @@ def inverse(args: argparse.Namespace, show: Display) -> int:
     write_results(write, args, show, index="inverse.json", force=args.force)
     if not found.met:
         raise Stop(NOT_CONVERGED, found.message)
-    return OK
 
 
 def _pairs(option: str, texts: Sequence[str], example: str) -> list[tuple[str, str]]:
@@ -210,7 +203,7 @@ def add_export(
 
 def _export(
     args: argparse.Namespace, show: Display, *, exporter: AbstractExporter
-) -> int:
+) -> None:
     """Load a result, and write it in a format."""
     output: Path = args.output
     if exporter.output[0] == "DIR":
@@ -248,4 +241,3 @@ def _export(
     computed = {"said": "\n".join(said)} if said else {}
     show.document({"output": str(output), **computed, "notes": notes})
     show.times()
-    return OK

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal_jax.cli._shared import (
-    OK,
     Display,
     add_output,
     add_path,
@@ -35,7 +34,7 @@ exit codes: 0 read, whatever it warns of, 2 bad input
 """
 
 
-def check(args: argparse.Namespace, show: Display) -> int:
+def check(args: argparse.Namespace, show: Display) -> None:
     """Say what a project file describes, and draw it; nothing is solved."""
     name = f"{args.project.stem}_check.{args.pictures}"
     picture = args.output or args.project.with_name(name)
@@ -76,7 +75,6 @@ def check(args: argparse.Namespace, show: Display) -> int:
         }
     )
     show.times()
-    return OK
 
 
 def _is_own(picture: Path) -> bool:
@@ -151,12 +149,10 @@ A project file needs no other table than [mesh] and, for names of your own, [gro
 
   [groups.chamber]
   inside = { point = "(30, 0, 0) mm", stop_at = "clamp" }   # where its inlet is
-
-exit codes: 0 written, 2 bad input
 """
 
 
-def mesh(args: argparse.Namespace, show: Display) -> int:
+def mesh(args: argparse.Namespace, show: Display) -> None:
     """Write the mesh of a CAD model, a project or another mesh file, and draw it."""
     from softcal_jax.mesh import write_mesh
     from softcal_jax.plotting import plot_groups
@@ -192,7 +188,6 @@ def mesh(args: argparse.Namespace, show: Display) -> int:
         }
     )
     show.times()
-    return OK
 
 
 def _made(args: argparse.Namespace) -> "TetMesh":

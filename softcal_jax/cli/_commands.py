@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from softcal_jax.cli._shared import (
     INTERRUPTED,
     NOT_CONVERGED,
-    OK,
     Display,
     Stop,
     add_output,
@@ -38,7 +37,7 @@ if TYPE_CHECKING:
     from softcal_jax.project import Project
 
 
-def demo(args: argparse.Namespace, show: Display) -> int:
+def demo(args: argparse.Namespace, show: Display) -> None:
     """Calibrate a measured robot, or write its project file."""
     from softcal_jax.robots import pneumatic_arm_path, silicone_beam_path
 
@@ -55,10 +54,9 @@ def demo(args: argparse.Namespace, show: Display) -> int:
     show.document({"directory": str(args.write), "files": names})
     show.line(f"Wrote {', '.join(names)} to {args.write}. To calibrate it:")
     show.line(f"  softcal calibrate {args.write / 'project.toml'} -o results")
-    return OK
 
 
-def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
+def calibrate(args: argparse.Namespace, show: Display, path: Path) -> None:
     """Fit a project, predict what was held out, and write the results."""
     check_folder(args)
     from softcal_jax import report
@@ -121,7 +119,6 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
     _stop_unless_finished(result, args)
     if not assessment.identified:
         show.line("Take the values with care: " + " ".join(assessment.reasons))
-    return OK
 
 
 def _stop_unless_finished(
@@ -139,7 +136,7 @@ def _stop_unless_finished(
         )
 
 
-def simulate(args: argparse.Namespace, show: Display) -> int:
+def simulate(args: argparse.Namespace, show: Display) -> None:
     """Solve all configurations of a project at the start values.
 
     Those without an equilibrium are named at the end, after the others are written.
@@ -167,10 +164,9 @@ def simulate(args: argparse.Namespace, show: Display) -> int:
     write_results(write, args, show, index="simulation.json", force=args.force)
     with no_equilibrium("The results hold the others, if any."):
         check_converged(solution, tuple(c.name for c in project.configurations))
-    return OK
 
 
-def identify(args: argparse.Namespace, show: Display) -> int:
+def identify(args: argparse.Namespace, show: Display) -> None:
     """Judge a project before anything is measured, and rank its candidates."""
     if args.output is not None:
         check_folder(args)
@@ -195,14 +191,13 @@ def identify(args: argparse.Namespace, show: Display) -> int:
         more = {"name": project.name, "timing_s": dict(show.laps)}
         show.document(outlook_dict(found, ranking, **more, made=made))
         show.times()
-        return OK
+        return
 
     def write(where: Path, force: bool) -> Path:
         more = _options(project, show, force=force)
         return report.write_identifiability(found, ranking, where, **more, made=made)
 
     write_results(write, args, show, index="identifiability.json", force=args.force)
-    return OK
 
 
 def _print_outlook(
@@ -253,7 +248,7 @@ exit codes: 0 compared, whatever the verdict, 1 no model predicts every configur
 """
 
 
-def compare(args: argparse.Namespace, show: Display) -> int:
+def compare(args: argparse.Namespace, show: Display) -> None:
     """Compare several project files of the same data."""
     if args.output is not None:
         check_folder(args)
@@ -288,7 +283,6 @@ def compare(args: argparse.Namespace, show: Display) -> int:
         write_results(write, args, show, index="comparison.json", force=args.force)
     if comparison.best is None:
         raise Stop(NOT_CONVERGED, "no model predicts every configuration.")
-    return OK
 
 
 def add_compare(commands: "argparse._SubParsersAction", raw: Callable) -> None:

@@ -31,6 +31,7 @@ from softcal_jax.cli._display import (
 from softcal_jax.cli._new import add_new, add_tags
 from softcal_jax.cli._shared import (
     INTERRUPTED,
+    OK,
     Stop,
     add_output,
     add_path,
@@ -105,7 +106,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         with sigterm_as_ctrl_c(), out, display:
             display.now("importing", log=False)
             with warnings_as_lines(display):
-                return args.run(args, display)
+                args.run(args, display)
+                return OK
     except Stop as stop:
         text, code = str(stop), stop.code
     except KeyboardInterrupt:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from softcal_jax.cli._display import Display
 from softcal_jax.cli._shared import (
-    OK,
     add_output,
     add_path,
     bad_input,
@@ -23,12 +22,10 @@ examples:
   softcal new finger --robot pneumatic-finger
   softcal new finger --model finger.step --size "3 mm" --markers poses.csv
   softcal new arm --model arm.msh --length-unit mm --markers 100mbar.c3d 200mbar.c3d
-
-exit codes: 0 written, 2 bad input
 """
 
 
-def new(args: argparse.Namespace, show: Display) -> int:
+def new(args: argparse.Namespace, show: Display) -> None:
     """Write a project folder for a ready-made robot, or for a model."""
     from softcal_jax.project import guesses_left
 
@@ -49,7 +46,6 @@ def new(args: argparse.Namespace, show: Display) -> int:
             "measured": measured,
         }
     )
-    return OK
 
 
 def _ready_made(args: argparse.Namespace, show: Display) -> bool:
@@ -178,12 +174,10 @@ _TAGS = """\
 examples:
   softcal tags -o tags.pdf
   softcal tags -o tags.pdf --size "35 mm" --count 4 --paper letter
-
-exit codes: 0 written, 2 bad input
 """
 
 
-def tags(args: argparse.Namespace, show: Display) -> int:
+def tags(args: argparse.Namespace, show: Display) -> None:
     """Write a PDF with tags and a board."""
     from softcal_jax.exchange.camera import write_tags
 
@@ -198,7 +192,6 @@ def tags(args: argparse.Namespace, show: Display) -> int:
         f"Wrote tags {numbers[0]} to {numbers[-1]} of {1e3 * size:g} mm and the board "
         f"to {args.output}: {n} pages. Print them at 100 %."
     )
-    return OK
 
 
 def add_tags(commands: "argparse._SubParsersAction", raw: Callable) -> None:

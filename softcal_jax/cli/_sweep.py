@@ -10,7 +10,6 @@ from softcal_jax.cli._shared import (
     BAD_INPUT,
     INTERRUPTED,
     NOT_CONVERGED,
-    OK,
     Display,
     Stop,
     add_output,
@@ -60,7 +59,7 @@ examples:
 """
 
 
-def sweep(args: argparse.Namespace, show: Display) -> int:
+def sweep(args: argparse.Namespace, show: Display) -> None:
     """Run a sweep file, or resume it."""
     import jax
 
@@ -112,7 +111,6 @@ def sweep(args: argparse.Namespace, show: Display) -> int:
     if bad:
         what = "trial" if bad == 1 else "trials"
         raise Stop(NOT_CONVERGED, f"{bad} {what} failed or did not converge.")
-    return OK
 
 
 def _progress_lines(show: Display) -> "Callable[[Progress], None]":
@@ -158,7 +156,7 @@ def _row_line(row: "TrialRow") -> str:
     return f"{row.state}: {point}: {shown} ({row.seconds:.1f} s)"
 
 
-def show_sweep(args: argparse.Namespace, show: Display) -> int:
+def show_sweep(args: argparse.Namespace, show: Display) -> None:
     """Tabulate a sweep, even while it runs, and plot it on request."""
     from softcal_jax.sweeps import plot_sweep, read_sweep, sweep_table, write_sweep_csv
 
@@ -173,7 +171,6 @@ def show_sweep(args: argparse.Namespace, show: Display) -> int:
         if args.plot is not None:
             plot_sweep(result, args.plot, **chosen)
             show.line(f"Picture in {args.plot}.")
-    return OK
 
 
 def add_sweep(commands: "argparse._SubParsersAction", raw: Callable) -> None:

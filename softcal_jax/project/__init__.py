@@ -1,11 +1,7 @@
 """Project files: a calibration as one text file of mesh, material, data, settings."""
 
 from softcal_jax.project._compare import compare_projects, projects_by_name
-from softcal_jax.project._goals import (
-    actuation_as_typed,
-    limits_as_typed,
-    with_goals_as_typed,
-)
+from softcal_jax.project._goals import inverse_as_typed
 from softcal_jax.project._load import load_mesh, load_project
 from softcal_jax.project._plausibility import (
     CHANGE,
@@ -29,11 +25,10 @@ __all__ = [
     "ProjectWarning",
     "QuantityAsRead",
     "Table",
-    "actuation_as_typed",
     "at",
     "compare_projects",
     "guesses_left",
-    "limits_as_typed",
+    "inverse_as_typed",
     "load_mesh",
     "load_project",
     "one_by_one",
@@ -43,5 +38,4 @@ __all__ = [
     "read_schema",
     "read_toml",
     "suggestion",
-    "with_goals_as_typed",
 ]

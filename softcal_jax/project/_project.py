@@ -103,12 +103,7 @@ class Project(Module):
         return () if self.space is None else self.space.parameters
 
     def check_calibration(self) -> None:
-        """Check that there are parameters to calibrate and data to fit.
-
-        Raises:
-            ProjectError: If parameters, fitted configurations or measurements are
-                missing.
-        """
+        """Raise ProjectError without parameters, or without data to fit them to."""
         problems = self._no_parameters()
         if not self.calibration:
             problems.append(
@@ -140,15 +135,9 @@ class Project(Module):
         """Find the parameters, then predict the validation configurations.
 
         `converged` of the result says whether lambda_p vanished, and its notes how well
-        the camera frames were registered.
-
-        Args:
-            start: Scaled parameters to start from, instead of those of the file [-].
-            checkpoint: File in which the state is kept, and from which it is resumed.
-            progress: As for `softcal_jax.calibrate`.
-            search_progress: As there.
-            equilibrium_progress: As there.
-            profiling: As there.
+        the camera frames were registered. `start` are scaled parameters to start from
+        instead of those of the file [-]; `checkpoint` and what is called meanwhile are
+        as for `softcal_jax.calibrate`.
 
         Raises:
             ProjectError: If there is nothing to calibrate.
@@ -191,11 +180,7 @@ class Project(Module):
         return dataclasses.replace(result, notes=(*result.notes, note))
 
     def check_identify(self) -> None:
-        """Check that there is something to judge; nothing need be measured.
-
-        Raises:
-            ProjectError: If parameters, configurations or effectors are missing.
-        """
+        """Raise ProjectError if nothing can be judged; nothing need be measured."""
         problems = self._no_parameters()
         posed = (*self.calibration, *self.candidates)
         if not posed:
@@ -260,11 +245,7 @@ class Project(Module):
         )
 
     def check_simulation(self) -> None:
-        """Check that there is something to solve.
-
-        Raises:
-            ProjectError: If there are no configurations.
-        """
+        """Raise ProjectError if there are no configurations to solve."""
         if not self.configurations:
             raise ProjectError(
                 f"{self.path}: configurations: there is none to simulate; add "
