@@ -1,7 +1,7 @@
 """`softcal inverse` and `softcal export`: what a calibrated robot is used for."""
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -79,26 +79,21 @@ def inverse(args: argparse.Namespace, show: Display) -> None:
     show.lap("search")
     show.line()
     show.line(report.inverse_table(found))
-
-    def write(where: Path, force: bool) -> Path:
-        options = ["--configuration", posed.name]
-        for flag in ("goal", "start", "limit"):
-            for text in getattr(args, flag):
-                options += [f"--{flag}", text]
-        return report.write_inverse(
-            found,
-            where,
-            name=project.name,
-            force=force,
-            timing_s=dict(show.laps),
-            made=Made(loaded.model, {"control": settings}, project.source),
-            calibration=loaded.path,
-            options=options,
-            notes=(*with_care(loaded.doubts), *show.warnings),
-            **pictures_with_a_bar(args, show),
-        )
-
-    write_results(write, args, show, index="inverse.json", force=args.force)
+    options = ["--configuration", posed.name]
+    for flag in ("goal", "start", "limit"):
+        for text in getattr(args, flag):
+            options += [f"--{flag}", text]
+    write = partial(
+        report.write_inverse,
+        found,
+        name=project.name,
+        made=Made(loaded.model, {"control": settings}, project.source),
+        calibration=loaded.path,
+        options=options,
+        notes=(*with_care(loaded.doubts), *show.warnings),
+        **pictures_with_a_bar(args, show),
+    )
+    write_results(write, args, show, index="inverse.json")
     if not found.met:
         raise Stop(NOT_CONVERGED, found.message)
 
@@ -129,8 +124,7 @@ def _check_parameters(space: "ParameterSpace") -> None:
             )
 
 
-def add_inverse(commands: "argparse._SubParsersAction", raw: Callable) -> None:
-    """Add the command to the parser."""
+def add_inverse(commands: "argparse._SubParsersAction") -> None:
     command = commands.add_parser(
         "inverse",
         help="the pressure, force or motor angle that brings the robot to a goal",
@@ -138,7 +132,6 @@ def add_inverse(commands: "argparse._SubParsersAction", raw: Callable) -> None:
         "brings markers or effectors to goals, or as near as the limits let it, and "
         "says what holds it where a goal is out of reach.",
         epilog=_INVERSE,
-        formatter_class=raw,
     )
     add_path(command, "results", "RESULTS", "folder of the results, or result.json")
     for flag, metavar, needed, text in (
@@ -173,16 +166,13 @@ converge, so that nothing was written, 2 bad input
 
 def add_export(
     commands: "argparse._SubParsersAction",
-    raw: Callable,
     exporters: Mapping[str, AbstractExporter],
 ) -> None:
-    """Add the group of commands to the parser, one for each exporter."""
     export = commands.add_parser(
         "export",
         help="write a calibrated model for another program",
         description="Writes a calibrated model as a file of another program.",
         epilog=_EXPORT,
-        formatter_class=raw,
     )
     formats = export.add_subparsers(required=True, metavar="FORMAT")
     for name, exporter in exporters.items():

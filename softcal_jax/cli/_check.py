@@ -1,7 +1,6 @@
 """`softcal check` and `softcal mesh`: what is seen before anything is solved."""
 
 import argparse
-from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -106,8 +105,7 @@ def _draw(project: "Project", picture: Path) -> None:
     )
 
 
-def add_check(commands: "argparse._SubParsersAction", raw: Callable) -> None:
-    """Add the command to the parser."""
+def add_check(commands: "argparse._SubParsersAction") -> None:
     command = commands.add_parser(
         "check",
         help="what a project file says, in words and a picture, before any solve",
@@ -119,7 +117,6 @@ quantity as it was typed and as it was read, and which commands would run. The p
 shows supports, loads, gravity, actuators, rigid bodies and markers of each
 configuration. Nothing is solved, so it takes seconds.""",
         epilog=_CHECK,
-        formatter_class=raw,
     )
     add_path(command, "project", "PROJECT.toml", "the project file")
     where = "the picture, .png or .svg (default: PROJECT_check.png, beside the project)"
@@ -220,8 +217,7 @@ def _made(args: argparse.Namespace) -> "TetMesh":
     return load_mesh(args.model)
 
 
-def add_mesh(commands: "argparse._SubParsersAction", raw: Callable) -> None:
-    """Add the command to the parser."""
+def add_mesh(commands: "argparse._SubParsersAction") -> None:
     command = commands.add_parser(
         "mesh",
         help="from a CAD model to tets, with a picture of the groups",
@@ -230,7 +226,6 @@ Fills a CAD model (STEP or STL) with tets, names its faces, and draws them. With
 project file, it makes the mesh of [mesh] and draws the groups of [groups], so that they
 are seen before anything is computed; with another mesh file, the groups of that.""",
         epilog=_MESH,
-        formatter_class=raw,
     )
     add_path(command, "model", "MODEL", "CAD model, project file or mesh file")
     where = "the mesh; the picture is FILE.png beside it"

@@ -11,10 +11,11 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from datetime import timedelta
+from textwrap import fill
 from typing import Any, NoReturn
 
 from rich.console import Console, ConsoleOptions, RenderableType
-from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task
+from rich.progress import BarColumn, Progress, ProgressColumn, Task
 from rich.segment import Segment
 from rich.text import Text
 
@@ -49,8 +50,23 @@ class PlainConsole(Console):
                 yield Segment(escaped(segment.text), segment.style)
 
 
+class HelpFormatter(argparse.RawDescriptionHelpFormatter):
+    """Wraps a text of one line, and leaves one of several lines as it is."""
+
+    def __init__(self, prog: str, **options: Any):
+        super().__init__(prog, max_help_position=26, **options)
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return super()._fill_text(
+            text if "\n" in text else fill(text, width), width, indent
+        )
+
+
 class PlainParser(argparse.ArgumentParser):
     """A parser that quotes wrong arguments without their control characters."""
+
+    def __init__(self, *name: Any, **options: Any):
+        super().__init__(*name, formatter_class=HelpFormatter, **options)
 
     def error(self, message: str) -> NoReturn:
         """End the program with a message."""
@@ -169,9 +185,8 @@ class Display:
         # A console takes a file for a terminal where FORCE_COLOR is set.
         self._moves = self.console.is_interactive and file.isatty() and not quiet
         self.progress = Progress(
-            SpinnerColumn(),
+            BarColumn(bar_width=30),
             _UnderWay(self.compiling, begin),
-            _BarWhereCounted(bar_width=30),
             console=self.console,
             transient=True,
             disable=not self._moves,
@@ -277,13 +292,6 @@ class _UnderWay(ProgressColumn):
         elapsed = timedelta(seconds=int(time.time() - self._begin))
         words = filter(None, [task.description, self._compiling.words()])
         return Text(f"{elapsed} {', '.join(words)}")
-
-
-class _BarWhereCounted(BarColumn):
-    """A bar where parts are counted, else nothing."""
-
-    def render(self, task: Task) -> Any:
-        return Text() if task.total is None else super().render(task)
 
 
 def silence() -> None:

@@ -41,8 +41,7 @@ from softcal_jax.cli._shared import (
 from softcal_jax.cli._sweep import add_sweep
 from softcal_jax.exchange.exporters import AbstractExporter, exporters
 
-_ABOUT = """\
-Calibrate the finite-element model of a soft robot from a few measured poses."""
+_ABOUT = "Calibrate the finite-element model of a soft robot from a few measured poses."
 
 _EXAMPLES = """\
 examples:
@@ -64,12 +63,9 @@ examples:
   softcal tags -o tags.pdf                tags to print and photograph
 
 exit codes:
-    0  done: what was asked for is written, the numbers are those of a converged solve,
-       and what to doubt about them is said last
+    0  done: the numbers are those of a converged solve
     1  not converged, no equilibrium, or a goal that is not met: do not use the values
-       as they are; what was found is written, marked as such, where the command says so
-    2  bad input: an argument, a file or what it says; nothing was solved or written,
-       unless the message says so
+    2  bad input; nothing was solved or written, unless the message says so
   130  interrupted by Ctrl-C or SIGTERM; the message says what stands
 """
 
@@ -130,10 +126,7 @@ def _collect_rarely() -> None:
 
 def _parser(formats: Mapping[str, AbstractExporter]) -> argparse.ArgumentParser:
     """Build the parser, with the formats of `softcal export`."""
-    raw = lambda prog: argparse.RawDescriptionHelpFormatter(prog, max_help_position=26)
-    parser = PlainParser(
-        "softcal", description=_ABOUT, epilog=_EXAMPLES, formatter_class=raw
-    )
+    parser = PlainParser("softcal", description=_ABOUT, epilog=_EXAMPLES)
     parser.add_argument(
         "--version", action="version", version=f"softcal {version('softcal-jax')}"
     )
@@ -197,7 +190,6 @@ the `std` of markers and effectors, and the axes of the markers.
 Candidates, [[candidates]] in the project file with the keys of [[configurations]], are
 ranked by what measuring them as well would add.""",
         epilog=_IDENTIFY,
-        formatter_class=raw,
     )
     outlook.set_defaults(run=identify)
     for command in (fit, forward, outlook):
@@ -207,12 +199,12 @@ ranked by what measuring them as well would add.""",
     for command in (beam, fit, forward, outlook):
         again = "replace earlier results in that folder"
         add_output(command, force=again, pictures=command is not outlook)
-    add_new(commands, raw)
-    add_check(commands, raw)
-    add_mesh(commands, raw)
-    add_compare(commands, raw)
-    add_inverse(commands, raw)
-    add_export(commands, raw, formats)
-    add_sweep(commands, raw)
-    add_tags(commands, raw)
+    add_new(commands)
+    add_check(commands)
+    add_mesh(commands)
+    add_compare(commands)
+    add_inverse(commands)
+    add_export(commands, formats)
+    add_sweep(commands)
+    add_tags(commands)
     return parser

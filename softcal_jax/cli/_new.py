@@ -1,7 +1,7 @@
 """`softcal new` and `softcal tags`: what a measurement begins with."""
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from softcal_jax.cli._display import Display
@@ -127,8 +127,7 @@ def _found(found: "Findings") -> Iterator[str]:
         )
 
 
-def add_new(commands: "argparse._SubParsersAction", raw: Callable) -> None:
-    """Add the command to the parser."""
+def add_new(commands: "argparse._SubParsersAction") -> None:
     command = commands.add_parser(
         "new",
         help="a commented project that runs, for your robot or a ready-made one",
@@ -142,7 +141,6 @@ With --model, the project is for your own mesh or CAD model. Groups of the file 
 listed in it; the unit, what is held, loads and moduli are proposed where no file tells.
 Each such guess has a remark, to be changed or confirmed.""",
         epilog=_NEW,
-        formatter_class=raw,
     )
     add_path(command, "folder", "DIR", "the folder, which must not be there")
     source = command.add_mutually_exclusive_group(required=True)
@@ -194,14 +192,12 @@ def tags(args: argparse.Namespace, show: Display) -> None:
     )
 
 
-def add_tags(commands: "argparse._SubParsersAction", raw: Callable) -> None:
-    """Add the command to those of the parser."""
+def add_tags(commands: "argparse._SubParsersAction") -> None:
     parser = commands.add_parser(
         "tags",
         help="print tags, which photographs then measure as a 6-D sensor does",
         description=_ABOUT_TAGS,
         epilog=_TAGS,
-        formatter_class=raw,
     )
     add_path(parser, "--output", "FILE.pdf", "the file", required=True)
     text = 'side of the black square of a tag (default: "20 mm")'

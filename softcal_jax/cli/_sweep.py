@@ -72,10 +72,9 @@ def sweep(args: argparse.Namespace, show: Display) -> None:
     show.now(f"reading {args.sweep.name}")
     with bad_input():
         loaded = load_sweep(args.sweep)
-    show.lap("reading")
-    database = args.output or loaded.database
-    with bad_input():
+        database = args.output or loaded.database
         check_sweep_page(database)
+    show.lap("reading")
     try:
         with bad_input():
             result = loaded.run(
@@ -91,11 +90,7 @@ def sweep(args: argparse.Namespace, show: Display) -> None:
         with suppress(OSError, ValueError):  # of a disk that is full, or no database
             result = read_sweep(database)
             page = write_sweep(result, database, sweep=loaded, timing_s=show.laps)
-            text = (
-                f"interrupted: {len(result.rows)} of {len(loaded.points)} trials are "
-                f"in {database}; the same command goes on from there. Their page is "
-                f"{page}."
-            )
+            text += f" {len(result.rows)} of {len(loaded.points)} trials are in {page}."
         raise Stop(INTERRUPTED, text) from None
     except RuntimeError as error:
         raise Stop(BAD_INPUT, f"error: {error}") from error
@@ -109,8 +104,8 @@ def sweep(args: argparse.Namespace, show: Display) -> None:
     show.times()
     bad = len(result.rows) - len(result.of_state("converged"))
     if bad:
-        what = "trial" if bad == 1 else "trials"
-        raise Stop(NOT_CONVERGED, f"{bad} {what} failed or did not converge.")
+        text = f"{bad} of {len(result.rows)} trials failed or did not converge."
+        raise Stop(NOT_CONVERGED, text)
 
 
 def _progress_lines(show: Display) -> "Callable[[Progress], None]":
@@ -173,15 +168,13 @@ def show_sweep(args: argparse.Namespace, show: Display) -> None:
             show.line(f"Picture in {args.plot}.")
 
 
-def add_sweep(commands: "argparse._SubParsersAction", raw: Callable) -> None:
-    """Add both commands to the parser."""
+def add_sweep(commands: "argparse._SubParsersAction") -> None:
     run = commands.add_parser(
         "sweep",
         help="many calibrations, side by side, that can be stopped and resumed",
         description="Calibrates a project over and over: other layouts of control "
         "points, starts, draws of noise, sets of configurations, or values of any key.",
         epilog=_SWEEP,
-        formatter_class=raw,
     )
     add_path(run, "sweep", "SWEEP.toml", "the sweep file")
     where = "database for the rows (default: SWEEP.sqlite, beside the sweep file)"
@@ -205,7 +198,6 @@ def add_sweep(commands: "argparse._SubParsersAction", raw: Callable) -> None:
         help="what a sweep has found, also while it runs",
         description="Tabulates the rows of a sweep, and draws them if asked to.",
         epilog=_SHOW,
-        formatter_class=raw,
     )
     add_path(table, "database", "SWEEP.sqlite", "the database of the sweep")
     for flag, metavar, what in (

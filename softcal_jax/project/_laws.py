@@ -46,8 +46,6 @@ GROUP = "softcal_jax.laws"
 _FRAME = "directions"
 """Key of the formula for the directions of fibres."""
 
-_DIRECTIONS: Any = AnyDirections | None
-
 
 class Constant(NamedTuple):
     """A constant of a material, as its law declares it.
@@ -213,14 +211,13 @@ def _table(law: type[AbstractLaw], choice: str, aimed: bool) -> type[Material]:
         if "unit" in field.metadata:
             constants[key] = Constant(*(field.metadata[k] for k in Constant._fields))
             kind = constants[key].type
-            kind = kind | None if default is None else kind
         if key == "theta" and aimed:
             default = 0.0
         own[key] = (kind, Field(default, description=field.metadata.get("words")))
     constants["density"] = DENSITY
-    others: dict[str, Any] = {k: (c.type | None, None) for k, c in constants.items()}
+    others: dict[str, Any] = {k: (c.type, None) for k, c in constants.items()}
     if _FRAME in recipe.keys:
-        others[_FRAME] = (_DIRECTIONS, None)
+        others[_FRAME] = (AnyDirections, None)
     region = create_model("Region", __base__=_OfLaw, **others)
     own["regions"] = (dict[str, region], Field(default_factory=dict))
     table = create_model("Material", __base__=Material, **own)
@@ -289,7 +286,7 @@ def _recipe(kind: type[eqx.Module], chosen: type[eqx.Module] | None) -> _Recipe:
             keys |= part.keys
             arguments[field.name] = part.make
         elif key == _FRAME:
-            keys[key] = (field, _DIRECTIONS)
+            keys[key] = (field, AnyDirections)
             arguments[field.name] = lambda value: value(_FRAME)
         elif "unit" in field.metadata or field.metadata.get("static"):
             keys[key] = (field, Flag if hint is bool else hint)
