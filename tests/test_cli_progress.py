@@ -104,7 +104,7 @@ def test_a_program_from_the_disk_is_not_compiled(monkeypatch):
     event = "/jax/core/compile/backend_compile_duration"
     compiling._begins(event, 0.0)
     assert compiling.words() == "compiling (first run only), 0 s"
-    compiling._found("/jax/compilation_cache/cache_hits")
+    compiling._ends("/jax/compilation_cache/cache_hits")
     assert compiling.words() == ""
     compiling._ends(event, 0.1)
     compiling._begins(event, 0.0)

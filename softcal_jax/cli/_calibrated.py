@@ -46,7 +46,6 @@ equilibrium, 2 bad input
 
 
 def inverse(args: argparse.Namespace, show: Display) -> None:
-    """Search for the actuation that meets the goals, and write it."""
     check_folder(args)
     from softcal_jax import report
     from softcal_jax.control import ControlSettings, solve_inverse
@@ -194,7 +193,6 @@ def add_export(
 def _export(
     args: argparse.Namespace, show: Display, *, exporter: AbstractExporter
 ) -> None:
-    """Load a result, and write it in a format."""
     output: Path = args.output
     if exporter.output[0] == "DIR":
         check_folder(args)

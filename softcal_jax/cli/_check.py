@@ -34,7 +34,6 @@ exit codes: 0 read, whatever it warns of, 2 bad input
 
 
 def check(args: argparse.Namespace, show: Display) -> None:
-    """Say what a project file describes, and draw it; nothing is solved."""
     name = f"{args.project.stem}_check.{args.pictures}"
     picture = args.output or args.project.with_name(name)
     check_suffix(picture, ".png", ".svg")
@@ -77,7 +76,6 @@ def check(args: argparse.Namespace, show: Display) -> None:
 
 
 def _is_own(picture: Path) -> bool:
-    """Whether a file is a picture of an earlier check."""
     return picture.is_file() and _MARK.encode() in picture.read_bytes()[:4000]
 
 
@@ -150,7 +148,6 @@ A project file needs no other table than [mesh] and, for names of your own, [gro
 
 
 def mesh(args: argparse.Namespace, show: Display) -> None:
-    """Write the mesh of a CAD model, a project or another mesh file, and draw it."""
     from softcal_jax.mesh import write_mesh
     from softcal_jax.plotting import plot_groups
     from softcal_jax.report import mesh_lines
@@ -188,7 +185,6 @@ def mesh(args: argparse.Namespace, show: Display) -> None:
 
 
 def _made(args: argparse.Namespace) -> "TetMesh":
-    """Make or read the mesh."""
     from softcal_jax.exchange.cad import CAD_FORMATS, mesh_cad
     from softcal_jax.mesh import read_mesh
     from softcal_jax.project import load_mesh

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
 
 
 def demo(args: argparse.Namespace, show: Display) -> None:
-    """Calibrate a measured robot, or write its project file."""
     from softcal_jax.robots import pneumatic_arm_path, silicone_beam_path
 
     path = {"beam": silicone_beam_path, "arm": pneumatic_arm_path}[args.robot]()
@@ -55,7 +54,6 @@ def demo(args: argparse.Namespace, show: Display) -> None:
 
 
 def calibrate(args: argparse.Namespace, show: Display, path: Path) -> None:
-    """Fit a project, predict what was held out, and write the results."""
     check_folder(args)
     from softcal_jax import report
     from softcal_jax.identifiability import assess
@@ -128,7 +126,6 @@ def simulate(args: argparse.Namespace, show: Display) -> None:
 
 
 def identify(args: argparse.Namespace, show: Display) -> None:
-    """Judge a project before anything is measured, and rank its candidates."""
     if args.output is not None:
         check_folder(args)
     from softcal_jax import report
@@ -189,7 +186,6 @@ exit codes: 0 compared, whatever the verdict, 1 no model predicts every configur
 
 
 def compare(args: argparse.Namespace, show: Display) -> None:
-    """Compare several project files of the same data."""
     if args.output is not None:
         check_folder(args)
     from softcal_jax import report

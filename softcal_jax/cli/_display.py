@@ -69,7 +69,6 @@ class PlainParser(argparse.ArgumentParser):
         super().__init__(*name, formatter_class=HelpFormatter, **options)
 
     def error(self, message: str) -> NoReturn:
-        """End the program with a message."""
         super().error(escaped(message))
 
 
@@ -110,17 +109,16 @@ class Compiling:
             self._listening = True
             jax.monitoring.register_scalar_listener(self._begins)
             jax.monitoring.register_event_duration_secs_listener(self._ends)
-            jax.monitoring.register_event_listener(self._found)
+            jax.monitoring.register_event_listener(self._ends)
 
     def stop(self) -> None:
-        """Listen no more."""
         if self._listening:
             import jax
 
             self._listening = False
             jax.monitoring.unregister_scalar_listener(self._begins)
             jax.monitoring.unregister_event_duration_listener(self._ends)
-            jax.monitoring.unregister_event_listener(self._found)
+            jax.monitoring.unregister_event_listener(self._ends)
 
     def words(self) -> str:
         """Say what is being compiled, and the time of all compiling so far.
@@ -144,16 +142,9 @@ class Compiling:
                     self._since = time.time()
                 self._open[threading.get_ident(), event] += 1
 
-    def _ends(self, event: str, duration_secs: float, **_: Any) -> None:
-        if event.startswith(_COMPILE):
-            self._close((threading.get_ident(), event))
-
-    def _found(self, event: str, **_: Any) -> None:
-        """Forget a compilation whose program was read from disk instead."""
-        if event == _FROM_DISK:
-            self._close((threading.get_ident(), _BACKEND))
-
-    def _close(self, key: tuple[int, str]) -> None:
+    def _ends(self, event: str, *_: float, **__: Any) -> None:
+        """End what has begun, or a compilation whose program is read from disk."""
+        key = threading.get_ident(), _BACKEND if event == _FROM_DISK else event
         with self._lock:
             if key not in self._open:
                 return
@@ -231,7 +222,6 @@ class Display:
             self.line(text)
 
     def line(self, text: RenderableType = "") -> None:
-        """Print a line of the result."""
         self._said = time.monotonic()
         if isinstance(text, str):
             self.console.print(text, markup=False, highlight=False, soft_wrap=True)
@@ -239,7 +229,6 @@ class Display:
             self.console.print(text)
 
     def warning(self, text: str) -> None:
-        """Print a warning."""
         self.warnings.append(text)
         self.line(f"warning: {text}")
 
@@ -267,7 +256,6 @@ class Display:
         self.last = now
 
     def times(self) -> None:
-        """Print how long the parts took."""
         parts = ", ".join(f"{name} {s:.1f} s" for name, s in self.laps.items())
         self.note(f"Time: {parts}; {time.time() - self.begin:.1f} s in all.")
 

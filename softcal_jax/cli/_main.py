@@ -125,7 +125,6 @@ def _collect_rarely() -> None:
 
 
 def _parser(formats: Mapping[str, AbstractExporter]) -> argparse.ArgumentParser:
-    """Build the parser, with the formats of `softcal export`."""
     parser = PlainParser("softcal", description=_ABOUT, epilog=_EXAMPLES)
     parser.add_argument(
         "--version", action="version", version=f"softcal {version('softcal-jax')}"

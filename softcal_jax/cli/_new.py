@@ -26,7 +26,6 @@ examples:
 
 
 def new(args: argparse.Namespace, show: Display) -> None:
-    """Write a project folder for a ready-made robot, or for a model."""
     from softcal_jax.project import guesses_left
 
     with bad_input():
@@ -92,7 +91,6 @@ def _proposed(args: argparse.Namespace, show: Display) -> bool:
 
 
 def _found(found: "Findings") -> Iterator[str]:
-    """Say what a project was written from."""
     import numpy as np
 
     from softcal_jax.export import readable_values
@@ -176,7 +174,6 @@ examples:
 
 
 def tags(args: argparse.Namespace, show: Display) -> None:
-    """Write a PDF with tags and a board."""
     from softcal_jax.exchange.camera import write_tags
 
     check_new(args.output, force=args.force)

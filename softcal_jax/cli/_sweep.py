@@ -60,7 +60,6 @@ examples:
 
 
 def sweep(args: argparse.Namespace, show: Display) -> None:
-    """Run a sweep file, or resume it."""
     import jax
 
     from softcal_jax.report import check_sweep_page, write_sweep
@@ -131,7 +130,6 @@ def _progress_lines(show: Display) -> "Callable[[Progress], None]":
 
 
 def _row_dict(row: "TrialRow") -> dict[str, Any]:
-    """Return a row as one line of JSON holds it."""
     keys = ("state", "reason", "notes", "seconds", "compile_seconds", "worker", "ended")
     more = {key: getattr(row, key) for key in keys}
     return {"point": dict(row.point), "figures": dict(row.figures), **more}

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
-from softcal_jax.calibration import CalibrationProblem, build_problem
+from softcal_jax.calibration import build_problem
 from softcal_jax.layouts import ModelComparison, compare_models
 from softcal_jax.project._problems import ProjectError, in_file, under
 from softcal_jax.project._project import Project
@@ -38,8 +38,18 @@ def compare_projects(
                 f"{project.path}: its configurations are {', '.join(found)}, but those "
                 f"of {first.path} are {', '.join(names)}; a comparison needs the same."
             )
-    named = projects_by_name(projects).items()
-    problems = {name: _problem(project, names) for name, project in named}
+    problems = {}
+    for name, project in projects_by_name(projects).items():
+        assert project.space is not None  # `check_calibration` has seen to it
+        posed = {c.name: c for c in project.calibration}
+        with in_file(project.path), under("configurations"):
+            problems[name] = build_problem(
+                project.model,
+                project.space,
+                [posed[own] for own in names],
+                project.newton,
+                uncertain=project.uncertain,
+            )
     return compare_models(
         problems,
         first.calibration,
@@ -47,19 +57,6 @@ def compare_projects(
         seed=first.seed,
         progress=progress,
     )
-
-
-def _problem(project: Project, names: Sequence[str]) -> CalibrationProblem:
-    posed = {c.name: c for c in project.calibration}
-    assert project.space is not None  # `check_calibration` has seen to it
-    with in_file(project.path), under("configurations"):
-        return build_problem(
-            project.model,
-            project.space,
-            [posed[name] for name in names],
-            project.newton,
-            uncertain=project.uncertain,
-        )
 
 
 def projects_by_name(projects: Sequence[Project]) -> Mapping[str, Project]:

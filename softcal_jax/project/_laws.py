@@ -64,7 +64,6 @@ class Constant(NamedTuple):
 
     @property
     def is_angle(self) -> bool:
-        """Whether it is the angle of an axis."""
         return self.unit == "rad"
 
     @property
@@ -75,7 +74,6 @@ class Constant(NamedTuple):
 
     @property
     def type(self) -> Any:
-        """Pydantic type of its key in a table."""
         if not self.unit:
             return Number
         size: Size = "not negative" if self.may_vanish else "positive"
@@ -313,7 +311,6 @@ def _owners(key: str) -> list[str]:
 
 
 def _plug_in(name: str, found: EntryPoints) -> type[AbstractLaw]:
-    """Load the law of an installed package."""
     packages = [entry.dist.name if entry.dist else entry.value for entry in found]
     if len(packages) > 1:
         raise wrong_key(

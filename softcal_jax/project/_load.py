@@ -13,7 +13,7 @@ from softcal_jax.bodies import RigidBody
 from softcal_jax.calibration import CalibrationSettings, ProjectSource
 from softcal_jax.configurations import build_mechanism, configuration_arrays
 from softcal_jax.equilibrium import Model, NewtonSettings, build_model
-from softcal_jax.fields import check_parameters
+from softcal_jax.fields import Uncertain, check_parameters
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project._configurations import Posed, build_configuration
 from softcal_jax.project._effectors import build_effectors
@@ -29,7 +29,7 @@ from softcal_jax.project._project import Project
 from softcal_jax.project._reading import (
     MeshTables,
     ProjectTable,
-    read_mesh_tables,
+    read_schema,
     read_tables,
 )
 from softcal_jax.project._sensors import PhotosTable
@@ -83,7 +83,7 @@ def load_mesh(path: str | os.PathLike[str]) -> TetMesh:
         ProjectError: If anything in [mesh] or [groups] is wrong.
     """
     path = Path(path)
-    table = read_mesh_tables(path)
+    table = read_schema(path, MeshTables, "project file")
     with in_file(path):
         return _mesh(path.parent, table)
 
@@ -136,7 +136,7 @@ def _built(
         candidates=tuple(c for c, _ in candidates),
         **table.settings.model_dump(include=own),
         intervals=table.settings.intervals or None,
-        uncertain=table.uncertain.build(),
+        uncertain=Uncertain(**table.uncertain.model_dump()),
         settings=settings,
         newton=newton,
         source=ProjectSource.of(path, _files(path, table), changes),
@@ -148,7 +148,6 @@ def _built(
 
 
 def _model(folder: Path, table: ProjectTable, solver: str | None) -> Model:
-    """Build the model: mesh, law, rigid bodies and actuators."""
     mesh = _mesh(folder, table)
     bodies, actuators = _parts(table, mesh)
     with under("material"):
@@ -200,7 +199,6 @@ def _parts(
 def _configurations(
     folder: Path, table: ProjectTable, model: Model
 ) -> tuple[list[Posed], list[Posed]]:
-    """Build the configurations and the candidates."""
     with under("effectors"):
         effectors = build_effectors(table.effectors, model.mesh, model.mechanism)
     posed: dict[str, list[Posed]] = {"configurations": [], "candidates": []}
@@ -224,7 +222,6 @@ def _configurations(
 
 
 def _files(path: Path, table: ProjectTable) -> list[Path]:
-    """List the files that a project file names."""
     measured = [c.measured for c in table.configurations if c.measured is not None]
     readings = [own for m in measured for own in (m, *m.effectors.values())]
     files = dict.fromkeys(getattr(own, "file", None) for own in readings)

@@ -58,7 +58,6 @@ class _MeshTable(Table):
         """Make the mesh; paths are relative to `folder`."""
 
     def files(self, folder: Path) -> tuple[Path, ...]:
-        """List the files that it is made of."""
         del folder
         return ()
 

@@ -103,18 +103,17 @@ class ParameterTable(Table):
     @classmethod
     def _parse(cls, value: Any, info: Any) -> Any:
         # `field` is validated first, so it is known here unless it is wrong itself.
-        constant, fixed = _constant(info), info.field_name == "fixed"
-        if fixed and not isinstance(value, dict):
-            return value  # which is no table
-        if constant is None:
-            return {} if fixed else 0.0
+        constant = _constant(info)
+        parsed = lambda own: (
+            0.0 if constant is None else parse_in_si(own, constant.unit)
+        )
         if not isinstance(value, dict):
-            return parse_in_si(value, constant.unit)
-        found = {}
+            return value if info.field_name == "fixed" else parsed(value)
+        values = {}
         for name, own in value.items():
             with under(name):
-                found[name] = parse_in_si(own, constant.unit)
-        return found
+                values[name] = parsed(own)
+        return values
 
     @field_validator("prior_std", mode="before")
     @classmethod

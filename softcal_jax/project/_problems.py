@@ -26,9 +26,7 @@ _EXPECTED = {
     "tuple_type": "a list in [ ]",
     "dict_type": "a table",
     "model_type": "a table",
-    "model_attributes_type": "a table",
 }
-
 
 MOST_PROBLEMS = 30
 """Problems of a file that are listed; a file with more is not meant as one of ours."""
@@ -55,7 +53,6 @@ class WrongKeyError(ValueError):
     """Something is wrong at a key, relative to the table being read."""
 
     def __init__(self, key: str, problem: object):
-        """Join key and problem in the message."""
         super().__init__(f"{key}: {problem}")
         self.key, self.problem = key, problem
 

@@ -4,7 +4,7 @@ import contextlib
 import functools
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from softcal_jax._names import METRES, suggestion
@@ -171,7 +171,6 @@ def parse_scalar(value: Any, dimension: Dimension) -> float:
 
 
 def parse_number(value: Any) -> float:
-    """Parse a number without a unit."""
     if not is_number(value):
         raise ValueError(f"got {shown(value)}; expected a number, like 0.45.")
     return float(value)
@@ -212,26 +211,14 @@ def parse_vector(value: Any, dimension: Dimension) -> tuple[float, float, float]
 
 def scalar(dimension: Dimension, size: Size = "any") -> Callable[[Any], float]:
     """Return a parser of quantities of one dimension, and of a size."""
-
-    def parse(value: Any) -> float:
-        number = parse_scalar(value, dimension)
-        _check_size([number], size, value)
-        return number
-
-    return parse
+    return lambda value: _of_size((parse_scalar(value, dimension),), size, value)[0]
 
 
 def vector(
     dimension: Dimension, size: Size = "finite"
-) -> Callable[[Any], tuple[float, float, float]]:
+) -> Callable[[Any], tuple[float, ...]]:
     """Return a parser of vectors of one dimension, each component of a size."""
-
-    def parse(value: Any) -> tuple[float, float, float]:
-        numbers = parse_vector(value, dimension)
-        _check_size(numbers, size, value)
-        return numbers
-
-    return parse
+    return lambda value: _of_size(parse_vector(value, dimension), size, value)
 
 
 _WITHIN = {
@@ -242,11 +229,12 @@ _WITHIN = {
 }
 
 
-def _check_size(numbers: Iterable[float], size: Size, value: Any) -> None:
-    """Raise ValueError unless all numbers are of a size; `value` is what was typed."""
+def _of_size(numbers: tuple[float, ...], size: Size, value: Any) -> tuple[float, ...]:
+    """Return numbers that must be of a size; `value` is what was typed."""
     within, words = _WITHIN[size]
     if not all(map(within, numbers)):
         raise ValueError(f"got {shown(value)}; expected a finite value{words}.")
+    return numbers
 
 
 def parse_direction(value: Any) -> tuple[float, float, float]:

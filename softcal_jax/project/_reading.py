@@ -156,11 +156,6 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
     return table
 
 
-def read_mesh_tables(path: Path) -> MeshTables:
-    """Read [mesh] and [groups] of a project file, whose other tables may be missing."""
-    return read_schema(path, MeshTables, "project file")
-
-
 def read_schema(path: Path, schema: type[T], what: str) -> T:
     """Read another kind of TOML file; `what` says which, like "sweep file".
 
@@ -203,7 +198,6 @@ def _with_changes(
 
 
 def _with_shared(raw: dict[str, Any]) -> dict[str, Any]:
-    """Merge [shared] into every configuration and candidate."""
     merged, shared = dict(raw), raw.get("shared")
     kinds = {"configurations": ConfigurationTable, "candidates": CandidateTable}
     for key, kind in kinds.items():

@@ -62,10 +62,9 @@ class OrientationTable(Table):
 
     @model_validator(mode="after")
     def _check_form(self) -> "OrientationTable":
-        given = [key for key, value in self if value is not None]
-        angles = [key for key in given if key in ("azimuth", "elevation", "roll")]
-        others = [key for key in given if key in ("quaternion", "rotation_vector")]
-        forms = angles[:1] + others
+        given = {key for key, value in self if value is not None}
+        angles = [key for key in ("azimuth", "elevation", "roll") if key in given]
+        forms = angles[:1] + sorted(given & {"quaternion", "rotation_vector"})
         if len(forms) > 1:
             raise ValueError(
                 f"got {' and '.join(forms)}; give the orientation in one form: "

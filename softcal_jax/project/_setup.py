@@ -146,11 +146,10 @@ class ScopedTable(SetupTable):
             return known
         if self.each == "configuration":
             return known | {"each": [c.name for c in fitted], "by": "configuration"}
-        if self.each == "recording":
-            return known | {"each": recordings}
-        for name in self.each:
+        names = recordings if self.each == "recording" else self.each
+        for name in names:
             known_name("recording", name, recordings, "[[configurations]]")
-        return known | {"each": self.each}
+        return known | {"each": names}
 
 
 class GravityTiltTable(ScopedTable):

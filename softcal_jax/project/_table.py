@@ -153,7 +153,6 @@ class Choice:
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        """Validate by the member that is chosen."""
         del handler
         kinds = get_args(source)
 
