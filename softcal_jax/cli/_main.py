@@ -91,11 +91,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     silence()
     asked = words[:1] == ["export"] or "--print-completion" in words
     args = _parser(exporters() if asked else {}).parse_args(words)
-    display = Display(
-        begin,
-        quiet=getattr(args, "quiet", False),
-        as_json=getattr(args, "json", False),
-    )
+    display = Display(begin, quiet=args.quiet, as_json=args.json)
     # What other packages print is no JSON.
     out = redirect_stdout(sys.stderr) if display.as_json else nullcontext()
     try:
@@ -145,13 +141,8 @@ def _parser(formats: Mapping[str, AbstractExporter]) -> argparse.ArgumentParser:
         "pneumatic arm, from three pressures; many minutes, and it needs "
         "softcal-jax[mocap].",
     )
-    beam.add_argument(
-        "robot",
-        nargs="?",
-        choices=["beam", "arm"],
-        default="beam",
-        help="which robot (default: beam)",
-    )
+    text, robots = "which robot (default: beam)", ["beam", "arm"]
+    beam.add_argument("robot", nargs="?", choices=robots, default="beam", help=text)
     where = "folder for the results"
     add_path(beam, "--output", "DIR", f"{where} (default: demo_results)")
     text = "write the demo's project file and data to DIR and stop"

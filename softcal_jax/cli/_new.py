@@ -119,9 +119,8 @@ def _found(found: "Findings") -> Iterator[str]:
         yield f"  {marker.name:<{width}}  {off if marker.distance else 'in it'}"
     if found.own_frame:
         yield (
-            "That is too far for markers on this robot: the recording has a frame of "
-            "its own. `softcal calibrate` runs once the file says where the markers "
-            "are on the robot, and the remarks at [shared.measured] are followed."
+            "That is too far: the recording has a frame of its own. Follow the remarks "
+            "at [markers] and [shared.measured]; `softcal calibrate` runs then."
         )
 
 

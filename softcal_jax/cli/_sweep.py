@@ -39,12 +39,8 @@ A sweep file names a project file and the axes of the sweep:
   "material.nu" = [0.3, 0.4]        # any key of the project file
 
 Each trial is a row of an SQLite file as soon as it has ended. A sweep that was stopped
-or killed goes on when the same command is given again.
-
-At the end, and when it is stopped, its page is written beside the database:
-sweep_report.html for sweep.sqlite.
-
-With --json each trial that ends is one line of JSON.
+or killed goes on when the same command is given again. Its page is written beside the
+database: sweep_report.html for sweep.sqlite.
 
 exit codes: 0 all trials converged, 1 some failed or did not converge, 2 bad input,
 130 interrupted: the rows so far stand

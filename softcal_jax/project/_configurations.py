@@ -18,7 +18,7 @@ from softcal_jax.configurations import (
     SurfaceTraction,
 )
 from softcal_jax.equilibrium import Model
-from softcal_jax.project._effectors import Effectors, with_measured
+from softcal_jax.project._effectors import Effectors
 from softcal_jax.project._markers import (
     MarkersTable,
     MeasuredMarkers,
@@ -97,8 +97,6 @@ AnyLoad = Annotated[
 
 
 class GravityTable(Table):
-    """Gravity as size and direction."""
-
     size: AccelerationSize = Field(description='"9.81 m/s^2"')
     direction: Direction = Field(description='"-z", or [0, 0, -1]')
 
@@ -128,8 +126,6 @@ class CandidateTable(Table):
 
 
 class ConfigurationTable(CandidateTable):
-    """A configuration, measured or not."""
-
     role: Literal["calibration", "validation"] = "calibration"
     recording: str | None = None
     measured: MeasuredTable | None = None
@@ -182,14 +178,12 @@ def build_configuration(
         )
     with under("bodies"):
         states = build_states(table.bodies, mechanism)
-    with under("measured.effectors"):
-        followed = with_measured(
-            {name: effectors[name] for name in chosen},
-            measured={} if own is None else own.effectors,
-            tables=project.effectors,
-            folder=folder,
-            model=model,
-        )
+    followed = {name: effectors[name] for name in chosen}
+    for name, value in ({} if own is None else own.effectors).items():
+        with under(f"measured.effectors.{name}"):
+            known_name("effector", name, followed, "[effectors]")
+            read = project.effectors[name].measured
+            followed[name] = read(followed[name], value, folder, model)
     reference = None if own is None else own.displacement_from
     if not isinstance(reference, str) or reference == table.name:
         reference = None
@@ -200,7 +194,7 @@ def build_configuration(
         loads=loads,
         markers=seen.markers,
         measured=seen.positions,
-        effectors=followed,
+        effectors=tuple(followed.values()),
         bodies=states,
         actuation=actuation,
         recording=getattr(table, "recording", None),

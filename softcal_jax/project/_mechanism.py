@@ -91,8 +91,6 @@ class BodyTable(Table):
 
 
 class BodyStateTable(MotionTable):
-    """State of a rigid body in one configuration."""
-
     state: Literal["held", "hinged", "free"] = "held"
 
 

@@ -189,8 +189,6 @@ class ParameterTable(Table):
 
 
 class ParameterSpaceTable(Table):
-    """Constraints between parameters."""
-
     order: tuple[tuple[str, str], ...] = ()
     axes: tuple[tuple[str, str, str], ...] = ()
 

@@ -135,13 +135,10 @@ def known_here(name: str, known: Iterable[str], words: str = "Known") -> str:
 def known_name(kind: str, name: str, known: Iterable[str], section: str) -> None:
     """Raise ValueError unless a name is known; `section` says where they stand."""
     known = list(known)
-    if name in known:
-        return
-    if not known:
-        raise ValueError(
-            f'there is no {kind} "{name}"; the project has none: add one to {section}.'
-        )
-    raise ValueError(f'there is no {kind} "{name}".{known_here(name, known)}')
+    if name not in known:
+        none = f" The project has none: add one to {section}."
+        hint = known_here(name, known) if known else none
+        raise ValueError(f'there is no {kind} "{name}".{hint}')
 
 
 def key_path(keys: tuple[str | int, ...], raw: dict[str, Any]) -> str:

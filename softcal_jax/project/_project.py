@@ -37,6 +37,8 @@ from softcal_jax.identifiability import (
 from softcal_jax.layouts import ModelComparison, compare_models
 from softcal_jax.project._problems import ProjectError, in_file, one_by_one, under
 
+_NO_PARAMETERS = "parameters: nothing to calibrate; add [[parameters]]."
+
 
 class Project(Module):
     """A project file as objects; everything in it has been checked.
@@ -106,7 +108,7 @@ class Project(Module):
 
     def check_calibration(self) -> None:
         """Raise ProjectError without parameters, or without data to fit them to."""
-        problems = self._no_parameters()
+        problems = [] if self.space else [_NO_PARAMETERS]
         if not self.calibration:
             problems.append(
                 'configurations: none has role = "calibration", so there is nothing '
@@ -119,10 +121,6 @@ class Project(Module):
         ]
         if problems:
             raise one_by_one(self.path, problems)
-
-    def _no_parameters(self) -> list[str]:
-        missing = "parameters: nothing to calibrate; add [[parameters]]."
-        return [missing] if self.space is None else []
 
     def calibrate(
         self,
@@ -183,7 +181,7 @@ class Project(Module):
 
     def check_identify(self) -> None:
         """Raise ProjectError if nothing can be judged; nothing need be measured."""
-        problems = self._no_parameters()
+        problems = [] if self.space else [_NO_PARAMETERS]
         posed = (*self.calibration, *self.candidates)
         if not posed:
             problems.append(

@@ -129,15 +129,8 @@ def shown(value: Any) -> str:
     return f'"{shortened(value)}"' if isinstance(value, str) else shortened(str(value))
 
 
-class RecognisedQuantity(NamedTuple):
-    """One number or three, in an SI unit."""
-
-    values: tuple[float, ...]
-    unit: str
-
-
-def recognised(text: str) -> RecognisedQuantity | None:
-    """Read a text as a quantity of any dimension that a file may have; None if not."""
+def recognised(text: str) -> tuple[tuple[float, ...], str] | None:
+    """Read a quantity of any dimension: one value or three, and their SI unit."""
     match = _VECTOR.fullmatch(text) or _SCALAR.fullmatch(text)
     if match is None or not match[2]:
         return None
@@ -147,8 +140,7 @@ def recognised(text: str) -> RecognisedQuantity | None:
     for dimension in (*OF_UNIT.values(), ACCELERATION, TIME, MASS):
         with contextlib.suppress(ValueError):
             factor = _factor(match[2], dimension, text)
-            values = tuple(factor * float(number) for number in numbers)
-            return RecognisedQuantity(values, dimension.si)
+            return tuple(factor * float(number) for number in numbers), dimension.si
     return None
 
 

@@ -157,8 +157,6 @@ def _mean(
 
 
 class WrittenPoseTable(SensorPoseTable, OrientationTable):
-    """A pose that is written out."""
-
     position: Position = Field(
         description='the pose, { position = "(0, 0, 100) mm", azimuth = "10 deg" }, or '
         'where it was read, { file = "tracker.csv" }'
@@ -207,8 +205,6 @@ class PolhemusFileTable(SensorPoseTable):
 
 
 class EarlierPhotosTable(Table):
-    """Photographs of an earlier pose, of the same tags."""
-
     photos: Names = Field(description='photographs: "rest/*.jpg"')
 
 

@@ -93,15 +93,15 @@ class Table(BaseModel):
     @classmethod
     def _in_words(cls, details: ErrorDetails) -> InitErrorDetails:
         """Say which keys there are if one is unknown, and what a missing one is."""
-        key, kind = str(details["loc"][-1]) if details["loc"] else "", details["type"]
-        if len(details["loc"]) == 1 and kind == "extra_forbidden":
-            known = known_here(key, cls.model_fields, "Known here")
-            details = _as_error(details, f"unknown key.{cls.foreign(key)}{known}")
-        elif len(details["loc"]) == 1 and kind == "missing":
+        kind = details["type"]
+        if len(details["loc"]) != 1 or kind not in ("extra_forbidden", "missing"):
+            return details  # pyright: ignore[reportReturnType] (it has more keys)
+        key = str(details["loc"][0])
+        if kind == "missing":
             what = cls.model_fields[key].description
-            expected = f" Expected {what}." if what else ""
-            details = _as_error(details, f"missing.{expected}")
-        return details  # pyright: ignore[reportReturnType] (it has more keys)
+            return _at(key, f"missing. Expected {what}." if what else "missing.")
+        known = known_here(key, cls.model_fields, "Known here")
+        return _at(key, f"unknown key.{cls.foreign(key)}{known}")
 
     @classmethod
     def foreign(cls, key: str) -> str:
@@ -110,8 +110,9 @@ class Table(BaseModel):
         return ""
 
 
-def _as_error(details: ErrorDetails, text: str) -> ErrorDetails:
-    return {**details, "type": "value_error", "ctx": {"error": ValueError(text)}}
+def _at(key: str, text: str) -> InitErrorDetails:
+    error = {"error": ValueError(text)}
+    return InitErrorDetails(type="value_error", loc=(key,), input=None, ctx=error)
 
 
 class Maker(Table):
@@ -171,9 +172,7 @@ TableOr = Annotated[
 
 def wrong_key(key: str, text: str) -> ValidationError:
     """Build the error at a key that decides which table another one is."""
-    error = {"error": ValueError(text)}
-    details = InitErrorDetails(type="value_error", loc=(key,), input=None, ctx=error)
-    return ValidationError.from_exception_data("Table", [details])
+    return ValidationError.from_exception_data("Table", [_at(key, text)])
 
 
 def wrong_choice(
