@@ -179,8 +179,8 @@ def wrong_choice(
     key: str, table: Mapping[str, Any], names: Iterable[str]
 ) -> ValidationError:
     """Build the error of a table of which a key has none of the `names`."""
-    value = table.get(key)
-    got = "missing" if value is None else f"got {shown(value)}"
+    value = table.get(key, "")
+    got = f"got {shown(value)}" if key in table else "missing"
     return wrong_key(key, f"{got}; expected {one_of(str(value), names)}")
 
 
