@@ -145,7 +145,7 @@ def test_an_actuator_that_the_configuration_does_not_command(calibrated, tmp_pat
         ([*WEIGHT, "--goal", "tip=(1, 2, 3) mm", "--goal", "tip=(1, 2, 4) mm"],
          "'tip' ... twice"),
         ([*WEIGHT, "--goal", "tip=(1, 2, 3) mm", "--limit", "pull=0 N to 1 N"],
-         "unknown actuator 'pull'"),
+         "limit of 'pull': there is no actuator \"pull\" ... push"),
         ([*WEIGHT, "--goal", "tip=(1, 2, 3) mm", "--limit", "push=5 N"],
          "limit of 'push': got '5 N' ... lowest ... highest"),
         ([*WEIGHT, "--goal", "tip=(1, 2, 3) mm", "--limit", "push=0 N to 5 mm"],

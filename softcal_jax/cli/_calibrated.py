@@ -1,8 +1,7 @@
 """`softcal inverse` and `softcal export`: what a calibrated robot is used for."""
 
 import argparse
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +9,6 @@ from typing import TYPE_CHECKING
 from softcal_jax.cli._shared import (
     BAD_INPUT,
     NOT_CONVERGED,
-    OK,
     Display,
     Stop,
     add_output,
@@ -47,17 +45,12 @@ equilibrium, 2 bad input
 """
 
 
-def inverse(args: argparse.Namespace, show: Display) -> int:
-    """Search for the actuation that meets the goals, and write it."""
+def inverse(args: argparse.Namespace, show: Display) -> None:
     check_folder(args)
     from softcal_jax import report
     from softcal_jax.control import ControlSettings, solve_inverse
     from softcal_jax.export import Made
-    from softcal_jax.project import (
-        actuation_as_typed,
-        limits_as_typed,
-        with_goals_as_typed,
-    )
+    from softcal_jax.project import inverse_as_typed
 
     start_computing(show)
     show.now(f"reading {args.results}")
@@ -66,13 +59,13 @@ def inverse(args: argparse.Namespace, show: Display) -> int:
         project = loaded.project
         _check_parameters(loaded.space)
         posed, _ = loaded.posed(args.configuration)
-        goals = dict(_pairs("--goal", args.goal, 'tip="(100, 10, 12) mm"'))
-        starts = dict(_pairs("--start", args.start, 'air="10 kPa"'))
-        ranges = _pairs("--limit", args.limit, 'air="0 kPa to 50 kPa"')
-        limits = limits_as_typed(project, ranges)
-        posed = with_goals_as_typed(project, posed, goals)
-        asked = {**posed.actuation, **actuation_as_typed(project, starts)}
-        posed = replace(posed, actuation=asked)
+        posed, limits = inverse_as_typed(
+            project,
+            posed,
+            goals=dict(_pairs("--goal", args.goal, 'tip="(100, 10, 12) mm"')),
+            starts=dict(_pairs("--start", args.start, 'air="10 kPa"')),
+            limits=_pairs("--limit", args.limit, 'air="0 kPa to 50 kPa"'),
+        )
     show.lap("reading")
     commanded = ", ".join(posed.actuation) or "nothing"
     show.note(f"{project.name}, configuration {posed.name}: {commanded} is commanded")
@@ -85,29 +78,23 @@ def inverse(args: argparse.Namespace, show: Display) -> int:
     show.lap("search")
     show.line()
     show.line(report.inverse_table(found))
-
-    def write(where: Path, force: bool) -> Path:
-        options = ["--configuration", posed.name]
-        for flag in ("goal", "start", "limit"):
-            for text in getattr(args, flag):
-                options += [f"--{flag}", text]
-        return report.write_inverse(
-            found,
-            where,
-            name=project.name,
-            force=force,
-            timing_s=dict(show.laps),
-            made=Made(loaded.model, {"control": settings}, project.source),
-            calibration=loaded.path,
-            options=options,
-            notes=(*with_care(loaded.doubts), *show.warnings),
-            **pictures_with_a_bar(args, show),
-        )
-
-    write_results(write, args, show, index="inverse.json", force=args.force)
+    options = ["--configuration", posed.name]
+    for flag in ("goal", "start", "limit"):
+        for text in getattr(args, flag):
+            options += [f"--{flag}", text]
+    write = partial(
+        report.write_inverse,
+        found,
+        name=project.name,
+        made=Made(loaded.model, {"control": settings}, project.source),
+        calibration=loaded.path,
+        options=options,
+        notes=(*with_care(loaded.doubts), *show.warnings),
+        **pictures_with_a_bar(args, show),
+    )
+    write_results(write, args, show, index="inverse.json")
     if not found.met:
         raise Stop(NOT_CONVERGED, found.message)
-    return OK
 
 
 def _pairs(option: str, texts: Sequence[str], example: str) -> list[tuple[str, str]]:
@@ -136,8 +123,7 @@ def _check_parameters(space: "ParameterSpace") -> None:
             )
 
 
-def add_inverse(commands: "argparse._SubParsersAction", raw: Callable) -> None:
-    """Add the command to the parser."""
+def add_inverse(commands: "argparse._SubParsersAction") -> None:
     command = commands.add_parser(
         "inverse",
         help="the pressure, force or motor angle that brings the robot to a goal",
@@ -145,7 +131,6 @@ def add_inverse(commands: "argparse._SubParsersAction", raw: Callable) -> None:
         "brings markers or effectors to goals, or as near as the limits let it, and "
         "says what holds it where a goal is out of reach.",
         epilog=_INVERSE,
-        formatter_class=raw,
     )
     add_path(command, "results", "RESULTS", "folder of the results, or result.json")
     for flag, metavar, needed, text in (
@@ -180,16 +165,13 @@ converge, so that nothing was written, 2 bad input
 
 def add_export(
     commands: "argparse._SubParsersAction",
-    raw: Callable,
     exporters: Mapping[str, AbstractExporter],
 ) -> None:
-    """Add the group of commands to the parser, one for each exporter."""
     export = commands.add_parser(
         "export",
         help="write a calibrated model for another program",
         description="Writes a calibrated model as a file of another program.",
         epilog=_EXPORT,
-        formatter_class=raw,
     )
     formats = export.add_subparsers(required=True, metavar="FORMAT")
     for name, exporter in exporters.items():
@@ -210,8 +192,7 @@ def add_export(
 
 def _export(
     args: argparse.Namespace, show: Display, *, exporter: AbstractExporter
-) -> int:
-    """Load a result, and write it in a format."""
+) -> None:
     output: Path = args.output
     if exporter.output[0] == "DIR":
         check_folder(args)
@@ -248,4 +229,3 @@ def _export(
     computed = {"said": "\n".join(said)} if said else {}
     show.document({"output": str(output), **computed, "notes": notes})
     show.times()
-    return OK

@@ -1,13 +1,11 @@
 """`softcal check` and `softcal mesh`: what is seen before anything is solved."""
 
 import argparse
-from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from softcal_jax.cli._shared import (
-    OK,
     Display,
     add_output,
     add_path,
@@ -35,8 +33,7 @@ exit codes: 0 read, whatever it warns of, 2 bad input
 """
 
 
-def check(args: argparse.Namespace, show: Display) -> int:
-    """Say what a project file describes, and draw it; nothing is solved."""
+def check(args: argparse.Namespace, show: Display) -> None:
     name = f"{args.project.stem}_check.{args.pictures}"
     picture = args.output or args.project.with_name(name)
     check_suffix(picture, ".png", ".svg")
@@ -76,11 +73,9 @@ def check(args: argparse.Namespace, show: Display) -> int:
         }
     )
     show.times()
-    return OK
 
 
 def _is_own(picture: Path) -> bool:
-    """Whether a file is a picture of an earlier check."""
     return picture.is_file() and _MARK.encode() in picture.read_bytes()[:4000]
 
 
@@ -108,8 +103,7 @@ def _draw(project: "Project", picture: Path) -> None:
     )
 
 
-def add_check(commands: "argparse._SubParsersAction", raw: Callable) -> None:
-    """Add the command to the parser."""
+def add_check(commands: "argparse._SubParsersAction") -> None:
     command = commands.add_parser(
         "check",
         help="what a project file says, in words and a picture, before any solve",
@@ -121,7 +115,6 @@ quantity as it was typed and as it was read, and which commands would run. The p
 shows supports, loads, gravity, actuators, rigid bodies and markers of each
 configuration. Nothing is solved, so it takes seconds.""",
         epilog=_CHECK,
-        formatter_class=raw,
     )
     add_path(command, "project", "PROJECT.toml", "the project file")
     where = "the picture, .png or .svg (default: PROJECT_check.png, beside the project)"
@@ -151,13 +144,10 @@ A project file needs no other table than [mesh] and, for names of your own, [gro
 
   [groups.chamber]
   inside = { point = "(30, 0, 0) mm", stop_at = "clamp" }   # where its inlet is
-
-exit codes: 0 written, 2 bad input
 """
 
 
-def mesh(args: argparse.Namespace, show: Display) -> int:
-    """Write the mesh of a CAD model, a project or another mesh file, and draw it."""
+def mesh(args: argparse.Namespace, show: Display) -> None:
     from softcal_jax.mesh import write_mesh
     from softcal_jax.plotting import plot_groups
     from softcal_jax.report import mesh_lines
@@ -192,11 +182,9 @@ def mesh(args: argparse.Namespace, show: Display) -> int:
         }
     )
     show.times()
-    return OK
 
 
 def _made(args: argparse.Namespace) -> "TetMesh":
-    """Make or read the mesh."""
     from softcal_jax.exchange.cad import CAD_FORMATS, mesh_cad
     from softcal_jax.mesh import read_mesh
     from softcal_jax.project import load_mesh
@@ -225,8 +213,7 @@ def _made(args: argparse.Namespace) -> "TetMesh":
     return load_mesh(args.model)
 
 
-def add_mesh(commands: "argparse._SubParsersAction", raw: Callable) -> None:
-    """Add the command to the parser."""
+def add_mesh(commands: "argparse._SubParsersAction") -> None:
     command = commands.add_parser(
         "mesh",
         help="from a CAD model to tets, with a picture of the groups",
@@ -235,7 +222,6 @@ Fills a CAD model (STEP or STL) with tets, names its faces, and draws them. With
 project file, it makes the mesh of [mesh] and draws the groups of [groups], so that they
 are seen before anything is computed; with another mesh file, the groups of that.""",
         epilog=_MESH,
-        formatter_class=raw,
     )
     add_path(command, "model", "MODEL", "CAD model, project file or mesh file")
     where = "the mesh; the picture is FILE.png beside it"

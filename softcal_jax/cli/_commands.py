@@ -2,7 +2,7 @@
 
 import argparse
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from softcal_jax.cli._shared import (
     INTERRUPTED,
     NOT_CONVERGED,
-    OK,
     Display,
     Stop,
     add_output,
@@ -31,15 +30,12 @@ from softcal_jax.cli._steps import (
 )
 
 if TYPE_CHECKING:
-    from softcal_jax.calibration import CalibrationResult
     from softcal_jax.configurations import Configuration
     from softcal_jax.export import Made
-    from softcal_jax.identifiability import Assessment, Identifiability, Ranking
     from softcal_jax.project import Project
 
 
-def demo(args: argparse.Namespace, show: Display) -> int:
-    """Calibrate a measured robot, or write its project file."""
+def demo(args: argparse.Namespace, show: Display) -> None:
     from softcal_jax.robots import pneumatic_arm_path, silicone_beam_path
 
     path = {"beam": silicone_beam_path, "arm": pneumatic_arm_path}[args.robot]()
@@ -55,11 +51,9 @@ def demo(args: argparse.Namespace, show: Display) -> int:
     show.document({"directory": str(args.write), "files": names})
     show.line(f"Wrote {', '.join(names)} to {args.write}. To calibrate it:")
     show.line(f"  softcal calibrate {args.write / 'project.toml'} -o results")
-    return OK
 
 
-def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
-    """Fit a project, predict what was held out, and write the results."""
+def calibrate(args: argparse.Namespace, show: Display, path: Path) -> None:
     check_folder(args)
     from softcal_jax import report
     from softcal_jax.identifiability import assess
@@ -73,30 +67,6 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
     if project.registrations:
         left = (f"{n} {1e3 * r.rms:.2f} mm" for n, r in project.registrations.items())
         show.note(f"camera frame to mesh frame, rms left at markers: {', '.join(left)}")
-    early: list[bool] = []
-
-    def write(
-        result: "CalibrationResult", judged: "Assessment", where: Path, force: bool
-    ) -> Path:
-        more = {"traces": project.traces, **_options(project, show, force=force)}
-        more |= pictures_with_a_bar(args, show)
-        return report.write_results(result, where, assessment=judged, **more)
-
-    def profiling(result: "CalibrationResult") -> None:
-        # Written before, in case the user does not want to wait.
-        if early:
-            return
-        show.lap("solve", compiling=result.timing_s["compile"])
-        show.now("writing results and pictures")
-        try:
-            write(result, assess(result), args.output, args.force)
-            early.append(True)
-        except OSError as error:
-            show.warning(str(error))
-            early.append(False)
-        show.lap("results and pictures")
-        show.now("intervals by profile likelihood")
-
     show.now("first equilibrium")
     with interruptible(args), bad_input(), no_equilibrium("Nothing was written."):
         result = project.calibrate(
@@ -104,42 +74,31 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> int:
             progress=step_lines(project, show),
             search_progress=lambda search: show.note(f"search   {search}"),
             equilibrium_progress=equilibrium_lines(show),
-            profiling=profiling,
+            profiling=lambda _: show.now("intervals by profile likelihood"),
         )
-    if early:
-        show.lap("intervals")
-    else:
-        show.lap("solve", compiling=result.timing_s["compile"])
+    show.lap("solve", compiling=result.timing_s["compile"])
     assessment = assess(result)
     held_out = report.held_out_sentences(result.configurations)
     for part in ("", report.summary_table(result, assessment), *held_out):
         show.line(part)
+    more = {"name": project.name, "traces": project.traces}
+    more |= pictures_with_a_bar(args, show)
+    write = partial(report.write_results, result, assessment=assessment, **more)
     with interruptible(args):
-        force = args.force or any(early)
-        last = partial(write, result, assessment)
-        write_results(last, args, show, index="result.json", force=force)
-    _stop_unless_finished(result, args)
-    if not assessment.identified:
-        show.line("Take the values with care: " + " ".join(assessment.reasons))
-    return OK
-
-
-def _stop_unless_finished(
-    result: "CalibrationResult", args: argparse.Namespace
-) -> None:
-    """End the command if the fit was interrupted or did not converge."""
+        write_results(write, args, show, index="result.json")
     steps = len(result.history) - 1
     if result.interrupted:
         end = "" if result.converged else ", not converged: do not use the values"
         text = f"interrupted after {steps} steps{end}. {checkpoint_stands(args)}"
         raise Stop(INTERRUPTED, text.strip())
     if not result.converged:
-        raise Stop(
-            NOT_CONVERGED, f"not converged after {steps} steps: do not use the values."
-        )
+        text = f"not converged after {steps} steps: do not use the values."
+        raise Stop(NOT_CONVERGED, text)
+    if not assessment.identified:
+        show.line("Take the values with care: " + " ".join(assessment.reasons))
 
 
-def simulate(args: argparse.Namespace, show: Display) -> int:
+def simulate(args: argparse.Namespace, show: Display) -> None:
     """Solve all configurations of a project at the start values.
 
     Those without an equilibrium are named at the end, after the others are written.
@@ -158,20 +117,15 @@ def simulate(args: argparse.Namespace, show: Display) -> int:
         result = simulation_result(project.model, project.configurations, solution)
     show.line()
     show.line(report.simulation_table(result))
-
-    def write(where: Path, force: bool) -> Path:
-        more = {"traces": project.traces, **_options(project, show, force=force)}
-        more |= {"made": _made(project), **pictures_with_a_bar(args, show)}
-        return report.write_simulation(result, where, **more)
-
-    write_results(write, args, show, index="simulation.json", force=args.force)
+    more = {"name": project.name, "traces": project.traces}
+    more |= pictures_with_a_bar(args, show)
+    write = partial(report.write_simulation, result, made=_made(project), **more)
+    write_results(write, args, show, index="simulation.json")
     with no_equilibrium("The results hold the others, if any."):
         check_converged(solution, tuple(c.name for c in project.configurations))
-    return OK
 
 
-def identify(args: argparse.Namespace, show: Display) -> int:
-    """Judge a project before anything is measured, and rank its candidates."""
+def identify(args: argparse.Namespace, show: Display) -> None:
     if args.output is not None:
         check_folder(args)
     from softcal_jax import report
@@ -189,54 +143,32 @@ def identify(args: argparse.Namespace, show: Display) -> int:
             show.now(f"what {_names(project.candidates)} would add")
             ranking = project.rank_candidates(progress=equilibrium_lines(show))
     show.lap("solve")
-    _print_outlook(project, found, ranking, show)
-    made = _made(project, "precision")
-    if args.output is None:
-        more = {"name": project.name, "timing_s": dict(show.laps)}
-        show.document(outlook_dict(found, ranking, **more, made=made))
-        show.times()
-        return OK
-
-    def write(where: Path, force: bool) -> Path:
-        more = _options(project, show, force=force)
-        return report.write_identifiability(found, ranking, where, **more, made=made)
-
-    write_results(write, args, show, index="identifiability.json", force=args.force)
-    return OK
-
-
-def _print_outlook(
-    project: "Project",
-    found: "Identifiability | None",
-    ranking: "Ranking | None",
-    show: Display,
-) -> None:
-    blind = [c for c in project.calibration if not (c.markers or c.effectors)]
     show.line()
+    blind = [c for c in project.calibration if not (c.markers or c.effectors)]
     if blind:
         show.line(f"No markers or effectors, so nothing to learn, in: {_names(blind)}.")
     show.line("At the start values, with the stated noise of what is measured:")
-    for part in (found, ranking):
-        if part is not None:
-            show.line(f"{part}\n")
+    for part in filter(None, (found, ranking)):
+        show.line(f"{part}\n")
     if ranking is None:
         show.line(
             "To see what another configuration would add, describe it in "
             "[[candidates]] (keys as in [[configurations]]) and run this again."
         )
+    more = {"name": project.name, "made": _made(project, precision=project.precision)}
+    if args.output is None:
+        show.document(outlook_dict(found, ranking, timing_s=show.laps, **more))
+        show.times()
+    else:
+        write = partial(report.write_identifiability, found, ranking, **more)
+        write_results(write, args, show, index="identifiability.json")
 
 
-def _options(project: "Project", show: Display, *, force: bool) -> dict[str, Any]:
-    """Return what every results folder is written with."""
-    return {"name": project.name, "force": force, "timing_s": dict(show.laps)}
-
-
-def _made(project: "Project", *settings: str) -> "Made":
+def _made(project: "Project", **settings: Any) -> "Made":
     """Say what a project was solved with, and with which more of its settings."""
     from softcal_jax.export import Made
 
-    more = {name: getattr(project, name) for name in settings}
-    return Made(project.model, {**more, "newton": project.newton}, project.source)
+    return Made(project.model, {**settings, "newton": project.newton}, project.source)
 
 
 def _names(group: "Sequence[Configuration]") -> str:
@@ -253,12 +185,11 @@ exit codes: 0 compared, whatever the verdict, 1 no model predicts every configur
 """
 
 
-def compare(args: argparse.Namespace, show: Display) -> int:
-    """Compare several project files of the same data."""
+def compare(args: argparse.Namespace, show: Display) -> None:
     if args.output is not None:
         check_folder(args)
     from softcal_jax import report
-    from softcal_jax.export import Made, comparison_dict
+    from softcal_jax.export import comparison_dict
     from softcal_jax.project import compare_projects, projects_by_name
 
     projects = [load(path, show) for path in args.projects]
@@ -269,30 +200,21 @@ def compare(args: argparse.Namespace, show: Display) -> int:
             projects, progress=lambda name: show.now(f"fits of {name}")
         )
     show.lap("solve")
-    made = {
-        name: Made(project.model, {"newton": project.newton}, project.source)
-        for name, project in projects_by_name(projects).items()
-    }
+    named = projects_by_name(projects).items()
+    made = {name: _made(project) for name, project in named}
     show.line()
     show.line(str(comparison))
     if args.output is None:
-        more = {"timing_s": dict(show.laps), "made": made}
-        show.document(comparison_dict(comparison, **more))
+        show.document(comparison_dict(comparison, timing_s=show.laps, made=made))
         show.times()
     else:
-
-        def write(where: Path, force: bool) -> Path:
-            more = {"timing_s": dict(show.laps), "made": made}
-            return report.write_comparison(comparison, where, force=force, **more)
-
-        write_results(write, args, show, index="comparison.json", force=args.force)
+        write = partial(report.write_comparison, comparison, made=made)
+        write_results(write, args, show, index="comparison.json")
     if comparison.best is None:
         raise Stop(NOT_CONVERGED, "no model predicts every configuration.")
-    return OK
 
 
-def add_compare(commands: "argparse._SubParsersAction", raw: Callable) -> None:
-    """Add the command to the parser."""
+def add_compare(commands: "argparse._SubParsersAction") -> None:
     command = commands.add_parser(
         "compare",
         help="which law, or mesh, predicts best? fits of the same data",
@@ -304,7 +226,6 @@ differences on the same configurations, with their scatter.
 The files have the same configurations with the same measured values, and differ in
 [material], [mesh] or [[parameters]].""",
         epilog=_COMPARE,
-        formatter_class=raw,
     )
     command.add_argument(
         "projects", metavar="PROJECT.toml", nargs="+", type=Path, help="project files"

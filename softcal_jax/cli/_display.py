@@ -11,10 +11,11 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from datetime import timedelta
+from textwrap import fill
 from typing import Any, NoReturn
 
 from rich.console import Console, ConsoleOptions, RenderableType
-from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Task
+from rich.progress import BarColumn, Progress, ProgressColumn, Task
 from rich.segment import Segment
 from rich.text import Text
 
@@ -49,11 +50,25 @@ class PlainConsole(Console):
                 yield Segment(escaped(segment.text), segment.style)
 
 
+class HelpFormatter(argparse.RawDescriptionHelpFormatter):
+    """Wraps a text of one line, and leaves one of several lines as it is."""
+
+    def __init__(self, prog: str, **options: Any):
+        super().__init__(prog, max_help_position=26, **options)
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return super()._fill_text(
+            text if "\n" in text else fill(text, width), width, indent
+        )
+
+
 class PlainParser(argparse.ArgumentParser):
     """A parser that quotes wrong arguments without their control characters."""
 
+    def __init__(self, *name: Any, **options: Any):
+        super().__init__(*name, formatter_class=HelpFormatter, **options)
+
     def error(self, message: str) -> NoReturn:
-        """End the program with a message."""
         super().error(escaped(message))
 
 
@@ -94,17 +109,16 @@ class Compiling:
             self._listening = True
             jax.monitoring.register_scalar_listener(self._begins)
             jax.monitoring.register_event_duration_secs_listener(self._ends)
-            jax.monitoring.register_event_listener(self._found)
+            jax.monitoring.register_event_listener(self._ends)
 
     def stop(self) -> None:
-        """Listen no more."""
         if self._listening:
             import jax
 
             self._listening = False
             jax.monitoring.unregister_scalar_listener(self._begins)
             jax.monitoring.unregister_event_duration_listener(self._ends)
-            jax.monitoring.unregister_event_listener(self._found)
+            jax.monitoring.unregister_event_listener(self._ends)
 
     def words(self) -> str:
         """Say what is being compiled, and the time of all compiling so far.
@@ -128,16 +142,9 @@ class Compiling:
                     self._since = time.time()
                 self._open[threading.get_ident(), event] += 1
 
-    def _ends(self, event: str, duration_secs: float, **_: Any) -> None:
-        if event.startswith(_COMPILE):
-            self._close((threading.get_ident(), event))
-
-    def _found(self, event: str, **_: Any) -> None:
-        """Forget a compilation whose program was read from disk instead."""
-        if event == _FROM_DISK:
-            self._close((threading.get_ident(), _BACKEND))
-
-    def _close(self, key: tuple[int, str]) -> None:
+    def _ends(self, event: str, *_: float, **__: Any) -> None:
+        """End what has begun, or a compilation whose program is read from disk."""
+        key = threading.get_ident(), _BACKEND if event == _FROM_DISK else event
         with self._lock:
             if key not in self._open:
                 return
@@ -169,9 +176,8 @@ class Display:
         # A console takes a file for a terminal where FORCE_COLOR is set.
         self._moves = self.console.is_interactive and file.isatty() and not quiet
         self.progress = Progress(
-            SpinnerColumn(),
+            BarColumn(bar_width=30),
             _UnderWay(self.compiling, begin),
-            _BarWhereCounted(bar_width=30),
             console=self.console,
             transient=True,
             disable=not self._moves,
@@ -216,7 +222,6 @@ class Display:
             self.line(text)
 
     def line(self, text: RenderableType = "") -> None:
-        """Print a line of the result."""
         self._said = time.monotonic()
         if isinstance(text, str):
             self.console.print(text, markup=False, highlight=False, soft_wrap=True)
@@ -224,7 +229,6 @@ class Display:
             self.console.print(text)
 
     def warning(self, text: str) -> None:
-        """Print a warning."""
         self.warnings.append(text)
         self.line(f"warning: {text}")
 
@@ -252,7 +256,6 @@ class Display:
         self.last = now
 
     def times(self) -> None:
-        """Print how long the parts took."""
         parts = ", ".join(f"{name} {s:.1f} s" for name, s in self.laps.items())
         self.note(f"Time: {parts}; {time.time() - self.begin:.1f} s in all.")
 
@@ -277,13 +280,6 @@ class _UnderWay(ProgressColumn):
         elapsed = timedelta(seconds=int(time.time() - self._begin))
         words = filter(None, [task.description, self._compiling.words()])
         return Text(f"{elapsed} {', '.join(words)}")
-
-
-class _BarWhereCounted(BarColumn):
-    """A bar where parts are counted, else nothing."""
-
-    def render(self, task: Task) -> Any:
-        return Text() if task.total is None else super().render(task)
 
 
 def silence() -> None:

@@ -31,6 +31,7 @@ from softcal_jax.cli._display import (
 from softcal_jax.cli._new import add_new, add_tags
 from softcal_jax.cli._shared import (
     INTERRUPTED,
+    OK,
     Stop,
     add_output,
     add_path,
@@ -40,8 +41,7 @@ from softcal_jax.cli._shared import (
 from softcal_jax.cli._sweep import add_sweep
 from softcal_jax.exchange.exporters import AbstractExporter, exporters
 
-_ABOUT = """\
-Calibrate the finite-element model of a soft robot from a few measured poses."""
+_ABOUT = "Calibrate the finite-element model of a soft robot from a few measured poses."
 
 _EXAMPLES = """\
 examples:
@@ -63,12 +63,9 @@ examples:
   softcal tags -o tags.pdf                tags to print and photograph
 
 exit codes:
-    0  done: what was asked for is written, the numbers are those of a converged solve,
-       and what to doubt about them is said last
+    0  done: the numbers are those of a converged solve
     1  not converged, no equilibrium, or a goal that is not met: do not use the values
-       as they are; what was found is written, marked as such, where the command says so
-    2  bad input: an argument, a file or what it says; nothing was solved or written,
-       unless the message says so
+    2  bad input; nothing was solved or written, unless the message says so
   130  interrupted by Ctrl-C or SIGTERM; the message says what stands
 """
 
@@ -94,18 +91,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     silence()
     asked = words[:1] == ["export"] or "--print-completion" in words
     args = _parser(exporters() if asked else {}).parse_args(words)
-    display = Display(
-        begin,
-        quiet=getattr(args, "quiet", False),
-        as_json=getattr(args, "json", False),
-    )
+    display = Display(begin, quiet=args.quiet, as_json=args.json)
     # What other packages print is no JSON.
     out = redirect_stdout(sys.stderr) if display.as_json else nullcontext()
     try:
         with sigterm_as_ctrl_c(), out, display:
             display.now("importing", log=False)
             with warnings_as_lines(display):
-                return args.run(args, display)
+                args.run(args, display)
+                return OK
     except Stop as stop:
         text, code = str(stop), stop.code
     except KeyboardInterrupt:
@@ -127,11 +121,7 @@ def _collect_rarely() -> None:
 
 
 def _parser(formats: Mapping[str, AbstractExporter]) -> argparse.ArgumentParser:
-    """Build the parser, with the formats of `softcal export`."""
-    raw = lambda prog: argparse.RawDescriptionHelpFormatter(prog, max_help_position=26)
-    parser = PlainParser(
-        "softcal", description=_ABOUT, epilog=_EXAMPLES, formatter_class=raw
-    )
+    parser = PlainParser("softcal", description=_ABOUT, epilog=_EXAMPLES)
     parser.add_argument(
         "--version", action="version", version=f"softcal {version('softcal-jax')}"
     )
@@ -151,13 +141,8 @@ def _parser(formats: Mapping[str, AbstractExporter]) -> argparse.ArgumentParser:
         "pneumatic arm, from three pressures; many minutes, and it needs "
         "softcal-jax[mocap].",
     )
-    beam.add_argument(
-        "robot",
-        nargs="?",
-        choices=["beam", "arm"],
-        default="beam",
-        help="which robot (default: beam)",
-    )
+    text, robots = "which robot (default: beam)", ["beam", "arm"]
+    beam.add_argument("robot", nargs="?", choices=robots, default="beam", help=text)
     where = "folder for the results"
     add_path(beam, "--output", "DIR", f"{where} (default: demo_results)")
     text = "write the demo's project file and data to DIR and stop"
@@ -195,7 +180,6 @@ the `std` of markers and effectors, and the axes of the markers.
 Candidates, [[candidates]] in the project file with the keys of [[configurations]], are
 ranked by what measuring them as well would add.""",
         epilog=_IDENTIFY,
-        formatter_class=raw,
     )
     outlook.set_defaults(run=identify)
     for command in (fit, forward, outlook):
@@ -205,12 +189,12 @@ ranked by what measuring them as well would add.""",
     for command in (beam, fit, forward, outlook):
         again = "replace earlier results in that folder"
         add_output(command, force=again, pictures=command is not outlook)
-    add_new(commands, raw)
-    add_check(commands, raw)
-    add_mesh(commands, raw)
-    add_compare(commands, raw)
-    add_inverse(commands, raw)
-    add_export(commands, raw, formats)
-    add_sweep(commands, raw)
-    add_tags(commands, raw)
+    add_new(commands)
+    add_check(commands)
+    add_mesh(commands)
+    add_compare(commands)
+    add_inverse(commands)
+    add_export(commands, formats)
+    add_sweep(commands)
+    add_tags(commands)
     return parser

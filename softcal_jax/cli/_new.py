@@ -1,12 +1,11 @@
 """`softcal new` and `softcal tags`: what a measurement begins with."""
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from softcal_jax.cli._display import Display
 from softcal_jax.cli._shared import (
-    OK,
     add_output,
     add_path,
     bad_input,
@@ -23,13 +22,10 @@ examples:
   softcal new finger --robot pneumatic-finger
   softcal new finger --model finger.step --size "3 mm" --markers poses.csv
   softcal new arm --model arm.msh --length-unit mm --markers 100mbar.c3d 200mbar.c3d
-
-exit codes: 0 written, 2 bad input
 """
 
 
-def new(args: argparse.Namespace, show: Display) -> int:
-    """Write a project folder for a ready-made robot, or for a model."""
+def new(args: argparse.Namespace, show: Display) -> None:
     from softcal_jax.project import guesses_left
 
     with bad_input():
@@ -49,7 +45,6 @@ def new(args: argparse.Namespace, show: Display) -> int:
             "measured": measured,
         }
     )
-    return OK
 
 
 def _ready_made(args: argparse.Namespace, show: Display) -> bool:
@@ -96,7 +91,6 @@ def _proposed(args: argparse.Namespace, show: Display) -> bool:
 
 
 def _found(found: "Findings") -> Iterator[str]:
-    """Say what a project was written from."""
     import numpy as np
 
     from softcal_jax.export import readable_values
@@ -125,14 +119,12 @@ def _found(found: "Findings") -> Iterator[str]:
         yield f"  {marker.name:<{width}}  {off if marker.distance else 'in it'}"
     if found.own_frame:
         yield (
-            "That is too far for markers on this robot: the recording has a frame of "
-            "its own. `softcal calibrate` runs once the file says where the markers "
-            "are on the robot, and the remarks at [shared.measured] are followed."
+            "That is too far: the recording has a frame of its own. Follow the remarks "
+            "at [markers] and [shared.measured]; `softcal calibrate` runs then."
         )
 
 
-def add_new(commands: "argparse._SubParsersAction", raw: Callable) -> None:
-    """Add the command to the parser."""
+def add_new(commands: "argparse._SubParsersAction") -> None:
     command = commands.add_parser(
         "new",
         help="a commented project that runs, for your robot or a ready-made one",
@@ -146,7 +138,6 @@ With --model, the project is for your own mesh or CAD model. Groups of the file 
 listed in it; the unit, what is held, loads and moduli are proposed where no file tells.
 Each such guess has a remark, to be changed or confirmed.""",
         epilog=_NEW,
-        formatter_class=raw,
     )
     add_path(command, "folder", "DIR", "the folder, which must not be there")
     source = command.add_mutually_exclusive_group(required=True)
@@ -178,13 +169,10 @@ _TAGS = """\
 examples:
   softcal tags -o tags.pdf
   softcal tags -o tags.pdf --size "35 mm" --count 4 --paper letter
-
-exit codes: 0 written, 2 bad input
 """
 
 
-def tags(args: argparse.Namespace, show: Display) -> int:
-    """Write a PDF with tags and a board."""
+def tags(args: argparse.Namespace, show: Display) -> None:
     from softcal_jax.exchange.camera import write_tags
 
     check_new(args.output, force=args.force)
@@ -198,17 +186,14 @@ def tags(args: argparse.Namespace, show: Display) -> int:
         f"Wrote tags {numbers[0]} to {numbers[-1]} of {1e3 * size:g} mm and the board "
         f"to {args.output}: {n} pages. Print them at 100 %."
     )
-    return OK
 
 
-def add_tags(commands: "argparse._SubParsersAction", raw: Callable) -> None:
-    """Add the command to those of the parser."""
+def add_tags(commands: "argparse._SubParsersAction") -> None:
     parser = commands.add_parser(
         "tags",
         help="print tags, which photographs then measure as a 6-D sensor does",
         description=_ABOUT_TAGS,
         epilog=_TAGS,
-        formatter_class=raw,
     )
     add_path(parser, "--output", "FILE.pdf", "the file", required=True)
     text = 'side of the black square of a tag (default: "20 mm")'

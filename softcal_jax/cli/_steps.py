@@ -7,11 +7,10 @@ import argparse
 import json
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from softcal_jax._places import cause
 from softcal_jax.cli._display import Display
 from softcal_jax.cli._shared import BAD_INPUT, INTERRUPTED, Stop, bad_input
 
@@ -20,27 +19,25 @@ if TYPE_CHECKING:
     from softcal_jax.fields import Parameter
     from softcal_jax.project import Project
 
-MOST_BY_NAME, MOST_IN_FIELD = 2, 4
-"""Most parameters that a step shows by name, and most values of one field."""
-
-Write = Callable[[Path, bool], Path]
-"""Writes results to a folder, over earlier ones if the flag is set."""
+MOST_IN_FIELD = 4
+"""Most values of one field that a step shows one by one."""
 
 
 def write_results(
-    write: Write, args: argparse.Namespace, show: Display, *, index: str, force: bool
+    write: Callable[..., Path], args: argparse.Namespace, show: Display, *, index: str
 ) -> None:
     """Write what is printed already, and say where it is, or print its `index`.
 
-    Where its folder cannot be written any more, as on a full disk, it goes to a
-    temporary one, and the command ends with a message.
+    `write` is a function of `report` that takes a folder, `force` and `timing_s`. Where
+    the folder cannot be written any more, as on a full disk, it goes to a temporary
+    one, and the command ends with a message.
     """
     show.now("writing results")
     with bad_input():
         try:
-            where = write(args.output, force)
+            where = write(args.output, force=args.force, timing_s=show.laps)
         except OSError as error:
-            more = f"{_elsewhere(write)} {checkpoint_stands(args)}".strip()
+            more = f"{_elsewhere(write, show)} {checkpoint_stands(args)}".strip()
             raise Stop(BAD_INPUT, f"error: {error}\n{more}") from error
     show.lap("results and pictures")
     if show.as_json:
@@ -59,20 +56,13 @@ def pictures_with_a_bar(args: argparse.Namespace, show: Display) -> dict[str, An
     return {"pictures": None if args.no_pictures else args.pictures, "told": told}
 
 
-def _elsewhere(write: Write) -> str:
+def _elsewhere(write: Callable[..., Path], show: Display) -> str:
     """Write results to a temporary folder, and say what became of them."""
-    second = None
     try:
         second = Path(tempfile.mkdtemp(prefix="softcal_"))
-        write(second, False)
+        write(second, timing_s=show.laps)
     except OSError as error:
-        if second is not None:
-            with suppress(OSError):
-                second.rmdir()
-        return (
-            f"Nor could they be written to {tempfile.gettempdir()} ({cause(error)}): "
-            "what was found is printed above."
-        )
+        return f"Nor could they be written elsewhere ({error}); they are printed above."
     return f"The results are in {second} instead: copy them before it is emptied."
 
 
@@ -156,22 +146,17 @@ def _values(parameters: "Sequence[Parameter]", values: Mapping[str, float]) -> s
 
     fields: dict[str, list[Parameter]] = {}
     for parameter in parameters:
-        at_points = len(parameters) > MOST_BY_NAME
         # What is not of the material, like the turn of a frame, sets no field.
-        key = (parameter.field if at_points else "") or parameter.name
-        fields.setdefault(key, []).append(parameter)
+        fields.setdefault(parameter.field or parameter.name, []).append(parameter)
     texts = []
-    for name, members in fields.items():
+    for field, members in fields.items():
+        name = field if len(members) > 1 else members[0].name
         own = [values[q.name] for q in members]
         factor, unit = readable_unit(own, members[0].unit)
-        shown = [_rounded(factor * value, unit) for value in own]
-        text = ", ".join(shown)
-        if len(shown) > MOST_IN_FIELD:
-            low, high = min(own), max(own)
-            text = f"{_rounded(factor * low, unit)} to {_rounded(factor * high, unit)}"
+        digits = ".2f" if unit else ".5g"
+        text = ", ".join(f"{factor * value:{digits}}" for value in own)
+        if len(own) > MOST_IN_FIELD:
+            low, high = factor * min(own), factor * max(own)
+            text = f"{low:{digits}} to {high:{digits}}"
         texts.append(f"{name} = {text} {unit}".rstrip())
-    return "; ".join(texts) if len(parameters) > MOST_BY_NAME else ", ".join(texts)
-
-
-def _rounded(value: float, unit: str) -> str:
-    return f"{value:.2f}" if unit else f"{value:.5g}"
+    return "; ".join(texts)

@@ -10,7 +10,6 @@ from softcal_jax.cli._shared import (
     BAD_INPUT,
     INTERRUPTED,
     NOT_CONVERGED,
-    OK,
     Display,
     Stop,
     add_output,
@@ -40,12 +39,8 @@ A sweep file names a project file and the axes of the sweep:
   "material.nu" = [0.3, 0.4]        # any key of the project file
 
 Each trial is a row of an SQLite file as soon as it has ended. A sweep that was stopped
-or killed goes on when the same command is given again.
-
-At the end, and when it is stopped, its page is written beside the database:
-sweep_report.html for sweep.sqlite.
-
-With --json each trial that ends is one line of JSON.
+or killed goes on when the same command is given again. Its page is written beside the
+database: sweep_report.html for sweep.sqlite.
 
 exit codes: 0 all trials converged, 1 some failed or did not converge, 2 bad input,
 130 interrupted: the rows so far stand
@@ -60,8 +55,7 @@ examples:
 """
 
 
-def sweep(args: argparse.Namespace, show: Display) -> int:
-    """Run a sweep file, or resume it."""
+def sweep(args: argparse.Namespace, show: Display) -> None:
     import jax
 
     from softcal_jax.report import check_sweep_page, write_sweep
@@ -73,10 +67,9 @@ def sweep(args: argparse.Namespace, show: Display) -> int:
     show.now(f"reading {args.sweep.name}")
     with bad_input():
         loaded = load_sweep(args.sweep)
-    show.lap("reading")
-    database = args.output or loaded.database
-    with bad_input():
+        database = args.output or loaded.database
         check_sweep_page(database)
+    show.lap("reading")
     try:
         with bad_input():
             result = loaded.run(
@@ -92,11 +85,7 @@ def sweep(args: argparse.Namespace, show: Display) -> int:
         with suppress(OSError, ValueError):  # of a disk that is full, or no database
             result = read_sweep(database)
             page = write_sweep(result, database, sweep=loaded, timing_s=show.laps)
-            text = (
-                f"interrupted: {len(result.rows)} of {len(loaded.points)} trials are "
-                f"in {database}; the same command goes on from there. Their page is "
-                f"{page}."
-            )
+            text += f" {len(result.rows)} of {len(loaded.points)} trials are in {page}."
         raise Stop(INTERRUPTED, text) from None
     except RuntimeError as error:
         raise Stop(BAD_INPUT, f"error: {error}") from error
@@ -110,9 +99,8 @@ def sweep(args: argparse.Namespace, show: Display) -> int:
     show.times()
     bad = len(result.rows) - len(result.of_state("converged"))
     if bad:
-        what = "trial" if bad == 1 else "trials"
-        raise Stop(NOT_CONVERGED, f"{bad} {what} failed or did not converge.")
-    return OK
+        text = f"{bad} of {len(result.rows)} trials failed or did not converge."
+        raise Stop(NOT_CONVERGED, text)
 
 
 def _progress_lines(show: Display) -> "Callable[[Progress], None]":
@@ -138,7 +126,6 @@ def _progress_lines(show: Display) -> "Callable[[Progress], None]":
 
 
 def _row_dict(row: "TrialRow") -> dict[str, Any]:
-    """Return a row as one line of JSON holds it."""
     keys = ("state", "reason", "notes", "seconds", "compile_seconds", "worker", "ended")
     more = {key: getattr(row, key) for key in keys}
     return {"point": dict(row.point), "figures": dict(row.figures), **more}
@@ -158,7 +145,7 @@ def _row_line(row: "TrialRow") -> str:
     return f"{row.state}: {point}: {shown} ({row.seconds:.1f} s)"
 
 
-def show_sweep(args: argparse.Namespace, show: Display) -> int:
+def show_sweep(args: argparse.Namespace, show: Display) -> None:
     """Tabulate a sweep, even while it runs, and plot it on request."""
     from softcal_jax.sweeps import plot_sweep, read_sweep, sweep_table, write_sweep_csv
 
@@ -173,18 +160,15 @@ def show_sweep(args: argparse.Namespace, show: Display) -> int:
         if args.plot is not None:
             plot_sweep(result, args.plot, **chosen)
             show.line(f"Picture in {args.plot}.")
-    return OK
 
 
-def add_sweep(commands: "argparse._SubParsersAction", raw: Callable) -> None:
-    """Add both commands to the parser."""
+def add_sweep(commands: "argparse._SubParsersAction") -> None:
     run = commands.add_parser(
         "sweep",
         help="many calibrations, side by side, that can be stopped and resumed",
         description="Calibrates a project over and over: other layouts of control "
         "points, starts, draws of noise, sets of configurations, or values of any key.",
         epilog=_SWEEP,
-        formatter_class=raw,
     )
     add_path(run, "sweep", "SWEEP.toml", "the sweep file")
     where = "database for the rows (default: SWEEP.sqlite, beside the sweep file)"
@@ -208,7 +192,6 @@ def add_sweep(commands: "argparse._SubParsersAction", raw: Callable) -> None:
         help="what a sweep has found, also while it runs",
         description="Tabulates the rows of a sweep, and draws them if asked to.",
         epilog=_SHOW,
-        formatter_class=raw,
     )
     add_path(table, "database", "SWEEP.sqlite", "the database of the sweep")
     for flag, metavar, what in (

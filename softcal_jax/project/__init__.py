@@ -1,11 +1,6 @@
 """Project files: a calibration as one text file of mesh, material, data, settings."""
 
-from softcal_jax.project._compare import compare_projects, projects_by_name
-from softcal_jax.project._goals import (
-    actuation_as_typed,
-    limits_as_typed,
-    with_goals_as_typed,
-)
+from softcal_jax.project._goals import inverse_as_typed
 from softcal_jax.project._load import load_mesh, load_project
 from softcal_jax.project._plausibility import (
     CHANGE,
@@ -14,11 +9,15 @@ from softcal_jax.project._plausibility import (
     guesses_left,
 )
 from softcal_jax.project._problems import ProjectError, at, one_by_one, suggestion
-from softcal_jax.project._project import Project
+from softcal_jax.project._project import Project, compare_projects, projects_by_name
 from softcal_jax.project._quantities import parse_in_si
-from softcal_jax.project._reading import read_schema
+from softcal_jax.project._reading import (
+    QuantityAsRead,
+    quantities_as_read,
+    read_schema,
+    read_toml,
+)
 from softcal_jax.project._table import Integer, Table
-from softcal_jax.project._toml import QuantityAsRead, quantities_as_read, read_toml
 
 __all__ = [
     "CHANGE",
@@ -29,11 +28,10 @@ __all__ = [
     "ProjectWarning",
     "QuantityAsRead",
     "Table",
-    "actuation_as_typed",
     "at",
     "compare_projects",
     "guesses_left",
-    "limits_as_typed",
+    "inverse_as_typed",
     "load_mesh",
     "load_project",
     "one_by_one",
@@ -43,5 +41,4 @@ __all__ = [
     "read_schema",
     "read_toml",
     "suggestion",
-    "with_goals_as_typed",
 ]

@@ -4,7 +4,7 @@ To add a load, write one table and list it in `AnyLoad`.
 """
 
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator
 
@@ -13,14 +13,12 @@ from softcal_jax.configurations import (
     Configuration,
     EdgeForce,
     PointForce,
-    Registration,
     Support,
     SurfaceForce,
     SurfaceTraction,
-    Traces,
 )
 from softcal_jax.equilibrium import Model
-from softcal_jax.project._effectors import Effectors, with_measured
+from softcal_jax.project._effectors import Effectors
 from softcal_jax.project._markers import (
     MarkersTable,
     MeasuredMarkers,
@@ -99,8 +97,6 @@ AnyLoad = Annotated[
 
 
 class GravityTable(Table):
-    """Gravity as size and direction."""
-
     size: AccelerationSize = Field(description='"9.81 m/s^2"')
     direction: Direction = Field(description='"-z", or [0, 0, -1]')
 
@@ -130,8 +126,6 @@ class CandidateTable(Table):
 
 
 class ConfigurationTable(CandidateTable):
-    """A configuration, measured or not."""
-
     role: Literal["calibration", "validation"] = "calibration"
     recording: str | None = None
     measured: MeasuredTable | None = None
@@ -147,12 +141,8 @@ class ConfigurationTable(CandidateTable):
         return None if value is False else value
 
 
-class Built(NamedTuple):
-    """A configuration, and the registration and recording of its measured markers."""
-
-    configuration: Configuration
-    registration: Registration | None
-    traces: Traces | None
+Posed = tuple[Configuration, MeasuredMarkers]
+"""A configuration, and how its markers were measured."""
 
 
 def build_configuration(
@@ -161,7 +151,7 @@ def build_configuration(
     project: WholeFile,
     model: Model,
     effectors: Effectors,
-) -> Built:
+) -> Posed:
     """Build a configuration or candidate, with what was measured.
 
     Relative paths start from `folder`, and `effectors` are without measured values.
@@ -176,7 +166,7 @@ def build_configuration(
         with under(f"loads[{i}]"):
             loads.append(load.build())
             loads[-1].nodal_forces(mesh)  # raises if there is no such place
-    own = table.measured if isinstance(table, ConfigurationTable) else None
+    own = getattr(table, "measured", None)
     seen = _markers_of(folder, table, own, project.markers)
     with under("effectors"):
         chosen = effectors if table.effectors is None else table.effectors
@@ -188,16 +178,15 @@ def build_configuration(
         )
     with under("bodies"):
         states = build_states(table.bodies, mechanism)
-    with under("measured.effectors"):
-        followed = with_measured(
-            {name: effectors[name] for name in chosen},
-            measured={} if own is None else own.effectors,
-            tables=project.effectors,
-            folder=folder,
-            model=model,
-        )
+    followed = {name: effectors[name] for name in chosen}
+    for name, value in ({} if own is None else own.effectors).items():
+        with under(f"measured.effectors.{name}"):
+            known_name("effector", name, followed, "[effectors]")
+            read = project.effectors[name].measured
+            followed[name] = read(followed[name], value, folder, model)
     reference = None if own is None else own.displacement_from
-    named = reference if isinstance(reference, str) else table.name
+    if not isinstance(reference, str) or reference == table.name:
+        reference = None
     configuration = Configuration(
         name=table.name,
         supports=supports,
@@ -205,14 +194,14 @@ def build_configuration(
         loads=loads,
         markers=seen.markers,
         measured=seen.positions,
-        effectors=followed,
+        effectors=tuple(followed.values()),
         bodies=states,
         actuation=actuation,
         recording=getattr(table, "recording", None),
-        displacement_from=None if named == table.name else named,
+        displacement_from=reference,
         relative_std=table.relative_std,
     )
-    return Built(configuration, seen.registration, seen.traces)
+    return configuration, seen
 
 
 def _markers_of(

@@ -1,6 +1,8 @@
-"""Tables of a project file that say where the fibres of each tet point."""
+"""Tables of a project file that say where the fibres of each tet point.
 
-from abc import abstractmethod
+Each computes the local axes of some tets, from which `theta` turns the fibre.
+"""
+
 from collections.abc import Callable
 from typing import Annotated, Literal
 
@@ -19,22 +21,7 @@ Frames = Float[HostArray, "n 3 3"]
 """Local axes of some tets, see `Fibre`."""
 
 
-class _DirectionsTable(Table):
-    """Fibre directions by a formula; `theta` turns the fibre from there."""
-
-    @abstractmethod
-    def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
-        """Compute the local axes of some tets."""
-
-
-class _AroundTable(_DirectionsTable):
-    axis: Direction = Field(description='direction of the axis: "z" or [0, 0, 1]')
-    through: Position = (0.0, 0.0, 0.0)
-
-
-class AlongTable(_DirectionsTable):
-    """Along an axis."""
-
+class AlongTable(Table):
     type: Literal["along"]
     axis: Direction = Field(description='direction of the fibres: "z" or [0, 0, 1]')
 
@@ -43,15 +30,13 @@ class AlongTable(_DirectionsTable):
         return frames_along(np.broadcast_to(np.asarray(self.axis), (len(tets), 3)))
 
 
-class HoopTable(_AroundTable):
-    """Around an axis."""
-
-    type: Literal["hoop"]
+class _AroundTable(Table):
+    axis: Direction = Field(description='direction of the axis: "z" or [0, 0, 1]')
+    through: Position = (0.0, 0.0, 0.0)
 
     def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
         del data
-        around = frames_around(mesh.centroids[tets], self.axis, self.through)
-        return around[:, [2, 1, 0]]
+        return frames_around(mesh.centroids[tets], self.axis, self.through)
 
 
 class HelixTable(_AroundTable):
@@ -59,13 +44,15 @@ class HelixTable(_AroundTable):
 
     type: Literal["helix"]
 
+
+class HoopTable(_AroundTable):
+    type: Literal["hoop"]
+
     def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
-        """Compute the directions along the axis, from which theta counts."""
-        del data
-        return frames_around(mesh.centroids[tets], self.axis, self.through)
+        return super().frames(mesh, tets, data)[:, [2, 1, 0]]
 
 
-class CellsTable(_DirectionsTable):
+class CellsTable(Table):
     """From an array of the mesh file, with a vector for each tet."""
 
     type: Literal["cells"]

@@ -26,7 +26,7 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project._problems import known_name, under
+from softcal_jax.project._problems import under
 from softcal_jax.project._quantities import (
     dimension_of,
     parse_scalar,
@@ -218,19 +218,3 @@ def build_effectors(
         with under(name):
             found[name] = table.build(name, mesh, mechanism)
     return found
-
-
-def with_measured(
-    effectors: Effectors,
-    measured: Mapping[str, Any],
-    tables: Mapping[str, EffectorTable],
-    folder: Path,
-    model: Model,
-) -> tuple[AbstractEffector, ...]:
-    """Add the measured values of a configuration, by effector, to its effectors."""
-    found = dict(effectors)
-    for name, value in measured.items():
-        with under(name):
-            known_name("effector", name, effectors, "[effectors]")
-            found[name] = tables[name].measured(effectors[name], value, folder, model)
-    return tuple(found.values())

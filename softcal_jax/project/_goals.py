@@ -19,7 +19,7 @@ from softcal_jax.configurations import (
 from softcal_jax.control import Limits
 from softcal_jax.project._effectors import EffectorTable, build_effectors
 from softcal_jax.project._mechanism import ActuatorTable
-from softcal_jax.project._problems import under
+from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._project import Project
 from softcal_jax.project._quantities import LENGTH, parse_vector
 from softcal_jax.project._reading import ProjectTable, read_tables
@@ -29,10 +29,15 @@ FREE = "-"
 """Stands for a coordinate of a marker without a goal: "(-, -, 3) mm"."""
 
 
-def with_goals_as_typed(
-    project: Project, configuration: Configuration, goals: Mapping[str, str]
-) -> Configuration:
-    """Give a configuration these goals, and no others.
+def inverse_as_typed(
+    project: Project,
+    configuration: Configuration,
+    *,
+    goals: Mapping[str, str],
+    starts: Mapping[str, str],
+    limits: Sequence[tuple[str, str]],
+) -> tuple[Configuration, dict[str, Limits]]:
+    """Read what inverse control is asked for, in the words of a project file.
 
     Args:
         project: The project.
@@ -41,14 +46,42 @@ def with_goals_as_typed(
             file has them: "(100, 10, 12) mm", "4 mm", "20 deg", or a pose,
             '{ position = "(100, 10, 12) mm", azimuth = "10 deg" }'. A marker may leave
             coordinates free, "(-, -, 12) mm".
+        starts: What is imposed on actuators at first: "20 kPa" or "2 ml".
+        limits: Actuators and their limits, like ("air", "0 kPa to 50 kPa"). The unit
+            tells whether force or displacement is limited; an actuator may have both.
+
+    Returns:
+        The configuration with these goals and no others, and with the actuators of
+        `starts` commanded as well; and the limits by actuator.
 
     Raises:
-        ValueError: If a name is unknown, a goal is no such value, or markers leave
-            different coordinates free; the text says what was expected.
+        ValueError: If a name is unknown, a value is not of the actuator or effector, or
+            markers leave different coordinates free; the text says what was expected.
     """
-    table, model = _tables(project), project.model
+    table = read_tables(project.path, project.source.changes)
+    posed = _with_goals(project, table, configuration, goals)
+    actuation: dict[str, Any] = {**posed.actuation}
+    for name, text in starts.items():
+        with under(f"start of {name!r}"):
+            known_name("actuator", name, table.actuators, "[actuators]")
+            actuation[name] = table.actuators[name].imposed(text)
+    ranges: dict[str, Limits] = {}
+    for name, text in limits:
+        with under(f"limit of {name!r}"):
+            known_name("actuator", name, table.actuators, "[actuators]")
+            limited = _limited(table.actuators[name], text)
+        ranges[name] = replace(ranges.get(name, Limits()), **limited)
+    return replace(posed, actuation=actuation), ranges
+
+
+def _with_goals(
+    project: Project,
+    table: ProjectTable,
+    configuration: Configuration,
+    goals: Mapping[str, str],
+) -> Configuration:
+    model, markers = project.model, configuration.markers
     effectors = build_effectors(table.effectors, model.mesh, model.mechanism)
-    markers = configuration.markers
     known = [*effectors, *(() if markers is None else markers.names)]
     aimed: list[AbstractEffector] = []
     places: dict[str, Float[HostArray, 3]] = {}
@@ -65,62 +98,22 @@ def with_goals_as_typed(
     return replace(_with_markers(configuration, places), effectors=tuple(aimed))
 
 
-def actuation_as_typed(project: Project, starts: Mapping[str, str]) -> dict[str, Any]:
-    """Parse what is imposed on actuators, by name: "20 kPa" or "2 ml".
-
-    Raises:
-        ValueError: If a name is unknown, or a value is not of the actuator.
-    """
-    imposed: dict[str, Any] = {}
-    for name, text in starts.items():
-        table = _actuator(project, name)
-        with under(f"start of {name!r}"):
-            imposed[name] = table.imposed(text)
-    return imposed
-
-
-def limits_as_typed(
-    project: Project, limits: Sequence[tuple[str, str]]
-) -> dict[str, Limits]:
-    """Parse limits of actuators, like ("air", "0 kPa to 50 kPa").
-
-    The unit tells whether its force or its displacement is limited; an actuator may
-    have both.
-
-    Raises:
-        ValueError: If a name is unknown, or a text is no two values of the actuator.
-    """
-    found: dict[str, Limits] = {}
-    for name, text in limits:
-        table = _actuator(project, name)
-        ends = re.split(r"\s+to\s+", text.strip())
-        with under(f"limit of {name!r}"):
-            if len(ends) != 2:
-                raise ValueError(
-                    f"got {text!r}; expected the lowest and the highest value with "
-                    'their units, like "0 N to 5 N".'
-                )
-            low, high = map(table.imposed, ends)
-            if type(low) is not type(high):
-                raise ValueError(
-                    f"{ends[0]!r} and {ends[1]!r} are of different kinds; expected "
-                    "both in units of its force, or of its displacement."
-                )
-        key = "force" if isinstance(low, ImposedForce) else "displacement"
-        limited = found.get(name, Limits())
-        found[name] = replace(limited, **{key: (low.value, high.value)})
-    return found
-
-
-def _tables(project: Project) -> ProjectTable:
-    return read_tables(project.path, project.source.changes)
-
-
-def _actuator(project: Project, name: str) -> ActuatorTable:
-    known = _tables(project).actuators
-    if name not in known:
-        raise unknown_name("actuator", name, known)
-    return known[name]
+def _limited(actuator: ActuatorTable, text: str) -> dict[str, tuple[float, float]]:
+    """Parse limits, and tell by their unit what of an actuator they limit."""
+    ends = re.split(r"\s+to\s+", text.strip())
+    if len(ends) != 2:
+        raise ValueError(
+            f"got {text!r}; expected the lowest and the highest value with their "
+            'units, like "0 N to 5 N".'
+        )
+    low, high = map(actuator.imposed, ends)
+    if type(low) is not type(high):
+        raise ValueError(
+            f"{ends[0]!r} and {ends[1]!r} are of different kinds; expected both in "
+            "units of its force, or of its displacement."
+        )
+    key = "force" if isinstance(low, ImposedForce) else "displacement"
+    return {key: (low.value, high.value)}
 
 
 def _value(text: str) -> Any:

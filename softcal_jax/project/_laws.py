@@ -7,13 +7,13 @@ point in the group "softcal_jax.laws". A file beside the project is never import
 import dataclasses
 import functools
 import typing
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from importlib.metadata import EntryPoints, entry_points
-from typing import Any, ClassVar, Literal, NamedTuple, Optional
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import numpy as np
-from pydantic import Field, create_model
+from pydantic import BeforeValidator, Field, create_model
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.materials import (
@@ -23,12 +23,21 @@ from softcal_jax.materials import (
     AbstractLaw,
     Fibre,
     Isotropic,
+    constant,
 )
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project._constants import DENSITY, Constant
 from softcal_jax.project._directions import AnyDirections, TetData
 from softcal_jax.project._problems import under
-from softcal_jax.project._table import Density, Flag, Table, Undecided, undecided
+from softcal_jax.project._quantities import Size, dimension_of, scalar
+from softcal_jax.project._table import (
+    Density,
+    Flag,
+    Number,
+    Table,
+    as_table,
+    wrong_choice,
+    wrong_key,
+)
 
 GROUP = "softcal_jax.laws"
 """Group of the entry points by which installed packages offer laws."""
@@ -37,22 +46,51 @@ GROUP = "softcal_jax.laws"
 _FRAME = "directions"
 """Key of the formula for the directions of fibres."""
 
-_DIRECTIONS: Any = Optional[AnyDirections]  # noqa: UP045 (`|` takes no Annotated)
+
+class Constant(NamedTuple):
+    """A constant of a material, as its law declares it.
+
+    Attributes:
+        unit: SI unit, as results name it.
+        words: What it is, with an example.
+        within: Open interval in which the bounds of a parameter must lie.
+        may_vanish: Whether the constant itself may be 0 too.
+    """
+
+    unit: str
+    words: str
+    within: tuple[float, float]
+    may_vanish: bool
+
+    @property
+    def is_angle(self) -> bool:
+        return self.unit == "rad"
+
+    @property
+    def scale(self) -> Literal["log", "linear"]:
+        """Default scale: moduli are positive, so that their steps are ratios."""
+        signed = self.within[0] < 0.0
+        return "linear" if self.unit in ("", "rad") or signed else "log"
+
+    @property
+    def type(self) -> Any:
+        if not self.unit:
+            return Number
+        size: Size = "not negative" if self.may_vanish else "positive"
+        if self.within[0] < 0.0:
+            size = "finite"
+        return Annotated[float, BeforeValidator(scalar(dimension_of(self.unit), size))]
+
+
+DENSITY = Constant(**constant("kg/m3", 'mass density: "1070 kg/m^3"', may_vanish=True))
 
 
 class _OfLaw(Table):
-    """Constants of a law, and its density; messages use `choice` and `listed`."""
-
-    choice: ClassVar[str]
-    constants: ClassVar[Mapping[str, Constant]]
-    listed: ClassVar[str]
-
     @classmethod
-    def foreign(cls, key: str) -> str | None:
-        """Say which laws have a key that this one lacks; None if there are none."""
+    def foreign(cls, key: str) -> str:
+        """Say which laws have a key that this one lacks; empty if there are none."""
         owners = " or ".join(_owners(key))
-        this = f"This is {cls.choice}, which has {cls.listed}."
-        return f"{key} belongs to {owners}. {this}" if owners else None
+        return f" {key} belongs to {owners}." if owners else ""
 
 
 class Material(_OfLaw):
@@ -62,6 +100,7 @@ class Material(_OfLaw):
     """
 
     makes: ClassVar[Callable[[Callable[[str], Any]], AbstractLaw]]
+    constants: ClassVar[Mapping[str, Constant]]
 
     law: str
     density: Density = Field(description=DENSITY.words)
@@ -124,32 +163,26 @@ class Material(_OfLaw):
         return frames
 
 
-class _Undecided(Material, Undecided):
-    density: Any = None
-
-
 def material_table(raw: Any) -> type[Material]:
     """Build the schema of [material], read as `raw`, for the law that it names.
 
-    For an unknown law it is one whose error lists the known names.
+    Raises:
+        ValueError: If there is no such law; the text lists those that there are.
     """
-    named = raw if isinstance(raw, dict) else {}
-    # Anything else than a text is no name: the schema says so.
-    law = str(named.get("law"))
-    found = LAWS.get(law)
-    if found is None:
+    named = as_table(raw)
+    name = str(named.get("law"))
+    law = LAWS.get(name)
+    if law is None:
         plug_ins = entry_points(group=GROUP)
-        if law not in plug_ins.names:
-            return _undecided("law", {**LAWS, **dict.fromkeys(sorted(plug_ins.names))})
-        found = _plug_in(law, plug_ins.select(name=law))
-    part = _part_of(found)
-    aimed = _is_aimed(named)
-    if part is None:
-        return _table(law, found, "", aimed)
-    choice = str(named.get(part.key, part.default))
-    if choice not in part.known:
-        return _undecided(part.key, part.known)
-    return _table(law, found, choice, aimed)
+        if name not in plug_ins.names:
+            known = dict.fromkeys([*LAWS, *sorted(plug_ins.names)])
+            raise wrong_choice("law", named, known)
+        law = _plug_in(name, plug_ins.select(name=name))
+    part = _part_of(law)
+    choice = "" if part is None else str(named.get(part.key, part.default))
+    if part is not None and choice not in part.known:
+        raise wrong_choice(part.key, named, part.known)
+    return _table(law, choice, _is_aimed(named))
 
 
 def _is_aimed(named: dict[str, Any]) -> bool:
@@ -161,50 +194,32 @@ def _is_aimed(named: dict[str, Any]) -> bool:
     return bool(kinds) and "helix" not in kinds
 
 
-def _undecided(key: str, names: Iterable[str]) -> type[Material]:
-    table: Any = undecided(key, tuple(names), _Undecided)
-    table.constants = {"density": DENSITY}
-    for kind in _choices().values():
-        table.constants |= _constants(kind, None)
-    return table
-
-
 @functools.cache
-def _table(
-    name: str, law: type[AbstractLaw], choice: str, aimed: bool
-) -> type[Material]:
+def _table(law: type[AbstractLaw], choice: str, aimed: bool) -> type[Material]:
     """Build the schema of a law, with the choice of its part, and of its regions.
 
     `aimed` fibres have a direction without an angle, which is 0 by default.
     """
     part = _part_of(law)
-    words, chosen = f'law = "{name}"', None
-    own: dict[str, Any] = {"law": (Literal[name], ...)}
-    if part is not None:
-        words += f' with {part.key} = "{choice}"'
-        own[part.key] = (Literal[choice], choice)
-        chosen = part.known[choice]
-    constants, recipe = _constants(law, chosen), _recipe(law, chosen)
-    for key, (field, hint) in recipe.keys.items():
-        kind = constants[key].type if key in constants else hint
+    recipe = _recipe(law, None if part is None else part.known[choice])
+    own: dict[str, Any] = {} if part is None else {part.key: (str, choice)}
+    constants: dict[str, Constant] = {}
+    for key, (field, kind) in recipe.keys.items():
         default = ... if field.default is dataclasses.MISSING else field.default
-        if key in constants and default is None:
-            kind = kind | None
+        if "unit" in field.metadata:
+            constants[key] = Constant(*(field.metadata[k] for k in Constant._fields))
+            kind = constants[key].type
         if key == "theta" and aimed:
             default = 0.0
-        description = field.metadata.get("words")
-        own[key] = (kind, Field(default, description=description))
-    listed = ", ".join(recipe.keys)
+        own[key] = (kind, Field(default, description=field.metadata.get("words")))
     constants["density"] = DENSITY
-    others: dict[str, Any] = {k: (c.type | None, None) for k, c in constants.items()}
+    others: dict[str, Any] = {k: (c.type, None) for k, c in constants.items()}
     if _FRAME in recipe.keys:
-        others[_FRAME] = (_DIRECTIONS, None)
+        others[_FRAME] = (AnyDirections, None)
     region = create_model("Region", __base__=_OfLaw, **others)
     own["regions"] = (dict[str, region], Field(default_factory=dict))
     table = create_model("Material", __base__=Material, **own)
-    for made in (region, table):
-        made.choice, made.constants, made.listed = words, constants, listed
-    table.makes = recipe.make
+    table.makes, table.constants = recipe.make, constants
     return table
 
 
@@ -269,7 +284,7 @@ def _recipe(kind: type[eqx.Module], chosen: type[eqx.Module] | None) -> _Recipe:
             keys |= part.keys
             arguments[field.name] = part.make
         elif key == _FRAME:
-            keys[key] = (field, _DIRECTIONS)
+            keys[key] = (field, AnyDirections)
             arguments[field.name] = lambda value: value(_FRAME)
         elif "unit" in field.metadata or field.metadata.get("static"):
             keys[key] = (field, Flag if hint is bool else hint)
@@ -282,44 +297,26 @@ def _recipe(kind: type[eqx.Module], chosen: type[eqx.Module] | None) -> _Recipe:
     return _Recipe(keys, lambda v: kind(**{k: get(v) for k, get in arguments.items()}))
 
 
-def _constants(
-    kind: type[eqx.Module], chosen: type[eqx.Module] | None
-) -> dict[str, Constant]:
-    return {
-        key: Constant(*(field.metadata[k] for k in Constant._fields))
-        for key, (field, _) in _recipe(kind, chosen).keys.items()
-        if "unit" in field.metadata
-    }
-
-
-def _choices() -> dict[str, type[eqx.Module]]:
-    """Return elasticities and laws by their choice in a file."""
-    kinds = {"elasticity": ELASTICITIES, "law": LAWS}
-    return {
-        f'{key} = "{name}"': kind
-        for key, own in kinds.items()
-        for name, kind in own.items()
-    }
-
-
 def _owners(key: str) -> list[str]:
     """List what has a key, as a file chooses it; empty for keys that all have."""
-    parts = {name: _part_of(law) for name, law in LAWS.items()}
-    owners = [
-        f'law = "{name}"' for name, part in parts.items() if part and part.key == key
-    ]
-    return owners or [
-        choice for choice, kind in _choices().items() if key in _recipe(kind, None).keys
-    ]
+    owners = []
+    for name, kind in ELASTICITIES.items():
+        if key in _recipe(kind, None).keys:
+            owners.append(f'elasticity = "{name}"')
+    for name, law in LAWS.items():
+        part = _part_of(law)
+        if key in _recipe(law, None).keys or (part and part.key == key):
+            owners.append(f'law = "{name}"')
+    return owners
 
 
 def _plug_in(name: str, found: EntryPoints) -> type[AbstractLaw]:
-    """Load the law of an installed package."""
     packages = [entry.dist.name if entry.dist else entry.value for entry in found]
     if len(packages) > 1:
-        raise ValueError(
+        raise wrong_key(
+            "law",
             f'the packages {" and ".join(packages)} both have a law "{name}"; '
-            "uninstall one of them."
+            "uninstall one of them.",
         )
     (entry,) = found
     try:
@@ -330,8 +327,9 @@ def _plug_in(name: str, found: EntryPoints) -> type[AbstractLaw]:
             )
         _recipe(law, Isotropic)
     except Exception as error:  # a foreign module may raise anything
-        raise ValueError(
+        raise wrong_key(
+            "law",
             f'the law "{name}" of the package {packages[0]} ({entry.value}) cannot be '
-            f"loaded: {type(error).__name__}: {error}. Update or uninstall the package."
+            f"loaded: {type(error).__name__}: {error}. Update or uninstall it.",
         ) from error
     return law

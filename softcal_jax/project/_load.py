@@ -13,9 +13,9 @@ from softcal_jax.bodies import RigidBody
 from softcal_jax.calibration import CalibrationSettings, ProjectSource
 from softcal_jax.configurations import build_mechanism, configuration_arrays
 from softcal_jax.equilibrium import Model, NewtonSettings, build_model
-from softcal_jax.fields import check_parameters
+from softcal_jax.fields import Uncertain, check_parameters
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project._configurations import Built, build_configuration
+from softcal_jax.project._configurations import Posed, build_configuration
 from softcal_jax.project._effectors import build_effectors
 from softcal_jax.project._parameters import build_space
 from softcal_jax.project._plausibility import (
@@ -29,7 +29,7 @@ from softcal_jax.project._project import Project
 from softcal_jax.project._reading import (
     MeshTables,
     ProjectTable,
-    read_mesh_tables,
+    read_schema,
     read_tables,
 )
 from softcal_jax.project._sensors import PhotosTable
@@ -83,7 +83,7 @@ def load_mesh(path: str | os.PathLike[str]) -> TetMesh:
         ProjectError: If anything in [mesh] or [groups] is wrong.
     """
     path = Path(path)
-    table = read_mesh_tables(path)
+    table = read_schema(path, MeshTables, "project file")
     with in_file(path):
         return _mesh(path.parent, table)
 
@@ -115,12 +115,9 @@ def _built(
             check_parameters(model, space)
             start = {q.name: q.start for q in space.parameters}
             model, _ = space.with_values(model, None, start)
-    found = _configurations(path.parent, table, model)
-    posed = found["configurations"]
+    posed, candidates = _configurations(path.parent, table, model)
     with_role = list(zip(posed, table.configurations, strict=True))
-    of_role = lambda role: tuple(
-        built.configuration for built, own in with_role if own.role == role
-    )
+    of_role = lambda role: tuple(c for (c, _), own in with_role if own.role == role)
     own = {"noise", "starts", "seed", "precision"}
     with under("settings"):
         others = own | {"intervals"}
@@ -136,27 +133,30 @@ def _built(
         space=space,
         calibration=of_role("calibration"),
         validation=of_role("validation"),
-        candidates=tuple(built.configuration for built in found["candidates"]),
+        candidates=tuple(c for c, _ in candidates),
         **table.settings.model_dump(include=own),
         intervals=table.settings.intervals or None,
-        uncertain=table.uncertain.build(),
+        uncertain=Uncertain(**table.uncertain.model_dump()),
         settings=settings,
         newton=newton,
         source=ProjectSource.of(path, _files(path, table), changes),
-        registrations={c.name: fit for c, fit, _ in posed if fit is not None},
-        traces={c.name: own for c, _, own in posed if own is not None},
+        registrations={
+            c.name: seen.registration for c, seen in posed if seen.registration
+        },
+        traces={c.name: seen.traces for c, seen in posed if seen.traces},
     )
 
 
 def _model(folder: Path, table: ProjectTable, solver: str | None) -> Model:
-    """Build the model: mesh, law, rigid bodies and actuators."""
     mesh = _mesh(folder, table)
     bodies, actuators = _parts(table, mesh)
     with under("material"):
+        density = table.material.values("density", mesh)
+        assert density is not None  # which every law has
         return build_model(
             mesh,
             table.material.build(mesh, partial(table.mesh.tet_data, folder)),
-            density=table.material.values("density", mesh),
+            density=density,
             bodies=bodies,
             actuators=actuators,
             formulation=table.material.formulation,
@@ -198,32 +198,30 @@ def _parts(
 
 def _configurations(
     folder: Path, table: ProjectTable, model: Model
-) -> dict[str, list[Built]]:
-    """Build the configurations and the candidates, by their keys."""
+) -> tuple[list[Posed], list[Posed]]:
     with under("effectors"):
         effectors = build_effectors(table.effectors, model.mesh, model.mechanism)
-    found: dict[str, list[Built]] = {"configurations": [], "candidates": []}
-    for key, built in found.items():
+    posed: dict[str, list[Posed]] = {"configurations": [], "candidates": []}
+    for key, built in posed.items():
         for own in getattr(table, key):
             with under(f"{key}.{own.name}"):
                 built.append(build_configuration(folder, own, table, model, effectors))
-    for key, built in found.items():
         with under(key):
             if built:
-                posed = [own.configuration for own in built]
-                configuration_arrays(model.mesh, posed, model.mechanism)
+                every = [configuration for configuration, _ in built]
+                configuration_arrays(model.mesh, every, model.mechanism)
     names = {own.name for own in table.configurations}
-    with under("candidates"):
-        for name in (own.name for own in table.candidates if own.name in names):
-            raise ValueError(
-                f"{name!r} is a configuration already; give the candidate a name of "
-                "its own."
-            )
-    return found
+    for own in table.candidates:
+        if own.name in names:
+            with under("candidates"):
+                raise ValueError(
+                    f"{own.name!r} is a configuration already; give the candidate a "
+                    "name of its own."
+                )
+    return posed["configurations"], posed["candidates"]
 
 
 def _files(path: Path, table: ProjectTable) -> list[Path]:
-    """List the files that a project file names."""
     measured = [c.measured for c in table.configurations if c.measured is not None]
     readings = [own for m in measured for own in (m, *m.effectors.values())]
     files = dict.fromkeys(getattr(own, "file", None) for own in readings)

@@ -70,7 +70,6 @@ class WindowTable(Table):
         return self
 
     def of(self, recording: Recording) -> MarkerTable:
-        """Average a recording over the window."""
         after = self.model_dump(include={"after_step_of", "after_event"})
         if self.between is not None:
             return recording.between(*self.between, **after)
@@ -81,24 +80,19 @@ class WindowTable(Table):
         return recording.at(self.at, **width, **after)
 
 
-def _is_window(value: object) -> bool:
+def _which(value: Any, kinds: Sequence[Any]) -> Any:
     """Tell a window from values of columns: one may be named like a key of it."""
-    if not isinstance(value, dict) or not {*_KINDS} & {*value}:
-        return False
-    return isinstance(value.get("between"), list) or {*value} <= {
-        *WindowTable.model_fields
-    }
+    if isinstance(value, dict) and {*_KINDS} & {*value}:
+        others = {*value} - {*WindowTable.model_fields}
+        if not others or isinstance(value.get("between"), list):
+            return WindowTable
+    return kinds[-1] if isinstance(value, str) else Selection
 
 
-Which = Annotated[
-    WindowTable | Selection,
-    Choice(lambda value, kinds: kinds[0 if _is_window(value) else 1]),
-]
+Which = Annotated[WindowTable | Selection, Choice(_which)]
 """What is taken of a file: a window of a recording, or rows of a table."""
 
-WhichOrName = Annotated[
-    Which | str, Choice(lambda value, kinds: kinds[1 if isinstance(value, str) else 0])
-]
+WhichOrName = Annotated[WindowTable | Selection | str, Choice(_which)]
 
 
 class MarkerEntry(Table):
@@ -124,25 +118,26 @@ class MarkersTable(Table):
         names = tuple(self.positions) if names is None else tuple(names)
         if not names:
             raise ValueError("the list of markers is empty; leave it out to use all.")
-        stds = [self._entry(name).std or self.std or STD for name in names]
+        positions = self.positions_of(names)
+        entries = [self.positions[name] for name in names]
+        stds = [getattr(own, "std", None) or self.std or STD for own in entries]
         stated = {} if all(std is STD for std in stds) else {"std": np.array(stds)}
         return Markers(
             names=names,
-            positions=self.positions_of(names),
+            positions=positions,
             **stated,
             **self.model_dump(include={"axes", "max_distance", "base_radius"}),
         )
 
     def positions_of(self, names: Sequence[str]) -> Float[HostArray, "n_markers 3"]:
         """Return positions of some markers at rest [m]."""
-        entries = map(self._entry, names)
-        return np.array([entry.position for entry in entries], float).reshape(-1, 3)
-
-    def _entry(self, name: str) -> MarkerEntry:
-        known_name("marker", name, self.positions, "[markers.positions]")
-        own = self.positions[name]
-        full = isinstance(own, MarkerEntry)
-        return own if full else MarkerEntry.model_construct(position=own)
+        for name in names:
+            known_name("marker", name, self.positions, "[markers.positions]")
+        entries = [self.positions[name] for name in names]
+        places = [
+            own.position if isinstance(own, MarkerEntry) else own for own in entries
+        ]
+        return np.array(places, float).reshape(-1, 3)
 
 
 class RegistrationTable(Table):
@@ -214,7 +209,6 @@ class MeasuredTable(DialectTable):
         return {k: w for k, w in every.items() if isinstance(w, WindowTable | dict)}
 
     def _read_rows(self, path: Path, key: str, select: Any) -> MarkerTable:
-        """Read the rows that a key of this table selects."""
         try:
             return read_markers(path, select=self.recording | select, **self.dialect)
         except ValueError as error:
@@ -228,13 +222,13 @@ class MeasuredTable(DialectTable):
     def _read_recording(self, path: Path, needed: Sequence[str]) -> Recording:
         """Read a recording, with markers under the names that the project has."""
         recording = read_recording(path, **self.dialect)
-        there = {
+        labels = {
             name: label
             for name, label in self.labels.items()
             if label in recording.names or name in needed
         }
         with under("labels"):
-            return recording.renamed(there)
+            return recording.renamed(labels)
 
     def build(
         self, folder: Path, nominal: MarkersTable, markers: Markers

@@ -91,8 +91,6 @@ class BodyTable(Table):
 
 
 class BodyStateTable(MotionTable):
-    """State of a rigid body in one configuration."""
-
     state: Literal["held", "hinged", "free"] = "held"
 
 
@@ -102,7 +100,6 @@ State = TableOr[BodyStateTable, Literal["held", "hinged", "free"]]
 def build_states(
     table: Mapping[str, Any], mechanism: Mechanism
 ) -> dict[str, BodyState | Pose | str]:
-    """Build the states of rigid bodies, by their names."""
     states: dict[str, BodyState | Pose | str] = {}
     for body, own in table.items():
         with under(body):
@@ -226,7 +223,6 @@ def build_actuation(
     mechanism: Mechanism,
     name: str,
 ) -> dict[str, ImposedForce | ImposedDisplacement]:
-    """Parse the forces and displacements that a configuration imposes, by actuator."""
     imposed: dict[str, ImposedForce | ImposedDisplacement] = {}
     for actuator, value in asked.items():
         with under(actuator):

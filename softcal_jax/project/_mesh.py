@@ -58,7 +58,6 @@ class _MeshTable(Table):
         """Make the mesh; paths are relative to `folder`."""
 
     def files(self, folder: Path) -> tuple[Path, ...]:
-        """List the files that it is made of."""
         del folder
         return ()
 
@@ -99,12 +98,8 @@ class CadMeshTable(_MeshTable):
     length_unit: LengthUnit | None = None
 
     def build(self, folder: Path) -> TetMesh:
-        return mesh_cad(
-            folder / self.file,
-            size=self.size,
-            length_unit=self.length_unit,
-            order=self.order,
-        )
+        options = self.model_dump(include={"size", "length_unit"})
+        return mesh_cad(folder / self.file, order=self.order, **options)
 
     def files(self, folder: Path) -> tuple[Path, ...]:
         return (folder / self.file,)

@@ -14,7 +14,7 @@ from softcal_jax.fields import (
     ParameterSpace,
     check_names,
 )
-from softcal_jax.project._constants import Constant
+from softcal_jax.project._laws import Constant
 from softcal_jax.project._problems import known_name, one_of, under
 from softcal_jax.project._quantities import is_number, parse_in_si, shown
 from softcal_jax.project._table import (
@@ -63,7 +63,8 @@ class ControlPointsTable(Table):
 class ParameterTable(Table):
     """One unknown constant of the material, or one per control point.
 
-    The validation context is the schema of the material, which has its constants.
+    The validation context is the schema of the material, which has its constants, or
+    None if there is no such law.
     """
 
     field: str = Field(description='a constant of the material, like "E" or "density"')
@@ -92,28 +93,27 @@ class ParameterTable(Table):
     @classmethod
     def _check_field(cls, value: str, info: Any) -> str:
         material = info.context
-        if value not in material.constants:
+        if material is not None and value not in material.constants:
             known = one_of(value, material.constants)
-            unknown = f"got {shown(value)}; expected {known}"
-            raise ValueError(material.foreign(value) or unknown)
+            elsewhere = material.foreign(value)
+            raise ValueError(f"got {shown(value)}; expected {known}{elsewhere}")
         return value
 
     @field_validator("lower", "upper", "start", "S", "fixed", mode="before")
     @classmethod
     def _parse(cls, value: Any, info: Any) -> Any:
         # `field` is validated first, so it is known here unless it is wrong itself.
-        constant, fixed = _constant(info), info.field_name == "fixed"
-        if fixed and not isinstance(value, dict):
-            return value  # which is no table
-        if constant is None:
-            return {} if fixed else 0.0
+        constant = _constant(info)
+        parsed = lambda own: (
+            0.0 if constant is None else parse_in_si(own, constant.unit)
+        )
         if not isinstance(value, dict):
-            return parse_in_si(value, constant.unit)
-        found = {}
+            return value if info.field_name == "fixed" else parsed(value)
+        values = {}
         for name, own in value.items():
             with under(name):
-                found[name] = parse_in_si(own, constant.unit)
-        return found
+                values[name] = parsed(own)
+        return values
 
     @field_validator("prior_std", mode="before")
     @classmethod
@@ -189,8 +189,6 @@ class ParameterTable(Table):
 
 
 class ParameterSpaceTable(Table):
-    """Constraints between parameters."""
-
     order: tuple[tuple[str, str], ...] = ()
     axes: tuple[tuple[str, str, str], ...] = ()
 
@@ -217,8 +215,9 @@ def build_space(table: WholeFile) -> ParameterSpace | None:
 
 
 def _constant(info: Any) -> Constant | None:
-    """Return the constant of a parameter; None if its field is wrong itself."""
-    return info.context.constants.get(info.data.get("field"))
+    """Return the constant of a parameter; None if its field or the law is wrong."""
+    material = info.context
+    return None if material is None else material.constants.get(info.data.get("field"))
 
 
 def _each(

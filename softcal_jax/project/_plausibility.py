@@ -119,9 +119,8 @@ class Guess(NamedTuple):
 def guesses_left(path: str | os.PathLike[str]) -> tuple[Guess, ...]:
     """List the lines of a project file that still have the remark of a guess."""
     lines = Path(path).read_text(encoding="utf-8").splitlines()
-    found = ((n, _GUESS.match(line)) for n, line in enumerate(lines, start=1))
     return tuple(
         Guess(n, match["text"].strip(), match["remark"].strip())
-        for n, match in found
-        if match
+        for n, line in enumerate(lines, start=1)
+        if (match := _GUESS.match(line))
     )

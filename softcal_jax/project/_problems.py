@@ -26,9 +26,7 @@ _EXPECTED = {
     "tuple_type": "a list in [ ]",
     "dict_type": "a table",
     "model_type": "a table",
-    "model_attributes_type": "a table",
 }
-
 
 MOST_PROBLEMS = 30
 """Problems of a file that are listed; a file with more is not meant as one of ours."""
@@ -55,7 +53,6 @@ class WrongKeyError(ValueError):
     """Something is wrong at a key, relative to the table being read."""
 
     def __init__(self, key: str, problem: object):
-        """Join key and problem in the message."""
         super().__init__(f"{key}: {problem}")
         self.key, self.problem = key, problem
 
@@ -138,13 +135,10 @@ def known_here(name: str, known: Iterable[str], words: str = "Known") -> str:
 def known_name(kind: str, name: str, known: Iterable[str], section: str) -> None:
     """Raise ValueError unless a name is known; `section` says where they stand."""
     known = list(known)
-    if name in known:
-        return
-    if not known:
-        raise ValueError(
-            f'there is no {kind} "{name}"; the project has none: add one to {section}.'
-        )
-    raise ValueError(f'there is no {kind} "{name}".{known_here(name, known)}')
+    if name not in known:
+        none = f" The project has none: add one to {section}."
+        hint = known_here(name, known) if known else none
+        raise ValueError(f'there is no {kind} "{name}".{hint}')
 
 
 def key_path(keys: tuple[str | int, ...], raw: dict[str, Any]) -> str:

@@ -1,8 +1,8 @@
-"""A project: a file that was read and checked, ready to run."""
+"""Projects: files that were read and checked, ready to run, and their comparison."""
 
 import dataclasses
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -15,6 +15,7 @@ from softcal_jax.calibration import (
     HistoryEntry,
     ProjectSource,
     SearchProgress,
+    build_problem,
     calibrate,
     equilibria,
     reports_of,
@@ -33,7 +34,10 @@ from softcal_jax.identifiability import (
     identify,
     rank_configurations,
 )
-from softcal_jax.project._problems import ProjectError, one_by_one
+from softcal_jax.layouts import ModelComparison, compare_models
+from softcal_jax.project._problems import ProjectError, in_file, one_by_one, under
+
+_NO_PARAMETERS = "parameters: nothing to calibrate; add [[parameters]]."
 
 
 class Project(Module):
@@ -103,13 +107,8 @@ class Project(Module):
         return () if self.space is None else self.space.parameters
 
     def check_calibration(self) -> None:
-        """Check that there are parameters to calibrate and data to fit.
-
-        Raises:
-            ProjectError: If parameters, fitted configurations or measurements are
-                missing.
-        """
-        problems = self._no_parameters()
+        """Raise ProjectError without parameters, or without data to fit them to."""
+        problems = [] if self.space else [_NO_PARAMETERS]
         if not self.calibration:
             problems.append(
                 'configurations: none has role = "calibration", so there is nothing '
@@ -122,10 +121,6 @@ class Project(Module):
         ]
         if problems:
             raise one_by_one(self.path, problems)
-
-    def _no_parameters(self) -> list[str]:
-        missing = "parameters: nothing to calibrate; add [[parameters]]."
-        return [missing] if self.space is None else []
 
     def calibrate(
         self,
@@ -140,15 +135,9 @@ class Project(Module):
         """Find the parameters, then predict the validation configurations.
 
         `converged` of the result says whether lambda_p vanished, and its notes how well
-        the camera frames were registered.
-
-        Args:
-            start: Scaled parameters to start from, instead of those of the file [-].
-            checkpoint: File in which the state is kept, and from which it is resumed.
-            progress: As for `softcal_jax.calibrate`.
-            search_progress: As there.
-            equilibrium_progress: As there.
-            profiling: As there.
+        the camera frames were registered. `start` are scaled parameters to start from
+        instead of those of the file [-]; `checkpoint` and what is called meanwhile are
+        as for `softcal_jax.calibrate`.
 
         Raises:
             ProjectError: If there is nothing to calibrate.
@@ -191,12 +180,8 @@ class Project(Module):
         return dataclasses.replace(result, notes=(*result.notes, note))
 
     def check_identify(self) -> None:
-        """Check that there is something to judge; nothing need be measured.
-
-        Raises:
-            ProjectError: If parameters, configurations or effectors are missing.
-        """
-        problems = self._no_parameters()
+        """Raise ProjectError if nothing can be judged; nothing need be measured."""
+        problems = [] if self.space else [_NO_PARAMETERS]
         posed = (*self.calibration, *self.candidates)
         if not posed:
             problems.append(
@@ -260,11 +245,7 @@ class Project(Module):
         )
 
     def check_simulation(self) -> None:
-        """Check that there is something to solve.
-
-        Raises:
-            ProjectError: If there are no configurations.
-        """
+        """Raise ProjectError if there are no configurations to solve."""
         if not self.configurations:
             raise ProjectError(
                 f"{self.path}: configurations: there is none to simulate; add "
@@ -287,3 +268,64 @@ class Project(Module):
         report = reports_of(progress, [c.name for c in self.configurations])
         with Workers(self.model, len(self.configurations)) as workers:
             return equilibria(workers, self.model, lanes, self.newton, report=report)
+
+
+def compare_projects(
+    projects: Sequence[Project], *, progress: Callable[[str], None] = lambda _: None
+) -> ModelComparison:
+    """Find the project whose law, mesh or parameters best predict held-out data.
+
+    Every configuration with role = "calibration" is held out once, see
+    `softcal_jax.layouts.compare_laws`. Starts and seed are those of the first project.
+
+    Args:
+        projects: Projects of the same configurations and measurements, in any order.
+        progress: Called with the name of each project before it is fitted.
+
+    Raises:
+        ProjectError: If there are fewer than two projects, or one has nothing to
+            calibrate or other configurations.
+        ValueError: If there are fewer than two configurations, or measurements differ.
+    """
+    if len(projects) < 2:
+        raise ProjectError(
+            f"a comparison needs at least two project files, got {len(projects)}."
+        )
+    first, names = projects[0], [c.name for c in projects[0].calibration]
+    for project in projects:
+        project.check_calibration()
+        found = [c.name for c in project.calibration]
+        if sorted(found) != sorted(names):
+            raise ProjectError(
+                f"{project.path}: its configurations are {', '.join(found)}, but those "
+                f"of {first.path} are {', '.join(names)}; a comparison needs the same."
+            )
+    problems = {}
+    for name, project in projects_by_name(projects).items():
+        assert project.space is not None  # `check_calibration` has seen to it
+        posed = {c.name: c for c in project.calibration}
+        with in_file(project.path), under("configurations"):
+            problems[name] = build_problem(
+                project.model,
+                project.space,
+                [posed[own] for own in names],
+                project.newton,
+                uncertain=project.uncertain,
+            )
+    return compare_models(
+        problems,
+        first.calibration,
+        starts=first.starts,
+        seed=first.seed,
+        progress=progress,
+    )
+
+
+def projects_by_name(projects: Sequence[Project]) -> Mapping[str, Project]:
+    """Name projects by their names; where these repeat, by their files."""
+    for name_of in (lambda p: p.name, lambda p: p.path.stem, lambda p: str(p.path)):
+        found = {name_of(project): project for project in projects}
+        if len(found) == len(projects):
+            return found
+    files = ", ".join(str(project.path) for project in projects)
+    raise ProjectError(f"a project file is given twice: {files}.")

@@ -4,7 +4,7 @@ import contextlib
 import functools
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from softcal_jax._names import METRES, suggestion
@@ -129,15 +129,8 @@ def shown(value: Any) -> str:
     return f'"{shortened(value)}"' if isinstance(value, str) else shortened(str(value))
 
 
-class RecognisedQuantity(NamedTuple):
-    """One number or three, in an SI unit."""
-
-    values: tuple[float, ...]
-    unit: str
-
-
-def recognised(text: str) -> RecognisedQuantity | None:
-    """Read a text as a quantity of any dimension that a file may have; None if not."""
+def recognised(text: str) -> tuple[tuple[float, ...], str] | None:
+    """Read a quantity of any dimension: one value or three, and their SI unit."""
     match = _VECTOR.fullmatch(text) or _SCALAR.fullmatch(text)
     if match is None or not match[2]:
         return None
@@ -147,8 +140,7 @@ def recognised(text: str) -> RecognisedQuantity | None:
     for dimension in (*OF_UNIT.values(), ACCELERATION, TIME, MASS):
         with contextlib.suppress(ValueError):
             factor = _factor(match[2], dimension, text)
-            values = tuple(factor * float(number) for number in numbers)
-            return RecognisedQuantity(values, dimension.si)
+            return tuple(factor * float(number) for number in numbers), dimension.si
     return None
 
 
@@ -171,7 +163,6 @@ def parse_scalar(value: Any, dimension: Dimension) -> float:
 
 
 def parse_number(value: Any) -> float:
-    """Parse a number without a unit."""
     if not is_number(value):
         raise ValueError(f"got {shown(value)}; expected a number, like 0.45.")
     return float(value)
@@ -212,26 +203,14 @@ def parse_vector(value: Any, dimension: Dimension) -> tuple[float, float, float]
 
 def scalar(dimension: Dimension, size: Size = "any") -> Callable[[Any], float]:
     """Return a parser of quantities of one dimension, and of a size."""
-
-    def parse(value: Any) -> float:
-        number = parse_scalar(value, dimension)
-        _check_size([number], size, value)
-        return number
-
-    return parse
+    return lambda value: _of_size((parse_scalar(value, dimension),), size, value)[0]
 
 
 def vector(
     dimension: Dimension, size: Size = "finite"
-) -> Callable[[Any], tuple[float, float, float]]:
+) -> Callable[[Any], tuple[float, ...]]:
     """Return a parser of vectors of one dimension, each component of a size."""
-
-    def parse(value: Any) -> tuple[float, float, float]:
-        numbers = parse_vector(value, dimension)
-        _check_size(numbers, size, value)
-        return numbers
-
-    return parse
+    return lambda value: _of_size(parse_vector(value, dimension), size, value)
 
 
 _WITHIN = {
@@ -242,11 +221,12 @@ _WITHIN = {
 }
 
 
-def _check_size(numbers: Iterable[float], size: Size, value: Any) -> None:
-    """Raise ValueError unless all numbers are of a size; `value` is what was typed."""
+def _of_size(numbers: tuple[float, ...], size: Size, value: Any) -> tuple[float, ...]:
+    """Return numbers that must be of a size; `value` is what was typed."""
     within, words = _WITHIN[size]
     if not all(map(within, numbers)):
         raise ValueError(f"got {shown(value)}; expected a finite value{words}.")
+    return numbers
 
 
 def parse_direction(value: Any) -> tuple[float, float, float]:

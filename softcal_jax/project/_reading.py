@@ -3,19 +3,26 @@
 The description of a key is also the text of the message if the key is missing.
 """
 
-from collections.abc import Mapping, Set
+import datetime
+import os
+import tomllib
+from collections.abc import Iterator, Mapping, Set
+from contextlib import suppress
 from copy import deepcopy
 from pathlib import Path
-from typing import Annotated, Any, Generic, Literal, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 from pydantic import BaseModel, Field, ValidationError, create_model, field_validator
 
+from softcal_jax._files import check_file
+from softcal_jax._module import one_line
+from softcal_jax._text import check_characters, escaped
 from softcal_jax.calibration import LEVEL, check_starts
 from softcal_jax.fields import PRECISION
 from softcal_jax.project._configurations import CandidateTable, ConfigurationTable
 from softcal_jax.project._effectors import AnyEffector
 from softcal_jax.project._laws import Material, material_table
-from softcal_jax.project._markers import MarkersTable
+from softcal_jax.project._markers import MarkersTable, WindowTable
 from softcal_jax.project._mechanism import AnyActuator, BodyTable
 from softcal_jax.project._mesh import GroupTable, MeshTable
 from softcal_jax.project._parameters import (
@@ -25,18 +32,19 @@ from softcal_jax.project._parameters import (
 )
 from softcal_jax.project._problems import (
     ProjectError,
-    at,
     describe,
+    key_path,
     known_here,
     one_by_one,
 )
+from softcal_jax.project._quantities import recognised
 from softcal_jax.project._setup import AnySetup
-from softcal_jax.project._table import Flag, Integer, Number, Table
-from softcal_jax.project._toml import read_toml
+from softcal_jax.project._table import Choice, Flag, Integer, Number, Table
 from softcal_jax.project._uncertain import UncertainTable
 
+Keys = tuple[str | int, ...]
+
 T = TypeVar("T", bound=BaseModel)
-M = TypeVar("M", bound=Material)
 
 
 class SettingsTable(Table):
@@ -85,13 +93,16 @@ class SharedTable(
     """The table [shared], whose values are checked in each configuration."""
 
 
-class ProjectTable(Table, Generic[M]):
-    """A whole project file, with the schema of its law as parameter."""
+AnyMaterial = Annotated[Material, Choice(lambda value, _: material_table(value))]
+
+
+class ProjectTable(Table):
+    """A whole project file."""
 
     name: str = Field(description="name of the project")
     mesh: MeshTable = Field(description="a table [mesh]")
     groups: dict[str, GroupTable] = Field(default_factory=dict)
-    material: M = Field(description="a table [material]")
+    material: AnyMaterial = Field(description="a table [material]")
     bodies: dict[str, BodyTable] = Field(default_factory=dict)
     actuators: dict[str, AnyActuator] = Field(default_factory=dict)
     control_points: dict[str, ControlPointsTable] = Field(default_factory=dict)
@@ -138,13 +149,11 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
     `changes` replace values of the file, see `load_project`.
     """
     raw = _with_changes(path, read_toml(path, "project file"), changes)
-    with at(path, "material.law"):
+    problems, table, material = [], None, None
+    with suppress(ValueError):  # which is said of [material] below
         material = material_table(raw.get("material"))
-    problems, table = [], None
     try:
-        table = ProjectTable[material].model_validate(
-            _with_shared(raw), context=material
-        )
+        table = ProjectTable.model_validate(_with_shared(raw), context=material)
     except ValidationError as error:
         problems = describe(error, raw)
     if not (raw.get("configurations") or raw.get("candidates")):
@@ -154,11 +163,6 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
     if problems or table is None:
         raise one_by_one(path, problems)
     return table
-
-
-def read_mesh_tables(path: Path) -> MeshTables:
-    """Read [mesh] and [groups] of a project file, whose other tables may be missing."""
-    return read_schema(path, MeshTables, "project file")
 
 
 def read_schema(path: Path, schema: type[T], what: str) -> T:
@@ -203,7 +207,6 @@ def _with_changes(
 
 
 def _with_shared(raw: dict[str, Any]) -> dict[str, Any]:
-    """Merge [shared] into every configuration and candidate."""
     merged, shared = dict(raw), raw.get("shared")
     kinds = {"configurations": ConfigurationTable, "candidates": CandidateTable}
     for key, kind in kinds.items():
@@ -222,3 +225,91 @@ def _merged(shared: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
         both = isinstance(value, dict) and isinstance(out.get(key), dict)
         out[key] = _merged(out[key], value) if both else value
     return out
+
+
+def read_toml(path: Path, what: str) -> dict[str, Any]:
+    """Read a TOML file without dates and texts that would act on a terminal.
+
+    Messages say `what` it is, like "project file".
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ProjectError: If it is too large, no TOML, or has dates or control characters.
+    """
+    try:
+        check_file(path, what)
+    except ValueError as error:
+        raise ProjectError(str(error)) from error
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = [*values_in(raw)]
+    except (ValueError, OSError, RecursionError) as error:  # of TOML, or of UTF-8
+        raise ProjectError(f"{path} cannot be read as TOML: {error}.") from error
+    problems = []
+    for keys, value in values:
+        try:
+            if isinstance(value, datetime.date | datetime.time):
+                raise ValueError(f"got {value}, which no key takes; put it in quotes.")
+            check_characters("".join(map(str, (*keys, value))))
+        except ValueError as error:
+            problems.append(f"{escaped(key_path(keys, raw)) or 'file'}: {error}")
+    if problems:
+        raise one_by_one(path, problems)
+    return raw
+
+
+def values_in(value: Any, keys: Keys = ()) -> Iterator[tuple[Keys, Any]]:
+    """Find all values in tables and lists, with the keys that lead to them."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from values_in(inner, (*keys, key))
+    elif isinstance(value, list):
+        for i, inner in enumerate(value):
+            yield from values_in(inner, (*keys, i))
+    else:
+        yield keys, value
+
+
+_NAMES = ("name", "displacement_from", "recording")
+"""Keys of names, which may look like quantities: a pose "350 mbar"."""
+
+
+class QuantityAsRead(NamedTuple):
+    """A quantity of a project file: in "material", "material.E" is one, as typed.
+
+    Its values are one number or three in its SI unit.
+    """
+
+    table: str
+    key: str
+    typed: str
+    values: tuple[float, ...]
+    unit: str
+
+    __repr__ = one_line
+
+    @property
+    def read(self) -> str:
+        """What it was read as, in SI; lengths in mm."""
+        factor, unit = (1e3, "mm") if self.unit == "m" else (1.0, self.unit)
+        numbers = [f"{factor * value:.10g}" for value in self.values]
+        listed = numbers[0] if len(numbers) == 1 else f"({', '.join(numbers)})"
+        return f"{listed} {unit}"
+
+
+def quantities_as_read(path: str | os.PathLike[str]) -> tuple[QuantityAsRead, ...]:
+    """List every text with a unit in a project file, in the order of the file.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ProjectError: If it is not TOML.
+    """
+    raw = read_toml(Path(path), "project file")
+    found = []
+    for keys, text in values_in(raw):
+        rows = "select" in keys and not {*keys} & {*WindowTable.model_fields}
+        quantity = recognised(text) if isinstance(text, str) else None
+        if quantity is not None and not rows and not {*keys} & {*_NAMES}:
+            table = key_path(keys[:-1], raw)
+            found.append(QuantityAsRead(table, key_path(keys, raw), text, *quantity))
+    return tuple(found)

@@ -62,10 +62,9 @@ class OrientationTable(Table):
 
     @model_validator(mode="after")
     def _check_form(self) -> "OrientationTable":
-        given = [key for key, value in self if value is not None]
-        angles = [key for key in given if key in ("azimuth", "elevation", "roll")]
-        others = [key for key in given if key in ("quaternion", "rotation_vector")]
-        forms = angles[:1] + others
+        given = {key for key, value in self if value is not None}
+        angles = [key for key in ("azimuth", "elevation", "roll") if key in given]
+        forms = angles[:1] + sorted(given & {"quaternion", "rotation_vector"})
         if len(forms) > 1:
             raise ValueError(
                 f"got {' and '.join(forms)}; give the orientation in one form: "
@@ -111,26 +110,7 @@ vector in the axes of the mesh; None where its measurement says nothing of it [m
 """
 
 
-class MotionSource(Table):
-    """What the motion of a rigid body from rest is found from."""
-
-    @abstractmethod
-    def motion(
-        self,
-        folder: Path,
-        base: FrameTable,
-        mounted: OrientationTable,
-        rest: Float[HostArray, "3"],
-    ) -> Motion:
-        """Compute the motion, from rest or from an earlier pose.
-
-        The `base` is the frame of the tracker's base, or of the base tag. At rest, the
-        sensor or tag stands at `rest` [m] and is `mounted` on the mesh; with an earlier
-        pose it does not matter exactly where it was glued.
-        """
-
-
-class SensorPoseTable(MotionSource):
+class SensorPoseTable(Table):
     """The pose of a 6-D sensor, written out or read from a file."""
 
     @abstractmethod
@@ -148,6 +128,12 @@ class SensorPoseTable(MotionSource):
         mounted: OrientationTable,
         rest: Float[HostArray, "3"],
     ) -> Motion:
+        """Compute the motion of a rigid body, from rest or from an earlier pose.
+
+        The `base` is the frame of the tracker's base, or of the base tag. At rest, the
+        sensor or tag stands at `rest` [m] and is `mounted` on the mesh; with an earlier
+        pose it does not matter exactly where it was glued.
+        """
         position, rotation = _mean(self.readings(folder), base)
         before, mounting = rest, mounted.rotation
         earlier = self.earlier_readings(folder)
@@ -171,8 +157,6 @@ def _mean(
 
 
 class WrittenPoseTable(SensorPoseTable, OrientationTable):
-    """A pose that is written out."""
-
     position: Position = Field(
         description='the pose, { position = "(0, 0, 100) mm", azimuth = "10 deg" }, or '
         'where it was read, { file = "tracker.csv" }'
@@ -221,12 +205,10 @@ class PolhemusFileTable(SensorPoseTable):
 
 
 class EarlierPhotosTable(Table):
-    """Photographs of an earlier pose, of the same tags."""
-
     photos: Names = Field(description='photographs: "rest/*.jpg"')
 
 
-class PhotosTable(MotionSource):
+class PhotosTable(Table):
     """The pose of a tag on a rigid body, from photographs of it and of a base tag.
 
     `base` of the effector is the frame of the base tag, and `orientation` that of the
@@ -254,7 +236,7 @@ class PhotosTable(MotionSource):
         mounted: OrientationTable,
         rest: Float[HostArray, "3"],
     ) -> Motion:
-        """Compute the motion from the pose of the tag in the frame of the base tag."""
+        """Compute the motion, as from a sensor, in the frame of the base tag."""
         own = self._pose(folder, self.photos)
         turn, covariance = base.pose.matrix, own.covariance
         position = turn @ own.position + base.pose.translation
@@ -281,3 +263,7 @@ class PhotosTable(MotionSource):
             base_size=self.base_size,
             board=find_photos(self.board, folder),
         )
+
+
+MotionSource = SensorPoseTable | PhotosTable
+"""What the motion of a rigid body is found from."""

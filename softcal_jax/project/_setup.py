@@ -88,8 +88,6 @@ class SetupTable(Table):
 
 
 class MotorZeroTable(SetupTable):
-    """Zero errors of motors, one parameter each."""
-
     makes = motor_zero
     measures = ANGLE
     noun = "motor"
@@ -101,8 +99,6 @@ class MotorZeroTable(SetupTable):
 
 
 class MountingTable(SetupTable):
-    """Translations of rigid bodies from where they should be mounted, three each."""
-
     makes = mounting
     measures = LENGTH
     noun = "rigid body"
@@ -115,8 +111,6 @@ class MountingTable(SetupTable):
 
 
 class FrictionTable(SetupTable):
-    """Friction coefficients of cables, one parameter each."""
-
     makes = friction
     noun = "cable with friction"
     friction: Names
@@ -146,16 +140,13 @@ class ScopedTable(SetupTable):
             return known
         if self.each == "configuration":
             return known | {"each": [c.name for c in fitted], "by": "configuration"}
-        if self.each == "recording":
-            return known | {"each": recordings}
-        for name in self.each:
+        names = recordings if self.each == "recording" else self.each
+        for name in names:
             known_name("recording", name, recordings, "[[configurations]]")
-        return known | {"each": self.each}
+        return known | {"each": names}
 
 
 class GravityTiltTable(ScopedTable):
-    """Two error angles of the direction of gravity."""
-
     makes = gravity_tilt
     measures = ANGLE
     gravity_tilt: Literal[True]
@@ -197,8 +188,6 @@ class LoadFactorTable(FactorTable):
 
 
 class ActuatorFactorTable(FactorTable):
-    """Factors on the imposed forces of actuators, one parameter each."""
-
     makes = actuator_factor
     noun = "actuator"
     actuator_factor: Names
@@ -208,13 +197,10 @@ class ActuatorFactorTable(FactorTable):
 
 
 class ClampStiffnessTable(FactorTable):
-    """Stiffnesses of elastic supports; `limit` is a factor, `prior_std` is relative."""
-
     makes = clamp_stiffness
     noun = "support with a stiffness"
     section = "`supports` of a configuration"
     limit: float | None = 1e3
-
     clamp_stiffness: Names
 
     def subjects(self, project: WholeFile) -> Subjects:

@@ -1,12 +1,11 @@
 """What all tables of a project file share; parsed values are in SI units."""
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import (
     Annotated,
     Any,
     ClassVar,
-    Literal,
     Protocol,
     TypeVar,
     get_args,
@@ -22,7 +21,6 @@ from pydantic import (
     Strict,
     TypeAdapter,
     ValidationError,
-    create_model,
     model_validator,
 )
 from pydantic_core import ErrorDetails, InitErrorDetails, core_schema
@@ -95,24 +93,26 @@ class Table(BaseModel):
     @classmethod
     def _in_words(cls, details: ErrorDetails) -> InitErrorDetails:
         """Say which keys there are if one is unknown, and what a missing one is."""
-        key, kind = str(details["loc"][-1]) if details["loc"] else "", details["type"]
-        if len(details["loc"]) == 1 and kind == "extra_forbidden":
-            unknown = f"unknown key.{known_here(key, cls.model_fields, 'Known here')}"
-            details = _as_error(details, cls.foreign(key) or unknown)
-        elif len(details["loc"]) == 1 and kind == "missing":
+        kind = details["type"]
+        if len(details["loc"]) != 1 or kind not in ("extra_forbidden", "missing"):
+            return details  # pyright: ignore[reportReturnType] (it has more keys)
+        key = str(details["loc"][0])
+        if kind == "missing":
             what = cls.model_fields[key].description
-            expected = f" Expected {what}." if what else ""
-            details = _as_error(details, f"missing.{expected}")
-        return details  # pyright: ignore[reportReturnType] (it has more keys)
+            return _at(key, f"missing. Expected {what}." if what else "missing.")
+        known = known_here(key, cls.model_fields, "Known here")
+        return _at(key, f"unknown key.{cls.foreign(key)}{known}")
 
     @classmethod
-    def foreign(cls, key: str) -> str | None:
-        """Say where an unknown key belongs, for a message; None if nowhere."""
+    def foreign(cls, key: str) -> str:
+        """Say where an unknown key belongs, in a sentence after a space."""
         del key
+        return ""
 
 
-def _as_error(details: ErrorDetails, text: str) -> ErrorDetails:
-    return {**details, "type": "value_error", "ctx": {"error": ValueError(text)}}
+def _at(key: str, text: str) -> InitErrorDetails:
+    error = {"error": ValueError(text)}
+    return InitErrorDetails(type="value_error", loc=(key,), input=None, ctx=error)
 
 
 class Maker(Table):
@@ -154,7 +154,6 @@ class Choice:
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        """Validate by the member that is chosen."""
         del handler
         kinds = get_args(source)
 
@@ -171,26 +170,28 @@ TableOr = Annotated[
 """A table, or else a list or text."""
 
 
+def wrong_key(key: str, text: str) -> ValidationError:
+    """Build the error at a key that decides which table another one is."""
+    return ValidationError.from_exception_data("Table", [_at(key, text)])
+
+
+def wrong_choice(
+    key: str, table: Mapping[str, Any], names: Iterable[str]
+) -> ValidationError:
+    """Build the error of a table of which a key has none of the `names`."""
+    value = table.get(key, "")
+    got = f"got {shown(value)}" if key in table else "missing"
+    return wrong_key(key, f"{got}; expected {one_of(str(value), names)}")
+
+
 def by_type(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
     """Choose the table whose key `type` has the value's, for a `Choice`."""
     tables = {get_args(k.model_fields["type"].annotation)[0]: k for k in kinds}
-    given = _as_table(value).get("type")
-    return tables.get(str(given)) or undecided("type", tuple(tables))
-
-
-class Undecided(Table):
-    """A table of which one key is wrong, so that none of the others is checked."""
-
-    model_config = ConfigDict(extra="ignore")
-
-
-@functools.cache
-def undecided(
-    key: str, names: tuple[str, ...], base: type[Table] = Undecided
-) -> type[Table]:
-    """Return a table whose error lists the names that a key may have."""
-    choice: Any = (Literal[*names], Field(description=one_of("", names).rstrip(".")))
-    return create_model(base.__name__, __base__=base, **{key: choice})
+    table = as_table(value)
+    chosen = tables.get(str(table.get("type")))
+    if chosen is None:
+        raise wrong_choice("type", table, tables)
+    return chosen
 
 
 def by_keys(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
@@ -201,7 +202,7 @@ def by_keys(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
     Raises:
         ValueError: If several remain; the text lists the choices.
     """
-    table = _as_table(value)
+    table = as_table(value)
     common = set.intersection(*(set(kind.model_fields) for kind in kinds))
     needed = [
         [k for k, field in kind.model_fields.items() if field.is_required()]
@@ -218,7 +219,8 @@ def by_keys(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
     raise ValueError(f"expected exactly one of {choices}; got {given}.")
 
 
-def _as_table(value: Any) -> dict[str, Any]:
+def as_table(value: Any) -> dict[str, Any]:
+    """Return a value that must be a table; raise ValueError if it is none."""
     if not isinstance(value, dict):
         raise ValueError(f"got {shown(value)}; expected a table.")
     return value

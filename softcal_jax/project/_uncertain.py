@@ -39,7 +39,6 @@ ShareOrEstimated = Annotated[
 
 
 def _type_of(kind: Any, unit: str) -> Any:
-    """Return the type of the key for a field of `Uncertain`."""
     if not unit:
         return Annotated[Number, Field(ge=0, allow_inf_nan=False)]
     return Annotated[kind, BeforeValidator(_parser(unit, estimated=kind is not float))]
@@ -53,7 +52,3 @@ _KEYS: dict[str, Any] = {
 
 class UncertainTable(create_model("UncertainTable", __base__=Table, **_KEYS)):
     """Its keys are the fields of `Uncertain`, whose docstring explains them."""
-
-    def build(self) -> Uncertain:
-        """Return the standard deviations, in SI units."""
-        return Uncertain(**self.model_dump())

@@ -41,8 +41,7 @@ CASES = {
     "constant of another elasticity": (
         ("nu = 0.3", 'nu = 0.3\nmu_l = "200 kPa"'),
         'material.mu_l: ... "transverse-isotropic" ... "transverse-hyperelastic" ... '
-        '"corotational" ... "reduced-transverse-isotropic" ... E_t, E_l, nu, theta, '
-        "phi",
+        "E_t, E_l, nu, theta, phi",
     ),
     "isotropic constant": (
         ("nu = 0.3", 'nu = 0.3\nE = "1 MPa"'),
@@ -53,7 +52,7 @@ CASES = {
             "[control_points.ends]",
             '[material.regions.half]\nE = "1 MPa"\n\n[control_points.ends]',
         ),
-        "material.regions.half.E: E belongs to elasticity",
+        "material.regions.half.E: ... E ... elasticity",
     ),
     "parameter of another law": (
         (E_L, 'field = "mu_l"\n'),
@@ -62,8 +61,7 @@ CASES = {
     "elasticity of a law that has none": (
         ('law = "corotational"', 'law = "transverse-hyperelastic"'),
         'material.elasticity: ... "corotational" ... "classical-corotational" ... '
-        '"st-venant-kirchhoff" ... "transverse-hyperelastic" ... E_t, E_l, nu, mu_l, '
-        "theta",
+        '"st-venant-kirchhoff" ... E_t, E_l, nu, mu_l, theta',
     ),
     "unknown elasticity": (
         ('"reduced-transverse-isotropic"', '"reduced"'),
@@ -256,17 +254,13 @@ def test_each_law_names_what_it_lacks(tmp_path):
     ]
 
 
-def test_isotropic_is_the_default_and_says_so(tmp_path):
+def test_isotropic_is_the_default(tmp_path):
     path = write_small_project(
         tmp_path, ('"neo-hookean"', '"corotational"'), ("nu = 0.3", "nu_t = 0.3")
     )
     nu, nu_t = problems_of(path)[1:]
     assert says(nu, "material.nu: missing ... 0.499")
-    assert says(
-        nu_t,
-        'material.nu_t: ... "transverse-isotropic"',
-        'law = "corotational" with elasticity = "isotropic", which has E, nu',
-    )
+    assert says(nu_t, 'material.nu_t: ... "transverse-isotropic"', "elasticity, E, nu")
 
 
 def test_flattened_regions_are_found_at_reading(tmp_path):
