@@ -21,8 +21,8 @@ from softcal_jax.control._compliance import (
 from softcal_jax.control._problem import (
     Command,
     Linear,
+    all_errors,
     follow_room,
-    level_errors,
     linearise,
     parts,
     violation,
@@ -33,7 +33,7 @@ from softcal_jax.control._step import (
     Decision,
     TriedStep,
     decide,
-    step_in_levels,
+    limited_step,
 )
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
@@ -139,7 +139,7 @@ def begin(command: Command, here: Arrival) -> Descent:
     decision = Decision(
         accepted=True,
         step_bound=command.settings.step_bound,
-        penalty=np.ones(len(command.levels) + 1),
+        penalty=1.0,
     )
     if not here.stands:
         result = here.solution.result
@@ -152,7 +152,7 @@ def begin(command: Command, here: Arrival) -> Descent:
 
 
 def descend(command: Command, start: Descent, *, explore: bool = False) -> Descent:
-    """Repeat: linearise, solve the QPs, try the step, keep it if it helps.
+    """Repeat: linearise, solve the QP, try the step, keep it if it helps.
 
     With `explore` it stops where it hardly comes closer any more. Near a goal that is
     met, the error falls tenfold with each step; at a fold of the map from inputs to
@@ -162,10 +162,10 @@ def descend(command: Command, start: Descent, *, explore: bool = False) -> Desce
     settings, records = command.settings, list(records)
     while outcome is None and not (explore and _slow(records)):
         assert linear is not None
-        levels = tuple(zip(linear.W, linear.error, strict=True))
-        qp = step_in_levels(levels, linear.limits, jnp.asarray(decision.step_bound))
+        bound = jnp.asarray(decision.step_bound)
+        qp = limited_step(linear.W, linear.error, linear.limits, bound)
         there = moved(command, here, np.asarray(qp.lambda_p) * linear.scale)
-        trial = _trial(command, linear, qp, there, decision)
+        trial = _trial(command, linear, qp, there)
         before, decision = decision, decide(trial, decision, settings)
         if decision.accepted:
             arrived = differentiated(command, there)
@@ -199,13 +199,7 @@ def _slow(records: Sequence[StepRecord]) -> bool:
     )
 
 
-def _trial(
-    command: Command,
-    linear: Linear,
-    qp: QPStep,
-    there: Reached,
-    before: Decision,
-) -> TriedStep:
+def _trial(command: Command, linear: Linear, qp: QPStep, there: Reached) -> TriedStep:
     """Compare the parts before a step with what was expected and what came of it."""
     limits, error, step = linear.limits, linear.error, np.asarray(qp.lambda_p)
     change = linear.W @ step
@@ -213,9 +207,8 @@ def _trial(
     tried = np.full_like(now, np.inf)
     if bool(there.solution.converged):
         room = follow_room(command, there.state, linear.length)
-        tried = parts(room, level_errors(command, there.state, linear.energy))
-    weight = before.penalty[1:, None]
-    lengths = np.sum(weight * change**2) * np.sum(weight * error**2)
+        tried = parts(room, all_errors(command, there.state, linear.energy))
+    lengths = np.sum(change**2) * np.sum(error**2)
     length = np.sqrt(max(lengths, np.finfo(float).tiny))
     return TriedStep(
         now=now,
@@ -223,7 +216,7 @@ def _trial(
         tried=tried,
         size=float(np.abs(step).max()),
         kkt_residual=float(qp.kkt_residual),
-        cosine=-np.sum(weight * change * error) / length,
+        cosine=-np.sum(change * error) / length,
     )
 
 

@@ -85,33 +85,15 @@ def _numbers(what: str, goal: Goal, count: int) -> Float[HostArray, " n"]:
     return numbers
 
 
-def goal_levels(
-    lanes: ConfigurationLanes, name: str, priorities: Mapping[str, int]
-) -> Float[HostArray, "n_levels n_rows 3"]:
-    """Build the weights of all effector coordinates, one array per priority level.
-
-    They are 1 / standard deviation on the level of a coordinate, and 0 on other levels
-    and for coordinates without a goal.
-    """
+def goal_weights(lanes: ConfigurationLanes, name: str) -> Float[HostArray, "n_rows 3"]:
+    """Return 1 / standard deviation of all coordinates, 0 for those without a goal."""
     (records,) = lanes.effectors
-    names = [record.name for record in records]
-    for effector, level in priorities.items():
-        if effector not in names:
-            raise unknown_name("effector with a priority", effector, names)
-        if level < 1:
-            raise ValueError(
-                f"the priority of effector {effector!r} must be 1 (first) or more, got "
-                f"{level}."
-            )
     inverse_std = np.asarray(lanes.arrays.effectors.inverse_std)[0]
     if not inverse_std.any():
-        listed = ", ".join(map(repr, dict.fromkeys(names))) or "none"
+        names = dict.fromkeys(record.name for record in records)
+        listed = ", ".join(map(repr, names)) or "none"
         raise ValueError(
             f"no effector of configuration {name!r} has a goal: give measured values, "
             f"or `goals` by name. Effectors: {listed}."
         )
-    level_of = np.ones(len(inverse_std), int)
-    level_of[[r.index for r in records]] = [priorities.get(n, 1) for n in names]
-    levels = np.unique(level_of[inverse_std.any(axis=1)])
-    on_level = level_of[None] == levels[:, None]
-    return inverse_std[None] * on_level[:, :, None]
+    return inverse_std

@@ -29,25 +29,23 @@ class Holding(NamedTuple):
 def what_holds(command: Command, here: Arrival, linear: Linear) -> Holding:
     """Split what is left of the errors between limits and blind directions.
 
-    At a minimum, the slope W^T r of the first level that is not met is balanced by the
-    limits that are reached, W^T r + A^T mu = 0 with mu >= 0, and by earlier levels. A
-    limit holds where its mu is positive. What W does not reach at all is blind.
+    At a minimum, the slope W^T r is balanced by the limits that are reached, W^T r +
+    A^T mu = 0 with mu >= 0. A limit holds where its mu is positive. What W does not
+    reach at all is blind.
     """
     reached = _reached(command, here, linear)
     active = tuple(_in_words(command, here, *limit) for limit in reached)
     off = command.residuals(here.compliance.state)
-    unmet = np.abs(off).max(axis=1) > command.settings.tol
-    if not unmet.any():
+    if np.abs(off).max() <= command.settings.tol:
         return Holding(active)
-    level, n_e = int(np.argmax(unmet)), off.shape[1]
     moves = linear.limits.upper > linear.limits.lower
-    W, r = linear.W[level] * moves, linear.error[level]
+    W, r = linear.W * moves, linear.error
     unit = np.eye(len(moves))
     # Changes of the limited quantities by y, whose products must not grow.
     gradients = np.concatenate([-unit, unit, linear.limits.A]).reshape(4, *unit.shape)
     A = np.array([gradients[limit] for limit in reached])
     A = A.reshape(-1, len(moves)) * moves
-    mu = _multipliers(W.T @ r, A, linear.W[:level] * moves)
+    mu = _multipliers(W.T @ r, A)
     # The step that each limit forbids: the cosine between the errors and its effect.
     effect = np.linalg.norm(W @ A.T, axis=0) * np.linalg.norm(r)
     cosine = mu * (A**2).sum(axis=1) / np.where(effect > 0.0, effect, np.inf)
@@ -55,20 +53,16 @@ def what_holds(command: Command, here: Arrival, linear: Linear) -> Holding:
     return Holding(
         active_limits=active,
         held_by=tuple(active[i] for i in strongest),
-        blind=_blind(command, W[:n_e], off[level]),
+        blind=_blind(command, W[: len(off)], off),
     )
 
 
-def _multipliers(slope, A, earlier) -> Float[HostArray, " n_rows"]:
-    """Solve slope + A^T mu + earlier^T nu = 0 for mu >= 0, by least squares."""
+def _multipliers(slope, A) -> Float[HostArray, " n_rows"]:
+    """Solve slope + A^T mu = 0 for mu >= 0, by least squares."""
     # Here, so that commands which do not need it do not wait for it.
     from scipy.optimize import nnls
 
-    free = earlier.reshape(-1, A.shape[1])
-    columns = np.concatenate([A, free, -free]).T
-    if columns.shape[1] == 0:
-        return np.zeros(0)
-    return nnls(columns, -slope)[0][: len(A)]
+    return nnls(A.T, -slope)[0] if len(A) else np.zeros(0)
 
 
 def _blind(
@@ -84,7 +78,7 @@ def _blind(
         return None
     direction = share / np.linalg.norm(share)
     gain = np.linalg.norm(direction @ W) / sizes[0] if sizes[0] > 0.0 else 0.0
-    weights = np.asarray(command.levels).sum(axis=0)
+    weights = command.weights
     std = 1.0 / np.where(weights > 0.0, weights, np.inf)
     rows, shares = direction.reshape(std.shape), share.reshape(std.shape) * std
     parts = [

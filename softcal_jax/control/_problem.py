@@ -1,6 +1,5 @@
 """One command, and its QP linearised at an equilibrium (paper Eq. 6)."""
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -21,8 +20,8 @@ class Command(NamedTuple):
     """A command as the user gave it, and as arrays.
 
     The actuation of `configuration` is where the command starts; the measured values of
-    `lane`, the same as arrays, are the goals. `levels` has 1 / standard deviation of
-    each effector coordinate, level by level.
+    `lane`, the same as arrays, are the goals. `weights` are 1 / standard deviation of
+    each effector coordinate, 0 without a goal.
     """
 
     model: Model
@@ -30,8 +29,7 @@ class Command(NamedTuple):
     lane: ConfigurationArrays
     effectors: tuple[EffectorRecord, ...]
     limits: LimitArrays
-    priorities: Mapping[str, int]
-    levels: Float[HostArray, "n_levels n_rows 3"]
+    weights: Float[HostArray, "n_rows 3"]
     settings: ControlSettings
 
     @property
@@ -52,11 +50,10 @@ class Command(NamedTuple):
         imposed = imposed.reshape(-1, *[1] * (of_force.ndim - 1))
         return np.where(imposed, of_force, of_displacement)
 
-    def residuals(self, state: ActuatorReadings) -> Float[HostArray, "n_levels n_e"]:
-        """Compute effector errors in units of std, 0 on other levels [-]."""
+    def residuals(self, state: ActuatorReadings) -> Float[HostArray, " n_e"]:
+        """Compute effector errors in units of std, 0 without a goal [-]."""
         goal = np.asarray(self.lane.effectors.measured)
-        off = self.levels * (np.asarray(state.effectors) - goal)
-        return off.reshape(len(self.levels), -1)
+        return np.ravel(self.weights * (np.asarray(state.effectors) - goal))
 
 
 class Linear(NamedTuple):
@@ -65,14 +62,14 @@ class Linear(NamedTuple):
     Attributes:
         scale: Change of an input for y = 1, which moves some node by the size of the
             robot; this makes inputs of different units comparable.
-        W: Compliances of each level, energy included, in units of std; so `error`.
-        energy: Matrix that turns forces into the energy rows of the last level.
+        W: Compliances, energy rows behind, in units of std; so `error`.
+        energy: Matrix that turns forces into the energy rows.
         length: Scale of the quantities that are not imposed.
     """
 
     scale: Float[HostArray, " n_a"]
-    W: Float[HostArray, "n_levels n_all n_a"]
-    error: Float[HostArray, "n_levels n_all"]
+    W: Float[HostArray, "n_all n_a"]
+    error: Float[HostArray, " n_all"]
     energy: Float[HostArray, "n_a n_a"]
     limits: StepLimits
     length: Float[HostArray, " n_a"]
@@ -83,23 +80,18 @@ def linearise(
     value: Float[Array | HostArray, " n_a"],
     compliance: ActuatorCompliance,
 ) -> Linear:
-    """Linearise the terms of the QP, Eq. (6), level by level.
+    """Linearise the terms of the QP, Eq. (6).
 
     The energy term is epsilon lambda_a^T W_aa lambda_a, with lambda_a after the step.
     """
     size = np.ptp(command.model.mechanism.points, axis=0).max()
     moved = np.abs(compliance.displacement).max(axis=(1, 2))
     scale = size / np.where(moved > 0.0, moved, size)
-    weights = command.levels.reshape(len(command.levels), -1)
-    W = weights[:, :, None] * (np.asarray(compliance.W_ea) * scale)
+    W = command.weights.reshape(-1, 1) * (np.asarray(compliance.W_ea) * scale)
     by_force = np.asarray(compliance.by_force) * scale
     lower, upper = command.box()
     W_aa = np.asarray(compliance.W_aa)
-    energy = _energy_rows(
-        command.settings.epsilon, W_aa, W[-1], by_force, upper > lower
-    )
-    of_energy = np.zeros((len(W), *energy.shape))
-    of_energy[-1] = energy @ by_force
+    energy = _energy_rows(command.settings.epsilon, W_aa, W, by_force, upper > lower)
     by_displacement = np.asarray(compliance.by_displacement) * scale
     follow = command.following(by_force, by_displacement)
     length = np.linalg.norm(follow, axis=1)
@@ -109,8 +101,8 @@ def linearise(
     A = np.concatenate([-follow, follow]) / np.tile(length, 2)[:, None]
     return Linear(
         scale=scale,
-        W=np.concatenate([W, of_energy], axis=1),
-        error=level_errors(command, compliance.state, energy),
+        W=np.concatenate([W, energy @ by_force]),
+        error=all_errors(command, compliance.state, energy),
         energy=energy,
         limits=StepLimits(
             (lower - value) / scale,
@@ -122,9 +114,9 @@ def linearise(
     )
 
 
-def parts(room, error: HostArray) -> Float[HostArray, " n_parts"]:
-    """Compute what a step should lower: violated limits, then each level's cost [-]."""
-    return np.concatenate([[violation(room)], 0.5 * (error**2).sum(axis=1)])
+def parts(room, error: HostArray) -> Float[HostArray, "2"]:
+    """Compute what a step should lower: violated limits, then the cost [-]."""
+    return np.array([violation(room), 0.5 * (error**2).sum()])
 
 
 def violation(room) -> float:
@@ -132,14 +124,11 @@ def violation(room) -> float:
     return float(np.maximum(-room, 0.0).sum())
 
 
-def level_errors(
+def all_errors(
     command: Command, state: ActuatorReadings, energy: Float[HostArray, "n_a n_a"]
-) -> Float[HostArray, "n_levels n_all"]:
-    """Compute the errors of the levels, with the energy on the last one [-]."""
-    off = command.residuals(state)
-    forces = np.zeros((len(off), len(energy)))
-    forces[-1] = energy @ np.asarray(state.forces)
-    return np.concatenate([off, forces], axis=1)
+) -> Float[HostArray, " n_all"]:
+    """Compute the errors, those of the energy behind [-]."""
+    return np.append(command.residuals(state), energy @ np.asarray(state.forces))
 
 
 def follow_room(

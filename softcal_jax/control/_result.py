@@ -43,11 +43,9 @@ class GoalFit(Module):
     Attributes:
         effector: Its record, with the goal in `measured` and the value reached in
             `simulated`. A frame has one for its point [m] and one for its turn [rad].
-        priority: Its priority, 1 first.
     """
 
     effector: EffectorRecord
-    priority: int
 
     @property
     def name(self) -> str:

@@ -156,17 +156,16 @@ def _attempts(command: Command, tried: Mapping[str, Descent]) -> tuple[Attempt, 
 
 
 def _better(command: Command, found: Descent, than: Descent) -> bool:
-    """Compare two ends: kept limits first, then the cost of each level in turn."""
+    """Compare two ends: kept limits first, then the cost."""
     for new, old in zip(_parts(command, found), _parts(command, than), strict=True):
         if abs(new - old) > EQUAL * max(new, old):
             return bool(new < old)
     return found.met and not than.met
 
 
-def _parts(command: Command, found: Descent) -> Float[HostArray, " n_parts"]:
-    """Compute violated limits and costs of levels; below the tolerance they tie."""
+def _parts(command: Command, found: Descent) -> Float[HostArray, "2"]:
+    """Compute violated limits and the cost; below the tolerance they tie."""
     assert found.linear is not None
     off = command.residuals(found.here.compliance.state)
-    floor = np.full(len(off) + 1, 0.5 * command.settings.tol**2)
-    floor[0] = 10.0 * ROUNDING
+    floor = 10.0 * ROUNDING, 0.5 * command.settings.tol**2
     return np.maximum(parts(found.linear.limits.b, off), floor)

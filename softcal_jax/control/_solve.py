@@ -18,7 +18,7 @@ from softcal_jax.configurations import (
     motions,
 )
 from softcal_jax.control._descent import Descent
-from softcal_jax.control._goals import Goal, goal_levels, with_goals
+from softcal_jax.control._goals import Goal, goal_weights, with_goals
 from softcal_jax.control._holding import Holding, what_holds
 from softcal_jax.control._limits import Limits, limit_arrays
 from softcal_jax.control._problem import Command
@@ -44,7 +44,6 @@ def solve_inverse(
     *,
     goals: Mapping[str, Goal] | None = None,
     limits: Mapping[str, Limits] | None = None,
-    priorities: Mapping[str, int] | None = None,
     settings: ControlSettings | None = None,
     guess: Float[ArrayLike, "n_points 3"] | None = None,
     throw: bool = True,
@@ -66,8 +65,6 @@ def solve_inverse(
         goals: Goals by the names of effectors and markers, in place of measured values;
             see `Goal`.
         limits: Limits by the names of actuators.
-        priorities: Level of each effector, 1 by default. Level 1 is served first, and a
-            later level never worsens an earlier one.
         settings: Settings.
         guess: Displacement near the equilibrium at the start; at rest by default [m].
         throw: Raise if the search fails; an unreachable goal is not a failure.
@@ -81,7 +78,7 @@ def solve_inverse(
     Warns:
         ControlWarning: If a goal is farther away than the robot is large.
     """
-    command = _prepare(model, configuration, goals, limits, priorities, settings)
+    command = _prepare(model, configuration, goals, limits, settings)
     if guess is None:
         guess = np.zeros((model.n_points, 3))
     result = _result(command, *search(command, np.asarray(guess)))
@@ -98,7 +95,6 @@ def follow_trajectory(
     goals: Sequence[Mapping[str, Goal]],
     *,
     limits: Mapping[str, Limits] | None = None,
-    priorities: Mapping[str, int] | None = None,
     settings: ControlSettings | None = None,
     throw: bool = True,
 ) -> TrajectoryResult:
@@ -118,7 +114,6 @@ def follow_trajectory(
             replace(configuration, actuation=now.actuation),
             goals=goal,
             limits=limits,
-            priorities=priorities,
             settings=settings,
             guess=guess,
             throw=throw,
@@ -130,14 +125,14 @@ def follow_trajectory(
     return TrajectoryResult(tuple(points))
 
 
-def _prepare(model, configuration, goals, limits, priorities, settings) -> Command:
+def _prepare(model, configuration, goals, limits, settings) -> Command:
     if not configuration.actuation:
         known = ", ".join(map(repr, model.mechanism.actuators.names)) or "none"
         raise ValueError(
             f"configuration {configuration.name!r} commands no actuator: name some in "
             f"`actuation`, where they start. Actuators: {known}."
         )
-    settings, priorities = settings or ControlSettings(), priorities or {}
+    settings = settings or ControlSettings()
     configuration = with_goals(configuration, goals or {})
     allowed = limit_arrays(model.mechanism, configuration, limits or {})
     lanes = configuration_lanes(model.mesh, [configuration], model.mechanism)
@@ -150,8 +145,7 @@ def _prepare(model, configuration, goals, limits, priorities, settings) -> Comma
         lane=jax.tree.map(lambda leaf: leaf[0], lanes.arrays),
         effectors=lanes.effectors[0],
         limits=allowed,
-        priorities=priorities,
-        levels=goal_levels(lanes, configuration.name, priorities),
+        weights=goal_weights(lanes, configuration.name),
         settings=settings,
     )
 
@@ -168,10 +162,7 @@ def _result(
     reached = np.asarray(state.effectors)
     # Every effector that has a goal is compared with it; frames have two rows.
     goals = tuple(
-        GoalFit(
-            replace(effector, simulated=effector.among(reached)),
-            command.priorities.get(effector.name, 1),
-        )
+        GoalFit(replace(effector, simulated=effector.among(reached)))
         for effector in command.effectors
         if effector.seen.any()
     )

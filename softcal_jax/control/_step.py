@@ -12,9 +12,6 @@ from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import KKT_TOLERANCE, QPStep, bounded_step
 from softcal_jax.equilibrium import NewtonSettings
 
-NULL = 1e-10
-"""Relative squared singular value below which a level does not see a direction [-]."""
-
 ROUNDING = 1e-6
 """Violation of a limit that is ignored, relative to the size of the robot [-]."""
 
@@ -78,68 +75,38 @@ class StepLimits(NamedTuple):
 
 
 @jax.jit
-def step_in_levels(
-    levels: tuple[tuple[Float[Array, "_ n_a"], Float[Array, " _"]], ...],
+def limited_step(
+    W: Float[Array, "n_all n_a"],
+    error: Float[Array, " n_all"],
     limits: StepLimits,
     radius: Float[Array, ""],
 ) -> QPStep:
-    """Minimise ||W y + error|| of the first level, then of the next among its minima.
-
-    All minima of a level share W y, so the next level moves only in the null space of
-    W, and priorities are strict whatever the weights. Each level is one bounded QP; the
-    optimality residual is the largest of all. The radius bounds every entry of y.
-    """
+    """Minimise ||W y + error|| within the limits; `radius` bounds every entry of y."""
     moves = limits.upper > limits.lower
-    lower = jnp.maximum(limits.lower, -radius)
-    upper = jnp.minimum(limits.upper, radius)
     A = jnp.where(moves[None], limits.A, 0.0)
     # A violated row is reduced only as far as the trust region allows.
     reach = 0.9 * radius * jnp.sum(jnp.abs(A), axis=1)
-    b = jnp.maximum(limits.b, -reach)
-    y = jnp.zeros_like(lower)
-    P, kkt = jnp.eye(y.size, dtype=y.dtype), jnp.zeros((), y.dtype)
-    for level, (W, error) in enumerate(levels):
-        W = jnp.where(moves[None], W, 0.0)
-        if level == 0:
-            qp = bounded_step(W, error, lower, upper, A=A, b=b)
-            y = qp.lambda_p
-        else:
-            P = _within_null_space(P, levels[level - 1][0], moves)
-            far = jnp.full_like(y, 4.0 * y.size) * radius
-            qp = bounded_step(
-                W @ P,
-                error + W @ y,
-                -far,
-                far,
-                A=jnp.concatenate([P, -P, A @ P]),
-                b=jnp.concatenate([upper - y, y - lower, b - A @ y]),
-            )
-            y = jnp.clip(y + P @ qp.lambda_p, lower, upper)
-        kkt = jnp.maximum(kkt, qp.kkt_residual)
-    return QPStep(y, kkt)
-
-
-def _within_null_space(P, W, moves):
-    """Restrict the projector P to the null space of W."""
-    W = jnp.where(moves[None], W, 0.0) @ P
-    values, vectors = jnp.linalg.eigh(W.T @ W)
-    blind = values <= NULL * jnp.max(values)
-    N = jnp.where(blind[None], vectors, 0.0)
-    P = P @ (N @ N.T) @ P
-    return jnp.where(moves[:, None] & moves[None], P, 0.0)
+    return bounded_step(
+        jnp.where(moves[None], W, 0.0),
+        error,
+        jnp.maximum(limits.lower, -radius),
+        jnp.minimum(limits.upper, radius),
+        A=A,
+        b=jnp.maximum(limits.b, -reach),
+    )
 
 
 class TriedStep(NamedTuple):
-    """A step that was tried; its parts are violated limits, then each level's cost [-].
+    """A step that was tried; its parts are violated limits, then the cost [-].
 
     They are those before the step, after it by the linear model, and after it at the
     true equilibrium; inf without one. `size` is the largest entry of the step, `cosine`
     that between the errors and their expected reduction.
     """
 
-    now: Float[HostArray, " n_parts"]
-    expected: Float[HostArray, " n_parts"]
-    tried: Float[HostArray, " n_parts"]
+    now: Float[HostArray, "2"]
+    expected: Float[HostArray, "2"]
+    tried: Float[HostArray, "2"]
     size: float
     kkt_residual: float
     cosine: float
@@ -151,14 +118,14 @@ class Decision(NamedTuple):
     Attributes:
         accepted: Whether the step is kept.
         step_bound: Bound on the next step [-].
-        penalty: Weights of the parts [-].
+        penalty: Weight of violated limits beside the cost [-].
         vanished: Whether no step helps any more.
         stalled: Whether even the smallest step was refused, away from a minimum.
     """
 
     accepted: bool
     step_bound: float
-    penalty: Float[HostArray, " n_parts"]
+    penalty: float
     vanished: bool = False
     stalled: bool = False
 
@@ -166,18 +133,19 @@ class Decision(NamedTuple):
 def decide(trial: TriedStep, before: Decision, settings: ControlSettings) -> Decision:
     """Accept a step that lowers the weighted sum of the parts, and adapt the bound.
 
-    The sum is an exact penalty function: the weight of an earlier part is raised until
-    the sum is expected to fall along the step that the QPs of all levels found (Nocedal
-    and Wright, Numerical Optimization, 2006, Eq. 18.36).
+    The sum is an exact penalty function: the weight of violated limits is raised until
+    the sum is expected to fall along the step that the QP found (Nocedal and Wright,
+    Numerical Optimization, 2006, Eq. 18.36).
     """
-    # Below the tolerance all errors count as equal, so that noise there is ignored.
-    floor = np.full_like(trial.now, 0.5 * settings.tol**2)
-    floor[0], floor[-1] = ROUNDING, 0.0
+    floor = ROUNDING, 0.0
     now, expected, tried = (
         np.maximum(each, floor) for each in (trial.now, trial.expected, trial.tried)
     )
-    penalty = _raised(before.penalty, now - expected)
-    hoped, drop = penalty @ (now - expected), penalty @ (now - tried)
+    penalty, (closer, cheaper) = before.penalty, now - expected
+    if closer > np.finfo(float).tiny:
+        penalty = max(penalty, -2.0 * float(cheaper / closer))
+    weights = np.array([penalty, 1.0])
+    hoped, drop = weights @ (now - expected), weights @ (now - tried)
     converged = bool(np.isfinite(trial.tried).all())
     at_bound = trial.size >= 0.99 * before.step_bound
     kept_limits = trial.now[0] <= 10.0 * ROUNDING
@@ -198,13 +166,3 @@ def decide(trial: TriedStep, before: Decision, settings: ControlSettings) -> Dec
         vanished=bool(vanished or (collapsed and flat)),
         stalled=bool(collapsed and not flat),
     )
-
-
-def _raised(penalty: HostArray, drops: HostArray) -> Float[HostArray, " n_parts"]:
-    """Raise weights of earlier parts until the weighted drops have a positive sum."""
-    penalty = penalty.copy()
-    for part in range(len(penalty) - 2, -1, -1):
-        if drops[part] > np.finfo(float).tiny:
-            later = penalty[part + 1 :] @ drops[part + 1 :]
-            penalty[part] = max(penalty[part], -2.0 * later / drops[part])
-    return penalty

@@ -302,7 +302,7 @@ def inverse_dict(
     `versions` (see `made_dict`); `points`, one for each goal of a trajectory, else one:
     `configuration` (its name), `met`, `outcome` and `message` in words, `tol`, the
     error at which a goal counts as met, in standard deviations; `goals` (`name`,
-    `unit`, `is_turn`, `priority`, `met`, `goal`, `reached`, `residual`, `std`,
+    `unit`, `is_turn`, `met`, `goal`, `reached`, `residual`, `std`,
     `in_std`: residual over std; null for a coordinate without a goal; turns are counted
     from the goal); `actuators` (`name`, `kind`, `commanded`, `imposed`, `force`,
     `force_unit`, `displacement`, `displacement_unit`, null without one);
@@ -353,7 +353,6 @@ def _goal(fit: GoalFit, tol: float) -> dict[str, Any]:
     asked = lambda values: np.where(seen, values, np.nan)
     return {
         **pick(own, "name", "unit", "is_turn"),
-        "priority": fit.priority,
         "met": bool(np.max(np.abs(fit.in_std), initial=0.0) <= tol),
         "goal": asked(own.measured),
         "reached": fit.reached,

@@ -175,7 +175,7 @@ def test_energy_of_a_robot_that_its_motors_hold():
     start = pose(HANGING, effectors=EFFECTORS, **DRIVES["tensions and an angle"])
     settings = ControlSettings(epsilon=1e-3)
     goals = {"tip": (0.1, 0.01, 0.02)}
-    command = _prepare(arm(), start, goals, None, None, settings)
+    command = _prepare(arm(), start, goals, None, settings)
     held = eqx.tree_at(lambda r: r.W_aa, response, -response.W_aa)
     for compliance_found in (response, held):
         linear = linearise(command, command.start, compliance_found)

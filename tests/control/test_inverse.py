@@ -1,11 +1,11 @@
-"""Inverse control of the arm: goals, limits, energy, priorities."""
+"""Inverse control of the arm: goals, limits, energy."""
 
 from itertools import pairwise
 
 import equinox as eqx
 import numpy as np
 import pytest
-from arm import REST, arm, arrays, pose
+from arm import REST, arm, pose
 
 from benchmarks._compilations import Compilations
 from softcal_jax.configurations import (
@@ -17,7 +17,6 @@ from softcal_jax.control import (
     OUTCOMES,
     ControlSettings,
     Limits,
-    actuator_compliance,
     follow_trajectory,
     sample_workspace,
     solve_inverse,
@@ -185,41 +184,6 @@ def test_epsilon_ends_co_contraction():
     np.testing.assert_allclose(frugal.goals[0].reached[0], 0.25, atol=1e-4)
 
 
-@pytest.mark.slow  # a minute: programs of two levels of their own
-def test_priorities_are_strict():
-    """The first level is met; the second is as near as that leaves it."""
-    goals = {"bend": 0.3, "tip": (0.09, 0.01, -0.01)}
-    start = robot(top=0.5, bottom=0.5, motor=0.0)
-    limits = {"top": Limits(force=(0, 4)), "bottom": Limits(force=(0, 4))}
-    run = lambda **priorities: solve_inverse(
-        arm(),
-        start,
-        goals=goals,
-        limits=limits,
-        priorities=priorities,
-        settings=ControlSettings(tol=1e-3),
-    )
-    first, second = run(bend=1, tip=2), run(bend=2, tip=1)
-    off = lambda result: {fit.name: np.abs(fit.in_std).max() for fit in result.goals}
-    assert off(first)["bend"] < 1e-3 < off(second)["bend"]
-    assert off(second)["tip"] < off(first)["tip"]
-    assert [fit.priority for fit in first.goals] == [2, 1]
-    # Along the inputs that leave the bend alone, the tip can come no nearer.
-    response = eqx.filter_jit(actuator_compliance)(
-        arm(), arrays(first.configuration), first.solution
-    )
-    W_tip, W_bend = np.asarray(response.W_ea[:3]), np.asarray(response.W_ea[3])
-    moves = np.array([force not in (0.0, 4.0) for force in first.inputs])
-    blind = np.linalg.svd((W_bend * moves)[None])[2][1:]
-    blind = blind[np.abs(blind[:, ~moves]).sum(axis=1) < 1e-9] * 1.0
-    residual = np.asarray(first.goals[0].residual)
-    assert len(blind) > 0
-    for direction in blind:
-        change = W_tip @ direction
-        cosine = change @ residual / np.linalg.norm(change) / np.linalg.norm(residual)
-        assert abs(cosine) < 1e-2
-
-
 def test_trajectory_starts_where_it_was():
     """Neighbouring goals take few iterations, and inputs keep their steps."""
     start = robot(top=0.0, motor=0.0)
@@ -258,7 +222,7 @@ def test_one_program_for_all_goals_and_models(monkeypatch):
         )
     assert len(result.steps) > 0
     assert traced == []
-    assert not {"jit(reach)", "jit(differentiate)", "jit(step_in_levels)"} & set(
+    assert not {"jit(reach)", "jit(differentiate)", "jit(limited_step)"} & set(
         seen.programs
     )
 
