@@ -209,7 +209,7 @@ def test_interrupted(swept, capsys, monkeypatch, sent):
     assert code == 130
     assert "0 of " in errors
     page = swept / "third_report.html"
-    assert says(errors, f"third.sqlite ... same command ... {page}")
+    assert says(errors, f"same command ... third.sqlite ... {page}")
     assert ">0 of " in page.read_text()
 
 
