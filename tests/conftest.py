@@ -65,6 +65,16 @@ def _forget_compiled_programs():
         jax.clear_caches()
 
 
+@pytest.fixture(scope="session", autouse=True)
+def one_sample_per_pixel():
+    """Bodies are drawn four times as fast; with four, where a test asks for it."""
+    from softcal_jax.plotting import _scene
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_scene, "_SUPERSAMPLING", 1)
+        yield
+
+
 @pytest.fixture
 def unchecked():
     """Annotations off, as a user has it: wrong shapes meet the package's messages."""

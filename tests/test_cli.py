@@ -117,7 +117,8 @@ def test_force_replaces_and_not_converged_says_so(tmp_path, out, capsys):
     path = write_small_project(tmp_path, ("[markers]\n", settings))
     out.mkdir()
     (out / "result.json").write_text('{"files": []}')
-    assert main(["calibrate", str(path), "-o", str(out), "--force"]) == 1
+    command = ["calibrate", str(path), "-o", str(out), "--no-pictures"]
+    assert main([*command, "--force"]) == 1
     text, errors = capsys.readouterr()
     assert says(errors, "not converged ... 1 steps")
     assert "NOT CONVERGED" in text
@@ -145,6 +146,7 @@ def test_ctrl_c_writes_what_has_been_fitted(tmp_path, out, capsys, monkeypatch, 
 
     monkeypatch.setattr(_commands, "step_lines", interrupted)
     command = ["calibrate", str(path), "-o", str(out), "--checkpoint", str(checkpoint)]
+    command.append("--no-pictures")
     assert main(command) == 130
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     text, errors = capsys.readouterr()

@@ -50,7 +50,13 @@ def loaded(folder):
         return load_project(folder / "project.toml", solve=False)
 
 
-@pytest.mark.parametrize("robot", READY_MADE)
+# The arm is loaded and looked at in tests/robots/test_pneumatic_arm.py.
+SLOW = {"pneumatic-arm": pytest.mark.slow}
+
+
+@pytest.mark.parametrize(
+    "robot", [pytest.param(name, marks=SLOW.get(name, ())) for name in READY_MADE]
+)
 def test_ready_made_robots_are_complete(tmp_path, capsys, robot):
     """They load without a warning, lack nothing, and say what is made up."""
     if robot == "pneumatic-arm":

@@ -68,6 +68,7 @@ def test_on_a_full_disk_the_fit_is_printed_and_written_elsewhere(
     path = write_small_project(tmp_path)
     checkpoint = tmp_path / "fit.npz"
     command = ["calibrate", str(path), "-o", str(out), "--checkpoint", str(checkpoint)]
+    command.append("--no-pictures")
     assert main(command) == 2
     text, errors = capsys.readouterr()
     assert "300.0" in text  # E of the recordings [kPa]

@@ -153,37 +153,6 @@ def test_held_out_configuration_is_predicted_and_never_used(model, exact, recove
     )
 
 
-def test_nothing_is_compiled_after_the_first_step(model, exact):
-    """Nor for another shape of the body, start, bounds, names, data and tolerance.
-
-    Another number of poses compiles what stacks them anew, but neither the equilibrium
-    nor the QP.
-    """
-    jax.clear_caches()
-    until = []
-    with Compilations() as fresh:
-        note = lambda entry: until.append(len(fresh.programs))
-        calibrate(model, [parameter()], exact[:2], validation=exact[2:], progress=note)
-    assert len(until) > 3
-    assert fresh.programs.count("jit(evaluate_lane)") == 1
-    assert fresh.programs.count("jit(_solved_each)") == 1
-    assert set(until[1:]) == {until[1]}
-
-    law = NeoHookean(E_TRUE, NU_TRUE)
-    longer = beam(0.11, 0.021, 0.02, (5, 2, 2))
-    other = build_model(longer, NeoHookean(2e5, NU_TRUE), density=1100.0)
-    data = [replace(c, name=f"again {c.name}") for c in measure(longer, law)]
-    softer = replace(parameter(8e4, 2e4, 9e5), name="softness")
-    finer = NewtonSettings(rtol=1e-9)
-    with Compilations() as again:
-        calibrate(other, [softer], data[:2], validation=data[2:], newton=finer)
-    assert again.programs == [], again.programs
-    with Compilations() as more:
-        calibrate(other, [softer], data)
-    assert more.programs
-    assert not {"jit(evaluate_lane)", "jit(_solved_each)"} & set(more.programs)
-
-
 def test_history_falls_to_the_solution(recovered):
     cost = [entry.cost for entry in recovered.history if entry.accepted]
     assert all(b <= a for a, b in itertools.pairwise(cost))
@@ -433,3 +402,35 @@ def test_result_and_history_print_for_a_person(recovered):
     assert "E = 1.6e+05 +- " in text
     assert "push (validation): rms " in text
     assert str(recovered.history[0]).startswith("step 0: rms ")
+
+
+# At the end, since what was traced before is forgotten.
+def test_nothing_is_compiled_after_the_first_step(model, exact):
+    """Nor for another shape of the body, start, bounds, names, data and tolerance.
+
+    Another number of poses compiles what stacks them anew, but neither the equilibrium
+    nor the QP.
+    """
+    jax.clear_caches()
+    until = []
+    with Compilations() as fresh:
+        note = lambda entry: until.append(len(fresh.programs))
+        calibrate(model, [parameter()], exact[:2], validation=exact[2:], progress=note)
+    assert len(until) > 3
+    assert fresh.programs.count("jit(evaluate_lane)") == 1
+    assert fresh.programs.count("jit(_solved_each)") == 1
+    assert set(until[1:]) == {until[1]}
+
+    law = NeoHookean(E_TRUE, NU_TRUE)
+    longer = beam(0.11, 0.021, 0.02, (5, 2, 2))
+    other = build_model(longer, NeoHookean(2e5, NU_TRUE), density=1100.0)
+    data = [replace(c, name=f"again {c.name}") for c in measure(longer, law)]
+    softer = replace(parameter(8e4, 2e4, 9e5), name="softness")
+    finer = NewtonSettings(rtol=1e-9)
+    with Compilations() as again:
+        calibrate(other, [softer], data[:2], validation=data[2:], newton=finer)
+    assert again.programs == [], again.programs
+    with Compilations() as more:
+        calibrate(other, [softer], data)
+    assert more.programs
+    assert not {"jit(evaluate_lane)", "jit(_solved_each)"} & set(more.programs)

@@ -245,7 +245,7 @@ def test_without_a_path_nothing_is_written(tmp_path, fit, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-STARTS = 5
+STARTS = 3
 
 
 class Evaluations:

@@ -26,6 +26,7 @@ from softcal_jax.mesh import TetMesh, beam
 
 TIP, CLAMPED = (0.1, 0.01, 0.0), (0.0, 0.01, 0.02)
 DOWN = (0.0, 0.0, -9.81)
+KNOWN = {"uncertain": exactly_known(), "intervals": None}
 E = Parameter("E", "E", 1e5, 3e4, 1e6, unit="Pa")
 
 
@@ -56,7 +57,7 @@ def test_all_markers_on_the_clamp(model):
 
 def test_a_marker_on_the_clamp_tells_where_the_recording_is(model):
     offset = recording_offset(limit=0.01, prior_std=None)
-    result = calibrate(model, offset, pose(CLAMPED), uncertain=exactly_known())
+    result = calibrate(model, offset, pose(CLAMPED), **KNOWN)
     assert result.converged
     np.testing.assert_allclose([p.value for p in result.parameters], 0.0, atol=1e-9)
 
@@ -103,7 +104,7 @@ def test_one_blind_parameter_among_others_is_no_error(model):
     """The load pulls at the clamp, where no factor of it moves anything."""
     clamped = pose(loads=[SurfaceForce("x_min", (0.0, 0.0, 1.0))])
     both = [E, load_factor(prior_std=None)]
-    result = calibrate(model, both, clamped, uncertain=exactly_known())
+    result = calibrate(model, both, clamped, **KNOWN)
     assert not np.any(result.linear.W[:, 1])
     assert np.isnan(result.parameters[1].standard_error)
 

@@ -110,8 +110,8 @@ def test_unreachable_goal_ends_at_the_nearest_point(goal, limits):
     assert "'tip'" in result.message
     force = limits.get("top", Limits()).force
     angle = limits.get("motor", Limits()).displacement
-    top = np.linspace(0.0, min(force[1], 3.0), 13)
-    motor = np.linspace(max(angle[0], -0.7), min(angle[1], 0.7), 15)
+    top = np.linspace(0.0, min(force[1], 3.0), 7)
+    motor = np.linspace(max(angle[0], -0.7), min(angle[1], 0.7), 10)
     inputs = np.stack(np.meshgrid(top, motor), axis=-1).reshape(-1, 2)
     distance = lambda tip: np.linalg.norm(tip - np.array(goal), axis=-1)
     off = distance(reached(start, inputs)[0])
@@ -187,7 +187,7 @@ def test_epsilon_ends_co_contraction():
 def test_trajectory_starts_where_it_was():
     """Neighbouring goals take few iterations, and inputs keep their steps."""
     start = robot(top=0.0, motor=0.0)
-    inputs = np.stack([np.linspace(0.5, 1.5, 5), np.linspace(0.1, 0.3, 5)], axis=1)
+    inputs = np.stack([np.linspace(0.5, 1.0, 3), np.linspace(0.1, 0.2, 3)], axis=1)
     tips, _ = reached(start, inputs)
     goals = [{"tip": tip} for tip in tips]
     path = follow_trajectory(arm(), start, goals)
@@ -196,9 +196,10 @@ def test_trajectory_starts_where_it_was():
     assert max(len(point.steps) for point in path.points[1:]) <= 3
     # A motor that is too slow falls behind, and says so.
     slow = {"motor": Limits(step=0.02)}
-    path = follow_trajectory(arm(), start, goals, limits=slow)
+    direct = ControlSettings(other_starts=0)
+    path = follow_trajectory(arm(), start, goals, limits=slow, settings=direct)
     np.testing.assert_allclose(np.diff(path.inputs[:, 1]), 0.02, rtol=1e-6)
-    assert path.unmet == (0, 1, 2, 3, 4)
+    assert path.unmet == (0, 1, 2)
     (text,) = path.points[0].active_limits
     assert text == "step of the displacement of motor 'motor' at its longest limit"
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from arm import EFFECTORS as OF_THE_ARM
 from arm import LENGTH, REST, SIDE, arm, arrays, pose, solved
 
 from softcal_jax.actuators import Cable, Guide
@@ -143,7 +144,7 @@ def test_two_actuators_that_impose_one_displacement_are_called_singular():
 
 def test_a_motor_turns_in_one_load_step():
     """Its axis stays, so that there is no screw to follow in small steps."""
-    configuration = arrays(robot(motor=0.8))
+    configuration = arrays(pose(REST, OF_THE_ARM, motor=0.8))
     solution, _ = solved(arm(), configuration, configuration.actuation.value)
     assert solution.converged
     assert solution.load_steps == 1

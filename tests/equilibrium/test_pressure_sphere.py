@@ -157,7 +157,7 @@ def test_pressure_is_the_slope_of_the_energy_and_W_aa_that_of_the_volume(imposed
 
 
 @pytest.mark.parametrize(
-    "stretch", [*(pytest.param(s, marks=pytest.mark.slow) for s in (1.3, 2.0)), 2.5]
+    "stretch", [*(pytest.param(s, marks=pytest.mark.slow) for s in (1.3, 2.5)), 2.0]
 )
 def test_large_inflation_of_an_incompressible_sphere(stretch):
     """By its volume, on both sides of the largest pressure, p = 0.81 mu at 1.9."""

@@ -4,7 +4,13 @@ from export.handmade import make_fit, nowhere_before, sag, small_model, with_poi
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
 
-from softcal_jax.plotting import render_body, render_configuration, rendering_problem
+from softcal_jax.plotting import (
+    _configuration,
+    _scene,
+    render_body,
+    render_configuration,
+    rendering_problem,
+)
 from softcal_jax.plotting._colours import BAD, MEASURED
 from softcal_jax.plotting._configuration import _fit_body, motion_words
 from softcal_jax.plotting._view import choose_view
@@ -18,6 +24,22 @@ def pixels_of(path, colour):
     """Rows and columns of the pixels of one colour."""
     image = imread(path)[..., :3]
     return np.argwhere(np.abs(image - to_rgb(colour)).max(axis=2) < 0.02)
+
+
+@pytest.fixture
+def as_users_see_it(monkeypatch):
+    """With the samples per pixel that users get."""
+    monkeypatch.setattr(_scene, "_SUPERSAMPLING", 2)
+
+
+@pytest.fixture
+def without_the_body(monkeypatch):
+    """White where the body would be, for what is drawn around and over it."""
+
+    def white(*args, size, **keywords):
+        return np.full((*size[::-1], 3), 255, np.int32)
+
+    monkeypatch.setattr(_configuration, "body_image", white)
 
 
 @pytest.fixture(scope="module", params=[pytest.param(1, marks=pytest.mark.slow), 2])
@@ -38,6 +60,7 @@ def test_markers_lie_where_they_were_measured(model, tmp_path):
     assert body[:, 1].max() < 1410
 
 
+@pytest.mark.usefixtures("as_users_see_it")
 def test_the_body_is_drawn_in_colours(model, tmp_path):
     path = tmp_path / "a.png"
     render_body(model, sag(model.mesh), path, title="a")
@@ -50,6 +73,7 @@ def test_the_body_is_drawn_in_colours(model, tmp_path):
     assert len(pixels_of(path, MEASURED)) == 0
 
 
+@pytest.mark.usefixtures("as_users_see_it")
 def test_body_and_markers_are_drawn_to_the_same_scale(tmp_path):
     """VTK draws the one, Matplotlib the other: the body must lie in the view."""
     model = small_model()
@@ -66,6 +90,7 @@ def test_body_and_markers_are_drawn_to_the_same_scale(tmp_path):
     np.testing.assert_allclose(drawn.max(axis=0), middle + half, atol=2.5)
 
 
+@pytest.mark.usefixtures("without_the_body")
 @pytest.mark.parametrize("letters", ["long ", "W", "."])
 def test_a_long_title_is_not_cut_off(tmp_path, letters):
     model = small_model()
@@ -90,6 +115,7 @@ def test_a_body_at_rest_can_be_drawn(tmp_path):
     assert imread(tmp_path / "a.png").shape[1] == 1600
 
 
+@pytest.mark.usefixtures("without_the_body")
 def test_a_run_that_did_not_converge_never_looks_good(tmp_path):
     model = small_model()
     fit = make_fit(model.mesh)
@@ -102,6 +128,7 @@ def test_a_run_that_did_not_converge_never_looks_good(tmp_path):
     assert len(pixels_of(tmp_path / "True.png", BAD)) == 0
 
 
+@pytest.mark.usefixtures("without_the_body")
 def test_a_marker_that_was_lost_is_left_out(tmp_path):
     """NaN in one of two measured markers: half the red, and no warning."""
     model = small_model()
@@ -136,6 +163,7 @@ def test_the_body_fits_and_fills_its_part(w, h):
     )
 
 
+@pytest.mark.usefixtures("without_the_body")
 def test_markers_seen_along_some_axes_are_drawn(model, tmp_path):
     """What was not measured is taken from the simulation: no distance along it."""
     counts = []

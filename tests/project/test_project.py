@@ -58,8 +58,12 @@ def test_measured_positions(tmp_path):
 def test_displacements_from_a_configuration(tmp_path):
     """The glue offset of 1 mm stays in the positions, and out of the fit."""
     line = 'displacement_from = { phase = "rest" }\n'
-    both = ('role = "validation"', 'role = "calibration"')
-    path = write_small_project(tmp_path, (line, 'displacement_from = "weight"\n'), both)
+    changes = [
+        (line, 'displacement_from = "weight"\n'),
+        ('role = "validation"', 'role = "calibration"'),
+        ("[markers]\n", "[settings]\nintervals = 0\n\n[markers]\n"),
+    ]
+    path = write_small_project(tmp_path, *changes)
     project = load_project(path)
     weight, pulled = project.calibration
     assert weight.displacement_from is None
