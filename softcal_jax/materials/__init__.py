@@ -16,12 +16,6 @@ from softcal_jax.materials._elasticity import (
 )
 from softcal_jax.materials._fibre import Fibre, frames_along, frames_around
 from softcal_jax.materials._fibre_reinforced import FibreReinforced
-from softcal_jax.materials._foam import (
-    FoamTable,
-    FoundFoam,
-    Infill,
-    published_foam,
-)
 from softcal_jax.materials._invariant_rubbers import Gent, MooneyRivlin, Yeoh
 from softcal_jax.materials._law import AbstractLaw
 from softcal_jax.materials._ogden import Ogden
@@ -64,10 +58,7 @@ __all__ = [
     "Corotational",
     "Fibre",
     "FibreReinforced",
-    "FoamTable",
-    "FoundFoam",
     "Gent",
-    "Infill",
     "Isotropic",
     "MooneyRivlin",
     "NeoHookean",
@@ -88,5 +79,4 @@ __all__ = [
     "lame",
     "law_at_points",
     "plane_stiffness",
-    "published_foam",
 ]

@@ -97,8 +97,7 @@ class IceslExporter(AbstractExporter):
         options: argparse.Namespace,
         progress: ExportProgress,
     ) -> Sequence[str]:
-        from softcal_jax.exchange.icesl import export_icesl
-        from softcal_jax.materials import published_foam
+        from softcal_jax.exchange.icesl import export_icesl, published_foam
 
         table = options.table
         if options.solid_modulus is not None:

@@ -18,6 +18,7 @@ from softcal_jax.exchange.icesl._fields import (
     print_plane,
     sample,
 )
+from softcal_jax.exchange.icesl._foam import FoamTable, Infill, published_foam
 from softcal_jax.exchange.icesl._report import (
     TABLE,
     UNREACHABLE,
@@ -30,7 +31,6 @@ from softcal_jax.exchange.icesl._report import (
 )
 from softcal_jax.exchange.icesl._settings import Convention, choose
 from softcal_jax.export import results_folder, write_json
-from softcal_jax.materials import FoamTable, Infill, published_foam
 from softcal_jax.mesh import tessellate
 from softcal_jax.project import Project
 from softcal_jax.report import LoadedResult, load_result

@@ -12,6 +12,7 @@ from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable, readable_values
 from softcal_jax.exchange.icesl._fields import N_VOXELS, PrintedPart, Samples
+from softcal_jax.exchange.icesl._foam import FoamTable
 from softcal_jax.exchange.icesl._settings import (
     ACROSS,
     BEYOND,
@@ -22,7 +23,6 @@ from softcal_jax.exchange.icesl._settings import (
     Setting,
 )
 from softcal_jax.export import plain
-from softcal_jax.materials import FoamTable
 
 TABLE, UNREACHABLE = "foam.csv", "unreachable.csv"
 

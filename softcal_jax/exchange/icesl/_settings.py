@@ -6,7 +6,7 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.exchange.icesl._fields import N_VOXELS, Samples
-from softcal_jax.materials import FoamTable, FoundFoam
+from softcal_jax.exchange.icesl._foam import FoamTable, FoundFoam
 
 RTOL = 0.01
 """Relative distance of a modulus from the one asked for that is not listed [-]."""

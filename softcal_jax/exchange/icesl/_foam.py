@@ -7,7 +7,7 @@ import numpy as np
 
 from softcal_jax._module import Module, one_line
 from softcal_jax._names import unknown_name
-from softcal_jax.materials._foam_patch import FoamPatch, Numbers, Pairs
+from softcal_jax.exchange.icesl._foam_patch import FoamPatch, Numbers, Pairs
 
 Infill = Literal["Polyfoam", "Phasor"]
 """Foams of the slicer IceSL, by its names."""
