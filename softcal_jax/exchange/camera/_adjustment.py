@@ -92,6 +92,12 @@ class Observations(NamedTuple):
     points: Float[HostArray, "n 3"]
     pixels: Float[HostArray, "n 2"]
 
+    def in_base(self, others: Sequence[Placement]) -> Float[HostArray, "n 3"]:
+        """Return the points in the frame of target 0, by where the others are [m]."""
+        still = Placement(np.eye(3), np.zeros(3))
+        R, p = map(np.stack, zip(*(still, *others), strict=True))
+        return np.einsum("nij,nj->ni", R[self.target], self.points) + p[self.target]
+
 
 class Adjustment(NamedTuple):
     """Result of a bundle adjustment.
@@ -194,11 +200,8 @@ def projected(
     Placements are poses of target 0 in the camera, one per photograph, then those of
     the other targets in target 0.
     """
-    still = Placement(np.eye(3), np.zeros(3))
-    targets = [still, *placements[n_photos:]]
-    R, p = (np.stack(part) for part in zip(*targets, strict=True))
-    x = np.einsum("nij,nj->ni", R[seen.target], seen.points) + p[seen.target]
-    R, p = (np.stack(part) for part in zip(*placements[:n_photos], strict=True))
+    R, p = map(np.stack, zip(*placements[:n_photos], strict=True))
+    x = seen.in_base(placements[n_photos:])
     x = np.einsum("nij,nj->ni", R[seen.photo], x) + p[seen.photo]
     zero, K = np.zeros(3), CameraModel(camera, np.eye(_N_CAMERA)).matrix
     pixels, _ = opencv().projectPoints(x[:, None], zero, zero, K, camera[3:])

@@ -205,16 +205,14 @@ def _fitted(
     cameras: Sequence[CameraModel],
 ) -> Adjustment:
     """Fit targets that all photographs show, from the best of some beginnings."""
-    photo, target, points, pixels = [], [], [], []
-    for i, shown in enumerate(photos):
-        for j, corners in enumerate(targets):
-            for number in corners:
-                if number in shown.corners:
-                    photo.append(np.full(4, i))
-                    target.append(np.full(4, j))
-                    points.append(corners[number])
-                    pixels.append(shown.corners[number])
-    seen = Observations(*map(np.concatenate, (photo, target, points, pixels)))
+    shown = [
+        (np.full(4, i), np.full(4, j), points, photo.corners[number])
+        for i, photo in enumerate(photos)
+        for j, target in enumerate(targets)
+        for number, points in target.items()
+        if number in photo.corners
+    ]
+    seen = Observations(*map(np.concatenate, zip(*shown, strict=True)))
     starts = [start for camera in cameras for start in _starts(seen, camera, targets)]
     best = min(starts, key=lambda start: float(np.median(start.rms)))
     _check_alike(photos, best.rms, factor=_FIRST_OUTLIER, off=_FIRST_OFF)
@@ -257,30 +255,25 @@ def _starts(
     Each pose of the other target in the frame of the first one that a photograph allows
     is tried on all photographs.
     """
-    photos = range(int(seen.photo.max()) + 1)
-    of = lambda i, j: (seen.photo == i) & (seen.target == j)
+    photos = [seen.photo == i for i in range(int(seen.photo.max()) + 1)]
     planar = lambda rows: _planar_poses(seen.points[rows], seen.pixels[rows], camera)
-    bases = [planar(of(i, 0)) for i in photos]
+    bases = [planar(rows & (seen.target == 0)) for rows in photos]
     placed: list[tuple[Placement, ...]] = [()]
     if len(targets) > 1:
         placed = [
-            (base.inverse @ own,)
-            for i in photos
-            for base in bases[i]
-            for own in planar(of(i, 1))
+            (base.inverse @ moved,)
+            for rows, poses in zip(photos, bases, strict=True)
+            for base in poses
+            for moved in planar(rows & (seen.target == 1))
         ]
     for others in placed:
-        poses, errors = [], []
-        for i in photos:
-            rows = seen.photo == i
-            points = seen.points[rows].copy()
-            for other in others:
-                moved = seen.target[rows] == 1
-                points[moved] = points[moved] @ other.R.T + other.p
-            pose, error = _best_pose(points, seen.pixels[rows], camera, bases[i])
-            poses.append(pose)
-            errors.append(error)
-        yield _FirstGuess(np.sqrt(errors), camera, tuple(poses), others)
+        points = seen.in_base(others)
+        fits = [
+            _best_pose(points[rows], seen.pixels[rows], camera, starts)
+            for rows, starts in zip(photos, bases, strict=True)
+        ]
+        poses, errors = zip(*fits, strict=True)
+        yield _FirstGuess(np.sqrt(errors), camera, poses, others)
 
 
 def _planar_poses(

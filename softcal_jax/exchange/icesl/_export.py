@@ -37,17 +37,13 @@ from softcal_jax.report import LoadedResult, load_result
 
 _SCRIPT, _PART = "robot.lua", "robot.stl"
 
+Printable = LoadedResult | CalibrationResult | Project | Model | Design
+
 _UNITS = {"kPa": 1e3, "Pa": 1.0, "MPa": 1e6}
 
 
 def export_icesl(
-    result: LoadedResult
-    | CalibrationResult
-    | Project
-    | Model
-    | Design
-    | str
-    | os.PathLike[str],
+    result: Printable | str | os.PathLike[str],
     directory: str | os.PathLike[str],
     *,
     infill: Infill = "Polyfoam",
@@ -143,9 +139,7 @@ def export_icesl(
     return written
 
 
-def _design(
-    source: LoadedResult | CalibrationResult | Project | Model | Design,
-) -> Design:
+def _design(source: Printable) -> Design:
     """Return the field that a result or a project holds."""
     if isinstance(source, Design):
         return source

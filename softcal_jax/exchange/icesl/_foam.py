@@ -12,8 +12,6 @@ from softcal_jax.exchange.icesl._foam_patch import FoamPatch, Numbers, Pairs
 Infill = Literal["Polyfoam", "Phasor"]
 """Foams of the slicer IceSL, by its names."""
 
-AxisKind = Literal["soft", "stiff"]
-
 
 class FoundFoam(NamedTuple):
     """The foams whose moduli are nearest to those asked for.
@@ -39,9 +37,9 @@ class FoamTable(Module):
     """Moduli of a foam by its density and the setting that makes it anisotropic.
 
     Samples with the same anisotropy are a level. Along a level ln E is a monotone cubic
-    of ln density, which is a straight line where E is a power of the density. Between
-    two levels ln density and ln E are linear, for Polyfoam in ln shrink and for Phasor
-    in its isotropy; what lies outside of this patch is not reached by the foam.
+    of ln density: a straight line where E is a power of the density. Between two levels
+    ln density and ln E are linear, for Polyfoam in ln shrink and for Phasor in its
+    isotropy; what lies outside of this patch is not reached by the foam.
 
     Attributes:
         infill: The foam. Polyfoam has a soft axis and a stiff plane across it; Phasor
@@ -68,28 +66,15 @@ class FoamTable(Module):
     def __check_init__(self):
         if self.infill not in get_args(Infill):
             raise unknown_name("infill", self.infill, get_args(Infill))
-        shrink, E = self.anisotropy, self.E_soft
-        above = shrink > 0.0 if self._is_log else shrink >= 0.0
+        density, shrink, soft = self.density, self.anisotropy, self.E_soft
+        above, low = (shrink > 0.0, "(0") if self._is_log else (shrink >= 0.0, "[0")
+        share = "in (0, 1]: the share of solid, 0.2 for 20 %"
+        at_least = self.E_stiff, self.E_stiff >= soft, "finite and at least E_soft [Pa]"
         for name, values, fine, expected in (
-            (
-                "density",
-                self.density,
-                (self.density > 0.0) & (self.density <= 1.0),
-                "in (0, 1]: the share of solid, 0.2 for 20 %",
-            ),
-            (
-                self.setting,
-                shrink,
-                above & (shrink <= 1.0),
-                "in (0, 1]" if self._is_log else "in [0, 1]",
-            ),
-            ("E_soft", E, E > 0.0, "positive [Pa]"),
-            (
-                "E_stiff",
-                self.E_stiff,
-                self.E_stiff >= E,
-                "finite and at least E_soft [Pa]",
-            ),
+            ("density", density, (density > 0.0) & (density <= 1.0), share),
+            (self.setting, shrink, above & (shrink <= 1.0), f"in {low}, 1]"),
+            ("E_soft", soft, soft > 0.0, "positive [Pa]"),
+            ("E_stiff", *at_least),
         ):
             bad = np.flatnonzero(~(fine & np.isfinite(values)))
             if bad.size:
@@ -97,8 +82,8 @@ class FoamTable(Module):
                     f"foam table, sample {bad[0] + 1}: {name} must be {expected}, got "
                     f"{values[bad[0]]:g}."
                 )
-        for level in np.unique(self.anisotropy):
-            densities = self.density[self.anisotropy == level]
+        for level in np.unique(shrink):
+            densities = density[shrink == level]
             if len(np.unique(densities)) < max(len(densities), 2):
                 raise ValueError(
                     f"foam table: at {self.setting} {level:g} it has the densities "
@@ -112,7 +97,7 @@ class FoamTable(Module):
         return "shrink" if self._is_log else "iso"
 
     @property
-    def axis(self) -> AxisKind:
+    def axis(self) -> Literal["soft", "stiff"]:
         """Which modulus holds along the single axis; the other holds across it."""
         return "soft" if self._is_log else "stiff"
 
@@ -138,9 +123,9 @@ class FoamTable(Module):
         asked = np.log(np.stack([pairs.real, pairs.imag], axis=1))
         anisotropy, found = self._patch().nearest(asked)
         error = np.abs(found[:, 1:] - asked).max(axis=1)
-        density, soft, stiff = np.exp(found).T
-        each = (density, anisotropy, soft, stiff, error)
-        return FoundFoam(*(values[index] for values in each))
+        density, *moduli = np.exp(found).T
+        values = (density, anisotropy, *moduli, error)
+        return FoundFoam(*(each[index] for each in values))
 
     def _patch(self) -> FoamPatch:
         moduli = np.stack([self.E_soft, self.E_stiff], axis=1)

@@ -10,7 +10,6 @@ _T_STEPS, _S_STEPS = 96, 64
 
 _SEARCH_STEPS = 20
 
-
 Numbers = Float[HostArray, " n"]
 Pairs = Float[HostArray, "n 2"]
 
@@ -24,12 +23,7 @@ class FoamPatch:
     """
 
     def __init__(
-        self,
-        density: Numbers,
-        anisotropy: Numbers,
-        moduli: Pairs,
-        *,
-        is_log: bool,
+        self, density: Numbers, anisotropy: Numbers, moduli: Pairs, *, is_log: bool
     ):
         """Fit a curve to each level; `is_log` mixes levels by their logarithm."""
         # Here, so that commands which do not need it do not wait for it.
@@ -38,6 +32,7 @@ class FoamPatch:
         self.is_log = is_log
         values = np.unique(anisotropy)
         self.levels = np.log(values) if is_log else values
+        self.last = len(values) - 1.0  # the largest s
         self.ends, self.curves = [], []
         for value in values:
             samples = np.flatnonzero(anisotropy == value)
@@ -45,21 +40,6 @@ class FoamPatch:
             x = np.log(density[samples])
             self.ends.append((x[0], x[-1]))
             self.curves.append(PchipInterpolator(x, np.log(moduli[samples])))
-
-    @property
-    def last(self) -> float:
-        """The largest s."""
-        return len(self.levels) - 1.0
-
-    def position(self, anisotropy: Numbers) -> Numbers:
-        """Return s of a shrink or isotropy."""
-        values = np.log(anisotropy) if self.is_log else anisotropy
-        return np.interp(values, self.levels, np.arange(len(self.levels)))
-
-    def anisotropy(self, s: Numbers) -> Numbers:
-        """Return the shrink or isotropy at s."""
-        values = np.interp(s, np.arange(len(self.levels)), self.levels)
-        return np.exp(values) if self.is_log else values
 
     def at(self, t: Numbers, s: Numbers) -> Float[HostArray, "n 3"]:
         """Return ln density, ln E_soft and ln E_stiff."""
@@ -75,7 +55,8 @@ class FoamPatch:
 
     def moduli(self, density: Numbers, anisotropy: Numbers) -> Pairs:
         """Interpolate E_soft and E_stiff [Pa]; see `FoamTable.moduli`."""
-        s = self.position(anisotropy)
+        values = np.log(anisotropy) if self.is_log else anisotropy
+        s = np.interp(values, self.levels, np.arange(len(self.levels)))
         low, high = (self.at(np.full_like(s, t), s)[:, 0] for t in (0.0, 1.0))
         t = (np.log(density) - low) / (high - low)
         return np.exp(self.at(t, s)[:, 1:])
@@ -90,7 +71,8 @@ class FoamPatch:
         grid = np.stack(np.meshgrid(t, s, indexing="ij"), axis=-1).reshape(-1, 2)
         tree = KDTree(self.at(*grid.T)[:, 1:])
         x = _refined(self, asked, grid[tree.query(asked)[1]])
-        return self.anisotropy(x[:, 1]), self.at(*x.T)
+        levels = np.interp(x[:, 1], np.arange(len(self.levels)), self.levels)
+        return np.exp(levels) if self.is_log else levels, self.at(*x.T)
 
 
 def _refined(patch: FoamPatch, asked: Pairs, x: Pairs) -> Pairs:
