@@ -1,6 +1,6 @@
 """Nearly incompressible rubbers: Mooney-Rivlin, Yeoh, Gent and Ogden."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -46,11 +46,9 @@ class MooneyRivlin(AbstractInvariantRubber):
     )
 
     def shear_modulus(self) -> Constant:
-        """Shear modulus at small strain, 2 (c10 + c01) [Pa]."""
         return 2.0 * (self.c10 + self.c01)
 
     def distortion(self, i1: Float[Array, ""], i2: Float[Array, ""]) -> Distortion:
-        """Compute W = c10 (i1 - 3) + c01 (i2 - 3)."""
         W = self.c10 * (i1 - 3.0) + self.c01 * (i2 - 3.0)
         return Distortion(W, W_1=self.c10, W_2=self.c01)
 
@@ -85,11 +83,9 @@ class Yeoh(AbstractInvariantRubber):
     )
 
     def shear_modulus(self) -> Constant:
-        """Shear modulus at small strain, 2 c10 [Pa]."""
         return 2.0 * self.c10
 
     def distortion(self, i1: Float[Array, ""], i2: Float[Array, ""]) -> Distortion:
-        """Compute W, a polynomial in i1 - 3."""
         del i2
         x = i1 - 3.0
         return Distortion(
@@ -156,11 +152,6 @@ def _exponent(term: str) -> dict[str, Any]:
     return constant("", f"exponent of the {term} term: 1.3")
 
 
-class _Term(NamedTuple):
-    mu: Constant
-    alpha: Constant
-
-
 class Ogden(AbstractRubber):
     """Nearly incompressible Ogden law of one to three terms.
 
@@ -213,18 +204,17 @@ class Ogden(AbstractRubber):
                     "neither."
                 )
 
-    def terms(self) -> list[_Term]:
+    def terms(self) -> list[tuple[Constant, Constant]]:
         """Return stiffness and exponent of each term."""
         pairs = (
             (self.mu_1, self.alpha_1),
             (self.mu_2, self.alpha_2),
             (self.mu_3, self.alpha_3),
         )
-        return [_Term(m, a) for m, a in pairs if m is not None and a is not None]
+        return [(m, a) for m, a in pairs if m is not None and a is not None]
 
     def shear_modulus(self) -> Constant:
-        """Shear modulus at small strain, sum of mu_p alpha_p / 2 [Pa]."""
-        return 0.5 * sum_of(term.mu * term.alpha for term in self.terms())
+        return 0.5 * sum_of(mu * alpha for mu, alpha in self.terms())
 
     def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
         J, C = determinant(F), matmul(F.T, F)
