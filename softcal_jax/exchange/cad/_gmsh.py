@@ -224,19 +224,9 @@ def fill_wild(triangles: Triangles, size: float) -> Filled:
     # A process of its own: it leaves a file where it runs, and a crash would end ours.
     with tempfile.TemporaryDirectory() as folder:
         given, made = Path(folder, "given.npz"), Path(folder, "made.npz")
-        np.savez(
-            given,
-            points=triangles.points,
-            triangles=triangles.triangles,
-            size=size,
-            envelope=ENVELOPE,
-        )
-        done = subprocess.run(
-            [sys.executable, "-c", _PROGRAM, str(given), str(made)],
-            cwd=folder,
-            capture_output=True,
-            text=True,
-        )
+        np.savez(given, **triangles._asdict(), size=size, envelope=ENVELOPE)
+        command = [sys.executable, "-c", _PROGRAM, str(given), str(made)]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
         if done.returncode != 0:
             last = (done.stderr.strip().splitlines() or ["it crashed"])[-1]
             raise ValueError(

@@ -47,16 +47,11 @@ class CameraModel(NamedTuple):
         middle = 0.5 * (np.array(size) - 1.0)
         return cls(np.array([focal, *middle, 0, 0, 0, 0, 0]), np.diag(np.square(std)))
 
-    @property
-    def matrix(self) -> Float[HostArray, "3 3"]:
-        """The matrix of the camera [px]."""
-        f, cx, cy = self.values[:3]
-        return np.array([[f, 0.0, cx], [0.0, f, cy], [0.0, 0.0, 1.0]])
 
-    @property
-    def distortion(self) -> Float[HostArray, "5"]:
-        """k1, k2, p1, p2, k3 [-]."""
-        return self.values[3:]
+def lens(values: Float[HostArray, "8"]) -> tuple:
+    """Return the matrix of a camera [px] and its distortion [-], for OpenCV."""
+    f, cx, cy = values[:3]
+    return np.array([[f, 0.0, cx], [0.0, f, cy], [0.0, 0.0, 1.0]]), values[3:]
 
 
 class Placement(NamedTuple):
@@ -203,6 +198,6 @@ def projected(
     R, p = map(np.stack, zip(*placements[:n_photos], strict=True))
     x = seen.in_base(placements[n_photos:])
     x = np.einsum("nij,nj->ni", R[seen.photo], x) + p[seen.photo]
-    zero, K = np.zeros(3), CameraModel(camera, np.eye(_N_CAMERA)).matrix
-    pixels, _ = opencv().projectPoints(x[:, None], zero, zero, K, camera[3:])
+    zero = np.zeros(3)
+    pixels, _ = opencv().projectPoints(x[:, None], zero, zero, *lens(camera))
     return pixels.reshape(-1, 2)

@@ -17,6 +17,7 @@ from softcal_jax.exchange.camera._adjustment import (
     Observations,
     Placement,
     adjust,
+    lens,
 )
 from softcal_jax.exchange.camera._detection import SMALLEST, Photo, height, read_photo
 from softcal_jax.exchange.camera._sheet import (
@@ -213,7 +214,7 @@ def _fitted(
         if number in photo.corners
     ]
     seen = Observations(*map(np.concatenate, zip(*shown, strict=True)))
-    starts = [start for camera in cameras for start in _starts(seen, camera, targets)]
+    starts = [start for camera in cameras for start in _starts(seen, camera)]
     best = min(starts, key=lambda start: float(np.median(start.rms)))
     _check_alike(photos, best.rms, factor=_FIRST_OUTLIER, off=_FIRST_OFF)
     found = adjust(seen, best.camera, best.poses, best.targets)
@@ -247,9 +248,7 @@ class _FirstGuess(NamedTuple):
     targets: tuple[Placement, ...]
 
 
-def _starts(
-    seen: Observations, camera: CameraModel, targets: Sequence[_Target]
-) -> Iterator[_FirstGuess]:
+def _starts(seen: Observations, camera: CameraModel) -> Iterator[_FirstGuess]:
     """Yield beginnings: a planar target on a photograph has two poses that fit.
 
     Each pose of the other target in the frame of the first one that a photograph allows
@@ -259,7 +258,7 @@ def _starts(
     planar = lambda rows: _planar_poses(seen.points[rows], seen.pixels[rows], camera)
     bases = [planar(rows & (seen.target == 0)) for rows in photos]
     placed: list[tuple[Placement, ...]] = [()]
-    if len(targets) > 1:
+    if seen.target.any():
         placed = [
             (base.inverse @ moved,)
             for rows, poses in zip(photos, bases, strict=True)
@@ -283,9 +282,8 @@ def _planar_poses(
 ) -> list[Placement]:
     """Return the two poses of a planar target, by Collins and Bartoli (IJCV 2014)."""
     cv2 = opencv()
-    lens = camera.matrix, camera.distortion
     _, turns, shifts, _ = cv2.solvePnPGeneric(
-        points, pixels, *lens, flags=cv2.SOLVEPNP_IPPE
+        points, pixels, *lens(camera.values), flags=cv2.SOLVEPNP_IPPE
     )
     return [
         Placement(cv2.Rodrigues(r)[0], np.ravel(p))
@@ -300,13 +298,11 @@ def _best_pose(
     starts: Sequence[Placement],
 ) -> tuple[Placement, float]:
     """Fit the pose of some points, and return its mean square error [px2]."""
-    cv2 = opencv()
-    lens = camera.matrix, camera.distortion
-    found = []
+    cv2, of_camera, found = opencv(), lens(camera.values), []
     for start in starts:
         turn, shift = cv2.Rodrigues(start.R)[0], start.p.reshape(3, 1).copy()
-        turn, shift = cv2.solvePnPRefineLM(points, pixels, *lens, turn, shift)
-        places, _ = cv2.projectPoints(points, turn, shift, *lens)
+        turn, shift = cv2.solvePnPRefineLM(points, pixels, *of_camera, turn, shift)
+        places, _ = cv2.projectPoints(points, turn, shift, *of_camera)
         error = float(np.mean(np.square(places.reshape(-1, 2) - pixels)))
         found.append((Placement(cv2.Rodrigues(turn)[0], np.ravel(shift)), error))
     return min(found, key=lambda pair: pair[1])

@@ -3,9 +3,9 @@
 What writes one is imported when it is asked for.
 """
 
-import argparse
 import warnings
 from abc import ABC, abstractmethod
+from argparse import ArgumentParser, Namespace
 from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -52,17 +52,13 @@ class AbstractExporter(ABC):
     next_step: ClassVar[str] = ""
     takes_projects: ClassVar[bool] = False
 
-    def add_options(self, command: argparse.ArgumentParser) -> None:
+    def add_options(self, command: ArgumentParser) -> None:
         """Add the options of the format, beside `--output`, `--project`, `--force`."""
         del command
 
     @abstractmethod
     def write(
-        self,
-        source: Any,
-        output: Path,
-        options: argparse.Namespace,
-        progress: ExportProgress,
+        self, source: Any, output: Path, options: Namespace, progress: ExportProgress
     ) -> Sequence[str]:
         """Write a model.
 
@@ -113,16 +109,12 @@ class InpExporter(AbstractExporter):
     )
     output = "FILE.inp", "the file"
 
-    def add_options(self, command: argparse.ArgumentParser) -> None:
+    def add_options(self, command: ArgumentParser) -> None:
         which = "the configuration (may be left out if there is one)"
         command.add_argument("--configuration", metavar="NAME", help=which)
 
     def write(
-        self,
-        source: Any,
-        output: Path,
-        options: argparse.Namespace,
-        progress: ExportProgress,
+        self, source: Any, output: Path, options: Namespace, progress: ExportProgress
     ) -> Sequence[str]:
         from softcal_jax.exchange.inp import export_inp
 
@@ -143,15 +135,12 @@ class IceslExporter(AbstractExporter):
     output = "DIR", "the folder"
     takes_projects = True
 
-    def add_options(self, command: argparse.ArgumentParser) -> None:
+    def add_options(self, command: ArgumentParser) -> None:
         add = command.add_argument
-        add(
-            "--infill",
-            choices=["polyfoam", "phasor"],
-            default="polyfoam",
-            help="foam with a soft axis (default), or with a stiff one, which needs "
-            "--table",
-        )
+        text = "foam with a soft axis (default), or with a stiff one, which needs "
+        text += "--table"
+        kinds = ["polyfoam", "phasor"]
+        add("--infill", choices=kinds, default=kinds[0], help=text)
         text = "moduli of the foam: columns density, shrink or iso, E_soft_kPa, "
         text += "E_stiff_kPa (default: as published, of TPU)"
         table = add("--table", metavar="FILE.csv", type=Path, help=text)
@@ -170,11 +159,7 @@ class IceslExporter(AbstractExporter):
         add("--clockwise", action="store_true", help=text)
 
     def write(
-        self,
-        source: Any,
-        output: Path,
-        options: argparse.Namespace,
-        progress: ExportProgress,
+        self, source: Any, output: Path, options: Namespace, progress: ExportProgress
     ) -> Sequence[str]:
         from softcal_jax.exchange.icesl import export_icesl, published_foam
 
@@ -218,7 +203,7 @@ class SofaExporter(AbstractExporter):
     output = "DIR", "folder for the scene"
     next_step = "README.md there says how to run it"
 
-    def add_options(self, command: argparse.ArgumentParser) -> None:
+    def add_options(self, command: ArgumentParser) -> None:
         choices = {
             "--release": (["v26.06", "v25.12"], "release of SOFA"),
             "--units": (["mm-kg-s", "SI"], "unit system of the scene"),
@@ -239,11 +224,7 @@ class SofaExporter(AbstractExporter):
             command.add_argument(option, choices=known, default=known[0], help=text)
 
     def write(
-        self,
-        source: Any,
-        output: Path,
-        options: argparse.Namespace,
-        progress: ExportProgress,
+        self, source: Any, output: Path, options: Namespace, progress: ExportProgress
     ) -> Sequence[str]:
         from softcal_jax.exchange.sofa import export_sofa
 

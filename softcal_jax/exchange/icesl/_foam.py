@@ -244,10 +244,7 @@ class _Patch:
         return np.exp(self.at(t, s)[:, 1:])
 
     def nearest(self, asked: Pairs) -> tuple[Numbers, Float[HostArray, "n 3"]]:
-        """Find the foams nearest to ln E_soft and ln E_stiff, see `FoamTable.find`.
-
-        Returns their anisotropy, then ln density, ln E_soft and ln E_stiff.
-        """
+        """Return anisotropy and `at` of what is nearest to ln E_soft and ln E_stiff."""
         t = np.linspace(0.0, 1.0, _T_STEPS + 1)
         s = np.linspace(0.0, self.last, _S_STEPS * int(self.last) + 1)
         grid = np.stack(np.meshgrid(t, s, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -300,15 +297,10 @@ def _step(patch: _Patch, asked: Pairs, x: Pairs) -> Pairs:
 
 def _moved(patch: _Patch, asked: Pairs, x: Pairs, step: Pairs) -> Pairs:
     """Take the longest part of each step that brings the moduli nearer, if any does."""
-    squared = lambda at, goal: ((patch.at(*at.T)[:, 1:] - goal) ** 2).sum(axis=1)
-    x = x.copy()
-    before = squared(x, asked)
-    left = np.arange(len(x))
-    for length in (1.0, 0.5, 0.1, 0.01):
-        trial = np.clip(x[left] + length * step[left], 0.0, [1.0, patch.last])
-        better = squared(trial, asked[left]) < before[left]
-        x[left[better]] = trial[better]
-        left = left[~better]
-        if not left.size:
-            break
-    return x
+    squared = lambda x: ((patch.at(*x.T)[:, 1:] - asked) ** 2).sum(axis=1)
+    moved, before = x.copy(), squared(x)
+    for length in (0.01, 0.1, 0.5, 1.0):
+        trial = np.clip(x + length * step, 0.0, [1.0, patch.last])
+        better = squared(trial) < before
+        moved[better] = trial[better]
+    return moved

@@ -28,10 +28,6 @@ class Convention(NamedTuple):
     offset: float = 0.0
     clockwise: bool = False
 
-    def setting(self, angle: Float[HostArray, " n"]) -> Float[HostArray, " n"]:
-        """Convert counter-clockwise angles from the bed's x to those of the slicer."""
-        return (-angle if self.clockwise else angle) + self.offset
-
 
 class Setting(NamedTuple):
     """One setting of the slicer: a constant in its unit, or a texture by voxel.
@@ -98,7 +94,8 @@ def choose(samples: Samples, table: FoamTable, convention: Convention) -> Chosen
     marked = azimuth + np.where(turned, 0.5 * np.pi, 0.0)
     if convention.marks != table.axis:
         marked = marked + 0.5 * np.pi
-    angle = convention.setting(marked)
+    # Marked counter-clockwise from the bed's x so far.
+    angle = (-marked if convention.clockwise else marked) + convention.offset
 
     as_texture = _Textures(samples)
     polyfoam = table.infill == "Polyfoam"
