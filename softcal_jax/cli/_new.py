@@ -99,7 +99,7 @@ def _found(found: "Findings") -> Iterator[str]:
     sides = " x ".join(f"{1e3 * x:.4g}" for x in np.ptp(body.mesh.points, axis=0))
     unit = f", if its unit is {body.unit}" if body.unit_guessed else ""
     yield f"Body: {sides} mm{unit}; {body.mesh.n_tets} tets."
-    held = "by its name" if found.held.plane is None else "an end of the body"
+    held = "an end of the body" if found.held.definition else "by its name"
     yield f"Held: {found.held.group}, {held}."
     for group, is_open in found.chambers.items():
         rim = ", sealed at its rim" if is_open else ""

@@ -16,15 +16,8 @@ from softcal_jax.materials._elasticity import (
 )
 from softcal_jax.materials._fibre import Fibre, frames_along, frames_around
 from softcal_jax.materials._fibre_reinforced import FibreReinforced
-from softcal_jax.materials._foam import (
-    FoamTable,
-    FoundFoam,
-    Infill,
-    published_foam,
-)
-from softcal_jax.materials._invariant_rubbers import Gent, MooneyRivlin, Yeoh
+from softcal_jax.materials._incompressible import Gent, MooneyRivlin, Ogden, Yeoh
 from softcal_jax.materials._law import AbstractLaw
-from softcal_jax.materials._ogden import Ogden
 from softcal_jax.materials._rubber import NeoHookean
 from softcal_jax.materials._sofa import SofaCorotational, SofaRotation
 from softcal_jax.materials._transverse import (
@@ -64,10 +57,7 @@ __all__ = [
     "Corotational",
     "Fibre",
     "FibreReinforced",
-    "FoamTable",
-    "FoundFoam",
     "Gent",
-    "Infill",
     "Isotropic",
     "MooneyRivlin",
     "NeoHookean",
@@ -88,5 +78,4 @@ __all__ = [
     "lame",
     "law_at_points",
     "plane_stiffness",
-    "published_foam",
 ]

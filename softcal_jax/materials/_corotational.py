@@ -143,20 +143,16 @@ class AbstractTurnedStress(AbstractLinearLaw):
     conservative: ClassVar[bool] = False
 
     @abstractmethod
-    def _rotation(self, F: Matrix) -> Matrix:
-        """Compute R [-]."""
-
-    @abstractmethod
-    def _rest_stretch(self) -> Matrix:
-        """Return L, of any size."""
+    def _turn(self, F: Matrix) -> tuple[Matrix, Matrix]:
+        """Compute R [-] and L, of any size."""
 
     def strain(self, F: Matrix) -> Matrix:
         """Symmetric part of R^T F, less the identity [-]."""
-        return symmetric(matmul(self._rotation(F).T, F)) - jnp.eye(3)
+        return symmetric(matmul(self._turn(F)[0].T, F)) - jnp.eye(3)
 
     def stress(self, F: Matrix) -> Matrix:
         """First Piola-Kirchhoff stress R sigma [Pa]."""
-        R = self._rotation(F)
+        R, _ = self._turn(F)
         strain = symmetric(matmul(R.T, F)) - jnp.eye(3)
         return matmul(R, self.elasticity.stress(strain))
 
@@ -169,7 +165,7 @@ class AbstractTurnedStress(AbstractLinearLaw):
             R^T dP = hat(omega) sigma + C : (A - hat(omega) U).
         """
         # The barriers keep XLA from computing a factor again for each of 81 entries.
-        L, R = jax.lax.optimization_barrier((self._rest_stretch(), self._rotation(F)))
+        R, L = jax.lax.optimization_barrier(self._turn(F))
         U = matmul(R.T, F)
         S = symmetric(matmul(U, L))
         sigma = self.elasticity.stress(symmetric(U) - jnp.eye(3))
@@ -198,8 +194,5 @@ class ClassicalCorotational(AbstractTurnedStress):
     compare with such codes, otherwise `Corotational`; for SOFA take `SofaCorotational`.
     """
 
-    def _rotation(self, F: Matrix) -> Matrix:
-        return rotation(F)
-
-    def _rest_stretch(self) -> Matrix:
-        return jnp.eye(3)
+    def _turn(self, F: Matrix) -> tuple[Matrix, Matrix]:
+        return rotation(F), jnp.eye(3)

@@ -127,7 +127,6 @@ class Isotropic(AbstractElasticity):
         check_constants(self)
 
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-        """Stress lambda tr(strain) I + 2 mu strain [Pa]."""
         lam, mu = lame(self.E, self.nu)
         return lam * jnp.trace(strain) * jnp.eye(3) + 2.0 * mu * strain
 

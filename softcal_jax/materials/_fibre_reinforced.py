@@ -93,14 +93,11 @@ class FibreReinforced(AbstractLaw):
         """Return the fibres of the families."""
         return (self.fibre, self.fibre.mirrored())[: self.families]
 
-    def directions(self) -> list[Float[Array, "3"]]:
-        """Compute the unit vectors along the families [-]."""
-        return [fibre.direction() for fibre in self.fibres()]
-
     def _fibres(self, F: Matrix) -> list[_Fibre]:
         """Compute the state of each family."""
         states = []
-        for u in self.directions():
+        for fibre in self.fibres():
+            u = fibre.direction()
             f = jnp.sum(F * u[None, :], axis=1)
             stretch = jnp.sqrt(jnp.sum(f * f))
             n = (f / stretch)[:, None] * u[None, :]

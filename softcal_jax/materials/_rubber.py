@@ -41,7 +41,6 @@ class NeoHookean(AbstractLaw):
         check_constants(self)
 
     def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
-        """Energy mu/2 (I1 - 3) - mu ln J + lambda/2 (ln J)^2 [J/m3]."""
         lam, mu = lame(self.E, self.nu)
         log_J = jnp.log(determinant(F))
         return mu * (0.5 * (jnp.sum(F * F) - 3.0) - log_J) + 0.5 * lam * log_J**2
@@ -143,7 +142,6 @@ class AbstractInvariantRubber(AbstractRubber):
         """Compute W and its derivatives."""
 
     def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
-        """Energy W(i1, i2) + K/4 (J^2 - 1 - 2 ln J) [J/m3]."""
         s = _invariants(F)
         return self.distortion(s.a * s.I1, s.b * s.I2).W + self.volume_energy(s.J)
 

@@ -13,6 +13,7 @@ from softcal_jax.elements import matmul, rotation
 from softcal_jax.materials._constants import as_components, as_matrix
 from softcal_jax.materials._corotational import AbstractTurnedStress
 from softcal_jax.materials._elasticity import AbstractElasticity
+from softcal_jax.materials._law import Matrix, Tensor
 from softcal_jax.mesh import TetMesh
 
 SofaRotation = Literal["edge", "procrustes", "large"]
@@ -60,16 +61,13 @@ class SofaCorotational(AbstractTurnedStress):
         """
         return cls(elasticity, _rest_matrices(mesh, rotation), rotation)
 
-    def _rotation(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    def _turn(self, F: Matrix) -> tuple[Matrix, Matrix]:
         B = as_matrix(self.rest)
         if self.rotation == "large":
-            return matmul(_orthogonal(matmul(F, B)), B.T)
-        return rotation(matmul(F, B))
+            return matmul(_orthogonal(matmul(F, B)), B.T), B
+        return rotation(matmul(F, B)), B
 
-    def _rest_stretch(self) -> Float[Array, "3 3"]:
-        return as_matrix(self.rest)
-
-    def tangent(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3 3 3"]:
+    def tangent(self, F: Matrix) -> Tensor:
         """Derivative of the stress [Pa]; a closed form for the polar rotations."""
         if self.rotation == "large":
             return jax.jacfwd(self.stress)(F)

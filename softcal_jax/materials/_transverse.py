@@ -158,7 +158,6 @@ class ReducedTransverseIsotropic(AbstractElasticity):
         check_constants(self)
 
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
-        """Stress (B strain B + nu/(1-2 nu) (B : strain) B) / (1 + nu) [Pa]."""
         root_t = jnp.sqrt(self.E_t)
         step = jnp.sqrt(self.E_l) - root_t  # B = root_t I + step u u^T
         ratio = self.nu / (1.0 - 2.0 * self.nu)

@@ -88,7 +88,7 @@ def test_small_strain_limit():
     """E_f u u u u for each family, beside Hooke's tensor."""
     u = [np.array([np.sin(a), 0.0, np.cos(a)]) for a in (0.6, -0.6)]
     # Local axes of `along` have any orientation about z, but the plane of both holds z.
-    found = [np.asarray(v) for v in TWO.directions()]
+    found = [np.asarray(own.direction()) for own in TWO.fibres()]
     np.testing.assert_allclose([v[2] for v in found], [v[2] for v in u], rtol=1e-14)
     np.testing.assert_allclose(found[0] @ found[1], u[0] @ u[1], rtol=1e-14)
     expected = sum(E_F * np.einsum("i,j,k,l->ijkl", v, v, v, v) for v in found)
@@ -99,7 +99,7 @@ def test_small_strain_limit():
 def test_turning_the_fibres_turns_the_law():
     """psi of fibres Q u at F Q^T is that of fibres u at F, Q a rotation at rest."""
     Q = Rotation.random(rng=4).as_matrix()
-    u = np.asarray(STIFF.directions()[0])
+    u = np.asarray(STIFF.fibre.direction())
     turned = FibreReinforced(MATRIX, E_F, Fibre.of((Q @ u)[None]))
     turned = jax.tree.map(lambda leaf: leaf.reshape(()), turned)
     for F in GRADIENTS:

@@ -38,7 +38,7 @@ def slopes(name, s):
         return 2 * s**2 * (law.c10 + 2 * law.c20 * x + 3 * law.c30 * x**2)
     if name == "gent":
         return s**2 * law.mu * law.J_m / (law.J_m - (I1 - 3))
-    return sum(term.mu * s**term.alpha for term in law.terms())
+    return sum(mu * s**alpha for mu, alpha in law.terms())
 
 
 STATES = {

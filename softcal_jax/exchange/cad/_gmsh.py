@@ -21,8 +21,7 @@ import numpy as np
 from softcal_jax._limits import TETS
 from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.exchange.cad._stl import Triangles
-from softcal_jax.mesh import SHARP
+from softcal_jax.mesh import SHARP, ParserError, parse_mesh_file
 
 _TRIANGLE, _TET = 2, 4
 """Gmsh's numbers of the types of linear elements."""
@@ -54,6 +53,50 @@ points, tets = pytetwild.tetrahedralize(
 )
 np.savez(sys.argv[2], points=points, tets=tets)
 """
+
+
+class Triangles(NamedTuple):
+    """A surface of triangles in the unit of its file, with each corner once."""
+
+    points: Float[HostArray, "n_points 3"]
+    triangles: Int[HostArray, "n_triangles 3"]
+
+    @property
+    def volume(self) -> float:
+        """Volume that the triangles enclose, where their normals point outwards."""
+        a, b, c = np.moveaxis(self.points[self.triangles] - self.points[0], 1, 0)
+        return float(np.sum(a * np.cross(b, c)) / 6.0)
+
+    @property
+    def n_open_edges(self) -> int:
+        """Number of edges that do not belong to exactly two triangles."""
+        ends = np.stack([self.triangles, np.roll(self.triangles, -1, axis=1)], axis=-1)
+        ends = np.sort(ends.reshape(-1, 2), axis=1)
+        _, counts = np.unique(ends, axis=0, return_counts=True)
+        return int(np.sum(counts != 2))
+
+
+def read_stl(path: Path) -> Triangles:
+    """Read an STL file, binary or text; corners at the same place become one.
+
+    Raises:
+        ValueError: If it cannot be read, or holds no triangles.
+    """
+    try:
+        raw, _ = parse_mesh_file(path, "stl")
+    except ParserError as error:
+        raise ValueError(
+            "it cannot be read as STL; it may be truncated or another kind of file. The"
+            f" parser said: {error}"
+        ) from error
+    triangles = raw.cells_dict.get("triangle", np.zeros((0, 3), int))
+    points = np.asarray(raw.points, float)
+    if not len(triangles) or not np.isfinite(points).all():
+        raise ValueError(
+            f"it holds {len(triangles)} triangles, expected a closed surface of "
+            "triangles with finite coordinates."
+        )
+    return Triangles(points, np.asarray(triangles, int))
 
 
 class GmshError(ValueError):
@@ -181,19 +224,9 @@ def fill_wild(triangles: Triangles, size: float) -> Filled:
     # A process of its own: it leaves a file where it runs, and a crash would end ours.
     with tempfile.TemporaryDirectory() as folder:
         given, made = Path(folder, "given.npz"), Path(folder, "made.npz")
-        np.savez(
-            given,
-            points=triangles.points,
-            triangles=triangles.triangles,
-            size=size,
-            envelope=ENVELOPE,
-        )
-        done = subprocess.run(
-            [sys.executable, "-c", _PROGRAM, str(given), str(made)],
-            cwd=folder,
-            capture_output=True,
-            text=True,
-        )
+        np.savez(given, **triangles._asdict(), size=size, envelope=ENVELOPE)
+        command = [sys.executable, "-c", _PROGRAM, str(given), str(made)]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
         if done.returncode != 0:
             last = (done.stderr.strip().splitlines() or ["it crashed"])[-1]
             raise ValueError(

@@ -17,9 +17,9 @@ from softcal_jax.exchange.cad._gmsh import (
     fill_step,
     fill_stl,
     fill_wild,
+    read_stl,
     usual_size,
 )
-from softcal_jax.exchange.cad._stl import read_stl
 from softcal_jax.mesh import (
     MeshWarning,
     TetMesh,

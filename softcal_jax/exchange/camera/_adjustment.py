@@ -47,16 +47,11 @@ class CameraModel(NamedTuple):
         middle = 0.5 * (np.array(size) - 1.0)
         return cls(np.array([focal, *middle, 0, 0, 0, 0, 0]), np.diag(np.square(std)))
 
-    @property
-    def matrix(self) -> Float[HostArray, "3 3"]:
-        """The matrix of the camera [px]."""
-        f, cx, cy = self.values[:3]
-        return np.array([[f, 0.0, cx], [0.0, f, cy], [0.0, 0.0, 1.0]])
 
-    @property
-    def distortion(self) -> Float[HostArray, "5"]:
-        """k1, k2, p1, p2, k3 [-]."""
-        return self.values[3:]
+def lens(values: Float[HostArray, "8"]) -> tuple:
+    """Return the matrix of a camera [px] and its distortion [-], for OpenCV."""
+    f, cx, cy = values[:3]
+    return np.array([[f, 0.0, cx], [0.0, f, cy], [0.0, 0.0, 1.0]]), values[3:]
 
 
 class Placement(NamedTuple):
@@ -91,6 +86,12 @@ class Observations(NamedTuple):
     target: Int[HostArray, " n"]
     points: Float[HostArray, "n 3"]
     pixels: Float[HostArray, "n 2"]
+
+    def in_base(self, others: Sequence[Placement]) -> Float[HostArray, "n 3"]:
+        """Return the points in the frame of target 0, by where the others are [m]."""
+        still = Placement(np.eye(3), np.zeros(3))
+        R, p = map(np.stack, zip(*(still, *others), strict=True))
+        return np.einsum("nij,nj->ni", R[self.target], self.points) + p[self.target]
 
 
 class Adjustment(NamedTuple):
@@ -194,12 +195,9 @@ def projected(
     Placements are poses of target 0 in the camera, one per photograph, then those of
     the other targets in target 0.
     """
-    still = Placement(np.eye(3), np.zeros(3))
-    targets = [still, *placements[n_photos:]]
-    R, p = (np.stack(part) for part in zip(*targets, strict=True))
-    x = np.einsum("nij,nj->ni", R[seen.target], seen.points) + p[seen.target]
-    R, p = (np.stack(part) for part in zip(*placements[:n_photos], strict=True))
+    R, p = map(np.stack, zip(*placements[:n_photos], strict=True))
+    x = seen.in_base(placements[n_photos:])
     x = np.einsum("nij,nj->ni", R[seen.photo], x) + p[seen.photo]
-    zero, K = np.zeros(3), CameraModel(camera, np.eye(_N_CAMERA)).matrix
-    pixels, _ = opencv().projectPoints(x[:, None], zero, zero, K, camera[3:])
+    zero = np.zeros(3)
+    pixels, _ = opencv().projectPoints(x[:, None], zero, zero, *lens(camera))
     return pixels.reshape(-1, 2)

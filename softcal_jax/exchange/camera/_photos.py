@@ -17,6 +17,7 @@ from softcal_jax.exchange.camera._adjustment import (
     Observations,
     Placement,
     adjust,
+    lens,
 )
 from softcal_jax.exchange.camera._detection import SMALLEST, Photo, height, read_photo
 from softcal_jax.exchange.camera._sheet import (
@@ -205,17 +206,15 @@ def _fitted(
     cameras: Sequence[CameraModel],
 ) -> Adjustment:
     """Fit targets that all photographs show, from the best of some beginnings."""
-    photo, target, points, pixels = [], [], [], []
-    for i, shown in enumerate(photos):
-        for j, corners in enumerate(targets):
-            for number in corners:
-                if number in shown.corners:
-                    photo.append(np.full(4, i))
-                    target.append(np.full(4, j))
-                    points.append(corners[number])
-                    pixels.append(shown.corners[number])
-    seen = Observations(*map(np.concatenate, (photo, target, points, pixels)))
-    starts = [start for camera in cameras for start in _starts(seen, camera, targets)]
+    shown = [
+        (np.full(4, i), np.full(4, j), points, photo.corners[number])
+        for i, photo in enumerate(photos)
+        for j, target in enumerate(targets)
+        for number, points in target.items()
+        if number in photo.corners
+    ]
+    seen = Observations(*map(np.concatenate, zip(*shown, strict=True)))
+    starts = [start for camera in cameras for start in _starts(seen, camera)]
     best = min(starts, key=lambda start: float(np.median(start.rms)))
     _check_alike(photos, best.rms, factor=_FIRST_OUTLIER, off=_FIRST_OFF)
     found = adjust(seen, best.camera, best.poses, best.targets)
@@ -249,38 +248,31 @@ class _FirstGuess(NamedTuple):
     targets: tuple[Placement, ...]
 
 
-def _starts(
-    seen: Observations, camera: CameraModel, targets: Sequence[_Target]
-) -> Iterator[_FirstGuess]:
+def _starts(seen: Observations, camera: CameraModel) -> Iterator[_FirstGuess]:
     """Yield beginnings: a planar target on a photograph has two poses that fit.
 
     Each pose of the other target in the frame of the first one that a photograph allows
     is tried on all photographs.
     """
-    photos = range(int(seen.photo.max()) + 1)
-    of = lambda i, j: (seen.photo == i) & (seen.target == j)
+    photos = [seen.photo == i for i in range(int(seen.photo.max()) + 1)]
     planar = lambda rows: _planar_poses(seen.points[rows], seen.pixels[rows], camera)
-    bases = [planar(of(i, 0)) for i in photos]
+    bases = [planar(rows & (seen.target == 0)) for rows in photos]
     placed: list[tuple[Placement, ...]] = [()]
-    if len(targets) > 1:
+    if seen.target.any():
         placed = [
-            (base.inverse @ own,)
-            for i in photos
-            for base in bases[i]
-            for own in planar(of(i, 1))
+            (base.inverse @ moved,)
+            for rows, poses in zip(photos, bases, strict=True)
+            for base in poses
+            for moved in planar(rows & (seen.target == 1))
         ]
     for others in placed:
-        poses, errors = [], []
-        for i in photos:
-            rows = seen.photo == i
-            points = seen.points[rows].copy()
-            for other in others:
-                moved = seen.target[rows] == 1
-                points[moved] = points[moved] @ other.R.T + other.p
-            pose, error = _best_pose(points, seen.pixels[rows], camera, bases[i])
-            poses.append(pose)
-            errors.append(error)
-        yield _FirstGuess(np.sqrt(errors), camera, tuple(poses), others)
+        points = seen.in_base(others)
+        fits = [
+            _best_pose(points[rows], seen.pixels[rows], camera, starts)
+            for rows, starts in zip(photos, bases, strict=True)
+        ]
+        poses, errors = zip(*fits, strict=True)
+        yield _FirstGuess(np.sqrt(errors), camera, poses, others)
 
 
 def _planar_poses(
@@ -290,9 +282,8 @@ def _planar_poses(
 ) -> list[Placement]:
     """Return the two poses of a planar target, by Collins and Bartoli (IJCV 2014)."""
     cv2 = opencv()
-    lens = camera.matrix, camera.distortion
     _, turns, shifts, _ = cv2.solvePnPGeneric(
-        points, pixels, *lens, flags=cv2.SOLVEPNP_IPPE
+        points, pixels, *lens(camera.values), flags=cv2.SOLVEPNP_IPPE
     )
     return [
         Placement(cv2.Rodrigues(r)[0], np.ravel(p))
@@ -307,13 +298,11 @@ def _best_pose(
     starts: Sequence[Placement],
 ) -> tuple[Placement, float]:
     """Fit the pose of some points, and return its mean square error [px2]."""
-    cv2 = opencv()
-    lens = camera.matrix, camera.distortion
-    found = []
+    cv2, of_camera, found = opencv(), lens(camera.values), []
     for start in starts:
         turn, shift = cv2.Rodrigues(start.R)[0], start.p.reshape(3, 1).copy()
-        turn, shift = cv2.solvePnPRefineLM(points, pixels, *lens, turn, shift)
-        places, _ = cv2.projectPoints(points, turn, shift, *lens)
+        turn, shift = cv2.solvePnPRefineLM(points, pixels, *of_camera, turn, shift)
+        places, _ = cv2.projectPoints(points, turn, shift, *of_camera)
         error = float(np.mean(np.square(places.reshape(-1, 2) - pixels)))
         found.append((Placement(cv2.Rodrigues(turn)[0], np.ravel(shift)), error))
     return min(found, key=lambda pair: pair[1])

@@ -8,10 +8,12 @@ A package of anyone adds a format by a class and an entry point in its pyproject
 Nothing here imports JAX before something is written, so that commands begin at once.
 """
 
-from softcal_jax.exchange.exporters._built_in import GROUP, ExporterWarning, exporters
-from softcal_jax.exchange.exporters._exporter import (
+from softcal_jax.exchange.exporters._exporters import (
+    GROUP,
     AbstractExporter,
+    ExporterWarning,
     ExportProgress,
+    exporters,
     quantity,
 )
 

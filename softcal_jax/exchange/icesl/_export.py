@@ -18,6 +18,7 @@ from softcal_jax.exchange.icesl._fields import (
     print_plane,
     sample,
 )
+from softcal_jax.exchange.icesl._foam import FoamTable, Infill, published_foam
 from softcal_jax.exchange.icesl._report import (
     TABLE,
     UNREACHABLE,
@@ -30,24 +31,19 @@ from softcal_jax.exchange.icesl._report import (
 )
 from softcal_jax.exchange.icesl._settings import Convention, choose
 from softcal_jax.export import results_folder, write_json
-from softcal_jax.materials import FoamTable, Infill, published_foam
 from softcal_jax.mesh import tessellate
 from softcal_jax.project import Project
 from softcal_jax.report import LoadedResult, load_result
 
 _SCRIPT, _PART = "robot.lua", "robot.stl"
 
+Printable = LoadedResult | CalibrationResult | Project | Model | Design
+
 _UNITS = {"kPa": 1e3, "Pa": 1.0, "MPa": 1e6}
 
 
 def export_icesl(
-    result: LoadedResult
-    | CalibrationResult
-    | Project
-    | Model
-    | Design
-    | str
-    | os.PathLike[str],
+    result: Printable | str | os.PathLike[str],
     directory: str | os.PathLike[str],
     *,
     infill: Infill = "Polyfoam",
@@ -143,9 +139,7 @@ def export_icesl(
     return written
 
 
-def _design(
-    source: LoadedResult | CalibrationResult | Project | Model | Design,
-) -> Design:
+def _design(source: Printable) -> Design:
     """Return the field that a result or a project holds."""
     if isinstance(source, Design):
         return source

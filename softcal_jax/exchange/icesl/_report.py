@@ -12,17 +12,9 @@ from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable, readable_values
 from softcal_jax.exchange.icesl._fields import N_VOXELS, PrintedPart, Samples
-from softcal_jax.exchange.icesl._settings import (
-    ACROSS,
-    BEYOND,
-    RTOL,
-    TILTED,
-    Chosen,
-    Convention,
-    Setting,
-)
+from softcal_jax.exchange.icesl._foam import FoamTable
+from softcal_jax.exchange.icesl._settings import RTOL, Chosen, Convention, Setting
 from softcal_jax.export import plain
-from softcal_jax.materials import FoamTable
 
 TABLE, UNREACHABLE = "foam.csv", "unreachable.csv"
 
@@ -78,14 +70,10 @@ def print_notes(samples: Samples, chosen: Chosen, table: FoamTable) -> tuple[str
     notes = []
     if chosen.beyond.any():
         worst = int(np.argmax(chosen.foam.error))
-        x, asked, given = (
-            readable_values(values, unit)
-            for values, unit in (
-                (samples.places[worst].tolist(), "m"),
-                ([float(samples.E_t[worst]), float(samples.E_l[worst])], "Pa"),
-                (_given(samples, chosen)[worst].tolist(), "Pa"),
-            )
-        )
+        x = readable_values(samples.places[worst].tolist(), "m")
+        moduli = [float(samples.E_t[worst]), float(samples.E_l[worst])]
+        asked = readable_values(moduli, "Pa")
+        given = readable_values(_given(samples, chosen)[worst].tolist(), "Pa")
         notes.append(
             f"{share(chosen.beyond)} has moduli that the foam does not reach within "
             f"{100.0 * RTOL:g} %, and gets the nearest: at {x} (E_t, E_l) = {asked} is "
@@ -121,10 +109,9 @@ def print_notes(samples: Samples, chosen: Chosen, table: FoamTable) -> tuple[str
 
 def _given(samples: Samples, chosen: Chosen) -> Float[HostArray, "n 2"]:
     """Return E_t and E_l in the print plane as the foam has them [Pa]."""
-    foam, stiff_fibre = chosen.foam, samples.E_l > samples.E_t
-    E_t = np.where(stiff_fibre, foam.E_soft, foam.E_stiff)
-    E_l = np.where(stiff_fibre, foam.E_stiff, foam.E_soft)
-    return np.stack([E_t, E_l], axis=1)
+    moduli = np.stack([chosen.foam.E_soft, chosen.foam.E_stiff], axis=1)
+    stiff_fibre = samples.E_l > samples.E_t
+    return np.where(stiff_fibre[:, None], moduli, moduli[:, ::-1])
 
 
 def write_unreachable(path: Path, samples: Samples, chosen: Chosen) -> None:
@@ -132,7 +119,11 @@ def write_unreachable(path: Path, samples: Samples, chosen: Chosen) -> None:
     header = "x_mm,y_mm,z_mm,i,j,k,E_t_kPa,E_l_kPa,nearest_E_t_kPa,nearest_E_l_kPa,why"
     shape = "%.4f,%.4f,%.4f,%d,%d,%d,%.6g,%.6g,%.6g,%.6g,%s\n"
     flags = np.stack([chosen.beyond, chosen.tilted, chosen.across], axis=1)
-    words = (BEYOND, TILTED, ACROSS)
+    words = (
+        "moduli beyond the foam table",
+        "fibre out of the print plane",
+        "right in the print plane only",
+    )
     listed = np.flatnonzero(chosen.unreachable)
     columns = (
         *(1e3 * samples.places[listed].T),
@@ -151,14 +142,9 @@ def write_unreachable(path: Path, samples: Samples, chosen: Chosen) -> None:
 def icesl_dict(
     result: IceslResult, part: PrintedPart, table: FoamTable, convention: Convention
 ) -> dict[str, Any]:
-    """Build the content of `icesl.json`.
+    """Build the content of `icesl.json`, with textures by their ends.
 
-    Keys: `format`; `infill`; `table` (`source`, `file`); `angle` (`marks`,
-    `offset_deg`, `clockwise`); `bed` (`rotation` from the frame of the model,
-    `shift_mm` after it, `size_mm` of the part); `settings` (`name`, `constant`, or
-    `lowest` and `highest` of its texture, in the unit of the slicer); `voxels` (`n`
-    along each axis, `filled`, `beyond`, `tilted`, `across`); `worst` and `rounding`,
-    see `IceslResult`; `notes`.
+    The rotation of the bed is from the frame of the model, its shift follows.
     """
     counts = {k: getattr(result, f"n_{k}") for k in ("beyond", "tilted", "across")}
     return plain(
@@ -176,7 +162,7 @@ def icesl_dict(
                 "shift_mm": 1e3 * part.shift,
                 "size_mm": 1e3 * part.mesh.points.max(axis=0),
             },
-            "settings": [_setting_dict(own) for own in result.settings],
+            "settings": list(map(_setting_dict, result.settings)),
             "voxels": {"n": N_VOXELS, "filled": result.n_voxels, **counts},
             "worst": result.worst,
             "rounding": result.rounding,
@@ -185,11 +171,12 @@ def icesl_dict(
     )
 
 
-def _setting_dict(own: Setting) -> dict[str, Any]:
-    if own.texture is None:
-        return {"name": own.name, "constant": own.constant}
-    ends = own.full / 255.0 * np.array([own.texture.min(), own.texture.max()])
-    return {"name": own.name, "lowest": ends[0], "highest": ends[1]}
+def _setting_dict(setting: Setting) -> dict[str, Any]:
+    if setting.texture is None:
+        return {"name": setting.name, "constant": setting.constant}
+    step, texture = setting.full / 255.0, setting.texture
+    ends = {"lowest": step * texture.min(), "highest": step * texture.max()}
+    return {"name": setting.name, **ends}
 
 
 _HEAD = """\
@@ -227,7 +214,6 @@ local function texture(rows)
   return field
 end
 """
-
 
 _LOWEST_PERCENTAGE = 20.0
 """Density below which Polyfoam does not go unless told so [%]."""

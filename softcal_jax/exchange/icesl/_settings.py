@@ -6,7 +6,7 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.exchange.icesl._fields import N_VOXELS, Samples
-from softcal_jax.materials import FoamTable, FoundFoam
+from softcal_jax.exchange.icesl._foam import FoamTable, FoundFoam
 
 RTOL = 0.01
 """Relative distance of a modulus from the one asked for that is not listed [-]."""
@@ -20,10 +20,6 @@ _CONSTANT = 1e-4
 _FLAT = np.deg2rad(0.5 * 360.0 / _STEPS)
 """Angle between fibre and print plane that a texture could not show [rad]."""
 
-BEYOND = "moduli beyond the foam table"
-TILTED = "fibre out of the print plane"
-ACROSS = "right in the print plane only"
-
 
 class Convention(NamedTuple):
     """Which axis an angle of the slicer marks, what is added [rad], and which way."""
@@ -31,10 +27,6 @@ class Convention(NamedTuple):
     marks: Literal["soft", "stiff"]
     offset: float = 0.0
     clockwise: bool = False
-
-    def setting(self, angle: Float[HostArray, " n"]) -> Float[HostArray, " n"]:
-        """Convert counter-clockwise angles from the bed's x to those of the slicer."""
-        return (-angle if self.clockwise else angle) + self.offset
 
 
 class Setting(NamedTuple):
@@ -102,7 +94,8 @@ def choose(samples: Samples, table: FoamTable, convention: Convention) -> Chosen
     marked = azimuth + np.where(turned, 0.5 * np.pi, 0.0)
     if convention.marks != table.axis:
         marked = marked + 0.5 * np.pi
-    angle = convention.setting(marked)
+    # Marked counter-clockwise from the bed's x so far.
+    angle = (-marked if convention.clockwise else marked) + convention.offset
 
     as_texture = _Textures(samples)
     polyfoam = table.infill == "Polyfoam"
@@ -115,16 +108,9 @@ def choose(samples: Samples, table: FoamTable, convention: Convention) -> Chosen
         inclination = np.where(turned | (not leaves), 0.0, elevation) / (2.0 * np.pi)
         settings.append(as_texture("phasor_infill_phi", 360.0, inclination))
         settings.append(as_texture("phasor_infill_iso", 100.0, foam.anisotropy))
-    beyond = foam.error > RTOL
-    return Chosen(
-        tuple(settings),
-        foam,
-        beyond,
-        tilted,
-        turned & ~isotropic,
-        _rounding(samples, table, foam, settings, ~beyond),
-        seams,
-    )
+    beyond, across = foam.error > RTOL, turned & ~isotropic
+    rounding = _rounding(samples, table, foam, settings, ~beyond)
+    return Chosen(tuple(settings), foam, beyond, tilted, across, rounding, seams)
 
 
 def _rounding(
@@ -160,14 +146,9 @@ class _Textures:
         self.voxels = samples.voxels
         free = np.ones((N_VOXELS,) * 3, bool)
         free[tuple(self.voxels.T)] = False
-        self.nearest = np.asarray(
-            distance_transform_edt(
-                free,
-                sampling=samples.grid.size,
-                return_distances=False,
-                return_indices=True,
-            )
-        )
+        size, which = samples.grid.size, {"return_distances": False}
+        nearest = distance_transform_edt(free, size, return_indices=True, **which)
+        self.nearest = np.asarray(nearest)
 
     def __call__(
         self, name: str, full: float, values: Float[HostArray, " n"]

@@ -2,11 +2,11 @@
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.equilibrium import Model
+from softcal_jax.exchange._refusals import check_one_value_per_tet
 from softcal_jax.materials import (
     AbstractElasticity,
     AbstractLaw,
@@ -22,7 +22,6 @@ from softcal_jax.materials import (
     TabulatedElasticity,
     TransverseHyperelastic,
     Yeoh,
-    is_point_values,
 )
 
 NO_TERM = 1e20
@@ -48,12 +47,7 @@ class InpLaw(NamedTuple):
 
 def inp_law(model: Model) -> InpLaw:
     """Convert the law of a model; a ValueError says why neither program has it."""
-    leaves = jax.tree.leaves(model.law, is_leaf=is_point_values)
-    if any(map(is_point_values, leaves)):
-        raise ValueError(
-            "the law has other values at each quadrature point of a tet, and an input "
-            'file one material for a whole element: take sampling = "centroids".'
-        )
+    check_one_value_per_tet(model.law, "an input file")
     keyword, constants, *more = _converted(model.law)
     columns = [np.broadcast_to(np.asarray(c, float), model.n_tets) for c in constants]
     return InpLaw(keyword, np.stack(columns, axis=1), *more)

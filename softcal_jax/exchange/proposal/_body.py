@@ -1,6 +1,8 @@
 """What a model tells of a robot: its size, and which parts are held and inflated."""
 
 import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,9 +28,6 @@ from softcal_jax.mesh import (
 HELD_WORDS = ("clamp", "base", "fix", "support", "held", "mount", "anchor", "ground")
 CHAMBER_WORDS = ("chamber", "cavity", "inflat", "pressur", "lumen", "air")
 """Parts of names by which groups are known for what they are."""
-
-HELD = "held"
-"""Name of the group that is proposed where no group of the file says what is held."""
 
 _FLAT = 1e-4
 _END = 0.02
@@ -63,13 +62,11 @@ class Body(NamedTuple):
 class Held(NamedTuple):
     """The part that is proposed to be held, and the mean of its nodes [m].
 
-    Where the project file has to define the group, `plane` is a point [m], an axis and
-    "faces" or "nodes", within `tolerance` [m].
+    `definition` is what a project file says of its group; empty for one of the mesh.
     """
 
     group: str
-    plane: tuple[Float[HostArray, "3"], str, str] | None
-    tolerance: float
+    definition: tuple[str, ...]
     centre: Float[HostArray, "3"]
 
 
@@ -118,14 +115,12 @@ def _read(path: Path, unit: str) -> tuple[TetMesh, bool]:
             raise refused from None
 
 
-def named_like(mesh: TetMesh, words: tuple[str, ...], *, surface: bool) -> list[str]:
-    """List groups, maybe of surfaces alone, whose names contain one of some words."""
-    groups = [*mesh.surface_groups] + ([] if surface else [*mesh.node_groups])
-    return [
-        name
-        for name in dict.fromkeys(groups)
-        if name not in mesh.tet_groups and any(word in name.lower() for word in words)
-    ]
+def _named_like(
+    words: Sequence[str], groups: Iterable[str], mesh: TetMesh
+) -> list[str]:
+    """List groups, none of tets, whose names contain one of some words."""
+    has_word = lambda name: any(word in name.lower() for word in words)
+    return [name for name in groups if name not in mesh.tet_groups and has_word(name)]
 
 
 def propose_held(mesh: TetMesh, moving: Float[HostArray, "n 3"] | None) -> Held:
@@ -134,10 +129,10 @@ def propose_held(mesh: TetMesh, moving: Float[HostArray, "n 3"] | None) -> Held:
     Of both ends it is the lower one, or that which is farther from points that were
     seen to move [m].
     """
-    named = named_like(mesh, HELD_WORDS, surface=False)
+    named = _named_like(HELD_WORDS, (*mesh.surface_groups, *mesh.node_groups), mesh)
     if named:
         nodes = node_indices(mesh, named[0], "a support")
-        return Held(named[0], None, 0.0, mesh.points[nodes].mean(axis=0))
+        return Held(named[0], (), mesh.points[nodes].mean(axis=0))
     low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
     extent = high - low
     # Among nearly equal sides the upright one.
@@ -146,17 +141,24 @@ def propose_held(mesh: TetMesh, moving: Float[HostArray, "n 3"] | None) -> Held:
     if moving is not None and moving.mean(axis=0)[axis] < middle[axis]:
         end = high[axis]
     point = np.where(np.arange(3) == axis, end, middle)
-    normal, letter = np.eye(3)[axis], "xyz"[axis]
-    for of, share in (("faces", _FLAT), ("nodes", _END)):
-        region = Plane(point=point, normal=normal, tolerance=share * mesh.size)
-        try:
-            select = select_faces if of == "faces" else select_nodes
-            nodes = np.unique(select(mesh, region))
-        except ValueError:  # no face lies in it: the end is round
-            continue
-        centre = mesh.points[nodes].mean(axis=0)
-        return Held(HELD, (point, letter, of), region.tolerance, centre)
-    raise AssertionError("the outermost node lies in its own plane")
+    plane = Plane(point=point, normal=np.eye(3)[axis], tolerance=_FLAT * mesh.size)
+    of = ('of = "faces"',)
+    try:
+        nodes = np.unique(select_faces(mesh, plane))
+    except ValueError:  # no face lies in it: the end is round
+        plane, of = replace(plane, tolerance=_END * mesh.size), ()
+        nodes = np.unique(select_nodes(mesh, plane))
+    definition = (
+        f'plane = {{ point = {in_mm(point)}, normal = "{"xyz"[axis]}" }}',
+        *of,
+        f'tolerance = "{1e3 * plane.tolerance:.3g} mm"',
+    )
+    return Held("held", definition, mesh.points[nodes].mean(axis=0))
+
+
+def in_mm(place: Float[HostArray, "3"]) -> str:
+    """Write a place as a project file does."""
+    return '"(' + ", ".join(f"{round(1e3 * x, 4) + 0.0:.10g}" for x in place) + ') mm"'
 
 
 def find_chambers(mesh: TetMesh, held: Held) -> dict[str, bool]:
@@ -165,7 +167,7 @@ def find_chambers(mesh: TetMesh, held: Held) -> dict[str, bool]:
     Returns whether each has a rim that a lid has to close, by the name of its group.
     """
     found = {}
-    for name in named_like(mesh, CHAMBER_WORDS, surface=True):
+    for name in _named_like(CHAMBER_WORDS, mesh.surface_groups, mesh):
         faces = mesh.surface_groups[name]
         edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
         _, counts = np.unique(edges, axis=0, return_counts=True)

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.configurations import STANDARD_GRAVITY
+from softcal_jax.exchange.proposal._body import in_mm
 from softcal_jax.exchange.proposal._recorded import (
     Findings,
     RecordedPose,
@@ -89,29 +89,17 @@ def _mesh(found: Findings) -> Iterator[str]:
     yield from (f"#   {line}" for line in lines[: _MOST_GROUPS + 1])
     if len(lines) > _MOST_GROUPS + 1:
         yield f"#   ... and {len(lines) - _MOST_GROUPS - 1} more: `softcal mesh`"
-    if held.plane is not None:
-        yield ""
-        yield from _held_group(found)
+    if held.definition:
+        moved = found.recorded is not None and not found.own_frame
+        why = ", farther from the markers that move" * moved
+        guess = f"# CHANGE: what is held, here an end of the body{why}"
+        yield from ("", f"[groups.{held.group}] {guess}", *held.definition)
     yield """
 # Other parts, by where they are: box (lower, upper), sphere (centre, radius), points:
 #   [groups.tip]
 #   face = { points = ["(100, 5, 5) mm"] }                  # faces of a CAD model
 #   [groups.wall]
 #   inside = { point = "(30, 8, 6) mm", stop_at = "held" }  # the wall of a cavity"""
-
-
-def _held_group(found: Findings) -> Iterator[str]:
-    """Write the group that is held, an end of the body."""
-    held = found.held
-    assert held.plane is not None
-    point, axis, of = held.plane
-    moved = found.recorded is not None and not found.own_frame
-    why = ", farther from the markers that move" * moved
-    yield f"[groups.{held.group}] # CHANGE: what is held, here an end of the body{why}"
-    yield f'plane = {{ point = {_mm(point)}, normal = "{axis}" }}'
-    if of == "faces":
-        yield 'of = "faces"'
-    yield f'tolerance = "{1e3 * held.tolerance:.3g} mm"'
 
 
 def _material() -> Iterator[str]:
@@ -167,7 +155,7 @@ def _markers(found: Findings) -> Iterator[str]:
         yield f'max_distance = "{1.1e3 * farthest:.3g} mm" # from the mesh, on posts'
     yield "\n[markers.positions]"
     for marker in found.markers:
-        line = f"{bare(marker.name)} = {_mm(marker.place)}"
+        line = f"{bare(marker.name)} = {in_mm(marker.place)}"
         off = readable_values([marker.distance], "m", digits=3)
         if recorded is None:
             yield f"{line} # CHANGE: where you glue it, and what it is called"
@@ -184,7 +172,7 @@ def _shared(found: Findings) -> Iterator[str]:
     yield "# What all of them share; each may add to it or state its own."
     yield "[shared]"
     yield 'gravity = "(0, 0, -9.81) m/s^2" # CHANGE: down, in the frame of the mesh'
-    known = " # CHANGE: what is held, here by its name" * (held.plane is None)
+    known = " # CHANGE: what is held, here by its name" * (not held.definition)
     yield f"supports = [{{ group = {quoted(held.group)} }}]{known}"
     off = "# " * found.own_frame
     if recorded is None:
@@ -218,7 +206,7 @@ def _configurations(found: Findings) -> Iterator[str]:
     """Write the poses that were recorded, or two that might be."""
     weight = float(volumes(found.body.mesh).sum()) * DENSITY * STANDARD_GRAVITY
     force = f"{weight:.1g}"
-    load = f'loads = [{{ point = {_mm(found.tip)}, force = "(0, 0, -{force}) N" }}]'
+    load = f'loads = [{{ point = {in_mm(found.tip)}, force = "(0, 0, -{force}) N" }}]'
     if found.recorded is None:
         yield from _unmeasured(found, load)
         return
@@ -237,17 +225,17 @@ def _configurations(found: Findings) -> Iterator[str]:
 
 def _unmeasured(found: Findings, load: str) -> Iterator[str]:
     """Write two configurations, and how their measurements are added."""
-    yield """# Once poses are recorded, as columns pose, marker, x_mm, y_mm, z_mm:
+    yield f"""# Once poses are recorded, as columns pose, marker, x_mm, y_mm, z_mm:
 #   [shared.measured]
 #   file = "markers.csv"
 #   displacement_from = "hanging"
-# and in each configuration: measured.select = { pose = "hanging" }
+# and in each configuration: measured.select = {{ pose = "hanging" }}
 [[configurations]]
 name = "hanging"
 
-[[configurations]]"""
-    yield 'name = "loaded"'
-    yield _driven(found, "", load)
+[[configurations]]
+name = "loaded"
+{_driven(found, "", load)}"""
 
 
 def _driven(found: Findings, name: str, load: str) -> str:
@@ -281,8 +269,3 @@ def _measured(found: Findings, pose: RecordedPose) -> Iterator[str]:
 
 def _ruler(title: str) -> str:
     return f"# {'-' * (86 - len(title))} {title}"
-
-
-def _mm(place: Float[HostArray, "3"]) -> str:
-    """Write a place as a project file does."""
-    return '"(' + ", ".join(f"{round(1e3 * x, 4) + 0.0:.10g}" for x in place) + ') mm"'

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
+from softcal_jax.exchange._refusals import check_one_value_per_tet
 from softcal_jax.materials import (
     AbstractElasticity,
     AbstractLaw,
@@ -20,7 +21,6 @@ from softcal_jax.materials import (
     SofaRotation,
     StVenantKirchhoff,
     TransverseIsotropic,
-    is_point_values,
     lame,
     plane_stiffness,
 )
@@ -40,31 +40,24 @@ HYPERELASTIC = "Sofa.Component.SolidMechanics.FEM.HyperElastic"
 
 
 class Scale(NamedTuple):
-    """Factors from SI to the units of a scene, whose mass and time are kg and s."""
+    """Factors from SI to the units of a scene, whose mass and time are kg and s.
+
+    So that of a force, kg m/s2, is that of a length, and of a pressure, kg/(m s2), its
+    inverse. `words` are the units by quantity.
+    """
 
     length: float
+    force: float
+    pressure: float
+    volume: float
     words: dict[str, str]
-    """Unit of each quantity, by its name."""
-
-    @property
-    def force(self) -> float:
-        """From newtons, kg m/s2."""
-        return self.length
-
-    @property
-    def pressure(self) -> float:
-        """From pascals, kg/(m s2)."""
-        return 1.0 / self.length
-
-    @property
-    def volume(self) -> float:
-        """From cubic metres."""
-        return self.length**3
 
 
+_MM = {"length": "mm", "force": "mN", "pressure": "kPa"}
+_SI = {"length": "m", "force": "N", "pressure": "Pa"}
 SCALES = {
-    "mm-kg-s": Scale(1e3, {"length": "mm", "force": "mN", "pressure": "kPa"}),
-    "SI": Scale(1.0, {"length": "m", "force": "N", "pressure": "Pa"}),
+    "mm-kg-s": Scale(1e3, 1e3, 1e-3, 1e9, _MM),
+    "SI": Scale(1.0, 1.0, 1.0, 1.0, _SI),
 }
 """Unit systems by name; SOFA itself has none."""
 
@@ -97,18 +90,16 @@ class PluginElasticity(AbstractElasticity):
         """Direction of the fibre in the rest shape."""
         return self.base.fibre
 
-    def constants(self) -> dict[str, Float[Array, "..."]]:
+    def constants(self) -> tuple[Float[Array, "..."], ...]:
         """E_t and E_l [Pa], nu_t and nu_tl [-] of the base."""
         E_t, E_l = self.base.E_t, self.base.E_l
         if isinstance(self.base, TransverseIsotropic):
-            nu_t, nu_tl = self.base.nu_t, self.base.nu_tl
-        else:
-            nu_t, nu_tl = self.base.nu, self.base.nu * jnp.sqrt(E_t / E_l)
-        return {"E_t": E_t, "E_l": E_l, "nu_t": nu_t, "nu_tl": nu_tl}
+            return E_t, E_l, self.base.nu_t, self.base.nu_tl
+        return E_t, E_l, self.base.nu, self.base.nu * jnp.sqrt(E_t / E_l)
 
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         """Stress C : strain for a symmetric strain [Pa]."""
-        E_t, E_l, nu_t, nu_tl = self.constants().values()
+        E_t, E_l, nu_t, nu_tl = self.constants()
         exact = plane_stiffness(E_t, E_l, nu_t, nu_tl)
         nu_lt = nu_tl * E_l / E_t
         C13 = exact.C13 * (nu_lt + nu_t * nu_tl) / (nu_lt + nu_t * nu_lt)
@@ -131,12 +122,7 @@ def law_for_sofa(
     Corotational tets turn by `rotation`; with fibres it is "large", that of the plugin.
     A ValueError says why there is no counterpart, and what to do.
     """
-    leaves = jax.tree.leaves(law, is_leaf=is_point_values)
-    if any(map(is_point_values, leaves)):
-        raise ValueError(
-            "the law has constants that differ within a tet, and SOFA knows one per "
-            'tet; take sampling = "centroids" for the parameters, the default.'
-        )
+    check_one_value_per_tet(law, "SOFA")
     elasticity = getattr(law, "elasticity", None)
     if isinstance(law, Corotational | ClassicalCorotational):
         if isinstance(elasticity, Isotropic):
@@ -154,7 +140,7 @@ def law_for_sofa(
     )
     if not of_body:
         raise _no_counterpart(law)
-    if any(np.ndim(leaf) > 0 for leaf in leaves):
+    if any(np.ndim(leaf) > 0 for leaf in jax.tree.leaves(law)):
         raise ValueError(
             f"{type(law).__name__} differs from tet to tet here, and the hyperelastic "
             "component of SOFA takes one set of constants for the whole body; take "
@@ -165,18 +151,17 @@ def law_for_sofa(
 
 def _no_counterpart(law: AbstractLaw) -> ValueError:
     name, elasticity = type(law).__name__, getattr(law, "elasticity", None)
+    reason, other = "SOFA has no such law", "a NeoHookean or a Corotational law"
     if isinstance(elasticity, AbstractElasticity):
         name += f" with {type(elasticity).__name__}"
-        reason = (
-            "SOFA has fibres only in the corotational tets of the plugin Anisotropy: "
-            "calibrate a Corotational law"
-        )
-    else:
-        reason = "SOFA has no such law"
-        if name in ("MooneyRivlin", "Ogden"):
-            reason = "SOFA's has another term for the change of volume, k0/2 (ln J)^2"
-        reason += ": calibrate a NeoHookean or a Corotational law"
-    return ValueError(f"{name} has no counterpart in SOFA: {reason}, and export that.")
+        reason = "only the corotational tets of the plugin Anisotropy have fibres"
+        other = "a Corotational law"
+    elif name in ("MooneyRivlin", "Ogden"):
+        reason = "SOFA's has another term for the change of volume, k0/2 (ln J)^2"
+    return ValueError(
+        f"{name} has no counterpart in SOFA: {reason}: calibrate {other}, and export "
+        "that."
+    )
 
 
 def component_of(
@@ -220,17 +205,16 @@ def component_of(
 
 
 def _of_plugin(elasticity: PluginElasticity, n_tets: int, scale: Scale) -> Component:
-    constants = {
-        name: np.broadcast_to(np.asarray(value), (n_tets,))
-        for name, value in elasticity.constants().items()
-    }
-    if np.any(constants["nu_tl"] == 0.0):
+    E_t, E_l, nu_t, nu_tl = (
+        np.broadcast_to(np.asarray(value), (n_tets,))
+        for value in elasticity.constants()
+    )
+    if np.any(nu_tl == 0.0):
         raise ValueError(
             "nu_tl is 0, where the plugin Anisotropy divides by zero; give another one."
         )
     kind = np.full(n_tets, 2.0)  # transverse isotropy
-    E_t, E_l = (scale.pressure * constants[name] for name in ("E_t", "E_l"))
-    nu_t, nu_tl = constants["nu_t"], constants["nu_tl"]
+    E_t, E_l = scale.pressure * E_t, scale.pressure * E_l
     parameters = np.stack([kind, E_l, nu_tl, E_t / (2.0 * (1.0 + nu_t))], axis=1)
     u = jnp.broadcast_to(elasticity.fibre.direction().T, (n_tets, 3))
     data = {

@@ -23,6 +23,7 @@ from softcal_jax.configurations import (
 from softcal_jax.equilibrium import Model
 from softcal_jax.exchange._refusals import check_no_bodies, check_rim
 from softcal_jax.exchange.sofa._component import Scale
+from softcal_jax.export import plain
 from softcal_jax.fields import ParameterSpace
 
 CONVERGED = 1e-9
@@ -226,18 +227,14 @@ def _effectors(
             continue
         used = weights[record.index] != 0.0
         own, share = nodes[record.index][used], weights[record.index][used]
-        seen = np.isfinite(record.measured)
-        measured = [
-            scale.length * float(value) if ok else None
-            for value, ok in zip(record.measured, seen, strict=True)
-        ]
+        measured = scale.length * np.asarray(record.measured)
         written.append(
             {
                 "name": record.name,
                 "nodes": own.tolist(),
                 "weights": share.tolist(),
                 "predicted": (scale.length * share @ x[own]).tolist(),
-                "measured": measured if seen.any() else None,
+                "measured": plain(measured) if np.isfinite(measured).any() else None,
             }
         )
     return written

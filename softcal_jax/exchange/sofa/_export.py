@@ -1,9 +1,9 @@
 """Export a calibrated robot as a scene of SOFA, calibrated again for it."""
 
-import math
 import os
 from collections.abc import Callable
 from dataclasses import replace
+from math import isfinite, nan
 from pathlib import Path
 from typing import get_args
 
@@ -67,16 +67,12 @@ class SofaExport(Module):
     @property
     def lines(self) -> list[str]:
         """The values of both models, and a table of what they predict."""
-        lines = []
-        for parameter in self.result.parameters:
-            before, now = (
-                readable_estimate(value, math.nan, parameter.unit)
-                for value in (self.calibrated.values[parameter.name], parameter.value)
-            )
-            bound = " (on a bound: widen it, and calibrate again)" * parameter.at_bound
-            lines.append(
-                f"{parameter.name}: {before} calibrated, {now} for SOFA{bound}"
-            )
+        lines, values = [], self.calibrated.values
+        for fitted in self.result.parameters:
+            before = readable_estimate(values[fitted.name], nan, fitted.unit)
+            now = readable_estimate(fitted.value, nan, fitted.unit)
+            bound = " (on a bound: widen it, and calibrate again)" * fitted.at_bound
+            lines.append(f"{fitted.name}: {before} calibrated, {now} for SOFA{bound}")
         return [*lines, "", *_table(self)]
 
 
@@ -143,7 +139,7 @@ def export_sofa(
     check_robot(project.model)
     model = _model_of_sofa(project, law, rotation)
     component_of(model.law, model.n_tets, release, scale)  # before the work is done
-    refitted = _recalibrate(loaded, project, model, progress=progress)
+    refitted = _recalibrate(loaded, project, model, progress)
     solved = {c.name: c for c in refitted.configurations if c.converged}
     posed = [c for c in project.configurations if c.name in solved]
     if not posed:
@@ -194,8 +190,7 @@ def _recalibrate(
     result: LoadedResult,
     project: Project,
     model: Model,
-    *,
-    progress: Callable[[HistoryEntry], None] | None = None,
+    progress: Callable[[HistoryEntry], None] | None,
 ) -> CalibrationResult:
     """Fit the model of SOFA to the same measurements, from the calibrated values.
 
@@ -258,7 +253,7 @@ def _table(export: SofaExport) -> list[str]:
     Beside how far the points move: errors of the calibrated model, of that of SOFA with
     the same values, and with values of its own.
     """
-    mm = lambda value: f"{1e3 * value:.3g} mm" if math.isfinite(value) else "-"
+    mm = lambda value: f"{1e3 * value:.3g} mm" if isfinite(value) else "-"
     rows = []
     for c in export.result.configurations:
         errors = export.calibrated.errors[c.name], c.rms_before, c.rms_after

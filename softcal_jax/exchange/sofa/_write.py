@@ -10,8 +10,6 @@ from softcal_jax.exchange.sofa._component import Component, Scale
 from softcal_jax.export import file_stems, results_folder, write_json
 from softcal_jax.mesh import TetMesh
 
-_FULL_RELEASE = {"v25.12": "v25.12.00", "v26.06": "v26.06.00"}
-
 _NEEDED = {
     "SoftRobots": "SoftRobots (cables and chambers), which the binaries of SOFA hold",
     "Anisotropy": "Anisotropy (https://github.com/VannesteFelix/anisotropy), with "
@@ -121,7 +119,7 @@ def _readme(scene: Scene, text: Sequence[str], notes: Sequence[str]) -> list[str
         f"# {scene.name} in SOFA",
         "",
         f"Written by softcal_jax for SOFA {scene.release} (from the sources of "
-        f"{_FULL_RELEASE[scene.release]}), to be run with",
+        f"{scene.release}.00), to be run with",
         "",
         "- SofaPython3, with NumPy in its Python.",
         *needed,

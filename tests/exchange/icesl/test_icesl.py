@@ -17,9 +17,11 @@ from softcal_jax.bodies import RigidBody
 from softcal_jax.equilibrium import build_model
 from softcal_jax.exchange.icesl import (
     Design,
+    FoamTable,
     _fields,
     _report,
     _settings,
+    published_foam,
     read_foam_table,
     write_foam_table,
 )
@@ -28,10 +30,8 @@ from softcal_jax.materials import (
     Corotational,
     Fibre,
     FibreReinforced,
-    FoamTable,
     NeoHookean,
     ReducedTransverseIsotropic,
-    published_foam,
 )
 from softcal_jax.mesh import TetMesh, beam, merge
 

@@ -4,15 +4,22 @@ from typing import Literal, NamedTuple, get_args
 
 import equinox as eqx
 import numpy as np
+from scipy.spatial import KDTree
 
 from softcal_jax._module import Module, one_line
 from softcal_jax._names import unknown_name
-from softcal_jax.materials._foam_patch import FoamPatch, Numbers, Pairs
+from softcal_jax._typing import Float, HostArray
+
+_T_STEPS, _S_STEPS = 96, 64
+"""Samples along the density, and between two levels, from which searches begin."""
+
+_SEARCH_STEPS = 20
+
+Numbers = Float[HostArray, " n"]
+Pairs = Float[HostArray, "n 2"]
 
 Infill = Literal["Polyfoam", "Phasor"]
 """Foams of the slicer IceSL, by its names."""
-
-AxisKind = Literal["soft", "stiff"]
 
 
 class FoundFoam(NamedTuple):
@@ -39,9 +46,9 @@ class FoamTable(Module):
     """Moduli of a foam by its density and the setting that makes it anisotropic.
 
     Samples with the same anisotropy are a level. Along a level ln E is a monotone cubic
-    of ln density, which is a straight line where E is a power of the density. Between
-    two levels ln density and ln E are linear, for Polyfoam in ln shrink and for Phasor
-    in its isotropy; what lies outside of this patch is not reached by the foam.
+    of ln density: a straight line where E is a power of the density. Between two levels
+    ln density and ln E are linear, for Polyfoam in ln shrink and for Phasor in its
+    isotropy; what lies outside of this patch is not reached by the foam.
 
     Attributes:
         infill: The foam. Polyfoam has a soft axis and a stiff plane across it; Phasor
@@ -68,28 +75,15 @@ class FoamTable(Module):
     def __check_init__(self):
         if self.infill not in get_args(Infill):
             raise unknown_name("infill", self.infill, get_args(Infill))
-        shrink, E = self.anisotropy, self.E_soft
-        above = shrink > 0.0 if self._is_log else shrink >= 0.0
+        density, shrink, soft = self.density, self.anisotropy, self.E_soft
+        above, low = (shrink > 0.0, "(0") if self._is_log else (shrink >= 0.0, "[0")
+        share = "in (0, 1]: the share of solid, 0.2 for 20 %"
+        at_least = self.E_stiff, self.E_stiff >= soft, "finite and at least E_soft [Pa]"
         for name, values, fine, expected in (
-            (
-                "density",
-                self.density,
-                (self.density > 0.0) & (self.density <= 1.0),
-                "in (0, 1]: the share of solid, 0.2 for 20 %",
-            ),
-            (
-                self.setting,
-                shrink,
-                above & (shrink <= 1.0),
-                "in (0, 1]" if self._is_log else "in [0, 1]",
-            ),
-            ("E_soft", E, E > 0.0, "positive [Pa]"),
-            (
-                "E_stiff",
-                self.E_stiff,
-                self.E_stiff >= E,
-                "finite and at least E_soft [Pa]",
-            ),
+            ("density", density, (density > 0.0) & (density <= 1.0), share),
+            (self.setting, shrink, above & (shrink <= 1.0), f"in {low}, 1]"),
+            ("E_soft", soft, soft > 0.0, "positive [Pa]"),
+            ("E_stiff", *at_least),
         ):
             bad = np.flatnonzero(~(fine & np.isfinite(values)))
             if bad.size:
@@ -97,8 +91,8 @@ class FoamTable(Module):
                     f"foam table, sample {bad[0] + 1}: {name} must be {expected}, got "
                     f"{values[bad[0]]:g}."
                 )
-        for level in np.unique(self.anisotropy):
-            densities = self.density[self.anisotropy == level]
+        for level in np.unique(shrink):
+            densities = density[shrink == level]
             if len(np.unique(densities)) < max(len(densities), 2):
                 raise ValueError(
                     f"foam table: at {self.setting} {level:g} it has the densities "
@@ -112,7 +106,7 @@ class FoamTable(Module):
         return "shrink" if self._is_log else "iso"
 
     @property
-    def axis(self) -> AxisKind:
+    def axis(self) -> Literal["soft", "stiff"]:
         """Which modulus holds along the single axis; the other holds across it."""
         return "soft" if self._is_log else "stiff"
 
@@ -138,13 +132,13 @@ class FoamTable(Module):
         asked = np.log(np.stack([pairs.real, pairs.imag], axis=1))
         anisotropy, found = self._patch().nearest(asked)
         error = np.abs(found[:, 1:] - asked).max(axis=1)
-        density, soft, stiff = np.exp(found).T
-        each = (density, anisotropy, soft, stiff, error)
-        return FoundFoam(*(values[index] for values in each))
+        density, *moduli = np.exp(found).T
+        values = (density, anisotropy, *moduli, error)
+        return FoundFoam(*(each[index] for each in values))
 
-    def _patch(self) -> FoamPatch:
+    def _patch(self) -> "_Patch":
         moduli = np.stack([self.E_soft, self.E_stiff], axis=1)
-        return FoamPatch(self.density, self.anisotropy, moduli, is_log=self._is_log)
+        return _Patch(self.density, self.anisotropy, moduli, is_log=self._is_log)
 
 
 TPU = 12e6
@@ -200,3 +194,113 @@ def published_foam(solid_modulus: float = TPU) -> FoamTable:
         solid_modulus * np.concatenate([np.mean(stiff, axis=0), isotropic]),
         "homogenised Polyfoam of TPU, Vanneste et al., IEEE RA-L 2020",
     )
+
+
+class _Patch:
+    """A foam table as a map from two coordinates to ln density and ln moduli.
+
+    The coordinate s counts the levels of equal anisotropy: 0 at the first level, 0.5
+    halfway to the second. The coordinate t runs from the smallest density of the level
+    (0) to its largest (1).
+    """
+
+    def __init__(
+        self, density: Numbers, anisotropy: Numbers, moduli: Pairs, *, is_log: bool
+    ):
+        """Fit a curve to each level; `is_log` mixes levels by their logarithm."""
+        # Here, so that commands which do not need it do not wait for it.
+        from scipy.interpolate import PchipInterpolator
+
+        self.is_log = is_log
+        values = np.unique(anisotropy)
+        self.levels = np.log(values) if is_log else values
+        self.last = len(values) - 1.0  # the largest s
+        self.ends, self.curves = [], []
+        for value in values:
+            samples = np.flatnonzero(anisotropy == value)
+            samples = samples[np.argsort(density[samples])]
+            x = np.log(density[samples])
+            self.ends.append((x[0], x[-1]))
+            self.curves.append(PchipInterpolator(x, np.log(moduli[samples])))
+
+    def at(self, t: Numbers, s: Numbers) -> Float[HostArray, "n 3"]:
+        """Return ln density, ln E_soft and ln E_stiff."""
+        mixed, s = np.zeros((len(t), 3)), np.clip(s, 0.0, self.last)
+        for level, ((low, high), curve) in enumerate(
+            zip(self.ends, self.curves, strict=True)
+        ):
+            weight = np.maximum(1.0 - np.abs(s - level), 0.0)
+            near = np.flatnonzero(weight)
+            x = low + t[near] * (high - low)
+            mixed[near] += weight[near, None] * np.column_stack([x, curve(x)])
+        return mixed
+
+    def moduli(self, density: Numbers, anisotropy: Numbers) -> Pairs:
+        """Interpolate E_soft and E_stiff [Pa]; see `FoamTable.moduli`."""
+        values = np.log(anisotropy) if self.is_log else anisotropy
+        s = np.interp(values, self.levels, np.arange(len(self.levels)))
+        low, high = (self.at(np.full_like(s, t), s)[:, 0] for t in (0.0, 1.0))
+        t = (np.log(density) - low) / (high - low)
+        return np.exp(self.at(t, s)[:, 1:])
+
+    def nearest(self, asked: Pairs) -> tuple[Numbers, Float[HostArray, "n 3"]]:
+        """Return anisotropy and `at` of what is nearest to ln E_soft and ln E_stiff."""
+        t = np.linspace(0.0, 1.0, _T_STEPS + 1)
+        s = np.linspace(0.0, self.last, _S_STEPS * int(self.last) + 1)
+        grid = np.stack(np.meshgrid(t, s, indexing="ij"), axis=-1).reshape(-1, 2)
+        tree = KDTree(self.at(*grid.T)[:, 1:])
+        x = _refined(self, asked, grid[tree.query(asked)[1]])
+        levels = np.interp(x[:, 1], np.arange(len(self.levels)), self.levels)
+        return np.exp(levels) if self.is_log else levels, self.at(*x.T)
+
+
+def _refined(patch: _Patch, asked: Pairs, x: Pairs) -> Pairs:
+    """Move points (t, s) until their moduli are nearest, by Gauss-Newton in the box."""
+    x = x.copy()
+    active = np.arange(len(x))
+    for _ in range(_SEARCH_STEPS):
+        step = _step(patch, asked[active], x[active])
+        moved = _moved(patch, asked[active], x[active], step)
+        gone = np.abs(moved - x[active]).max(axis=1)
+        x[active] = moved
+        # From so small a step a quadratic iteration ends in rounding.
+        active = active[gone > 1e-9]
+        if not active.size:
+            break
+    return x
+
+
+def _step(patch: _Patch, asked: Pairs, x: Pairs) -> Pairs:
+    """Return the Gauss-Newton step of each point."""
+    upper = np.array([1.0, patch.last])
+    here = patch.at(*x.T)[:, 1:]
+    r = here - asked
+    # Differences towards the inside, so that they never leave the patch.
+    h = np.where(x < 0.5 * upper, 1e-6, -1e-6)
+    a, b = (
+        (patch.at(*(x + h * axis).T)[:, 1:] - here) / h[:, [k]]
+        for k, axis in enumerate(np.eye(2))
+    )
+    slope = np.stack([(a * r).sum(axis=1), (b * r).sum(axis=1)], axis=1)
+    # A coordinate that the slope presses against its bound takes no part in the step.
+    free = ((x > 0.0) | (slope < 0.0)) & ((x < upper) | (slope > 0.0))
+    a, b, slope = a * free[:, :1], b * free[:, 1:], slope * free
+    aa, ab, bb = (a * a).sum(axis=1), (a * b).sum(axis=1), (b * b).sum(axis=1)
+    # Damped by rounding alone: a column may be zero.
+    damping = 1e-14 * (aa + bb) + 1e-150
+    aa, bb = aa + damping, bb + damping
+    det = aa * bb - ab * ab
+    first = ab * slope[:, 1] - bb * slope[:, 0]
+    second = ab * slope[:, 0] - aa * slope[:, 1]
+    return np.stack([first, second], axis=1) / det[:, None]
+
+
+def _moved(patch: _Patch, asked: Pairs, x: Pairs, step: Pairs) -> Pairs:
+    """Take the longest part of each step that brings the moduli nearer, if any does."""
+    squared = lambda x: ((patch.at(*x.T)[:, 1:] - asked) ** 2).sum(axis=1)
+    moved, before = x.copy(), squared(x)
+    for length in (0.01, 0.1, 0.5, 1.0):
+        trial = np.clip(x + length * step, 0.0, [1.0, patch.last])
+        better = squared(trial) < before
+        moved[better] = trial[better]
+    return moved

@@ -1,23 +1,98 @@
-"""The formats of this package, and those of installed ones.
+"""The interface of formats, those of this package, and those of installed ones.
 
 What writes one is imported when it is asked for.
 """
 
-import argparse
 import warnings
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
 import shtab
 
 from softcal_jax._warnings import SoftcalWarning
-from softcal_jax.exchange.exporters._exporter import (
-    AbstractExporter,
-    ExportProgress,
-    quantity,
-)
+
+
+class ExportProgress(NamedTuple):
+    """What an export says while it runs.
+
+    Attributes:
+        begins: Says what begins, like "calibrating the model of SOFA".
+        step: Shows a step of a calibration, a `HistoryEntry`.
+        computed: Shows what was computed for the export, in lines.
+    """
+
+    begins: Callable[[str], None]
+    step: Callable[[Any], None]
+    computed: Callable[[str], None]
+
+
+class AbstractExporter(ABC):
+    """A format of `softcal export`; its name there is that of its entry point.
+
+    Attributes:
+        writes: What is written, in a few words for the list of formats.
+        description: The same in sentences, for the help of the format.
+        cannot_hold: What of a model is refused, in a sentence.
+        output: Placeholder and meaning of `--output`: "DIR" stands for a folder of
+            results, which `results_folder` of `softcal_jax.export` makes, anything
+            else for a file.
+        next_step: What to do with the files, in a sentence; empty if that is plain.
+        takes_projects: Whether a project file may stand for results, with its start
+            values.
+    """
+
+    writes: ClassVar[str]
+    description: ClassVar[str]
+    cannot_hold: ClassVar[str]
+    output: ClassVar[tuple[str, str]]
+    next_step: ClassVar[str] = ""
+    takes_projects: ClassVar[bool] = False
+
+    def add_options(self, command: ArgumentParser) -> None:
+        """Add the options of the format, beside `--output`, `--project`, `--force`."""
+        del command
+
+    @abstractmethod
+    def write(
+        self, source: Any, output: Path, options: Namespace, progress: ExportProgress
+    ) -> Sequence[str]:
+        """Write a model.
+
+        Args:
+            source: The `LoadedResult`; where `takes_projects` is set also a `Project`.
+            output: The file or folder; what is there may be replaced if
+                `options.force` is set.
+            options: The options of the command.
+            progress: What to tell meanwhile.
+
+        Returns:
+            What the other program does otherwise than the model, in sentences.
+
+        Raises:
+            ValueError: If an option is wrong, or the format cannot hold something of
+                the model; the text gives the reason, and what to do.
+            OSError: If the files cannot be written.
+            RuntimeError: If what is computed for the export does not converge. Nothing
+                is written then.
+        """
+
+
+def quantity(option: str, text: str, unit: str) -> float:
+    """Parse the value of an option, like "24 MPa", into the SI unit.
+
+    Raises:
+        ValueError: If it is no such quantity; the text names the option.
+    """
+    from softcal_jax.project import parse_in_si
+
+    try:
+        return parse_in_si(text, unit)
+    except ValueError as error:
+        raise ValueError(f"{option}: {error}") from error
 
 
 class InpExporter(AbstractExporter):
@@ -34,16 +109,12 @@ class InpExporter(AbstractExporter):
     )
     output = "FILE.inp", "the file"
 
-    def add_options(self, command: argparse.ArgumentParser) -> None:
+    def add_options(self, command: ArgumentParser) -> None:
         which = "the configuration (may be left out if there is one)"
         command.add_argument("--configuration", metavar="NAME", help=which)
 
     def write(
-        self,
-        source: Any,
-        output: Path,
-        options: argparse.Namespace,
-        progress: ExportProgress,
+        self, source: Any, output: Path, options: Namespace, progress: ExportProgress
     ) -> Sequence[str]:
         from softcal_jax.exchange.inp import export_inp
 
@@ -64,15 +135,12 @@ class IceslExporter(AbstractExporter):
     output = "DIR", "the folder"
     takes_projects = True
 
-    def add_options(self, command: argparse.ArgumentParser) -> None:
+    def add_options(self, command: ArgumentParser) -> None:
         add = command.add_argument
-        add(
-            "--infill",
-            choices=["polyfoam", "phasor"],
-            default="polyfoam",
-            help="foam with a soft axis (default), or with a stiff one, which needs "
-            "--table",
-        )
+        text = "foam with a soft axis (default), or with a stiff one, which needs "
+        text += "--table"
+        kinds = ["polyfoam", "phasor"]
+        add("--infill", choices=kinds, default=kinds[0], help=text)
         text = "moduli of the foam: columns density, shrink or iso, E_soft_kPa, "
         text += "E_stiff_kPa (default: as published, of TPU)"
         table = add("--table", metavar="FILE.csv", type=Path, help=text)
@@ -91,14 +159,9 @@ class IceslExporter(AbstractExporter):
         add("--clockwise", action="store_true", help=text)
 
     def write(
-        self,
-        source: Any,
-        output: Path,
-        options: argparse.Namespace,
-        progress: ExportProgress,
+        self, source: Any, output: Path, options: Namespace, progress: ExportProgress
     ) -> Sequence[str]:
-        from softcal_jax.exchange.icesl import export_icesl
-        from softcal_jax.materials import published_foam
+        from softcal_jax.exchange.icesl import export_icesl, published_foam
 
         table = options.table
         if options.solid_modulus is not None:
@@ -140,7 +203,7 @@ class SofaExporter(AbstractExporter):
     output = "DIR", "folder for the scene"
     next_step = "README.md there says how to run it"
 
-    def add_options(self, command: argparse.ArgumentParser) -> None:
+    def add_options(self, command: ArgumentParser) -> None:
         choices = {
             "--release": (["v26.06", "v25.12"], "release of SOFA"),
             "--units": (["mm-kg-s", "SI"], "unit system of the scene"),
@@ -161,11 +224,7 @@ class SofaExporter(AbstractExporter):
             command.add_argument(option, choices=known, default=known[0], help=text)
 
     def write(
-        self,
-        source: Any,
-        output: Path,
-        options: argparse.Namespace,
-        progress: ExportProgress,
+        self, source: Any, output: Path, options: Namespace, progress: ExportProgress
     ) -> Sequence[str]:
         from softcal_jax.exchange.sofa import export_sofa
 
