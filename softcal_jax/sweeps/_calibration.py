@@ -22,8 +22,8 @@ from softcal_jax.configurations import Configuration
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.layouts import place_control_points
 from softcal_jax.project import Project, load_project, parse_in_si, read_toml
+from softcal_jax.sweeps._axes import OWN_AXES
 from softcal_jax.sweeps._row import Outcome
-from softcal_jax.sweeps._schema import OWN_AXES
 from softcal_jax.sweeps._trial import Trial
 
 KEPT = 8

@@ -8,17 +8,20 @@ systems too, and it survives kill -9.
 import json
 import os
 import sqlite3
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import Json, TypeAdapter, ValidationError
+
 from softcal_jax._places import only_writer
+from softcal_jax._text import shortened
 from softcal_jax.sweeps._result import SweepResult
 from softcal_jax.sweeps._row import TrialRow
-from softcal_jax.sweeps._stored import AS_JSON, COLUMNS, stored_sweep
-from softcal_jax.sweeps._trial import Trial
+from softcal_jax.sweeps._trial import Point, Trial
 
 APPLICATION = 0x50F7CA1
 """SQLite's application_id, by which a database of a sweep is recognised."""
@@ -38,6 +41,14 @@ CREATE TABLE trials (
     seconds REAL NOT NULL, compile_seconds REAL NOT NULL,
     worker TEXT NOT NULL, ended TEXT NOT NULL, traceback TEXT NOT NULL
 );"""
+
+_COLUMNS = tuple(TrialRow.__dataclass_fields__)
+_AS_JSON = ("point", "figures", "notes")
+"""Columns of the table of trials, and those whose texts are JSON."""
+
+_NAME, _NAMES = TypeAdapter(Json[str]), TypeAdapter(Json[tuple[str, ...]])
+_JSON, _POINT = TypeAdapter(Json[Any]), TypeAdapter(Json[Point])
+_ROW = TypeAdapter(TrialRow)
 
 
 @contextmanager
@@ -67,34 +78,26 @@ class SweepDatabase:
 
         Rows of earlier runs stay. `about` holds the name of the sweep and the axes that
         are mere repetitions, `definitions` what rows depend on besides their points.
-
-        Raises:
-            ValueError: If the file is no database of a sweep, or of another one.
-            BlockingIOError: If another program keeps it locked.
         """
         about = {**about, "axes": tuple(trials[0].point)}
         words = [(what, json.dumps(value)) for what, value in about.items()]
         plan = [(i, t.key, json.dumps(t.point)) for i, t in enumerate(trials)]
         with _explained(self.path), self.file:  # everything, or nothing
             self.file.execute("BEGIN IMMEDIATE")
-            self._prepare()
+            if self.file.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+                _check_format(self.file, self.path)
+            else:
+                for statement in _TABLES.split(";\n"):
+                    self.file.execute(statement)
+                self.file.execute(f"PRAGMA application_id = {APPLICATION}")
+                self.file.execute(f"PRAGMA user_version = {FORMAT}")
             self._check_definitions(definitions)
             self._write("definitions", list(definitions.items()))
             self._write("sweep", words)
             self.file.execute("DELETE FROM plan")
             self._write("plan", plan)
-            rows = stored_sweep(self.file, self.path).rows
+            rows = _stored_sweep(self.file, self.path).rows
         return {row.key: row.state for row in rows}
-
-    def _prepare(self) -> None:
-        """Make the tables in a new file; refuse a file that is something else."""
-        if self.file.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
-            _check_format(self.file, self.path)
-            return
-        for statement in _TABLES.split(";\n"):
-            self.file.execute(statement)
-        self.file.execute(f"PRAGMA application_id = {APPLICATION}")
-        self.file.execute(f"PRAGMA user_version = {FORMAT}")
 
     def _check_definitions(self, definitions: Mapping[str, str]) -> None:
         """Raise if what rows depend on has changed; new definitions may be added."""
@@ -112,9 +115,9 @@ class SweepDatabase:
 
     def add(self, row: TrialRow) -> None:
         """Write a row, and return once it is on disk."""
-        named = vars(row) | {name: json.dumps(getattr(row, name)) for name in AS_JSON}
+        named = vars(row) | {name: json.dumps(getattr(row, name)) for name in _AS_JSON}
         with _explained(self.path):
-            self._write("trials", [tuple(named[name] for name in COLUMNS)])
+            self._write("trials", [tuple(named[name] for name in _COLUMNS)])
 
 
 def read_sweep(database: str | os.PathLike[str]) -> SweepResult:
@@ -136,7 +139,62 @@ def read_sweep(database: str | os.PathLike[str]) -> SweepResult:
     with _explained(path), closing(_open(uri, WAIT_S, uri=True)) as file:
         file.execute("BEGIN")
         _check_format(file, path)
-        return stored_sweep(file, path)
+        return _stored_sweep(file, path)
+
+
+def _stored_sweep(file: sqlite3.Connection, path: Path) -> SweepResult:
+    """Read everything from an open database, checked: it may have been edited."""
+    words = dict(file.execute("SELECT what, value FROM sweep"))
+    plan = file.execute("SELECT key, point FROM plan ORDER BY number")
+    rows = file.execute(
+        f"SELECT {', '.join(f'trials.{name}' for name in _COLUMNS)} "
+        "FROM trials LEFT JOIN plan ON plan.key = trials.key "
+        "ORDER BY plan.number IS NULL, plan.number, trials.ended"
+    )
+    about = lambda what, kind: _checked(f"sweep.{what}", kind, words.get(what))
+    try:
+        result = SweepResult(
+            name=about("name", _NAME),
+            axes=about("axes", _NAMES),
+            repeats=about("repeats", _NAMES),
+            planned={k: _checked(f"plan.{k}.point", _POINT, text) for k, text in plan},
+            rows=tuple(_row(dict(zip(_COLUMNS, row, strict=True))) for row in rows),
+        )
+        ended = [(row.key, row.point) for row in result.rows]
+        for key, point in [*result.planned.items(), *ended]:
+            if set(point) != set(result.axes) or Trial(point).key != key:
+                raise ValueError(
+                    f"{key}.point is {shortened(repr(point))}, which is not the point "
+                    "of this key"
+                )
+    except ValueError as error:
+        raise ValueError(
+            f"{path}: {error}. No sweep has written that: take an earlier copy of the "
+            "file, or remove it to start anew."
+        ) from error
+    return result
+
+
+def _row(named: dict[str, Any]) -> TrialRow:
+    where = f"trials.{named['key']}"
+    for name in _AS_JSON:
+        named[name] = _checked(f"{where}.{name}", _JSON, named[name])
+    row = _checked(where, _ROW, named)
+    for name, figure in row.figures.items():
+        if isinstance(figure, int) and abs(figure) > sys.float_info.max:
+            raise ValueError(f"{where}.figures.{name} is a number that is too large")
+    return row
+
+
+def _checked(where: str, kind: TypeAdapter, value: Any) -> Any:
+    """Convert a value, or a text of JSON, to a type."""
+    try:
+        return kind.validate_python(value)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join([where, *map(str, first["loc"])])
+        value = shortened(repr(first["input"]))
+        raise ValueError(f"{place} is {value}: {first['msg']}") from error
 
 
 def _open(database: str | Path, wait: float, **options: Any) -> sqlite3.Connection:

@@ -1,29 +1,31 @@
 """Loading a sweep file."""
 
-import itertools
 import json
-import math
 import os
-import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import Field
+
 from softcal_jax._files import similar_file
-from softcal_jax._limits import TRIALS
 from softcal_jax._module import one_line
+from softcal_jax._names import unknown_name
 from softcal_jax.calibration import SourceFile
 from softcal_jax.export import Made
 from softcal_jax.project import (
+    Integer,
     Project,
     ProjectError,
+    Table,
     at,
     load_project,
     read_schema,
     read_toml,
     suggestion,
 )
+from softcal_jax.sweeps._axes import OWN_AXES, REPEATS, axis_values
 from softcal_jax.sweeps._calibration import (
     CalibrationTrial,
     digest_of,
@@ -32,17 +34,20 @@ from softcal_jax.sweeps._calibration import (
 )
 from softcal_jax.sweeps._result import SweepResult
 from softcal_jax.sweeps._run import run_sweep
-from softcal_jax.sweeps._schema import (
-    OWN_AXES,
-    REPEATS,
-    ChooseTable,
-    CountTable,
-    RangeTable,
-    SweepTable,
-)
-from softcal_jax.sweeps._trial import Point, Range, grid, is_number, sample
+from softcal_jax.sweeps._trial import Point, Range, grid, sample
 
-_QUANTITY = re.compile(r"\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
+
+class SweepTable(Table):
+    """A whole sweep file; a message on a missing key quotes its description."""
+
+    project: str = Field(description='the project file: "project.toml"')
+    axes: dict[str, Any] = Field(description="a table [axes]")
+    name: str | None = None
+    seed: Integer = 0
+    sample: Integer | None = Field(None, ge=1)
+    layouts: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    replaces: str | None = None
+    truth: dict[str, Any] = Field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -131,10 +136,10 @@ def load_sweep(path: str | os.PathLike[str]) -> Sweep:
         source.resolve(), files, table.layouts, _replaced(path, table), table.truth
     )
     _check_calibration(path, table, project)
-    axes = {
-        axis: _values(path, axis, values, table, project)
-        for axis, values in table.axes.items()
-    }
+    axes, poses = {}, [c.name for c in project.calibration]
+    for axis, given in table.axes.items():
+        with at(path, f"axes.{axis}"):
+            axes[axis] = axis_values(axis, given, list(table.layouts), poses)
     # Trials of one shape stand next to each other, so that a worker compiles less.
     ordered = {a: axes[a] for a in (*file_keys(axes), *OWN_AXES) if a in axes}
     _check_variants(path, function, ordered)
@@ -171,19 +176,18 @@ def _replaced(path: Path, table: SweepTable) -> str:
     """Find the set of control points that layouts replace."""
     if not table.layouts:
         return ""
+    if "layout" not in table.axes:
+        raise ProjectError(
+            f"{path}: layouts: they need the axis `layout`, a list of their names."
+        )
     sets = list(read_toml(path.parent / table.project, "").get("control_points", {}))
-    name = table.replaces
-    if name is None and len(sets) == 1:
-        return sets[0]
-    if name is not None and name in sets:
-        return name
-    what = (
-        "missing. Expected a set of control points"
-        if name is None
-        else f'no control points "{name}".{suggestion(name, sets)} Expected some'
-    )
-    known = ", ".join(sets) or "none"
-    raise ProjectError(f"{path}: replaces: {what} of the project, which has {known}.")
+    name = table.replaces or (sets[0] if len(sets) == 1 else "")
+    if name not in sets:
+        raise ProjectError(
+            f"{path}: replaces: got {name!r}; expected a set of control points of the "
+            f"project.{suggestion(name, sets)} Known: {', '.join(sets) or 'none'}."
+        )
+    return name
 
 
 def _check_calibration(path: Path, table: SweepTable, project: Project) -> None:
@@ -196,73 +200,12 @@ def _check_calibration(path: Path, table: SweepTable, project: Project) -> None:
     names = project.space.names
     with at(path, "truth"):
         for name in table.truth:
-            _check_known(f"parameter {name!r}", name, names)
+            if name not in names:
+                raise unknown_name("parameter", name, names)
         missing = [name for name in names if name not in table.truth]
         if missing:
             raise ValueError(f"it has no value for {', '.join(missing)}.")
         truth_in_si(project.space, table.truth)
-
-
-def _check_known(what: str, name: Any, known: Collection[str]) -> None:
-    if name not in known:
-        hint = suggestion(str(name), known)
-        raise ValueError(f"there is no {what}.{hint} Known: {', '.join(known)}.")
-
-
-def _values(
-    path: Path, axis: str, given: Any, table: SweepTable, project: Project
-) -> Sequence[Any] | Range:
-    """Check the values of an axis against the project."""
-    with at(path, f"axes.{axis}"):
-        if isinstance(given, CountTable):
-            TRIALS.check(f"count = {given.count}", given.count)
-            return list(range(1, given.count + 1))
-        if isinstance(given, RangeTable):
-            return _range(given)
-        if axis == "layout":
-            for name in given:
-                _check_known(f"[layouts.{name}]", name, table.layouts)
-        if axis == "configurations":
-            return _subsets(given, [c.name for c in project.calibration])
-    return given
-
-
-def _subsets(given: Any, names: list[str]) -> list[list[str]]:
-    """List the sets of configurations that are fitted."""
-    if isinstance(given, ChooseTable):
-        if not 1 <= given.choose <= len(names):
-            raise ValueError(
-                f"choose = {given.choose}, but the project has {len(names)} "
-                f"configurations with the role calibration: {', '.join(names)}."
-            )
-        n = math.comb(len(names), given.choose)
-        TRIALS.check(f"choose = {given.choose} of {len(names)}", n)
-        return [list(s) for s in itertools.combinations(names, given.choose)]
-    for subset in given:
-        if not isinstance(subset, list) or not subset:
-            raise ValueError(
-                f"got {subset}; expected lists of configurations that are fitted "
-                'together, like [["pose 1"], ["pose 1", "pose 2"]].'
-            )
-        for name in subset:
-            what = f"configuration {name!r} with the role calibration"
-            _check_known(what, name, names)
-    # In the project's order, so that [a, b] and [b, a] are the same trial.
-    return [[name for name in names if name in subset] for subset in given]
-
-
-def _range(table: RangeTable) -> Range:
-    ends = [table.low, table.high]
-    if all(map(is_number, ends)):
-        return Range(float(table.low), float(table.high), table.scale)
-    parts = [_QUANTITY.fullmatch(str(end)) for end in ends]
-    if parts[0] is None or parts[1] is None or parts[0][2] != parts[1][2]:
-        raise ValueError(
-            f"got {table.low} and {table.high}; expected two numbers, or two "
-            'quantities in the same unit, like "100 kPa" and "300 kPa".'
-        )
-    low, high = (float(part[1]) for part in parts if part is not None)
-    return Range(low, high, table.scale, f"{{:.9g}} {parts[0][2]}")
 
 
 def _check_variants(
