@@ -92,11 +92,11 @@ class Continued(NamedTuple):
 
 def with_solutions(done, right_hand_sides) -> Continued:
     """Solve for nodal forces that are a function of the displacement."""
-    lin = done.linearisation
+    equilibrium, lin = done
     b = jax.vmap(lin.free)(right_hand_sides(lin.u))
     solved = lin.solve(b, jnp.zeros((len(b), lin.system.active.size)))
     x = lin.scatter(solved.x)
-    return Continued(done.equilibrium, x, solved.ok, lin.stiffness(x[0]))
+    return Continued(equilibrium, x, solved.ok, lin.stiffness(x[0]))
 
 
 def continued(model, configuration, guess, precise=False, settings=TIGHT):
