@@ -157,6 +157,18 @@ def gap(posed: Posed, at: Point, lambda_a, stiffness):
     return jnp.where(active, gap, 0.0), active
 
 
+def stiffness_of_gaps(
+    posed: Posed, W_aa: Float[Array, "n_m n_m"]
+) -> Float[Array, " n_a"]:
+    """Return the force per displacement of actuators with an imposed one, 0 of others.
+
+    Slack cables included: a step that tightens one leaves a gap to close.
+    """
+    compliance = jnp.maximum(jnp.abs(jnp.diag(W_aa)), jnp.finfo(W_aa.dtype).tiny)
+    stiff = posed.model.among_all(1.0 / compliance)
+    return jnp.where(posed.by_multiplier, stiff, 0.0)
+
+
 def taut(posed: Posed, at: Point) -> Bool[Array, " n_a"]:
     """Flag the imposed displacements that act at an equilibrium: no slack cables."""
     gap, unilateral = _wanting(posed, at)

@@ -39,6 +39,15 @@ class Bordered(NamedTuple):
     ok: Bool[Array, ""]
 
 
+def bordered(
+    x: Float[Array, "n_rhs n_dof"], lambda_a: Float[Array, "n_rhs n_m"]
+) -> Bordered:
+    """Return a solution of which no more is known."""
+    n_m = lambda_a.shape[1]
+    unknown, count = jnp.full((n_m, n_m), jnp.nan), jnp.full((), -1, jnp.int32)
+    return Bordered(x, lambda_a, unknown, count, jnp.ones((), bool))
+
+
 class System(NamedTuple):
     """The matrix of a bordered system, with the actuators `Model.with_multiplier`.
 

@@ -1,7 +1,6 @@
 """Building a model: shape gradients, sparsity, symbolic analysis."""
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import jax
@@ -18,14 +17,8 @@ from softcal_jax.elements import shape_functions, shape_gradients, tet_rule
 from softcal_jax.equilibrium._element import Formulation
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._model import Model, check_fields, check_law, to_blocks
-from softcal_jax.equilibrium._solver_choice import (
-    NO_SOLVER,
-    check_solver,
-    choose_solver,
-    same_solver,
-)
+from softcal_jax.equilibrium._solver_choice import NoSolver, solver_kind
 from softcal_jax.equilibrium._sparsity import (
-    Sparsity,
     build_reduction,
     build_sparsity,
     destinations,
@@ -81,10 +74,10 @@ def build_model(
         RuntimeError: If this process was forked from one that had computed.
     """
     check_process()
-    check_solver(solver)
+    kind = solver_kind(solver)
     check_fields(law, mesh.n_tets)
     density = _checked_density(density, mesh.n_tets)
-    solved = solver != NO_SOLVER
+    solved = kind is not NoSolver
     mechanism = build_mechanism(mesh, bodies, actuators, at_rest=solved)
     check_mesh(mesh, linked=_linked(mechanism))
     return _prepared(
@@ -93,7 +86,7 @@ def build_model(
         density=density,
         mechanism=mechanism,
         formulation=_formulation(formulation, law, mesh.order),
-        solver=partial(choose_solver, solver),
+        solver=kind,
     )
 
 
@@ -122,7 +115,7 @@ def refined_model(model: Model) -> tuple[Model, Refinement]:
         density=spread(model.density),
         mechanism=model.mechanism.refined(refinement),
         formulation=_formulation("auto", law, 2) if raised else model.formulation,
-        solver=partial(same_solver, model.solver),
+        solver=type(model.solver),
     )
     return fine, refinement
 
@@ -143,7 +136,7 @@ def model_for_law(model: Model, law: AbstractLaw) -> Model:
         density=model.density,
         mechanism=model.mechanism,
         formulation=model.formulation if law.conservative else "displacement",
-        solver=partial(same_solver, model.solver),
+        solver=type(model.solver),
     )
 
 
@@ -154,7 +147,7 @@ def _prepared(
     density: Float[Array, "..."],
     mechanism: Mechanism,
     formulation: Formulation,
-    solver: Callable[[Sparsity], AbstractLinearSolver],
+    solver: type[AbstractLinearSolver],
 ) -> Model:
     n_tets, n_en = mesh.tets.shape
     check_law(law, law.conservative, formulation)
@@ -192,7 +185,7 @@ def _prepared(
         pattern=pattern,
         curvature_at=tuple(destinations(pattern, nodes) for nodes in curved),
         reduction=reduction,
-        solver=solver(unknowns),
+        solver=solver.analyse(unknowns),
         formulation=formulation,
     )
 

@@ -31,7 +31,7 @@ from softcal_jax.equilibrium._direction import (
 )
 from softcal_jax.equilibrium._linearisation import Linearisation, linearise
 from softcal_jax.equilibrium._model import Model, Nodal
-from softcal_jax.equilibrium._newton import NewtonSettings, newton
+from softcal_jax.equilibrium._newton import NewtonLoop, NewtonSettings, newton
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._solution import EquilibriumSolution
 from softcal_jax.equilibrium._solve import as_solution
@@ -54,13 +54,6 @@ SHORT = 1e-3
 
 Newton's method converges quadratically there, and this tangent is cheaper.
 """
-
-
-class Continuation(NamedTuple):
-    """An equilibrium, and the linear system there, if possible with its factors."""
-
-    equilibrium: EquilibriumSolution
-    linearisation: Linearisation
 
 
 class _Quick(NamedTuple):
@@ -92,8 +85,8 @@ def continue_equilibrium(
     settings: NewtonSettings,
     before: Nodal | None = None,
     precise: bool | Bool[Array, ""] = False,
-) -> Continuation:
-    """Find the equilibrium near a guess, and keep its last factors for sensitivities.
+) -> tuple[EquilibriumSolution, Linearisation]:
+    """Find the equilibrium near a guess, and the linear system there.
 
     Full Newton steps are taken as long as each reduces the residual, the state is
     stable and no tet is inverted; otherwise the careful method of `solve_equilibrium`
@@ -112,13 +105,13 @@ def continue_equilibrium(
         state = newton(model, configuration, guess, settings)
         solution = as_solution(state, settings)
         u, lambda_a = solution.displacement, solution.multipliers
-        return Continuation(solution, linearise(model, configuration, u, lambda_a))
+        return solution, linearise(model, configuration, u, lambda_a)
     quick = _QuickSteps(Posed.of(model.tabulated(), configuration), settings, precise)
     start = quick.start(guess, before)
     state = jax.lax.while_loop(lambda s: ~s.done, quick.step, start)
     posed, u = Posed.of(model, configuration), state.solution.displacement
     lambda_a = state.solution.multipliers
-    linearisation = Linearisation(
+    return state.solution, Linearisation(
         posed=posed,
         at=state.at._replace(u=u),
         lambda_a=lambda_a,
@@ -128,7 +121,6 @@ def continue_equilibrium(
         regular=state.factor.ok,
         factorized=True,
     )
-    return Continuation(state.solution, linearisation)
 
 
 class _QuickSteps(NamedTuple):
@@ -151,24 +143,11 @@ class _QuickSteps(NamedTuple):
         usable = usable & ~jnp.any(posed.imposed(rigid) != 0.0)
         usable = usable & jnp.any(guess != 0.0)
         lambda_a = estimated_forces(posed, at)
-        count, one = jnp.zeros((), jnp.int32), jnp.ones((), guess.dtype)
         no = jnp.zeros((), bool)
-        unsolved = EquilibriumSolution(
-            displacement=at.u,
-            multipliers=lambda_a,
-            result=RESULTS.max_steps,
-            steps=count,
-            load_steps=count,
-            load_reached=one,
-            residual=jnp.inf * one,
-            rounding=jnp.zeros_like(one),
-            at_rounding=no,
-            min_det_F=at.min_det_F,
-            n_negative=count,
-        )
+        unsolved = NewtonLoop(posed, self.settings).start(guess)._replace(at=at)
         before = at.u if before is None else before
         return _Quick(
-            solution=unsolved,
+            solution=as_solution(unsolved, self.settings),
             at=at,
             before=jnp.where(self.residual(at, lambda_a) <= SHORT, at.u, before),
             lambda_a=lambda_a,
@@ -176,7 +155,7 @@ class _QuickSteps(NamedTuple):
             factor=zeros_of(lambda: self.newton_step(at, lambda_a, at.u)[1]),
             chord=no,
             arrived=no,
-            step=count,
+            step=jnp.zeros((), jnp.int32),
             robust=~usable,
             done=no,
         )

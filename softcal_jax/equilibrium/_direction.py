@@ -22,6 +22,7 @@ from softcal_jax.equilibrium._balance import (
     evaluate,
     gap,
     merit,
+    stiffness_of_gaps,
     unbalanced,
 )
 from softcal_jax.equilibrium._bordered import System
@@ -37,7 +38,7 @@ _LARGEST_TURN = 0.5
 class Factor(NamedTuple):
     """A factorized tangent, the mean stiffness of an unknown, and what was reported.
 
-    `gap_stiffness` is the force per displacement of each actuator with an imposed one.
+    For `gap_stiffness` see `stiffness_of_gaps`.
     """
 
     system: System
@@ -127,13 +128,10 @@ def newton_direction(
     slope = jnp.sum(posed.on_free(u, tangent.g) * d)
     supports = jnp.where(jnp.asarray(posed.configuration.fixed), held_step, 0.0)
     sign, reach = _on_hinges(posed, d[u.size :], slope, moving)
-    # Slack cables included: a step that tightens one leaves a gap to close.
-    compliance = jnp.maximum(jnp.abs(jnp.diag(solved.W_aa)), jnp.finfo(u.dtype).tiny)
-    stiff = model.among_all(1.0 / compliance)
     factor = Factor(
         system=tangent.system,
         stiffness=tangent.stiffness,
-        gap_stiffness=jnp.where(posed.by_multiplier, stiff, 0.0),
+        gap_stiffness=stiffness_of_gaps(posed, solved.W_aa),
         n_negative=solved.n_negative,
         ok=solved.ok,
     )

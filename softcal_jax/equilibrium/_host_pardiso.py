@@ -10,7 +10,6 @@ from importlib.util import find_spec
 from threading import Lock
 from typing import Any, ClassVar
 
-import equinox as eqx
 import jax
 import numpy as np
 from scipy import sparse
@@ -40,12 +39,11 @@ class HostPardiso(AbstractLinearSolver):
     """
 
     sparsity: Sparsity
-    name: str = eqx.field(static=True, default="PARDISO on the host (pypardiso)")
-    counts_negative: bool = eqx.field(static=True, default=True)
+    name: ClassVar[str] = "PARDISO on the host (pypardiso)"
     runs_in_threads: ClassVar[bool] = False
 
     @classmethod
-    def analyse(cls, sparsity: Sparsity) -> "HostPardiso":
+    def analyse(cls, sparsity):
         limit = os.environ.get("PJRT_NPROC", os.environ.get("NPROC", ""))
         threads = int(limit) if limit.isdigit() else available_cores()
         if jax.default_backend() == "cpu" and threads < 2:
@@ -58,7 +56,7 @@ class HostPardiso(AbstractLinearSolver):
                 'solver="pardiso-host", that of a GPU, needs pypardiso: '
                 "`pip install 'softcal-jax[gpu]'` on x86-64."
             )
-        return cls(sparsity=sparsity, counts_negative=sparsity.symmetric)
+        return cls(sparsity)
 
     def _factor_solve(self, values, rhs):
         results = (

@@ -8,7 +8,7 @@ import os
 from abc import abstractmethod
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -35,9 +35,19 @@ class AbstractLinearSolver(Module):
     """A solver for matrices of one sparsity pattern, symmetric or not."""
 
     sparsity: eqx.AbstractVar[Sparsity]
-    name: eqx.AbstractVar[str]
-    counts_negative: eqx.AbstractVar[bool]
+    name: ClassVar[str]
+    can_count: ClassVar[bool] = True
     runs_in_threads: ClassVar[bool] = True
+
+    @classmethod
+    @abstractmethod
+    def analyse(cls, sparsity: Sparsity) -> Self:
+        """Prepare the solver for a pattern."""
+
+    @property
+    def counts_negative(self) -> bool:
+        """Whether `n_negative` is known; never of matrices that are not symmetric."""
+        return self.can_count and self.sparsity.symmetric
 
     @abstractmethod
     def _factor_solve(
@@ -167,26 +177,19 @@ class Pardiso(AbstractLinearSolver):
     token: Any
     options: _Options = eqx.field(static=True)
     spare: "Pardiso | None" = None
-    name: str = eqx.field(static=True, default="PARDISO (pardiso-mkl-jax)")
-    counts_negative: bool = eqx.field(static=True, default=True)
+    name: ClassVar[str] = "PARDISO (pardiso-mkl-jax)"
 
     @classmethod
-    def analyse(cls, sparsity: Sparsity) -> "Pardiso":
-        """Analyse the pattern in the ordering that needs less work."""
+    def analyse(cls, sparsity):
+        # The ordering that needs less work.
         orders = (_MINIMUM_DEGREE, _NESTED)
         return cls._of(sparsity, min(orders, key=lambda o: _work(sparsity, o)), 0)
 
     @classmethod
     def _of(cls, sparsity: Sparsity, options: _Options, number: int) -> "Pardiso":
         token, _ = _analyse(sparsity, options, number)
-        nested = options == _NESTED
-        return cls(
-            sparsity=sparsity,
-            token=token,
-            options=options,
-            spare=None if nested else cls._of(sparsity, _NESTED, number),
-            counts_negative=sparsity.symmetric,
-        )
+        spare = None if options == _NESTED else cls._of(sparsity, _NESTED, number)
+        return cls(sparsity, token, options, spare)
 
     def _factor_solve(self, values, rhs):
         found = self._factor_solve_once(values, rhs)
@@ -267,11 +270,11 @@ class Klu(AbstractLinearSolver):
     source: Int[Array, " n_full"]
     shift: Float[Array, " n_dof"]
     probes: Float[Array, "n_probes n_dof"]
-    name: str = eqx.field(static=True, default="KLU (klujax)")
-    counts_negative: bool = eqx.field(static=True, default=False)
+    name: ClassVar[str] = "KLU (klujax)"
+    can_count: ClassVar[bool] = False
 
     @classmethod
-    def analyse(cls, sparsity: Sparsity) -> "Klu":
+    def analyse(cls, sparsity):
         rows, cols = sparsity.rows, sparsity.indices
         off = np.flatnonzero((rows != cols) & sparsity.symmetric)
         source = np.concatenate([np.arange(rows.size), off])

@@ -18,7 +18,7 @@ from softcal_jax.equilibrium._balance import (
     taut,
     unbalanced,
 )
-from softcal_jax.equilibrium._bordered import Bordered, System, zeros_of
+from softcal_jax.equilibrium._bordered import Bordered, System, bordered, zeros_of
 from softcal_jax.equilibrium._linear_solver import LinearSolution
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
@@ -134,15 +134,8 @@ class Linearisation(Module):
         mix = jnp.where(size > 0.0, 1.0 / size, 0.0)[:, None]
         off = product(solver.sparsity, values, jnp.sum(mix * x, axis=0))
         off = jnp.linalg.norm(off - jnp.sum(mix * force, axis=0))
-        found = Bordered(
-            x=x,
-            lambda_a=gap,
-            W_aa=jnp.zeros((0, 0)),
-            n_negative=jnp.full((), -1, jnp.int32),
-            ok=jnp.ones((), bool),
-        )
-        anew = lambda: solve(force, gap)
-        return jax.lax.cond(off <= SAME_MATRIX, lambda: found, anew)
+        same, anew = lambda: bordered(x, gap), lambda: solve(force, gap)
+        return jax.lax.cond(off <= SAME_MATRIX, same, anew)
 
 
 def _solve_linearly(
@@ -181,13 +174,7 @@ def _solve_linearly(
         transpose_solve=partial(solve, transpose=True),
         symmetric=model.conservative,
     )
-    return Bordered(
-        x=x[:, :n_dof],
-        lambda_a=x[:, n_dof:],
-        W_aa=jnp.full((n_m, n_m), jnp.nan),
-        n_negative=jnp.full((), -1, jnp.int32),
-        ok=jnp.ones((), bool),
-    )
+    return bordered(x[:, :n_dof], x[:, n_dof:])
 
 
 def linearise(

@@ -34,6 +34,7 @@ from softcal_jax.equilibrium._balance import (
     gap,
     merit,
     relative,
+    stiffness_of_gaps,
 )
 from softcal_jax.equilibrium._direction import dilatation, has_volume_unknowns
 from softcal_jax.equilibrium._effectors import effector_values
@@ -202,11 +203,7 @@ def _next_state(
         posed = full.at_load(s.load)
         at = evaluate(posed.model, s.u)
         tangent, solved, held = _both_steps(posed, at, s.lambda_a, s.theta)
-        compliance = jnp.maximum(
-            jnp.abs(jnp.diag(solved.W_aa)), jnp.finfo(s.u.dtype).tiny
-        )
-        stiff = jnp.where(posed.by_multiplier, model.among_all(1.0 / compliance), 0.0)
-        off = merit(posed, at, s.lambda_a, stiff)
+        off = merit(posed, at, s.lambda_a, stiffness_of_gaps(posed, solved.W_aa))
         residual = relative(posed, at, off, tangent.stiffness)
         apart = off_plane(s.u, s.load)
         near = jnp.abs(apart) <= 1e-3 * jnp.maximum(jnp.abs(ds), SMALLEST)

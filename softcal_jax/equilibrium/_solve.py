@@ -150,7 +150,6 @@ def solve_equilibrium(
     model: Model,
     configuration: ConfigurationArrays,
     *,
-    guess: None = None,
     settings: NewtonSettings | None = None,
     path: LoadPath,
 ) -> EquilibriumPath: ...

@@ -10,7 +10,7 @@ from concurrent.futures import (
     ThreadPoolExecutor,
     wait,
 )
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager
 from queue import SimpleQueue
 from threading import Event, Lock, RLock
 from typing import Any, NamedTuple, TypeVar
@@ -96,8 +96,7 @@ def _with_solver(tree: T, solver: AbstractLinearSolver) -> T:
 def usable_cores() -> int:
     """Return the number of cores that this process may use.
 
-    A scheduler may grant fewer than the machine has, and `OMP_NUM_THREADS` limits
-    processes that share the machine, like the workers of a sweep.
+    `OMP_NUM_THREADS` limits processes that share the machine, like those of a sweep.
     """
     n = available_cores()
     limit = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
@@ -168,10 +167,9 @@ class Workers:
     depend on the thread. Where several threads of a program open such a context, each
     waits for its turn.
 
-    For 16 evaluations of the beam of `benchmarks.batch` on two cores, on which two
-    processes would take 119 ms, threads took 126 to 141 ms. A batching rule that calls
-    back to host threads took 135 to 137 ms, but can deadlock; `shard_map` over two CPU
-    devices took 117 to 159 ms, but confines PARDISO to one core even for a single lane.
+    Alternatives were as fast on the beam of `benchmarks.batch`, but a batching rule that
+    calls back to host threads can deadlock, and `shard_map` over CPU devices confines
+    PARDISO to one core even for a single lane.
 
     Attributes:
         n: Number of threads. With one, everything runs in the caller's thread and the
@@ -232,7 +230,7 @@ class Workers:
         if self.n == 1:
             return list(map(one, lanes))
         futures: list[Future] = []
-        with self._on_one_core(), _lets_others_think():
+        with self._solver.on_one_core(), _lets_others_think():
             try:
                 for lane in lanes:
                     futures.append(self._pool.submit(one, lane))
@@ -249,10 +247,10 @@ class Workers:
     ) -> list[T]:
         """Call functions that use `map`, side by side; return their results in order.
 
-        They begin in order, in threads that mostly wait for their lanes, and few are
-        under way at once: little is lost if this is interrupted. Between their lanes
-        they compute one at a time. The error is that of the first that raises, in their
-        order, in which `ended` is called in the caller's thread with index and result.
+        They begin in order, and few are under way at once: little is lost if this is
+        interrupted. Between their lanes they compute one at a time. The error is that
+        of the first that raises, in their order, in which `ended` is called in the
+        caller's thread with index and result.
         """
         results: list[T] = []
 
@@ -277,7 +275,7 @@ class Workers:
         pool = ThreadPoolExecutor(
             self.n + 1, initializer=_begin_thread, initargs=(run,)
         )
-        with self._on_one_core(), _lets_others_think(), pool:
+        with self._solver.on_one_core(), _lets_others_think(), pool:
             try:
                 for call in runs:
                     futures.append(pool.submit(one, call))
@@ -287,6 +285,3 @@ class Workers:
                 stopped.set()
                 _join(futures)
         return results
-
-    def _on_one_core(self) -> AbstractContextManager[None]:
-        return self._solver.on_one_core() if self.n > 1 else nullcontext()

@@ -1,7 +1,7 @@
 """Equilibrium from a good guess: what the careful solve gives, in fewer steps."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -92,11 +92,11 @@ class Continued(NamedTuple):
 
 def with_solutions(done, right_hand_sides) -> Continued:
     """Solve for nodal forces that are a function of the displacement."""
-    lin = done.linearisation
+    equilibrium, lin = done
     b = jax.vmap(lin.free)(right_hand_sides(lin.u))
     solved = lin.solve(b, jnp.zeros((len(b), lin.system.active.size)))
     x = lin.scatter(solved.x)
-    return Continued(done.equilibrium, x, solved.ok, lin.stiffness(x[0]))
+    return Continued(equilibrium, x, solved.ok, lin.stiffness(x[0]))
 
 
 def continued(model, configuration, guess, precise=False, settings=TIGHT):
@@ -319,8 +319,12 @@ class Forgetful(AbstractLinearSolver):
 
     sparsity: Sparsity
     real: AbstractLinearSolver
-    name: str = eqx.field(static=True, default="forgetful")
-    counts_negative: bool = eqx.field(static=True, default=MODEL.solver.counts_negative)
+    name: ClassVar[str] = "forgetful"
+    can_count: ClassVar[bool] = MODEL.solver.can_count
+
+    @classmethod
+    def analyse(cls, sparsity):
+        return cls(sparsity, MODEL.solver)
 
     def _factor_solve(self, values, rhs):
         return self.real._factor_solve(values, rhs)
@@ -330,7 +334,7 @@ class Forgetful(AbstractLinearSolver):
 
 
 def test_factors_of_another_program_are_noticed(careful):
-    forgetful = Forgetful(sparsity=MODEL.solver.sparsity, real=MODEL.solver)
+    forgetful = Forgetful.analyse(MODEL.solver.sparsity)
     model = eqx.tree_at(lambda m: m.solver, MODEL, forgetful)
     guess = careful.displacement[HANGING]
     # Precisely: without the chord steps the last tangent is another one.

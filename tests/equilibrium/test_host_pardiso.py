@@ -1,5 +1,7 @@
 """PARDISO behind a callback, as programs for a GPU use it."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -117,8 +119,11 @@ class OnAnyPlatform(AbstractLinearSolver):
     """Stands for a solver, so that what is around it can be lowered."""
 
     sparsity: Sparsity
-    name: str = eqx.field(static=True, default="diagonal")
-    counts_negative: bool = eqx.field(static=True, default=True)
+    name: ClassVar[str] = "diagonal"
+
+    @classmethod
+    def analyse(cls, sparsity):
+        return cls(sparsity)
 
     def _factor_solve(self, values, rhs):
         x = rhs / values[self.sparsity.diagonal][None]
