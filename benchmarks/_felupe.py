@@ -37,8 +37,7 @@ def tuned_solvers() -> dict[str, Solver]:
 
     Nothing that FElupe or PyPardiso offer as it is: what its user could write.
     """
-    from pypardiso import PyPardisoSolver
-    from pypardiso import spsolve as pardiso_spsolve
+    from pypardiso import PyPardisoSolver, spsolve as pardiso_spsolve
 
     def symmetric(matrix_type: int) -> Solver:
         solver = PyPardisoSolver(mtype=matrix_type)

@@ -31,10 +31,10 @@ from softcal_jax.equilibrium import effector_values, solve_equilibrium
 from softcal_jax.robots import (
     ParallelRobot,
     parallel_robot,
+    pose as posed,
     printed_robot,
     read_poses_of,
 )
-from softcal_jax.robots import pose as posed
 
 SIZE = 0.005
 """Edge length of the tets: 3 348 nodes a sheet [m]."""

@@ -39,6 +39,9 @@ mathjax3_config = {"tex": {"macros": {"hat": [r"\widehat{#1}", 1]}}}
 # Docstrings: names in `backticks` are links where they are names of the package.
 default_role = "py:obj"
 toc_object_entries_show_parents = "hide"
+autodoc_default_options = {
+    "imported-members": True
+}  # a package offers its modules' names
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True

@@ -3,7 +3,6 @@
 import dataclasses
 import importlib
 import inspect
-import pkgutil
 
 import equinox as eqx
 import jax
@@ -11,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from export.handmade import make_ranking, make_result, make_simulation_result
+from from_code import packages, public_names
 from robot_project import write_robot_project
 
 import softcal_jax as sc
@@ -28,12 +28,10 @@ NO_RECORDS = {"OUTCOMES", "RESULTS", "ExportProgress", "Unstated"}
 
 
 def public_classes():
-    """What the package and its packages list in `__all__`, without exceptions."""
-    modules = pkgutil.walk_packages(sc.__path__, "softcal_jax.")
-    packages = [m.name for m in modules if m.ispkg]
+    """What the packages offer, without exceptions."""
     found = {}
-    for module in map(importlib.import_module, ["softcal_jax", *packages]):
-        for name in getattr(module, "__all__", ()):
+    for module in map(importlib.import_module, packages()):
+        for name in public_names(module):
             own = getattr(module, name)
             if inspect.isclass(own) and not issubclass(own, BaseException):
                 found[own] = None

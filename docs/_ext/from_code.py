@@ -16,8 +16,10 @@ import os
 import pkgutil
 import re
 import tempfile
+from functools import partial
 from importlib.metadata import Distribution, distribution
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NamedTuple, get_args
 
 from docutils import nodes
@@ -108,10 +110,9 @@ def raised() -> list[type]:
     """Return the classes of errors and warnings of the public packages, by name."""
     found = {
         value
-        for package in packages()
-        for name, value in vars(importlib.import_module(package)).items()
-        if not name.startswith("_")
-        and inspect.isclass(value)
+        for package in map(importlib.import_module, packages())
+        for value in map(partial(getattr, package), public_names(package))
+        if inspect.isclass(value)
         and issubclass(value, Exception)
         and value.__module__.startswith("softcal_jax")
     }
@@ -163,9 +164,18 @@ def packages() -> list[str]:
     return [m.name for m in below if m.ispkg and m.name != "softcal_jax.cli"]
 
 
+def public_names(package: ModuleType) -> list[str]:
+    """List what a package offers: all but its modules and what begins with `_`."""
+    return [
+        name
+        for name, value in vars(package).items()
+        if not name.startswith("_") and not inspect.ismodule(value)
+    ]
+
+
 def home_of(name: str) -> str:
     """Return the package in which a name of `softcal_jax` is documented."""
-    listed = {p: getattr(importlib.import_module(p), "__all__", ()) for p in packages()}
+    listed = {p: public_names(importlib.import_module(p)) for p in packages()}
     found = [package for package, names in listed.items() if name in names]
     return found[0] if found else "softcal_jax"
 

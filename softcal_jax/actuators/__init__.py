@@ -1,53 +1,39 @@
 """Actuators: their displacement delta_a, and the force on the nodes per lambda_a."""
 
-from softcal_jax.actuators._actuator import AbstractActuator, Kind
+from softcal_jax.actuators._actuator import (
+    AbstractActuator as AbstractActuator,
+    Kind as Kind,
+)
 from softcal_jax.actuators._arrays import (
-    ActuatorArrays,
-    actuator_arrays,
-    actuator_displacements,
-    actuator_geometry,
-    actuator_rows,
-    actuators_moving,
-    clique_nodes,
-    curvature_entries,
-    displacement_rows,
+    ActuatorArrays as ActuatorArrays,
+    actuator_arrays as actuator_arrays,
+    actuator_displacements as actuator_displacements,
+    actuator_geometry as actuator_geometry,
+    actuator_rows as actuator_rows,
+    actuators_moving as actuators_moving,
+    clique_nodes as clique_nodes,
+    curvature_entries as curvature_entries,
+    displacement_rows as displacement_rows,
 )
-from softcal_jax.actuators._cable import Cable, CableSegments, Guide
-from softcal_jax.actuators._cliques import ActuatorGeometry
-from softcal_jax.actuators._forces import ForceActuator, Motor, SurfaceForceActuator
-from softcal_jax.actuators._lid import ChamberLids, free_rim_nodes
+from softcal_jax.actuators._cable import (
+    Cable as Cable,
+    CableSegments as CableSegments,
+    Guide as Guide,
+)
+from softcal_jax.actuators._cliques import ActuatorGeometry as ActuatorGeometry
+from softcal_jax.actuators._forces import (
+    ForceActuator as ForceActuator,
+    Motor as Motor,
+    SurfaceForceActuator as SurfaceForceActuator,
+)
+from softcal_jax.actuators._lid import (
+    ChamberLids as ChamberLids,
+    free_rim_nodes as free_rim_nodes,
+)
 from softcal_jax.actuators._pressure import (
-    Chamber,
-    ChamberFaces,
-    PressureFaces,
-    SurfacePressure,
-    enclosed_volumes,
+    Chamber as Chamber,
+    ChamberFaces as ChamberFaces,
+    PressureFaces as PressureFaces,
+    SurfacePressure as SurfacePressure,
+    enclosed_volumes as enclosed_volumes,
 )
-
-__all__ = [
-    "AbstractActuator",
-    "ActuatorArrays",
-    "ActuatorGeometry",
-    "Cable",
-    "CableSegments",
-    "Chamber",
-    "ChamberFaces",
-    "ChamberLids",
-    "ForceActuator",
-    "Guide",
-    "Kind",
-    "Motor",
-    "PressureFaces",
-    "SurfaceForceActuator",
-    "SurfacePressure",
-    "actuator_arrays",
-    "actuator_displacements",
-    "actuator_geometry",
-    "actuator_rows",
-    "actuators_moving",
-    "clique_nodes",
-    "curvature_entries",
-    "displacement_rows",
-    "enclosed_volumes",
-    "free_rim_nodes",
-]

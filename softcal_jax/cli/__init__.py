@@ -4,6 +4,4 @@ Exit codes: 0 done, 1 not converged or no equilibrium, 2 bad input, 130 interrup
 Ctrl-C or SIGTERM.
 """
 
-from softcal_jax.cli._main import main
-
-__all__ = ["main"]
+from softcal_jax.cli._main import main as main

@@ -1,123 +1,81 @@
 """Posed robots: supports, loads, measured points, and the arrays they become."""
 
 from softcal_jax.configurations._actuation import (
-    ImposedDisplacement,
-    ImposedForce,
-    actuation_arrays,
+    ImposedDisplacement as ImposedDisplacement,
+    ImposedForce as ImposedForce,
+    actuation_arrays as actuation_arrays,
 )
 from softcal_jax.configurations._arrays import (
-    ConfigurationArrays,
-    EffectorArrays,
+    ConfigurationArrays as ConfigurationArrays,
+    EffectorArrays as EffectorArrays,
 )
 from softcal_jax.configurations._configuration import (
-    STANDARD_GRAVITY,
-    Configuration,
-    ConfigurationLanes,
-    SharedNames,
-    configuration_arrays,
-    configuration_lanes,
-    measured_as,
-    measured_at_rest,
-    shared_names,
+    STANDARD_GRAVITY as STANDARD_GRAVITY,
+    Configuration as Configuration,
+    ConfigurationLanes as ConfigurationLanes,
+    SharedNames as SharedNames,
+    configuration_arrays as configuration_arrays,
+    configuration_lanes as configuration_lanes,
+    measured_as as measured_as,
+    measured_at_rest as measured_at_rest,
+    shared_names as shared_names,
 )
-from softcal_jax.configurations._csv_table import read_table
-from softcal_jax.configurations._effector import AbstractEffector, AbstractScalar
+from softcal_jax.configurations._csv_table import read_table as read_table
+from softcal_jax.configurations._effector import (
+    AbstractEffector as AbstractEffector,
+    AbstractScalar as AbstractScalar,
+)
 from softcal_jax.configurations._effector_arrays import (
-    EffectorRecord,
-    farthest,
-    motions,
+    EffectorRecord as EffectorRecord,
+    farthest as farthest,
+    motions as motions,
 )
 from softcal_jax.configurations._effectors import (
-    ActuatorDisplacement,
-    ActuatorForce,
-    BodyAngle,
-    BodyFrame,
-    Centroid,
-    SupportReaction,
+    ActuatorDisplacement as ActuatorDisplacement,
+    ActuatorForce as ActuatorForce,
+    BodyAngle as BodyAngle,
+    BodyFrame as BodyFrame,
+    Centroid as Centroid,
+    SupportReaction as SupportReaction,
 )
 from softcal_jax.configurations._loads import (
-    AbstractLoad,
-    EdgeForce,
-    NodalForces,
-    PointForce,
-    SurfaceForce,
-    SurfaceTraction,
+    AbstractLoad as AbstractLoad,
+    EdgeForce as EdgeForce,
+    NodalForces as NodalForces,
+    PointForce as PointForce,
+    SurfaceForce as SurfaceForce,
+    SurfaceTraction as SurfaceTraction,
 )
-from softcal_jax.configurations._marker_table import MarkerTable, read_markers
-from softcal_jax.configurations._markers import STD, Markers
-from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
-from softcal_jax.configurations._recording import Recording, Traces
+from softcal_jax.configurations._marker_table import (
+    MarkerTable as MarkerTable,
+    read_markers as read_markers,
+)
+from softcal_jax.configurations._markers import STD as STD, Markers as Markers
+from softcal_jax.configurations._mechanism import (
+    Mechanism as Mechanism,
+    build_mechanism as build_mechanism,
+)
+from softcal_jax.configurations._recording import (
+    Recording as Recording,
+    Traces as Traces,
+)
 from softcal_jax.configurations._recording_file import (
-    is_recording,
-    read_c3d,
-    read_recording,
+    is_recording as is_recording,
+    read_c3d as read_c3d,
+    read_recording as read_recording,
 )
-from softcal_jax.configurations._registration import Registration, register
-from softcal_jax.configurations._supports import Support
+from softcal_jax.configurations._registration import (
+    Registration as Registration,
+    register as register,
+)
+from softcal_jax.configurations._supports import Support as Support
 from softcal_jax.configurations._tracker import (
-    PoseTable,
-    TrackerWarning,
-    average_poses,
-    in_frame,
-    read_polhemus,
-    read_poses,
+    PoseTable as PoseTable,
+    TrackerWarning as TrackerWarning,
+    average_poses as average_poses,
+    in_frame as in_frame,
+    read_polhemus as read_polhemus,
+    read_poses as read_poses,
 )
-from softcal_jax.configurations._values import Unstated
-from softcal_jax.configurations._wide_table import read_wide_table
-
-__all__ = [
-    "STANDARD_GRAVITY",
-    "STD",
-    "AbstractEffector",
-    "AbstractLoad",
-    "AbstractScalar",
-    "ActuatorDisplacement",
-    "ActuatorForce",
-    "BodyAngle",
-    "BodyFrame",
-    "Centroid",
-    "Configuration",
-    "ConfigurationArrays",
-    "ConfigurationLanes",
-    "EdgeForce",
-    "EffectorArrays",
-    "EffectorRecord",
-    "ImposedDisplacement",
-    "ImposedForce",
-    "MarkerTable",
-    "Markers",
-    "Mechanism",
-    "NodalForces",
-    "PointForce",
-    "PoseTable",
-    "Recording",
-    "Registration",
-    "SharedNames",
-    "Support",
-    "SupportReaction",
-    "SurfaceForce",
-    "SurfaceTraction",
-    "Traces",
-    "TrackerWarning",
-    "Unstated",
-    "actuation_arrays",
-    "average_poses",
-    "build_mechanism",
-    "configuration_arrays",
-    "configuration_lanes",
-    "farthest",
-    "in_frame",
-    "is_recording",
-    "measured_as",
-    "measured_at_rest",
-    "motions",
-    "read_c3d",
-    "read_markers",
-    "read_polhemus",
-    "read_poses",
-    "read_recording",
-    "read_table",
-    "read_wide_table",
-    "register",
-    "shared_names",
-]
+from softcal_jax.configurations._values import Unstated as Unstated
+from softcal_jax.configurations._wide_table import read_wide_table as read_wide_table

@@ -4,51 +4,30 @@ The search is compiled once for all goals and all models of the same shapes.
 """
 
 from softcal_jax.control._compliance import (
-    ActuatorCompliance,
-    ActuatorReadings,
-    actuator_compliance,
-    actuator_readings,
-    with_inputs,
+    ActuatorCompliance as ActuatorCompliance,
+    ActuatorReadings as ActuatorReadings,
+    actuator_compliance as actuator_compliance,
+    actuator_readings as actuator_readings,
+    with_inputs as with_inputs,
 )
-from softcal_jax.control._goals import Goal, with_goals
-from softcal_jax.control._limits import Limits
+from softcal_jax.control._goals import Goal as Goal, with_goals as with_goals
+from softcal_jax.control._limits import Limits as Limits
 from softcal_jax.control._result import (
-    OUTCOMES,
-    Attempt,
-    BlindDirection,
-    GoalFit,
-    InverseResult,
-    StepRecord,
-    TrajectoryResult,
+    OUTCOMES as OUTCOMES,
+    Attempt as Attempt,
+    BlindDirection as BlindDirection,
+    GoalFit as GoalFit,
+    InverseResult as InverseResult,
+    StepRecord as StepRecord,
+    TrajectoryResult as TrajectoryResult,
 )
 from softcal_jax.control._solve import (
-    ControlWarning,
-    follow_trajectory,
-    solve_inverse,
+    ControlWarning as ControlWarning,
+    follow_trajectory as follow_trajectory,
+    solve_inverse as solve_inverse,
 )
-from softcal_jax.control._step import ControlSettings
-from softcal_jax.control._workspace import Workspace, sample_workspace
-
-__all__ = [
-    "OUTCOMES",
-    "ActuatorCompliance",
-    "ActuatorReadings",
-    "Attempt",
-    "BlindDirection",
-    "ControlSettings",
-    "ControlWarning",
-    "Goal",
-    "GoalFit",
-    "InverseResult",
-    "Limits",
-    "StepRecord",
-    "TrajectoryResult",
-    "Workspace",
-    "actuator_compliance",
-    "actuator_readings",
-    "follow_trajectory",
-    "sample_workspace",
-    "solve_inverse",
-    "with_goals",
-    "with_inputs",
-]
+from softcal_jax.control._step import ControlSettings as ControlSettings
+from softcal_jax.control._workspace import (
+    Workspace as Workspace,
+    sample_workspace as sample_workspace,
+)

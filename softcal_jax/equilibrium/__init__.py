@@ -1,118 +1,74 @@
 """Static equilibrium: model, tangent, sparse solver, Newton (paper Eqs. 1 to 3)."""
 
-from softcal_jax._results import RESULTS
+from softcal_jax._results import RESULTS as RESULTS
 from softcal_jax.equilibrium._assembly import (
-    TetStates,
-    add_weighted,
-    energy_and_force,
-    field_forces,
-    gravity_load,
-    internal_force,
-    tangent_values,
-    tet_states,
+    TetStates as TetStates,
+    add_weighted as add_weighted,
+    energy_and_force as energy_and_force,
+    field_forces as field_forces,
+    gravity_load as gravity_load,
+    internal_force as internal_force,
+    tangent_values as tangent_values,
+    tet_states as tet_states,
 )
 from softcal_jax.equilibrium._build_model import (
-    build_model,
-    model_for_law,
-    refined_model,
+    build_model as build_model,
+    model_for_law as model_for_law,
+    refined_model as refined_model,
 )
-from softcal_jax.equilibrium._continuation import continue_equilibrium
+from softcal_jax.equilibrium._continuation import (
+    continue_equilibrium as continue_equilibrium,
+)
 from softcal_jax.equilibrium._effectors import (
-    actuator_forces,
-    effector_values,
-    marker_positions,
+    actuator_forces as actuator_forces,
+    effector_values as effector_values,
+    marker_positions as marker_positions,
 )
-from softcal_jax.equilibrium._element import Formulation
+from softcal_jax.equilibrium._element import Formulation as Formulation
 from softcal_jax.equilibrium._linearisation import (
-    Linearisation,
-    factor_solve,
-    linearise,
-    residual,
-    solved_forces,
+    Linearisation as Linearisation,
+    factor_solve as factor_solve,
+    linearise as linearise,
+    residual as residual,
+    solved_forces as solved_forces,
 )
-from softcal_jax.equilibrium._model import Model
-from softcal_jax.equilibrium._newton import NewtonSettings
-from softcal_jax.equilibrium._path import EquilibriumPath, LoadPath
-from softcal_jax.equilibrium._posed import external_force
+from softcal_jax.equilibrium._model import Model as Model
+from softcal_jax.equilibrium._newton import NewtonSettings as NewtonSettings
+from softcal_jax.equilibrium._path import (
+    EquilibriumPath as EquilibriumPath,
+    LoadPath as LoadPath,
+)
+from softcal_jax.equilibrium._posed import external_force as external_force
 from softcal_jax.equilibrium._robot_state import (
-    ActuatorState,
-    BodyPlace,
-    Reaction,
-    RobotState,
-    actuator_states,
-    robot_states,
+    ActuatorState as ActuatorState,
+    BodyPlace as BodyPlace,
+    Reaction as Reaction,
+    RobotState as RobotState,
+    actuator_states as actuator_states,
+    robot_states as robot_states,
 )
 from softcal_jax.equilibrium._sensitivity import (
-    InputRows,
-    Readings,
-    Sensitivity,
-    adjoint_rows,
-    derivatives,
-    input_rows,
-    sensitivity,
+    InputRows as InputRows,
+    Readings as Readings,
+    Sensitivity as Sensitivity,
+    adjoint_rows as adjoint_rows,
+    derivatives as derivatives,
+    input_rows as input_rows,
+    sensitivity as sensitivity,
 )
 from softcal_jax.equilibrium._solution import (
-    EquilibriumSolution,
-    check_converged,
-    no_equilibrium,
+    EquilibriumSolution as EquilibriumSolution,
+    check_converged as check_converged,
+    no_equilibrium as no_equilibrium,
 )
 from softcal_jax.equilibrium._solve import (
-    begin_newton,
-    continue_newton,
-    solve_equilibrium,
-    solve_from_rest,
+    begin_newton as begin_newton,
+    continue_newton as continue_newton,
+    solve_equilibrium as solve_equilibrium,
+    solve_from_rest as solve_from_rest,
 )
-from softcal_jax.equilibrium._workers import Program, Workers, usable_cores
-
-__all__ = [
-    "RESULTS",
-    "ActuatorState",
-    "BodyPlace",
-    "EquilibriumPath",
-    "EquilibriumSolution",
-    "Formulation",
-    "InputRows",
-    "Linearisation",
-    "LoadPath",
-    "Model",
-    "NewtonSettings",
-    "Program",
-    "Reaction",
-    "Readings",
-    "RobotState",
-    "Sensitivity",
-    "TetStates",
-    "Workers",
-    "actuator_forces",
-    "actuator_states",
-    "add_weighted",
-    "adjoint_rows",
-    "begin_newton",
-    "build_model",
-    "check_converged",
-    "continue_equilibrium",
-    "continue_newton",
-    "derivatives",
-    "effector_values",
-    "energy_and_force",
-    "external_force",
-    "factor_solve",
-    "field_forces",
-    "gravity_load",
-    "input_rows",
-    "internal_force",
-    "linearise",
-    "marker_positions",
-    "model_for_law",
-    "no_equilibrium",
-    "refined_model",
-    "residual",
-    "robot_states",
-    "sensitivity",
-    "solve_equilibrium",
-    "solve_from_rest",
-    "solved_forces",
-    "tangent_values",
-    "tet_states",
-    "usable_cores",
-]
+from softcal_jax.equilibrium._workers import (
+    Program as Program,
+    Workers as Workers,
+    usable_cores as usable_cores,
+)

@@ -167,9 +167,9 @@ class Workers:
     depend on the thread. Where several threads of a program open such a context, each
     waits for its turn.
 
-    Alternatives were as fast on the beam of `benchmarks.batch`, but a batching rule that
-    calls back to host threads can deadlock, and `shard_map` over CPU devices confines
-    PARDISO to one core even for a single lane.
+    Two others were as fast on the beam of `benchmarks.batch`: a batching rule that
+    calls back to host threads, which can deadlock, and `shard_map` over CPU devices,
+    which confines PARDISO to one core even for a single lane.
 
     Attributes:
         n: Number of threads. With one, everything runs in the caller's thread and the

@@ -1,58 +1,35 @@
 """What the data can tell about the parameters, and what to measure next (Sec. V)."""
 
 from softcal_jax.identifiability._assessment import (
-    Assessment,
-    Prediction,
-    RunVerdict,
-    Tone,
-    assess,
-    end_of,
-    verdict_of,
+    Assessment as Assessment,
+    Prediction as Prediction,
+    RunVerdict as RunVerdict,
+    Tone as Tone,
+    assess as assess,
+    end_of as end_of,
+    verdict_of as verdict_of,
 )
-from softcal_jax.identifiability._identify import identifiability, identify
+from softcal_jax.identifiability._identify import (
+    identifiability as identifiability,
+    identify as identify,
+)
 from softcal_jax.identifiability._ranking import (
-    Gain,
-    Ranking,
-    Unranked,
-    rank_configurations,
+    Gain as Gain,
+    Ranking as Ranking,
+    Unranked as Unranked,
+    rank_configurations as rank_configurations,
 )
 from softcal_jax.identifiability._result import (
-    Identifiability,
-    ParameterOutlook,
-    percent,
+    Identifiability as Identifiability,
+    ParameterOutlook as ParameterOutlook,
+    percent as percent,
 )
 from softcal_jax.identifiability._spread import (
-    IDENTIFIABLE_UP_TO,
-    WEAK_UP_TO,
-    Conditioning,
-    Direction,
-    Spread,
-    Verdict,
-    conditioning,
+    IDENTIFIABLE_UP_TO as IDENTIFIABLE_UP_TO,
+    WEAK_UP_TO as WEAK_UP_TO,
+    Conditioning as Conditioning,
+    Direction as Direction,
+    Spread as Spread,
+    Verdict as Verdict,
+    conditioning as conditioning,
 )
-
-__all__ = [
-    "IDENTIFIABLE_UP_TO",
-    "WEAK_UP_TO",
-    "Assessment",
-    "Conditioning",
-    "Direction",
-    "Gain",
-    "Identifiability",
-    "ParameterOutlook",
-    "Prediction",
-    "Ranking",
-    "RunVerdict",
-    "Spread",
-    "Tone",
-    "Unranked",
-    "Verdict",
-    "assess",
-    "conditioning",
-    "end_of",
-    "identifiability",
-    "identify",
-    "percent",
-    "rank_configurations",
-    "verdict_of",
-]

@@ -1,31 +1,48 @@
 """Constitutive laws: energy densities, their stresses and tangents."""
 
 from softcal_jax.materials._constants import (
-    PointValues,
-    constant,
-    is_point_values,
-    law_at_points,
+    PointValues as PointValues,
+    constant as constant,
+    is_point_values as is_point_values,
+    law_at_points as law_at_points,
 )
-from softcal_jax.materials._corotational import ClassicalCorotational, Corotational
+from softcal_jax.materials._corotational import (
+    ClassicalCorotational as ClassicalCorotational,
+    Corotational as Corotational,
+)
 from softcal_jax.materials._elasticity import (
-    AbstractElasticity,
-    Isotropic,
-    StVenantKirchhoff,
-    TabulatedElasticity,
-    lame,
+    AbstractElasticity as AbstractElasticity,
+    Isotropic as Isotropic,
+    StVenantKirchhoff as StVenantKirchhoff,
+    TabulatedElasticity as TabulatedElasticity,
+    lame as lame,
 )
-from softcal_jax.materials._fibre import Fibre, frames_along, frames_around
-from softcal_jax.materials._fibre_reinforced import FibreReinforced
-from softcal_jax.materials._incompressible import Gent, MooneyRivlin, Ogden, Yeoh
-from softcal_jax.materials._law import AbstractLaw
-from softcal_jax.materials._rubber import NeoHookean
-from softcal_jax.materials._sofa import SofaCorotational, SofaRotation
+from softcal_jax.materials._fibre import (
+    Fibre as Fibre,
+    frames_along as frames_along,
+    frames_around as frames_around,
+)
+from softcal_jax.materials._fibre_reinforced import FibreReinforced as FibreReinforced
+from softcal_jax.materials._incompressible import (
+    Gent as Gent,
+    MooneyRivlin as MooneyRivlin,
+    Ogden as Ogden,
+    Yeoh as Yeoh,
+)
+from softcal_jax.materials._law import AbstractLaw as AbstractLaw
+from softcal_jax.materials._rubber import NeoHookean as NeoHookean
+from softcal_jax.materials._sofa import (
+    SofaCorotational as SofaCorotational,
+    SofaRotation as SofaRotation,
+)
 from softcal_jax.materials._transverse import (
-    ReducedTransverseIsotropic,
-    TransverseIsotropic,
-    plane_stiffness,
+    ReducedTransverseIsotropic as ReducedTransverseIsotropic,
+    TransverseIsotropic as TransverseIsotropic,
+    plane_stiffness as plane_stiffness,
 )
-from softcal_jax.materials._transverse_hyperelastic import TransverseHyperelastic
+from softcal_jax.materials._transverse_hyperelastic import (
+    TransverseHyperelastic as TransverseHyperelastic,
+)
 
 ELASTICITIES: dict[str, type[AbstractElasticity]] = {
     "isotropic": Isotropic,
@@ -47,35 +64,3 @@ LAWS: dict[str, type[AbstractLaw]] = {
     "fibre-reinforced": FibreReinforced,
 }
 """The laws, as project files name them."""
-
-__all__ = [
-    "ELASTICITIES",
-    "LAWS",
-    "AbstractElasticity",
-    "AbstractLaw",
-    "ClassicalCorotational",
-    "Corotational",
-    "Fibre",
-    "FibreReinforced",
-    "Gent",
-    "Isotropic",
-    "MooneyRivlin",
-    "NeoHookean",
-    "Ogden",
-    "PointValues",
-    "ReducedTransverseIsotropic",
-    "SofaCorotational",
-    "SofaRotation",
-    "StVenantKirchhoff",
-    "TabulatedElasticity",
-    "TransverseHyperelastic",
-    "TransverseIsotropic",
-    "Yeoh",
-    "constant",
-    "frames_along",
-    "frames_around",
-    "is_point_values",
-    "lame",
-    "law_at_points",
-    "plane_stiffness",
-]

@@ -1,55 +1,36 @@
 """Pictures of results, drawn without a screen."""
 
-from softcal_jax.plotting._colours import DISPLACEMENT_MAP, MARKS
+from softcal_jax.plotting._colours import (
+    DISPLACEMENT_MAP as DISPLACEMENT_MAP,
+    MARKS as MARKS,
+)
 from softcal_jax.plotting._configuration import (
-    NOT_CONVERGED,
-    motion_words,
-    render_body,
-    render_configuration,
+    NOT_CONVERGED as NOT_CONVERGED,
+    motion_words as motion_words,
+    render_body as render_body,
+    render_configuration as render_configuration,
 )
-from softcal_jax.plotting._directions import plot_directions
-from softcal_jax.plotting._fibres import plot_fibres
-from softcal_jax.plotting._groups import plot_groups
-from softcal_jax.plotting._offscreen import RenderingError, rendering_problem
-from softcal_jax.plotting._plan import MOST_PANELS, plot_plan
+from softcal_jax.plotting._directions import plot_directions as plot_directions
+from softcal_jax.plotting._fibres import plot_fibres as plot_fibres
+from softcal_jax.plotting._groups import plot_groups as plot_groups
+from softcal_jax.plotting._offscreen import (
+    RenderingError as RenderingError,
+    rendering_problem as rendering_problem,
+)
+from softcal_jax.plotting._plan import (
+    MOST_PANELS as MOST_PANELS,
+    plot_plan as plot_plan,
+)
 from softcal_jax.plotting._robot import (
-    RobotPicture,
-    SensorFrame,
-    actuator_words,
-    is_seen,
-    pushes,
-    robot_picture,
-    sensor_frames,
+    RobotPicture as RobotPicture,
+    SensorFrame as SensorFrame,
+    actuator_words as actuator_words,
+    is_seen as is_seen,
+    pushes as pushes,
+    robot_picture as robot_picture,
+    sensor_frames as sensor_frames,
 )
-from softcal_jax.plotting._setup import load_place
-from softcal_jax.plotting._traces import plot_traces
-from softcal_jax.plotting._trials import plot_trials
-from softcal_jax.plotting._view import View, choose_view
-
-__all__ = [
-    "DISPLACEMENT_MAP",
-    "MARKS",
-    "MOST_PANELS",
-    "NOT_CONVERGED",
-    "RenderingError",
-    "RobotPicture",
-    "SensorFrame",
-    "View",
-    "actuator_words",
-    "choose_view",
-    "is_seen",
-    "load_place",
-    "motion_words",
-    "plot_directions",
-    "plot_fibres",
-    "plot_groups",
-    "plot_plan",
-    "plot_traces",
-    "plot_trials",
-    "pushes",
-    "render_body",
-    "render_configuration",
-    "rendering_problem",
-    "robot_picture",
-    "sensor_frames",
-]
+from softcal_jax.plotting._setup import load_place as load_place
+from softcal_jax.plotting._traces import plot_traces as plot_traces
+from softcal_jax.plotting._trials import plot_trials as plot_trials
+from softcal_jax.plotting._view import View as View, choose_view as choose_view

@@ -14,8 +14,7 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, RobotState
-from softcal_jax.plotting import _annotations as annotations
-from softcal_jax.plotting import _robot as robots
+from softcal_jax.plotting import _annotations as annotations, _robot as robots
 from softcal_jax.plotting._robot import SensorFrame
 from softcal_jax.plotting._save import add_axes, pixel_figure, save
 from softcal_jax.plotting._scene import body_image

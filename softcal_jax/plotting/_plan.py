@@ -21,8 +21,7 @@ from softcal_jax.configurations import (
 from softcal_jax.equilibrium import ActuatorState, Model, RobotState
 from softcal_jax.materials import Fibre
 from softcal_jax.mesh import boundary_faces
-from softcal_jax.plotting import _annotations as annotations
-from softcal_jax.plotting import _robot as robots
+from softcal_jax.plotting import _annotations as annotations, _robot as robots
 from softcal_jax.plotting._colours import FAINT, RIGID, SYMBOLS, TEXT
 from softcal_jax.plotting._faces import VisibleFaces, draw_faces, visible_faces
 from softcal_jax.plotting._robot import RobotPicture, SensorFrame

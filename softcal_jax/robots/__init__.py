@@ -1,47 +1,31 @@
 """Ready-made robots, with the data they are calibrated to."""
 
-from softcal_jax.robots._anisotropic_beam import AnisotropicBeam, anisotropic_beam
-from softcal_jax.robots._parallel_robot import (
-    CALIBRATION_ANGLES,
-    PRIOR,
-    SETUP,
-    VALIDATION_ANGLES,
-    ParallelRobot,
-    parallel_robot,
-    pose,
+from softcal_jax.robots._anisotropic_beam import (
+    AnisotropicBeam as AnisotropicBeam,
+    anisotropic_beam as anisotropic_beam,
 )
-from softcal_jax.robots._parallel_robot_geometry import Arm, ParallelRobotGeometry
+from softcal_jax.robots._parallel_robot import (
+    CALIBRATION_ANGLES as CALIBRATION_ANGLES,
+    PRIOR as PRIOR,
+    SETUP as SETUP,
+    VALIDATION_ANGLES as VALIDATION_ANGLES,
+    ParallelRobot as ParallelRobot,
+    parallel_robot as parallel_robot,
+    pose as pose,
+)
+from softcal_jax.robots._parallel_robot_geometry import (
+    Arm as Arm,
+    ParallelRobotGeometry as ParallelRobotGeometry,
+)
 from softcal_jax.robots._printed_robot import (
-    PrintedRobot,
-    PrintingErrors,
-    printed_robot,
-    read_poses_of,
+    PrintedRobot as PrintedRobot,
+    PrintingErrors as PrintingErrors,
+    printed_robot as printed_robot,
+    read_poses_of as read_poses_of,
 )
 from softcal_jax.robots._ready_made import (
-    READY_MADE,
-    pneumatic_arm_path,
-    ready_made_path,
-    silicone_beam_path,
+    READY_MADE as READY_MADE,
+    pneumatic_arm_path as pneumatic_arm_path,
+    ready_made_path as ready_made_path,
+    silicone_beam_path as silicone_beam_path,
 )
-
-__all__ = [
-    "CALIBRATION_ANGLES",
-    "PRIOR",
-    "READY_MADE",
-    "SETUP",
-    "VALIDATION_ANGLES",
-    "AnisotropicBeam",
-    "Arm",
-    "ParallelRobot",
-    "ParallelRobotGeometry",
-    "PrintedRobot",
-    "PrintingErrors",
-    "anisotropic_beam",
-    "parallel_robot",
-    "pneumatic_arm_path",
-    "pose",
-    "printed_robot",
-    "read_poses_of",
-    "ready_made_path",
-    "silicone_beam_path",
-]

@@ -1,32 +1,20 @@
 """Sensitivities of effectors to parameters (paper Eqs. 7 to 9)."""
 
 from softcal_jax.sensitivity._compliance import (
-    EnergyCompliance,
-    Response,
-    energy_compliance,
-    equilibrium_response,
-    parameter_compliance,
+    EnergyCompliance as EnergyCompliance,
+    Response as Response,
+    energy_compliance as energy_compliance,
+    equilibrium_response as equilibrium_response,
+    parameter_compliance as parameter_compliance,
 )
-from softcal_jax.sensitivity._error_rows import clamp_row, stiffness_row
+from softcal_jax.sensitivity._error_rows import (
+    clamp_row as clamp_row,
+    stiffness_row as stiffness_row,
+)
 from softcal_jax.sensitivity._rows import (
-    DerivativeCheck,
-    adjoint_of_tets,
-    check_parameter_derivatives,
-    parameter_forces,
-    parameter_rows,
+    DerivativeCheck as DerivativeCheck,
+    adjoint_of_tets as adjoint_of_tets,
+    check_parameter_derivatives as check_parameter_derivatives,
+    parameter_forces as parameter_forces,
+    parameter_rows as parameter_rows,
 )
-
-__all__ = [
-    "DerivativeCheck",
-    "EnergyCompliance",
-    "Response",
-    "adjoint_of_tets",
-    "check_parameter_derivatives",
-    "clamp_row",
-    "energy_compliance",
-    "equilibrium_response",
-    "parameter_compliance",
-    "parameter_forces",
-    "parameter_rows",
-    "stiffness_row",
-]

@@ -41,7 +41,9 @@ class SweepTable(Table):
     """A whole sweep file; a message on a missing key quotes its description."""
 
     project: str = Field(description='the project file: "project.toml"')
-    axes: dict[str, Any] = Field(description="a table [axes]")
+    axes: dict[str, Any] = Field(
+        description=f"a table [axes] of {', '.join(OWN_AXES)} or keys of the project"
+    )
     name: str | None = None
     seed: Integer = 0
     sample: Integer | None = Field(None, ge=1)
@@ -144,6 +146,11 @@ def load_sweep(path: str | os.PathLike[str]) -> Sweep:
     ordered = {a: axes[a] for a in (*file_keys(axes), *OWN_AXES) if a in axes}
     _check_variants(path, function, ordered)
     with at(path, "axes"):
+        if not axes:
+            raise ValueError(
+                f"there are none. Expected {', '.join(OWN_AXES)}, or a key of the "
+                "project file."
+            )
         n, seed = table.sample, table.seed
         points = grid(ordered) if n is None else sample(ordered, n, seed=seed)
     definitions = {

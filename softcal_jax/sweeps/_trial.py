@@ -70,8 +70,8 @@ def grid(axes: Mapping[str, Sequence[Any] | Range]) -> list[Point]:
     for axis in axes:
         if axis not in lists:
             raise ValueError(
-                f"axis {axis!r} is a range, which has no end of values: sample it, or "
-                "list the values."
+                f"axis {axis!r} is a range, which has no end of values: draw some, "
+                "like sample = 100, or list the values."
             )
     n = math.prod(map(len, lists.values()))
     TRIALS.check("all combinations of the values (`sample` draws some of them)", n)

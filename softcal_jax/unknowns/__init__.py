@@ -1,19 +1,13 @@
 """Every unknown of a calibration, and what those do that are only considered."""
 
-from softcal_jax.unknowns._considered import MESH, ConsideredErrors, considered_errors
-from softcal_jax.unknowns._unknowns import (
-    Setting,
-    held_nodes,
-    recording_names,
-    unknowns,
+from softcal_jax.unknowns._considered import (
+    MESH as MESH,
+    ConsideredErrors as ConsideredErrors,
+    considered_errors as considered_errors,
 )
-
-__all__ = [
-    "MESH",
-    "ConsideredErrors",
-    "Setting",
-    "considered_errors",
-    "held_nodes",
-    "recording_names",
-    "unknowns",
-]
+from softcal_jax.unknowns._unknowns import (
+    Setting as Setting,
+    held_nodes as held_nodes,
+    recording_names as recording_names,
+    unknowns as unknowns,
+)

@@ -10,8 +10,7 @@ import pytest
 from wording import says
 
 from benchmarks import _cli, _kills, _oracle, reliability
-from benchmarks._bodies import KINDS as BODIES
-from benchmarks._bodies import draw
+from benchmarks._bodies import KINDS as BODIES, draw
 from benchmarks._honesty import judge
 from benchmarks._malformed_inputs import faults
 from benchmarks._malformed_run import names

@@ -10,8 +10,11 @@ import pytest
 
 from softcal_jax.actuators import Cable, Guide, Motor
 from softcal_jax.bodies import Pose, RigidBody, hinge_axes, rotation_matrix
-from softcal_jax.calibration import build_problem, simulated_measurements
-from softcal_jax.calibration import calibrate as calibrate_with
+from softcal_jax.calibration import (
+    build_problem,
+    calibrate as calibrate_with,
+    simulated_measurements,
+)
 from softcal_jax.calibration._noise import noise_columns
 from softcal_jax.configurations import (
     Configuration,

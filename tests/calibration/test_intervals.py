@@ -15,11 +15,11 @@ from scipy.stats import t
 from softcal_jax.calibration import (
     LowerCostFound,
     ParameterInterval,
+    calibrate as calibrate_with,
     profile_ends,
     profile_intervals,
     synthetic_measurements,
 )
-from softcal_jax.calibration import calibrate as calibrate_with
 from softcal_jax.calibration._calibrate import build_problem
 from softcal_jax.calibration._profile import NotFound, _end, bracket, root
 from softcal_jax.calibration._runs import in_plain_steps, minimise

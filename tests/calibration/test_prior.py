@@ -10,9 +10,9 @@ import pytest
 from softcal_jax.calibration import (
     CalibrationWarning,
     build_problem,
+    calibrate as calibrate_with,
     simulated_measurements,
 )
-from softcal_jax.calibration import calibrate as calibrate_with
 from softcal_jax.calibration._notes import warn_if_too_few_data
 from softcal_jax.configurations import Configuration, Markers
 from softcal_jax.equilibrium import build_model

@@ -17,11 +17,11 @@ from softcal_jax.control import (
     OUTCOMES,
     ControlSettings,
     Limits,
+    _step as step_module,
     follow_trajectory,
     sample_workspace,
     solve_inverse,
 )
-from softcal_jax.control import _step as step_module
 
 FINE = ControlSettings(tol=1e-6)
 # A bend upwards is positive.

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arm import EFFECTORS as OF_THE_ARM
-from arm import LENGTH, REST, SIDE, arm, arrays, pose, solved
+from arm import EFFECTORS as OF_THE_ARM, LENGTH, REST, SIDE, arm, arrays, pose, solved
 
 from softcal_jax.actuators import Cable, Guide
 from softcal_jax.configurations import (

@@ -10,11 +10,11 @@ from softcal_jax.actuators import Cable, Guide
 from softcal_jax.configurations import Configuration, ImposedDisplacement
 from softcal_jax.equilibrium import (
     NewtonSettings,
+    _assembly as assembly,
     begin_newton,
     build_model,
     continue_newton,
 )
-from softcal_jax.equilibrium import _assembly as assembly
 from softcal_jax.fields import find_field
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam

@@ -23,8 +23,10 @@ from wording import says
 from softcal_jax.calibration import build_problem, evaluate
 from softcal_jax.configurations import Configuration, Support
 from softcal_jax.fields import exactly_known
-from softcal_jax.identifiability import identify as identify_with
-from softcal_jax.identifiability import rank_configurations as rank_with
+from softcal_jax.identifiability import (
+    identify as identify_with,
+    rank_configurations as rank_with,
+)
 
 KNOWN = {"uncertain": exactly_known()}
 identify = partial(identify_with, **KNOWN)

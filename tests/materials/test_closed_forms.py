@@ -4,8 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from laws import GRADIENTS, LAM, LAWS, MU, NU, E
-from laws import stress as compiled_stress
+from laws import GRADIENTS, LAM, LAWS, MU, NU, E, stress as compiled_stress
 from problems import NEO_HOOKEAN_UNIAXIAL
 from scipy.linalg import polar, solve_sylvester
 

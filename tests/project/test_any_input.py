@@ -7,8 +7,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from small_project import MARKERS, PROJECT, write_small_project
 
 from softcal_jax.calibration._checkpoint import (

@@ -7,8 +7,7 @@ import pytest
 from rows import substance
 from wording import says
 
-from softcal_jax.sweeps import _database as database_module
-from softcal_jax.sweeps import grid, read_sweep, run_sweep
+from softcal_jax.sweeps import _database as database_module, grid, read_sweep, run_sweep
 
 
 def one(path, function=cheap.measure, **more):

@@ -3,8 +3,7 @@
 import pytest
 from wording import says
 
-from softcal_jax.sweeps import Progress, TrialRow
-from softcal_jax.sweeps import _progress as progress_module
+from softcal_jax.sweeps import Progress, TrialRow, _progress as progress_module
 from softcal_jax.sweeps._progress import Tally, duration, rate_text
 
 

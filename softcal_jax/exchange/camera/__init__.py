@@ -1,24 +1,18 @@
 """Printed tags on photographs: the pose of one tag in the frame of another."""
 
-from softcal_jax.exchange.camera._detection import Photo, read_photo
-from softcal_jax.exchange.camera._photos import TagPose, find_photos, tag_pose
-from softcal_jax.exchange.camera._sheet import (
-    BOARD_IDS,
-    board_corners,
-    tag_cells,
-    tag_corners,
-    write_tags,
+from softcal_jax.exchange.camera._detection import (
+    Photo as Photo,
+    read_photo as read_photo,
 )
-
-__all__ = [
-    "BOARD_IDS",
-    "Photo",
-    "TagPose",
-    "board_corners",
-    "find_photos",
-    "read_photo",
-    "tag_cells",
-    "tag_corners",
-    "tag_pose",
-    "write_tags",
-]
+from softcal_jax.exchange.camera._photos import (
+    TagPose as TagPose,
+    find_photos as find_photos,
+    tag_pose as tag_pose,
+)
+from softcal_jax.exchange.camera._sheet import (
+    BOARD_IDS as BOARD_IDS,
+    board_corners as board_corners,
+    tag_cells as tag_cells,
+    tag_corners as tag_corners,
+    write_tags as write_tags,
+)

@@ -9,19 +9,10 @@ Nothing here imports JAX before something is written, so that commands begin at 
 """
 
 from softcal_jax.exchange.exporters._exporters import (
-    GROUP,
-    AbstractExporter,
-    ExporterWarning,
-    ExportProgress,
-    exporters,
-    quantity,
+    GROUP as GROUP,
+    AbstractExporter as AbstractExporter,
+    ExporterWarning as ExporterWarning,
+    ExportProgress as ExportProgress,
+    exporters as exporters,
+    quantity as quantity,
 )
-
-__all__ = [
-    "GROUP",
-    "AbstractExporter",
-    "ExportProgress",
-    "ExporterWarning",
-    "exporters",
-    "quantity",
-]

@@ -1,27 +1,15 @@
 """Fields of moduli as graded foam, for the slicer IceSL."""
 
 from softcal_jax.exchange.icesl._export import (
-    export_icesl,
-    read_foam_table,
-    write_foam_table,
+    export_icesl as export_icesl,
+    read_foam_table as read_foam_table,
+    write_foam_table as write_foam_table,
 )
-from softcal_jax.exchange.icesl._fields import Design
+from softcal_jax.exchange.icesl._fields import Design as Design
 from softcal_jax.exchange.icesl._foam import (
-    FoamTable,
-    FoundFoam,
-    Infill,
-    published_foam,
+    FoamTable as FoamTable,
+    FoundFoam as FoundFoam,
+    Infill as Infill,
+    published_foam as published_foam,
 )
-from softcal_jax.exchange.icesl._report import IceslResult
-
-__all__ = [
-    "Design",
-    "FoamTable",
-    "FoundFoam",
-    "IceslResult",
-    "Infill",
-    "export_icesl",
-    "published_foam",
-    "read_foam_table",
-    "write_foam_table",
-]
+from softcal_jax.exchange.icesl._report import IceslResult as IceslResult

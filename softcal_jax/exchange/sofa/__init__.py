@@ -1,23 +1,13 @@
 """Scenes of SOFA: a calibrated robot, calibrated again for what SOFA will run."""
 
 from softcal_jax.exchange.sofa._component import (
-    PluginElasticity,
-    SofaLaw,
-    SofaRelease,
-    SofaUnits,
+    PluginElasticity as PluginElasticity,
+    SofaLaw as SofaLaw,
+    SofaRelease as SofaRelease,
+    SofaUnits as SofaUnits,
 )
 from softcal_jax.exchange.sofa._export import (
-    NotConvergedError,
-    SofaExport,
-    export_sofa,
+    NotConvergedError as NotConvergedError,
+    SofaExport as SofaExport,
+    export_sofa as export_sofa,
 )
-
-__all__ = [
-    "NotConvergedError",
-    "PluginElasticity",
-    "SofaExport",
-    "SofaLaw",
-    "SofaRelease",
-    "SofaUnits",
-    "export_sofa",
-]
