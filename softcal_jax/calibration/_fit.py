@@ -334,13 +334,8 @@ def _judged(
     """Judge the values by the linear model at the optimum."""
     z, n_fitted, problem = weighed.state.z, len(task.fitted), predicted.problem
     solved = predicted.response.equilibrium
-    setting = Setting(
-        task.model,
-        task.space,
-        task.configurations,
-        problem.configurations,
-        task.uncertain,
-    )
+    poses, arrays = task.configurations, problem.configurations
+    setting = Setting(task.model, task.space, poses, arrays, task.uncertain)
     doubts = considered_errors(workers, setting, z=z, equilibrium=solved)
     linear = _linear(task, weighed, predicted, doubts)
     spread = uncertainty(linear.with_scale(1.0), task.noise, weighed.scale)

@@ -51,7 +51,7 @@ class EquilibriumSolution(Module):
 
 def no_equilibrium(solution: EquilibriumSolution, names: tuple[str, ...]) -> str:
     """Say which lanes of a batch have no equilibrium, and why; empty if none."""
-    bad = np.flatnonzero(~np.atleast_1d(solution.converged))
+    bad = np.flatnonzero(~np.atleast_1d(solution.converged)).tolist()
 
     def why(index: int) -> str:
         lane = jax.tree.map(lambda leaf: np.atleast_1d(leaf)[index], solution)
@@ -65,7 +65,7 @@ def no_equilibrium(solution: EquilibriumSolution, names: tuple[str, ...]) -> str
             f"{lane.rounding:.1e}, smallest det F {lane.min_det_F:.3g})"
         )
 
-    return "\n".join(["no equilibrium found.", *map(why, bad)]) if bad.size else ""
+    return "\n".join(["no equilibrium found.", *map(why, bad)]) if bad else ""
 
 
 def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> None:
