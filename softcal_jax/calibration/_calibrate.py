@@ -69,11 +69,13 @@ def calibrate(
     seed: int = 0,
     start: Float[Array, " n_p"] | None = None,
     intervals: float | None = LEVEL,
+    quick: bool = False,
     checkpoint: str | os.PathLike[str] | None = None,
     progress: Callable[[HistoryEntry], None] | None = None,
     search_progress: Callable[[SearchProgress], None] | None = None,
     equilibrium_progress: Callable[[EquilibriumProgress], None] | None = None,
-    profiling: Callable[[CalibrationResult], None] = lambda _: None,
+    answer: Callable[[CalibrationResult], None] = lambda _: None,
+    stage: Callable[[str], None] = lambda _: None,
 ) -> CalibrationResult:
     """Find the parameters that make the simulation match the measured configurations.
 
@@ -105,6 +107,8 @@ def calibrate(
         intervals: Confidence of the intervals of the parameters, or None for none [-].
             They take two evaluations for each parameter, and a few fits for each end
             where its standard error does not hold.
+        quick: Whether to stop at the answer so far, see `answer`. What was left out is
+            listed in `result.left_out`, and the verdict says it.
         checkpoint: File in which the state is saved after every step, and in a search
             after every image of a run. If it exists, the calibration resumes from it,
             with the same result. Where it cannot be written any more, as on a full
@@ -112,8 +116,11 @@ def calibrate(
         progress: Called after the first evaluation and after each step.
         search_progress: Called when a run from one of many starts has ended.
         equilibrium_progress: Called while the first equilibria are solved.
-        profiling: Called with the result so far before profiles of the likelihood are
-            computed, which takes a while.
+        answer: Called with the result so far as soon as the steps have ended and the
+            held-out configurations are predicted: with standard errors by the noise
+            alone, before the error budget and the intervals.
+        stage: Called with what is computed next, and what it takes, before each of
+            these.
 
     Returns:
         The result; `result.converged` says whether lambda_p vanished. Ctrl-C ends the
@@ -153,12 +160,18 @@ def calibrate(
         starts=starts,
         seed=seed,
         start=start,
+        quick=quick,
     )
     batch = _batch(task)
-    watch = Watch(checkpoint, progress, search_progress, equilibrium_progress)
+    watch = Watch(
+        checkpoint, progress, search_progress, equilibrium_progress, answer, stage
+    )
     first = fit(task, batch, watch)
     if intervals is None or first.result.interrupted:
         return first.result
+    if quick:
+        left_out = (*first.result.left_out, "the intervals")
+        return replace(first.result, left_out=left_out)
 
     def go_on(done: Fitted, z: Float[Array, " n_p"]) -> Fitted:
         old, last = done.result, done.result.history[-1]
@@ -179,7 +192,7 @@ def calibrate(
         return new._replace(result=replace(new.result, **changed))
 
     try:
-        return with_intervals(first, intervals, go_on, profiling)
+        return with_intervals(first, intervals, go_on, stage)
     except KeyboardInterrupt:
         note = "Interrupted before the intervals of the parameters were known."
         notes = (*first.result.notes, note)

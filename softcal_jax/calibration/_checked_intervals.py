@@ -163,7 +163,7 @@ def _breaks_order(space, z: HostArray) -> bool:
 
 
 GoOn = Callable[[Fitted, Float[Array, " n_p"]], Fitted]
-Profiling = Callable[[CalibrationResult], None]
+Stage = Callable[[str], None]
 
 
 def check_level(level: float) -> None:
@@ -173,18 +173,18 @@ def check_level(level: float) -> None:
 
 
 def with_intervals(
-    fitted: Fitted, level: float, go_on: GoOn, profiling: Profiling
+    fitted: Fitted, level: float, go_on: GoOn, stage: Stage
 ) -> CalibrationResult:
     """Give every parameter the interval that may be printed, or say why it has none.
 
     Where the cost at the ends of a first-order interval is that of its parabola, see
     `_first_order_holds`, that interval is taken; elsewhere the profile of the
-    likelihood replaces it, and `profiling` is called with the result so far. Where
-    either finds a lower cost, the calibration goes on from it.
+    likelihood replaces it. `stage` is told before each. Where either finds a lower
+    cost, the calibration goes on from it.
     """
     first = fitted.result
     with Clock() as clock:
-        fitted, found = _settled(fitted, level, go_on, profiling)
+        fitted, found = _settled(fitted, level, go_on, stage)
     result = fitted.result
     notes = result.notes
     if result is not first:
@@ -204,12 +204,12 @@ def with_intervals(
 
 
 def _settled(
-    fitted: Fitted, level: float, go_on: GoOn, profiling: Profiling
+    fitted: Fitted, level: float, go_on: GoOn, stage: Stage
 ) -> tuple[Fitted, list[ParameterInterval]]:
     """Return the calibration at the lowest cost that was found, and its intervals."""
     for _ in range(MOST_RETURNS):
         try:
-            return fitted, _intervals(fitted, level, profiling)
+            return fitted, _intervals(fitted, level, stage)
         except LowerCostFound as lower:
             other = go_on(fitted, lower.z)
         # Where the noise follows the motion, each fit has weights of its own.
@@ -232,9 +232,7 @@ def _none(fitted: Fitted, level: float, why: str) -> list[ParameterInterval]:
     return [no_interval(own, level=level, why=why) for own in parameters]
 
 
-def _intervals(
-    fitted: Fitted, level: float, profiling: Profiling
-) -> list[ParameterInterval]:
+def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInterval]:
     """Find the interval of every parameter, or raise `LowerCostFound`."""
     result, spread = fitted.result, fitted.result.uncertainty
     if not result.converged:
@@ -251,6 +249,8 @@ def _intervals(
         # The ends are closer to the fit than the equilibria are exact.
         straight, bent = known, []
     else:
+        n = len(known)
+        stage(f"the intervals of {n} parameters, with an evaluation for each end")
         holds = _first_order_holds(fitted, quantile, known)
         checked = list(zip(known, holds, strict=True))
         straight = [column for column, good in checked if good]
@@ -265,7 +265,11 @@ def _intervals(
         whole = whole_interval(result, column, level, ends, first_order=True)
         intervals[column] = whole
     if bent:
-        profiling(result)
+        names = ", ".join(result.space.names[column] for column in bent)
+        stage(
+            f"the intervals of {names} by profile likelihood, a few fits for each end "
+            f"(the fit took {result.history[-1].seconds:.0f} s)"
+        )
         profiles = profile_ends(
             fitted.problem,
             result.settings,

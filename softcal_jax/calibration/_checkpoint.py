@@ -141,8 +141,8 @@ class Clock:
     __repr__ = one_line
 
     def __init__(self):
-        self.seconds: dict[str, float] = {}
         self._compiling: list[tuple[float, float]] = []
+        self._end: float | None = None
 
     def __enter__(self) -> "Clock":
         self._begin = time.perf_counter()
@@ -151,12 +151,17 @@ class Clock:
 
     def __exit__(self, *_) -> None:
         jax.monitoring.unregister_event_duration_listener(self._listen)
+        self._end = time.perf_counter()
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Wall time so far, or at the end of the context [s]."""
+        elapsed = (self._end or time.perf_counter()) - self._begin
         compiling, reached = 0.0, self._begin
         for begin, end in sorted(self._compiling):
             compiling += max(0.0, end - max(begin, reached))
             reached = max(reached, end)
-        elapsed = time.perf_counter() - self._begin
-        self.seconds = {"compile": compiling, "solve": elapsed - compiling}
+        return {"compile": compiling, "solve": elapsed - compiling}
 
     def _listen(self, event: str, duration_secs: float, **_) -> None:
         if event.startswith("/jax/core/compile/"):

@@ -2,6 +2,9 @@
 
     Task -> Batch -> Start -> Place -> Weighed -> Predicted -> Judged -> result
 
+It is judged twice: by the noise alone, which is the answer so far, and by everything
+that is held fixed and may be wrong.
+
 One batch holds all configurations, the fitted ones first. Those held out are solved
 once with what was found, and are rows without weight in the linear model.
 """
@@ -75,7 +78,15 @@ from softcal_jax.inference import (
     uncertainty,
 )
 from softcal_jax.sensitivity import Response
-from softcal_jax.unknowns import ConsideredErrors, Setting, considered_errors
+from softcal_jax.unknowns import (
+    ConsideredErrors,
+    Setting,
+    considered_errors,
+    nothing_considered,
+)
+
+BUDGET = "the error budget"
+"""What is left out of the answer so far."""
 
 
 class Task(NamedTuple):
@@ -93,6 +104,7 @@ class Task(NamedTuple):
     starts: int
     seed: int
     start: Float[Array, " n_p"] | None
+    quick: bool
 
     @property
     def configurations(self) -> tuple[Configuration, ...]:
@@ -107,6 +119,8 @@ class Watch(NamedTuple):
     progress: Callable[[HistoryEntry], None] | None = None
     search_progress: Callable[[SearchProgress], None] | None = None
     equilibrium_progress: Callable[[EquilibriumProgress], None] | None = None
+    answer: Callable[[CalibrationResult], None] = lambda _: None
+    stage: Callable[[str], None] = lambda _: None
 
 
 class Resume(NamedTuple):
@@ -142,6 +156,17 @@ class _Predicted(NamedTuple):
     notes: tuple[str, ...]
 
 
+class _Found(NamedTuple):
+    """All that comes before the judgement."""
+
+    start: Start
+    place: _Place
+    weighed: Weighed
+    predicted: _Predicted
+    journal: Journal
+    clock: Clock
+
+
 class _Judged(NamedTuple):
     """What may be said of the values."""
 
@@ -166,12 +191,45 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
         place = _place(task, watch, start, journal, resume)
         weighed = _descended(task, start, place, journal)
         predicted = _predicted(task, batch, start, weighed)
-        judged = _judged(task, weighed, predicted, workers)
+        found = _Found(start, place, weighed, predicted, journal, clock)
+        poses, arrays = task.configurations, predicted.problem.configurations
+        setting = Setting(task.model, task.space, poses, arrays, task.uncertain)
+        result = _result(task, found, nothing_considered(setting))
+        result = replace(result, left_out=(BUDGET,))
+        watch.answer(result)
+        if not (task.quick or journal.interrupted):
+            try:
+                watch.stage(_words_of_budget(task, journal.history[-1].seconds))
+                solved = predicted.response.equilibrium
+                z = weighed.state.z
+                doubts = considered_errors(workers, setting, z=z, equilibrium=solved)
+                result = _result(task, found, doubts)
+            except KeyboardInterrupt:
+                note = f"Interrupted before {BUDGET} was known."
+                notes = (*result.notes, note)
+                result = replace(result, notes=notes, interrupted=True)
+    problem = batch.fitted.with_noise(weighed.noise)
+    return Fitted(result, problem, task.fitted, weighed.state.evaluation)
+
+
+def _words_of_budget(task: Task, seconds: float) -> str:
+    """Say what the error budget takes."""
+    words = f"{BUDGET} (the fit took {seconds:.0f} s)"
+    if task.uncertain.mesh > 0:
+        n = task.model.n_tets * (1 if task.model.mesh.order == 1 else 8)
+        words += f", for the error of the mesh on one of {n} quadratic tets"
+    return words
+
+
+def _result(task: Task, found: _Found, doubts: ConsideredErrors) -> CalibrationResult:
+    """Write what a fit has found, judged with these errors."""
+    start, place, weighed, predicted, journal, clock = found
+    judged = _judged(task, weighed, predicted, doubts)
     state, space = weighed.state, task.space
     spread, budget = judged.spread, judged.budget
     first = start.z if start.notes else task.start
     stages = start, weighed, predicted, judged
-    result = CalibrationResult(
+    return CalibrationResult(
         converged=bool(state.converged),
         parameters=parameter_estimates(space, state.z, spread, budget, first),
         uncertainty=spread,
@@ -193,8 +251,6 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
         precision=task.precision,
         interrupted=journal.interrupted,
     )
-    problem = batch.fitted.with_noise(weighed.noise)
-    return Fitted(result, problem, task.fitted, state.evaluation)
 
 
 def _start(task: Task, watch: Watch, batch: Batch, workers: Workers) -> Start:
@@ -329,14 +385,10 @@ def _calibrated_lanes(
 
 
 def _judged(
-    task: Task, weighed: Weighed, predicted: _Predicted, workers: Workers
+    task: Task, weighed: Weighed, predicted: _Predicted, doubts: ConsideredErrors
 ) -> _Judged:
     """Judge the values by the linear model at the optimum."""
     z, n_fitted, problem = weighed.state.z, len(task.fitted), predicted.problem
-    solved = predicted.response.equilibrium
-    poses, arrays = task.configurations, problem.configurations
-    setting = Setting(task.model, task.space, poses, arrays, task.uncertain)
-    doubts = considered_errors(workers, setting, z=z, equilibrium=solved)
     linear = _linear(task, weighed, predicted, doubts)
     spread = uncertainty(linear.with_scale(1.0), task.noise, weighed.scale)
     noise_is_known = bool(np.isfinite(spread.noise_scale))

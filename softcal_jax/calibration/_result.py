@@ -302,6 +302,8 @@ class CalibrationResult(Result):
         noise: Covariance of the stacked errors that weighed them.
         noise_settled: Whether an estimated noise stood still beside the fit.
         checks: What the residuals say about the model.
+        left_out: What was not computed, in words: nothing but the noise is in the
+            standard errors where this is not empty.
         source: The project file that it was made from; None for one made in Python.
     """
 
@@ -325,6 +327,7 @@ class CalibrationResult(Result):
     checks: ResidualChecks | None = None
     precision: float = PRECISION
     interrupted: bool = False
+    left_out: tuple[str, ...] = ()
     source: ProjectSource | None = None
 
     @property

@@ -25,6 +25,7 @@ from softcal_jax.cli._steps import (
     equilibrium_lines,
     interruptible,
     pictures_with_a_bar,
+    so_far,
     step_lines,
     write_results,
 )
@@ -74,7 +75,9 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> None:
             progress=step_lines(project, show),
             search_progress=lambda search: show.note(f"search   {search}"),
             equilibrium_progress=equilibrium_lines(show),
-            profiling=lambda _: show.now("intervals by profile likelihood"),
+            quick=args.quick,
+            answer=lambda result: None if args.quick else so_far(result, show),
+            stage=show.now,
         )
     show.lap("solve", compiling=result.timing_s["compile"])
     assessment = assess(result)

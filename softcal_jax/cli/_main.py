@@ -186,6 +186,9 @@ ranked by what measuring them as well would add.""",
         add_path(command, "project", "PROJECT.toml", "the project file")
         needed = command is not outlook
         add_path(command, "--output", "DIR", where, required=needed)
+    for command in (beam, fit):
+        text = "stop at the first answer: no error budget, intervals or pictures"
+        command.add_argument("--quick", action="store_true", help=text)
     for command in (beam, fit, forward, outlook):
         again = "replace earlier results in that folder"
         add_output(command, force=again, pictures=command is not outlook)

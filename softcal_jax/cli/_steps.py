@@ -15,7 +15,11 @@ from softcal_jax.cli._display import Display
 from softcal_jax.cli._shared import BAD_INPUT, INTERRUPTED, Stop, bad_input
 
 if TYPE_CHECKING:
-    from softcal_jax.calibration import EquilibriumProgress, HistoryEntry
+    from softcal_jax.calibration import (
+        CalibrationResult,
+        EquilibriumProgress,
+        HistoryEntry,
+    )
     from softcal_jax.fields import Parameter
     from softcal_jax.project import Project
 
@@ -53,7 +57,8 @@ def pictures_with_a_bar(args: argparse.Namespace, show: Display) -> dict[str, An
     told = lambda done, total: show.now(
         "drawing pictures", log=False, count=(done, total)
     )
-    return {"pictures": None if args.no_pictures else args.pictures, "told": told}
+    none = args.no_pictures or getattr(args, "quick", False)
+    return {"pictures": None if none else args.pictures, "told": told}
 
 
 def _elsewhere(write: Callable[..., Path], show: Display) -> str:
@@ -119,6 +124,21 @@ def step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], N
             show.now(f"step {entry.step + 1}{more}", log=False)
 
     return progress
+
+
+def so_far(result: "CalibrationResult", show: Display) -> None:
+    """Print the answer before the error budget, intervals and pictures."""
+    from softcal_jax.export import readable_estimate
+    from softcal_jax.report import held_out_sentences
+
+    show.note("So far, with standard errors by the noise alone:")
+    for p in result.parameters:
+        value = readable_estimate(p.value, p.standard_error, p.unit)
+        show.note(f"  {p.name} = {value}")
+    if any(fit.points for fit in result.configurations):
+        show.note(f"  Residuals: {1e3 * result.history[-1].rms:.3g} mm rms")
+    for sentence in held_out_sentences(result.configurations):
+        show.note(f"  {sentence}")
 
 
 def equilibrium_lines(show: Display) -> "Callable[[EquilibriumProgress], None]":

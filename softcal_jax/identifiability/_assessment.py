@@ -7,6 +7,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from softcal_jax._module import Module, Result, one_line
+from softcal_jax._names import listed
 from softcal_jax._text_table import Tone
 from softcal_jax.calibration import (
     FLAT,
@@ -145,6 +146,11 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
             f"{spread.chi_squared:.4g} for {spread.degrees_of_freedom} degrees of "
             "freedom. Parameters of a wrong model are not properties of the material: "
             "change the law, the element, the control points or the stated noise."
+        )
+    if result.left_out:
+        reasons.append(
+            "The standard errors are those by the noise alone: left out were "
+            f"{listed(result.left_out)}."
         )
     reasons += result.checks.reasons if result.checks is not None else ()
     reasons += _contradictions(result)

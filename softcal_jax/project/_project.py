@@ -130,7 +130,9 @@ class Project(Module):
         progress: Callable[[HistoryEntry], None] | None = None,
         search_progress: Callable[[SearchProgress], None] | None = None,
         equilibrium_progress: Callable[[EquilibriumProgress], None] | None = None,
-        profiling: Callable[[CalibrationResult], None] = lambda _: None,
+        quick: bool = False,
+        answer: Callable[[CalibrationResult], None] = lambda _: None,
+        stage: Callable[[str], None] = lambda _: None,
     ) -> CalibrationResult:
         """Find the parameters, then predict the validation configurations.
 
@@ -165,7 +167,9 @@ class Project(Module):
             progress=progress,
             search_progress=search_progress,
             equilibrium_progress=equilibrium_progress,
-            profiling=lambda result: profiling(self._with_origin(result)),
+            quick=quick,
+            answer=answer,
+            stage=stage,
         )
         return self._with_origin(result)
 

@@ -4,6 +4,7 @@ from softcal_jax.unknowns._considered import (
     MESH as MESH,
     ConsideredErrors as ConsideredErrors,
     considered_errors as considered_errors,
+    nothing_considered as nothing_considered,
 )
 from softcal_jax.unknowns._unknowns import (
     Setting as Setting,

@@ -73,6 +73,13 @@ class ConsideredErrors(NamedTuple):
         return (MESH,) if missing else ()
 
 
+def nothing_considered(setting: Setting) -> ConsideredErrors:
+    """Count everything that is held fixed as right."""
+    n_c = len(setting.configurations)
+    n_e = setting.arrays.effectors.measured.size // n_c
+    return ConsideredErrors((), np.zeros((0, n_c, n_e)), None)
+
+
 def considered_errors(
     workers: Workers,
     setting: Setting,

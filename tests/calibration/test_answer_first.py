@@ -1,0 +1,75 @@
+"""The answer comes before the error budget and the intervals, or alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from light_beam import MODEL, measured, unknowns
+from wording import says
+
+from softcal_jax.calibration import calibrate
+from softcal_jax.fields import exactly_known
+from softcal_jax.identifiability import assess
+
+SCALES_UNKNOWN = replace(exactly_known(), loads=0.1)
+
+
+@pytest.fixture(scope="module")
+def told():
+    """What a calibration says, in order, and its result at the end."""
+    said = []
+    result = calibrate(
+        MODEL,
+        unknowns(),
+        measured(),
+        noise="stated",
+        uncertain=SCALES_UNKNOWN,
+        answer=said.append,
+        stage=said.append,
+    )
+    return said, result
+
+
+@pytest.fixture(scope="module")
+def quick():
+    said = []
+    result = calibrate(
+        MODEL,
+        unknowns(),
+        measured(),
+        noise="stated",
+        uncertain=SCALES_UNKNOWN,
+        quick=True,
+        stage=said.append,
+    )
+    assert not said
+    return result
+
+
+def test_the_answer_is_by_the_noise_alone(told):
+    (answer, budget, *intervals), result = told
+    assert says(budget, "error budget", "fit took")
+    assert any("intervals" in text for text in intervals)
+    assert answer.left_out == ("the error budget",)
+    assert result.left_out == ()
+    by_noise = np.sqrt(np.diag(result.uncertainty.covariance))
+    np.testing.assert_allclose(
+        [p.value for p in answer.parameters], [p.value for p in result.parameters]
+    )
+    scaled = np.array([p.standard_error / p.value for p in answer.parameters])
+    np.testing.assert_allclose(scaled, by_noise, rtol=1e-6)
+    whole = np.array([p.standard_error / p.value for p in result.parameters])
+    assert np.all(whole > 1.05 * scaled)
+
+
+def test_quick_stops_there_and_the_verdict_says_so(told, quick):
+    answer = told[0][0]
+    assert quick.left_out == ("the error budget", "the intervals")
+    assert quick.intervals == ()
+    assert [str(p) for p in quick.parameters] == [str(p) for p in answer.parameters]
+    verdict = assess(quick)
+    assert not verdict.identified
+    assert any(
+        says(r, "noise alone", "error budget", "intervals") for r in verdict.reasons
+    )
+    assert not any("left out" in reason for reason in assess(told[1]).reasons)
