@@ -111,6 +111,23 @@ def test_calibrate(tmp_path, out, capsys):
     assert (out / "result.json").stat().st_mtime_ns == before
 
 
+def test_the_answer_comes_first_and_quick_stops_there(tmp_path, out, capsys):
+    path = write_small_project(tmp_path)
+    assert main(["calibrate", str(path), "-o", str(out), "--no-pictures"]) == 0
+    text = capsys.readouterr().out
+    assert says(
+        text, "So far ... E = ... kPa ... Residuals: 0.00 mm ... pulled: 0.00 mm"
+    )
+    assert text.index("So far") < text.index("the error budget, with")
+    assert main(["calibrate", str(path), "-o", str(out), "--quick", "--force"]) == 0
+    text = capsys.readouterr().out
+    assert "the error budget, with" not in text
+    assert says(text, "left out ... error budget and the intervals")
+    result = json.loads((out / "result.json").read_text())
+    assert not any(name.endswith(".png") for name in left_behind(out))
+    assert any("left out" in reason for reason in result["assessment"]["reasons"])
+
+
 def test_force_replaces_and_not_converged_says_so(tmp_path, out, capsys):
     """One step is too few: the results are there, marked, and the exit code is 1."""
     settings = "[settings]\nmax_steps = 1\n\n[markers]\n"

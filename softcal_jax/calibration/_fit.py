@@ -214,11 +214,11 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
 
 def _words_of_budget(task: Task, seconds: float) -> str:
     """Say what the error budget takes."""
-    words = f"{BUDGET} (the fit took {seconds:.0f} s)"
+    finer = ""
     if task.uncertain.mesh > 0:
         n = task.model.n_tets * (1 if task.model.mesh.order == 1 else 8)
-        words += f", for the error of the mesh on one of {n} quadratic tets"
-    return words
+        finer = f", with one solve of a mesh of {n} quadratic tets"
+    return f"{BUDGET}{finer} (the fit took {seconds:.0f} s)"
 
 
 def _result(task: Task, found: _Found, doubts: ConsideredErrors) -> CalibrationResult:

@@ -136,7 +136,7 @@ def so_far(result: "CalibrationResult", show: Display) -> None:
         value = readable_estimate(p.value, p.standard_error, p.unit)
         show.note(f"  {p.name} = {value}")
     if any(fit.points for fit in result.configurations):
-        show.note(f"  Residuals: {1e3 * result.history[-1].rms:.3g} mm rms")
+        show.note(f"  Residuals: {1e3 * result.history[-1].rms:.2f} mm rms")
     for sentence in held_out_sentences(result.configurations):
         show.note(f"  {sentence}")
 
