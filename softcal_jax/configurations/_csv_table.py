@@ -145,10 +145,10 @@ def decimal_of(rows: Iterable[Iterable[str]], delimiter: str) -> str:
     Ask this of a whole file: in a few of its lines "1,500" may be one thousand five
     hundred or one and a half.
     """
-    german = delimiter != "," and any(
+    has_commas = delimiter != "," and any(
         _DECIMAL_COMMA.fullmatch(cell) for cells in rows for cell in cells
     )
-    return "," if german else "."
+    return "," if has_commas else "."
 
 
 def read_cells(
@@ -179,17 +179,13 @@ def parse_number(cell: str, point: str, what: str = "a cell") -> float:
 
 def _selected(table: CsvTable, select: Mapping[str, str]) -> CsvTable:
     table.check_columns(select)
+    listed = ", ".join(f"{column} = {value}" for column, value in select.items())
     # The items of a dictionary are a set: those of `select` are among those of a row.
     chosen = [i for i, row in enumerate(table.rows) if select.items() <= row.items()]
     if not chosen:
-        hints = ""
-        for column, value in select.items():
-            there = list(dict.fromkeys(row[column] for row in table.rows))
-            hint = "" if value in there else suggestion(value, there)
-            hints += f"{hint} Values of {column} there: {', '.join(there)}."
-        wanted = ", ".join(f"{column} = {value!r}" for column, value in select.items())
-        raise ValueError(f"{table.path}: no row has {wanted}.{hints}")
-    listed = ", ".join(f"{column} = {value}" for column, value in select.items())
+        values = {c: dict.fromkeys(row[c] for row in table.rows) for c in select}
+        hints = (f" Values of {c} there: {', '.join(values[c])}." for c in select)
+        raise ValueError(f"{table.path}: no row has {listed}.{''.join(hints)}")
     return table._replace(
         rows=[table.rows[i] for i in chosen],
         lines=tuple(table.lines[i] for i in chosen),
