@@ -10,7 +10,6 @@ from softcal_jax._module import Module, one_line
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.actuators._cliques import AbstractCliques
-from softcal_jax.bodies import check_vector
 from softcal_jax.mesh import TetMesh, locate
 
 _OUTSIDE = 1e-3
@@ -103,11 +102,3 @@ class AbstractActuator(Module):
         Raises:
             ValueError: If it does not fit the mesh or the rigid bodies.
         """
-
-
-def check_direction(what: str, value: HostArray):
-    check_vector(what, "-", value)
-    if not np.linalg.norm(value) > 0.0:
-        raise ValueError(
-            f"{what} is zero: give the direction in which a positive force pushes."
-        )

@@ -18,7 +18,7 @@ from softcal_jax.actuators._cliques import (
     AbstractPotentialCliques,
     ActuatorGeometry,
 )
-from softcal_jax.bodies import Vector, as_vector, check_vector
+from softcal_jax.bodies import Vector, as_floats, three_numbers
 from softcal_jax.mesh import Refinement, locate
 
 _COINCIDENT = 1e-9
@@ -37,11 +37,11 @@ class Guide(Module):
             fixed point, or the name of a rigid body.
     """
 
-    point: Float[HostArray, "3"] = eqx.field(converter=as_vector)
+    point: Float[HostArray, "3"] = eqx.field(converter=as_floats)
     on: str = "mesh"
 
     def __check_init__(self):
-        check_vector("the point of a guide", "m", self.point)
+        three_numbers("the point of a guide", "m", self.point)
 
 
 def _as_guides(guides: Sequence[Guide | Vector]) -> tuple[Guide, ...]:

@@ -8,12 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.actuators._actuator import (
-    AbstractActuator,
-    Kind,
-    RestState,
-    check_direction,
-)
+from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
 from softcal_jax.actuators._cliques import (
     AbstractPotentialCliques,
     ActuatorGeometry,
@@ -21,7 +16,7 @@ from softcal_jax.actuators._cliques import (
     owned,
     unit,
 )
-from softcal_jax.bodies import as_vector, check_vector
+from softcal_jax.bodies import as_floats, three_numbers, unit_vector
 from softcal_jax.mesh import Refinement, face_shares, locate
 
 
@@ -36,17 +31,17 @@ class ForceActuator(AbstractActuator):
         direction: Direction of a positive force, of any length.
     """
 
-    point: Float[HostArray, "3"] = eqx.field(converter=as_vector)
-    direction: Float[HostArray, "3"] = eqx.field(converter=as_vector)
+    point: Float[HostArray, "3"] = eqx.field(converter=as_floats)
+    direction: Float[HostArray, "3"] = eqx.field(converter=as_floats)
     kind: ClassVar[Kind] = Kind("force actuator", "N", "m")
 
     def __check_init__(self):
-        check_vector(f"{self.label}: point", "m", self.point)
-        check_direction(f"{self.label}: direction", self.direction)
+        three_numbers(f"{self.label}: point", "m", self.point)
+        unit_vector(f"{self.label}: direction", self.direction)
 
     def cliques(self, rest: RestState, owner: int) -> "tuple[WeightedNodes]":
         nodes, weights = rest.on_mesh(self.point, self.label)
-        parts = _along(self.direction, weights[None])
+        parts = weights[None, :, None] * unit_vector("direction", self.direction)
         return (WeightedNodes(*owned(nodes[None], owner), jax.device_put(parts)),)
 
 
@@ -62,21 +57,18 @@ class SurfaceForceActuator(AbstractActuator):
     """
 
     surface: str
-    direction: Float[HostArray, "3"] = eqx.field(converter=as_vector)
+    direction: Float[HostArray, "3"] = eqx.field(converter=as_floats)
     kind: ClassVar[Kind] = Kind("surface force actuator", "N", "m")
 
     def __check_init__(self):
-        check_direction(f"{self.label}: direction", self.direction)
+        unit_vector(f"{self.label}: direction", self.direction)
 
     def cliques(self, rest: RestState, owner: int) -> "tuple[WeightedFaces]":
         faces = rest.mesh.faces(self.surface)
         shares = face_shares(rest.mesh, faces)
-        parts = _along(self.direction, shares / shares.sum())
+        weights = (shares / shares.sum())[..., None]
+        parts = weights * unit_vector("direction", self.direction)
         return (WeightedFaces(*owned(faces, owner), jax.device_put(parts)),)
-
-
-def _along(direction, weights):
-    return weights[..., None] * (direction / np.linalg.norm(direction))
 
 
 class AbstractWeighted(AbstractPotentialCliques):

@@ -21,7 +21,11 @@ from softcal_jax.configurations._configuration import (
     shared_names,
 )
 from softcal_jax.configurations._csv_table import read_table
-from softcal_jax.configurations._effector import AbstractEffector, AbstractScalar
+from softcal_jax.configurations._effector import (
+    AbstractEffector,
+    AbstractScalar,
+    Unstated,
+)
 from softcal_jax.configurations._effector_arrays import (
     EffectorRecord,
     farthest,
@@ -62,7 +66,6 @@ from softcal_jax.configurations._tracker import (
     read_polhemus,
     read_poses,
 )
-from softcal_jax.configurations._values import Unstated
 from softcal_jax.configurations._wide_table import read_wide_table
 
 __all__ = [

@@ -11,7 +11,7 @@ import numpy as np
 from softcal_jax._module import Module, one_line
 from softcal_jax._names import UNNAMED_LOADS, name_key
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.bodies import KINDS
+from softcal_jax.bodies import KINDS, optional_floats, three_numbers
 from softcal_jax.configurations._actuation import (
     Actuation,
     BodyStates,
@@ -24,7 +24,11 @@ from softcal_jax.configurations._arrays import (
     EffectorArrays,
     Springs,
 )
-from softcal_jax.configurations._effector import AbstractEffector, EffectorRow
+from softcal_jax.configurations._effector import (
+    AbstractEffector,
+    EffectorRow,
+    Unstated,
+)
 from softcal_jax.configurations._effector_arrays import (
     EffectorRecord,
     effector_record,
@@ -39,11 +43,6 @@ from softcal_jax.configurations._supports import (
     check_apart,
     check_held,
     motors_of,
-)
-from softcal_jax.configurations._values import (
-    Unstated,
-    optional_floats,
-    three_numbers,
 )
 from softcal_jax.mesh import TetMesh
 

@@ -23,6 +23,10 @@ QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 """Rows are stacked in this order."""
 
 
+class Unstated(float):
+    """A default standard deviation, which weighs data but states nothing of them."""
+
+
 class EffectorRow(NamedTuple):
     """Up to three coordinates of an effector, as the solver sees them.
 

@@ -8,15 +8,21 @@ import numpy as np
 
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.bodies import BodyArrays, Pose
+from softcal_jax.bodies import (
+    BodyArrays,
+    Pose,
+    as_floats,
+    optional_floats,
+    unit_vector,
+)
 from softcal_jax.configurations._effector import (
     AbstractEffector,
     AbstractScalar,
     EffectorRow,
+    Unstated,
     inverse_std,
 )
 from softcal_jax.configurations._mechanism import Mechanism
-from softcal_jax.configurations._values import Unstated, as_floats, optional_floats
 from softcal_jax.mesh import TetMesh, node_indices
 
 
@@ -154,14 +160,8 @@ class BodyAngle(AbstractScalar):
         names = mechanism.bodies.names
         body = _index_of(self.body, names, "rigid body", self.name)
         other = _index_of(self.other, names, "rigid body", self.name)
-        length = np.linalg.norm(self.axis)
-        if self.axis.shape != (3,) or not (np.isfinite(length) and length > 0.0):
-            raise ValueError(
-                f"axis of effector {self.name!r} must be three finite numbers, not all "
-                f"zero, got {self.axis}."
-            )
-        axis, pair = self.axis / length, (body, other)
-        row = EffectorRow(self.name, "scalar", "rad", about=pair, axis=axis)
+        axis = unit_vector(f"axis of effector {self.name!r}", self.axis)
+        row = EffectorRow(self.name, "scalar", "rad", about=(body, other), axis=axis)
         return row.with_value(self.measured, self.std)
 
 

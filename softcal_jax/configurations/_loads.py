@@ -8,7 +8,7 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.configurations._values import three_numbers
+from softcal_jax.bodies import three_numbers
 from softcal_jax.mesh import (
     TetMesh,
     boundary_faces,

@@ -104,7 +104,7 @@ def test_unknown_body_is_suggested():
     ],
 )
 def test_bad_direction(make, unchecked):
-    with pytest.raises(ValueError, match="'f': direction is zero: give the direction"):
+    with pytest.raises(ValueError, match=r"'f': direction .* not all zero"):
         make((0.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="direction must be three finite numbers"):
         make((0.0, np.inf, 0.0))
