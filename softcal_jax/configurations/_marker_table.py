@@ -19,9 +19,8 @@ class MarkerTable(Module):
         positions: Their positions; nan where the file says so or is blank [m].
         places: Where in the source each was, for messages, like "line 7".
         source: What was read, for messages.
-        covariances: Of means over a window of a recording, how the single frames
-            scatter around them, in the axes of the positions; nan where fewer than two
-            frames saw a marker [m2].
+        covariances: How single frames of a window of a recording scatter around their
+            mean; nan where fewer than two of them saw a marker [m2].
         window: First and last time of that window in the recording [s].
     """
 
@@ -38,12 +37,8 @@ class MarkerTable(Module):
         Raises:
             ValueError: If a marker is not there, or its position is not finite.
         """
-        return self._finite(
-            self.positions,
-            names,
-            "the position of marker {!r} is missing or not finite. Leave a marker that "
-            "was lost out of this configuration.",
-        )
+        remedy = "Leave a marker that was lost out of this configuration."
+        return self._finite(self.positions, names, "position", remedy)
 
     def covariances_of(self, names: Sequence[str]) -> Float[HostArray, "n_wanted 3 3"]:
         """Return the scatter of single frames of some markers [m2].
@@ -57,22 +52,17 @@ class MarkerTable(Module):
                 f"{self.source} holds single positions, which do not scatter; take "
                 "them over a window of a recording."
             )
-        return self._finite(
-            self.covariances,
-            names,
-            "fewer than two frames see marker {!r}, so that its scatter is not known: "
-            "choose a longer window.",
-        )
+        remedy = "Choose a longer window, of which two frames see it."
+        return self._finite(self.covariances, names, "scatter", remedy)
 
-    def _finite(
-        self, values: Float[HostArray, "n_markers ..."], names: Sequence[str], lost: str
-    ) -> Float[HostArray, "n_wanted ..."]:
-        """Return values of some markers; raise with what is `lost` where one is not."""
+    def _finite(self, values: HostArray, names: Sequence[str], what: str, remedy: str):
         rows = [index_of(name, self.names, self.source) for name in names]
         for name, row in zip(names, rows, strict=True):
             if not np.all(np.isfinite(values[row])):
-                where = f"{self.source}, {self.places[row]}"
-                raise ValueError(f"{where}: {lost.format(name)}")
+                raise ValueError(
+                    f"{self.source}, {self.places[row]}: the {what} of marker {name!r} "
+                    f"is missing or not finite. {remedy}"
+                )
         return values[rows]
 
 
@@ -99,10 +89,8 @@ def read_markers(
 
     Columns: `marker`, and either `x`, `y`, `z` or columns that carry their unit, like
     `x_mm`, `y_mm`, `z_mm`. Any other column can be selected on. Lines that start with
-    `#` and blank lines are skipped. Columns may also be separated by semicolons or
-    tabs; numbers then may have a decimal comma, as German spreadsheets write them. A
-    blank or `nan` coordinate is a marker that was lost: it is kept, and raises only
-    when it is asked for.
+    `#` and blank lines are skipped. A blank or `nan` coordinate is a marker that was
+    lost: it raises only when it is asked for.
 
     Args:
         path: The file.
