@@ -35,8 +35,8 @@ class RestState(Module):
     """The mesh and the rigid bodies at rest, to which actuators are attached.
 
     `points` are the nodes of the mesh, then four nodes for each rigid body k, from
-    n_nodes + 4 k on: the origin of its frame and the ends of its three axes, orthogonal
-    and of equal length [m]. `bodies` has the index k of each rigid body.
+    n_nodes + 4 k on: the origin of its frame and the ends of its three axes [m].
+    `bodies` has the index k of each rigid body.
     """
 
     mesh: TetMesh
@@ -44,22 +44,16 @@ class RestState(Module):
     bodies: Mapping[str, int]
 
     def frame_nodes(self, body: str, owner: str) -> Int[HostArray, "4"]:
-        """Return the four nodes of the frame of a rigid body."""
         if body not in self.bodies:
-            error = unknown_name("rigid body", body, self.bodies)
-            raise ValueError(f"{owner}: {error}")
+            raise unknown_name(f"rigid body of {owner}", body, self.bodies)
         return self.mesh.n_nodes + 4 * self.bodies[body] + np.arange(4, dtype=np.int32)
 
     def on_mesh(
         self, point: Float[HostArray, "3"], owner: str
     ) -> tuple[Int[HostArray, " n_en"], Float[HostArray, " n_en"]]:
         """Return the nodes and weights [-] that carry a material point of the mesh."""
-        at = locate(self.mesh, point[None], max_distance=np.inf)
-        if at.distance[0] > _OUTSIDE * self.mesh.size:
-            raise ValueError(
-                f"{owner}: the point {point.tolist()} m lies {at.distance[0]:.3g} m "
-                "outside the mesh. Check its coordinates and their length unit."
-            )
+        near, names = _OUTSIDE * self.mesh.size, [f"the point of {owner}"]
+        at = locate(self.mesh, point[None], max_distance=near, names=names)
         return at.nodes[0], at.weights[0]
 
     def on_body(

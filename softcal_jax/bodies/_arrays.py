@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_unique, unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies._body import KINDS, RigidBody
 from softcal_jax.mesh import Refinement, TetMesh, node_indices
@@ -95,9 +95,7 @@ def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
         ValueError: If they do not fit the mesh or each other.
     """
     names = tuple(body.name for body in bodies)
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"rigid body {name!r} is named more than once.")
+    check_unique("rigid body", names)
     nodes = [_nodes(mesh, body) for body in bodies]
     _check_disjoint(mesh, names, nodes)
     # As an array, since a Python float would force a new compilation for each mesh.
@@ -165,8 +163,7 @@ def _owners(bodies: Sequence[RigidBody], names: tuple[str, ...]) -> HostArray:
         if body.tied_to is None:
             continue
         if body.tied_to not in names:
-            error = unknown_name("body", body.tied_to, names)
-            raise ValueError(f"rigid body {body.name!r} is tied to an {error}")
+            raise unknown_name(f"tied_to of body {body.name!r}", body.tied_to, names)
         owner[k] = names.index(body.tied_to)
         root = bodies[owner[k]]
         if root.tied_to is not None:

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from softcal_jax._module import Module, one_line
-from softcal_jax._names import UNNAMED_LOADS, name_key
+from softcal_jax._names import UNNAMED_LOADS, check_unique, name_key
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import KINDS, optional_floats, three_numbers
 from softcal_jax.configurations._actuation import (
@@ -206,9 +206,7 @@ def configuration_lanes(
         raise ValueError("at least one configuration is needed, got none.")
     mechanism = build_mechanism(mesh) if mechanism is None else mechanism
     names = [c.name for c in configurations]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"configuration {name!r} is named more than once.")
+    check_unique("configuration", names)
     by_key: dict[int, str] = {}
     for name in [*names, *(c.recording for c in configurations if c.recording)]:
         if by_key.setdefault(name_key(name), name) != name:

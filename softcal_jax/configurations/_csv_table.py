@@ -122,7 +122,6 @@ def read_table(
 
 
 def check_dialect(delimiter: str | None, decimal: str | None) -> None:
-    """Raise ValueError unless a file could be written with these."""
     stated = {"delimiter": (delimiter, _DELIMITERS), "decimal": (decimal, _POINTS)}
     for name, (value, known) in stated.items():
         if value is not None and value not in known:
@@ -134,21 +133,19 @@ def check_dialect(delimiter: str | None, decimal: str | None) -> None:
 
 
 def delimiter_of(texts: Iterable[str]) -> str:
-    """Tell what stands between the columns of some lines."""
     text = "\n".join(texts)
     return max(_DELIMITERS, key=text.count)
 
 
 def decimal_of(rows: Iterable[Iterable[str]], delimiter: str) -> str:
-    """Tell whether decimals have a point or a comma.
+    """Tell whether decimals have a point or a comma, from the cells of a whole file.
 
-    Ask this of a whole file: in a few of its lines "1,500" may be one thousand five
-    hundred or one and a half.
+    In a few of its lines "1,500" may be one thousand five hundred or one and a half.
     """
-    has_commas = delimiter != "," and any(
-        _DECIMAL_COMMA.fullmatch(cell) for cells in rows for cell in cells
-    )
-    return "," if has_commas else "."
+    if delimiter == ",":
+        return "."
+    commas = any(_DECIMAL_COMMA.fullmatch(cell) for cells in rows for cell in cells)
+    return "," if commas else "."
 
 
 def read_cells(
@@ -215,7 +212,6 @@ def read_lines(path: Path, key: str) -> list[tuple[int, str]]:
 
 
 def check_length_unit(unit: str) -> None:
-    """Raise ValueError unless the unit of length is known."""
     if unit not in METRES:
         raise unknown_name("length unit", unit, METRES)
 

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module
+from softcal_jax._names import check_unique
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax._units import readable
 from softcal_jax.bodies import as_floats
@@ -65,9 +66,7 @@ class Markers(Module):
                 raise ValueError(
                     f"marker {name!r} needs a finite position [m], got {position}."
                 )
-        repeated = sorted({name for name in self.names if self.names.count(name) > 1})
-        if repeated:
-            raise ValueError(f"marker {repeated[0]!r} is named more than once.")
+        check_unique("marker", self.names)
         std = np.asarray(self.std, float)
         fits = std.shape in ((), (n,), (n, 3))
         bad = std[~(np.isfinite(std) & (std > 0))]
