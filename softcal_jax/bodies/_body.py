@@ -191,6 +191,14 @@ class BodyState(Module):
     def __check_init__(self):
         if self.kind not in KINDS:
             raise unknown_name("state of a rigid body", self.kind, KINDS)
+        shift, turn = self.pose.translation.tolist(), self.pose.rotation_vector.tolist()
+        unused = {"free": shift + turn, "hinged": turn, "held": []}[self.kind]
+        if any(unused):
+            raise ValueError(
+                f"a {self.kind} body ignores a part of its pose, with translation "
+                f"{shift} m and rotation vector {turn} rad. Hold it there with the "
+                "Pose itself, or turn a hinge by the axes or the mounting of its body."
+            )
 
 
 KINDS = ("free", "hinged", "held")

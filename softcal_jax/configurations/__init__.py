@@ -13,12 +13,10 @@ from softcal_jax.configurations._configuration import (
     STANDARD_GRAVITY,
     Configuration,
     ConfigurationLanes,
-    SharedNames,
     configuration_arrays,
     configuration_lanes,
     measured_as,
     measured_at_rest,
-    shared_names,
 )
 from softcal_jax.configurations._csv_table import read_table
 from softcal_jax.configurations._effector import (
@@ -95,7 +93,6 @@ __all__ = [
     "PoseTable",
     "Recording",
     "Registration",
-    "SharedNames",
     "Support",
     "SupportReaction",
     "SurfaceForce",
@@ -122,5 +119,4 @@ __all__ = [
     "read_table",
     "read_wide_table",
     "register",
-    "shared_names",
 ]

@@ -15,8 +15,7 @@ class ImposedForce(Module):
     """The force lambda_a of an actuator is given; its displacement follows.
 
     Attributes:
-        value: Tension of a cable [N], pressure of a chamber [Pa], torque of a motor
-            [N m], force of a force actuator [N].
+        value: Tension [N], pressure [Pa], torque [N m] or force [N].
         releasing: Whether it was last released, not pulled: the sign of its friction.
     """
 
@@ -29,9 +28,8 @@ class ImposedDisplacement(Module):
 
     Attributes:
         value: Shortening of a cable [m], volume growth of a chamber [m3], angle of a
-            motor as its encoder shows it [rad], displacement of a force actuator's
-            point [m].
-        releasing: Whether it was last released, not pulled: the sign of its friction.
+            motor as its encoder shows it [rad], displacement of a point [m].
+        releasing: As for `ImposedForce`.
     """
 
     value: float
@@ -130,21 +128,7 @@ def body_state_arrays(
             state = BodyState("held", given)
         else:
             state = BodyState(given) if isinstance(given, str) else given
-        _check_pose(state, f"{what}: rigid body {name!r}")
         kind[k] = KINDS.index(state.kind)
         translation[k] = state.pose.translation
         rotation[k] = state.pose.rotation_vector
     return BodyStateArrays(kind, translation, rotation)
-
-
-def _check_pose(state: BodyState, what: str) -> None:
-    """Raise where a part of the pose would have no effect."""
-    shift, turn = state.pose.translation, state.pose.rotation_vector
-    free = state.kind == "free" and (np.any(shift != 0.0) or np.any(turn != 0.0))
-    if free or (state.kind == "hinged" and np.any(turn != 0.0)):
-        raise ValueError(
-            f"{what} is {state.kind}, but its pose has translation {shift.tolist()} m "
-            f"and rotation vector {turn.tolist()} rad. To hold it there, give the Pose "
-            "itself; otherwise leave the pose out. A hinge is turned by the axes or "
-            "the mounting of the body."
-        )

@@ -54,14 +54,10 @@ class BodyFrame(AbstractEffector):
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         bodies = mechanism.bodies
         k, point = self._place(bodies)
+        nodes = (mesh.n_nodes + 4 * k + np.arange(4)).astype(np.int32)
+        weights = bodies.at(k, point[None])[0]
+        row = EffectorRow(self.name, "point", "m", nodes=nodes, weights=weights)
         turn = EffectorRow(self.name, "turn", "rad", about=(k, 0))
-        row = EffectorRow(
-            name=self.name,
-            quantity="point",
-            unit="m",
-            nodes=(mesh.n_nodes + 4 * k + np.arange(4)).astype(np.int32),
-            weights=bodies.at(k, point[None])[0],
-        )
         weight_angle = inverse_std(self.name, "std_angle", self.std_angle, "rad")
         if self.measured is None:
             return (*row.with_value(None, self.std), turn)
@@ -168,14 +164,9 @@ class BodyAngle(AbstractScalar):
 class ActuatorDisplacement(AbstractScalar):
     """Displacement delta_a of an actuator: length of a cable, volume of a chamber.
 
-    For a motor it is the reading of its encoder, as for `ImposedDisplacement`: the
-    angle of its body minus the zero error. `BodyFrame` and `BodyAngle` give the angle
-    itself.
-
-    Attributes:
-        actuator: The actuator.
-        measured: Measured displacement from rest, in the unit of the actuator.
-        std: Its standard deviation.
+    It counts from rest, in the unit of the actuator. For a motor it is the reading of
+    its encoder, as for `ImposedDisplacement`: the angle of its body minus the zero
+    error. `BodyFrame` and `BodyAngle` give the angle itself.
     """
 
     name: str
@@ -198,13 +189,7 @@ class ActuatorDisplacement(AbstractScalar):
 
 
 class ActuatorForce(AbstractScalar):
-    """Force lambda_a of an actuator: tension, pressure, reaction torque of a motor.
-
-    Attributes:
-        actuator: The actuator.
-        measured: Measured force, in the unit of the actuator.
-        std: Its standard deviation.
-    """
+    """Force lambda_a of an actuator, in its unit: tension, pressure, torque."""
 
     name: str
     actuator: str
@@ -220,7 +205,6 @@ class ActuatorForce(AbstractScalar):
 
 
 def _index_of(wanted: str, names: Sequence[str], kind: str, owner: str) -> int:
-    """Find the body or actuator of an effector in a list of names."""
     if wanted not in names:
         raise unknown_name(f"{kind} of effector {owner!r}", wanted, names)
     return list(names).index(wanted)
@@ -233,16 +217,17 @@ def _with_bodies(
 
     These include the frame nodes of a body, on which masses and cables act.
     """
-    inside = np.isin(bodies.attached, nodes)
-    counts = [(inside[bodies.body == k], k) for k in range(bodies.n_bodies)]
-    for own, k in counts:
-        if own.any() and not own.all():
+    inside, whole = np.isin(bodies.attached, nodes), set()
+    for k, body in enumerate(bodies.names):
+        of_body = inside[bodies.body == k]
+        if of_body.all():
+            whole.add(k)
+        elif of_body.any():
             raise ValueError(
-                f"effector {name!r} names {own.sum()} of the {own.size} nodes of rigid "
-                f"body {bodies.names[k]!r}, which is held as a whole: name all or none."
+                f"effector {name!r} names {of_body.sum()} of the {of_body.size} nodes "
+                f"of rigid body {body!r}, which is held as a whole: name all or none."
             )
-    whole = [k for own, k in counts if own.all()]
-    carried = [k for _, k in counts if k in whole or bodies.owner[k] in whole]
+    carried = [k for k, owner in enumerate(bodies.owner) if {k, owner} & whole]
     frames = [mesh.n_nodes + 4 * k + np.arange(4) for k in carried]
     attached = bodies.attached[np.isin(bodies.body, carried)]
     return np.unique(np.concatenate([nodes, attached, *frames])).astype(np.int32)

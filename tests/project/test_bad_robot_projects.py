@@ -134,7 +134,7 @@ CASES = {
             PULLED,
             'bodies = { plate = { state = "free", translation = "(1, 0, 0) mm" } }',
         ),
-        "configurations: ... 'pulled': ... 'plate' is free ... pose",
+        "configurations.pulled ... plate ... free ... pose",
     ),
     "a hinge that is turned": (
         (
@@ -142,7 +142,7 @@ CASES = {
             'bodies = { plate = { state = "hinged", rotation_vector = "(1, 0, 0) deg" '
             "} }",
         ),
-        "configurations: ... 'pulled': ... 'plate' is hinged",
+        "configurations.pulled ... plate ... hinged",
     ),
     "an effector of no body": (
         (SENSOR, SENSOR.replace("plate", "plat")),
