@@ -121,7 +121,6 @@ class AbstractPressedFaces(AbstractCliques):
         return on_finer_faces(self, refinement)
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        del x
         nodes, owner = np.asarray(self.nodes), np.asarray(self.owner)
         return ActuatorGeometry(faces=nodes, face_owner=owner)
 

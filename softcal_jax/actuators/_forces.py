@@ -86,7 +86,6 @@ class AbstractWeighted(AbstractPotentialCliques):
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         """Draw one arrow per actuator at the mean point of action of its force."""
-        # On the host, where nothing is compiled.
         nodes = np.asarray(self.nodes).ravel()
         weights = np.asarray(self.weights).reshape(-1, 3)
         owner = np.repeat(np.asarray(self.owner), self.nodes.shape[1])
@@ -105,9 +104,8 @@ class WeightedNodes(AbstractWeighted):
     def refined(self, refinement: Refinement) -> "WeightedNodes":
         weights = np.asarray(self.weights)
         force = weights.sum(axis=1)
-        share = np.einsum(
-            "cmi,ci->cm", weights, force / np.sum(force**2, axis=1)[:, None]
-        )
+        per_force = force / np.sum(force**2, axis=1)[:, None]
+        share = np.einsum("cmi,ci->cm", weights, per_force)
         points = refinement.coarse.points[np.asarray(self.nodes)]
         rest = np.einsum("cm,cmi->ci", share, points)
         at = locate(refinement.mesh, rest, max_distance=np.inf)

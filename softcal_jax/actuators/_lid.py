@@ -36,12 +36,12 @@ def open_edges(faces: Int[HostArray, "n_faces n_fn"]) -> OpenEdges:
     mids = faces[:, 3:].reshape(len(ways), -1)
     _, inverse = np.unique(np.sort(ways, axis=1), axis=0, return_inverse=True)
     sense = np.where(ways[:, 0] < ways[:, 1], 1, -1)
-    total = np.zeros(inverse.max() + 1, int)
-    np.add.at(total, inverse.ravel(), sense)
-    excess = total[inverse.ravel()] * sense
+    edge = inverse.ravel()
+    total = np.zeros(edge.max() + 1, int)
+    np.add.at(total, edge, sense)
+    excess = total[edge] * sense
     open_ways = np.flatnonzero(excess > 0)
-    _, first = np.unique(inverse.ravel()[open_ways], return_index=True)
-    chosen = open_ways[first]
+    chosen = open_ways[np.unique(edge[open_ways], return_index=True)[1]]
     return OpenEdges(ways[chosen], mids[chosen], excess[chosen])
 
 
@@ -119,7 +119,6 @@ class ChamberLids(AbstractPotentialCliques):
         return ChamberLids(nodes, self.owner, weights, self.centre, quadratic=True)
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        del x
         return ActuatorGeometry()  # neither material nor faces
 
 
@@ -128,13 +127,12 @@ def free_rim_nodes(
 ) -> int:
     """Count the nodes on the rims of an actuator's lids that are not held.
 
-    The pressure on a lid acts on its rim. Where that is held it goes into the supports,
-    and a program without lids needs the pressure on the wall alone.
+    The pressure on a lid goes into the supports where its rim is held, and a program
+    without lids needs the pressure on the wall alone.
     """
     lids = [group for group in groups if isinstance(group, ChamberLids)]
     rims = [np.asarray(each.nodes)[np.asarray(each.owner) == owner] for each in lids]
-    free = [node for rim in rims for node in rim.ravel() if not fixed[node].all()]
-    return len(set(free))
+    return len({node for rim in rims for node in rim.ravel() if not fixed[node].all()})
 
 
 def lid(

@@ -52,12 +52,10 @@ class BodyArrays(Module):
 
     @property
     def n_bodies(self) -> int:
-        """Number of bodies."""
         return len(self.names)
 
     @property
     def tied(self) -> Bool[Array, " n_b"]:
-        """Which bodies are fixed to another."""
         return self.owner != jnp.arange(self.n_bodies, dtype=jnp.int32)
 
     @property
@@ -71,7 +69,7 @@ class BodyArrays(Module):
         return _affine(self.origin[body], self.axes[body], self.length, points)
 
     def refined(self, refinement: Refinement) -> "BodyArrays":
-        """Return the bodies on a finer mesh, with the new nodes between their nodes."""
+        """Add the nodes of a finer mesh that lie between nodes of a body."""
         parts, n = [(self.attached, self.body, self.weights)], refinement.coarse.n_nodes
         for k in range(self.n_bodies):
             of_body = np.zeros(n, bool)
@@ -148,11 +146,12 @@ def _check_disjoint(mesh: TetMesh, names, nodes) -> None:
     for k, of_body in enumerate(nodes):
         shared = of_body[first[of_body] >= 0]
         if shared.size:
+            node = shared[0]
             raise ValueError(
-                f"rigid bodies {names[first[shared[0]]]!r} and {names[k]!r} share "
-                f"{shared.size} nodes, such as node {shared[0]} at "
-                f"{mesh.points[shared[0]].tolist()} m: make them one body, or tie one "
-                "to the other with disjoint groups."
+                f"rigid bodies {names[first[node]]!r} and {names[k]!r} share "
+                f"{shared.size} nodes, such as node {node} at "
+                f"{mesh.points[node].tolist()} m: make them one body, or tie one to "
+                "the other with disjoint groups."
             )
         first[of_body] = k
 

@@ -44,6 +44,9 @@ def unit_vector(what: str, value: Vector) -> Float[HostArray, "3"]:
     return vector / length
 
 
+_ZERO = (0.0, 0.0, 0.0)
+
+
 def _is_rotation(R: HostArray) -> bool:
     orthogonal = R.shape == (3, 3) and np.allclose(R @ R.T, np.eye(3), atol=1e-6)
     return bool(orthogonal and np.linalg.det(R) > 0.0)
@@ -59,11 +62,9 @@ class Pose(Module):
         rotation_vector: Axis of the rotation times its angle [rad].
     """
 
-    translation: Float[HostArray, "3"] = eqx.field(
-        converter=as_floats, default=(0.0, 0.0, 0.0)
-    )
+    translation: Float[HostArray, "3"] = eqx.field(converter=as_floats, default=_ZERO)
     rotation_vector: Float[HostArray, "3"] = eqx.field(
-        converter=as_floats, default=(0.0, 0.0, 0.0)
+        converter=as_floats, default=_ZERO
     )
 
     def __check_init__(self):
@@ -108,11 +109,10 @@ def _as_groups(where) -> tuple:
 class RigidBody(Module):
     """Nodes of the mesh that move as one: a plate, a motor arm, the end of a branch.
 
-    The coupling is exact: the body has six unknowns, its nodes have none of their own.
-    A tet whose nodes all belong to one body does not deform but keeps its weight.
-
-    A configuration lets the body move freely, holds it, or hinges it about the third
-    axis of its frame (`BodyState`); a `Motor` turns it about that axis, too.
+    The coupling is exact: the body has six unknowns, its nodes have none. A tet whose
+    nodes all belong to one body does not deform but keeps its weight. A configuration
+    lets the body move freely, holds it, or hinges it about the third axis of its frame
+    (`BodyState`); a `Motor` turns it about that axis, too.
 
     Attributes:
         name: Name of the body.

@@ -57,7 +57,6 @@ class EffectorRow(NamedTuple):
         value: float | Float[ArrayLike, "..."] | None,
         std: float | Float[ArrayLike, "3"],
     ) -> tuple["EffectorRow"]:
-        """Add the measured value, of one or three coordinates, and its std."""
         weight = inverse_std(self.name, "std", std, self.unit)
         if value is None:
             return (self,)
@@ -100,7 +99,6 @@ class AbstractScalar(AbstractEffector):
     def measured_as(
         self, values: Float[HostArray, "k 3"], mechanism: Mechanism
     ) -> "AbstractScalar":
-        """Replace the measured value, in its unit."""
         del mechanism
         return replace(self, measured=float(values[0, 0]))  # pyright: ignore
 
@@ -108,7 +106,6 @@ class AbstractScalar(AbstractEffector):
 def inverse_std(
     name: str, what: str, std: float | Float[ArrayLike, "3"], unit: str
 ) -> Float[HostArray, "..."]:
-    """Return 1 / standard deviation of an effector, or of each of its coordinates."""
     values = np.asarray(std, float)
     bad = values[~(np.isfinite(values) & (values > 0.0))]
     if bad.size:

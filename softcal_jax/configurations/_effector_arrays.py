@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import count
+from itertools import accumulate, count
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -14,13 +14,12 @@ from softcal_jax.configurations._arrays import EffectorArrays, RecordingBase
 from softcal_jax.configurations._effector import QUANTITIES, EffectorRow, Quantity
 
 Rows = Sequence[EffectorRow]
-"""The rows of one configuration, in the order of the user."""
 
 
 class EffectorRecord(Module):
-    """Up to three coordinates of an effector: their names, units and values.
+    """Up to three coordinates of an effector; results fill in simulated values.
 
-    Results fill it in. A frame has two, one of its point and one of its turn.
+    A frame has two records, one of its point and one of its turn.
 
     Attributes:
         name: Name of the marker or effector.
@@ -50,7 +49,6 @@ class EffectorRecord(Module):
 
     @property
     def is_turn(self) -> bool:
-        """Whether it is the orientation of a rigid body."""
         return self.quantity == "turn"
 
     @property
@@ -96,10 +94,9 @@ def effector_record(
 def stack_effectors(lanes: Sequence[Rows]) -> list[tuple[EffectorArrays, list[int]]]:
     """Put rows of each configuration into arrays, and find the index of each row."""
     number = lambda lane, quantity: sum(row.quantity == quantity for row in lane)
-    places, end = {}, 0
-    for quantity in QUANTITIES:
-        start, end = end, end + max(number(lane, quantity) for lane in lanes)
-        places[quantity] = slice(start, end)
+    counts = [max(number(lane, quantity) for lane in lanes) for quantity in QUANTITIES]
+    ends = list(accumulate(counts, initial=0))
+    places = dict(zip(QUANTITIES, map(slice, ends, ends[1:]), strict=True))
     widest = max((row.nodes.size for lane in lanes for row in lane), default=0)
     return [_stack(lane, places, widest) for lane in lanes]
 
@@ -144,15 +141,12 @@ FAR = 3.0
 
 def motions(records: Iterable[EffectorRecord]) -> dict[str, Float[HostArray, " k"]]:
     """Return how far each point was measured from its place at rest, by name [m]."""
-    points = [own for own in records if own.quantity == "point" and own.seen.any()]
-    return {own.name: own.error(own.at_rest) for own in points}
+    points = [r for r in records if r.quantity == "point" and r.seen.any()]
+    return {r.name: r.error(r.at_rest) for r in points}
 
 
 def farthest(moved: Mapping[str, Float[HostArray, " k"]], size: float) -> str | None:
-    """Describe the point that moved farthest if it is farther than is plausible [m].
-
-    `size` is that of the robot.
-    """
+    """Describe the point that moved implausibly far, for the size of the robot [m]."""
     distances = {name: math.hypot(*u) for name, u in moved.items()}
     name = max(distances, key=distances.__getitem__, default="")
     if not moved or distances[name] <= FAR * size:

@@ -68,8 +68,7 @@ def build_mechanism(
 ) -> Mechanism:
     """Stack the rigid bodies and actuators of a mesh at rest.
 
-    Displacements of actuators are NaN unless they are evaluated `at_rest`, for which a
-    program is compiled: not needed to check or to draw them.
+    To check or to draw actuators, `at_rest` is not needed, see `actuator_arrays`.
 
     Raises:
         ValueError: If a body or an actuator does not fit the mesh, or a motor turns a
@@ -91,17 +90,17 @@ def _check_motors(bodies: BodyArrays, actuators: ActuatorArrays) -> None:
     for name, body in zip(actuators.names, actuators.motor_body, strict=True):
         if body < 0:
             continue
-        own, root = bodies.names[body], bodies.names[bodies.owner[body]]
-        if own != root:
+        driven, root = bodies.names[body], bodies.names[bodies.owner[body]]
+        what = f"motor {name!r} turns {driven!r}"
+        if driven != root:
             raise ValueError(
-                f"motor {name!r} turns {own!r}, which is tied to {root!r}: let it turn "
-                f"{root!r}."
+                f"{what}, which is tied to {root!r}: let it turn {root!r}."
             )
         if body in turned:
-            raise ValueError(f"motors {turned[body]!r} and {name!r} both turn {own!r}.")
+            raise ValueError(f"{what}, and so does motor {turned[body]!r}.")
         if np.any(np.asarray(bodies.mounting_rotation)[body] != 0.0):
             raise ValueError(
-                f"motor {name!r} turns {own!r}, whose mounting turns it already: give "
-                "that rotation to the axes of the body, or to the angle."
+                f"{what}, whose mounting turns it already: give that rotation to the "
+                "axes of the body, or to the angle."
             )
         turned[body] = name

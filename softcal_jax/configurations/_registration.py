@@ -31,7 +31,7 @@ class Registration(Module):
     def apply(
         self, points: Float[ArrayLike, "n_points 3"]
     ) -> Float[HostArray, "n_points 3"]:
-        """Transform points from the camera frame to the mesh frame [m]."""
+        """Move points from the camera frame to the mesh frame [m]."""
         return np.asarray(points, float) @ self.rotation.T + self.translation
 
 
@@ -41,16 +41,12 @@ def register(
     """Fit the rigid motion that takes measured markers onto nominal positions.
 
     The least-squares rotation of Kabsch (Acta Cryst. A32, 1976), by
-    `scipy.spatial.transform.Rotation.align_vectors`.
-
-    Args:
-        measured: Positions in the camera frame [m].
-        nominal: The same markers in the mesh frame [m].
+    `scipy.spatial.transform.Rotation.align_vectors`. Positions are `measured` in the
+    camera frame and `nominal` in the mesh frame [m].
 
     Raises:
-        ValueError: If fewer than three markers are given, they lie on a line or in one
-            place in either frame, their numbers differ, a value is not finite, or the
-            two sets are so unlike that no rotation is best.
+        ValueError: If there are not three finite markers in both that span a triangle,
+            or the two sets are so unlike that no rotation is best.
     """
     measured, nominal = np.asarray(measured, float), np.asarray(nominal, float)
     if measured.shape != nominal.shape or measured.ndim != 2 or measured.shape[1] != 3:
