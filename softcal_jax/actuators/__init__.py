@@ -1,6 +1,6 @@
 """Actuators: their displacement delta_a, and the force on the nodes per lambda_a."""
 
-from softcal_jax.actuators._actuator import AbstractActuator, Kind
+from softcal_jax.actuators._actuator import AbstractActuator, ActuatorGeometry, Kind
 from softcal_jax.actuators._arrays import (
     ActuatorArrays,
     actuator_arrays,
@@ -13,7 +13,6 @@ from softcal_jax.actuators._arrays import (
     displacement_rows,
 )
 from softcal_jax.actuators._cable import Cable, CableSegments, Guide
-from softcal_jax.actuators._cliques import ActuatorGeometry
 from softcal_jax.actuators._forces import ForceActuator, Motor, SurfaceForceActuator
 from softcal_jax.actuators._lid import ChamberLids, free_rim_nodes
 from softcal_jax.actuators._pressure import (

@@ -11,15 +11,17 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._names import check_unique
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
-from softcal_jax.actuators._cable import FrictionalCables
-from softcal_jax.actuators._cliques import (
+from softcal_jax.actuators._actuator import (
+    AbstractActuator,
     AbstractCliques,
     AbstractDisplacedCliques,
     AbstractPotentialCliques,
     ActuatorGeometry,
+    Kind,
+    RestState,
     each_clique,
 )
+from softcal_jax.actuators._cable import FrictionalCables
 from softcal_jax.actuators._forces import Motor
 from softcal_jax.mesh import TetMesh
 

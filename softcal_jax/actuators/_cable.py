@@ -12,11 +12,13 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
-from softcal_jax.actuators._cliques import (
+from softcal_jax.actuators._actuator import (
+    AbstractActuator,
     AbstractDisplacedCliques,
     AbstractPotentialCliques,
     ActuatorGeometry,
+    Kind,
+    RestState,
 )
 from softcal_jax.bodies import Vector, as_floats, three_numbers
 from softcal_jax.mesh import Refinement, locate

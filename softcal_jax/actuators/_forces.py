@@ -8,10 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
-from softcal_jax.actuators._cliques import (
+from softcal_jax.actuators._actuator import (
+    AbstractActuator,
     AbstractPotentialCliques,
     ActuatorGeometry,
+    Kind,
+    RestState,
     on_finer_faces,
     owned,
     unit,

@@ -10,7 +10,7 @@ import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable_values
-from softcal_jax.actuators._cliques import (
+from softcal_jax.actuators._actuator import (
     AbstractPotentialCliques,
     ActuatorGeometry,
     owned,

@@ -9,11 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray, Int
-from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
-from softcal_jax.actuators._cliques import (
+from softcal_jax.actuators._actuator import (
+    AbstractActuator,
     AbstractCliques,
     AbstractPotentialCliques,
     AbstractPressedFaces,
+    Kind,
+    RestState,
     owned,
 )
 from softcal_jax.actuators._lid import ChamberLids, lid, lid_cone, open_edges, rims

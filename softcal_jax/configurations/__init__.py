@@ -1,10 +1,5 @@
 """Posed robots: supports, loads, measured points, and the arrays they become."""
 
-from softcal_jax.configurations._actuation import (
-    ImposedDisplacement,
-    ImposedForce,
-    actuation_arrays,
-)
 from softcal_jax.configurations._arrays import (
     ConfigurationArrays,
     EffectorArrays,
@@ -22,10 +17,8 @@ from softcal_jax.configurations._csv_table import read_table
 from softcal_jax.configurations._effector import (
     AbstractEffector,
     AbstractScalar,
-    Unstated,
-)
-from softcal_jax.configurations._effector_arrays import (
     EffectorRecord,
+    Unstated,
     farthest,
     motions,
 )
@@ -47,7 +40,13 @@ from softcal_jax.configurations._loads import (
 )
 from softcal_jax.configurations._marker_table import MarkerTable, read_markers
 from softcal_jax.configurations._markers import STD, Markers
-from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
+from softcal_jax.configurations._mechanism import (
+    ImposedDisplacement,
+    ImposedForce,
+    Mechanism,
+    actuation_arrays,
+    build_mechanism,
+)
 from softcal_jax.configurations._recording import Recording, Traces
 from softcal_jax.configurations._recording_file import (
     is_recording,

@@ -12,12 +12,6 @@ from softcal_jax._module import Module, one_line
 from softcal_jax._names import UNNAMED_LOADS, check_unique, name_key
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import KINDS, optional_floats, three_numbers
-from softcal_jax.configurations._actuation import (
-    Actuation,
-    BodyStates,
-    actuation_arrays,
-    body_state_arrays,
-)
 from softcal_jax.configurations._arrays import (
     ConfigurationArrays,
     DeadLoads,
@@ -26,18 +20,23 @@ from softcal_jax.configurations._arrays import (
 )
 from softcal_jax.configurations._effector import (
     AbstractEffector,
+    EffectorRecord,
     EffectorRow,
     Unstated,
-)
-from softcal_jax.configurations._effector_arrays import (
-    EffectorRecord,
     effector_record,
     stack_effectors,
 )
 from softcal_jax.configurations._effectors import BodyFrame, Centroid
 from softcal_jax.configurations._loads import AbstractLoad
 from softcal_jax.configurations._markers import Markers, marker_rows
-from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
+from softcal_jax.configurations._mechanism import (
+    Actuation,
+    BodyStates,
+    Mechanism,
+    actuation_arrays,
+    body_state_arrays,
+    build_mechanism,
+)
 from softcal_jax.configurations._supports import (
     Support,
     check_apart,
