@@ -138,8 +138,7 @@ _OUTSIDE = 1e-3
 class Kind(NamedTuple):
     """Name of a kind of actuator in messages, and its units.
 
-    Those without a displacement have no unit of it; lambda_a of `unilateral` ones must
-    not be negative.
+    Some have no displacement; lambda_a of `unilateral` ones must not be negative.
     """
 
     noun: str
@@ -191,9 +190,9 @@ class RestState(Module):
 class AbstractActuator(Module):
     """A part of the robot that drives it with a force lambda_a.
 
-    Its displacement delta_a(x), zero at rest, may be imposed or measured, and
-    H_a = d delta_a / dx. F_a, the force on the nodes for lambda_a = 1, equals H_a if
-    the actuator has a potential. Some actuators have no displacement.
+    If it has a displacement delta_a(x), zero at rest, that may be imposed or measured,
+    and H_a = d delta_a / dx. F_a, the force on the nodes for lambda_a = 1, equals H_a
+    if the actuator has a potential.
     """
 
     name: str

@@ -9,7 +9,7 @@ from softcal_jax.bodies._body import (
     Vector,
     as_floats,
     hinge_axes,
-    optional_floats,
+    optional_array,
     three_numbers,
     unit_vector,
 )
@@ -45,7 +45,7 @@ __all__ = [
     "frames_at",
     "hinge_axes",
     "mounted",
-    "optional_floats",
+    "optional_array",
     "place",
     "rotation_matrix",
     "rotation_vector",

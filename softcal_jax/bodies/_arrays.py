@@ -34,7 +34,6 @@ class BodyArrays(Module):
         mass: Mass in addition to that of the tets [kg].
         mass_weights: Weights of the centre of this mass on the frame nodes [-].
         length: Distance of the axis ends from the origin [m].
-        names: Names of the bodies.
     """
 
     attached: Int[HostArray, " n_attached"]

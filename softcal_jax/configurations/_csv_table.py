@@ -12,7 +12,7 @@ import numpy as np
 
 from softcal_jax._files import check_file
 from softcal_jax._module import one_line
-from softcal_jax._names import METRES, suggestion, unknown_name
+from softcal_jax._names import METRES, check_unique, suggestion, unknown_name
 from softcal_jax._text import check_characters, from_cell
 from softcal_jax._typing import Float, HostArray
 
@@ -56,7 +56,6 @@ class CsvTable(NamedTuple):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each row is about."""
         return tuple(row[self.key] for row in self.rows)
 
     def numbers(self, columns: Sequence[str]) -> Float[HostArray, "n_rows n_columns"]:
@@ -101,9 +100,7 @@ def read_table(
     delimiter = delimiter or delimiter_of([texts[0][1]])
     lines = read_cells(path, texts, delimiter)
     header = lines[0][1]
-    for column in header:
-        if header.count(column) > 1:
-            raise ValueError(f"{path}: its header has the column {column!r} twice.")
+    check_unique(f"{path}: its column", header)
     rows = []
     for number, cells in lines[1:]:
         if len(cells) != len(header):

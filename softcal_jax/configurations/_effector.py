@@ -94,7 +94,6 @@ class AbstractEffector(Module):
         self, values: Float[HostArray, "k 3"], mechanism: Mechanism
     ) -> "AbstractEffector":
         """Return it with other measured values: a row for each of `rows`, from rest."""
-        del mechanism
         return replace(self, measured=values[0])  # pyright: ignore
 
 
@@ -104,7 +103,6 @@ class AbstractScalar(AbstractEffector):
     def measured_as(
         self, values: Float[HostArray, "k 3"], mechanism: Mechanism
     ) -> "AbstractScalar":
-        del mechanism
         return replace(self, measured=float(values[0, 0]))  # pyright: ignore
 
 
@@ -130,9 +128,6 @@ class EffectorRecord(Module):
     A frame has two records, one of its point and one of its turn.
 
     Attributes:
-        name: Name of the marker or effector.
-        quantity: What the coordinates are.
-        unit: Their unit.
         index: Index of their row in `EffectorArrays`.
         measured: Measured values, or goals; NaN for a coordinate that was not measured.
             A turn is counted from the measured one.

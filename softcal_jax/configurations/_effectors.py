@@ -12,7 +12,7 @@ from softcal_jax.bodies import (
     BodyArrays,
     Pose,
     as_floats,
-    optional_floats,
+    optional_array,
     unit_vector,
 )
 from softcal_jax.configurations._effector import (
@@ -45,9 +45,7 @@ class BodyFrame(AbstractEffector):
     name: str
     body: str
     measured: Pose | None = None
-    point: Float[HostArray, "3"] | None = eqx.field(
-        converter=optional_floats, default=None
-    )
+    point: Float[HostArray, "3"] | None = optional_array()
     std: float | Float[HostArray, "3"] = Unstated(1e-3)
     std_angle: float | Float[HostArray, "3"] = Unstated(1e-2)
 
@@ -92,13 +90,10 @@ class Centroid(AbstractEffector):
 
     name: str
     where: str | Int[HostArray, " n"]
-    measured: Float[HostArray, "3"] | None = eqx.field(
-        converter=optional_floats, default=None
-    )
+    measured: Float[HostArray, "3"] | None = optional_array()
     std: float = Unstated(1e-3)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        del mechanism
         nodes = node_indices(mesh, self.where, f"effector {self.name!r}")
         weights = np.full(nodes.size, 1.0 / nodes.size)
         nodes = nodes.astype(np.int32)
@@ -120,9 +115,7 @@ class SupportReaction(AbstractEffector):
 
     name: str
     where: str | Int[HostArray, " n"]
-    measured: Float[HostArray, "3"] | None = eqx.field(
-        converter=optional_floats, default=None
-    )
+    measured: Float[HostArray, "3"] | None = optional_array()
     std: float = Unstated(1e-2)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
@@ -152,7 +145,6 @@ class BodyAngle(AbstractScalar):
     std: float = Unstated(1e-2)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        del mesh
         names = mechanism.bodies.names
         body = _index_of(self.body, names, "rigid body", self.name)
         other = _index_of(self.other, names, "rigid body", self.name)
@@ -175,7 +167,6 @@ class ActuatorDisplacement(AbstractScalar):
     std: float = Unstated(1e-3)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        del mesh
         a = _index_of(self.actuator, mechanism.actuators.names, "actuator", self.name)
         kind = mechanism.actuators.kinds[a]
         if kind.displacement_unit is None:
@@ -197,7 +188,6 @@ class ActuatorForce(AbstractScalar):
     std: float = Unstated(1e-2)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        del mesh
         a = _index_of(self.actuator, mechanism.actuators.names, "actuator", self.name)
         unit = mechanism.actuators.kinds[a].force_unit
         row = EffectorRow(self.name, "force", unit, about=(a, 0))

@@ -96,16 +96,16 @@ def read_markers(
         path: The file.
         length_unit: Unit of the coordinates: "m", "cm", "mm", "um" or "inch"; not
             needed where the columns carry it.
-        select: Column and value pairs; only the rows that have them all are taken.
+        select: Values by column; only the rows that have them all are taken.
         delimiter: What stands between columns: ",", ";", a tab or "|"; by default what
             the header has most of.
         decimal: "." or ","; by default told from the numbers.
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it cannot be read, a column is missing, the unit is unknown,
-            unstated or contradicts the columns, nothing is selected, a marker is
-            selected twice, or a coordinate is not a number.
+        ValueError: If a column is missing, the unit is unknown, unstated or contradicts
+            the columns, nothing is selected or a marker twice, or a coordinate is not a
+            number.
 
     Example:
         The rows of one recording::

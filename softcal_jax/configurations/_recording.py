@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from softcal_jax._module import Module
+from softcal_jax._names import check_unique
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.configurations._marker_table import MarkerTable, index_of
 from softcal_jax.configurations._plateau import find_plateau
@@ -42,11 +43,7 @@ class Recording(Module):
         if not (len(self.names) and len(self.times)):
             what = "frames" if self.names else "labelled markers"
             raise ValueError(f"recording {self.source} holds no {what}.")
-        repeated = [name for name in self.names if self.names.count(name) > 1]
-        if repeated:
-            raise ValueError(
-                f"recording {self.source} has the label {repeated[0]!r} twice."
-            )
+        check_unique(f"recording {self.source}: its label", self.names)
 
     def step_of(self, name: str) -> float:
         """Return the time at which a marker begins to move [s].

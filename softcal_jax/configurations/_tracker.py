@@ -51,7 +51,6 @@ class PoseTable(Module):
     source: str
 
     def readings_of(self, name: str) -> "PoseTable":
-        """Return the rows of one sensor."""
         rows = [i for i, other in enumerate(self.names) if other == name]
         if not rows:
             known = dict.fromkeys(self.names)
@@ -96,8 +95,7 @@ def average_poses(table: PoseTable) -> dict[str, Pose]:
 def _average(readings: PoseTable) -> Pose:
     rotations = Rotation.from_matrix(readings.rotations)
     mean = rotations.mean()
-    turns = (rotations * mean.inv()).as_rotvec()
-    angles = np.linalg.norm(turns, axis=1)
+    angles = (rotations * mean.inv()).magnitude()
     worst = int(np.argmax(angles))
     if angles[worst] > _ONE_POSE:
         raise ValueError(
@@ -129,13 +127,10 @@ def read_poses(
 
     Columns: `sensor`; positions, other columns and arguments as for `read_markers`; and
     either the angles `azimuth_deg`, `elevation_deg`, `roll_deg` (or `..._rad`) or a
-    unit quaternion `qw`, `qx`, `qy`, `qz`.
-
-    The angles are those of Polhemus: R = Rz(azimuth) Ry(elevation) Rx(roll), from the
-    sensor's axes to those of the tracker's base.
+    unit quaternion `qw`, `qx`, `qy`, `qz`. The angles are those of Polhemus:
+    R = Rz(azimuth) Ry(elevation) Rx(roll), to the axes of the tracker's base.
 
     Raises:
-        FileNotFoundError: If there is no such file.
         ValueError: As for `read_markers`, or if an angle is out of its range or a
             quaternion is not of unit length.
 
@@ -173,17 +168,12 @@ def read_polhemus(
     """Read the text that a Polhemus tracker sends: numbers without a header.
 
     Each line holds seven numbers with spaces between: station, x, y, z, azimuth,
-    elevation, roll; see `read_poses` for the angles. Lines that start with `#` and
-    blank lines are skipped.
-
-    Args:
-        path: The file.
-        length_unit: Unit that the tracker was set to: "cm" or "inch", or another one.
-        angle_unit: "deg" or "rad".
-        station: The only one to read; names of sensors are like "station 1".
+    elevation, roll; see `read_poses` for the angles. Units of length and of angles
+    ("deg" or "rad") are those that the tracker was set to. Lines that start with `#`
+    and blank lines are skipped. Names of sensors are like "station 1"; with a `station`
+    only that one is read.
 
     Raises:
-        FileNotFoundError: If there is no such file.
         ValueError: If a unit is unknown, a line does not hold seven finite numbers, the
             station is not there, or an angle is out of its range.
 

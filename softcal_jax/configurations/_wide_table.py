@@ -42,10 +42,9 @@ _CELL = "a cell (blank, nan or NULL where a marker was not seen)"
 class _Layout(NamedTuple):
     """What the lines above the numbers say.
 
-    Each label has the first of its three columns, and events have times [s]. Without a
-    `time_column`, of times or numbers of frames, rows are counted; what is there is
-    divided by `rate` for a time in seconds. `zero_is_gap` where a marker at exactly
-    (0, 0, 0) was not seen.
+    Each label has the first of its three columns, and events have times [s]. What is in
+    the `time_column`, or else the number of the row, is divided by `rate` for a time in
+    seconds. `zero_is_gap` where a marker at exactly (0, 0, 0) was not seen.
     """
 
     labels: Sequence[tuple[str, int]]

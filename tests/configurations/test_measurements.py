@@ -112,7 +112,7 @@ def test_no_rows(table, text):
         ("marker x_mm y_mm z_mm", ["separated by commas, semicolons"]),
         ("marker,x_mm,x_cm,z_mm", ["cm, mm; keep one"]),
         ("marker,x,y,z", ["no unit ... x_mm ... length_unit"]),
-        ("marker,x_mm,x_mm,z_mm", ["'x_mm' twice"]),
+        ("marker,x_mm,x_mm,z_mm", ["'x_mm' ... more than once"]),
     ],
 )
 def test_bad_header(table, header, texts):
