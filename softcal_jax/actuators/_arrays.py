@@ -45,11 +45,6 @@ class ActuatorArrays(Module):
     has_friction: tuple[bool, ...] = eqx.field(static=True)
 
     @property
-    def n_actuators(self) -> int:
-        """Number of actuators."""
-        return len(self.names)
-
-    @property
     def unilateral(self) -> Bool[HostArray, " n_a"]:
         """Which lambda_a must not be negative."""
         return np.array([kind.unilateral for kind in self.kinds], bool)
@@ -162,7 +157,7 @@ def actuator_displacements(
 
     They are 0 at rest, and for an actuator without a displacement.
     """
-    return _contributions(arrays.groups, x, arrays.n_actuators) - arrays.rest
+    return _contributions(arrays.groups, x, len(arrays.names)) - arrays.rest
 
 
 def actuator_rows(
@@ -189,7 +184,7 @@ def displacement_rows(
 
 
 def _rows(arrays: ActuatorArrays, groups, parts, x):
-    rows = jnp.zeros((arrays.n_actuators, *x.shape), x.dtype)
+    rows = jnp.zeros((len(arrays.names), *x.shape), x.dtype)
     for group, part in zip(groups, parts, strict=True):
         rows = rows.at[group.owner[:, None], group.nodes].add(part)
     return rows
@@ -200,7 +195,7 @@ def curvature_entries(
 ) -> tuple[Float[Array, "_ _ _"], ...]:
     """Differentiate the actuators' forces by the positions, clique by clique [N/m].
 
-    Their sum is d(F_a^T lambda_a)/dx; rows belong to forces, columns to positions. For
+    Their sum is d(F_a^T lambda_a)/dx, by rows of forces and columns of positions: for
     each group of `clique_nodes`, square matrices over the coordinates, node by node.
     """
     return tuple(

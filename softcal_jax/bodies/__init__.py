@@ -17,14 +17,12 @@ from softcal_jax.bodies._kinematics import (
     Frames,
     Mounted,
     blocked,
-    cross_matrix,
     frame_nodes,
     frames_at,
     mounted,
     place,
     rotation_matrix,
     rotation_vector,
-    winding,
 )
 
 __all__ = [
@@ -40,7 +38,6 @@ __all__ = [
     "as_floats",
     "blocked",
     "body_arrays",
-    "cross_matrix",
     "frame_nodes",
     "frames_at",
     "hinge_axes",
@@ -51,5 +48,4 @@ __all__ = [
     "rotation_vector",
     "three_numbers",
     "unit_vector",
-    "winding",
 ]

@@ -106,11 +106,6 @@ def read_markers(
         ValueError: If a column is missing, the unit is unknown, unstated or contradicts
             the columns, nothing is selected or a marker twice, or a coordinate is not a
             number.
-
-    Example:
-        The rows of one recording::
-
-            read_markers("markers.csv", select={"run": "gravity", "phase": "held"})
     """
     table = read_table(path, "marker", select, delimiter=delimiter, decimal=decimal)
     columns, metres = coordinates(table, length_unit)

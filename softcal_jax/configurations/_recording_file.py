@@ -59,12 +59,6 @@ def read_c3d(path: str | os.PathLike[str]) -> Recording:
         ImportError: If ezc3d is not installed.
         ValueError: If it cannot be read, holds no frames, no markers or two of one
             label, or states no positive rate or no known unit of length.
-
-    Example:
-        The pose from 1.25 to 1.35 s after the valve opened::
-
-            arm = read_c3d("200mbar.c3d")
-            arm.between(1.25, 1.35, after_step_of="Tip - 1").positions_of(["Tip - 1"])
     """
     try:
         import ezc3d
