@@ -38,7 +38,12 @@ from softcal_jax.configurations._loads import (
     SurfaceForce,
     SurfaceTraction,
 )
-from softcal_jax.configurations._marker_table import MarkerTable, read_markers
+from softcal_jax.configurations._marker_table import (
+    MarkerTable,
+    Registration,
+    read_markers,
+    register,
+)
 from softcal_jax.configurations._markers import STD, Markers
 from softcal_jax.configurations._mechanism import (
     ImposedDisplacement,
@@ -53,7 +58,6 @@ from softcal_jax.configurations._recording_file import (
     read_c3d,
     read_recording,
 )
-from softcal_jax.configurations._registration import Registration, register
 from softcal_jax.configurations._supports import Support
 from softcal_jax.configurations._tracker import (
     PoseTable,
