@@ -74,11 +74,7 @@ class SurfaceForceActuator(AbstractActuator):
 
 
 class AbstractWeighted(AbstractPotentialCliques):
-    """Nodes whose weighted positions add up to delta_a.
-
-    Attributes:
-        weights: Weights of their coordinates [-].
-    """
+    """Nodes whose weighted positions, by `weights` [-], add up to delta_a."""
 
     weights: Float[Array, "*cliques m 3"]
     curved: ClassVar[bool] = False
@@ -153,8 +149,7 @@ class Motor(AbstractActuator):
 class MotorFrames(AbstractPotentialCliques):
     """Frames of driven bodies, four nodes each; each adds its angle to delta_a.
 
-    Attributes:
-        plane: First and second axis at rest, of equal length [m].
+    The `plane` holds first and second axis at rest, of equal length [m].
     """
 
     plane: Float[Array, "*cliques 2 3"]

@@ -13,6 +13,7 @@ from softcal_jax._units import readable_values
 from softcal_jax.actuators._actuator import (
     AbstractPotentialCliques,
     ActuatorGeometry,
+    RestState,
     owned,
 )
 from softcal_jax.mesh import Refinement
@@ -137,14 +138,13 @@ def free_rim_nodes(
 
 def lid(
     rim: Int[HostArray, " m"],
-    points: Float[HostArray, "n_all 3"],
-    *,
+    rest: RestState,
     centre: Float[HostArray, "3"],
-    quadratic: bool,
     owner: int,
 ) -> ChamberLids:
-    """Close an opening, given by its ring of nodes, at their positions at rest [m]."""
-    weights = jax.device_put(_shares(points[rim], quadratic)[None])
+    """Close an opening, given by its ring of nodes."""
+    quadratic = rest.mesh.order == 2
+    weights = jax.device_put(_shares(rest.points[rim], quadratic)[None])
     of, o = owned(rim[None], owner), jax.device_put(centre[None])
     return ChamberLids(*of, weights, o, quadratic=quadratic)
 

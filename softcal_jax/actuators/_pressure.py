@@ -53,8 +53,7 @@ class Chamber(AbstractActuator):
         centre = np.mean(rest.points[np.unique(faces)], axis=0)
         centres = jax.device_put(np.tile(centre, (len(faces), 1)))
         wall = ChamberFaces(*owned(faces, owner), centres)
-        of = {"centre": centre, "quadratic": rest.mesh.order == 2, "owner": owner}
-        lids = [lid(rim, rest.points, **of) for rim in openings]
+        lids = [lid(rim, rest, centre, owner) for rim in openings]
         volume = enclosed_volumes((wall, *lids), rest.points)[owner]
         if not volume > 0.0:
             raise ValueError(
@@ -69,21 +68,17 @@ class Chamber(AbstractActuator):
     ) -> list[Int[HostArray, " m"]]:
         """Return the rims of what is to be sealed, given faces with outward normals."""
         edges = open_edges(faces)
-        if self.seal and not len(edges.ends):
-            raise ValueError(
-                f"{self.label}: surface {self.surface!r} is closed. Leave seal out."
-            )
-        if self.seal:
+        if self.seal == bool(len(edges.ends)):
             return rims(edges, rest.points, self.label)
-        if len(edges.ends):
-            where = rest.points[edges.ends[0]].mean(axis=0)
-            raise ValueError(
-                f"{self.label}: surface {self.surface!r} is not closed, it has "
-                f"{len(edges.ends)} open edges, one at {where.tolist()} m. Add the "
-                "faces of the wall that are missing, seal the opening if it is an "
-                "inlet (seal = true), or take a SurfacePressure."
-            )
-        return []
+        what = f"{self.label}: surface {self.surface!r}"
+        if self.seal:
+            raise ValueError(f"{what} is closed. Leave seal out.")
+        where = rest.points[edges.ends[0]].mean(axis=0)
+        raise ValueError(
+            f"{what} is not closed, it has {len(edges.ends)} open edges, one at "
+            f"{where.tolist()} m. Add the faces of the wall that are missing, seal the "
+            "opening if it is an inlet (seal = true), or take a SurfacePressure."
+        )
 
 
 class ChamberFaces(AbstractPressedFaces, AbstractPotentialCliques):

@@ -19,8 +19,8 @@ class BodyArrays(Module):
     """The rigid bodies of a model.
 
     Each body adds four nodes to those of the mesh: the origin of its frame and the ends
-    of its axes, `length` away. Every point fixed on the body is an affine combination
-    of them, so markers, cables and masses need no special treatment.
+    of its axes, `length` away [m]. Every point fixed on the body is an affine
+    combination of them, so markers, cables and masses need no special treatment.
 
     Attributes:
         attached: Nodes of the mesh that belong to a body.
@@ -33,7 +33,6 @@ class BodyArrays(Module):
         mounting_rotation: Its rotation vector [rad].
         mass: Mass in addition to that of the tets [kg].
         mass_weights: Weights of the centre of this mass on the frame nodes [-].
-        length: Distance of the axis ends from the origin [m].
     """
 
     attached: Int[HostArray, " n_attached"]
@@ -163,22 +162,20 @@ def _owners(bodies: Sequence[RigidBody], names: tuple[str, ...]) -> HostArray:
         if body.tied_to not in names:
             raise unknown_name(f"tied_to of body {body.name!r}", body.tied_to, names)
         owner[k] = names.index(body.tied_to)
-        root = bodies[owner[k]]
-        if root.tied_to is not None:
+        root = bodies[owner[k]].tied_to
+        if root is not None:
             raise ValueError(
-                f"rigid body {body.name!r} is tied to {root.name!r}, which is tied to "
-                f"{root.tied_to!r} itself: tie both to {root.tied_to!r}."
+                f"rigid body {body.name!r} is tied to {body.tied_to!r}, which is tied "
+                f"itself: tie both to {root!r}."
             )
     return owner
 
 
 class BodyStateArrays(Module):
-    """States of the bodies in a configuration.
+    """States of the bodies in a configuration: indices in `KINDS`, and poses.
 
-    Attributes:
-        kind: Index in `KINDS` for each body.
-        translation: Displacement of held and hinged bodies from their mounting [m].
-        rotation: Rotation vector of held bodies from their mounting [rad].
+    Held and hinged bodies are displaced from their mounting by the translation [m],
+    held ones turned by the rotation vector [rad].
     """
 
     kind: Int[Array | HostArray, "*batch n_b"]

@@ -115,7 +115,6 @@ class RigidBody(Module):
     (`BodyState`); a `Motor` turns it about that axis, too.
 
     Attributes:
-        name: Name of the body.
         where: Its nodes: name of a node or surface group, several names, or indices.
         origin: Origin of its frame at rest, through which a hinge passes; the mean of
             its nodes by default [m].

@@ -153,7 +153,6 @@ class Mounted(NamedTuple):
 def mounted(
     bodies: BodyArrays, load: Float[Array, ""], arm: Float[Array, "n_b 3"]
 ) -> Mounted:
-    """Turn the frames by a share of their mounting."""
     R = jax.vmap(rotation_matrix)(load * bodies.mounting_rotation)
     return Mounted(load, R, _apply(R[:, None], jnp.asarray(bodies.axes)), arm)
 

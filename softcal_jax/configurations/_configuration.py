@@ -141,10 +141,7 @@ class Configuration(Module):
 
 
 class ConfigurationLanes(NamedTuple):
-    """Arrays with one lane per configuration, and records of the effectors of each.
-
-    Records of markers come first.
-    """
+    """Arrays with one lane per configuration, and records of the effectors of each."""
 
     arrays: ConfigurationArrays
     effectors: tuple[tuple[EffectorRecord, ...], ...]
