@@ -76,8 +76,8 @@ class Configuration(Module):
             "hinged", or a `BodyState`; the others are free.
         actuation: What is imposed on actuators, by name: `ImposedForce` or
             `ImposedDisplacement`. The others have no force, or stay at zero if motors.
-        recording: Name of the recording that its measured values are from, in which
-            something, like its frame, may be off as a whole; by default one of its own.
+        recording: Name of the recording that its measured values are from, by default
+            one of its own. What is off in it, like its frame, is off in all of it.
         relative_std: Standard deviation of a share of the measured motion of its
             points, common to all of them: creep, or hysteresis [-]. "estimated" finds
             one share for all configurations that say so.
@@ -85,7 +85,7 @@ class Configuration(Module):
             displacement of points and the motion of frames count instead of their
             positions and orientations: the robot at rest under gravity, say. Where a
             marker is glued then does not matter, nor how a sensor is mounted if that
-            is known to some degrees.
+            is known to some degrees. Lengths, angles and forces count as they are.
     """
 
     name: str
@@ -190,11 +190,9 @@ def configuration_lanes(
                 "or recordings cannot be told apart: their CRC-32 is the same. Rename "
                 "one of them."
             )
-    springs, loads = (
-        _names_of(configurations)
-        if like is None
-        else (like.springs.names, like.loads.names)
-    )
+    springs, loads = _names_of(configurations)
+    if like is not None:
+        springs, loads = like.springs.names, like.loads.names
     rows = [_effector_rows(mesh, c, mechanism) for c in configurations]
     lanes, records = [], []
     for c, of_c, (effectors, indices) in zip(

@@ -19,9 +19,6 @@ from softcal_jax._typing import Float, HostArray
 _DELIMITERS = (",", ";", "\t", "|")
 """What may stand between columns; the header has most of it."""
 
-_POINTS = (".", ",")
-"""What may stand before decimals."""
-
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 
 NumberedCells = Sequence[tuple[int, list[str]]]
@@ -119,7 +116,7 @@ def read_table(
 
 
 def check_dialect(delimiter: str | None, decimal: str | None) -> None:
-    stated = {"delimiter": (delimiter, _DELIMITERS), "decimal": (decimal, _POINTS)}
+    stated = {"delimiter": (delimiter, _DELIMITERS), "decimal": (decimal, (".", ","))}
     for name, (value, known) in stated.items():
         if value is not None and value not in known:
             raise ValueError(

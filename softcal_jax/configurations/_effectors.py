@@ -95,8 +95,7 @@ class Centroid(AbstractEffector):
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         nodes = node_indices(mesh, self.where, f"effector {self.name!r}")
-        weights = np.full(nodes.size, 1.0 / nodes.size)
-        nodes = nodes.astype(np.int32)
+        nodes, weights = nodes.astype(np.int32), np.full(nodes.size, 1.0 / nodes.size)
         row = EffectorRow(self.name, "point", "m", nodes=nodes, weights=weights)
         return row.with_value(self.measured, self.std)
 
