@@ -196,10 +196,11 @@ def winding(
 
     Seen from the point about which it winds, a body at p with the rotation vector w is
     the end of a rod with the constant strain e: p = V(w) e. On its path, e and w change
-    in proportion to the load, so that a beam is bent along arcs of circles: on a
-    straight line its end would come as close as 0.4 of its length on the way to three
-    quarters of a circle. The result is zero at both ends of the path, whatever the
-    pose, and has no derivative by it: sensitivities are of the end alone.
+    in proportion to the load, so that a beam is bent along arcs of circles without
+    being stretched or crushed: on a straight line its end would come as close as 0.4 of
+    its length on the way to three quarters of a circle. The result is zero at both ends
+    of the path, whatever the pose, and has no derivative by it: sensitivities are of
+    the end alone.
 
     `arm` is the origin of the body at rest from that point [m]; translation [m] and
     rotation vector [rad] are those at full load.
