@@ -10,7 +10,7 @@ from softcal_jax.mesh import TetMesh
 from softcal_jax.plotting import _annotations as annotations
 from softcal_jax.plotting._colours import SERIES
 from softcal_jax.plotting._faces import VisibleFaces, visible_faces
-from softcal_jax.plotting._save import add_axes, pixel_figure, save
+from softcal_jax.plotting._save import add_view, pixel_figure, save
 from softcal_jax.plotting._view import View, choose_view
 
 _SIZE, _TOP, _BOTTOM = 900, 110, 120
@@ -70,16 +70,13 @@ def plot_directions(
     width, height = np.maximum(_SIZE * extent / extent.max(), 0.5 * _SIZE).round()
     total = height + _TOP + _BOTTOM
     figure = pixel_figure(width, total)
-    body = add_axes(figure, 0, _BOTTOM, width, height)
+    scale = min(width / extent[0], height / extent[1])
+    body = add_view(figure, 0, _BOTTOM, width, height, scale=scale)
     body.add_collection(PolyCollection(shapes, facecolors=colours, edgecolors="face"))
-    scale = max(extent[0] / width, extent[1] / height)
-    w, h = 0.5 * width * scale, 0.5 * height * scale
-    body.set(xlim=(-w, w), ylim=(-h, h))
-    body.set_axis_off()
     lines = [Line2D([], [], color=c, lw=4) for c in _colours_of(families)]
     place = {"loc": "center", "bbox_to_anchor": (0.5, 55 / total)}
     figure.legend(lines, families, fontsize=15, frameon=False, **place)
-    around = {"scale": 1.0 / scale, "top": _TOP, "bottom": _BOTTOM}
+    around = {"scale": scale, "top": _TOP, "bottom": _BOTTOM}
     annotations.draw_frame(figure, view, **around, title=title)
     save(figure, path)
 

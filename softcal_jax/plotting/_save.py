@@ -30,6 +30,23 @@ def add_axes(
     return figure.add_axes((left / x, bottom / y, width / x, height / y))
 
 
+def add_view(
+    figure: "matplotlib.figure.Figure",
+    left: float,
+    bottom: float,
+    width: float,
+    height: float,
+    *,
+    scale: float,
+) -> "matplotlib.axes.Axes":
+    """Add axes in metres around the centre of a view, with so many pixels each."""
+    axes = add_axes(figure, left, bottom, width, height)
+    w, h = 0.5 * width / scale, 0.5 * height / scale
+    axes.set(xlim=(-w, w), ylim=(-h, h))
+    axes.set_axis_off()
+    return axes
+
+
 def save(
     figure: "matplotlib.figure.Figure",
     path: str | Path,
