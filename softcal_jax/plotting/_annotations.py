@@ -59,20 +59,20 @@ def separate_names(axes: "matplotlib.axes.Axes") -> None:
 
 def draw_markers(
     axes: "matplotlib.axes.Axes",
-    measured: Float[HostArray, "n_markers 2"] | None,
-    simulated: Float[HostArray, "n_markers 2"] | None,
+    measured: Float[HostArray, "n_measured 2"],
+    simulated: Float[HostArray, "n_simulated 2"],
     names: Sequence[str],
 ) -> None:
     """Draw rings where markers were measured, crosses where they are simulated."""
-    if measured is not None and simulated is not None:
+    if len(measured) and len(simulated):
         for pair in zip(measured, simulated, strict=True):
             axes.plot(*np.transpose(pair), **SYMBOLS["distance"])
     for name, points in (("measured", measured), ("simulated", simulated)):
-        if points is not None:
+        if len(points):
             axes.plot(*points.T, path_effects=halo(5.0), **SYMBOLS[name])
-    places = simulated if measured is None else measured
-    if places is None or len(names) > _MOST_NAMES:
+    if len(names) > _MOST_NAMES:
         return
+    places = measured if len(measured) else simulated
     for name, place in zip(names, places, strict=False):
         if np.isfinite(place).all():
             draw_name(axes, name, place, (13, 10))

@@ -31,6 +31,15 @@ class View(NamedTuple):
         return (points - self.centre) @ np.stack([self.right, self.up], axis=1)
 
 
+def fit_body(
+    view: View, width: int, margin: int, lowest: int, highest: int
+) -> tuple[float, int]:
+    """Compute pixels per metre, and height in pixels, for a body that fills both."""
+    scale = (width - 2 * margin) / view.width
+    height = int(np.clip(view.height * scale + 2 * margin, lowest, highest))
+    return min(scale, (height - 2 * margin) / view.height), height
+
+
 def choose_view(
     points: Float[HostArray, "n_nodes 3"],
     displacement: Float[HostArray, "n_nodes 3"],
