@@ -13,7 +13,6 @@ from softcal_jax.plotting._save import DPI, save
 
 if TYPE_CHECKING:
     import matplotlib.axes
-    import matplotlib.figure
 
 _WIDTH = 14.0
 """Width of the figure [inches]."""
@@ -52,18 +51,6 @@ def plot_fibres(
     Raises:
         ValueError: If there is no panel, or a panel lacks one angle per tet.
     """
-    figure = fibre_figure(mesh, panels, plane, control_points, title)
-    save(figure, path)
-
-
-def fibre_figure(
-    mesh: TetMesh,
-    panels: Mapping[str, Float[HostArray, " n_tets"]],
-    plane: Literal["xy", "xz"],
-    control_points: Float[HostArray, "n_cp 3"] | None = None,
-    title: str = "",
-) -> "matplotlib.figure.Figure":
-    """Build the figure without a screen and without touching Matplotlib's state."""
     import matplotlib
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
@@ -113,7 +100,7 @@ def fibre_figure(
     bar.ax.tick_params(labelsize=12)
     if title:
         figure.suptitle(title, fontsize=18, weight="bold", parse_math=False)
-    return figure
+    save(figure, path)
 
 
 def middle_layer(mesh: TetMesh, normal: int) -> Int[HostArray, " n_layer"]:

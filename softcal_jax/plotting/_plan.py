@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from softcal_jax.configurations import (
     motions,
 )
 from softcal_jax.equilibrium import ActuatorState, Model, RobotState
-from softcal_jax.export import fibre_directions
 from softcal_jax.mesh import boundary_faces
 from softcal_jax.plotting import _annotations as annotations
 from softcal_jax.plotting import _robot as robots
@@ -222,14 +221,29 @@ def _draw_bodies(
 def _fibre_directions(model: Model) -> Float[HostArray, "n_tets 3"] | None:
     """Return the direction of the first fibre in each tet, zero without stiffness [-].
 
-    None for a law without fibres.
+    On the host, where nothing is compiled; None for a law without fibres.
     """
-    first = next(iter(fibre_directions(model).values()), None)
+    fibres = model.law.fibres()
+    if not fibres:
+        return None
+
+    def per_tet(value: Any) -> HostArray:
+        # Of several quadrature points, the first.
+        values = np.asarray(getattr(value, "values", value))
+        values = values[..., 0] if hasattr(value, "values") else values
+        return np.broadcast_to(values, (model.mesh.n_tets,))
+
+    fibre = fibres[0]
+    theta, phi = per_tet(fibre.theta), per_tet(fibre.phi)
+    a, b = ("xyz".index(letter) for letter in fibre.plane)
+    own = np.zeros((model.mesh.n_tets, 3))
+    own[:, a], own[:, b] = np.cos(phi) * np.cos(theta), np.cos(phi) * np.sin(theta)
+    own[:, 3 - a - b] = np.sin(phi)
+    if fibre.frame is not None:
+        rows = np.stack([per_tet(part) for part in fibre.frame], axis=1)
+        own = np.einsum("ei,eij->ej", own, rows.reshape(-1, 3, 3))
     stiffness = getattr(model.law, "E_f", None)
-    if first is None or stiffness is None:
-        return first
-    stiff = np.broadcast_to(np.asarray(stiffness) > 0.0, (model.mesh.n_tets,))
-    return first * stiff[:, None]
+    return own if stiffness is None else own * (per_tet(stiffness) > 0.0)[:, None]
 
 
 def _draw_fibres(

@@ -12,7 +12,6 @@ from softcal_jax.plotting._save import DPI, save
 
 if TYPE_CHECKING:
     import matplotlib.axes
-    import matplotlib.figure
 
 _WINDOWS = ("#f2c14e", "#7fb7be", "#c9a0dc")
 """Colours of the windows, light enough for the lines above them."""
@@ -38,11 +37,6 @@ def plot_traces(traces: Traces, path: str | Path, *, name: str = "recording") ->
         path: PNG file, 1200 pixels wide, or SVG file.
         name: Name of the configuration.
     """
-    save(traces_figure(traces, name), path)
-
-
-def traces_figure(traces: Traces, name: str) -> "matplotlib.figure.Figure":
-    """Build the figure without a screen and without touching Matplotlib's state."""
     from matplotlib.figure import Figure
 
     recording, windows = traces.recording, _windows(traces)
@@ -80,7 +74,7 @@ def traces_figure(traces: Traces, name: str) -> "matplotlib.figure.Figure":
     title = f"{name}: what was taken of {Path(recording.source).name}"
     style = {"fontsize": 19, "weight": "bold", "color": TEXT, "parse_math": False}
     figure.suptitle(title, **style)
-    return figure
+    save(figure, path)
 
 
 def _windows(traces: Traces) -> dict[tuple[float, float], str]:

@@ -13,7 +13,7 @@ from softcal_jax.plotting import (
 )
 from softcal_jax.plotting._colours import BAD, MEASURED
 from softcal_jax.plotting._configuration import motion_words
-from softcal_jax.plotting._view import choose_view, fit_body
+from softcal_jax.plotting._view import View, choose_view, fit_body
 
 pytestmark = pytest.mark.skipif(
     rendering_problem() is not None, reason=str(rendering_problem())
@@ -156,8 +156,8 @@ def test_a_marker_that_was_lost_is_left_out(tmp_path):
 @pytest.mark.parametrize("w", [0.01, 0.1, 1.0])
 @pytest.mark.parametrize("h", [0.01, 0.1, 1.0])
 def test_the_body_fits_and_fills_its_part(w, h):
-    nothing = np.zeros((1, 3))
-    view = choose_view(nothing, nothing, nothing)._replace(width=w, height=h)
+    x, y, z = np.eye(3)
+    view = View(right=x, up=y, towards=z, centre=np.zeros(3), width=w, height=h)
     scale, height = fit_body(view, 1410, 60, 420, 900)
     assert 420 <= height <= 900
     assert max(w * scale / (1410 - 120), h * scale / (height - 120)) == (
