@@ -14,7 +14,6 @@ from softcal_jax.export._folder import (
 from softcal_jax.export._json import (
     RESULT_FORMAT,
     comparison_dict,
-    identifiability_dict,
     inverse_dict,
     outlook_dict,
     result_dict,
@@ -49,7 +48,6 @@ __all__ = [
     "field_units",
     "file_dict",
     "file_stems",
-    "identifiability_dict",
     "inverse_dict",
     "made_dict",
     "outlook_dict",

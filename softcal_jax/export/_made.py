@@ -21,9 +21,14 @@ from softcal_jax.equilibrium import Model
 _PACKAGES = ("jax", "jaxlib", "numpy", "equinox", "optimistix", "jaxopt")
 
 
-def pick(owner: object, *names: str) -> dict[str, Any]:
-    """Return some attributes by name."""
-    return {name: getattr(owner, name) for name in names}
+def pick(owner: object, names: str) -> dict[str, Any]:
+    """Return some attributes by name; one that ends in _mm is converted from metres."""
+    picked = {}
+    for name in names.split():
+        metres = name.removesuffix("_mm")
+        value = getattr(owner, metres)
+        picked[name] = value if metres == name else 1e3 * np.asarray(value)
+    return picked
 
 
 def plain(value: Any) -> Any:
@@ -32,7 +37,8 @@ def plain(value: Any) -> Any:
     NumPy numbers become those of Python.
     """
     if dataclasses.is_dataclass(value):
-        value = pick(value, *(field.name for field in dataclasses.fields(value)))
+        names = [field.name for field in dataclasses.fields(value)]
+        value = {name: getattr(value, name) for name in names}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic | jax.Array):
