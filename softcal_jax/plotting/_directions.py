@@ -9,9 +9,8 @@ from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.mesh import TetMesh
 from softcal_jax.plotting import _annotations as annotations
 from softcal_jax.plotting._colours import SERIES
-from softcal_jax.plotting._faces import VisibleFaces, visible_faces
 from softcal_jax.plotting._save import add_view, pixel_figure, save
-from softcal_jax.plotting._view import View, choose_view
+from softcal_jax.plotting._view import View, VisibleFaces, choose_view, visible_faces
 
 _SIZE, _TOP, _BOTTOM = 900, 110, 120
 """Longer side of the body, and heights above and below it [pixels]."""

@@ -11,9 +11,14 @@ from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.mesh import CAD_FACE, TetMesh, boundary_faces
 from softcal_jax.plotting import _annotations as annotations
 from softcal_jax.plotting._colours import SERIES
-from softcal_jax.plotting._faces import VisibleFaces, draw_faces, visible_faces
 from softcal_jax.plotting._save import add_view, pixel_figure, save
-from softcal_jax.plotting._view import View, choose_view
+from softcal_jax.plotting._view import (
+    View,
+    VisibleFaces,
+    choose_view,
+    draw_faces,
+    visible_faces,
+)
 
 if TYPE_CHECKING:
     import matplotlib.axes

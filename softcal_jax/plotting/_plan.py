@@ -22,11 +22,17 @@ from softcal_jax.mesh import boundary_faces
 from softcal_jax.plotting import _annotations as annotations
 from softcal_jax.plotting import _robot as robots
 from softcal_jax.plotting._colours import FAINT, RIGID, SYMBOLS, TEXT
-from softcal_jax.plotting._faces import VisibleFaces, draw_faces, visible_faces
 from softcal_jax.plotting._robot import RobotPicture, SensorFrame
 from softcal_jax.plotting._save import add_view, pixel_figure, save
 from softcal_jax.plotting._setup import draw_setup, load_points
-from softcal_jax.plotting._view import View, choose_view, fit_body
+from softcal_jax.plotting._view import (
+    View,
+    VisibleFaces,
+    choose_view,
+    draw_faces,
+    fit_body,
+    visible_faces,
+)
 
 if TYPE_CHECKING:
     import matplotlib.axes
