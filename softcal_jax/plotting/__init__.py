@@ -7,8 +7,7 @@ from softcal_jax.plotting._configuration import (
     render_body,
     render_configuration,
 )
-from softcal_jax.plotting._directions import plot_directions
-from softcal_jax.plotting._fibres import plot_fibres
+from softcal_jax.plotting._fibres import plot_directions, plot_fibres
 from softcal_jax.plotting._groups import plot_groups
 from softcal_jax.plotting._offscreen import RenderingError, rendering_problem
 from softcal_jax.plotting._plan import MOST_PANELS, plot_plan
