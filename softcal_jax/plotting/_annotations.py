@@ -163,10 +163,7 @@ def draw_legend(
     height: float,
     labels: Mapping[str, str],
 ) -> None:
-    """Explain what was drawn of `SYMBOLS`, around a height [-].
-
-    `labels` has other names of symbols.
-    """
+    """Explain what was drawn of `SYMBOLS`, by other labels of some, at a height [-]."""
     from matplotlib.lines import Line2D
 
     handles = [
@@ -174,16 +171,9 @@ def draw_legend(
         for name, style in SYMBOLS.items()
         if name in drawn
     ]
-    figure.legend(
-        handles=handles,
-        loc="center left",
-        bbox_to_anchor=(0.12, height),
-        ncols=min(len(handles), 5),
-        fontsize=15,
-        frameon=False,
-        labelcolor=TEXT,
-        columnspacing=1.6,
-    )
+    place = {"loc": "center left", "bbox_to_anchor": (0.12, height)}
+    style = {"fontsize": 15, "frameon": False, "labelcolor": TEXT, "columnspacing": 1.6}
+    figure.legend(handles=handles, ncols=min(len(handles), 5), **place, **style)
 
 
 def draw_frame(

@@ -42,14 +42,13 @@ def offscreen() -> Iterator[None]:
         RenderingError: If no suitable OpenGL is installed.
     """
     backend = _backend()
-    if backend is None:
-        yield
-        return
-    os.environ[_CHOICE] = backend
+    if backend is not None:
+        os.environ[_CHOICE] = backend
     try:
         yield
     finally:
-        del os.environ[_CHOICE]
+        if backend is not None:
+            del os.environ[_CHOICE]
 
 
 def _backend() -> str | None:

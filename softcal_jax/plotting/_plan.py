@@ -70,18 +70,9 @@ def plot_plan(
 ) -> None:
     """Draw the body at rest with all that acts on it and is measured, unsolved.
 
-    Each configuration has a panel; all have the same camera. A point that was measured
-    far away, see `farthest`, is left out. Needs no OpenGL.
-
-    Args:
-        model: The model.
-        headings: What stands above each configuration, by its name.
-        configurations: The configurations; the first `MOST_PANELS` are drawn.
-        path: PNG file, 1600 pixels wide, or SVG file.
-        title: First line.
-        subtitle: Second line.
-        control_points: Control points, numbered from 1 [m].
-        software: What drew it, which is kept in the file.
+    Each of the first `MOST_PANELS` configurations has a panel below its heading; all
+    have the same camera. Control points are numbered from 1 [m]. A point that was
+    measured far away, see `farthest`, is left out. Needs no OpenGL.
     """
     mesh, fibres = model.mesh, _fibre_directions(model)
     shown = configurations[:MOST_PANELS]

@@ -30,12 +30,7 @@ def plot_traces(traces: Traces, path: str | Path, *, name: str = "recording") ->
     """Plot the motion of the markers of a recording, and each window of it close up.
 
     Close up are distances from the mean over the window. A line breaks where its marker
-    was occluded.
-
-    Args:
-        traces: The recording, and what was used of it.
-        path: PNG file, 1200 pixels wide, or SVG file.
-        name: Name of the configuration.
+    was occluded. `name` is that of the configuration.
     """
     from matplotlib.figure import Figure
 
@@ -79,10 +74,10 @@ def plot_traces(traces: Traces, path: str | Path, *, name: str = "recording") ->
 
 def _windows(traces: Traces) -> dict[tuple[float, float], str]:
     """Return the windows by their times, with all that each is for as its label."""
-    found: dict[tuple[float, float], list[str]] = {}
+    labels: dict[tuple[float, float], str] = {}
     for what, times in traces.windows.items():
-        found.setdefault(times, []).append(what)
-    return {times: ", ".join(labels) for times, labels in found.items()}
+        labels[times] = f"{labels[times]}, {what}" if times in labels else what
+    return labels
 
 
 def _draw(

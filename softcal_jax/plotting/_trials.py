@@ -26,16 +26,10 @@ def plot_trials(
     title: str = "",
     left_out: str = "",
 ) -> None:
-    """Plot every figure of some trials against every axis.
+    """Plot every figure of some trials against every axis, which is a column.
 
-    Numbers make a scatter; words make groups, each with a bar at its mean.
-
-    Args:
-        columns: Values of the trials on each axis, by its name.
-        figures: Results of the trials, by the label of the figure; nan is not drawn.
-        path: PNG or SVG file.
-        title: Title of the picture.
-        left_out: Which trials are not drawn, and why; printed below the title.
+    Numbers make a scatter; words make groups, each with a bar at its mean. A nan is not
+    drawn. Below the title stands which trials are left out, and why.
 
     Raises:
         ValueError: If there is nothing to draw.
