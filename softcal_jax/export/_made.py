@@ -91,8 +91,7 @@ class Made(Module):
 def made_dict(made: Made | None, directory: str | Path = ".") -> dict[str, Any]:
     """Convert what a result was computed from and with, if that is known.
 
-    Keys: `source` (see `source_dict`), `settings`, `versions`. Paths are relative to
-    `directory`, the folder of the results.
+    Keys: `source` (see `source_dict`, for results in a folder), `settings`, `versions`.
     """
     if made is None:
         return {"source": None, "settings": {}, "versions": {}}
@@ -106,12 +105,7 @@ def made_dict(made: Made | None, directory: str | Path = ".") -> dict[str, Any]:
 def source_dict(
     source: ProjectSource | None, directory: str | Path = "."
 ) -> dict[str, Any] | None:
-    """Convert the files that a calibration was made from to a dictionary.
-
-    Keys: `project` (`file`, relative to `directory`, the folder of the results, and
-    `sha256`); `files`, mesh and measurements (likewise, relative to the folder of the
-    project); `changes` of the project file, by key. None without a project file.
-    """
+    """Convert the files that results in a folder were made from, see `SourceEntry`."""
     if source is None:
         return None
     folder = source.project.path.parent

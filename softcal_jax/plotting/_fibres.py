@@ -50,9 +50,7 @@ def plot_directions(
     """Draw directions of fibres as short lines on the surface of the body at rest.
 
     Each face that looks towards the viewer has a line along the direction in the tet
-    behind it, as it is seen in parallel projection: short where the fibre points out of
-    the picture. So what a formula for the directions means is seen before anything is
-    calibrated.
+    behind it, in parallel projection: short where the fibre points out of the picture.
 
     Args:
         mesh: The mesh [m].

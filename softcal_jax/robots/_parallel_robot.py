@@ -105,9 +105,6 @@ def parallel_robot(
             calibrated together with the material, or None.
         std: Standard deviation of the sensor's position [m].
         std_angle: Standard deviation of its orientation [rad].
-
-    Returns:
-        The robot, to be measured by `synthetic_measurements` or a tracker.
     """
     geometry = geometry or ParallelRobotGeometry()
     mesh = geometry.mesh(size=size)

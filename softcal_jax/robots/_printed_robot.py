@@ -81,9 +81,6 @@ def printed_robot(
         seed: Seed of all its errors.
         errors: The size of its errors.
         size: Edge length of its (quadratic) tets [m].
-
-    Returns:
-        The robot.
     """
     geometry, errors = geometry or ParallelRobotGeometry(), errors or PrintingErrors()
     random = np.random.default_rng(seed)
@@ -151,9 +148,6 @@ def read_poses_of(
             deviations, which are those assumed in the calibration.
         seed: Seed of the readings.
         readings: How many readings of each pose are averaged.
-
-    Returns:
-        The configurations, measured.
 
     Raises:
         ValueError: If there is no reading.
