@@ -7,6 +7,7 @@ from softcal_jax.plotting._configuration import (
     render_body,
     render_configuration,
 )
+from softcal_jax.plotting._diagrams import plot_traces, plot_trials
 from softcal_jax.plotting._fibres import plot_directions, plot_fibres
 from softcal_jax.plotting._groups import plot_groups
 from softcal_jax.plotting._offscreen import RenderingError, rendering_problem
@@ -21,8 +22,6 @@ from softcal_jax.plotting._robot import (
     sensor_frames,
 )
 from softcal_jax.plotting._setup import load_place
-from softcal_jax.plotting._traces import plot_traces
-from softcal_jax.plotting._trials import plot_trials
 from softcal_jax.plotting._view import View, choose_view
 
 __all__ = [

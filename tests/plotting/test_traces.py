@@ -5,7 +5,7 @@ import pytest
 from matplotlib.image import imread
 
 from softcal_jax.configurations import Recording, Traces
-from softcal_jax.plotting import _traces, plot_traces
+from softcal_jax.plotting import _diagrams, plot_traces
 
 
 def traces(*, names=("tip", "base"), windows=None):
@@ -25,7 +25,7 @@ def traces(*, names=("tip", "base"), windows=None):
 def figure_of(monkeypatch):
     """Draw, and return the figure instead of writing it."""
     figures = []
-    monkeypatch.setattr(_traces, "save", lambda figure, _: figures.append(figure))
+    monkeypatch.setattr(_diagrams, "save", lambda figure, _: figures.append(figure))
 
     def draw(shown):
         plot_traces(shown, "a.png", name="pose 1")
