@@ -76,8 +76,7 @@ def result_dict(
 
 def budget_dict(budget: ErrorBudget) -> dict[str, Any]:
     """Convert the error budget of a calibration to a dictionary, see `BudgetEntry`."""
-    by_cause = budget.by_cause()
-    total = budget.standard_errors
+    by_cause, total = budget.by_cause(), budget.standard_errors
     return plain(
         {
             "parameters": [
@@ -289,9 +288,8 @@ def inverse_dict(
     standard deviations, `n_steps`); `steps` of the search. Then `timing_s` [s].
     """
     points = [result] if isinstance(result, InverseResult) else result.points
-    model = points[0].model if points else None
-    if made is None and model is not None:
-        made = Made(model, {})
+    if made is None and points:
+        made = Made(points[0].model, {})
     return plain(
         {
             "format": "softcal_jax.inverse/1",

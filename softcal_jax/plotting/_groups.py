@@ -66,16 +66,11 @@ class _Frame(NamedTuple):
 
 
 def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
-    """Draw the body at rest with every group named and coloured, in four panels.
+    """Draw a mesh [m] with every group named and coloured, as a PNG or SVG file.
 
-    From the front, from behind, and both halves of it cut along, where the walls of
-    cavities show. A face in several groups has the colour of the last of them, and what
-    is not seen for that is called hidden. Groups of nodes alone are dots.
-
-    Args:
-        mesh: The mesh [m].
-        path: PNG or SVG file.
-        title: Title of the picture.
+    Four panels show it from the front, from behind, and both halves of it cut along,
+    with the walls of cavities. A face in several groups has the colour of the last, and
+    what is not seen for that is called hidden. Groups of nodes alone are dots.
     """
     from matplotlib.patches import Patch
 
