@@ -10,7 +10,6 @@ from softcal_jax.plotting._configuration import (
 from softcal_jax.plotting._diagrams import plot_traces, plot_trials
 from softcal_jax.plotting._fibres import plot_directions, plot_fibres
 from softcal_jax.plotting._groups import plot_groups
-from softcal_jax.plotting._offscreen import RenderingError, rendering_problem
 from softcal_jax.plotting._plan import MOST_PANELS, plot_plan
 from softcal_jax.plotting._robot import (
     RobotPicture,
@@ -21,6 +20,7 @@ from softcal_jax.plotting._robot import (
     robot_picture,
     sensor_frames,
 )
+from softcal_jax.plotting._scene import RenderingError, rendering_problem
 from softcal_jax.plotting._setup import load_place
 from softcal_jax.plotting._view import View, choose_view
 

@@ -160,11 +160,11 @@ def render_body(
     extent = (*body.get_xlim(), *body.get_ylim())
     body.imshow(pixels, extent=extent, interpolation="none")
     drawn = ["at rest"]
-    called = dict(zip(("measured", "simulated"), labels, strict=True))
+    called: dict[str, str] = dict(zip(("measured", "simulated"), labels, strict=True))
     for name, points in zip(called, (measured, simulated), strict=True):
         if np.isfinite(points).all(axis=1).any():
             drawn.append(name)
-    if len(drawn) == 3:
+    if {"measured", "simulated"} <= {*drawn}:
         drawn.append("distance")
     if model.mechanism.bodies.n_bodies:
         drawn.append("rigid body")

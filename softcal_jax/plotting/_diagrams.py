@@ -21,11 +21,8 @@ _WINDOWS = ("#f2c14e", "#7fb7be", "#c9a0dc")
 _MOST_NAMES = 14
 """Most markers that get a legend: two for each colour."""
 
-_AROUND = 1.0
-"""What is shown before and after a window, in its lengths [-]."""
-
-_LEAST = 3
-"""Least frames that are shown before and after a window."""
+_AROUND, _LEAST = 1.0, 3
+"""What is shown before and after a window, in its lengths, and at least in frames."""
 
 _MOST_LABELS = 12
 """Most groups on an axis whose labels stay horizontal."""

@@ -28,11 +28,8 @@ _DARKEST, _LIGHTEST = 0.72, 0.97
 _LENGTH, _BREADTH = 0.8, 0.1
 """Length and breadth of a line, over the root of twice the area of its face."""
 
-_WIDTH = 14.0
-"""Width of the figure [inches]."""
-
-_SIDE = 1.6
-"""Width beside a panel for its labels and the colour scale [inches]."""
+_WIDTH, _SIDE = 14.0, 1.6
+"""Width of the figure of a layer, and beside a panel for its labels [inches]."""
 
 _MAP, _CYCLIC_MAP = "viridis", "twilight_shifted"
 _CYCLIC_FROM = np.deg2rad(80.0)
