@@ -171,7 +171,6 @@ def write_pvd(path: str | Path, files: Sequence[Sequence[str]]) -> None:
 
 
 def _save(path: Path, grid: "pyvista.UnstructuredGrid") -> None:
-    """Write a grid."""
     grid.save(path)
     if not path.exists():  # VTK removes what it could not finish, and only prints it
         raise OSError(f"{path} could not be written: is the disk full?")
