@@ -10,8 +10,7 @@ from export.handmade import make_result
 
 from softcal_jax.calibration import ParameterEstimate
 from softcal_jax.identifiability import end_of
-from softcal_jax.report._charts import budget_chart
-from softcal_jax.report._course import MOST_PARAMETERS, course_charts
+from softcal_jax.report._charts import MOST_PARAMETERS, budget_chart, course_charts
 
 
 def drawn(result):

@@ -8,13 +8,13 @@ from softcal_jax.report._load import (
     ResultWarning,
     load_result,
 )
-from softcal_jax.report._notebook import notebook_html
 from softcal_jax.report._outline import (
     control_point_sets,
     mesh_lines,
     outline,
     roles_of,
 )
+from softcal_jax.report._pages import notebook_html
 from softcal_jax.report._sweep_page import check_sweep_page, write_sweep
 from softcal_jax.report._tables import simulation_table, summary_table
 from softcal_jax.report._write import (

@@ -180,22 +180,28 @@ def outlook_tone(verdict: str, assessment: Assessment) -> Tone:
 
 def outlook_legend(found: Identifiability) -> str:
     """Say what the verdicts mean, and give the condition numbers."""
-    return f"{found.scale} {str(found.conditioning).splitlines()[0]}"
+    words = [found.scale]
+    if found.has_prior:
+        shares = f"{found.informed} of {found.n_parameters} directions"
+        words.append(f"The data tell more than the prior along {shares}.")
+    if found.n_data:
+        words.append(str(found.conditioning).splitlines()[0])
+    return " ".join(words)
 
 
-def blindness(assessment: Assessment) -> list[str]:
+def blindness(found: Identifiability) -> list[str]:
     """Describe the directions of the parameters that the data hardly see.
 
     The first line says how many; the others are one direction each, or count the rest.
     """
-    found = assessment.identifiability
     blind = found.blind[::-1]
     if not blind:
-        return [_sight(assessment)]
+        return ["No combination of the parameters is hidden from the data."]
     by = "the prior and the start" if found.has_prior else "the start"
     lines = [
-        f"The data hardly see {len(blind)} of {found.n_parameters} directions; these "
-        f"are decided by {by}, not by the data:"
+        f"The data hardly see {len(blind)} of {found.n_parameters} directions of the "
+        f"parameters; these are decided by {by}. The worst first (standard error over "
+        "the asked one):"
     ]
     lines += [f"{d.words} ({percent(d.ratio)})" for d in blind[:MOST_DIRECTIONS]]
     if len(blind) > MOST_DIRECTIONS:
@@ -203,27 +209,13 @@ def blindness(assessment: Assessment) -> list[str]:
     return lines
 
 
-def _sight(assessment: Assessment) -> str:
-    """Say what the data determine where they are blind to no direction."""
-    verdict = assessment.identifiability.verdict
-    if verdict == "not identifiable":
-        return "The data do not determine all parameters."
-    if verdict != "identifiable":
-        return "The data determine the parameters only weakly in part."
-    if not assessment.identified:
-        return "The data would determine the parameters well; see the reasons for care."
-    return "The data determine the parameters well."
+def inner_tables(found: Identifiability) -> list[TextTable]:
+    """Tabulate the correlation of the parameters and the singular values of W_ep."""
+    tables = [_correlation_table(found)] if found.n_parameters > 1 else []
+    return [*tables, _singular_value_table(found)] if found.n_data else tables
 
 
-def beyond_prior(found: Identifiability) -> str:
-    """Say along how many directions blind data tell more than the prior; or nothing."""
-    if not (found.has_prior and found.blind):
-        return ""
-    n = found.n_parameters
-    return f"They tell more than the prior along {found.informed} of {n}."
-
-
-def correlation_table(found: Identifiability) -> TextTable:
+def _correlation_table(found: Identifiability) -> TextTable:
     """Tabulate the correlation of the parameters; of many, the strongest pairs."""
     names = [p.name for p in found.parameters]
     C = found.correlation
@@ -248,7 +240,7 @@ def _correlation(value: float) -> str:
     return f"{value:.2f}" if math.isfinite(value) else "-"
 
 
-def singular_value_table(found: Identifiability) -> TextTable:
+def _singular_value_table(found: Identifiability) -> TextTable:
     """Tabulate the singular values of W_ep in units of the noise."""
     values = enumerate(found.conditioning.singular_values, 1)
     rows = [(str(k), f"{value:.3g}") for k, value in values]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from softcal_jax._machine import installed_version
 from softcal_jax._text import escaped
-from softcal_jax._text_table import TextTable
+from softcal_jax._text_table import TextTable, text_table
 from softcal_jax.identifiability import RunVerdict
 
 MOST_PICTURES = 3_400_000
@@ -82,7 +82,7 @@ def sentences(lines: Iterable[str]) -> list[Html]:
 
 
 def table_html(table: TextTable) -> Html:
-    """Write a table."""
+    """Write a table that scrolls by itself where the page is too narrow for it."""
     kinds = ["w" if table.holds_words(k) else "n" for k in range(len(table.columns))]
     head = (
         node("th", column, scope="col", class_=kind)
@@ -95,23 +95,17 @@ def table_html(table: TextTable) -> Html:
             for cell, kind in zip(others, kinds[1:], strict=True)
         )
         rows.append(node("tr", node("th", first.text, scope="row"), *cells))
-    return _wide(table.title, node("thead", node("tr", *head)), node("tbody", *rows))
+    parts = [node("caption", table.title)]
+    if any(table.columns):
+        parts.append(node("thead", node("tr", *head)))
+    drawn = node("table", *parts, node("tbody", *rows))
+    about = {"role": "region", "aria_label": table.title, "tabindex": "0"}
+    return node("div", drawn, class_="wide", **about)
 
 
 def facts_html(title: str, facts: Mapping[str, str]) -> Html:
     """Write names and what they stand for as a table without heads of columns."""
-    rows = (
-        node("tr", node("th", name, scope="row"), node("td", fact, class_="w"))
-        for name, fact in facts.items()
-    )
-    return _wide(title, node("tbody", *rows))
-
-
-def _wide(title: str, *content: Html) -> Html:
-    """Make a table that scrolls by itself where the page is too narrow for it."""
-    table = node("table", node("caption", title), *content)
-    about = {"role": "region", "aria_label": title, "tabindex": "0"}
-    return node("div", table, class_="wide", **about)
+    return table_html(text_table(title, ("", ""), facts.items(), words=[""]))
 
 
 def picture(path: Path, alt: str) -> Html:
@@ -163,7 +157,7 @@ def page(
         node("header", node("p", kind, class_="kind"), node("h1", name)),
         node(
             "main",
-            verdict_html(verdict),
+            _verdict(verdict),
             node("nav", node("ul", *links), aria_label="Contents"),
             *map(_section, shown),
         ),
@@ -181,7 +175,7 @@ def page(
 
 def output(verdict: RunVerdict, content: Iterable[Html]) -> Html:
     """Write what a cell of a notebook shows: a verdict and what follows from it."""
-    return fragment([verdict_html(verdict), *content])
+    return fragment([_verdict(verdict), *content])
 
 
 def fragment(content: Iterable[Html]) -> Html:
@@ -195,7 +189,7 @@ def _style() -> Html:
     return Html(files("softcal_jax.report").joinpath("page.css").read_text("utf-8"))
 
 
-def verdict_html(verdict: RunVerdict) -> Html:
+def _verdict(verdict: RunVerdict) -> Html:
     said = node("p", node("strong", verdict.sentence)), bullets(verdict.reasons)
     head = node("h2", "Verdict")
     return node("section", head, *said, class_=f"verdict {verdict.tone}")

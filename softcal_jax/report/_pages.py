@@ -1,6 +1,7 @@
-"""The page of each kind of run."""
+"""The page of each kind of run, and the parts of it that notebooks show."""
 
 from collections.abc import Collection, Mapping
+from functools import singledispatch
 from pathlib import Path
 from typing import Any
 
@@ -12,28 +13,25 @@ from softcal_jax.identifiability import (
     Ranking,
     RunVerdict,
     Tone,
-    percent,
+    assess,
     verdict_of,
 )
 from softcal_jax.layouts import ModelComparison
 from softcal_jax.report._calibration import (
     TONES,
-    beyond_prior,
     blindness,
     budget_table,
-    correlation_table,
     error_tables,
     held_out_sentences,
     history_table,
+    inner_tables,
     interval_tables,
     model_words,
     outlook_legend,
     outlook_table,
     parameter_table,
-    singular_value_table,
 )
-from softcal_jax.report._charts import budget_chart, error_chart
-from softcal_jax.report._course import course_charts
+from softcal_jax.report._charts import budget_chart, course_charts, error_chart
 from softcal_jax.report._html import (
     MOST_PICTURES,
     Html,
@@ -42,6 +40,7 @@ from softcal_jax.report._html import (
     facts_html,
     figure,
     node,
+    output,
     page,
     picture,
     sentences,
@@ -75,9 +74,6 @@ def calibration_page(
     """
     fits, own = result.configurations, found.identifiability
     agreement = result.checks.agreement if result.checks else ()
-    inner = [singular_value_table(own)]
-    if own.n_parameters > 1:
-        inner.insert(0, correlation_table(own))
     course = [*course_charts(result), table_html(history_table(result))]
     sections = [
         Section("notes", "Notes", [bullets(data["notes"])]),
@@ -90,7 +86,7 @@ def calibration_page(
         Section("pictures", "Pictures", _pictures(data, folder, view)),
         Section("robot", "Robot", [*map(table_html, robot_tables(fits))]),
         Section("fit", "Course of the fit", course),
-        Section("inner", "Correlation and singular values", [*map(table_html, inner)]),
+        _inner(own),
         *closing_of("calibrate", data, [data["source"]]),
     ]
     about = {"index": "result.json", "script": view.script if view else ""}
@@ -113,8 +109,13 @@ def simulation_page(
         *closing_of("simulate", data, [data["source"]]),
     ]
     about = {"index": "simulation.json", "script": view.script if view else ""}
-    verdict = RunVerdict(result.headline, "good" if result.converged else "bad")
+    verdict = simulation_verdict(result)
     return page(data["name"], "Simulation", verdict, sections, **about)
+
+
+def simulation_verdict(result: SimulationResult) -> RunVerdict:
+    """Say whether all configurations have an equilibrium."""
+    return RunVerdict(result.headline, "good" if result.converged else "bad")
 
 
 def _subject(result: CalibrationResult, found: Assessment) -> Html:
@@ -161,14 +162,18 @@ def _parameters(result: CalibrationResult, found: Assessment) -> list[Html]:
 def _outlook(found: Assessment) -> list[Html]:
     """Say what the data see, and what they are blind to."""
     own = found.identifiability
+    legend = node("p", outlook_legend(own))
+    return [*_blindness(own), table_html(outlook_table(found)), legend]
+
+
+def _blindness(found: Identifiability) -> list[Html]:
     first, *directions = blindness(found)
-    return [
-        node("p", first),
-        bullets(directions),
-        *sentences([beyond_prior(own)]),
-        table_html(outlook_table(found)),
-        node("p", outlook_legend(own)),
-    ]
+    return [node("p", first), bullets(directions)]
+
+
+def _inner(found: Identifiability) -> Section:
+    tables = [*map(table_html, inner_tables(found))]
+    return Section("inner", "Correlation and singular values", tables)
 
 
 def _pictures(
@@ -238,17 +243,25 @@ def identifiability_page(
 ) -> str:
     """Write the page of what data would tell, from the content of its index."""
     verdict = RunVerdict("There is nothing to judge.", "plain")
+    sections = [Section("next", "What to measure next", next_html(found, ranking))]
     if found is not None:
-        verdict = RunVerdict(found.headline, TONES[found.verdict])
+        verdict = outlook_verdict(found)
+        known, blind = outlook_html(found)
+        sections += [
+            Section("parameters", "Parameters", known),
+            Section("directions", "What the data are blind to", blind),
+            _inner(found),
+        ]
     elif ranking is not None:
         verdict = RunVerdict(ranking.headline, "plain")
-    sections = [
-        Section("next", "What to measure next", next_html(found, ranking)),
-        *([] if found is None else outlook_sections(found)),
-        *closing_of("identify", data, [data["source"]]),
-    ]
+    sections += closing_of("identify", data, [data["source"]])
     index = "identifiability.json"
     return page(data["name"], "Identifiability", verdict, sections, index=index)
+
+
+def outlook_verdict(found: Identifiability) -> RunVerdict:
+    """Say whether the data would determine the parameters."""
+    return RunVerdict(found.headline, TONES[found.verdict])
 
 
 def next_html(found: Identifiability | None, ranking: Ranking | None) -> list[Html]:
@@ -261,40 +274,18 @@ def next_html(found: Identifiability | None, ranking: Ranking | None) -> list[Ht
     return [*content, bullets(map(str, ranking.unranked))]
 
 
-def outlook_sections(found: Identifiability) -> list[Section]:
-    """Show what the data would tell of parameters and of their combinations."""
-    blind = found.blind[::-1]
+def outlook_html(found: Identifiability) -> tuple[list[Html], list[Html]]:
+    """Show what the data would tell of the parameters, and what they are blind to."""
     unknown = [
         f"Errors of the {cause} are not among these: their size is not known here."
         for cause in found.unknown
     ]
-    sight = "No combination of the parameters is hidden from the data."
-    if blind:
-        sight = (
-            f"The data hardly see {len(blind)} of {found.n_parameters} directions of "
-            "the parameters, the worst first (standard error over the asked one):"
-        )
-    words = bullets(f"{d.words} ({percent(d.ratio)})" for d in blind)
-    inner = [singular_value_table(found)] if found.n_data else []
-    if found.n_parameters > 1:
-        inner.append(correlation_table(found))
-    known = [table_html(found.tabulated), *sentences([found.scale, *unknown])]
-    directions = [node("p", sight), words]
-    if found.n_data:
-        directions.append(node("p", str(found.conditioning).splitlines()[0]))
-    return [
-        Section("parameters", "Parameters", known),
-        Section("directions", "What the data are blind to", directions),
-        Section("inner", "Correlation and singular values", [*map(table_html, inner)]),
-    ]
+    legend = sentences([outlook_legend(found), *unknown])
+    return [table_html(found.tabulated), *legend], _blindness(found)
 
 
 def comparison_page(comparison: ModelComparison, data: Mapping[str, Any]) -> str:
     """Write the page of a comparison of models, from the content of its index."""
-    # The best of several may still predict badly, so there is no tone of success.
-    tone: Tone = "bad"
-    if comparison.best is not None:
-        tone = "doubtful" if comparison.undecided else "plain"
     columns = "configuration", *(model.name for model in comparison.models)
     cells: dict[str, list[str]] = {}
     for model in comparison.models:
@@ -310,6 +301,78 @@ def comparison_page(comparison: ModelComparison, data: Mapping[str, Any]) -> str
         Section("folds", "Held-out configurations", [table_html(held_out)]),
         *closing_of("compare", data, data["sources"].values()),
     ]
-    verdict = RunVerdict(comparison.verdict, tone)
-    index = "comparison.json"
+    verdict, index = comparison_verdict(comparison), "comparison.json"
     return page(data["name"], "Comparison of models", verdict, sections, index=index)
+
+
+def comparison_verdict(comparison: ModelComparison) -> RunVerdict:
+    """Say which model predicts best."""
+    # The best of several may still predict badly, so there is no tone of success.
+    tone: Tone = "bad"
+    if comparison.best is not None:
+        tone = "doubtful" if comparison.undecided else "plain"
+    return RunVerdict(comparison.verdict, tone)
+
+
+@singledispatch
+def notebook_html(result: object) -> Html:
+    """Write a result as the output of a cell: verdict, tables and a picture.
+
+    It is HTML that needs nothing else; `write_results` writes the whole page.
+
+    Raises:
+        TypeError: If there is no output for such a result.
+    """
+    raise TypeError(f"a {type(result).__name__} has no output for notebooks.")
+
+
+@notebook_html.register
+def _calibration_cell(result: CalibrationResult) -> Html:
+    found, fits = assess(result), result.configurations
+    content = [
+        table_html(parameter_table(result, found.identifiability)),
+        *error_chart(fits),
+        *map(table_html, error_tables(fits, result.checks)),
+        *sentences(held_out_sentences(fits)),
+        *budget_chart(result),
+        bullets(result.notes),
+    ]
+    return output(verdict_of(result, found), content)
+
+
+@notebook_html.register
+def _assessment_cell(found: Assessment) -> Html:
+    tone: Tone = "good" if found.identified else "doubtful"
+    own = found.identifiability
+    content = [*sentences([own.headline]), *_known(own)]
+    content += sentences([found.prediction or ""])
+    return output(RunVerdict(found.headline, tone, found.reasons), content)
+
+
+@notebook_html.register
+def _identifiability_cell(found: Identifiability) -> Html:
+    return output(outlook_verdict(found), _known(found))
+
+
+def _known(found: Identifiability) -> list[Html]:
+    """Show what is known of the parameters, what is not, and what to do."""
+    known, blind = outlook_html(found)
+    return [*known, *blind, *next_html(found, None)]
+
+
+@notebook_html.register
+def _ranking_cell(ranking: Ranking) -> Html:
+    _, *content = next_html(None, ranking)  # the first says what the verdict says
+    return output(RunVerdict(ranking.headline, "plain"), content)
+
+
+@notebook_html.register
+def _simulation_cell(result: SimulationResult) -> Html:
+    tables = map(table_html, simulation_tables(result))
+    return output(simulation_verdict(result), tables)
+
+
+@notebook_html.register
+def _comparison_cell(comparison: ModelComparison) -> Html:
+    models = table_html(comparison.tabulated)
+    return output(comparison_verdict(comparison), [models])

@@ -18,7 +18,6 @@ from softcal_jax.equilibrium import ActuatorState
 from softcal_jax.export import readable_values
 from softcal_jax.identifiability import Assessment, assess, verdict_of
 from softcal_jax.report._calibration import (
-    beyond_prior,
     blindness,
     budget_table,
     distance,
@@ -55,8 +54,6 @@ def summary_table(
     own = assessment or assess(result)
     found, verdict = own.identifiability, verdict_of(result, own)
     shown = result.configurations
-    first, *directions = blindness(own)
-    seen = [first, *(f"  {line}" for line in directions), beyond_prior(found)]
     style = STYLES[outlook_tone(found.verdict, own)]
     tables = [
         parameter_table(result, found),
@@ -69,7 +66,7 @@ def summary_table(
     return Group(
         *map(TextTable.drawn, tables),
         Text(outlook_legend(found)),
-        Text("\n".join(filter(None, seen)), style=style),
+        Text("\n  ".join(blindness(found)), style=style),
         *([Text(own.prediction)] if own.prediction else []),
         Text(
             "\n  ".join([verdict.sentence, *verdict.reasons]),
@@ -130,7 +127,8 @@ def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTabl
         robot = result.robot
         if robot is None:
             continue
-        rows["Actuators"] += [(result.name, *actuator_row(a)) for a in robot.actuators]
+        for own in robot.actuators:
+            rows["Actuators"].append((result.name, own.name, *actuator_row(own)))
         for body in robot.bodies:
             moved = readable_values([_length(body.translation)], "m")
             turned = readable_values([_length(body.rotation_vector)], "rad")
@@ -146,13 +144,20 @@ def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTabl
     ]
 
 
-def actuator_row(own: ActuatorState) -> tuple[str, ...]:
-    """Write name, force and displacement of an actuator, and which is imposed."""
-    shown = [readable_values([own.force], own.force_unit), "-"]
+def actuator_values(own: ActuatorState) -> dict[str, str]:
+    """Write the force and the displacement of an actuator."""
+    shown = {"force": readable_values([own.force], own.force_unit), "displacement": "-"}
     if own.displacement is not None and own.displacement_unit is not None:
-        shown[1] = readable_values([own.displacement], own.displacement_unit)
-    shown[own.imposed == "displacement"] += " (imposed)"
-    return own.name, *shown
+        delta = readable_values([own.displacement], own.displacement_unit)
+        shown["displacement"] = delta
+    return shown
+
+
+def actuator_row(own: ActuatorState) -> list[str]:
+    """Write the force and the displacement of an actuator, and which is imposed."""
+    shown = actuator_values(own)
+    shown[own.imposed] += " (imposed)"
+    return list(shown.values())
 
 
 def _values(own: EffectorRecord, values: Float[HostArray, " k"]) -> str:

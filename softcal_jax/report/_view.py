@@ -6,7 +6,6 @@ from importlib.resources import files
 from typing import Any, NamedTuple
 
 from softcal_jax._module import one_line
-from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
@@ -18,7 +17,13 @@ from softcal_jax.plotting import MARKS, NOT_CONVERGED, motion_words
 from softcal_jax.report._html import Html, bullets, joined, node
 from softcal_jax.report._outline import ROLES
 from softcal_jax.report._view_data import view_data
-from softcal_jax.report._view_fields import Field, state_fields, surface_of, view_fields
+from softcal_jax.report._view_fields import (
+    Field,
+    FieldErrors,
+    state_fields,
+    surface_of,
+    view_fields,
+)
 
 MOST_DATA = 1_500_000
 """Most bytes of what a view draws; curved faces are cut more coarsely to stay below."""
@@ -128,7 +133,7 @@ class PageView(NamedTuple):
 
 def body_view(
     result: CalibrationResult | SimulationResult,
-    errors: Mapping[str, Float[HostArray, " n_tets"]] | None,
+    errors: FieldErrors | None,
 ) -> PageView:
     """Make the view of all configurations of a result.
 
@@ -167,7 +172,7 @@ class _Made(NamedTuple):
 def _made(
     model: Model,
     every: Sequence[ConfigurationResult],
-    errors: Mapping[str, Float[HostArray, " n_tets"]] | None,
+    errors: FieldErrors | None,
 ) -> _Made | None:
     """Collect what is drawn, as finely as fits; None if nothing fits.
 

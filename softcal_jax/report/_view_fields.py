@@ -20,6 +20,9 @@ from softcal_jax.export import (
 )
 from softcal_jax.mesh import Tessellation, TetMesh, boundary_tets, tessellate
 
+FieldErrors = Mapping[str, Float[HostArray, " n_tets"]]
+"""Standard errors of calibrated fields in each tet, in the unit of the field."""
+
 _SHARP = np.cos(np.radians(30.0))
 """Cosine of the angle between two triangles above which their edge is not sharp."""
 
@@ -136,7 +139,7 @@ def view_fields(
     shown: Sequence[ConfigurationResult],
     states: Sequence[StateFields],
     surface: Surface,
-    errors: Mapping[str, Float[HostArray, " n_tets"]] | None,
+    errors: FieldErrors | None,
 ) -> list[Field]:
     """Collect the fields: of the state of the body, of its law, and at markers.
 
@@ -178,7 +181,7 @@ def _distances(own: ConfigurationResult):
 def _law_fields(
     model: Model,
     surface: Surface,
-    errors: Mapping[str, Float[HostArray, " n_tets"]] | None,
+    errors: FieldErrors | None,
 ) -> list[Field]:
     units, found = field_units(model), tet_fields(model, errors or {})
     fields = []
