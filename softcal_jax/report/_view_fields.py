@@ -146,27 +146,20 @@ def view_fields(
     Fields of the law are those that were calibrated, which have standard errors, or
     that vary over the body; where all faces belong to rigid bodies nothing has a value.
     """
-    moved = [_displacement(own, surface) for own in shown]
+    moved = [_displacement(own, surface) if own.converged else None for own in shown]
     fields = [Field("displacement [mm]", "mm", "point", tuple(moved))]
     fields += _law_fields(model, surface, errors)
     for name, unit in _STATE.items():
         values = [own[name][surface.tets] if own else None for own in states]
         fields.append(_of_faces(name, unit, values, surface))
-    distances = [_distances(own) for own in shown]
-    if any(d is not None and np.isfinite(d).any() for d in distances):
-        label = "distance at markers [mm]"
-        note = "Discs at the measured markers; between them nothing is known."
-        fields.append(Field(label, "mm", "marker", tuple(distances), note))
-    return [own for own in fields if any(map(_has_values, own.values))]
-
-
-def _has_values(values: Float[HostArray, " n"] | None) -> bool:
-    return values is not None and bool(np.isfinite(values).any())
+    label = "distance at markers [mm]"
+    note = "Discs at the measured markers; between them nothing is known."
+    fields.append(Field(label, "mm", "marker", tuple(map(_distances, shown)), note))
+    has_values = lambda v: v is not None and np.isfinite(v).any()
+    return [own for own in fields if any(map(has_values, own.values))]
 
 
 def _displacement(own: ConfigurationResult, surface: Surface):
-    if not own.converged:
-        return None
     return 1e3 * np.linalg.norm(surface.cut.interpolate(own.displacement), axis=1)
 
 
