@@ -6,7 +6,7 @@ are percentages, and those along the height pixels.
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,6 @@ from softcal_jax._units import readable_unit
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
-    HistoryEntry,
     ParameterEstimate,
 )
 from softcal_jax.identifiability import end_of
@@ -165,16 +164,16 @@ def text(words: str, x: str, y: float, **look: str) -> Html:
 
 
 class _Curve(NamedTuple):
-    """A number that changes with the steps: its value `at` one, with the title's unit.
+    """A number that changes with the steps: its value at each, with the title's unit.
 
-    `ticks` are the grid; `level` is a value to be reached, and its name.
+    `ticks` are the grid; `level` is a value to be reached, with its name.
     """
 
     title: str
-    at: Callable[[HistoryEntry], float]
+    values: Sequence[float]
     ticks: Mapping[float, str]
-    level: tuple[float, str] | None = None
-    caption: str = ""
+    level: Mapping[float, str]
+    caption: str
 
 
 def course_charts(result: CalibrationResult) -> list[Html]:
@@ -195,51 +194,50 @@ def course_charts(result: CalibrationResult) -> list[Html]:
 def _fit(result: CalibrationResult) -> _Curve:
     fitted = [fit for fit in result.configurations if fit.role == "calibration"]
     title = "Distance of the markers, root mean square [mm]"
-    at = lambda entry: 1e3 * entry.rms
+    values = [1e3 * entry.rms for entry in result.history]
     if not any(fit.points for fit in fitted):  # lengths, angles or forces alone
-        title, at = "Cost [-]", lambda entry: entry.cost
-    values = [v for v in map(at, result.history) if math.isfinite(v)]
-    return _Curve(title, at, round_ticks([0.0, *values]))
+        title, values = "Cost [-]", [entry.cost for entry in result.history]
+    ticks = round_ticks([0.0, *filter(math.isfinite, values)])
+    return _Curve(title, values, ticks, {}, "")
 
 
 def _step_size(result: CalibrationResult) -> _Curve:
     """Draw the largest lambda_p over the tolerance, on a logarithmic scale."""
     # A step of exactly zero has no logarithm; it is drawn at the level of rounding.
-    at = lambda entry: math.log10(max(*map(abs, entry.lambda_p), 1e-16))
-    tol = result.settings.tol
-    level = math.log10(tol)
-    sizes = [*map(at, result.history[1:]), level]
-    low, high = math.floor(min(sizes)), math.ceil(max(sizes))
+    steps = [max(*map(abs, entry.lambda_p), 1e-16) for entry in result.history]
+    values, tol = [math.log10(step) for step in steps], result.settings.tol
+    level = {math.log10(tol): f"tolerance {tol:g}"}
+    ends = [*values[1:], *level]
+    low, high = math.floor(min(ends)), math.ceil(max(ends))
     every = max(1, math.ceil((high - low) / 5))
     ticks = {float(k): f"1e{k}" for k in range(low, high + 1, every)}
-    title, named = "Size of the step, largest lambda_p [-]", f"tolerance {tol:g}"
-    return _Curve(title, at, ticks, (level, named), end_of(result))
+    title = "Size of the step, largest lambda_p [-]"
+    return _Curve(title, values, ticks, level, end_of(result))
 
 
 def _parameter(result: CalibrationResult, q: ParameterEstimate) -> _Curve:
     series = [entry.values[q.name] for entry in result.history]
     factor, unit = readable_unit(series, q.unit)
-    at = lambda entry: factor * entry.values[q.name]
-    ticks = round_ticks([factor * value for value in series])
+    values = [factor * value for value in series]
     bounds = f"{factor * q.lower:.4g} to {factor * q.upper:.4g} {unit}".rstrip()
-    bound = ", on a bound" if q.at_bound else ""
-    words = f"Ends at {q}{bound}; bounds {bounds}."
-    return _Curve(f"{q.name} [{unit or '-'}]", at, ticks, caption=words)
+    words = f"Ends at {q}{', on a bound' if q.at_bound else ''}; bounds {bounds}."
+    title = f"{q.name} [{unit or '-'}]"
+    return _Curve(title, values, round_ticks(values), {}, words)
 
 
 def _drawn(curve: _Curve, result: CalibrationResult) -> Html:
     """Draw one curve over the steps."""
     history = result.history
     last = max(history[-1].step, 1)
-    level = {} if curve.level is None else dict([curve.level])
-    low, high = min([*curve.ticks, *level]), max([*curve.ticks, *level])
+    ends = [*curve.ticks, *curve.level]
+    low, high = min(ends), max(ends)
     x = lambda step: f"{14.0 + 82.0 * step / last:.2f}%"
     y = lambda v: _BOTTOM - (_BOTTOM - _TOP) * (v - low) / (high - low or 1.0)
     parts = []
     for value, label in curve.ticks.items():
         parts.append(line("0", y(value), "100%", y(value), stroke=LINE))
         parts.append(text(label, "0", y(value) - 3))
-    for value, label in level.items():
+    for value, label in curve.level.items():
         look = {"stroke": INK, "stroke_dasharray": "6 4", "stroke_width": "1.5"}
         parts.append(line("0", y(value), "100%", y(value), **look))
         # On the left: there a curve that falls to the level is still far from it.
@@ -247,11 +245,12 @@ def _drawn(curve: _Curve, result: CalibrationResult) -> Html:
     for step in _noise_changes(result):
         look = {"stroke": INK, "stroke_dasharray": "2 4"}
         parts.append(line(x(step), _TOP, x(step), _BOTTOM, **look))
-    known = [entry for entry in history if math.isfinite(curve.at(entry))]
-    places = [(x(entry.step), y(curve.at(entry))) for entry in known]
+    pairs = zip(history, curve.values, strict=True)
+    known = [(entry, value) for entry, value in pairs if math.isfinite(value)]
+    places = [(x(entry.step), y(value)) for entry, value in known]
     for start, end in itertools.pairwise(places):
         parts.append(line(*start, *end, stroke=BLUE, stroke_width="2"))
-    for entry, place in zip(known, places, strict=True):
+    for (entry, _), place in zip(known, places, strict=True):
         parts.append(circle(*place, filled=entry.accepted))
     for step in range(0, last + 1, max(1, math.ceil(last / 10))):
         parts.append(text(str(step), x(step), _LABELS, text_anchor="middle"))
