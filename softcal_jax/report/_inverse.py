@@ -37,7 +37,7 @@ from softcal_jax.report._html import (
     table_html,
 )
 from softcal_jax.report._pages import REPORT, notebook_html, shown_pictures
-from softcal_jax.report._provenance import closing, files_of
+from softcal_jax.report._provenance import closing
 from softcal_jax.report._tables import HEADS, actuator_row, actuator_values
 from softcal_jax.report._write import COLLECTION, Picture, Told, picture_problem
 
@@ -249,17 +249,13 @@ def _page(
         rows = [(a.way, str(a.n_steps), f"{a.error:.3g}") for a in result.attempts]
         columns = "begun from", "steps", "largest error, in standard deviations"
         search = [table_html(text_table("Descents", columns, rows))]
-    loaded, source = data["calibration"], data["source"]
-    files = [] if source is None else files_of(source)
-    words = []
-    if loaded is not None:
-        words, files = ["inverse", loaded["file"], *options], [loaded, *files]
+    loaded = [own for own in [data["calibration"]] if own is not None]
     sections = [
         Section("notes", "Notes", [bullets(data["notes"])]),
         Section("goals", "Goals and commands", inverse_html(result)),
         Section("pictures", "Pictures", pictures),
         Section("search", "Course of the search", search),
-        *closing(data, words, files=files),
+        *closing("inverse", data, [data["source"]], files=loaded, options=options),
     ]
     verdict = inverse_verdict(result)
     of = {"index": "inverse.json", "units": "SI"}

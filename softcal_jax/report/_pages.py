@@ -47,7 +47,7 @@ from softcal_jax.report._html import (
     table_html,
 )
 from softcal_jax.report._outline import ROLES
-from softcal_jax.report._provenance import closing_of
+from softcal_jax.report._provenance import closing
 from softcal_jax.report._tables import robot_tables, simulation_tables
 from softcal_jax.report._view import PageView
 
@@ -67,10 +67,9 @@ def calibration_page(
     folder: Path,
     view: PageView | None = None,
 ) -> str:
-    """Write the page of a calibration.
+    """Write the page of a calibration from the content of its `result.json`.
 
-    `data` is the content of its `result.json`, with notes and files; pictures are in
-    `folder`. Without a view, the page has no body in three dimensions.
+    Pictures are in `folder`. Without a view, there is no body in three dimensions.
     """
     fits, own = result.configurations, found.identifiability
     agreement = result.checks.agreement if result.checks else ()
@@ -87,7 +86,7 @@ def calibration_page(
         Section("robot", "Robot", [*map(table_html, robot_tables(fits))]),
         Section("fit", "Course of the fit", course),
         _inner(own),
-        *closing_of("calibrate", data, [data["source"]]),
+        *closing("calibrate", data, [data["source"]]),
     ]
     about = {"index": "result.json", "script": view.script if view else ""}
     verdict = verdict_of(result, found)
@@ -106,7 +105,7 @@ def simulation_page(
         Section("model", "Model", [node("p", f"{model_words(result.model)}.")]),
         Section("states", "States", [*map(table_html, simulation_tables(result))]),
         Section("pictures", "Pictures", _pictures(data, folder, view)),
-        *closing_of("simulate", data, [data["source"]]),
+        *closing("simulate", data, [data["source"]]),
     ]
     about = {"index": "simulation.json", "script": view.script if view else ""}
     verdict = simulation_verdict(result)
@@ -148,13 +147,10 @@ def _errors(result: CalibrationResult, found: Assessment) -> list[Html]:
 
 
 def _parameters(result: CalibrationResult, found: Assessment) -> list[Html]:
-    tables = [
-        parameter_table(result, found.identifiability),
-        *interval_tables(result),
-        budget_table(result),
-    ]
+    values = parameter_table(result, found.identifiability)
+    marked = any(cell.tone == "bad" for row in values.rows for cell in row)
+    tables = [values, *interval_tables(result), budget_table(result)]
     starts = [] if result.starts is None else [node("pre", str(result.starts))]
-    marked = any(cell.tone == "bad" for row in tables[0].rows for cell in row)
     legend = sentences([_MARKED if marked else ""])
     return [*legend, *map(table_html, tables), *budget_chart(result), *starts]
 
@@ -183,15 +179,19 @@ def _pictures(
 
     A picture of what the view shows stands for it where there is none, as in print.
     """
-    every = [(own, name) for own in data["configurations"] for name in own["files"]]
-    captions = {name: _seen(own, name) for own, name in every}
+    captions, viewed = {}, []
+    for own in data["configurations"]:
+        posed, role = own["name"], ROLES.get(own.get("role", ""), "simulated")
+        for name in own["files"]:
+            captions[name] = f"{posed}: the recording of the markers over time"
+            if Path(name).stem.endswith("_recording"):
+                continue
+            shown = "the deformed body, coloured by displacement"
+            captions[name] = f"{posed} ({role}): {shown}"
+            if view is not None and posed in view.names:
+                viewed.append(name)
     if view is None:
         return shown_pictures(captions, folder)
-    viewed = {
-        name
-        for own, name in every
-        if own["name"] in view.names and not _is_recording(name)
-    }
     taken = 3 * view.size // 4  # pictures grow by a third as text
     return [view.content, *shown_pictures(captions, folder, taken, viewed)]
 
@@ -226,18 +226,6 @@ def shown_pictures(
     return shown
 
 
-def _is_recording(file: str) -> bool:
-    return Path(file).stem.endswith("_recording")
-
-
-def _seen(own: Mapping[str, Any], file: str) -> str:
-    """Say what the picture of a configuration shows."""
-    if _is_recording(file):
-        return f"{own['name']}: the recording of the markers over time"
-    role = ROLES.get(own.get("role", ""), "simulated")
-    return f"{own['name']} ({role}): the deformed body, coloured by displacement"
-
-
 def identifiability_page(
     found: Identifiability | None, ranking: Ranking | None, data: Mapping[str, Any]
 ) -> str:
@@ -254,7 +242,7 @@ def identifiability_page(
         ]
     elif ranking is not None:
         verdict = RunVerdict(ranking.headline, "plain")
-    sections += closing_of("identify", data, [data["source"]])
+    sections += closing("identify", data, [data["source"]])
     index = "identifiability.json"
     return page(data["name"], "Identifiability", verdict, sections, index=index)
 
@@ -299,7 +287,7 @@ def comparison_page(comparison: ModelComparison, data: Mapping[str, Any]) -> str
         Section("failures", "What failed", [bullets(comparison.failures)]),
         Section("models", "Models", [table_html(comparison.tabulated)]),
         Section("folds", "Held-out configurations", [table_html(held_out)]),
-        *closing_of("compare", data, data["sources"].values()),
+        *closing("compare", data, data["sources"].values()),
     ]
     verdict, index = comparison_verdict(comparison), "comparison.json"
     return page(data["name"], "Comparison of models", verdict, sections, index=index)

@@ -24,28 +24,34 @@ _KINDS = {
 
 
 def closing(
+    command: str,
     data: Mapping[str, Any],
-    words: Sequence[str],
+    sources: Iterable[Mapping[str, Any] | None],
     *,
-    sources: Sequence[Mapping[str, Any]] = (),
-    files: Sequence[Mapping[str, str]] = (),
+    files: Sequence[Mapping[str, str]] | None = None,
+    options: Sequence[str] = (),
     out: str = REPEATED,
 ) -> list[Section]:
     """Say how a run can be repeated, what it read, and what it was made with.
 
-    `words` are the command, given in the folder of the page, which writes `out`; empty
-    if there is none. It read the project files `sources`, as `source_dict` converts
-    them, and other files.
+    The command reads the project files `sources`, as `source_dict` converts them, None
+    where a model was made in Python; or `files`, which lead to them. It writes `out`.
     """
+    every = list(sources)
+    known = [source for source in every if source is not None]
+    named = files or []
+    if files is None and len(known) == len(every):
+        named = [source["project"] for source in known]
     made_in_python = "This was made in Python, so there is no command that repeats it."
     content = [node("p", made_in_python)]
-    if words:
-        code = node("code", shlex.join(["softcal", *words, "-o", out]))
+    if named:
+        words = ["softcal", command, *(own["file"] for own in named), *options]
+        code = node("code", shlex.join([*words, "-o", out]))
         content = [node("p", "In the folder of this page:"), node("pre", code)]
-    for source in sources:
+    for source in known if files is None else ():
         if source["changes"]:
             rows = [(key, repr(value)) for key, value in source["changes"].items()]
-            of = f" of {source['project']['file']}" if len(sources) > 1 else ""
+            of = f" of {source['project']['file']}" if len(known) > 1 else ""
             columns = "key of the project file", "value"
             text = (
                 "Some values of the project file were replaced when it was loaded. Set "
@@ -53,7 +59,7 @@ def closing(
             )
             changes = text_table(f"Changes{of}", columns, rows)
             content += [node("p", text), table_html(changes)]
-    read = [*files, *(own for source in sources for own in files_of(source))]
+    read = [*(files or ()), *(own for source in known for own in _files_of(source))]
     if read:
         rows = dict.fromkeys((own["file"], own["sha256"]) for own in read)
         table = text_table("Files that were read", ("file", "SHA-256"), rows)
@@ -64,19 +70,7 @@ def closing(
     ]
 
 
-def closing_of(
-    command: str, data: Mapping[str, Any], sources: Iterable[Mapping[str, Any] | None]
-) -> list[Section]:
-    """Close the page of a command that reads project files alone."""
-    named = list(sources)
-    known = [source for source in named if source is not None]
-    if not known or len(known) < len(named):
-        return closing(data, [])
-    words = [command, *(source["project"]["file"] for source in known)]
-    return closing(data, words, sources=known)
-
-
-def files_of(source: Mapping[str, Any]) -> list[Mapping[str, str]]:
+def _files_of(source: Mapping[str, Any]) -> list[Mapping[str, str]]:
     """List a project file and those that it names, relative to the results."""
     project = source["project"]
     files = [project]
