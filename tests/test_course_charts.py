@@ -53,7 +53,7 @@ def test_what_is_drawn():
     assert "tolerance 1e-06" in charts[size]
     course = values(charts[E], ("200", "240"))
     np.testing.assert_allclose(course, [0.0, 0.25, 0.5, 0.75, 1.0], **close)
-    assert "Ends at 240.0 ± 6.0 kPa; bounds 100 to 1000 kPa." in charts[E]
+    assert "Ends at 240.0 ± 6.0 kPa; bounds 100 kPa to 1 MPa." in charts[E]
     assert "Ends at 0.44, on a bound; bounds" in charts[nu]
 
 

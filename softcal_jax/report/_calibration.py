@@ -5,7 +5,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from softcal_jax._names import listed
 from softcal_jax._text_table import Cell, TextTable, text_table
 from softcal_jax._units import readable
 from softcal_jax.calibration import (
@@ -25,9 +24,6 @@ MOST_CORRELATED = 12
 
 MOST_PAIRS = 20
 """Most pairs of parameters that are listed where there are more."""
-
-FAR_BOUND = 1e4
-"""Bound, in the unit of the value, from which it has a unit of its own [-]."""
 
 TONES: dict[str, Tone] = {
     "identifiable": "good",
@@ -58,7 +54,7 @@ def parameter_table(result: CalibrationResult, found: Identifiability) -> TextTa
         elif q.given:
             text += f" (with {', '.join(q.given)} on a bound)"
         factor, unit = readable_unit([q.value], q.unit)
-        bounds = _bounds(q.lower, q.upper, q.value, q.unit)
+        bounds = f"{readable(q.lower, q.unit)} to {readable(q.upper, q.unit)}"
         sound = result.converged and not q.at_bound and q.name not in blind
         start = f"{q.start * factor:.4g} {unit}".rstrip()
         value = Cell(text, "strong" if sound else "bad")
@@ -66,14 +62,6 @@ def parameter_table(result: CalibrationResult, found: Identifiability) -> TextTa
     return text_table(
         title, ("parameter", "value ± std. error", "start", "bounds"), rows
     )
-
-
-def _bounds(lower: float, upper: float, value: float, unit: str) -> str:
-    """Write bounds in the unit of the value, and each in its own if they are far."""
-    factor, shown = readable_unit([value], unit)
-    if abs(upper * factor) >= FAR_BOUND and readable_unit([upper], unit).unit != shown:
-        return f"{readable(lower, unit)} to {readable(upper, unit)}"
-    return f"{lower * factor:.4g} to {upper * factor:.4g} {shown}".rstrip()
 
 
 def budget_table(result: CalibrationResult) -> TextTable:
@@ -117,14 +105,12 @@ def error_tables(
     shown = []
     if any(fit.points for fit in fits):
         shown.append(text_table("Rms distance of the markers", columns, points))
-    by_others = [
-        (own.name, distance(own.rms), distance(own.expected))
-        for own in ([] if checks is None else checks.left_out)
-    ]
-    if by_others:
+    left_out = [] if checks is None else checks.left_out
+    rows = [(own.name, distance(own.rms), distance(own.expected)) for own in left_out]
+    if rows:
         heads = ("configuration", "off by", "errors explain")
         title = "Rms distance of a configuration left out"
-        shown.append(text_table(title, heads, by_others))
+        shown.append(text_table(title, heads, rows))
     if turns:
         shown.append(text_table("Rms angle of the orientations", columns[:4], turns))
     return shown
@@ -136,7 +122,9 @@ def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
     for fit in (own for own in fits if own.role == "validation"):
         texts = []
         if fit.points:
-            texts.append(f"{1e3 * fit.rms_after:.2f} mm rms over {_points(fit)}")
+            n = len(fit.points)
+            points = f"{n} point{'s' * (n > 1)}"
+            texts.append(f"{1e3 * fit.rms_after:.2f} mm rms over {points}")
         if fit.points and math.isfinite(fit.rms_share):
             share = f"{100 * fit.rms_share:.1f} % of how far they moved"
             texts[0] += f", {share} ({1e3 * fit.motion:.1f} mm)"
@@ -147,24 +135,12 @@ def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
     return lines
 
 
-def _points(fit: ConfigurationResult) -> str:
-    """Count what was seen to move: markers, and apart from them 6-D sensors."""
-    turning = {turn.name for turn in fit.turns}
-    sensors = sum(point.name in turning for point in fit.points)
-    counts = {"marker": len(fit.points) - sensors, "6-D sensor": sensors}
-    return listed([f"{n} {what}{'s' * (n > 1)}" for what, n in counts.items() if n])
-
-
 def outlook_table(assessment: Assessment) -> TextTable:
     """Tabulate what the data tell about each parameter."""
-    rows = [
-        (
-            p.name,
-            percent(p.ratio),
-            Cell(p.verdict, outlook_tone(p.verdict, assessment)),
-        )
-        for p in assessment.identifiability.parameters
-    ]
+    rows = []
+    for p in assessment.identifiability.parameters:
+        verdict = Cell(p.verdict, outlook_tone(p.verdict, assessment))
+        rows.append((p.name, percent(p.ratio), verdict))
     columns = "parameter", "std. error over asked", "verdict"
     return text_table("What the data tell", columns, rows)
 
@@ -220,18 +196,14 @@ def _correlation_table(found: Identifiability) -> TextTable:
     names = [p.name for p in found.parameters]
     C = found.correlation
     if len(names) <= MOST_CORRELATED:
-        rows = [
-            (name, *(_correlation(c) for c in row))
-            for name, row in zip(names, C, strict=True)
-        ]
+        named = zip(names, C, strict=True)
+        rows = [(name, *map(_correlation, row)) for name, row in named]
         return text_table("Correlation", ("parameter", *names), rows)
     i, j = np.triu_indices(len(names), 1)
     strength = np.nan_to_num(np.abs(C[i, j]), nan=-1.0)
     first = np.argsort(-strength, kind="stable")[:MOST_PAIRS]
-    rows = [
-        (names[a], names[b], _correlation(float(C[a, b])))
-        for a, b in zip(i[first], j[first], strict=True)
-    ]
+    pairs = zip(i[first], j[first], strict=True)
+    rows = [(names[a], names[b], _correlation(C[a, b])) for a, b in pairs]
     columns = "parameter", "of", "correlation"
     return text_table(f"The {MOST_PAIRS} strongest correlations", columns, rows)
 

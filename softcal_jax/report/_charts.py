@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
-from softcal_jax._units import readable_unit
+from softcal_jax._units import readable, readable_unit
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
@@ -62,20 +62,20 @@ def error_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
 def _errors(fit: ConfigurationResult, longest: float) -> Html:
     """Draw one row, with its numbers in words."""
     x = lambda value: f"{2.0 + 96.0 * value / longest:.2f}%"
-    parts = [line("2%", 14, "98%", 14, stroke=LINE)]
+    parts = [_line("2%", 14, "98%", 14, stroke=LINE)]
     before, after = "no equilibrium before", x(fit.rms_after)
     if math.isfinite(fit.motion):
         moved = x(fit.motion)
-        parts.append(line(moved, 3, moved, 25, stroke=INK, stroke_width="3"))
+        parts.append(_line(moved, 3, moved, 25, stroke=INK, stroke_width="3"))
     if math.isfinite(fit.rms_before):
         start = x(fit.rms_before)
-        parts.append(line(after, 14, start, 14, stroke=BLUE, stroke_width="3"))
-        parts.append(circle(start, 14, filled=False))
+        parts.append(_line(after, 14, start, 14, stroke=BLUE, stroke_width="3"))
+        parts.append(_circle(start, 14, filled=False))
         before = f"{distance(fit.rms_before)} before"
-    parts.append(circle(after, 14))
+    parts.append(_circle(after, 14))
     held = " (held out)" if fit.role == "validation" else ""
     words = f"{before}, {distance(fit.rms_after)} after, moved {distance(fit.motion)}"
-    return row(f"{fit.name}{held}", parts, words)
+    return _row(f"{fit.name}{held}", parts, words)
 
 
 def budget_chart(result: CalibrationResult) -> list[Html]:
@@ -128,7 +128,7 @@ def _bar(parameter: ParameterEstimate, shares: Mapping[str, float]) -> Html:
     ranked = sorted(shares.items(), key=lambda item: -item[1])
     named = (f"{c} {100 * s:.0f} %" for c, s in ranked if s >= LEAST_NAMED)
     title = f"{parameter.name} = {parameter}"
-    return row(title, parts, ", ".join(named), height=24)
+    return _row(title, parts, ", ".join(named), height=24)
 
 
 def _entry(k: int, cause: str) -> Html:
@@ -140,26 +140,23 @@ def _filled(k: int, **place: str) -> Html:
     return node("rect", **place, fill=_FILLS[k % len(_FILLS)], stroke=INK)
 
 
-def row(title: str, parts: Sequence[Html], words: str, *, height: int = 28) -> Html:
+def _row(title: str, parts: Sequence[Html], words: str, *, height: int = 28) -> Html:
     """Put a chart of one row between its title and the same in words."""
     drawn = node("svg", *parts, height=str(height), aria_hidden="true")
     head = node("p", node("strong", title))
     return node("div", head, drawn, node("p", words), class_="row")
 
 
-def line(x1: str, y1: float, x2: str, y2: float, **look: str) -> Html:
-    """Draw a straight line."""
+def _line(x1: str, y1: float, x2: str, y2: float, **look: str) -> Html:
     return node("line", x1=x1, y1=f"{y1:.1f}", x2=x2, y2=f"{y2:.1f}", **look)
 
 
-def circle(x: str, y: float, *, filled: bool = True) -> Html:
-    """Draw a circle, filled or open."""
+def _circle(x: str, y: float, *, filled: bool = True) -> Html:
     look = {"fill": BLUE if filled else PAPER, "stroke": BLUE, "stroke_width": "2"}
     return node("circle", cx=x, cy=f"{y:.1f}", r="5", **look)
 
 
-def text(words: str, x: str, y: float, **look: str) -> Html:
-    """Write words at a place."""
+def _text(words: str, x: str, y: float, **look: str) -> Html:
     return node("text", words, x=x, y=f"{y:.1f}", **look)
 
 
@@ -197,7 +194,7 @@ def _fit(result: CalibrationResult) -> _Curve:
     values = [1e3 * entry.rms for entry in result.history]
     if not any(fit.points for fit in fitted):  # lengths, angles or forces alone
         title, values = "Cost [-]", [entry.cost for entry in result.history]
-    ticks = round_ticks([0.0, *filter(math.isfinite, values)])
+    ticks = _round_ticks([0.0, *filter(math.isfinite, values)])
     return _Curve(title, values, ticks, {}, "")
 
 
@@ -219,10 +216,10 @@ def _parameter(result: CalibrationResult, q: ParameterEstimate) -> _Curve:
     series = [entry.values[q.name] for entry in result.history]
     factor, unit = readable_unit(series, q.unit)
     values = [factor * value for value in series]
-    bounds = f"{factor * q.lower:.4g} to {factor * q.upper:.4g} {unit}".rstrip()
+    bounds = f"{readable(q.lower, q.unit)} to {readable(q.upper, q.unit)}"
     words = f"Ends at {q}{', on a bound' if q.at_bound else ''}; bounds {bounds}."
     title = f"{q.name} [{unit or '-'}]"
-    return _Curve(title, values, round_ticks(values), {}, words)
+    return _Curve(title, values, _round_ticks(values), {}, words)
 
 
 def _drawn(curve: _Curve, result: CalibrationResult) -> Html:
@@ -235,25 +232,25 @@ def _drawn(curve: _Curve, result: CalibrationResult) -> Html:
     y = lambda v: _BOTTOM - (_BOTTOM - _TOP) * (v - low) / (high - low or 1.0)
     parts = []
     for value, label in curve.ticks.items():
-        parts.append(line("0", y(value), "100%", y(value), stroke=LINE))
-        parts.append(text(label, "0", y(value) - 3))
+        parts.append(_line("0", y(value), "100%", y(value), stroke=LINE))
+        parts.append(_text(label, "0", y(value) - 3))
     for value, label in curve.level.items():
         look = {"stroke": INK, "stroke_dasharray": "6 4", "stroke_width": "1.5"}
-        parts.append(line("0", y(value), "100%", y(value), **look))
+        parts.append(_line("0", y(value), "100%", y(value), **look))
         # On the left: there a curve that falls to the level is still far from it.
-        parts.append(text(label, "12%", y(value) - 4))
+        parts.append(_text(label, "12%", y(value) - 4))
     for step in _noise_changes(result):
         look = {"stroke": INK, "stroke_dasharray": "2 4"}
-        parts.append(line(x(step), _TOP, x(step), _BOTTOM, **look))
+        parts.append(_line(x(step), _TOP, x(step), _BOTTOM, **look))
     pairs = zip(history, curve.values, strict=True)
     known = [(entry, value) for entry, value in pairs if math.isfinite(value)]
     places = [(x(entry.step), y(value)) for entry, value in known]
     for start, end in itertools.pairwise(places):
-        parts.append(line(*start, *end, stroke=BLUE, stroke_width="2"))
+        parts.append(_line(*start, *end, stroke=BLUE, stroke_width="2"))
     for (entry, _), place in zip(known, places, strict=True):
-        parts.append(circle(*place, filled=entry.accepted))
+        parts.append(_circle(*place, filled=entry.accepted))
     for step in range(0, last + 1, max(1, math.ceil(last / 10))):
-        parts.append(text(str(step), x(step), _LABELS, text_anchor="middle"))
+        parts.append(_text(str(step), x(step), _LABELS, text_anchor="middle"))
     words = f"{curve.title}, after each step"
     drawn = node("svg", *parts, role="img", aria_label=words, height=str(_HEIGHT))
     return figure(drawn, curve.caption, title=curve.title)
@@ -268,7 +265,7 @@ def _noise_changes(result: CalibrationResult) -> list[float]:
     ]
 
 
-def round_ticks(values: Sequence[float]) -> dict[float, str]:
+def _round_ticks(values: Sequence[float]) -> dict[float, str]:
     """Choose round numbers around values, for about three lines of a grid."""
     from matplotlib.ticker import MaxNLocator
 

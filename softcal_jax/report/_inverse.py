@@ -166,6 +166,8 @@ def write_inverse(
     own = None if calibration is None else SourceFile.of(Path(calibration))
     data["calibration"] = own and file_dict(own, directory)
     suffix = None if problem else pictures
+    seen = "the body at the commands found, coloured by displacement, with the goals "
+    seen += "(circles) and what is reached (crosses)"
     bodies, captions = [], {}
     with results_folder(directory, force=force) as folder:
         told(0, len(points))
@@ -174,7 +176,7 @@ def write_inverse(
         ):
             if solved[k]:
                 written = _write_body(folder, point, stem, title, suffix)
-                captions |= dict.fromkeys(written, f"{title}: {_SEEN}")
+                captions |= dict.fromkeys(written, f"{title}: {seen}")
                 bodies.append([file for file in written if file.endswith(".vtu")])
             told(k + 1, len(points))
         if bodies:
@@ -185,13 +187,6 @@ def write_inverse(
         (folder / REPORT).write_text(text, encoding="utf-8")
         write_json(folder / "inverse.json", data)
     return Path(directory)
-
-
-_SEEN = (
-    "the body at the commands found, coloured by displacement, with the goals "
-    "(circles) and what is reached (crosses)"
-)
-"""What a picture shows."""
 
 
 def _write_body(

@@ -45,8 +45,7 @@ def summary_table(
 ) -> "rich.console.Group":
     """Tabulate a calibration for the terminal, with its assessment, if known already.
 
-    Returns:
-        Parameters, configurations, identifiability, verdict and notes.
+    Parameters come first, then configurations, identifiability, verdict and notes.
     """
     from rich.console import Group
     from rich.text import Text
@@ -68,10 +67,7 @@ def summary_table(
         Text(outlook_legend(found)),
         Text("\n  ".join(blindness(found)), style=style),
         *([Text(own.prediction)] if own.prediction else []),
-        Text(
-            "\n  ".join([verdict.sentence, *verdict.reasons]),
-            style=HEADS[verdict.tone],
-        ),
+        Text("\n  ".join([verdict.sentence, *verdict.reasons]), HEADS[verdict.tone]),
         *([] if result.starts is None else [Text(str(result.starts))]),
         *(Text(line) for line in (result.checks.agreement if result.checks else ())),
         *(Text(f"Note: {note}", style="yellow") for note in result.notes),
@@ -79,12 +75,7 @@ def summary_table(
 
 
 def simulation_table(result: SimulationResult) -> "rich.console.Group":
-    """Tabulate a forward simulation for the terminal.
-
-    Returns:
-        One line per configuration, with the reason if it has no equilibrium; then
-        effectors that are not points, actuators, rigid bodies and reactions.
-    """
+    """Tabulate a forward simulation for the terminal: outcomes, then the robot."""
     from rich.console import Group
 
     return Group(*map(TextTable.drawn, simulation_tables(result)))

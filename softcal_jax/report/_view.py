@@ -28,8 +28,6 @@ from softcal_jax.report._view_fields import (
 MOST_DATA = 1_500_000
 """Most bytes of what a view draws; curved faces are cut more coarsely to stay below."""
 
-_DIRECTIONS = ("+x", "-x", "+y", "-y", "+z", "-z")
-
 _SHOWN = {
     "mesh": ("faces of the mesh", False),
     "rest": ("body at rest", True),
@@ -235,7 +233,7 @@ def _choices(drawing: _Drawing, marks: Sequence[str]) -> Html:
     shown, poses = drawing.shown, drawing.data["configurations"]
     drawn = [k for k, own in enumerate(shown) if own.converged]
     first = max(drawn, key=lambda k: shown[k].largest_displacement, default=0)
-    directions = ["at an angle", *(f"from {name}" for name in _DIRECTIONS)]
+    directions = ["at an angle", *(f"from {s}{axis}" for axis in "xyz" for s in "+-")]
     offered = {"mesh", "rest", "names"}
     offered |= {key for key in ("markers", "frames") if any(own[key] for own in poses)}
     for name in set(marks) - {"measured", "simulated"}:
