@@ -31,13 +31,13 @@ from softcal_jax.report._html import (
     Html,
     Section,
     bullets,
+    closing,
     output,
     page,
     sentences,
     table_html,
 )
 from softcal_jax.report._pages import REPORT, notebook_html, shown_pictures
-from softcal_jax.report._provenance import closing
 from softcal_jax.report._tables import HEADS, actuator_row, actuator_values
 from softcal_jax.report._write import COLLECTION, Picture, Told, picture_problem
 

@@ -37,6 +37,7 @@ from softcal_jax.report._html import (
     Html,
     Section,
     bullets,
+    closing,
     facts_html,
     figure,
     node,
@@ -47,7 +48,6 @@ from softcal_jax.report._html import (
     table_html,
 )
 from softcal_jax.report._outline import ROLES
-from softcal_jax.report._provenance import closing
 from softcal_jax.report._tables import robot_tables, simulation_tables
 from softcal_jax.report._view import PageView
 

@@ -9,9 +9,11 @@ from softcal_jax.export import file_dict, made_dict
 from softcal_jax.identifiability import RunVerdict
 from softcal_jax.plotting import plot_trials
 from softcal_jax.report._html import (
+    REPEATED,
     Html,
     Section,
     bullets,
+    closing,
     figure,
     node,
     page,
@@ -19,7 +21,6 @@ from softcal_jax.report._html import (
     sentences,
     table_html,
 )
-from softcal_jax.report._provenance import REPEATED, closing
 from softcal_jax.sweeps import Sweep, SweepResult, SweepSummary, SweptAxis, summarise
 
 KIND = "Sweep"
