@@ -1,6 +1,10 @@
 """Results written and loaded: files, a page, and tables for the terminal."""
 
-from softcal_jax.report._calibration import held_out_sentences, model_words
+from softcal_jax.report._calibration import (
+    held_out_sentences,
+    model_words,
+    summary_table,
+)
 from softcal_jax.report._inverse import inverse_table, write_inverse
 from softcal_jax.report._load import (
     LoadedResult,
@@ -16,7 +20,7 @@ from softcal_jax.report._outline import (
 )
 from softcal_jax.report._pages import notebook_html
 from softcal_jax.report._sweep_page import check_sweep_page, write_sweep
-from softcal_jax.report._tables import simulation_table, summary_table
+from softcal_jax.report._tables import simulation_table
 from softcal_jax.report._write import (
     PictureWarning,
     write_comparison,

@@ -2,10 +2,11 @@
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from softcal_jax._text_table import Cell, TextTable, text_table
+from softcal_jax._text_table import STYLES, Cell, TextTable, Tone, text_table
 from softcal_jax._units import readable
 from softcal_jax.calibration import (
     CalibrationResult,
@@ -14,7 +15,17 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import readable_unit
-from softcal_jax.identifiability import Assessment, Identifiability, Tone, percent
+from softcal_jax.identifiability import (
+    Assessment,
+    Identifiability,
+    assess,
+    percent,
+    verdict_of,
+)
+from softcal_jax.report._tables import HEADS, distance, robot_tables
+
+if TYPE_CHECKING:
+    import rich.console
 
 MOST_DIRECTIONS = 6
 """Most blind directions that are listed; the others are only counted."""
@@ -240,6 +251,35 @@ def _angle(radians: float) -> str:
     return "-" if math.isnan(radians) else f"{math.degrees(radians):.2f} deg"
 
 
-def distance(metres: float) -> str:
-    """Write a distance in millimetres."""
-    return "-" if math.isnan(metres) else f"{1e3 * metres:.2f} mm"
+def summary_table(
+    result: CalibrationResult, assessment: Assessment | None = None
+) -> "rich.console.Group":
+    """Tabulate a calibration for the terminal, with its assessment, if known already.
+
+    Parameters come first, then configurations, identifiability, verdict and notes.
+    """
+    from rich.console import Group
+    from rich.text import Text
+
+    own = assessment or assess(result)
+    found, verdict = own.identifiability, verdict_of(result, own)
+    shown = result.configurations
+    style = STYLES[outlook_tone(found.verdict, own)]
+    tables = [
+        parameter_table(result, found),
+        budget_table(result),
+        *interval_tables(result),
+        *error_tables(shown, result.checks),
+        *robot_tables(shown),
+        outlook_table(own),
+    ]
+    return Group(
+        *map(TextTable.drawn, tables),
+        Text(outlook_legend(found)),
+        Text("\n  ".join(blindness(found)), style=style),
+        *([Text(own.prediction)] if own.prediction else []),
+        Text("\n  ".join([verdict.sentence, *verdict.reasons]), HEADS[verdict.tone]),
+        *([] if result.starts is None else [Text(str(result.starts))]),
+        *(Text(line) for line in (result.checks.agreement if result.checks else ())),
+        *(Text(f"Note: {note}", style="yellow") for note in result.notes),
+    )

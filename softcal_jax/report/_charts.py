@@ -20,8 +20,8 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.identifiability import end_of
 from softcal_jax.inference import ErrorBudget
-from softcal_jax.report._calibration import distance
 from softcal_jax.report._html import Html, figure, joined, node
+from softcal_jax.report._tables import distance
 
 INK, BLUE, LINE, PAPER = "#1a1a1a", "#0b4f8a", "#c8c8c8", "#ffffff"
 

@@ -70,10 +70,8 @@ def outline(
         quantities: Its quantities as they were typed.
 
     Yields:
-        Lines of text: guesses of `softcal new` that are left, mesh, unknowns and
-        weight, bodies, actuators, markers and control points with their distances from
-        the mesh, configurations, what is measured, parameters, quantities as read, and
-        which commands the project suffices for.
+        Lines of text, in sections: from the guesses of `softcal new` that are left to
+        the commands that the project suffices for.
     """
     model, mesh = project.model, project.model.mesh
     posed = (*project.configurations, *project.candidates)

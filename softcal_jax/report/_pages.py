@@ -108,12 +108,11 @@ def simulation_page(
         *closing("simulate", data, [data["source"]]),
     ]
     about = {"index": "simulation.json", "script": view.script if view else ""}
-    verdict = simulation_verdict(result)
+    verdict = _simulation_verdict(result)
     return page(data["name"], "Simulation", verdict, sections, **about)
 
 
-def simulation_verdict(result: SimulationResult) -> RunVerdict:
-    """Say whether all configurations have an equilibrium."""
+def _simulation_verdict(result: SimulationResult) -> RunVerdict:
     return RunVerdict(result.headline, "good" if result.converged else "bad")
 
 
@@ -231,10 +230,10 @@ def identifiability_page(
 ) -> str:
     """Write the page of what data would tell, from the content of its index."""
     verdict = RunVerdict("There is nothing to judge.", "plain")
-    sections = [Section("next", "What to measure next", next_html(found, ranking))]
+    sections = [Section("next", "What to measure next", _next_html(found, ranking))]
     if found is not None:
-        verdict = outlook_verdict(found)
-        known, blind = outlook_html(found)
+        verdict = _outlook_verdict(found)
+        known, blind = _outlook_html(found)
         sections += [
             Section("parameters", "Parameters", known),
             Section("directions", "What the data are blind to", blind),
@@ -247,12 +246,11 @@ def identifiability_page(
     return page(data["name"], "Identifiability", verdict, sections, index=index)
 
 
-def outlook_verdict(found: Identifiability) -> RunVerdict:
-    """Say whether the data would determine the parameters."""
+def _outlook_verdict(found: Identifiability) -> RunVerdict:
     return RunVerdict(found.headline, TONES[found.verdict])
 
 
-def next_html(found: Identifiability | None, ranking: Ranking | None) -> list[Html]:
+def _next_html(found: Identifiability | None, ranking: Ranking | None) -> list[Html]:
     """Show which candidate to measure, or what else to do."""
     if ranking is None:
         return sentences(found.advice if found else ())
@@ -262,7 +260,7 @@ def next_html(found: Identifiability | None, ranking: Ranking | None) -> list[Ht
     return [*content, bullets(map(str, ranking.unranked))]
 
 
-def outlook_html(found: Identifiability) -> tuple[list[Html], list[Html]]:
+def _outlook_html(found: Identifiability) -> tuple[list[Html], list[Html]]:
     """Show what the data would tell of the parameters, and what they are blind to."""
     unknown = [
         f"Errors of the {cause} are not among these: their size is not known here."
@@ -289,12 +287,11 @@ def comparison_page(comparison: ModelComparison, data: Mapping[str, Any]) -> str
         Section("folds", "Held-out configurations", [table_html(held_out)]),
         *closing("compare", data, data["sources"].values()),
     ]
-    verdict, index = comparison_verdict(comparison), "comparison.json"
+    verdict, index = _comparison_verdict(comparison), "comparison.json"
     return page(data["name"], "Comparison of models", verdict, sections, index=index)
 
 
-def comparison_verdict(comparison: ModelComparison) -> RunVerdict:
-    """Say which model predicts best."""
+def _comparison_verdict(comparison: ModelComparison) -> RunVerdict:
     # The best of several may still predict badly, so there is no tone of success.
     tone: Tone = "bad"
     if comparison.best is not None:
@@ -339,28 +336,28 @@ def _assessment_cell(found: Assessment) -> Html:
 
 @notebook_html.register
 def _identifiability_cell(found: Identifiability) -> Html:
-    return output(outlook_verdict(found), _known(found))
+    return output(_outlook_verdict(found), _known(found))
 
 
 def _known(found: Identifiability) -> list[Html]:
     """Show what is known of the parameters, what is not, and what to do."""
-    known, blind = outlook_html(found)
-    return [*known, *blind, *next_html(found, None)]
+    known, blind = _outlook_html(found)
+    return [*known, *blind, *_next_html(found, None)]
 
 
 @notebook_html.register
 def _ranking_cell(ranking: Ranking) -> Html:
-    _, *content = next_html(None, ranking)  # the first says what the verdict says
+    _, *content = _next_html(None, ranking)  # the first says what the verdict says
     return output(RunVerdict(ranking.headline, "plain"), content)
 
 
 @notebook_html.register
 def _simulation_cell(result: SimulationResult) -> Html:
     tables = map(table_html, simulation_tables(result))
-    return output(simulation_verdict(result), tables)
+    return output(_simulation_verdict(result), tables)
 
 
 @notebook_html.register
 def _comparison_cell(comparison: ModelComparison) -> Html:
     models = table_html(comparison.tabulated)
-    return output(comparison_verdict(comparison), [models])
+    return output(_comparison_verdict(comparison), [models])

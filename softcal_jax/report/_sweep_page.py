@@ -59,9 +59,8 @@ def write_sweep(
 ) -> Path:
     """Write the page of a sweep beside its database, whole or not at all.
 
-    It shows how the trials ended, the best ones, means and spread, a chart for each
-    axis, and with `sweep` the settings, the files with their SHA-256 and the command
-    that repeats it. Trials that failed or did not converge are in no mean and chart.
+    Trials that failed or did not converge are in no mean and chart. With `sweep` it has
+    the settings, the files with their SHA-256 and the command that repeats it, too.
 
     Args:
         result: The sweep, finished or not.

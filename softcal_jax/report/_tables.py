@@ -6,28 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from softcal_jax._text_table import STYLES, Cell, TextTable, Tone, text_table
+from softcal_jax._text_table import Cell, TextTable, Tone, text_table
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.calibration import (
-    CalibrationResult,
-    ConfigurationResult,
-    SimulationResult,
-)
+from softcal_jax.calibration import ConfigurationResult, SimulationResult
 from softcal_jax.configurations import EffectorRecord
 from softcal_jax.equilibrium import ActuatorState
 from softcal_jax.export import readable_values
-from softcal_jax.identifiability import Assessment, assess, verdict_of
-from softcal_jax.report._calibration import (
-    blindness,
-    budget_table,
-    distance,
-    error_tables,
-    interval_tables,
-    outlook_legend,
-    outlook_table,
-    outlook_tone,
-    parameter_table,
-)
 
 if TYPE_CHECKING:
     import rich.console
@@ -38,40 +22,6 @@ HEADS: dict[Tone, str] = {
     "bad": "bold white on red",
 }
 """Styles of a verdict."""
-
-
-def summary_table(
-    result: CalibrationResult, assessment: Assessment | None = None
-) -> "rich.console.Group":
-    """Tabulate a calibration for the terminal, with its assessment, if known already.
-
-    Parameters come first, then configurations, identifiability, verdict and notes.
-    """
-    from rich.console import Group
-    from rich.text import Text
-
-    own = assessment or assess(result)
-    found, verdict = own.identifiability, verdict_of(result, own)
-    shown = result.configurations
-    style = STYLES[outlook_tone(found.verdict, own)]
-    tables = [
-        parameter_table(result, found),
-        budget_table(result),
-        *interval_tables(result),
-        *error_tables(shown, result.checks),
-        *robot_tables(shown),
-        outlook_table(own),
-    ]
-    return Group(
-        *map(TextTable.drawn, tables),
-        Text(outlook_legend(found)),
-        Text("\n  ".join(blindness(found)), style=style),
-        *([Text(own.prediction)] if own.prediction else []),
-        Text("\n  ".join([verdict.sentence, *verdict.reasons]), HEADS[verdict.tone]),
-        *([] if result.starts is None else [Text(str(result.starts))]),
-        *(Text(line) for line in (result.checks.agreement if result.checks else ())),
-        *(Text(f"Note: {note}", style="yellow") for note in result.notes),
-    )
 
 
 def simulation_table(result: SimulationResult) -> "rich.console.Group":
@@ -159,3 +109,8 @@ def _values(own: EffectorRecord, values: Float[HostArray, " k"]) -> str:
 
 def _length(vector: Float[HostArray, "3"]) -> float:
     return float(np.linalg.norm(vector))
+
+
+def distance(metres: float) -> str:
+    """Write a distance in millimetres."""
+    return "-" if math.isnan(metres) else f"{1e3 * metres:.2f} mm"

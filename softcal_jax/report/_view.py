@@ -18,7 +18,6 @@ from softcal_jax.report._html import Html, bullets, joined, node
 from softcal_jax.report._outline import ROLES
 from softcal_jax.report._view_data import view_data
 from softcal_jax.report._view_fields import (
-    Field,
     FieldErrors,
     state_fields,
     surface_of,
@@ -116,11 +115,10 @@ class PageView(NamedTuple):
 
 
 class _Drawing(NamedTuple):
-    """What is drawn, as JSON too, its fields and configurations, and what is amiss."""
+    """What is drawn, as JSON too, its configurations, and what is amiss."""
 
     data: dict[str, Any]
     text: str
-    fields: Sequence[Field]
     shown: Sequence[ConfigurationResult]
     remarks: Sequence[str]
 
@@ -173,7 +171,7 @@ def _drawing(
         left_out = [own.name for k, own in enumerate(every) if k not in kept]
         if left_out:
             remarks.append(f"Left out to keep the page small: {', '.join(left_out)}.")
-        return _Drawing(data, text, fields, shown, remarks)
+        return _Drawing(data, text, shown, remarks)
 
     everything = range(len(every))
     for parts in (PARTS, 2, 1) if model.mesh.order == 2 else (1,):
@@ -204,7 +202,7 @@ def _figure(drawing: _Drawing, *, converged: bool) -> Html:
         *warning,
         _choices(drawing, marks),
         _stage(),
-        _scale(drawing.fields),
+        _scale(drawing.data["fields"]),
         _legend(marks),
         node("figcaption", *words, node("p", "", role="status"), id="view-words"),
         node("p", _KEYS, id="view-keys", class_="keys"),
@@ -230,7 +228,8 @@ def _named(own: ConfigurationResult) -> str:
 
 def _choices(drawing: _Drawing, marks: Sequence[str]) -> Html:
     """Write the choices of configuration, field and direction, and what is shown."""
-    shown, poses = drawing.shown, drawing.data["configurations"]
+    shown, fields = drawing.shown, drawing.data["fields"]
+    poses = drawing.data["configurations"]
     drawn = [k for k, own in enumerate(shown) if own.converged]
     first = max(drawn, key=lambda k: shown[k].largest_displacement, default=0)
     directions = ["at an angle", *(f"from {s}{axis}" for axis in "xyz" for s in "+-")]
@@ -247,7 +246,7 @@ def _choices(drawing: _Drawing, marks: Sequence[str]) -> Html:
     return node(
         "div",
         _select("configuration", "Configuration", map(_named, shown), first),
-        _select("field", "Coloured by", [own.label for own in drawing.fields], 0),
+        _select("field", "Coloured by", [own["label"] for own in fields], 0),
         _select("direction", "Seen", directions, 0),
         node("fieldset", node("legend", "Show"), *boxes),
         class_="choices",
@@ -296,7 +295,7 @@ def _stage() -> Html:
     return node("div", node("div", area, over, class_="stage"), turns)
 
 
-def _scale(fields: Sequence[Field]) -> Html:
+def _scale(fields: Sequence[Mapping[str, Any]]) -> Html:
     """Write the colour bar, whose numbers and colours the script sets."""
     ticks = (node("span", "") for _ in range(5))
     return node(
@@ -306,7 +305,7 @@ def _scale(fields: Sequence[Field]) -> Html:
         node("div", *ticks, class_="ticks", id="view-ticks"),
         class_="scale",
         role="img",
-        aria_label=f"Colours of {fields[0].label}" if fields else "Colours",
+        aria_label=f"Colours of {fields[0]['label']}" if fields else "Colours",
         id="view-scale",
     )
 

@@ -187,12 +187,11 @@ def _law_fields(
         unit = units[name]
         fields.append(_of_faces(name, unit, [values[surface.tets]], surface))
         if error is not None:
-            title, what, own = f"standard error of {name}", "%", 100.0 * error
-            if unit in _AS_THEY_ARE:
-                what, own = unit, error
-            else:
-                own = own / np.where(values == 0.0, np.nan, np.abs(values))
-            fields.append(_of_faces(title, what, [own[surface.tets]], surface))
+            if unit not in _AS_THEY_ARE:
+                size = np.where(values == 0.0, np.nan, np.abs(values))
+                unit, error = "%", 100.0 * error / size
+            title = f"standard error of {name}"
+            fields.append(_of_faces(title, unit, [error[surface.tets]], surface))
     return fields
 
 

@@ -204,16 +204,13 @@ def _write_words(
 
 Result = CalibrationResult | SimulationResult
 
-Page = Callable[[Mapping[str, Any], Path, PageView | None], str]
-"""Writes a page of the content of the index, the pictures in a folder and a view."""
-
 
 def _write(
     result: Result,
     data: dict[str, Any],
     directory: str | Path,
     index: str,
-    page: Page,
+    page: Callable[[Mapping[str, Any], Path, PageView | None], str],
     *,
     force: bool,
     traces: Mapping[str, Traces],
