@@ -214,7 +214,7 @@ def _correlation_table(found: Identifiability) -> TextTable:
     strength = np.nan_to_num(np.abs(C[i, j]), nan=-1.0)
     first = np.argsort(-strength, kind="stable")[:MOST_PAIRS]
     pairs = zip(i[first], j[first], strict=True)
-    rows = [(names[a], names[b], _correlation(C[a, b])) for a, b in pairs]
+    rows = [(names[a], names[b], _correlation(float(C[a, b]))) for a, b in pairs]
     columns = "parameter", "of", "correlation"
     return text_table(f"The {MOST_PAIRS} strongest correlations", columns, rows)
 
@@ -233,16 +233,12 @@ def _singular_value_table(found: Identifiability) -> TextTable:
 
 def history_table(result: CalibrationResult) -> TextTable:
     """Tabulate the steps of the fit."""
-    rows = [
-        (
-            str(own.step),
-            f"{own.cost:.4g}",
-            "-" if math.isnan(own.rms) else f"{1e3 * own.rms:.4g} mm",
-            f"{max(map(abs, own.lambda_p)):.2g}" if own.step else "-",
-            "taken" if own.accepted else Cell("refused", "doubtful"),
-        )
-        for own in result.history
-    ]
+    rows = []
+    for own in result.history:
+        rms = "-" if math.isnan(own.rms) else f"{1e3 * own.rms:.4g} mm"
+        size = f"{max(map(abs, own.lambda_p)):.2g}" if own.step else "-"
+        outcome = "taken" if own.accepted else Cell("refused", "doubtful")
+        rows.append((str(own.step), f"{own.cost:.4g}", rms, size, outcome))
     columns = "step", "cost", "rms marker distance", "largest lambda_p", "outcome"
     return text_table("Steps of the fit", columns, rows)
 

@@ -157,6 +157,10 @@ def page(
         digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
         policy += f"; script-src 'sha256-{digest}'"
     shown = [own for own in sections if any(own.content)]
+    parts = (
+        node("section", node("h2", own.title), joined(own.content), id=own.id)
+        for own in shown
+    )
     head = node(
         "head",
         node("meta", charset="utf-8"),
@@ -174,7 +178,7 @@ def page(
             "main",
             _verdict(verdict),
             node("nav", node("ul", *links), aria_label="Contents"),
-            *map(_section, shown),
+            *parts,
         ),
         node(
             "footer",
@@ -208,10 +212,6 @@ def _verdict(verdict: RunVerdict) -> Html:
     said = node("p", node("strong", verdict.sentence)), bullets(verdict.reasons)
     head = node("h2", "Verdict")
     return node("section", head, *said, class_=f"verdict {verdict.tone}")
-
-
-def _section(own: Section) -> Html:
-    return node("section", node("h2", own.title), joined(own.content), id=own.id)
 
 
 def closing(

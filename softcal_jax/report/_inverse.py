@@ -61,10 +61,10 @@ def inverse_html(result: InverseResult | TrajectoryResult) -> list[Html]:
         tables = map(table_html, (goal_table(result.goals), actuator_table(result)))
         limits = "Limits that are reached:" if result.active_limits else ""
         return [*tables, *sentences([limits]), bullets(result.active_limits)]
-    rows = []
-    for i, point in enumerate(result.points, 1):
-        outcome = Cell(point.message, "good" if point.met else "bad")
-        rows.append((str(i), _inputs(point), outcome))
+    rows = [
+        (str(i), _inputs(point), Cell(point.message, "good" if point.met else "bad"))
+        for i, point in enumerate(result.points, 1)
+    ]
     columns = "goal", "inputs", "outcome"
     return [table_html(text_table("Commands", columns, rows, words=["inputs"]))]
 
@@ -82,16 +82,12 @@ def inverse_table(result: InverseResult) -> "rich.console.Group":
 
 def goal_table(goals: Sequence[GoalFit]) -> TextTable:
     """Tabulate goals, what is reached, and how far that is off."""
-    rows = [
-        (
-            f"{fit.name} (turn)" if fit.effector.is_turn else fit.name,
-            _coordinates(fit, fit.effector.measured),
-            _coordinates(fit, fit.reached),
-            fit.off,
-            f"{np.max(np.abs(fit.in_std), initial=0.0):.2g}",
-        )
-        for fit in goals
-    ]
+    rows = []
+    for fit in goals:
+        name = f"{fit.name} (turn)" if fit.effector.is_turn else fit.name
+        pair = [_coordinates(fit, x) for x in (fit.effector.measured, fit.reached)]
+        worst = f"{np.max(np.abs(fit.in_std), initial=0.0):.2g}"
+        rows.append((name, *pair, fit.off, worst))
     columns = "effector", "goal", "reached", "off by", "standard deviations"
     return text_table("Goals", columns, rows)
 

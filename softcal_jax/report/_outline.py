@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from softcal_jax._text_table import aligned
-from softcal_jax._typing import Float, HostArray
+from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators import actuator_geometry, enclosed_volumes
 from softcal_jax.configurations import (
     STANDARD_GRAVITY,
@@ -86,9 +86,8 @@ def outline(
     head = ("name", "at rest [mm]", "mesh", "")
     yield from _section("Markers", head, _markers(mesh, posed))
     for fields, points in control_point_sets(project).items():
-        places = np.asarray(points.positions)
-        placed = zip(points.names, _placed(mesh, places), strict=True)
-        rows = [(str(i), name, *place) for i, (name, place) in enumerate(placed, 1)]
+        placed = _placed(mesh, points.names, points.positions)
+        rows = [(str(i), *place) for i, place in enumerate(placed, 1)]
         head = ("", "name", "place [mm]", "mesh")
         yield from _section(f"Control points of {fields}", head, rows)
     roles = roles_of(project)
@@ -157,13 +156,14 @@ def _actuators(model: Model) -> Iterator[tuple[str, ...]]:
 
 
 def _placed(
-    mesh: TetMesh, places: Float[HostArray, "n 3"]
-) -> Iterator[tuple[str, str]]:
-    """Yield places, and how far each stands off the mesh."""
+    mesh: TetMesh, names: Sequence[str], positions: Float[Array | HostArray, "n 3"]
+) -> Iterator[tuple[str, str, str]]:
+    """Yield names and places, and how far each stands off the mesh."""
+    places = np.asarray(positions)
     off = locate(mesh, places, max_distance=math.inf).distance
-    for place, distance in zip(places, off, strict=True):
+    for name, place, distance in zip(names, places, off, strict=True):
         text = readable_values([float(distance)], "m", digits=3)
-        yield _in_mm(place), f"{text} off" if distance else "in it"
+        yield name, _in_mm(place), f"{text} off" if distance else "in it"
 
 
 def _markers(
@@ -173,9 +173,8 @@ def _markers(
     rows = []
     for markers in [c.markers for c in posed if c.markers is not None]:
         axes = "" if markers.axes == "xyz" else f"only {markers.axes}"
-        places = _placed(mesh, np.asarray(markers.positions))
-        named = zip(markers.names, places, strict=True)
-        rows += [(name, *place, axes) for name, place in named]
+        placed = _placed(mesh, markers.names, markers.positions)
+        rows += [(*place, axes) for place in placed]
     return dict.fromkeys(rows)
 
 
@@ -237,8 +236,7 @@ def _measured(
     posed: Sequence[Configuration], lanes: ConfigurationLanes
 ) -> list[tuple[str, ...]]:
     """List what is measured in each configuration: markers together, others alone."""
-    names = [c.name for c in posed]
-    records = dict(zip(names, lanes.effectors, strict=True))
+    records = dict(zip([c.name for c in posed], lanes.effectors, strict=True))
     rows: list[tuple[str, ...]] = []
     for c in posed:
         before = {r.name: r for r in records.get(c.displacement_from or "", ())}

@@ -51,9 +51,6 @@ from softcal_jax.report._outline import ROLES
 from softcal_jax.report._tables import robot_tables, simulation_tables
 from softcal_jax.report._view import PageView
 
-PICTURES = (".png", ".svg")
-"""Endings of pictures."""
-
 REPORT = "report.html"
 """Name of the page in a results folder."""
 
@@ -209,7 +206,7 @@ def shown_pictures(
     """
     shown, left = [], MOST_PICTURES - taken
     for name, caption in captions.items():
-        if not name.endswith(PICTURES):
+        if not name.endswith((".png", ".svg")):
             continue
         path = folder / name
         left -= path.stat().st_size
@@ -313,12 +310,10 @@ def notebook_html(result: object) -> Html:
 
 @notebook_html.register
 def _calibration_cell(result: CalibrationResult) -> Html:
-    found, fits = assess(result), result.configurations
+    found = assess(result)
     content = [
         table_html(parameter_table(result, found.identifiability)),
-        *error_chart(fits),
-        *map(table_html, error_tables(fits, result.checks)),
-        *sentences(held_out_sentences(fits)),
+        *_errors(result, found),
         *budget_chart(result),
         bullets(result.notes),
     ]

@@ -18,7 +18,7 @@ from softcal_jax.report._html import Html, bullets, joined, node
 from softcal_jax.report._outline import ROLES
 from softcal_jax.report._view_data import view_data
 from softcal_jax.report._view_fields import (
-    FieldErrors,
+    TetValues,
     state_fields,
     surface_of,
     view_fields,
@@ -124,7 +124,7 @@ class _Drawing(NamedTuple):
 
 
 def body_view(
-    result: CalibrationResult | SimulationResult, errors: FieldErrors | None
+    result: CalibrationResult | SimulationResult, errors: TetValues | None
 ) -> PageView:
     """Make the view of all configurations of a result.
 
@@ -149,7 +149,7 @@ def body_view(
 
 
 def _drawing(
-    model: Model, every: Sequence[ConfigurationResult], errors: FieldErrors | None
+    model: Model, every: Sequence[ConfigurationResult], errors: TetValues | None
 ) -> _Drawing | None:
     """Collect what is drawn, as finely as fits; None if nothing fits.
 

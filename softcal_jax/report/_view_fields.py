@@ -20,8 +20,8 @@ from softcal_jax.export import (
 )
 from softcal_jax.mesh import Tessellation, TetMesh, boundary_tets, tessellate
 
-FieldErrors = Mapping[str, Float[HostArray, " n_tets"]]
-"""Standard errors of calibrated fields in each tet, in the unit of the field."""
+TetValues = Mapping[str, Float[HostArray, " n_tets"]]
+"""Values of fields in each tet, or their standard errors, by the name of the field."""
 
 _SHARP = np.cos(np.radians(30.0))
 """Cosine of the angle between two triangles above which their edge is not sharp."""
@@ -93,15 +93,12 @@ def _edges(
     return sides[first[~within]], sharp[~within]
 
 
-Place = Literal["point", "face", "marker"]
-"""What has a value: points of the surface, its faces, or the markers alone."""
-
 _AS_THEY_ARE = ("rad", "m")
 """Units whose standard errors are no share of a value, as in an `ErrorBudget`."""
 
 
 class Field(NamedTuple):
-    """A field, in the unit in which it is shown.
+    """A field, in the unit in which it is shown, of points, faces or the markers alone.
 
     Values are those in each configuration, nan where there is none, or None without an
     equilibrium; there is a single entry for a field that is the same in all.
@@ -109,7 +106,7 @@ class Field(NamedTuple):
 
     label: str
     unit: str
-    place: Place
+    place: Literal["point", "face", "marker"]
     values: tuple[Float[HostArray, " n"] | None, ...]
     note: str = ""
 
@@ -119,10 +116,8 @@ class Field(NamedTuple):
 _STATE = {"largest principal stretch": "", "von Mises stress": "Pa"}
 """Fields of the state of a body, with their units."""
 
-StateFields = Mapping[str, Float[HostArray, " n_tets"]]
 
-
-def state_fields(model: Model, own: ConfigurationResult) -> StateFields:
+def state_fields(model: Model, own: ConfigurationResult) -> TetValues:
     """Compute how far the tets are stretched, and their stress.
 
     There are none without an equilibrium.
@@ -137,9 +132,9 @@ def state_fields(model: Model, own: ConfigurationResult) -> StateFields:
 def view_fields(
     model: Model,
     shown: Sequence[ConfigurationResult],
-    states: Sequence[StateFields],
+    states: Sequence[TetValues],
     surface: Surface,
-    errors: FieldErrors | None,
+    errors: TetValues | None,
 ) -> list[Field]:
     """Collect the fields: of the state of the body, of its law, and at markers.
 
@@ -174,7 +169,7 @@ def _distances(own: ConfigurationResult):
 def _law_fields(
     model: Model,
     surface: Surface,
-    errors: FieldErrors | None,
+    errors: TetValues | None,
 ) -> list[Field]:
     units, found = field_units(model), tet_fields(model, errors or {})
     fields = []

@@ -41,7 +41,7 @@ from softcal_jax.report._pages import (
     simulation_page,
 )
 from softcal_jax.report._view import PageView, body_view
-from softcal_jax.report._view_fields import FieldErrors
+from softcal_jax.report._view_fields import TetValues
 
 COLLECTION = "configurations.pvd"
 """All configurations at once, for ParaView."""
@@ -261,7 +261,7 @@ def _write(
     return Path(directory)
 
 
-def _field_errors(result: Result) -> FieldErrors | None:
+def _field_errors(result: Result) -> TetValues | None:
     """Compute the standard errors of what was calibrated; None for a simulation."""
     if not isinstance(result, CalibrationResult):
         return None
