@@ -86,10 +86,10 @@ def interval_tables(result: CalibrationResult) -> list[TextTable]:
     """Tabulate the intervals of the parameters, and how each was found."""
     if not result.intervals:
         return []
-    rows = []
-    for own in result.intervals:
-        tone: Tone = "bad" if own.kind == "none" else "plain"
-        rows.append((own.name, Cell(str(own), tone), own.kind))
+    rows = [
+        (own.name, Cell(str(own), "bad" if own.kind == "none" else "plain"), own.kind)
+        for own in result.intervals
+    ]
     level = f"{100.0 * result.intervals[0].level:g} % interval"
     return [text_table("Intervals", ("parameter", level, "kind"), rows)]
 
@@ -157,10 +157,7 @@ def outlook_table(assessment: Assessment) -> TextTable:
 
 
 def outlook_tone(verdict: str, assessment: Assessment) -> Tone:
-    """Return how a verdict on the data is meant.
-
-    What they would tell is no good news under a model that they contradict.
-    """
+    """Return how a verdict is meant: none is good for a model that data contradict."""
     doubtful = verdict == "identifiable" and not assessment.identified
     return "doubtful" if doubtful else TONES[verdict]
 
@@ -177,10 +174,7 @@ def outlook_legend(found: Identifiability) -> str:
 
 
 def blindness(found: Identifiability) -> list[str]:
-    """Describe the directions of the parameters that the data hardly see.
-
-    The first line says how many; the others are one direction each, or count the rest.
-    """
+    """Say how many directions the data hardly see, then one a line, the worst first."""
     blind = found.blind[::-1]
     if not blind:
         return ["No combination of the parameters is hidden from the data."]

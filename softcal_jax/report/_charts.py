@@ -93,8 +93,12 @@ def budget_chart(result: CalibrationResult) -> list[Html]:
         for i, parameter in known[:MOST_BARS]
     ]
     # Colours repeat, so what is too thin to be seen is left out.
-    named = [max(share) >= LEAST_NAMED for share in shares.values()]
-    entries = [_entry(k, cause) for k, cause in enumerate(shares) if named[k]]
+    entries = []
+    for k, (cause, share) in enumerate(shares.items()):
+        if max(share) >= LEAST_NAMED:
+            swatch = _filled(k, x="0", y="0", width="28", height="16")
+            drawn = node("svg", swatch, height="16", aria_hidden="true")
+            entries.append(node("li", drawn, cause))
     legend = node("ul", *entries, class_="legend")
     caption = (
         "Where the standard error of each parameter comes from: share of each cause in "
@@ -129,11 +133,6 @@ def _bar(parameter: ParameterEstimate, shares: Mapping[str, float]) -> Html:
     named = (f"{c} {100 * s:.0f} %" for c, s in ranked if s >= LEAST_NAMED)
     title = f"{parameter.name} = {parameter}"
     return _row(title, parts, ", ".join(named), height=24)
-
-
-def _entry(k: int, cause: str) -> Html:
-    swatch = _filled(k, x="0", y="0", width="28", height="16")
-    return node("li", node("svg", swatch, height="16", aria_hidden="true"), cause)
 
 
 def _filled(k: int, **place: str) -> Html:

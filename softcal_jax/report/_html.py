@@ -17,10 +17,7 @@ from softcal_jax._text_table import TextTable, text_table
 from softcal_jax.identifiability import RunVerdict
 
 MOST_PICTURES = 3_400_000
-"""Most bytes of pictures in one page; the others stay beside it.
-
-As text they take a third more, so that a page stays below 5 MB.
-"""
+"""Most bytes of pictures in one page, which, as text by a third more, is below 5 MB."""
 
 REPEATED = "repeated"
 """Folder that the command to repeat a run writes to."""

@@ -75,9 +75,8 @@ def inverse_table(result: InverseResult) -> "rich.console.Group":
     from rich.text import Text
 
     verdict = inverse_verdict(result)
-    style = HEADS[verdict.tone]
     tables = map(TextTable.drawn, (goal_table(result.goals), actuator_table(result)))
-    return Group(*tables, Text(verdict.sentence, style=style))
+    return Group(*tables, Text(verdict.sentence, HEADS[verdict.tone]))
 
 
 def goal_table(goals: Sequence[GoalFit]) -> TextTable:

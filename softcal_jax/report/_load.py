@@ -81,10 +81,7 @@ class LoadedResult(Module):
     def posed(
         self, name: str | None = None
     ) -> tuple[Configuration, ConfigurationArrays]:
-        """Return a configuration of the project, and its arrays with values set.
-
-        Supports, loads and actuation in the arrays are those of the fit, with factors
-        and offsets that were calibrated.
+        """Return a configuration, and its arrays with calibrated factors and offsets.
 
         Args:
             name: Its name; may be left out where there is one configuration.

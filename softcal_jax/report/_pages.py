@@ -64,10 +64,7 @@ def calibration_page(
     folder: Path,
     view: PageView | None = None,
 ) -> str:
-    """Write the page of a calibration from the content of its `result.json`.
-
-    Pictures are in `folder`. Without a view, there is no body in three dimensions.
-    """
+    """Write the page of a calibration from its index and the pictures in a folder."""
     fits, own = result.configurations, found.identifiability
     agreement = result.checks.agreement if result.checks else ()
     course = [*course_charts(result), table_html(history_table(result))]
@@ -198,11 +195,9 @@ def shown_pictures(
     taken: int = 0,
     viewed: Collection[str] = (),
 ) -> list[Html]:
-    """Show the pictures among some files, as many as a page should hold.
+    """Show the pictures among some files with captions, as many as a page should hold.
 
-    `captions` say what each file shows. `taken` is the size of what the page shows
-    beside them [bytes]. Pictures in `viewed` stand for a view, and are hidden where it
-    is drawn.
+    It shows `taken` bytes beside them. Those in `viewed` are hidden where a view is.
     """
     shown, left = [], MOST_PICTURES - taken
     for name, caption in captions.items():
@@ -275,9 +270,8 @@ def comparison_page(comparison: ModelComparison, data: Mapping[str, Any]) -> str
         for fold in model.folds:
             text = "failed" if fold.failure else f"{1e3 * fold.rms:.4g} mm"
             cells.setdefault(fold.held_out, [fold.held_out]).append(text)
-    held_out = text_table(
-        "Error of each configuration, held out", columns, cells.values()
-    )
+    title = "Error of each configuration, held out"
+    held_out = text_table(title, columns, cells.values())
     sections = [
         Section("failures", "What failed", [bullets(comparison.failures)]),
         Section("models", "Models", [table_html(comparison.tabulated)]),

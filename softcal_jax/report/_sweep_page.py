@@ -108,20 +108,18 @@ def _sweep_page(
         spread = [node("p", "No trial has converged: there is nothing to average.")]
     if found.spread.rows:
         spread = [table_html(found.spread)]
+    named = enumerate(found.axes)
+    axes = [Section(f"axis{k}", f"By {own.name}", [_drawn(own)]) for k, own in named]
+    again = f"{REPEATED}.sqlite"
     sections = [
         Section("notes", "Notes", [bullets(found.notes)]),
         Section("varied", "What was varied", [table_html(found.varied)]),
         Section("best", "Best trials", best),
         Section("means", "Means over repetitions", means),
         Section("spread", "Spread of all trials", spread),
-        *(
-            Section(f"axis{k}", f"By {axis.name}", [_drawn(axis)])
-            for k, axis in enumerate(found.axes)
-        ),
+        *axes,
         Section("trials", "All trials", trials),
-        *closing(
-            "sweep", data, [made["source"]], files=files, out=f"{REPEATED}.sqlite"
-        ),
+        *closing("sweep", data, [made["source"]], files=files, out=again),
     ]
     verdict = RunVerdict(found.headline, found.tone, found.doubts)
     return page(result.name, KIND, verdict, sections, index=database.name, units="SI")

@@ -44,10 +44,7 @@ def simulation_tables(result: SimulationResult) -> list[TextTable]:
 
 
 def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTable]:
-    """Tabulate effectors that are not points, actuators, rigid bodies and reactions.
-
-    There is no table for what is missing.
-    """
+    """Tabulate other effectors, actuators, bodies and reactions where there are any."""
     fitted = any(result.role != "simulation" for result in configurations)
     values = ["measured", "before", "after"] if fitted else ["simulated"]
     titles = {

@@ -118,10 +118,7 @@ _STATE = {"largest principal stretch": "", "von Mises stress": "Pa"}
 
 
 def state_fields(model: Model, own: ConfigurationResult) -> TetValues:
-    """Compute how far the tets are stretched, and their stress.
-
-    There are none without an equilibrium.
-    """
+    """Compute stretch and stress of the tets; nothing without an equilibrium."""
     if not own.converged:
         return {}
     states = tet_states(model, jnp.asarray(own.displacement))
@@ -141,7 +138,8 @@ def view_fields(
     Fields of the law are those that were calibrated, which have standard errors, or
     that vary over the body; where all faces belong to rigid bodies nothing has a value.
     """
-    moved = [_displacement(own, surface) if own.converged else None for own in shown]
+    size = lambda u: 1e3 * np.linalg.norm(surface.cut.interpolate(u), axis=1)
+    moved = [size(own.displacement) if own.converged else None for own in shown]
     fields = [Field("displacement [mm]", "mm", "point", tuple(moved))]
     fields += _law_fields(model, surface, errors)
     for name, unit in _STATE.items():
@@ -152,10 +150,6 @@ def view_fields(
     fields.append(Field(label, "mm", "marker", tuple(map(_distances, shown)), note))
     has_values = lambda v: v is not None and np.isfinite(v).any()
     return [own for own in fields if any(map(has_values, own.values))]
-
-
-def _displacement(own: ConfigurationResult, surface: Surface):
-    return 1e3 * np.linalg.norm(surface.cut.interpolate(own.displacement), axis=1)
 
 
 def _distances(own: ConfigurationResult):

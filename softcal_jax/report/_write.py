@@ -132,8 +132,9 @@ def write_simulation(
     data = simulation_dict(result, name=name, timing_s=timing_s, **more)
     page = partial(simulation_page, result)
     drawn = {"traces": traces or {}, "suffix": pictures, "told": told}
-    index = "simulation.json"
-    return _write(result, data, directory, index, page, force=force, **drawn)
+    return _write(
+        result, data, directory, "simulation.json", page, force=force, **drawn
+    )
 
 
 def write_identifiability(
@@ -179,9 +180,8 @@ def write_comparison(
     more: dict[str, Any] = {"made": made, "directory": directory}
     data = comparison_dict(comparison, name=name, timing_s=timing_s, **more)
     page = partial(comparison_page, comparison)
-    return _write_words(
-        data, "comparison", str(comparison), page, directory, force=force
-    )
+    text = str(comparison)
+    return _write_words(data, "comparison", text, page, directory, force=force)
 
 
 def _write_words(
