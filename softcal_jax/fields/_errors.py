@@ -19,7 +19,6 @@ from softcal_jax.fields._parameters import (
     as_number,
 )
 from softcal_jax.fields._setup import AbstractSetupEntry
-from softcal_jax.materials import PointValues, is_point_values
 
 
 class AbstractError(AbstractEntry):
@@ -72,15 +71,10 @@ class FieldError(AbstractError):
     def apply(self, model: Any, configuration: Any, values: Values) -> tuple[Any, Any]:
         """Add the error to the field."""
         old: Any = find_field(model, self.field)(model)
+        old = jnp.broadcast_to(old, self.share.shape)
         error = values[self.name] * self.std * self.share
-        by_points = is_point_values(old)
-        if by_points:
-            old, error = old.values, error[:, None]
-        else:
-            old = jnp.broadcast_to(old, self.share.shape)
         new = old + error * (old if self.relative else 1.0)
-        value = PointValues(new) if by_points else new
-        return set_field(model, self.field, value), configuration
+        return set_field(model, self.field, new), configuration
 
 
 class SetupError(AbstractError, AbstractSetupEntry):

@@ -11,7 +11,7 @@ from jaxtyping import Shaped
 
 from softcal_jax._module import one_line
 from softcal_jax._typing import Bool, Float, HostArray, Int
-from softcal_jax.elements import TET_EDGES, shape_functions, tet_rule
+from softcal_jax.elements import TET_EDGES, shape_functions
 from softcal_jax.mesh._conversion import MidNodes, to_quadratic
 from softcal_jax.mesh._tet_mesh import TetMesh
 
@@ -81,13 +81,6 @@ class Refinement(NamedTuple):
         """Index of the tet that each is part of."""
         n_children = self.mesh.n_tets // self.coarse.n_tets
         return np.repeat(np.arange(self.coarse.n_tets), n_children)
-
-    @property
-    def nearest_point(self) -> Int[HostArray, "n_finer_tets n_qp"]:
-        """Index of the quadrature point of the parent nearest to each one of a tet."""
-        fine, coarse = (tet_rule(m.order).barycentric for m in (self.mesh, self.coarse))
-        apart = (fine @ self.corners)[:, :, None] - coarse
-        return np.argmin(np.linalg.norm(apart, axis=-1), axis=-1)
 
     def nodes(self, indices: Int[HostArray, "..."]) -> Int[HostArray, "..."]:
         """Return the new indices of nodes; those of frames come after the new nodes."""
