@@ -13,7 +13,7 @@ from softcal_jax.calibration import (
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import ControlPoints, Entry, ParameterSpace, Uncertain
-from softcal_jax.layouts._cross_validation import cross_validated
+from softcal_jax.layouts._cross_validation import FOR_PREDICTION, cross_validated
 from softcal_jax.layouts._model_comparison import ModelComparison
 
 Parameters = ParameterSpace | Entry | Sequence[Entry]
@@ -41,20 +41,9 @@ def compare_layouts(
     Each number of parameters is compiled once, which takes far longer than all fits on
     a small mesh.
 
-    Args:
-        model: The body.
-        layouts: Control points by the name of the layout.
-        configurations: Measured configurations, at least two.
-        make_parameters: The parameters of a layout, like
-            `lambda points: ControlPointParameters("E", points, ...)`.
-        settings: See `compare_laws`, as for all that follow.
-        newton: Settings of the equilibrium.
-        starts: Number of starts of each fit.
-        seed: Seed of the random starts.
-        uncertain: How well everything is known that is not calibrated.
-
-    Returns:
-        The layouts, the best first.
+    `make_parameters` gives the parameters of a layout, like
+    `lambda points: ControlPointParameters("E", points, ...)`; all that follows it is as
+    in `compare_laws`.
 
     Raises:
         ValueError: If fewer than two configurations or no layout is given, or an input
@@ -146,13 +135,7 @@ def compare_models(
 ) -> ModelComparison:
     """Compare calibrations of any models to the same data, see `compare_laws`.
 
-    Args:
-        problems: Calibrations by name of the model, as `build_problem` makes them.
-        configurations: The configurations, in their order.
-        settings: Settings of the outer loop.
-        starts: Number of starts of each fit.
-        seed: Seed of the random starts.
-        progress: Called with the name of each model before it is fitted.
+    `progress` is called with the name of each model before it is fitted.
 
     Raises:
         ValueError: If there is no model, fewer than two configurations, or the models
@@ -168,14 +151,11 @@ def compare_models(
     if starts is not None:
         check_starts(starts)
     _check_same_data(problems)
-    scores = cross_validated(
-        problems,
-        configurations,
-        settings=settings,
-        starts=starts,
-        seed=seed,
-        progress=progress,
-    )
+    scores = []
+    for name, problem in problems.items():
+        progress(name)
+        how = (settings or FOR_PREDICTION, starts, seed)
+        scores.append(cross_validated(name, problem, configurations, *how))
     return ModelComparison.ranked(scores)
 
 

@@ -1,6 +1,6 @@
 """Fits that leave one configuration out, and their scores (Sec. V-C)."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -98,26 +98,20 @@ def _fit(
 
 
 def cross_validated(
-    problems: Mapping[str, CalibrationProblem],
+    name: str,
+    problem: CalibrationProblem,
     configurations: Sequence[Configuration],
-    *,
-    settings: CalibrationSettings | None,
+    settings: CalibrationSettings,
     starts: int | None,
     seed: int,
-    progress: Callable[[str], None],
-) -> list[ModelScore]:
-    """Fit all folds of models, one model after the other, and score them."""
-    scores = []
-    for name, problem in problems.items():
-        progress(name)
-        start = problem.space.admissible(problem.space.start())[None]
-        n = default_starts(problem.space) if starts is None else starts
-        if n > 1:
-            others = random_starts(problem.space, n - 1, seed=seed)
-            start = jnp.concatenate([start, others])
-        fits = _fit(problem, settings or FOR_PREDICTION, start)
-        scores.append(_score(name, problem, configurations, fits))
-    return scores
+) -> ModelScore:
+    """Fit all folds of a model, and score them."""
+    start = problem.space.admissible(problem.space.start())[None]
+    n = default_starts(problem.space) if starts is None else starts
+    if n > 1:
+        others = random_starts(problem.space, n - 1, seed=seed)
+        start = jnp.concatenate([start, others])
+    return _score(name, problem, configurations, _fit(problem, settings, start))
 
 
 def _score(
