@@ -29,8 +29,8 @@ class AbstractError(AbstractEntry):
         std: Its standard deviation, in SI units or relative.
     """
 
-    name: eqx.AbstractVar[str]
-    std: eqx.AbstractVar[Float[Array, ""]]
+    name: str = eqx.field(static=True)
+    std: Float[Array, ""] = eqx.field(converter=as_number)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -55,8 +55,6 @@ class FieldError(AbstractError):
         relative: Whether the error is relative to the value.
     """
 
-    name: str = eqx.field(static=True)
-    std: Float[Array, ""] = eqx.field(converter=as_number)
     field: str = eqx.field(static=True)
     share: Float[Array, " n_tets"]
     relative: bool = eqx.field(static=True, default=False)
@@ -83,8 +81,6 @@ class SetupError(AbstractError, AbstractSetupEntry):
     That of a factor is relative; for `kind`, `of` and `axis` see `SetupParameter`.
     """
 
-    name: str = eqx.field(static=True)
-    std: Float[Array, ""] = eqx.field(converter=as_number)
     kind: str = eqx.field(static=True)
     of: str = eqx.field(static=True, default="")
     axis: str = eqx.field(static=True, default="")

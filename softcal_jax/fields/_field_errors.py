@@ -42,10 +42,10 @@ def _slopes(
     model: Any, space: ParameterSpace, z: Float[Array, " n_p"]
 ) -> list[Float[Array, "n_tets n_p"]]:
     """Differentiate the fields, one value per tet, by the scaled parameters."""
-    by_tet = lambda value: jnp.broadcast_to(value, (model.mesh.n_tets,))
 
     def fields(z: Float[Array, " n_p"]) -> list[Float[Array, " n_tets"]]:
         changed = space.model_at(model, z)
-        return [by_tet(find_field(model, f)(changed)) for f in space.field_names]
+        values = [find_field(model, name)(changed) for name in space.field_names]
+        return [jnp.broadcast_to(value, (model.mesh.n_tets,)) for value in values]
 
     return jax.jacfwd(fields)(z)

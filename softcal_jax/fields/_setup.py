@@ -35,13 +35,7 @@ the same key have the same error."""
 
 
 class Poses(Module):
-    """Configurations of a model, as `Quantity.occurs` asks for them.
-
-    Attributes:
-        model: The model.
-        arrays: The configurations as arrays on the host.
-        recordings: Name of the recording of each.
-    """
+    """Configurations of a model, as arrays on the host, and the recording of each."""
 
     model: Any
     arrays: Any
@@ -308,6 +302,5 @@ def setup_parameters(
             )
             for own_name in [f"{name} in {member}" for member in each] or [name]
         ]
-        where = {"kind": kind, "of": of, "axis": axis}
-        entries.append(SetupParameter(**where, unknowns=unknowns, each=each, by=by))
+        entries.append(SetupParameter(kind, of, unknowns, axis, each, by))
     return tuple(entries)

@@ -1,6 +1,7 @@
 """Laws, meshes and layouts of control points judged by what they predict."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -37,9 +38,6 @@ def compare_layouts(
     directions that the data are blind to, and predict worse: the trade-off of Sec. V-C.
     Of layouts within one standard error of the best, `preferred` has the fewest
     parameters.
-
-    Each number of parameters is compiled once, which takes far longer than all fits on
-    a small mesh.
 
     `make_parameters` gives the parameters of a layout, like
     `lambda points: ControlPointParameters("E", points, ...)`; all that follows it is as
@@ -163,22 +161,18 @@ def _check_same_data(problems: Mapping[str, CalibrationProblem]) -> None:
     """Raise ValueError unless all models have the same measurements and noise."""
     (first, reference), *others = problems.items()
     expected = _data(reference)
+    close = partial(np.allclose, rtol=1e-9, atol=1e-12, equal_nan=True)
     for name, problem in others:
-        found = _data(problem)
-        if [a.shape for a in found] == [a.shape for a in expected] and all(
-            np.allclose(a, b, rtol=1e-9, atol=1e-12, equal_nan=True)
-            for a, b in zip(found, expected, strict=True)
-        ):
-            continue
-        raise ValueError(
-            f"{name!r} is not fitted to the same measurements as {first!r}, so that "
-            "their errors cannot be compared; give both the same configurations with "
-            "the same measured values and standard deviations."
-        )
+        pairs = zip(_data(problem), expected, strict=True)
+        if not all(a.shape == b.shape and close(a, b) for a, b in pairs):
+            raise ValueError(
+                f"{name!r} is not fitted to the same measurements as {first!r}, so "
+                "that their errors cannot be compared; give both the same "
+                "configurations with the same measured values and standard deviations."
+            )
 
 
 def _data(problem: CalibrationProblem) -> list[np.ndarray]:
     effectors = problem.configurations.effectors
-    weight = np.asarray(effectors.inverse_std)
-    measured = np.asarray(effectors.measured)
+    weight, measured = map(np.asarray, (effectors.inverse_std, effectors.measured))
     return [np.where(weight > 0.0, measured, 0.0), weight]

@@ -121,14 +121,14 @@ def _score(
     fits: list[_Fit],
 ) -> ModelScore:
     """Score the folds of one model and the fit to all configurations."""
-    weight = np.asarray(problem.configurations.effectors.inverse_std)
     effectors, noise = problem.configurations.effectors, problem.noise
+    weight = np.asarray(effectors.inverse_std)
     A = np.zeros((weight.size, 0))
     if noise is not None:
         A = noise.on_host(effectors)[:, : noise.n_common]
     A = A.reshape(*weight.shape, A.shape[1])
     # Distances are of points; turns and forces count in units of the noise.
-    n_points = problem.configurations.effectors.nodes.shape[-2]
+    n_points = effectors.nodes.shape[-2]
     every = np.arange(len(configurations))
 
     def rms(
@@ -185,9 +185,6 @@ def _failure(fit: _Fit, held_out: int | None) -> str:
         return "a fitted configuration has no equilibrium at the start"
     if not fit.run.converged:
         return "the fit did not converge"
-    there = np.asarray(fit.after.equilibrium.converged)
-    if held_out is not None and not there[held_out]:
-        return "with the fitted parameters it has no equilibrium"
-    if held_out is None and not there.all():
-        return "a configuration lost its equilibrium after the fit"
-    return ""
+    converged = np.asarray(fit.after.equilibrium.converged)
+    asked = converged if held_out is None else converged[held_out]
+    return "" if np.all(asked) else "no equilibrium with the fitted parameters"

@@ -4,6 +4,7 @@ A quadratic tet is split into eight through its mid nodes: four at its corners, 
 octahedron between them along its shortest diagonal (Bey, Computing 55, 1995).
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -140,10 +141,7 @@ def finer(mesh: TetMesh) -> Refinement:
     weights[new] = shape_functions(mids, n_en)
     straight = Refinement(mesh, linear, fine, corners, carriers, weights)
     points = np.concatenate([mesh.points, straight.carried(mesh.points)])
-    curved = TetMesh(
-        points, fine.tets, fine.node_groups, fine.surface_groups, fine.tet_groups
-    )
-    return straight._replace(mesh=curved)
+    return straight._replace(mesh=replace(fine, points=points))
 
 
 def _split(mesh: TetMesh) -> tuple[TetMesh, Int[HostArray, "n_finer_tets 4"]]:
