@@ -55,7 +55,8 @@ def no_equilibrium(solution: EquilibriumSolution, names: tuple[str, ...]) -> str
 
     def why(index: int) -> str:
         lane = jax.tree.map(lambda leaf: np.atleast_1d(leaf)[index], solution)
-        count = f"{lane.n_negative} negative eigenvalue{'s' * (lane.n_negative != 1)}"
+        one = lane.n_negative == 1
+        count = f"{lane.n_negative} negative eigenvalue{'' if one else 's'}"
         if lane.n_negative < 0:  # so a limit point would not be noticed
             count = "negative eigenvalues unknown"
         return (
