@@ -68,8 +68,7 @@ class FieldError(AbstractError):
 
     def apply(self, model: Any, configuration: Any, values: Values) -> tuple[Any, Any]:
         """Add the error to the field."""
-        old: Any = find_field(model, self.field)(model)
-        old = jnp.broadcast_to(old, self.share.shape)
+        old = jnp.broadcast_to(find_field(model, self.field)(model), self.share.shape)
         error = values[self.name] * self.std * self.share
         new = old + error * (old if self.relative else 1.0)
         return set_field(model, self.field, new), configuration

@@ -108,7 +108,6 @@ class AbstractFieldEntry(AbstractEntry):
     """Unknowns that set one field of the law, or the density.
 
     Attributes:
-        field: Its name, like "E", or "density".
         scale: "log" for moduli (a step is a ratio), "linear" otherwise.
         S: For a linear scale, the size of a unit step of lambda_p; upper - lower by
             default. A log scale needs none.
@@ -120,7 +119,6 @@ class AbstractFieldEntry(AbstractEntry):
             scale (0.3 is 30 %), in SI units on a linear one. None without a prior.
     """
 
-    field: eqx.AbstractVar[str]
     scale: Literal["log", "linear"] = eqx.field(
         static=True, default="log", kw_only=True
     )
@@ -135,10 +133,6 @@ class AbstractFieldEntry(AbstractEntry):
     prior_std: Float[Array, ""] | None = eqx.field(
         default=None, converter=_number_or_none, kw_only=True
     )
-
-    @property
-    def fields(self) -> tuple[str, ...]:
-        return (self.field,)
 
     @property
     def tet_group(self) -> str | None:
@@ -198,6 +192,10 @@ class Parameter(AbstractFieldEntry):
     @property
     def parameters(self) -> tuple["Parameter", ...]:
         return (self,)
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        return (self.field,)
 
     @property
     def unit_step(self) -> Float[Array, ""]:

@@ -302,5 +302,6 @@ def setup_parameters(
             )
             for own_name in [f"{name} in {member}" for member in each] or [name]
         ]
-        entries.append(SetupParameter(kind, of, unknowns, axis, each, by))
+        where = {"kind": kind, "of": of, "axis": axis}
+        entries.append(SetupParameter(**where, unknowns=unknowns, each=each, by=by))
     return tuple(entries)

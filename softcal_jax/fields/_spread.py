@@ -165,6 +165,10 @@ class ControlPointParameters(AbstractFieldEntry):
         )
 
     @property
+    def fields(self) -> tuple[str, ...]:
+        return (self.field,)
+
+    @property
     def label(self) -> str:
         return f"{self.field} of {', '.join(self.control_points.names)}"
 

@@ -159,11 +159,10 @@ def compare_models(
 
 def _check_same_data(problems: Mapping[str, CalibrationProblem]) -> None:
     """Raise ValueError unless all models have the same measurements and noise."""
-    (first, reference), *others = problems.items()
-    expected = _data(reference)
+    (first, expected), *others = ((name, _data(p)) for name, p in problems.items())
     close = partial(np.allclose, rtol=1e-9, atol=1e-12, equal_nan=True)
-    for name, problem in others:
-        pairs = zip(_data(problem), expected, strict=True)
+    for name, data in others:
+        pairs = zip(data, expected, strict=True)
         if not all(a.shape == b.shape and close(a, b) for a, b in pairs):
             raise ValueError(
                 f"{name!r} is not fitted to the same measurements as {first!r}, so "

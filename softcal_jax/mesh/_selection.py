@@ -141,8 +141,10 @@ class AbstractTube(AbstractRegion):
     start: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
     end: Float[HostArray, "3"] = eqx.field(converter=_as_vector)
 
-    inner: eqx.AbstractVar[float]
-    outer: eqx.AbstractVar[float]
+    @property
+    @abc.abstractmethod
+    def radii(self) -> tuple[float, float]:
+        """Inner and outer radius [m]."""
 
     def __check_init__(self):
         self._check(("start", "end"))
@@ -151,23 +153,25 @@ class AbstractTube(AbstractRegion):
                 f"start and end are both at {place(self.start)}; expected the middles "
                 "of two ends, which give the direction of the axis."
             )
-        if not 0.0 <= self.inner < self.outer:
+        inner, outer = self.radii
+        if not 0.0 <= inner < outer:
             raise ValueError(
                 "the outer radius must be positive, and the inner one zero or more and "
-                f"less than the outer one, got {self.inner} and {self.outer} m."
+                f"less than the outer one, got {inner} and {outer} m."
             )
 
     def distance(self, points: Float[HostArray, "n 3"]) -> Float[HostArray, " n"]:
+        inner, outer = self.radii
         length = np.linalg.norm(self.end - self.start)
         axis = (self.end - self.start) / length
         along = (points - self.start) @ axis
         radius = np.linalg.norm(points - self.start - along[:, None] * axis, axis=1)
         beyond = np.maximum(np.maximum(-along, along - length), 0.0)
-        aside = np.maximum(np.maximum(self.inner - radius, radius - self.outer), 0.0)
+        aside = np.maximum(np.maximum(inner - radius, radius - outer), 0.0)
         return np.hypot(beyond, aside)
 
     def __str__(self) -> str:
-        radii = " to ".join(readable(r, "m") for r in (self.inner, self.outer) if r)
+        radii = " to ".join(readable(r, "m") for r in self.radii if r)
         ends = f"from {place(self.start)} to {place(self.end)}"
         return f"the {type(self).__name__.lower()} of radius {radii} {ends}"
 
@@ -184,6 +188,10 @@ class Annulus(AbstractTube):
     outer: float
     tolerance: float = _ROUNDING
 
+    @property
+    def radii(self) -> tuple[float, float]:
+        return self.inner, self.outer
+
 
 class Cylinder(AbstractTube):
     """The points within a radius of a straight axis, both ends included.
@@ -196,12 +204,8 @@ class Cylinder(AbstractTube):
     tolerance: float = _ROUNDING
 
     @property
-    def inner(self) -> float:
-        return 0.0
-
-    @property
-    def outer(self) -> float:
-        return self.radius
+    def radii(self) -> tuple[float, float]:
+        return 0.0, self.radius
 
 
 def place(point: Float[HostArray, "3"]) -> str:
