@@ -1,10 +1,36 @@
 """Results written and loaded: files, a page, and tables for the terminal."""
 
-from softcal_jax.report._calibration import (held_out_sentences as held_out_sentences, model_words as model_words, summary_table as summary_table)
-from softcal_jax.report._inverse import (inverse_table as inverse_table, write_inverse as write_inverse)
-from softcal_jax.report._load import (LoadedResult as LoadedResult, ResultError as ResultError, ResultWarning as ResultWarning, load_result as load_result)
-from softcal_jax.report._outline import (control_point_sets as control_point_sets, mesh_lines as mesh_lines, outline as outline, roles_of as roles_of)
-from softcal_jax.report._pages import (notebook_html as notebook_html)
-from softcal_jax.report._sweep_page import (check_sweep_page as check_sweep_page, write_sweep as write_sweep)
-from softcal_jax.report._tables import (simulation_table as simulation_table)
-from softcal_jax.report._write import (PictureWarning as PictureWarning, write_comparison as write_comparison, write_identifiability as write_identifiability, write_results as write_results, write_simulation as write_simulation)
+from softcal_jax.report._calibration import (
+    held_out_sentences as held_out_sentences,
+    model_words as model_words,
+    summary_table as summary_table,
+)
+from softcal_jax.report._inverse import (
+    inverse_table as inverse_table,
+    write_inverse as write_inverse,
+)
+from softcal_jax.report._load import (
+    LoadedResult as LoadedResult,
+    ResultError as ResultError,
+    ResultWarning as ResultWarning,
+    load_result as load_result,
+)
+from softcal_jax.report._outline import (
+    control_point_sets as control_point_sets,
+    mesh_lines as mesh_lines,
+    outline as outline,
+    roles_of as roles_of,
+)
+from softcal_jax.report._pages import notebook_html as notebook_html
+from softcal_jax.report._sweep_page import (
+    check_sweep_page as check_sweep_page,
+    write_sweep as write_sweep,
+)
+from softcal_jax.report._tables import simulation_table as simulation_table
+from softcal_jax.report._write import (
+    PictureWarning as PictureWarning,
+    write_comparison as write_comparison,
+    write_identifiability as write_identifiability,
+    write_results as write_results,
+    write_simulation as write_simulation,
+)
