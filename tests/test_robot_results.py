@@ -309,7 +309,7 @@ def test_the_cable_beam_from_its_project_file(tmp_path, capsys):
     assert main(["calibrate", path, "-o", str(tmp_path / "out")]) == 0
     text = capsys.readouterr().out
     told = " ".join(text.split())
-    assert re.search(r"Held-out.* wound up: 0\.1\d* mm rms over 1 point", told)
+    assert re.search(r"Held-out.* wound up: 0\.1\d* mm rms over 1 6-D sensor", told)
     data = json.loads((tmp_path / "out" / "result.json").read_text())
     (E,) = data["parameters"]
     # The law and the mesh of the recordings are others: 1 %.

@@ -13,7 +13,7 @@ from softcal_jax.bodies._body import (
     Vector as Vector,
     as_floats as as_floats,
     hinge_axes as hinge_axes,
-    optional_array as optional_array,
+    if_any as if_any,
     three_numbers as three_numbers,
     unit_vector as unit_vector,
 )

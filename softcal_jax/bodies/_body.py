@@ -1,7 +1,6 @@
 """Poses, and descriptions of rigid bodies: nodes, frame, mounting and state."""
 
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -21,10 +20,11 @@ def as_floats(value: Float[ArrayLike, "..."] | Sequence) -> Float[HostArray, "..
     return np.array(value, float)  # a copy: SciPy's rotations need it writable
 
 
-def optional_array() -> Any:
-    """Make a field for a user's numbers, as an array; None by default."""
-    convert = lambda value: None if value is None else as_floats(value)
-    return eqx.field(converter=convert, default=None)
+def if_any(
+    value: Float[ArrayLike, "..."] | Sequence | None,
+) -> Float[HostArray, "..."] | None:
+    """Convert a user's numbers to an array if there are any."""
+    return None if value is None else as_floats(value)
 
 
 def three_numbers(what: str, unit: str, value: Vector) -> Float[HostArray, "3"]:
@@ -129,12 +129,14 @@ class RigidBody(Module):
 
     name: str
     where: tuple[str | Int[HostArray, " _"], ...] = eqx.field(converter=_as_groups)
-    origin: Float[HostArray, "3"] | None = optional_array()
-    axes: Float[HostArray, "3 3"] | None = optional_array()
+    origin: Float[HostArray, "3"] | None = eqx.field(converter=if_any, default=None)
+    axes: Float[HostArray, "3 3"] | None = eqx.field(converter=if_any, default=None)
     mounting: Pose = eqx.field(default_factory=Pose)
     tied_to: str | None = None
     mass: float = 0.0
-    centre_of_mass: Float[HostArray, "3"] | None = optional_array()
+    centre_of_mass: Float[HostArray, "3"] | None = eqx.field(
+        converter=if_any, default=None
+    )
 
     def __check_init__(self):
         for name in ("origin", "centre_of_mass"):

@@ -11,7 +11,7 @@ import numpy as np
 from softcal_jax._module import Module, one_line
 from softcal_jax._names import UNNAMED_LOADS, check_unique, name_key
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.bodies import KINDS, optional_array, three_numbers
+from softcal_jax.bodies import KINDS, if_any, three_numbers
 from softcal_jax.configurations._arrays import (
     ConfigurationArrays,
     DeadLoads,
@@ -93,7 +93,9 @@ class Configuration(Module):
     gravity: tuple[float, float, float] = (0.0, 0.0, -STANDARD_GRAVITY)
     loads: tuple[AbstractLoad, ...] = eqx.field(converter=_as_loads, default=())
     markers: Markers | None = None
-    measured: Float[HostArray, "n_markers 3"] | None = optional_array()
+    measured: Float[HostArray, "n_markers 3"] | None = eqx.field(
+        converter=if_any, default=None
+    )
     effectors: tuple[AbstractEffector, ...] = eqx.field(converter=tuple, default=())
     bodies: BodyStates = eqx.field(default_factory=dict)
     actuation: Actuation = eqx.field(default_factory=dict)

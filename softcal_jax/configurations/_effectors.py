@@ -12,7 +12,7 @@ from softcal_jax.bodies import (
     BodyArrays,
     Pose,
     as_floats,
-    optional_array,
+    if_any,
     unit_vector,
 )
 from softcal_jax.configurations._effector import (
@@ -45,7 +45,7 @@ class BodyFrame(AbstractEffector):
     name: str
     body: str
     measured: Pose | None = None
-    point: Float[HostArray, "3"] | None = optional_array()
+    point: Float[HostArray, "3"] | None = eqx.field(converter=if_any, default=None)
     std: float | Float[HostArray, "3"] = Unstated(1e-3)
     std_angle: float | Float[HostArray, "3"] = Unstated(1e-2)
 
@@ -90,7 +90,7 @@ class Centroid(AbstractEffector):
 
     name: str
     where: str | Int[HostArray, " n"]
-    measured: Float[HostArray, "3"] | None = optional_array()
+    measured: Float[HostArray, "3"] | None = eqx.field(converter=if_any, default=None)
     std: float = Unstated(1e-3)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
@@ -114,7 +114,7 @@ class SupportReaction(AbstractEffector):
 
     name: str
     where: str | Int[HostArray, " n"]
-    measured: Float[HostArray, "3"] | None = optional_array()
+    measured: Float[HostArray, "3"] | None = eqx.field(converter=if_any, default=None)
     std: float = Unstated(1e-2)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:

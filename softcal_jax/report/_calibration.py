@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from softcal_jax._names import listed
 from softcal_jax._text_table import STYLES, Cell, TextTable, Tone, text_table
 from softcal_jax._units import readable
 from softcal_jax.calibration import (
@@ -133,9 +134,7 @@ def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
     for fit in (own for own in fits if own.role == "validation"):
         texts = []
         if fit.points:
-            n = len(fit.points)
-            points = f"{n} point{'s' * (n > 1)}"
-            texts.append(f"{1e3 * fit.rms_after:.2f} mm rms over {points}")
+            texts.append(f"{1e3 * fit.rms_after:.2f} mm rms over {_points(fit)}")
         if fit.points and math.isfinite(fit.rms_share):
             share = f"{100 * fit.rms_share:.1f} % of how far they moved"
             texts[0] += f", {share} ({1e3 * fit.motion:.1f} mm)"
@@ -144,6 +143,14 @@ def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
         if texts:
             lines.append(f"Held-out error, {fit.name}: {'; '.join(texts)}.")
     return lines
+
+
+def _points(fit: ConfigurationResult) -> str:
+    """Count what was seen to move: markers, and apart from them 6-D sensors."""
+    turning = {turn.name for turn in fit.turns}
+    sensors = sum(point.name in turning for point in fit.points)
+    counts = {"marker": len(fit.points) - sensors, "6-D sensor": sensors}
+    return listed([f"{n} {what}{'s' * (n > 1)}" for what, n in counts.items() if n])
 
 
 def outlook_table(assessment: Assessment) -> TextTable:

@@ -1,6 +1,7 @@
 """Shape and arms of the parallel robot of Sec. VI: two sheets, a rod, six motors."""
 
 import math
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -137,22 +138,24 @@ class ParallelRobotGeometry(Module):
         Raises:
             ValueError: If `tripod` refuses the dimensions.
         """
-        sheets = {
-            name: tripod(
-                self.branch_length,
-                self.branch_width,
-                self.thickness,
-                size=size,
-                order=order,
-                hole_radius=self.hole_radius,
-                centre_radius=self.centre_radius,
-                end_length=self.end_length,
-                branches=N_BRANCHES,
-                y=side * self.sheet_height,
-            )
-            for name, side in SHEETS.items()
-        }
-        return merge(sheets)
+        heights = {name: side * self.sheet_height for name, side in SHEETS.items()}
+        sheet = partial(self.sheet, size=size, order=order)
+        return merge({name: sheet(y) for name, y in heights.items()})
+
+    def sheet(self, y: float = 0.0, *, size: float, order: int = 2) -> TetMesh:
+        """Mesh one flat sheet at a height y [m], see `mesh`."""
+        return tripod(
+            self.branch_length,
+            self.branch_width,
+            self.thickness,
+            hole_radius=self.hole_radius,
+            centre_radius=self.centre_radius,
+            end_length=self.end_length,
+            branches=N_BRANCHES,
+            y=y,
+            size=size,
+            order=order,
+        )
 
     def control_points(self) -> ControlPoints:
         """Build the twelve control points that both sheets share, as in Fig. 6.
