@@ -310,7 +310,7 @@ class _Scene:
         """Light that pinhole cameras with the axes of these frames see."""
         import pyvista as pv
 
-        from softcal_jax.plotting._offscreen import offscreen
+        from softcal_jax.plotting._scene import offscreen
 
         n, width = len(self.corners), self.width
         faces = np.hstack([np.full((n, 1), 4), np.arange(4 * n).reshape(-1, 4)])

@@ -244,7 +244,6 @@ def with_known(
                 region=e.region,
                 unit=e.unit,
                 interpolation=e.interpolation,
-                sampling=e.sampling,
                 fixed=fixed,
                 max_step=e.max_step,
             )

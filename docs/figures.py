@@ -15,8 +15,7 @@ import softcal_jax as sc
 from softcal_jax.identifiability import Identifiability
 from softcal_jax.plotting._colours import COLOUR_OF, FAINT, SERIES, TEXT
 from softcal_jax.plotting._save import DPI, save
-from softcal_jax.report._charts import budget_chart
-from softcal_jax.report._course import course_charts
+from softcal_jax.report._charts import budget_chart, course_charts
 from softcal_jax.report._html import fragment
 from softcal_jax.robots import silicone_beam_path
 

@@ -29,6 +29,15 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> ValueError:
     return ValueError(f"unknown {kind} {name!r}.{hint} Known: {listed}.")
 
 
+def check_unique(kind: str, names: Sequence[str]) -> None:
+    """Raise ValueError if a name is there twice."""
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(
+                f"{kind} {name!r} is named more than once; give each another name."
+            )
+
+
 def listed(names: Sequence[str]) -> str:
     """Join names as in a sentence: "a, b and c"."""
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))

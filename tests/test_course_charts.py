@@ -10,8 +10,7 @@ from export.handmade import make_result
 
 from softcal_jax.calibration import ParameterEstimate
 from softcal_jax.identifiability import end_of
-from softcal_jax.report._charts import budget_chart
-from softcal_jax.report._course import MOST_PARAMETERS, course_charts
+from softcal_jax.report._charts import MOST_PARAMETERS, budget_chart, course_charts
 
 
 def drawn(result):
@@ -54,7 +53,7 @@ def test_what_is_drawn():
     assert "tolerance 1e-06" in charts[size]
     course = values(charts[E], ("200", "240"))
     np.testing.assert_allclose(course, [0.0, 0.25, 0.5, 0.75, 1.0], **close)
-    assert "Ends at 240.0 ± 6.0 kPa; bounds 100 to 1000 kPa." in charts[E]
+    assert "Ends at 240.0 ± 6.0 kPa; bounds 100 kPa to 1 MPa." in charts[E]
     assert "Ends at 0.44, on a bound; bounds" in charts[nu]
 
 

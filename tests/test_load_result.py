@@ -180,7 +180,7 @@ def edited(folder, change):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d.pop("source"), "names no project file"),
+        (lambda d: d.pop("source"), r"source: Field required"),
         (lambda d: d.update(format="softcal_jax.result/1"), "format is 'softcal_jax.r"),
         (lambda d: d.update(format="softcal_jax.simulation/1"), "softcal_jax.simula"),
         (lambda d: d.pop("format"), "format is None"),

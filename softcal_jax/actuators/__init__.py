@@ -2,6 +2,7 @@
 
 from softcal_jax.actuators._actuator import (
     AbstractActuator as AbstractActuator,
+    ActuatorGeometry as ActuatorGeometry,
     Kind as Kind,
 )
 from softcal_jax.actuators._arrays import (
@@ -20,7 +21,6 @@ from softcal_jax.actuators._cable import (
     CableSegments as CableSegments,
     Guide as Guide,
 )
-from softcal_jax.actuators._cliques import ActuatorGeometry as ActuatorGeometry
 from softcal_jax.actuators._forces import (
     ForceActuator as ForceActuator,
     Motor as Motor,

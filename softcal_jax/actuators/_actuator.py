@@ -1,17 +1,135 @@
-"""Base of all actuators: a name, units, and the cliques of nodes they act on."""
+"""Bases of all actuators, and of the small sets of nodes that they act on: cliques.
+
+A cable segment, a face of a chamber, the frame of a motor: each is one clique.
+"""
 
 from abc import abstractmethod
-from collections.abc import Mapping
-from typing import ClassVar, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
+import equinox as eqx
+import jax
 import numpy as np
 
 from softcal_jax._module import Module, one_line
 from softcal_jax._names import unknown_name
-from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.actuators._cliques import AbstractCliques
-from softcal_jax.bodies import check_vector
-from softcal_jax.mesh import TetMesh, locate
+from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax.mesh import Refinement, TetMesh, locate
+
+T = TypeVar("T", bound="AbstractCliques")
+
+
+class ActuatorGeometry(NamedTuple):
+    """What to draw of actuators, each with the index of its actuator, the owner.
+
+    Attributes:
+        segments: Ends of the segments of cables [m].
+        faces: Nodes of the faces of chambers and surface pressures.
+        points: Mean point of action of a force, or origin of a motor's frame [m].
+        arrows: Direction of that force, or axis of that motor [-].
+    """
+
+    segments: Float[HostArray, "n_segments 2 3"] = np.zeros((0, 2, 3))
+    segment_owner: Int[HostArray, " n_segments"] = np.zeros(0, np.int32)
+    faces: Int[HostArray, "n_faces n_fn"] = np.zeros((0, 3), np.int32)
+    face_owner: Int[HostArray, " n_faces"] = np.zeros(0, np.int32)
+    points: Float[HostArray, "n_markers 3"] = np.zeros((0, 3))
+    arrows: Float[HostArray, "n_markers 3"] = np.zeros((0, 3))
+    point_owner: Int[HostArray, " n_markers"] = np.zeros(0, np.int32)
+
+    __repr__ = one_line
+
+
+class AbstractCliques(Module):
+    """All cliques of one type, and the forces on their nodes.
+
+    Arrays hold all cliques along their first axis; methods see a single clique, under
+    the `vmap` of `each_clique`.
+
+    Attributes:
+        nodes: Nodes of the cliques, one that repeats within a clique as padding.
+        owner: Index of the actuator that each belongs to.
+        curved: Whether the force depends on the positions of the nodes.
+    """
+
+    nodes: Int[Array, "*cliques m"]
+    owner: Int[Array, "*cliques"]
+    curved: ClassVar[bool] = True
+
+    @abstractmethod
+    def row(self, x: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
+        """Force on the nodes of one clique at the positions `x`, for lambda_a = 1."""
+
+    @abstractmethod
+    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
+        """Collect what to draw of all cliques at the positions of all nodes [m]."""
+
+    def refined(self, refinement: Refinement) -> "AbstractCliques":
+        """Return the cliques on a finer mesh; here for nodes of frames of bodies."""
+        nodes = refinement.nodes(np.asarray(self.nodes))
+        return eqx.tree_at(lambda c: c.nodes, self, jax.device_put(nodes))
+
+    def curvature(self, x: Float[Array, "m 3"]) -> Float[Array, "3*m 3*m"]:
+        """Differentiate the force by the positions, node by node, for lambda_a = 1."""
+        return jax.jacfwd(self.row)(x).reshape(x.size, x.size)
+
+
+class AbstractDisplacedCliques(AbstractCliques):
+    """Cliques with a displacement, whatever their force."""
+
+    @abstractmethod
+    def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
+        """Compute what one clique adds to delta_a, up to a constant."""
+
+    def displacement_row(self, x: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
+        return jax.grad(self.contribution)(x)
+
+
+class AbstractPotentialCliques(AbstractDisplacedCliques):
+    """Cliques whose force is the gradient of their part of delta_a."""
+
+    def row(self, x: Float[Array, "m 3"]) -> Float[Array, "m 3"]:
+        return self.displacement_row(x)
+
+
+def each_clique(
+    method: Callable[[Any, Array], Array],
+    cliques: AbstractCliques,
+    x: Float[Array, "n_all 3"],
+) -> Float[Array, "n_cliques ..."]:
+    """Call a method of every clique with the positions of its own nodes."""
+    return jax.vmap(method)(cliques, x[cliques.nodes])
+
+
+def owned(nodes: HostArray, owner: int) -> tuple[Array, Array]:
+    """Return nodes and owner of the cliques of one actuator."""
+    # Not jnp.asarray, which would compile a program for every shape.
+    return jax.device_put((nodes, np.full(len(nodes), owner, nodes.dtype)))
+
+
+def on_finer_faces(cliques: T, refinement: Refinement) -> T:
+    """Return cliques that are faces on the faces that each of them becomes."""
+    nodes = refinement.faces(np.asarray(cliques.nodes))
+    each = lambda a: np.repeat(np.asarray(a), len(nodes) // len(a), axis=0)
+    many = jax.tree.map(each, cliques)
+    return jax.device_put(eqx.tree_at(lambda c: c.nodes, many, nodes))
+
+
+class AbstractPressedFaces(AbstractCliques):
+    """Faces on which a pressure acts."""
+
+    def refined(self, refinement: Refinement) -> "AbstractPressedFaces":
+        return on_finer_faces(self, refinement)
+
+    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
+        nodes, owner = np.asarray(self.nodes), np.asarray(self.owner)
+        return ActuatorGeometry(faces=nodes, face_owner=owner)
+
+
+def unit(v: Float[HostArray, "n 3"]) -> Float[HostArray, "n 3"]:
+    """Normalise vectors [-]."""
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
 
 _OUTSIDE = 1e-3
 """Distance by which a point may lie outside the mesh, relative to its size [-]."""
@@ -20,8 +138,7 @@ _OUTSIDE = 1e-3
 class Kind(NamedTuple):
     """Name of a kind of actuator in messages, and its units.
 
-    Those without a displacement have no unit of it; lambda_a of `unilateral` ones must
-    not be negative.
+    Some have no displacement; lambda_a of `unilateral` ones must not be negative.
     """
 
     noun: str
@@ -36,8 +153,8 @@ class RestState(Module):
     """The mesh and the rigid bodies at rest, to which actuators are attached.
 
     `points` are the nodes of the mesh, then four nodes for each rigid body k, from
-    n_nodes + 4 k on: the origin of its frame and the ends of its three axes, orthogonal
-    and of equal length [m]. `bodies` has the index k of each rigid body.
+    n_nodes + 4 k on: the origin of its frame and the ends of its three axes [m].
+    `bodies` has the index k of each rigid body.
     """
 
     mesh: TetMesh
@@ -45,22 +162,16 @@ class RestState(Module):
     bodies: Mapping[str, int]
 
     def frame_nodes(self, body: str, owner: str) -> Int[HostArray, "4"]:
-        """Return the four nodes of the frame of a rigid body."""
         if body not in self.bodies:
-            error = unknown_name("rigid body", body, self.bodies)
-            raise ValueError(f"{owner}: {error}")
+            raise unknown_name(f"rigid body of {owner}", body, self.bodies)
         return self.mesh.n_nodes + 4 * self.bodies[body] + np.arange(4, dtype=np.int32)
 
     def on_mesh(
         self, point: Float[HostArray, "3"], owner: str
     ) -> tuple[Int[HostArray, " n_en"], Float[HostArray, " n_en"]]:
         """Return the nodes and weights [-] that carry a material point of the mesh."""
-        at = locate(self.mesh, point[None], max_distance=np.inf)
-        if at.distance[0] > _OUTSIDE * self.mesh.size:
-            raise ValueError(
-                f"{owner}: the point {point.tolist()} m lies {at.distance[0]:.3g} m "
-                "outside the mesh. Check its coordinates and their length unit."
-            )
+        near, names = _OUTSIDE * self.mesh.size, [f"the point of {owner}"]
+        at = locate(self.mesh, point[None], max_distance=near, names=names)
         return at.nodes[0], at.weights[0]
 
     def on_body(
@@ -79,9 +190,9 @@ class RestState(Module):
 class AbstractActuator(Module):
     """A part of the robot that drives it with a force lambda_a.
 
-    Its displacement delta_a(x), zero at rest, may be imposed or measured, and
-    H_a = d delta_a / dx. F_a, the force on the nodes for lambda_a = 1, equals H_a if
-    the actuator has a potential. Some actuators have no displacement.
+    If it has a displacement delta_a(x), zero at rest, that may be imposed or measured,
+    and H_a = d delta_a / dx. F_a, the force on the nodes for lambda_a = 1, equals H_a
+    if the actuator has a potential.
     """
 
     name: str
@@ -103,11 +214,3 @@ class AbstractActuator(Module):
         Raises:
             ValueError: If it does not fit the mesh or the rigid bodies.
         """
-
-
-def check_direction(what: str, value: HostArray):
-    check_vector(what, "-", value)
-    if not np.linalg.norm(value) > 0.0:
-        raise ValueError(
-            f"{what} is zero: give the direction in which a positive force pushes."
-        )

@@ -9,16 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
+from softcal_jax._names import check_unique
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
-from softcal_jax.actuators._cable import FrictionalCables
-from softcal_jax.actuators._cliques import (
+from softcal_jax.actuators._actuator import (
+    AbstractActuator,
     AbstractCliques,
     AbstractDisplacedCliques,
     AbstractPotentialCliques,
     ActuatorGeometry,
+    Kind,
+    RestState,
     each_clique,
 )
+from softcal_jax.actuators._cable import FrictionalCables
 from softcal_jax.actuators._forces import Motor
 from softcal_jax.mesh import TetMesh
 
@@ -40,11 +43,6 @@ class ActuatorArrays(Module):
     kinds: tuple[Kind, ...] = eqx.field(static=True)
     motor_body: tuple[int, ...] = eqx.field(static=True)
     has_friction: tuple[bool, ...] = eqx.field(static=True)
-
-    @property
-    def n_actuators(self) -> int:
-        """Number of actuators."""
-        return len(self.names)
 
     @property
     def unilateral(self) -> Bool[HostArray, " n_a"]:
@@ -71,9 +69,8 @@ class ActuatorArrays(Module):
         """
         if not self.has_friction[index]:
             raise ValueError(
-                f"{self.kinds[index].noun} {self.names[index]!r} has no friction whose "
-                "coefficient could change; make it with a positive one, like "
-                "Cable(..., friction=0.1, pulled_from='first')."
+                f"{self.kinds[index].noun} {self.names[index]!r} has no friction that "
+                "could change; make it with a positive one and its pulled_from."
             )
         values = lambda arrays: [group.friction for group in _rough(arrays)]
         changed = [jnp.where(g.owner == index, mu, g.friction) for g in _rough(self)]
@@ -103,22 +100,17 @@ def actuator_arrays(
     *,
     at_rest: bool = True,
 ) -> ActuatorArrays:
-    """Attach actuators to the nodes of a mesh and of rigid bodies.
+    """Attach actuators to the nodes of a mesh and of rigid bodies, see `RestState`.
 
-    `points` are rest positions of all nodes [m], see `RestState`; `bodies` the index of
-    each rigid body by name. Displacements are NaN unless they are evaluated `at_rest`,
-    for which a program is compiled.
+    Displacements are NaN unless they are evaluated `at_rest`, for which a program is
+    compiled.
 
     Raises:
         ValueError: If a name is used twice, or an actuator does not fit the mesh or
             the rigid bodies.
     """
     names = tuple(actuator.name for actuator in actuators)
-    repeated = sorted({name for name in names if names.count(name) > 1})
-    if repeated:
-        raise ValueError(
-            f"actuator {repeated[0]!r} is named more than once; give each another name."
-        )
+    check_unique("actuator", names)
     rest = RestState(mesh, points, bodies)
     cliques = [actuator.cliques(rest, a) for a, actuator in enumerate(actuators)]
     alike: dict[tuple, list[AbstractCliques]] = {}
@@ -147,7 +139,6 @@ def actuator_arrays(
 def _contributions(
     groups: tuple[AbstractCliques, ...], x: Float[Array, "n_all 3"], n_actuators: int
 ) -> Float[Array, " n_a"]:
-    """Sum the contributions of each actuator's cliques."""
     total = jnp.zeros(n_actuators, x.dtype)
     for group in groups:
         if isinstance(group, AbstractDisplacedCliques):
@@ -166,7 +157,7 @@ def actuator_displacements(
 
     They are 0 at rest, and for an actuator without a displacement.
     """
-    return _contributions(arrays.groups, x, arrays.n_actuators) - arrays.rest
+    return _contributions(arrays.groups, x, len(arrays.names)) - arrays.rest
 
 
 def actuator_rows(
@@ -193,8 +184,7 @@ def displacement_rows(
 
 
 def _rows(arrays: ActuatorArrays, groups, parts, x):
-    """Add the rows of cliques to those of their actuators."""
-    rows = jnp.zeros((arrays.n_actuators, *x.shape), x.dtype)
+    rows = jnp.zeros((len(arrays.names), *x.shape), x.dtype)
     for group, part in zip(groups, parts, strict=True):
         rows = rows.at[group.owner[:, None], group.nodes].add(part)
     return rows
@@ -205,7 +195,7 @@ def curvature_entries(
 ) -> tuple[Float[Array, "_ _ _"], ...]:
     """Differentiate the actuators' forces by the positions, clique by clique [N/m].
 
-    Their sum is d(F_a^T lambda_a)/dx; rows belong to forces, columns to positions. For
+    Their sum is d(F_a^T lambda_a)/dx, by rows of forces and columns of positions: for
     each group of `clique_nodes`, square matrices over the coordinates, node by node.
     """
     return tuple(

@@ -10,15 +10,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import suggestion
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
-from softcal_jax.actuators._cliques import (
+from softcal_jax.actuators._actuator import (
+    AbstractActuator,
     AbstractDisplacedCliques,
     AbstractPotentialCliques,
     ActuatorGeometry,
+    Kind,
+    RestState,
 )
-from softcal_jax.bodies import Vector, as_vector, check_vector
+from softcal_jax.bodies import Vector, as_floats, three_numbers
 from softcal_jax.mesh import Refinement, locate
 
 _COINCIDENT = 1e-9
@@ -37,11 +39,11 @@ class Guide(Module):
             fixed point, or the name of a rigid body.
     """
 
-    point: Float[HostArray, "3"] = eqx.field(converter=as_vector)
+    point: Float[HostArray, "3"] = eqx.field(converter=as_floats)
     on: str = "mesh"
 
     def __check_init__(self):
-        check_vector("the point of a guide", "m", self.point)
+        three_numbers("the point of a guide", "m", self.point)
 
 
 def _as_guides(guides: Sequence[Guide | Vector]) -> tuple[Guide, ...]:
@@ -54,14 +56,13 @@ class Cable(AbstractActuator):
     delta_a = l(X) - l(x), with l the length of the path, is its shortening [m].
     lambda_a is the tension at the pulled end [N], which cannot be negative.
 
-    With friction, each guide between the ends reduces the tension (capstan equation of
-    Euler and Eytelwein): from the pulled end to the other, it is multiplied by
-    exp(-mu theta), with theta the angle between the segments on both sides. In a
-    configuration that releases the cable (`releasing` of `ImposedForce` and
-    `ImposedDisplacement`) it slides the other way, and the factor is exp(+mu theta).
-    The cable is assumed to slide at all its guides. Friction has no potential: the
-    model is not `conservative`, and its tangent couples all nodes that the cable
-    touches. At theta = 0 the loss has a kink; the tangent there is that without loss.
+    With friction, the cable slides at all guides between its ends, and each reduces the
+    tension (capstan equation of Euler and Eytelwein): from the pulled end to the other,
+    it is multiplied by exp(-mu theta), with theta the angle between the segments on
+    both sides; in a configuration that is `releasing` the cable, by exp(+mu theta).
+    Friction has no potential: the model is not `conservative`, and its tangent couples
+    all nodes that the cable touches. At theta = 0 the loss has a kink; the tangent
+    there is that without loss.
 
     Attributes:
         guides: The points that it runs through, both ends included; three bare numbers
@@ -97,24 +98,18 @@ class Cable(AbstractActuator):
                 f"{self.label}: all guides are on {on!r}, so its length cannot "
                 "change. Put at least one on the mesh or on another rigid body."
             )
-        if self.pulled_from not in (None, "first", "last"):
+        known = ("first", "last") if self.friction else (None, "first", "last")
+        if self.pulled_from not in known:
             raise ValueError(
                 f"{self.label} has pulled_from={self.pulled_from!r}, expected 'first' "
-                "or 'last'."
+                "or 'last', the end of its guides that the actuator pulls."
             )
-        if self.friction:
-            self._check_friction(self.friction)
-
-    def _check_friction(self, friction: float):
-        if not 0.0 <= friction < np.inf:
+        if not self.friction:
+            return
+        if not 0.0 <= self.friction < np.inf:
             raise ValueError(
-                f"{self.label} has the coefficient of friction {friction:g}, expected "
-                "a finite number that is not negative [-]."
-            )
-        if self.pulled_from is None:
-            raise ValueError(
-                f"{self.label} has friction: give pulled_from='first' or 'last', the "
-                "end of its guides that the actuator pulls."
+                f"{self.label} has the coefficient of friction {self.friction:g}, "
+                "expected a finite number that is not negative [-]."
             )
         if len(self.guides) < 3:
             raise ValueError(
@@ -125,22 +120,14 @@ class Cable(AbstractActuator):
     def cliques(
         self, rest: RestState, owner: int
     ) -> "tuple[CableSegments | FrictionalCables]":
-        """Return the segments that can change length; with friction the whole cable."""
         carriers = [self._carriers(i, rest) for i in range(len(self.guides))]
         if self.friction:
             # Tension is passed on from the pulled end, which is put last here.
             order = carriers[::-1] if self.pulled_from == "first" else carriers
-            nodes, of, weights, fixed = _stacked([_along(order)], owner)
-            cable = FrictionalCables(
-                nodes=nodes,
-                owner=of,
-                weights=weights,
-                fixed=fixed,
-                friction=jnp.full(1, self.friction, float),
-                sense=jnp.ones(1),
-            )
-            return (cable,)
+            path, friction = _stacked([_along(order)], owner), float(self.friction)
+            return (FrictionalCables(*path, jnp.full(1, friction), jnp.ones(1)),)
         m = 2 * max(4, rest.mesh.tets.shape[1])
+        # Only those that can change their length.
         both = zip(pairwise(carriers), pairwise(self.guides), strict=True)
         segments = [_along(ends, m) for ends, on in both if not _fixed_length(*on)]
         return (CableSegments(*_stacked(segments, owner)),)
@@ -154,16 +141,11 @@ class Cable(AbstractActuator):
             return *rest.on_mesh(guide.point, owner), np.zeros(3)
         known = ["mesh", "ground", *rest.bodies]
         if guide.on not in known:
-            raise ValueError(
-                f"{owner} is on {guide.on!r}, expected 'mesh', 'ground' or the name "
-                f"of a rigid body.{suggestion(guide.on, known)} Rigid bodies: "
-                f"{', '.join(map(repr, rest.bodies)) or 'none'}."
-            )
+            raise unknown_name(f"carrier of {owner}", guide.on, known)
         return *rest.on_body(guide.point, guide.on, owner), np.zeros(3)
 
 
 def _fixed_length(a: Guide, b: Guide) -> bool:
-    """Tell whether the distance of two guides never changes."""
     return a.on == b.on and a.on != "mesh"
 
 

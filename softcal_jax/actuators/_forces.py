@@ -10,18 +10,15 @@ import numpy as np
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators._actuator import (
     AbstractActuator,
-    Kind,
-    RestState,
-    check_direction,
-)
-from softcal_jax.actuators._cliques import (
     AbstractPotentialCliques,
     ActuatorGeometry,
+    Kind,
+    RestState,
     on_finer_faces,
     owned,
     unit,
 )
-from softcal_jax.bodies import as_vector, check_vector
+from softcal_jax.bodies import as_floats, three_numbers, unit_vector
 from softcal_jax.mesh import Refinement, face_shares, locate
 
 
@@ -36,17 +33,17 @@ class ForceActuator(AbstractActuator):
         direction: Direction of a positive force, of any length.
     """
 
-    point: Float[HostArray, "3"] = eqx.field(converter=as_vector)
-    direction: Float[HostArray, "3"] = eqx.field(converter=as_vector)
+    point: Float[HostArray, "3"] = eqx.field(converter=as_floats)
+    direction: Float[HostArray, "3"] = eqx.field(converter=as_floats)
     kind: ClassVar[Kind] = Kind("force actuator", "N", "m")
 
     def __check_init__(self):
-        check_vector(f"{self.label}: point", "m", self.point)
-        check_direction(f"{self.label}: direction", self.direction)
+        three_numbers(f"{self.label}: point", "m", self.point)
+        unit_vector(f"{self.label}: direction", self.direction)
 
     def cliques(self, rest: RestState, owner: int) -> "tuple[WeightedNodes]":
         nodes, weights = rest.on_mesh(self.point, self.label)
-        parts = _along(self.direction, weights[None])
+        parts = weights[None, :, None] * unit_vector("direction", self.direction)
         return (WeightedNodes(*owned(nodes[None], owner), jax.device_put(parts)),)
 
 
@@ -62,29 +59,22 @@ class SurfaceForceActuator(AbstractActuator):
     """
 
     surface: str
-    direction: Float[HostArray, "3"] = eqx.field(converter=as_vector)
+    direction: Float[HostArray, "3"] = eqx.field(converter=as_floats)
     kind: ClassVar[Kind] = Kind("surface force actuator", "N", "m")
 
     def __check_init__(self):
-        check_direction(f"{self.label}: direction", self.direction)
+        unit_vector(f"{self.label}: direction", self.direction)
 
     def cliques(self, rest: RestState, owner: int) -> "tuple[WeightedFaces]":
         faces = rest.mesh.faces(self.surface)
         shares = face_shares(rest.mesh, faces)
-        parts = _along(self.direction, shares / shares.sum())
+        weights = (shares / shares.sum())[..., None]
+        parts = weights * unit_vector("direction", self.direction)
         return (WeightedFaces(*owned(faces, owner), jax.device_put(parts)),)
 
 
-def _along(direction, weights):
-    return weights[..., None] * (direction / np.linalg.norm(direction))
-
-
 class AbstractWeighted(AbstractPotentialCliques):
-    """Nodes whose weighted positions add up to delta_a.
-
-    Attributes:
-        weights: Weights of their coordinates [-].
-    """
+    """Nodes whose weighted positions, by `weights` [-], add up to delta_a."""
 
     weights: Float[Array, "*cliques m 3"]
     curved: ClassVar[bool] = False
@@ -94,7 +84,6 @@ class AbstractWeighted(AbstractPotentialCliques):
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         """Draw one arrow per actuator at the mean point of action of its force."""
-        # On the host, where nothing is compiled.
         nodes = np.asarray(self.nodes).ravel()
         weights = np.asarray(self.weights).reshape(-1, 3)
         owner = np.repeat(np.asarray(self.owner), self.nodes.shape[1])
@@ -113,9 +102,8 @@ class WeightedNodes(AbstractWeighted):
     def refined(self, refinement: Refinement) -> "WeightedNodes":
         weights = np.asarray(self.weights)
         force = weights.sum(axis=1)
-        share = np.einsum(
-            "cmi,ci->cm", weights, force / np.sum(force**2, axis=1)[:, None]
-        )
+        per_force = force / np.sum(force**2, axis=1)[:, None]
+        share = np.einsum("cmi,ci->cm", weights, per_force)
         points = refinement.coarse.points[np.asarray(self.nodes)]
         rest = np.einsum("cm,cmi->ci", share, points)
         at = locate(refinement.mesh, rest, max_distance=np.inf)
@@ -161,8 +149,7 @@ class Motor(AbstractActuator):
 class MotorFrames(AbstractPotentialCliques):
     """Frames of driven bodies, four nodes each; each adds its angle to delta_a.
 
-    Attributes:
-        plane: First and second axis at rest, of equal length [m].
+    The `plane` holds first and second axis at rest, of equal length [m].
     """
 
     plane: Float[Array, "*cliques 2 3"]

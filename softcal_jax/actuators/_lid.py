@@ -10,9 +10,10 @@ import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable_values
-from softcal_jax.actuators._cliques import (
+from softcal_jax.actuators._actuator import (
     AbstractPotentialCliques,
     ActuatorGeometry,
+    RestState,
     owned,
 )
 from softcal_jax.mesh import Refinement
@@ -36,12 +37,12 @@ def open_edges(faces: Int[HostArray, "n_faces n_fn"]) -> OpenEdges:
     mids = faces[:, 3:].reshape(len(ways), -1)
     _, inverse = np.unique(np.sort(ways, axis=1), axis=0, return_inverse=True)
     sense = np.where(ways[:, 0] < ways[:, 1], 1, -1)
-    total = np.zeros(inverse.max() + 1, int)
-    np.add.at(total, inverse.ravel(), sense)
-    excess = total[inverse.ravel()] * sense
+    edge = inverse.ravel()
+    total = np.zeros(edge.max() + 1, int)
+    np.add.at(total, edge, sense)
+    excess = total[edge] * sense
     open_ways = np.flatnonzero(excess > 0)
-    _, first = np.unique(inverse.ravel()[open_ways], return_index=True)
-    chosen = open_ways[first]
+    chosen = open_ways[np.unique(edge[open_ways], return_index=True)[1]]
     return OpenEdges(ways[chosen], mids[chosen], excess[chosen])
 
 
@@ -119,7 +120,6 @@ class ChamberLids(AbstractPotentialCliques):
         return ChamberLids(nodes, self.owner, weights, self.centre, quadratic=True)
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        del x
         return ActuatorGeometry()  # neither material nor faces
 
 
@@ -128,25 +128,23 @@ def free_rim_nodes(
 ) -> int:
     """Count the nodes on the rims of an actuator's lids that are not held.
 
-    The pressure on a lid acts on its rim. Where that is held it goes into the supports,
-    and a program without lids needs the pressure on the wall alone.
+    The pressure on a lid goes into the supports where its rim is held, and a program
+    without lids needs the pressure on the wall alone.
     """
     lids = [group for group in groups if isinstance(group, ChamberLids)]
     rims = [np.asarray(each.nodes)[np.asarray(each.owner) == owner] for each in lids]
-    free = [node for rim in rims for node in rim.ravel() if not fixed[node].all()]
-    return len(set(free))
+    return len({node for rim in rims for node in rim.ravel() if not fixed[node].all()})
 
 
 def lid(
     rim: Int[HostArray, " m"],
-    points: Float[HostArray, "n_all 3"],
-    *,
+    rest: RestState,
     centre: Float[HostArray, "3"],
-    quadratic: bool,
     owner: int,
 ) -> ChamberLids:
-    """Close an opening, given by its ring of nodes, at their positions at rest [m]."""
-    weights = jax.device_put(_shares(points[rim], quadratic)[None])
+    """Close an opening, given by its ring of nodes."""
+    quadratic = rest.mesh.order == 2
+    weights = jax.device_put(_shares(rest.points[rim], quadratic)[None])
     of, o = owned(rim[None], owner), jax.device_put(centre[None])
     return ChamberLids(*of, weights, o, quadratic=quadratic)
 

@@ -1,5 +1,6 @@
 """Pressures: in a closed chamber, or following an open surface."""
 
+from collections import defaultdict
 from collections.abc import Iterable
 from typing import Any, ClassVar
 
@@ -8,11 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray, Int
-from softcal_jax.actuators._actuator import AbstractActuator, Kind, RestState
-from softcal_jax.actuators._cliques import (
+from softcal_jax.actuators._actuator import (
+    AbstractActuator,
     AbstractCliques,
     AbstractPotentialCliques,
     AbstractPressedFaces,
+    Kind,
+    RestState,
     owned,
 )
 from softcal_jax.actuators._lid import ChamberLids, lid, lid_cone, open_edges, rims
@@ -34,8 +37,7 @@ class Chamber(AbstractActuator):
     and the pressure on it pulls at the rim, as it does where a tube is glued in.
 
     Attributes:
-        surface: Name of the surface group that is the whole wall of the cavity; the
-            order of a face's nodes does not matter.
+        surface: Name of the surface group that is the whole wall of the cavity.
         seal: Whether to close the openings of the wall.
     """
 
@@ -46,14 +48,12 @@ class Chamber(AbstractActuator):
     def cliques(
         self, rest: RestState, owner: int
     ) -> "tuple[ChamberFaces | ChamberLids, ...]":
-        """Return the faces of the wall, and the lids that close it."""
         faces = _outward_faces(rest.mesh, self.surface, self.label)
         openings = self._openings(rest, faces)
         centre = np.mean(rest.points[np.unique(faces)], axis=0)
         centres = jax.device_put(np.tile(centre, (len(faces), 1)))
         wall = ChamberFaces(*owned(faces, owner), centres)
-        of = {"centre": centre, "quadratic": rest.mesh.order == 2, "owner": owner}
-        lids = [lid(rim, rest.points, **of) for rim in openings]
+        lids = [lid(rim, rest, centre, owner) for rim in openings]
         volume = enclosed_volumes((wall, *lids), rest.points)[owner]
         if not volume > 0.0:
             raise ValueError(
@@ -68,21 +68,17 @@ class Chamber(AbstractActuator):
     ) -> list[Int[HostArray, " m"]]:
         """Return the rims of what is to be sealed, given faces with outward normals."""
         edges = open_edges(faces)
-        if self.seal and not len(edges.ends):
-            raise ValueError(
-                f"{self.label}: surface {self.surface!r} is closed. Leave seal out."
-            )
-        if self.seal:
+        if self.seal == bool(len(edges.ends)):
             return rims(edges, rest.points, self.label)
-        if len(edges.ends):
-            where = rest.points[edges.ends[0]].mean(axis=0)
-            raise ValueError(
-                f"{self.label}: surface {self.surface!r} is not closed, it has "
-                f"{len(edges.ends)} open edges, one at {where.tolist()} m. Add the "
-                "faces of the wall that are missing, seal the opening if it is an "
-                "inlet (seal = true), or take a SurfacePressure."
-            )
-        return []
+        what = f"{self.label}: surface {self.surface!r}"
+        if self.seal:
+            raise ValueError(f"{what} is closed. Leave seal out.")
+        where = rest.points[edges.ends[0]].mean(axis=0)
+        raise ValueError(
+            f"{what} is not closed, it has {len(edges.ends)} open edges, one at "
+            f"{where.tolist()} m. Add the faces of the wall that are missing, seal the "
+            "opening if it is an inlet (seal = true), or take a SurfacePressure."
+        )
 
 
 class ChamberFaces(AbstractPressedFaces, AbstractPotentialCliques):
@@ -110,8 +106,7 @@ class SurfacePressure(AbstractActuator):
     the tangent is not symmetric.
 
     Attributes:
-        surface: Name of a surface group on the boundary of the body; the order of a
-            face's nodes does not matter.
+        surface: Name of a surface group on the boundary of the body.
     """
 
     surface: str
@@ -156,23 +151,21 @@ def enclosed_volumes(
 ) -> dict[int, float]:
     """Compute the volume of each chamber by the index of its actuator [m3].
 
-    On the host, where nothing is compiled. `cliques` may be of any kind, `x` are the
-    positions of all nodes [m].
+    On the host, where nothing is compiled. `cliques` may be of any kind.
     """
-    volumes: dict[int, float] = {}
+    volumes: dict[int, float] = defaultdict(float)
     for group in cliques:
         if not isinstance(group, ChamberFaces | ChamberLids):
             continue
-        nodes, centres = np.asarray(group.nodes), np.asarray(group.centre)
-        arms = x[nodes] - centres[:, None]
+        arms = x[np.asarray(group.nodes)] - np.asarray(group.centre)[:, None]
         if isinstance(group, ChamberFaces):
             cones = np.asarray(_cones(arms))
         else:
             lids = zip(arms, np.asarray(group.weights), strict=True)
             cones = [lid_cone(*each, quadratic=group.quadratic) for each in lids]
         for owner, cone in zip(np.asarray(group.owner).tolist(), cones, strict=True):
-            volumes[owner] = volumes.get(owner, 0.0) + float(cone)
-    return volumes
+            volumes[owner] += float(cone)
+    return dict(volumes)
 
 
 def _cones(arm: Float[AnyArray, "*n n_fn 3"]) -> Any:
@@ -181,9 +174,7 @@ def _cones(arm: Float[AnyArray, "*n n_fn 3"]) -> Any:
     return -(n_dA * (N @ arm)).sum(axis=(-2, -1)) / 3.0
 
 
-def _vector_areas(
-    x: Float[AnyArray, "*n n_fn 3"],
-) -> tuple[Any, Any]:
+def _vector_areas(x: Float[AnyArray, "*n n_fn 3"]) -> tuple[Any, Any]:
     """Compute n dA [m2] and shape functions at the quadrature points of a face.
 
     n dA = 1/2 w_q dx/dxi x dx/deta. The rule is exact for the integral of N n dA: of

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_unique, unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies._body import KINDS, RigidBody
 from softcal_jax.mesh import Refinement, TetMesh, node_indices
@@ -19,8 +19,8 @@ class BodyArrays(Module):
     """The rigid bodies of a model.
 
     Each body adds four nodes to those of the mesh: the origin of its frame and the ends
-    of its axes, `length` away. Every point fixed on the body is an affine combination
-    of them, so markers, cables and masses need no special treatment.
+    of its axes, `length` away [m]. Every point fixed on the body is an affine
+    combination of them, so markers, cables and masses need no special treatment.
 
     Attributes:
         attached: Nodes of the mesh that belong to a body.
@@ -33,8 +33,6 @@ class BodyArrays(Module):
         mounting_rotation: Its rotation vector [rad].
         mass: Mass in addition to that of the tets [kg].
         mass_weights: Weights of the centre of this mass on the frame nodes [-].
-        length: Distance of the axis ends from the origin [m].
-        names: Names of the bodies.
     """
 
     attached: Int[HostArray, " n_attached"]
@@ -52,12 +50,10 @@ class BodyArrays(Module):
 
     @property
     def n_bodies(self) -> int:
-        """Number of bodies."""
         return len(self.names)
 
     @property
     def tied(self) -> Bool[Array, " n_b"]:
-        """Which bodies are fixed to another."""
         return self.owner != jnp.arange(self.n_bodies, dtype=jnp.int32)
 
     @property
@@ -71,7 +67,7 @@ class BodyArrays(Module):
         return _affine(self.origin[body], self.axes[body], self.length, points)
 
     def refined(self, refinement: Refinement) -> "BodyArrays":
-        """Return the bodies on a finer mesh, with the new nodes between their nodes."""
+        """Add the nodes of a finer mesh that lie between nodes of a body."""
         parts, n = [(self.attached, self.body, self.weights)], refinement.coarse.n_nodes
         for k in range(self.n_bodies):
             of_body = np.zeros(n, bool)
@@ -95,9 +91,7 @@ def body_arrays(mesh: TetMesh, bodies: Sequence[RigidBody]) -> BodyArrays:
         ValueError: If they do not fit the mesh or each other.
     """
     names = tuple(body.name for body in bodies)
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"rigid body {name!r} is named more than once.")
+    check_unique("rigid body", names)
     nodes = [_nodes(mesh, body) for body in bodies]
     _check_disjoint(mesh, names, nodes)
     # As an array, since a Python float would force a new compilation for each mesh.
@@ -150,11 +144,12 @@ def _check_disjoint(mesh: TetMesh, names, nodes) -> None:
     for k, of_body in enumerate(nodes):
         shared = of_body[first[of_body] >= 0]
         if shared.size:
+            node = shared[0]
             raise ValueError(
-                f"rigid bodies {names[first[shared[0]]]!r} and {names[k]!r} share "
-                f"{shared.size} nodes, such as node {shared[0]} at "
-                f"{mesh.points[shared[0]].tolist()} m: make them one body, or tie one "
-                "to the other with disjoint groups."
+                f"rigid bodies {names[first[node]]!r} and {names[k]!r} share "
+                f"{shared.size} nodes, such as node {node} at "
+                f"{mesh.points[node].tolist()} m: make them one body, or tie one to "
+                "the other with disjoint groups."
             )
         first[of_body] = k
 
@@ -165,25 +160,22 @@ def _owners(bodies: Sequence[RigidBody], names: tuple[str, ...]) -> HostArray:
         if body.tied_to is None:
             continue
         if body.tied_to not in names:
-            error = unknown_name("body", body.tied_to, names)
-            raise ValueError(f"rigid body {body.name!r} is tied to an {error}")
+            raise unknown_name(f"tied_to of body {body.name!r}", body.tied_to, names)
         owner[k] = names.index(body.tied_to)
-        root = bodies[owner[k]]
-        if root.tied_to is not None:
+        root = bodies[owner[k]].tied_to
+        if root is not None:
             raise ValueError(
-                f"rigid body {body.name!r} is tied to {root.name!r}, which is tied to "
-                f"{root.tied_to!r} itself: tie both to {root.tied_to!r}."
+                f"rigid body {body.name!r} is tied to {body.tied_to!r}, which is tied "
+                f"itself: tie both to {root!r}."
             )
     return owner
 
 
 class BodyStateArrays(Module):
-    """States of the bodies in a configuration.
+    """States of the bodies in a configuration: indices in `KINDS`, and poses.
 
-    Attributes:
-        kind: Index in `KINDS` for each body.
-        translation: Displacement of held and hinged bodies from their mounting [m].
-        rotation: Rotation vector of held bodies from their mounting [rad].
+    Held and hinged bodies are displaced from their mounting by the translation [m],
+    held ones turned by the rotation vector [rad].
     """
 
     kind: Int[Array | HostArray, "*batch n_b"]

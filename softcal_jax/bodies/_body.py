@@ -15,15 +15,36 @@ Vector = Sequence[float] | Float[ArrayLike, "3"]
 """Three numbers, as a user types them."""
 
 
-def as_vector(value: Vector) -> Float[HostArray, "3"]:
-    """Convert a user's three numbers to an array."""
+def as_floats(value: Float[ArrayLike, "..."] | Sequence) -> Float[HostArray, "..."]:
+    """Convert a user's numbers to an array, as a converter of fields."""
     return np.array(value, float)  # a copy: SciPy's rotations need it writable
 
 
-def check_vector(what: str, unit: str, value: HostArray) -> None:
-    """Raise ValueError unless a vector has three finite numbers."""
-    if value.shape != (3,) or not np.all(np.isfinite(value)):
+def if_any(
+    value: Float[ArrayLike, "..."] | Sequence | None,
+) -> Float[HostArray, "..."] | None:
+    """Convert a user's numbers to an array if there are any."""
+    return None if value is None else as_floats(value)
+
+
+def three_numbers(what: str, unit: str, value: Vector) -> Float[HostArray, "3"]:
+    """Convert a vector to an array; raise ValueError unless it is finite."""
+    vector = as_floats(value)
+    if vector.shape != (3,) or not np.all(np.isfinite(vector)):
         raise ValueError(f"{what} must be three finite numbers [{unit}], got {value}.")
+    return vector
+
+
+def unit_vector(what: str, value: Vector) -> Float[HostArray, "3"]:
+    """Normalise a direction; raise ValueError if it has none [-]."""
+    vector = three_numbers(what, "-", value)
+    length = np.linalg.norm(vector)
+    if not 0.0 < length < np.inf:
+        raise ValueError(f"{what} must be numbers that are not all zero, got {value}.")
+    return vector / length
+
+
+_ZERO = (0.0, 0.0, 0.0)
 
 
 def _is_rotation(R: HostArray) -> bool:
@@ -41,16 +62,14 @@ class Pose(Module):
         rotation_vector: Axis of the rotation times its angle [rad].
     """
 
-    translation: Float[HostArray, "3"] = eqx.field(
-        converter=as_vector, default_factory=lambda: np.zeros(3)
-    )
+    translation: Float[HostArray, "3"] = eqx.field(converter=as_floats, default=_ZERO)
     rotation_vector: Float[HostArray, "3"] = eqx.field(
-        converter=as_vector, default_factory=lambda: np.zeros(3)
+        converter=as_floats, default=_ZERO
     )
 
     def __check_init__(self):
-        check_vector("translation", "m", self.translation)
-        check_vector("rotation_vector", "rad", self.rotation_vector)
+        three_numbers("translation", "m", self.translation)
+        three_numbers("rotation_vector", "rad", self.rotation_vector)
         angle = float(np.linalg.norm(self.rotation_vector))
         if angle > 2.0 * np.pi:
             raise ValueError(
@@ -87,21 +106,15 @@ def _as_groups(where) -> tuple:
     return tuple(where) if isinstance(where, Iterable) else (np.asarray(where),)
 
 
-def _if_any(value: ArrayLike | Sequence | None) -> Float[HostArray, "..."] | None:
-    return None if value is None else np.asarray(value, float)
-
-
 class RigidBody(Module):
     """Nodes of the mesh that move as one: a plate, a motor arm, the end of a branch.
 
-    The coupling is exact: the body has six unknowns, its nodes have none of their own.
-    A tet whose nodes all belong to one body does not deform but keeps its weight.
-
-    A configuration lets the body move freely, holds it, or hinges it about the third
-    axis of its frame (`BodyState`); a `Motor` turns it about that axis, too.
+    The coupling is exact: the body has six unknowns, its nodes have none. A tet whose
+    nodes all belong to one body does not deform but keeps its weight. A configuration
+    lets the body move freely, holds it, or hinges it about the third axis of its frame
+    (`BodyState`); a `Motor` turns it about that axis, too.
 
     Attributes:
-        name: Name of the body.
         where: Its nodes: name of a node or surface group, several names, or indices.
         origin: Origin of its frame at rest, through which a hinge passes; the mean of
             its nodes by default [m].
@@ -116,19 +129,19 @@ class RigidBody(Module):
 
     name: str
     where: tuple[str | Int[HostArray, " _"], ...] = eqx.field(converter=_as_groups)
-    origin: Float[HostArray, "3"] | None = eqx.field(converter=_if_any, default=None)
-    axes: Float[HostArray, "3 3"] | None = eqx.field(converter=_if_any, default=None)
+    origin: Float[HostArray, "3"] | None = eqx.field(converter=if_any, default=None)
+    axes: Float[HostArray, "3 3"] | None = eqx.field(converter=if_any, default=None)
     mounting: Pose = eqx.field(default_factory=Pose)
     tied_to: str | None = None
     mass: float = 0.0
     centre_of_mass: Float[HostArray, "3"] | None = eqx.field(
-        converter=_if_any, default=None
+        converter=if_any, default=None
     )
 
     def __check_init__(self):
         for name in ("origin", "centre_of_mass"):
             if (value := getattr(self, name)) is not None:
-                check_vector(f"{name} of rigid body {self.name!r}", "m", value)
+                three_numbers(f"{name} of rigid body {self.name!r}", "m", value)
         if not 0.0 <= self.mass < np.inf:
             raise ValueError(
                 f"mass of rigid body {self.name!r} must be finite and not negative "
@@ -150,14 +163,7 @@ def hinge_axes(axis: Vector) -> Float[HostArray, "3 3"]:
     Raises:
         ValueError: If the axis is not three finite numbers, or has no length.
     """
-    third = np.asarray(axis, float)
-    length = np.linalg.norm(third)
-    if third.shape != (3,) or not np.isfinite(length) or length == 0.0:
-        raise ValueError(
-            f"the axis of a hinge must be three finite numbers, not all zero, got "
-            f"{axis!r}."
-        )
-    third = third / length
+    third = unit_vector("the axis of a hinge", axis)
     # The coordinate axis farthest from it gives a well-defined first axis.
     first = np.eye(3)[np.argmin(np.abs(third))]
     first = first - third * (third @ first)
@@ -180,6 +186,14 @@ class BodyState(Module):
     def __check_init__(self):
         if self.kind not in KINDS:
             raise unknown_name("state of a rigid body", self.kind, KINDS)
+        shift, turn = self.pose.translation.tolist(), self.pose.rotation_vector.tolist()
+        unused = {"free": shift + turn, "hinged": turn, "held": []}[self.kind]
+        if any(unused):
+            raise ValueError(
+                f"a {self.kind} body ignores a part of its pose, with translation "
+                f"{shift} m and rotation vector {turn} rad. Hold it there with the "
+                "Pose itself, or turn a hinge by the axes or the mounting of its body."
+            )
 
 
 KINDS = ("free", "hinged", "held")

@@ -30,7 +30,7 @@ _SIGNS = np.cross(np.eye(3)[:, None], -np.eye(3)[None])
 
 
 def cross_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """Return the matrix hat(w) that maps a vector v to w x v."""
+    """Return the matrix hat(w) that maps v to w x v."""
     # Compiles to two operations, where stacking the entries would take twenty.
     return jnp.sum(jnp.asarray(_SIGNS, w.dtype) * w[None, None], axis=2)
 
@@ -95,12 +95,7 @@ def rotation_vector(R: Float[Array, "3 3"]) -> Float[Array, "3"]:
 
 
 class Frames(NamedTuple):
-    """Poses of the frames of the bodies.
-
-    Attributes:
-        origin: Origins [m].
-        rotation: Rotations from rest [-].
-    """
+    """Origins of the frames of the bodies [m], and their rotations from rest [-]."""
 
     origin: Float[Array, "n_b 3"]
     rotation: Float[Array, "n_b 3 3"]
@@ -108,7 +103,6 @@ class Frames(NamedTuple):
     __repr__ = one_line
 
     def where(self, mask: Bool[Array, " n_b"], others: "Frames") -> "Frames":
-        """Take these frames where the mask holds, and the other ones elsewhere."""
         return Frames(
             jnp.where(mask[:, None], self.origin, others.origin),
             jnp.where(mask[:, None, None], self.rotation, others.rotation),
@@ -144,11 +138,8 @@ def _apply(R: Float[Array, "... 3 3"], v: Float[Array, "... 3"]):
 class Mounted(NamedTuple):
     """Frames after a share of their mounting.
 
-    Attributes:
-        load: The share, which also applies to imposed poses [-].
-        rotation: Rotations of the mountings.
-        axes: Axes of the frames, by rows [-].
-        arm: Origin of each body at rest from where its path winds, see `winding` [m].
+    The share is `load`, which also applies to imposed poses [-]; `rotation` is that of
+    the mountings, `axes` are by rows [-], and `arm` is as for `winding` [m].
     """
 
     load: Float[Array, ""]
@@ -162,7 +153,6 @@ class Mounted(NamedTuple):
 def mounted(
     bodies: BodyArrays, load: Float[Array, ""], arm: Float[Array, "n_b 3"]
 ) -> Mounted:
-    """Turn the frames by a share of their mounting."""
     R = jax.vmap(rotation_matrix)(load * bodies.mounting_rotation)
     return Mounted(load, R, _apply(R[:, None], jnp.asarray(bodies.axes)), arm)
 
@@ -207,10 +197,10 @@ def winding(
     Seen from the point about which it winds, a body at p with the rotation vector w is
     the end of a rod with the constant strain e: p = V(w) e. On its path, e and w change
     in proportion to the load, so that a beam is bent along arcs of circles without
-    being stretched or crushed in between; on a straight line the end of a beam would
-    come as close as 0.4 of its length on the way to three quarters of a circle. The
-    result is zero at both ends of the path, whatever the pose, and has no derivative by
-    it: sensitivities are of the end alone.
+    being stretched or crushed: on a straight line its end would come as close as 0.4 of
+    its length on the way to three quarters of a circle. The result is zero at both ends
+    of the path, whatever the pose, and has no derivative by it: sensitivities are of
+    the end alone.
 
     `arm` is the origin of the body at rest from that point [m]; translation [m] and
     rotation vector [rad] are those at full load.
@@ -229,11 +219,7 @@ def place(
     frames: Frames,
     twist: Float[Array, "n_b 6"],
 ) -> Frames:
-    """Move free and hinged bodies by their twists; place all others as imposed.
-
-    The twist of each body is along its mounted axes: displacements, then angles, in
-    metres [m]. A hinge takes the last angle alone.
-    """
+    """Move free and hinged bodies by their twists [m]; place all others as imposed."""
     load, mounting, axes, arm = mounted
     along = lambda v: jnp.sum(axes * v[:, :, None], axis=1)
     rest = jnp.asarray(bodies.origin)

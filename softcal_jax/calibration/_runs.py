@@ -153,7 +153,8 @@ def settle(
 
     def again(state: CalibrationState) -> CalibrationState:
         new = initial_state(settings, state.z, state.evaluation)
-        return eqx.tree_at(lambda s: s.step, new, state.step)  # count on
+        kept = lambda s: (s.step, s.least_fall)  # count on
+        return eqx.tree_at(kept, new, kept(state))
 
     for _ in range(MOST_SETTLED):
         done = state.converged or state.step >= settings.max_steps

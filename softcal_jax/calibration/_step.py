@@ -115,7 +115,8 @@ class CalibrationState(Module):
     the last QP step, with its residual, and whether it was accepted. It has `converged`
     where lambda_p has vanished, not shortened by the step bound, or steps were refused
     at a minimum, and has `stalled` where they were refused until the bound was below
-    `tol`, away from a minimum.
+    `tol`, away from a minimum. `least_fall` is the relative fall of the cost that is
+    worth a step.
     """
 
     z: Float[Array, " n_p"]
@@ -129,10 +130,15 @@ class CalibrationState(Module):
     step: Int[Array, ""]
     converged: Bool[Array, ""]
     stalled: Bool[Array, ""]
+    least_fall: Float[Array, ""]
 
 
 def initial_state(
-    settings: CalibrationSettings, z: Float[Array, " n_p"], evaluation: Evaluation
+    settings: CalibrationSettings,
+    z: Float[Array, " n_p"],
+    evaluation: Evaluation,
+    *,
+    least_fall: float = SMALLEST_FALL,
 ) -> CalibrationState:
     """Return the state before the first step."""
     costs = jnp.full((MEMORY,), -jnp.inf, z.dtype)
@@ -149,6 +155,7 @@ def initial_state(
         step=jnp.zeros((), jnp.int32),
         converged=jnp.zeros((), bool),
         stalled=jnp.zeros((), bool),
+        least_fall=jnp.full((), least_fall, z.dtype),
     )
 
 
@@ -309,7 +316,7 @@ def _small(
     """Return whether a step is small because nothing is left to gain."""
     size = jnp.max(jnp.abs(qp.lambda_p))
     fall = state.evaluation.cost - cost
-    no_gain = settings.adapt & (fall <= SMALLEST_FALL * state.evaluation.cost)
+    no_gain = settings.adapt & (fall <= state.least_fall * state.evaluation.cost)
     free = ~_is_at_bound(space, state, qp) & (qp.kkt_residual <= KKT_TOLERANCE)
     return ((size <= settings.tol) | no_gain) & free
 
@@ -367,6 +374,7 @@ def decide(
         step=state.step + 1,
         converged=vanished | (collapsed & flat),
         stalled=collapsed & ~flat,
+        least_fall=state.least_fall,
     )
 
 

@@ -3,12 +3,15 @@
 A component of the noise that is not known is found by restricted maximum likelihood
 from the errors linearised at the optimum, and a share of the motion is one of that
 simulated there. These weights move the optimum a little, so the fit goes on from it,
-until neither changes.
+until neither changes. While the noise still changes, steps that no standard error
+could see are not taken.
 """
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+import equinox as eqx
+import jax
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
@@ -22,7 +25,11 @@ from softcal_jax.calibration._noise import (
 )
 from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._runs import settle
-from softcal_jax.calibration._step import CalibrationState, initial_state
+from softcal_jax.calibration._step import (
+    SMALLEST_FALL,
+    CalibrationState,
+    initial_state,
+)
 from softcal_jax.configurations import Configuration
 from softcal_jax.fields import OFFSET
 from softcal_jax.inference import (
@@ -36,6 +43,9 @@ from softcal_jax.inference import (
 
 SETTLED = 0.01
 """Relative change of a standard deviation at which the noise has settled [-]."""
+
+UNSEEN = 1e-2
+"""Standard errors below which a step waits until the noise is settled [-]."""
 
 MOST_ROUNDS = 10
 """Most estimates of the noise."""
@@ -124,11 +134,27 @@ def weighed_fit(
     [m]; `note` is called with state and noise after each step.
     """
     noise, scale, notes, settled = evaluate.problem.noise, None, [], True
-    n_points = evaluate.problem.configurations.effectors.nodes.shape[-2]
+    effectors = evaluate.problem.configurations.effectors
+    n_points = effectors.nodes.shape[-2]
+    n_rows = int(np.sum(np.asarray(effectors.inverse_std) > 0.0))
+    # A step of `UNSEEN` standard errors lets the cost fall by this share of it.
+    unseen = UNSEEN**2 / max(n_rows - len(state.z), 1)
     assert noise is not None
+
+    def until(state: CalibrationState, least_fall: float) -> CalibrationState:
+        """Take the steps by which the cost falls by this share of it, or more."""
+        last = least_fall == SMALLEST_FALL
+
+        def noted(new: CalibrationState) -> None:
+            if last or not new.converged:  # others will be asked for again
+                note(new, noise)
+
+        where = lambda s: (s.converged, s.least_fall)
+        wanted = jax.device_put((np.array(False), np.array(least_fall)))
+        return settle(evaluate, settings, eqx.tree_at(where, state, wanted), noted)
+
     for n in range(MOST_ROUNDS):
-        noted = lambda state, noise=noise: note(state, noise)
-        state = settle(evaluate, settings, state, noted)
+        state = until(state, max(unseen, 2.0 * SMALLEST_FALL))
         if not state.converged:
             break
         linear = linearised(evaluate.problem, configurations, state.z, state.evaluation)
@@ -143,21 +169,24 @@ def weighed_fit(
         simulated[:, :n_points] += np.asarray(state.evaluation.delta_e)[:, :n_points]
         new = (new or noise).moving(simulated)
         change = _change(noise, new)
-        if change <= SETTLED:
-            break
-        if n == MOST_ROUNDS - 1:
-            settled = False
-            notes.append(
-                "The noise did not settle beside the fit: it still "
-                f"changes by {100.0 * change:.0f} %. State the `std` of the effectors "
-                'with noise = "stated", or the offset of recordings.'
-            )
+        settled = change <= SETTLED
+        if settled or n == MOST_ROUNDS - 1:
+            state = until(state, SMALLEST_FALL)
+            notes += [] if settled else [_unsettled(change)]
             break
         noise, evaluate = new, evaluate.with_noise(new)
         evaluation = weighed(evaluate.numbered, state.z, state.evaluation.response)
         state = initial_state(settings, state.z, evaluation)
     notes += _noise_notes(noise, sought)
     return Weighed(state, noise, sought, scale, tuple(notes), settled)
+
+
+def _unsettled(change: float) -> str:
+    return (
+        "The noise did not settle beside the fit: it still changes by "
+        f"{100.0 * change:.0f} %. State the `std` of the effectors with noise = "
+        '"stated", or the offset of recordings.'
+    )
 
 
 class _Components(NamedTuple):

@@ -1,10 +1,5 @@
 """Posed robots: supports, loads, measured points, and the arrays they become."""
 
-from softcal_jax.configurations._actuation import (
-    ImposedDisplacement as ImposedDisplacement,
-    ImposedForce as ImposedForce,
-    actuation_arrays as actuation_arrays,
-)
 from softcal_jax.configurations._arrays import (
     ConfigurationArrays as ConfigurationArrays,
     EffectorArrays as EffectorArrays,
@@ -13,20 +8,17 @@ from softcal_jax.configurations._configuration import (
     STANDARD_GRAVITY as STANDARD_GRAVITY,
     Configuration as Configuration,
     ConfigurationLanes as ConfigurationLanes,
-    SharedNames as SharedNames,
     configuration_arrays as configuration_arrays,
     configuration_lanes as configuration_lanes,
     measured_as as measured_as,
     measured_at_rest as measured_at_rest,
-    shared_names as shared_names,
 )
 from softcal_jax.configurations._csv_table import read_table as read_table
 from softcal_jax.configurations._effector import (
     AbstractEffector as AbstractEffector,
     AbstractScalar as AbstractScalar,
-)
-from softcal_jax.configurations._effector_arrays import (
     EffectorRecord as EffectorRecord,
+    Unstated as Unstated,
     farthest as farthest,
     motions as motions,
 )
@@ -48,11 +40,16 @@ from softcal_jax.configurations._loads import (
 )
 from softcal_jax.configurations._marker_table import (
     MarkerTable as MarkerTable,
+    Registration as Registration,
     read_markers as read_markers,
+    register as register,
 )
 from softcal_jax.configurations._markers import STD as STD, Markers as Markers
 from softcal_jax.configurations._mechanism import (
+    ImposedDisplacement as ImposedDisplacement,
+    ImposedForce as ImposedForce,
     Mechanism as Mechanism,
+    actuation_arrays as actuation_arrays,
     build_mechanism as build_mechanism,
 )
 from softcal_jax.configurations._recording import (
@@ -64,10 +61,6 @@ from softcal_jax.configurations._recording_file import (
     read_c3d as read_c3d,
     read_recording as read_recording,
 )
-from softcal_jax.configurations._registration import (
-    Registration as Registration,
-    register as register,
-)
 from softcal_jax.configurations._supports import Support as Support
 from softcal_jax.configurations._tracker import (
     PoseTable as PoseTable,
@@ -77,5 +70,4 @@ from softcal_jax.configurations._tracker import (
     read_polhemus as read_polhemus,
     read_poses as read_poses,
 )
-from softcal_jax.configurations._values import Unstated as Unstated
 from softcal_jax.configurations._wide_table import read_wide_table as read_wide_table

@@ -25,24 +25,21 @@ class RecordingBase(Module):
     def point(
         self, x: Float[Array, "n 3"], centre: Float[Array, "3"]
     ) -> Float[Array, "n 3"]:
-        """Return readings of points at positions x [m]."""
         R = rotation_matrix(jnp.asarray(self.rotation))
         turned = jnp.sum(R[None] * (x - centre[None])[:, None, :], axis=2)
         return turned + (centre + jnp.asarray(self.translation))[None]
 
     def turn(self, R: Float[Array, "n 3 3"]) -> Float[Array, "n 3 3"]:
-        """Return readings of orientations R, as matrices [-]."""
         base = rotation_matrix(jnp.asarray(self.rotation))
         return jnp.sum(base[None, :, :, None] * R[:, None, :, :], axis=2)
 
 
 class EffectorArrays(Module):
-    """Effectors in rows of three coordinates: points, turns, scalars, forces.
+    """Effectors in rows of three coordinates, in the order of `QUANTITIES`.
 
-    Rows stand in the order points (markers, centroids), turns (orientations of rigid
-    bodies), scalars (displacements of actuators, angles between bodies), forces of
-    actuators and reactions of the ground. Scalars and forces use the first coordinate
-    of their row. Configurations with fewer rows are padded with weight zero.
+    Points are markers and centroids, turns orientations of rigid bodies, scalars
+    displacements of actuators and angles between bodies. Scalars and forces use the
+    first coordinate. Configurations with fewer rows are padded with weight zero.
 
     Attributes:
         nodes: Nodes that carry each point.
@@ -91,7 +88,6 @@ class ActuationArrays(Module):
         value: delta_a or lambda_a at full load, in the units of the actuator.
         force_factor: Factor on an imposed force [-]; 1 unless it is a parameter.
         releasing: Whether it was last released, which sets the sign of its friction.
-        names: Names of the actuators.
     """
 
     by_displacement: Bool[AnyArray, "*batch n_a"]
@@ -114,7 +110,6 @@ class Springs(Module):
         area: Area of each node in each support, along the axes of the support [m2].
         stiffness: Force per area and displacement of each support [N/m3].
         rest: Displacement at full load at which they exert no force [m].
-        names: Groups of the supports.
     """
 
     area: Float[AnyArray, "*batch n_springs n_points 3"]
@@ -123,7 +118,7 @@ class Springs(Module):
     names: tuple[str, ...] = eqx.field(static=True)
 
     def coefficients(self) -> Float[Array, "n_points 3"]:
-        """Compute the spring stiffness on each coordinate of each node [N/m]."""
+        """Compute the stiffness on each coordinate of each node [N/m]."""
         by_support = jnp.asarray(self.stiffness)[:, None, None]
         return jnp.sum(by_support * jnp.asarray(self.area), axis=0)
 

@@ -9,41 +9,39 @@ import jax
 import numpy as np
 
 from softcal_jax._module import Module, one_line
-from softcal_jax._names import UNNAMED_LOADS, name_key
+from softcal_jax._names import UNNAMED_LOADS, check_unique, name_key
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.bodies import KINDS
-from softcal_jax.configurations._actuation import (
-    Actuation,
-    BodyStates,
-    actuation_arrays,
-    body_state_arrays,
-)
+from softcal_jax.bodies import KINDS, if_any, three_numbers
 from softcal_jax.configurations._arrays import (
     ConfigurationArrays,
     DeadLoads,
     EffectorArrays,
     Springs,
 )
-from softcal_jax.configurations._effector import AbstractEffector, EffectorRow
-from softcal_jax.configurations._effector_arrays import (
+from softcal_jax.configurations._effector import (
+    AbstractEffector,
     EffectorRecord,
+    EffectorRow,
+    Unstated,
     effector_record,
     stack_effectors,
 )
 from softcal_jax.configurations._effectors import BodyFrame, Centroid
 from softcal_jax.configurations._loads import AbstractLoad
 from softcal_jax.configurations._markers import Markers, marker_rows
-from softcal_jax.configurations._mechanism import Mechanism, build_mechanism
+from softcal_jax.configurations._mechanism import (
+    Actuation,
+    BodyStates,
+    Mechanism,
+    actuation_arrays,
+    body_state_arrays,
+    build_mechanism,
+)
 from softcal_jax.configurations._supports import (
     Support,
     check_apart,
     check_held,
     motors_of,
-)
-from softcal_jax.configurations._values import (
-    Unstated,
-    optional_floats,
-    three_numbers,
 )
 from softcal_jax.mesh import TetMesh
 
@@ -78,12 +76,11 @@ class Configuration(Module):
             "hinged", or a `BodyState`; the others are free.
         actuation: What is imposed on actuators, by name: `ImposedForce` or
             `ImposedDisplacement`. The others have no force, or stay at zero if motors.
-        recording: Name of the recording that its measured values are from. What is off
-            in a recording, like its frame, is off in all its configurations. By default
-            each configuration is a recording of its own.
+        recording: Name of the recording that its measured values are from, by default
+            one of its own. What is off in it, like its frame, is off in all of it.
         relative_std: Standard deviation of a share of the measured motion of its
-            points, common to all of them: creep, or hysteresis [-]. It belongs to the
-            noise. "estimated" finds one share for all configurations that say so.
+            points, common to all of them: creep, or hysteresis [-]. "estimated" finds
+            one share for all configurations that say so.
         displacement_from: Name of a configuration, fitted as well, from which the
             displacement of points and the motion of frames count instead of their
             positions and orientations: the robot at rest under gravity, say. Where a
@@ -97,7 +94,7 @@ class Configuration(Module):
     loads: tuple[AbstractLoad, ...] = eqx.field(converter=_as_loads, default=())
     markers: Markers | None = None
     measured: Float[HostArray, "n_markers 3"] | None = eqx.field(
-        converter=optional_floats, default=None
+        converter=if_any, default=None
     )
     effectors: tuple[AbstractEffector, ...] = eqx.field(converter=tuple, default=())
     bodies: BodyStates = eqx.field(default_factory=dict)
@@ -137,43 +134,21 @@ class Configuration(Module):
                 f"relative_std of configuration {self.name!r} must be a share of the "
                 f'motion, zero or more, or "estimated"; got {share}.'
             )
-        if self.measured is None:
-            return
-        if self.markers is None:
-            raise ValueError(
-                f"configuration {self.name!r} has measured positions but no markers."
-            )
-        self.markers.check_measured(self.measured, self.name)
+        if self.measured is not None:
+            if self.markers is None:
+                raise ValueError(
+                    f"configuration {self.name!r} has measured positions, no markers."
+                )
+            self.markers.check_measured(self.measured, self.name)
 
 
 class ConfigurationLanes(NamedTuple):
-    """Arrays with one lane per configuration, and records of the effectors of each.
-
-    Records of markers come first.
-    """
+    """Arrays with one lane per configuration, and records of the effectors of each."""
 
     arrays: ConfigurationArrays
     effectors: tuple[tuple[EffectorRecord, ...], ...]
 
     __repr__ = one_line
-
-
-class SharedNames(NamedTuple):
-    """Groups of elastic supports and names of loads of those that share a program."""
-
-    springs: tuple[str, ...]
-    loads: tuple[str, ...]
-
-    __repr__ = one_line
-
-
-def shared_names(configurations: Iterable[Configuration]) -> SharedNames:
-    """List what any of these configurations has."""
-    configurations = tuple(configurations)
-    supports = [support for c in configurations for support in c.supports]
-    springs = dict.fromkeys(s.name for s in supports if s.stiffness is not None)
-    loads = dict.fromkeys(load.name for c in configurations for load in c.loads)
-    return SharedNames(tuple(springs), tuple(loads) or (UNNAMED_LOADS,))
 
 
 def configuration_arrays(
@@ -189,7 +164,7 @@ def configuration_lanes(
     mesh: TetMesh,
     configurations: Sequence[Configuration],
     mechanism: Mechanism | None = None,
-    shared: SharedNames | None = None,
+    like: ConfigurationArrays | None = None,
 ) -> ConfigurationLanes:
     """Stack configurations of one mesh, and describe their effectors.
 
@@ -197,7 +172,8 @@ def configuration_lanes(
         mesh: The mesh that all of them share.
         configurations: At least one; they may differ in everything but the mesh.
         mechanism: Rigid bodies and actuators of the model; none by default.
-        shared: `shared_names` of all configurations that share a program.
+        like: A batch whose names of loads and of elastic supports to take, in order to
+            share its programs.
 
     Raises:
         ValueError: If there is none, names repeat, one is not held, what it names is
@@ -207,9 +183,7 @@ def configuration_lanes(
         raise ValueError("at least one configuration is needed, got none.")
     mechanism = build_mechanism(mesh) if mechanism is None else mechanism
     names = [c.name for c in configurations]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"configuration {name!r} is named more than once.")
+    check_unique("configuration", names)
     by_key: dict[int, str] = {}
     for name in [*names, *(c.recording for c in configurations if c.recording)]:
         if by_key.setdefault(name_key(name), name) != name:
@@ -218,14 +192,17 @@ def configuration_lanes(
                 "or recordings cannot be told apart: their CRC-32 is the same. Rename "
                 "one of them."
             )
-    shared = shared_names(configurations) if shared is None else shared
+    springs, loads = _names_of(configurations)
+    if like is not None:
+        springs, loads = like.springs.names, like.loads.names
     rows = [_effector_rows(mesh, c, mechanism) for c in configurations]
     lanes, records = [], []
-    for c, own, (effectors, indices) in zip(
+    for c, of_c, (effectors, indices) in zip(
         configurations, rows, stack_effectors(rows), strict=True
     ):
-        lanes.append(_lane(mesh, mechanism, c, shared, effectors))
-        numbered = zip(own, indices, strict=True)
+        lane = _lane(mesh, mechanism, c, effectors, springs=springs, loads=loads)
+        lanes.append(lane)
+        numbered = zip(of_c, indices, strict=True)
         described = (effector_record(*both, mechanism.points) for both in numbered)
         records.append(tuple(described))
     # Not jnp.asarray, which would compile a program for every shape.
@@ -233,12 +210,24 @@ def configuration_lanes(
     return ConfigurationLanes(arrays, tuple(records))
 
 
+def _names_of(
+    configurations: Sequence[Configuration],
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """List the groups of all elastic supports, and the names of all loads."""
+    supports = [support for c in configurations for support in c.supports]
+    springs = dict.fromkeys(s.name for s in supports if s.stiffness is not None)
+    loads = dict.fromkeys(load.name for c in configurations for load in c.loads)
+    return tuple(springs), tuple(loads) or (UNNAMED_LOADS,)
+
+
 def _lane(
     mesh: TetMesh,
     mechanism: Mechanism,
     c: Configuration,
-    shared: SharedNames,
     effectors: EffectorArrays,
+    *,
+    springs: tuple[str, ...],
+    loads: tuple[str, ...],
 ) -> ConfigurationArrays:
     fixed, sprung = np.zeros((2, mesh.n_nodes, 3), bool)
     imposed, rest = np.zeros((2, mesh.n_nodes, 3))
@@ -248,24 +237,17 @@ def _lane(
     check_apart(mesh, mechanism, fixed | sprung, c.name)
     bodies = body_state_arrays(mechanism, c.bodies, c.name)
     actuation = actuation_arrays(mechanism, c.actuation, c.name)
-    force = np.zeros((len(shared.loads), len(mechanism.points), 3))
+    force = np.zeros((len(loads), len(mechanism.points), 3))
     for load in c.loads:
-        own = force[shared.loads.index(load.name), : mesh.n_nodes]
-        own += load.nodal_forces(mesh)
+        force[loads.index(load.name), : mesh.n_nodes] += load.nodal_forces(mesh)
     kind = np.asarray(bodies.kind).copy()
     motors = motors_of(mechanism)
     for name, k in motors:
         by_angle = actuation.by_displacement[mechanism.actuators.names.index(name)]
         kind[k] = KINDS.index("held" if by_angle else "hinged")
-    asked = set(c.actuation) - {name for name, _ in motors}
-    check_held(
-        mesh,
-        mechanism,
-        fixed | sprung,
-        kind,
-        name=c.name,
-        balanced=bool(np.any(c.gravity) or c.loads or asked),
-    )
+    others = set(c.actuation) - {name for name, _ in motors}
+    balanced = bool(np.any(c.gravity) or c.loads or others)
+    check_held(mesh, mechanism, fixed | sprung, kind, name=c.name, balanced=balanced)
     # Nodes of the bodies' frames come after those of the mesh.
     more = len(mechanism.points) - mesh.n_nodes
     all_nodes = lambda a: np.concatenate([a, np.zeros((more, 3), a.dtype)])
@@ -273,8 +255,8 @@ def _lane(
         key=np.array([name_key(c.name), name_key(c.recording or c.name)], np.int64),
         fixed=all_nodes(fixed),
         imposed=all_nodes(imposed),
-        springs=_springs(mesh, c, shared.springs, all_nodes(rest)),
-        loads=DeadLoads(force, np.ones(len(force)), shared.loads),
+        springs=_springs(mesh, c, springs, all_nodes(rest)),
+        loads=DeadLoads(force, np.ones(len(force)), loads),
         gravity=np.asarray(c.gravity, float),
         tilt=np.zeros(2),
         bodies=bodies,

@@ -12,15 +12,12 @@ import numpy as np
 
 from softcal_jax._files import check_file
 from softcal_jax._module import one_line
-from softcal_jax._names import METRES, suggestion, unknown_name
+from softcal_jax._names import METRES, check_unique, suggestion, unknown_name
 from softcal_jax._text import check_characters, from_cell
 from softcal_jax._typing import Float, HostArray
 
 _DELIMITERS = (",", ";", "\t", "|")
 """What may stand between columns; the header has most of it."""
-
-_POINTS = (".", ",")
-"""What may stand before decimals."""
 
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 
@@ -56,7 +53,6 @@ class CsvTable(NamedTuple):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each row is about."""
         return tuple(row[self.key] for row in self.rows)
 
     def numbers(self, columns: Sequence[str]) -> Float[HostArray, "n_rows n_columns"]:
@@ -101,9 +97,7 @@ def read_table(
     delimiter = delimiter or delimiter_of([texts[0][1]])
     lines = read_cells(path, texts, delimiter)
     header = lines[0][1]
-    for column in header:
-        if header.count(column) > 1:
-            raise ValueError(f"{path}: its header has the column {column!r} twice.")
+    check_unique(f"{path}: its column", header)
     rows = []
     for number, cells in lines[1:]:
         if len(cells) != len(header):
@@ -122,8 +116,7 @@ def read_table(
 
 
 def check_dialect(delimiter: str | None, decimal: str | None) -> None:
-    """Raise ValueError unless a file could be written with these."""
-    stated = {"delimiter": (delimiter, _DELIMITERS), "decimal": (decimal, _POINTS)}
+    stated = {"delimiter": (delimiter, _DELIMITERS), "decimal": (decimal, (".", ","))}
     for name, (value, known) in stated.items():
         if value is not None and value not in known:
             raise ValueError(
@@ -134,21 +127,19 @@ def check_dialect(delimiter: str | None, decimal: str | None) -> None:
 
 
 def delimiter_of(texts: Iterable[str]) -> str:
-    """Tell what stands between the columns of some lines."""
     text = "\n".join(texts)
     return max(_DELIMITERS, key=text.count)
 
 
 def decimal_of(rows: Iterable[Iterable[str]], delimiter: str) -> str:
-    """Tell whether decimals have a point or a comma.
+    """Tell whether decimals have a point or a comma, from the cells of a whole file.
 
-    Ask this of a whole file: in a few of its lines "1,500" may be one thousand five
-    hundred or one and a half.
+    In a few of its lines "1,500" may be one thousand five hundred or one and a half.
     """
-    german = delimiter != "," and any(
-        _DECIMAL_COMMA.fullmatch(cell) for cells in rows for cell in cells
-    )
-    return "," if german else "."
+    if delimiter == ",":
+        return "."
+    commas = any(_DECIMAL_COMMA.fullmatch(cell) for cells in rows for cell in cells)
+    return "," if commas else "."
 
 
 def read_cells(
@@ -179,17 +170,13 @@ def parse_number(cell: str, point: str, what: str = "a cell") -> float:
 
 def _selected(table: CsvTable, select: Mapping[str, str]) -> CsvTable:
     table.check_columns(select)
+    listed = ", ".join(f"{column} = {value}" for column, value in select.items())
     # The items of a dictionary are a set: those of `select` are among those of a row.
     chosen = [i for i, row in enumerate(table.rows) if select.items() <= row.items()]
     if not chosen:
-        hints = ""
-        for column, value in select.items():
-            there = list(dict.fromkeys(row[column] for row in table.rows))
-            hint = "" if value in there else suggestion(value, there)
-            hints += f"{hint} Values of {column} there: {', '.join(there)}."
-        wanted = ", ".join(f"{column} = {value!r}" for column, value in select.items())
-        raise ValueError(f"{table.path}: no row has {wanted}.{hints}")
-    listed = ", ".join(f"{column} = {value}" for column, value in select.items())
+        values = {c: dict.fromkeys(row[c] for row in table.rows) for c in select}
+        hints = (f" Values of {c} there: {', '.join(values[c])}." for c in select)
+        raise ValueError(f"{table.path}: no row has {listed}.{''.join(hints)}")
     return table._replace(
         rows=[table.rows[i] for i in chosen],
         lines=tuple(table.lines[i] for i in chosen),
@@ -219,7 +206,6 @@ def read_lines(path: Path, key: str) -> list[tuple[int, str]]:
 
 
 def check_length_unit(unit: str) -> None:
-    """Raise ValueError unless the unit of length is known."""
     if unit not in METRES:
         raise unknown_name("length unit", unit, METRES)
 

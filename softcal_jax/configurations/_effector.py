@@ -1,10 +1,13 @@
-"""Effectors other than markers, and their rows for the solver (paper Sec. II).
+"""Effectors: their rows for the solver (paper Sec. II), arrays, and records of them.
 
 Each is a sensor where it has a measured value; control brings the others to goals.
 """
 
+import math
 from abc import abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import accumulate, count
 from typing import Literal, NamedTuple, get_args
 
 import equinox as eqx
@@ -12,7 +15,9 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module
-from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax._units import readable_values
+from softcal_jax.configurations._arrays import EffectorArrays, RecordingBase
 from softcal_jax.configurations._mechanism import Mechanism
 from softcal_jax.mesh import TetMesh
 
@@ -21,6 +26,10 @@ Quantity = Literal["point", "turn", "scalar", "force", "reaction"]
 
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
 """Rows are stacked in this order."""
+
+
+class Unstated(float):
+    """A default standard deviation, which weighs data but states nothing of them."""
 
 
 class EffectorRow(NamedTuple):
@@ -53,7 +62,6 @@ class EffectorRow(NamedTuple):
         value: float | Float[ArrayLike, "..."] | None,
         std: float | Float[ArrayLike, "3"],
     ) -> tuple["EffectorRow"]:
-        """Add the measured value, of one or three coordinates, and its std."""
         weight = inverse_std(self.name, "std", std, self.unit)
         if value is None:
             return (self,)
@@ -86,7 +94,6 @@ class AbstractEffector(Module):
         self, values: Float[HostArray, "k 3"], mechanism: Mechanism
     ) -> "AbstractEffector":
         """Return it with other measured values: a row for each of `rows`, from rest."""
-        del mechanism
         return replace(self, measured=values[0])  # pyright: ignore
 
 
@@ -96,15 +103,12 @@ class AbstractScalar(AbstractEffector):
     def measured_as(
         self, values: Float[HostArray, "k 3"], mechanism: Mechanism
     ) -> "AbstractScalar":
-        """Replace the measured value, in its unit."""
-        del mechanism
         return replace(self, measured=float(values[0, 0]))  # pyright: ignore
 
 
 def inverse_std(
     name: str, what: str, std: float | Float[ArrayLike, "3"], unit: str
 ) -> Float[HostArray, "..."]:
-    """Return 1 / standard deviation of an effector, or of each of its coordinates."""
     values = np.asarray(std, float)
     bad = values[~(np.isfinite(values) & (values > 0.0))]
     if bad.size:
@@ -113,3 +117,145 @@ def inverse_std(
             f"{bad[0]:g}."
         )
     return np.asarray(1.0 / values)
+
+
+Rows = Sequence[EffectorRow]
+
+
+class EffectorRecord(Module):
+    """Up to three coordinates of an effector; results fill in simulated values.
+
+    A frame has two records, one of its point and one of its turn.
+
+    Attributes:
+        index: Index of their row in `EffectorArrays`.
+        measured: Measured values, or goals; NaN for a coordinate that was not measured.
+            A turn is counted from the measured one.
+        std: Their standard deviation; infinite for a coordinate that was not measured.
+        reference: Of a turn, the orientation that it is counted from, as a matrix [-].
+        at_rest: Of a point, its position on the undeformed robot [m]; of others NaN.
+        simulated_before: Simulated values with the start parameters; NaN without
+            an equilibrium, and where nothing was calibrated.
+        simulated: Simulated values of the result; NaN without an equilibrium.
+    """
+
+    name: str
+    quantity: Quantity
+    unit: str
+    index: int
+    measured: Float[HostArray, " k"]
+    std: Float[HostArray, " k"]
+    reference: Float[HostArray, "3 3"]
+    at_rest: Float[HostArray, " k"]
+    simulated_before: Float[HostArray, " k"]
+    simulated: Float[HostArray, " k"]
+
+    @property
+    def is_turn(self) -> bool:
+        return self.quantity == "turn"
+
+    @property
+    def seen(self) -> Bool[HostArray, " k"]:
+        """Which coordinates were measured."""
+        return np.isfinite(self.std)
+
+    @property
+    def residual(self) -> Float[HostArray, " k"]:
+        """Simulated minus measured values; NaN where not measured."""
+        return self.simulated - self.measured
+
+    def error(self, values: Float[HostArray, " k"]) -> Float[HostArray, " k"]:
+        """Subtract the measured values from others; 0 where not measured."""
+        return np.where(self.seen, values - self.measured, 0.0)
+
+    def among(self, rows: Float[ArrayLike, "n_rows 3"]) -> Float[HostArray, " k"]:
+        """Pick its coordinates among those of all rows of a configuration."""
+        return np.asarray(rows)[self.index, : len(self.std)].copy()
+
+
+def effector_record(
+    row: EffectorRow, index: int, points: Float[HostArray, "n_points 3"]
+) -> EffectorRecord:
+    """Describe a row with an index in the arrays; `points` are all nodes at rest."""
+    width = row.width
+    weight, nothing = row.inverse_std[:width], np.full(width, np.nan)
+    seen, is_point = weight > 0.0, row.quantity == "point"
+    return EffectorRecord(
+        name=row.name,
+        quantity=row.quantity,
+        unit=row.unit,
+        index=index,
+        measured=np.where(seen, row.measured[:width], np.nan),
+        std=np.where(seen, 1.0 / np.where(seen, weight, 1.0), np.inf),
+        reference=row.reference,
+        at_rest=row.weights @ points[row.nodes] if is_point else nothing,
+        simulated_before=nothing,
+        simulated=nothing,
+    )
+
+
+def stack_effectors(lanes: Sequence[Rows]) -> list[tuple[EffectorArrays, list[int]]]:
+    """Put rows of each configuration into arrays, and find the index of each row."""
+    number = lambda lane, quantity: sum(row.quantity == quantity for row in lane)
+    counts = [max(number(lane, quantity) for lane in lanes) for quantity in QUANTITIES]
+    ends = list(accumulate(counts, initial=0))
+    places = dict(zip(QUANTITIES, map(slice, ends, ends[1:]), strict=True))
+    widest = max((row.nodes.size for lane in lanes for row in lane), default=0)
+    return [_stack(lane, places, widest) for lane in lanes]
+
+
+def _stack(
+    lane: Rows, places: Mapping[Quantity, slice], widest: int
+) -> tuple[EffectorArrays, list[int]]:
+    points, turns, scalars, forces, reactions = places.values()
+    following = {quantity: count(place.start) for quantity, place in places.items()}
+    indices = [next(following[row.quantity]) for row in lane]
+    total = reactions.stop
+    nodes = np.zeros((total, widest), np.int32)
+    weights = np.zeros((total, widest))
+    about, axis = np.zeros((total, 2), np.int32), np.zeros((total, 3))
+    reference = np.tile(np.eye(3), (total, 1, 1))
+    measured, inverse_std = np.zeros((2, total, 3))
+    for i, row in zip(indices, lane, strict=True):
+        nodes[i, : row.nodes.size] = row.nodes
+        weights[i, : row.weights.size] = row.weights
+        about[i], axis[i], reference[i] = row.about, row.axis, row.reference
+        measured[i], inverse_std[i] = np.nan_to_num(row.measured), row.inverse_std
+    arrays = EffectorArrays(
+        nodes=nodes[points],
+        weights=weights[points],
+        turn_body=about[turns, 0],
+        turn_reference=reference[turns],
+        scalar_index=about[scalars],
+        scalar_axis=axis[scalars],
+        force_actuator=about[forces, 0],
+        reaction_nodes=nodes[reactions],
+        reaction_weights=weights[reactions],
+        measured=measured,
+        inverse_std=inverse_std,
+        base=RecordingBase(np.zeros(3), np.zeros(3)),
+    )
+    return arrays, indices
+
+
+FAR = 3.0
+"""Distance over the size of the robot from which a point is hardly meant so [-]."""
+
+
+def motions(records: Iterable[EffectorRecord]) -> dict[str, Float[HostArray, " k"]]:
+    """Return how far each point was measured from its place at rest, by name [m]."""
+    points = [r for r in records if r.quantity == "point" and r.seen.any()]
+    return {r.name: r.error(r.at_rest) for r in points}
+
+
+def farthest(moved: Mapping[str, Float[HostArray, " k"]], size: float) -> str | None:
+    """Describe the point that moved implausibly far, for the size of the robot [m]."""
+    distances = {name: math.hypot(*u) for name, u in moved.items()}
+    name = max(distances, key=distances.__getitem__, default="")
+    if not moved or distances[name] <= FAR * size:
+        return None
+    return (
+        f"{name!r} is {readable_values([distances[name]], 'm')} from its place at "
+        f"rest, {distances[name] / size:.3g} times the size of the robot "
+        f"({readable_values([size], 'm')}): check the unit of length and the frame."
+    )

@@ -8,15 +8,21 @@ import numpy as np
 
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.bodies import BodyArrays, Pose
+from softcal_jax.bodies import (
+    BodyArrays,
+    Pose,
+    as_floats,
+    if_any,
+    unit_vector,
+)
 from softcal_jax.configurations._effector import (
     AbstractEffector,
     AbstractScalar,
     EffectorRow,
+    Unstated,
     inverse_std,
 )
 from softcal_jax.configurations._mechanism import Mechanism
-from softcal_jax.configurations._values import Unstated, as_floats, optional_floats
 from softcal_jax.mesh import TetMesh, node_indices
 
 
@@ -39,23 +45,17 @@ class BodyFrame(AbstractEffector):
     name: str
     body: str
     measured: Pose | None = None
-    point: Float[HostArray, "3"] | None = eqx.field(
-        converter=optional_floats, default=None
-    )
+    point: Float[HostArray, "3"] | None = eqx.field(converter=if_any, default=None)
     std: float | Float[HostArray, "3"] = Unstated(1e-3)
     std_angle: float | Float[HostArray, "3"] = Unstated(1e-2)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         bodies = mechanism.bodies
         k, point = self._place(bodies)
+        nodes = (mesh.n_nodes + 4 * k + np.arange(4)).astype(np.int32)
+        weights = bodies.at(k, point[None])[0]
+        row = EffectorRow(self.name, "point", "m", nodes=nodes, weights=weights)
         turn = EffectorRow(self.name, "turn", "rad", about=(k, 0))
-        row = EffectorRow(
-            name=self.name,
-            quantity="point",
-            unit="m",
-            nodes=(mesh.n_nodes + 4 * k + np.arange(4)).astype(np.int32),
-            weights=bodies.at(k, point[None])[0],
-        )
         weight_angle = inverse_std(self.name, "std_angle", self.std_angle, "rad")
         if self.measured is None:
             return (*row.with_value(None, self.std), turn)
@@ -90,16 +90,12 @@ class Centroid(AbstractEffector):
 
     name: str
     where: str | Int[HostArray, " n"]
-    measured: Float[HostArray, "3"] | None = eqx.field(
-        converter=optional_floats, default=None
-    )
+    measured: Float[HostArray, "3"] | None = eqx.field(converter=if_any, default=None)
     std: float = Unstated(1e-3)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        del mechanism
         nodes = node_indices(mesh, self.where, f"effector {self.name!r}")
-        weights = np.full(nodes.size, 1.0 / nodes.size)
-        nodes = nodes.astype(np.int32)
+        nodes, weights = nodes.astype(np.int32), np.full(nodes.size, 1.0 / nodes.size)
         row = EffectorRow(self.name, "point", "m", nodes=nodes, weights=weights)
         return row.with_value(self.measured, self.std)
 
@@ -118,9 +114,7 @@ class SupportReaction(AbstractEffector):
 
     name: str
     where: str | Int[HostArray, " n"]
-    measured: Float[HostArray, "3"] | None = eqx.field(
-        converter=optional_floats, default=None
-    )
+    measured: Float[HostArray, "3"] | None = eqx.field(converter=if_any, default=None)
     std: float = Unstated(1e-2)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
@@ -150,32 +144,20 @@ class BodyAngle(AbstractScalar):
     std: float = Unstated(1e-2)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        del mesh
         names = mechanism.bodies.names
         body = _index_of(self.body, names, "rigid body", self.name)
         other = _index_of(self.other, names, "rigid body", self.name)
-        length = np.linalg.norm(self.axis)
-        if self.axis.shape != (3,) or not (np.isfinite(length) and length > 0.0):
-            raise ValueError(
-                f"axis of effector {self.name!r} must be three finite numbers, not all "
-                f"zero, got {self.axis}."
-            )
-        axis, pair = self.axis / length, (body, other)
-        row = EffectorRow(self.name, "scalar", "rad", about=pair, axis=axis)
+        axis = unit_vector(f"axis of effector {self.name!r}", self.axis)
+        row = EffectorRow(self.name, "scalar", "rad", about=(body, other), axis=axis)
         return row.with_value(self.measured, self.std)
 
 
 class ActuatorDisplacement(AbstractScalar):
     """Displacement delta_a of an actuator: length of a cable, volume of a chamber.
 
-    For a motor it is the reading of its encoder, as for `ImposedDisplacement`: the
-    angle of its body minus the zero error. `BodyFrame` and `BodyAngle` give the angle
-    itself.
-
-    Attributes:
-        actuator: The actuator.
-        measured: Measured displacement from rest, in the unit of the actuator.
-        std: Its standard deviation.
+    It counts from rest, in the unit of the actuator. For a motor it is the reading of
+    its encoder, as for `ImposedDisplacement`: the angle of its body minus the zero
+    error. `BodyFrame` and `BodyAngle` give the angle itself.
     """
 
     name: str
@@ -184,7 +166,6 @@ class ActuatorDisplacement(AbstractScalar):
     std: float = Unstated(1e-3)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        del mesh
         a = _index_of(self.actuator, mechanism.actuators.names, "actuator", self.name)
         kind = mechanism.actuators.kinds[a]
         if kind.displacement_unit is None:
@@ -198,13 +179,7 @@ class ActuatorDisplacement(AbstractScalar):
 
 
 class ActuatorForce(AbstractScalar):
-    """Force lambda_a of an actuator: tension, pressure, reaction torque of a motor.
-
-    Attributes:
-        actuator: The actuator.
-        measured: Measured force, in the unit of the actuator.
-        std: Its standard deviation.
-    """
+    """Force lambda_a of an actuator, in its unit: tension, pressure, torque."""
 
     name: str
     actuator: str
@@ -212,7 +187,6 @@ class ActuatorForce(AbstractScalar):
     std: float = Unstated(1e-2)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
-        del mesh
         a = _index_of(self.actuator, mechanism.actuators.names, "actuator", self.name)
         unit = mechanism.actuators.kinds[a].force_unit
         row = EffectorRow(self.name, "force", unit, about=(a, 0))
@@ -220,7 +194,6 @@ class ActuatorForce(AbstractScalar):
 
 
 def _index_of(wanted: str, names: Sequence[str], kind: str, owner: str) -> int:
-    """Find the body or actuator of an effector in a list of names."""
     if wanted not in names:
         raise unknown_name(f"{kind} of effector {owner!r}", wanted, names)
     return list(names).index(wanted)
@@ -233,16 +206,17 @@ def _with_bodies(
 
     These include the frame nodes of a body, on which masses and cables act.
     """
-    inside = np.isin(bodies.attached, nodes)
-    counts = [(inside[bodies.body == k], k) for k in range(bodies.n_bodies)]
-    for own, k in counts:
-        if own.any() and not own.all():
+    inside, whole = np.isin(bodies.attached, nodes), set()
+    for k, body in enumerate(bodies.names):
+        of_body = inside[bodies.body == k]
+        if of_body.all():
+            whole.add(k)
+        elif of_body.any():
             raise ValueError(
-                f"effector {name!r} names {own.sum()} of the {own.size} nodes of rigid "
-                f"body {bodies.names[k]!r}, which is held as a whole: name all or none."
+                f"effector {name!r} names {of_body.sum()} of the {of_body.size} nodes "
+                f"of rigid body {body!r}, which is held as a whole: name all or none."
             )
-    whole = [k for own, k in counts if own.all()]
-    carried = [k for _, k in counts if k in whole or bodies.owner[k] in whole]
+    carried = [k for k, owner in enumerate(bodies.owner) if {k, owner} & whole]
     frames = [mesh.n_nodes + 4 * k + np.arange(4) for k in carried]
     attached = bodies.attached[np.isin(bodies.body, carried)]
     return np.unique(np.concatenate([nodes, attached, *frames])).astype(np.int32)

@@ -8,7 +8,7 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.configurations._values import three_numbers
+from softcal_jax.bodies import three_numbers
 from softcal_jax.mesh import (
     TetMesh,
     boundary_faces,
@@ -21,9 +21,8 @@ from softcal_jax.mesh import (
 class AbstractLoad(Module):
     """A load that becomes forces on nodes, consistent with the shape functions.
 
-    Attributes:
-        name: What it is called where it is only roughly known, see `load_factor`; loads
-            of one name share a factor.
+    Loads of one name share a factor where they are only roughly known, see
+    `load_factor`.
     """
 
     name: str = eqx.field(default=UNNAMED_LOADS, kw_only=True)
@@ -49,7 +48,6 @@ class PointForce(AbstractLoad):
     force: tuple[float, float, float]
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """Compute forces on the nodes of the tet that holds the point [N]."""
         point = three_numbers("point", "m", self.point)
         force = three_numbers("force", "N", self.force)
         near, names = 1e-3 * mesh.size, ["the point of the force"]
@@ -69,7 +67,6 @@ class NodalForces(AbstractLoad):
     forces: Float[HostArray, "n 3"]
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """Place the forces, added up where a node is named twice, on all nodes [N]."""
         nodes = node_indices(mesh, self.nodes, "a nodal force")
         forces = np.asarray(self.forces, float)
         if forces.shape != (len(nodes), 3):
@@ -125,7 +122,6 @@ class SurfaceForce(AbstractLoad):
     force: tuple[float, float, float]
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """Consistent forces on the nodes of the surface [N]."""
         shares = surface_shares(mesh, mesh.faces(self.where))
         force = three_numbers("force", "N", self.force)
         return (shares / shares.sum())[:, None] * force
@@ -143,13 +139,12 @@ class SurfaceTraction(AbstractLoad):
     traction: tuple[float, float, float]
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        """Consistent forces on the nodes of the surface [N]."""
         shares = surface_shares(mesh, mesh.faces(self.where))
         return shares[:, None] * three_numbers("traction", "Pa", self.traction)
 
 
 def _added(mesh: TetMesh, nodes, forces) -> Float[HostArray, "n_nodes 3"]:
-    """Place forces on all nodes; they add up where a node is named twice [N]."""
+    """Place forces on all nodes [N]; they add up where a node is named twice."""
     out = np.zeros_like(mesh.points)
     np.add.at(out, nodes, forces)
     return out

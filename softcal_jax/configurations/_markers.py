@@ -7,10 +7,12 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module
+from softcal_jax._names import check_unique
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax._units import readable
-from softcal_jax.configurations._effector import EffectorRow
-from softcal_jax.configurations._values import Unstated, as_floats, parse_axes
+from softcal_jax.bodies import as_floats
+from softcal_jax.configurations._effector import EffectorRow, Unstated
+from softcal_jax.configurations._supports import parse_axes
 from softcal_jax.mesh import TetMesh, locate, volumes
 
 STD = Unstated(1e-3)
@@ -33,9 +35,8 @@ class Markers(Module):
         max_distance: How far from the mesh a marker may stand [m].
         base_radius: For markers on posts: the post follows the affine motion fitted to
             the nodes within this radius of its foot. 0 uses only the tet at the marker,
-            whose local strain a post would magnify. The nodes are picked by straight
-            distance: stay below the distance to another part of the body, like the far
-            side of a slit or a second finger [m].
+            whose local strain a post would magnify. Stay below the straight distance to
+            another part of the body, like the far side of a slit [m].
     """
 
     names: tuple[str, ...] = eqx.field(converter=_as_names)
@@ -64,9 +65,7 @@ class Markers(Module):
                 raise ValueError(
                     f"marker {name!r} needs a finite position [m], got {position}."
                 )
-        repeated = sorted({name for name in self.names if self.names.count(name) > 1})
-        if repeated:
-            raise ValueError(f"marker {repeated[0]!r} is named more than once.")
+        check_unique("marker", self.names)
         std = np.asarray(self.std, float)
         fits = std.shape in ((), (n,), (n, 3))
         bad = std[~(np.isfinite(std) & (std > 0))]
@@ -82,10 +81,8 @@ class Markers(Module):
         """Return 1 / std on the measured axes, 0 on the others [1/m]."""
         std = np.asarray(self.std, float)
         std = std[:, None] if std.ndim == 1 else std
-        out = np.zeros((len(self.names), 3))
-        axes = parse_axes(self.axes)
-        out[:, axes] = np.broadcast_to(1.0 / std, out.shape)[:, axes]
-        return out
+        counts = np.isin(range(3), parse_axes(self.axes))
+        return np.where(counts, 1.0 / std, np.zeros((len(self.names), 3)))
 
     def check_measured(
         self, measured: Float[HostArray, "n_markers 3"], configuration: str
@@ -111,21 +108,12 @@ def marker_rows(
     mesh: TetMesh, markers: Markers, measured: Float[HostArray, "n_markers 3"] | None
 ) -> list[EffectorRow]:
     """Return markers as rows of effectors, with their measured values if given."""
-    inverse_std, known = markers.inverse_std(), measured is not None
-    values = np.full((len(markers.names), 3), np.nan) if measured is None else measured
+    inverse_std = markers.inverse_std() * (measured is not None)
+    values = np.full_like(inverse_std, np.nan) if measured is None else measured
+    both = zip(values, inverse_std, _carriers(mesh, markers), strict=True)
     return [
-        EffectorRow(
-            name=name,
-            quantity="point",
-            unit="m",
-            measured=values[i],
-            inverse_std=inverse_std[i] * known,
-            nodes=nodes,
-            weights=weights,
-        )
-        for i, (name, (nodes, weights)) in enumerate(
-            zip(markers.names, _carriers(mesh, markers), strict=True)
-        )
+        EffectorRow(name, "point", "m", value, precision, *carriers)
+        for name, (value, precision, carriers) in zip(markers.names, both, strict=True)
     ]
 
 

@@ -1,12 +1,13 @@
-"""Rigid bodies and actuators of a robot, as arrays."""
+"""Rigid bodies and actuators of a robot, and what a configuration asks of them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import jax
 import numpy as np
 
 from softcal_jax._module import Module
+from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators import (
     AbstractActuator,
@@ -14,7 +15,16 @@ from softcal_jax.actuators import (
     actuator_arrays,
     actuator_displacements,
 )
-from softcal_jax.bodies import BodyArrays, RigidBody, body_arrays
+from softcal_jax.bodies import (
+    KINDS,
+    BodyArrays,
+    BodyState,
+    BodyStateArrays,
+    Pose,
+    RigidBody,
+    body_arrays,
+)
+from softcal_jax.configurations._arrays import ActuationArrays
 from softcal_jax.mesh import Refinement, TetMesh
 
 
@@ -68,8 +78,7 @@ def build_mechanism(
 ) -> Mechanism:
     """Stack the rigid bodies and actuators of a mesh at rest.
 
-    Displacements of actuators are NaN unless they are evaluated `at_rest`, for which a
-    program is compiled: not needed to check or to draw them.
+    To check or to draw actuators, `at_rest` is not needed, see `actuator_arrays`.
 
     Raises:
         ValueError: If a body or an actuator does not fit the mesh, or a motor turns a
@@ -91,17 +100,140 @@ def _check_motors(bodies: BodyArrays, actuators: ActuatorArrays) -> None:
     for name, body in zip(actuators.names, actuators.motor_body, strict=True):
         if body < 0:
             continue
-        own, root = bodies.names[body], bodies.names[bodies.owner[body]]
-        if own != root:
+        driven, root = bodies.names[body], bodies.names[bodies.owner[body]]
+        what = f"motor {name!r} turns {driven!r}"
+        if driven != root:
             raise ValueError(
-                f"motor {name!r} turns {own!r}, which is tied to {root!r}: let it turn "
-                f"{root!r}."
+                f"{what}, which is tied to {root!r}: let it turn {root!r}."
             )
         if body in turned:
-            raise ValueError(f"motors {turned[body]!r} and {name!r} both turn {own!r}.")
+            raise ValueError(f"{what}, and so does motor {turned[body]!r}.")
         if np.any(np.asarray(bodies.mounting_rotation)[body] != 0.0):
             raise ValueError(
-                f"motor {name!r} turns {own!r}, whose mounting turns it already: give "
-                "that rotation to the axes of the body, or to the angle."
+                f"{what}, whose mounting turns it already: give that rotation to the "
+                "axes of the body, or to the angle."
             )
         turned[body] = name
+
+
+class ImposedForce(Module):
+    """The force lambda_a of an actuator is given; its displacement follows.
+
+    Attributes:
+        value: Tension [N], pressure [Pa], torque [N m] or force [N].
+        releasing: Whether it was last released, not pulled: the sign of its friction.
+    """
+
+    value: float
+    releasing: bool = False
+
+
+class ImposedDisplacement(Module):
+    """The displacement delta_a of an actuator is given; its force is solved for.
+
+    Attributes:
+        value: Shortening of a cable [m], volume growth of a chamber [m3], angle of a
+            motor as its encoder shows it [rad], displacement of a point [m].
+        releasing: As for `ImposedForce`.
+    """
+
+    value: float
+    releasing: bool = False
+
+
+Actuation = Mapping[str, ImposedForce | ImposedDisplacement]
+BodyStates = Mapping[str, BodyState | Pose | str]
+
+
+def actuation_arrays(
+    mechanism: Mechanism, actuation: Actuation, configuration: str
+) -> ActuationArrays:
+    """Stack what is imposed on each actuator in the configuration of a name.
+
+    A cable or chamber that is not named has no force, a motor stays at its zero.
+
+    Raises:
+        ValueError: If a name is unknown, or an actuator cannot have such a value.
+    """
+    actuators = mechanism.actuators
+    what = f"configuration {configuration!r}"
+    motor = np.array([body >= 0 for body in actuators.motor_body], bool)
+    by_displacement = motor.copy()
+    value = np.zeros(len(actuators.names))
+    releasing = np.zeros(len(actuators.names), bool)
+    for name, asked in actuation.items():
+        if name not in actuators.names:
+            raise unknown_name(f"actuator of {what}", name, actuators.names)
+        a = actuators.names.index(name)
+        kind = actuators.kinds[a]
+        own = f"{what}: {kind.noun} {name!r}"
+        imposed = isinstance(asked, ImposedDisplacement)
+        unit = kind.displacement_unit if imposed else kind.force_unit
+        if unit is None:
+            raise ValueError(
+                f"{own} has no displacement that could be imposed; give "
+                f"ImposedForce(...) [{kind.force_unit}]."
+            )
+        turns, pulls = motor[a] and imposed, kind.unilateral and not imposed
+        low = -np.pi if turns else 0.0 if pulls else -np.inf
+        high = np.pi if turns else np.inf
+        if not (np.isfinite(asked.value) and low <= asked.value <= high):
+            raise ValueError(
+                f"{own} has the value {asked.value:g} {unit}; expected a finite one, "
+                "not negative where it only pulls, and from -pi to pi for an angle "
+                "(np.deg2rad turns degrees into radians)."
+            )
+        if asked.releasing and not actuators.has_friction[a]:
+            raise ValueError(
+                f"{own} is said to be releasing, but has no friction: leave it out, or "
+                f"give the {kind.noun} friction."
+            )
+        by_displacement[a], value[a] = imposed, asked.value
+        releasing[a] = asked.releasing
+    return ActuationArrays(
+        by_displacement=by_displacement,
+        value=value,
+        force_factor=np.ones_like(value),
+        releasing=releasing,
+        names=actuators.names,
+    )
+
+
+def body_state_arrays(
+    mechanism: Mechanism, states: BodyStates, configuration: str
+) -> BodyStateArrays:
+    """Stack the states of the rigid bodies; those not named are free.
+
+    A `Pose` holds the body there, and a text is the `kind` of a `BodyState`.
+
+    Raises:
+        ValueError: If a name is unknown, or a body cannot have such a state.
+    """
+    bodies = mechanism.bodies
+    what = f"configuration {configuration!r}"
+    kind = np.zeros(bodies.n_bodies, np.int32)
+    translation = np.zeros((bodies.n_bodies, 3))
+    rotation = np.zeros((bodies.n_bodies, 3))
+    for name, given in states.items():
+        if name not in bodies.names:
+            raise unknown_name(f"rigid body of {what}", name, bodies.names)
+        k = bodies.names.index(name)
+        if bodies.owner[k] != k:
+            raise ValueError(
+                f"{what}: rigid body {name!r} is tied to "
+                f"{bodies.names[bodies.owner[k]]!r}, and moves with it; pose that one."
+            )
+        if k in mechanism.actuators.motor_body:
+            motor = mechanism.actuators.names[mechanism.actuators.motor_body.index(k)]
+            raise ValueError(
+                f"{what}: rigid body {name!r} is turned by motor {motor!r}; impose the "
+                "motor's angle or torque in `actuation` instead."
+            )
+        if isinstance(given, Pose):
+            state = BodyState("held", given)
+        else:
+            state = BodyState(given) if isinstance(given, str) else given
+        kind[k] = KINDS.index(state.kind)
+        translation[k] = state.pose.translation
+        rotation[k] = state.pose.rotation_vector
+    return BodyStateArrays(kind, translation, rotation)

@@ -44,7 +44,8 @@ def find_plateau(
     if not length > 0.0:
         raise ValueError(f"a plateau has a positive length [s], got {length:g}.")
     away = np.linalg.norm(positions - _first_seen(whole), axis=2)
-    motion = _largest(np.linalg.norm(whole - _first_seen(whole), axis=2))
+    moved = np.linalg.norm(whole - _first_seen(whole), axis=2)
+    motion = np.max(moved, axis=0, initial=0.0, where=np.isfinite(moved))
     # Of the distance, which has three coordinates.
     noise = NOISE * np.sqrt(3.0) * _noise(whole)
     moving = motion > 2.0 * noise + 1e-12  # the first frame has noise as well
@@ -52,9 +53,8 @@ def find_plateau(
     with np.errstate(invalid="ignore", divide="ignore"):
         share = (away / motion)[:, moving]
     seen = np.isfinite(share)
-    total = np.sum(np.where(seen, share, 0.0), axis=1)
-    held = total >= HELD * np.maximum(seen.sum(axis=1), 1) if moving.any() else None
-    held = np.ones(len(times), bool) if held is None else held & seen.any(axis=1)
+    total, n_seen = np.sum(np.where(seen, share, 0.0), axis=1), seen.sum(axis=1)
+    held = (total >= HELD * n_seen) & (n_seen > 0) | ~moving.any()
     first, stop = _stretches(times, held, length)
     mean = _means(positions)
     # About where they were seen first, so that no digits are lost.
@@ -108,12 +108,10 @@ def _means(positions):
     """Return a function for means over stretches, of the frames that see a marker."""
     seen = np.isfinite(positions).all(axis=2, keepdims=True)
     # From a point nearby, so that sums of many frames lose no digits.
-    near = np.where(np.isfinite(near := _first_seen(positions)), near, 0.0)
-    sums = np.cumsum(np.where(seen, positions - near, 0.0), axis=0)
-    sums, counts = (
-        np.concatenate([np.zeros_like(a[:1]), a])
-        for a in (sums, np.cumsum(seen, axis=0))
-    )
+    near = np.nan_to_num(_first_seen(positions))
+    zero = ((1, 0), (0, 0), (0, 0))
+    sums = np.cumsum(np.pad(np.where(seen, positions - near, 0.0), zero), axis=0)
+    counts = np.cumsum(np.pad(seen, zero), axis=0)
 
     def mean(first, stop):
         n = counts[stop] - counts[first]
@@ -129,18 +127,11 @@ def _first_seen(positions):
     return positions[first, np.arange(positions.shape[1])]
 
 
-def _largest(distances):
-    """Return the largest distance of each marker; 0 if it was never seen [m]."""
-    return np.max(np.where(np.isfinite(distances), distances, 0.0), axis=0, initial=0.0)
-
-
 def _noise(positions):
     """Estimate the noise of a coordinate of each marker from second differences [m]."""
     second = np.abs(np.diff(positions, n=2, axis=0))
-    noise = np.zeros(positions.shape[1])
-    for marker in range(positions.shape[1]):
-        own = second[:, marker]
-        own = own[np.isfinite(own)]
-        if own.size:
-            noise[marker] = np.median(own) / (_MEDIAN * _SECOND)
-    return noise
+    seen = [
+        of_marker[np.isfinite(of_marker)] for of_marker in np.swapaxes(second, 0, 1)
+    ]
+    medians = [np.median(values) if values.size else 0.0 for values in seen]
+    return np.array(medians) / (_MEDIAN * _SECOND)

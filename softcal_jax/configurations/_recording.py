@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from softcal_jax._module import Module
+from softcal_jax._names import check_unique
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.configurations._marker_table import MarkerTable, index_of
 from softcal_jax.configurations._plateau import find_plateau
@@ -20,9 +21,9 @@ WIDTH = 0.1
 class Recording(Module):
     """Positions of markers over time, in the frame of the cameras.
 
-    A pose is the mean over a window of time: `between` two times, `at` one, or on a
-    `plateau`. Times count from the first frame, or from an event: the step of a marker,
-    or one that was named when it was recorded; negative ones are then before it.
+    A pose is the mean over a window of time. Times count from the first frame, or from
+    an event: the step of a marker, or one that was named when it was recorded; negative
+    ones are then before it.
 
     Attributes:
         names: Labels of the markers.
@@ -42,23 +43,18 @@ class Recording(Module):
         if not (len(self.names) and len(self.times)):
             what = "frames" if self.names else "labelled markers"
             raise ValueError(f"recording {self.source} holds no {what}.")
-        repeated = [name for name in self.names if self.names.count(name) > 1]
-        if repeated:
-            raise ValueError(
-                f"recording {self.source} has the label {repeated[0]!r} twice."
-            )
+        check_unique(f"recording {self.source}: its label", self.names)
 
     def step_of(self, name: str) -> float:
         """Return the time at which a marker begins to move [s].
 
-        That is its first frame in which it is farther from where it was first seen than
-        a twentieth of its largest distance from there. A recording that begins at rest
-        and in which a valve opens or a weight is put on has one such step.
+        It is then farther from where it was first seen than a twentieth of its largest
+        distance from there: a valve opened, or a weight was put on.
 
         Raises:
             ValueError: If there is no such marker, or it does not move.
         """
-        path = self.positions[:, self._column(name)]
+        path = self.positions[:, index_of(name, self.names, self.source)]
         seen = np.flatnonzero(np.isfinite(path).all(axis=1))
         away = np.linalg.norm(path[seen] - path[seen[:1]], axis=1)
         if not np.any(away > 0.0):
@@ -90,11 +86,8 @@ class Recording(Module):
     ) -> MarkerTable:
         """Return mean positions over a window of time, of the frames that see a marker.
 
-        Args:
-            start: Begin of the window [s].
-            stop: End of the window [s].
-            after_step_of: Marker from whose step, see `step_of`, both are counted.
-            after_event: Named event from which both are counted.
+        Its `start` and `stop` [s] may count from the step of a marker, see `step_of`,
+        or from a named event.
 
         Raises:
             ValueError: If the window is not in the recording, or there is no such step
@@ -122,21 +115,15 @@ class Recording(Module):
         after_step_of: str | None = None,
         after_event: str | None = None,
     ) -> MarkerTable:
-        """Return mean positions over a short window around a time.
+        """Return mean positions over a short window around a time, see `between` [s].
 
-        Args:
-            time: Middle of the window [s].
-            width: Its width; 0 takes the frame at `time` [s].
-            after_step_of: As for `between`.
-            after_event: As for `between`.
+        A `width` of 0 takes the frame at that time.
 
         Raises:
             ValueError: As for `between`, or if the width is negative.
         """
         if not width >= 0.0:
-            raise ValueError(
-                f"the width of a window is zero or more [s], got {width:g}."
-            )
+            raise ValueError(f"the width of a window is 0 or more [s], got {width:g}.")
         half = 0.5 * width
         after = {"after_step_of": after_step_of, "after_event": after_event}
         if half == 0.0:
@@ -155,13 +142,9 @@ class Recording(Module):
     ) -> MarkerTable:
         """Return mean positions while the markers stand still after they have moved.
 
-        See `find_plateau` for what that is. It is looked for in the whole recording, or
-        after the step or event; where nothing moves, the whole recording is one.
-
-        Args:
-            length: Least length of the plateau [s].
-            after_step_of: As for `between`.
-            after_event: As for `between`.
+        See `find_plateau` for what that is. It has at least a `length` [s], and lies
+        after the step or event, see `between`; where nothing moves, the whole recording
+        is one.
 
         Raises:
             ValueError: If there is none of that length, or no such step or event.
@@ -178,22 +161,18 @@ class Recording(Module):
         inside = np.zeros(len(self.times), bool)
         inside[first + start : first + stop] = True
         begin, end = self.times[inside][[0, -1]] - zero
-        return self._mean(
-            inside, f"on the plateau between {begin:g} and {end:g} s{since_what}"
-        )
+        window = f"on the plateau between {begin:g} and {end:g} s{since_what}"
+        return self._mean(inside, window)
 
     def renamed(self, labels: Mapping[str, str]) -> "Recording":
-        """Return it with other names of markers.
-
-        Args:
-            labels: Labels of this recording by their new names.
+        """Return it with other names of markers, whose labels are given by these names.
 
         Raises:
             ValueError: If a label is not there, or two markers would share a name.
         """
         new = {label: name for name, label in labels.items()}
         for label in new:
-            self._column(label)
+            index_of(label, self.names, self.source)
         names = tuple(new.get(name, name) for name in self.names)
         if len({*names}) < len(names) or len(new) < len(labels):
             raise ValueError(
@@ -236,18 +215,12 @@ class Recording(Module):
             window=(float(times[0]), float(times[-1])),
         )
 
-    def _column(self, name: str) -> int:
-        return index_of(name, self.names, self.source)
-
 
 class Traces(Module):
     """A recording, and which parts of it were used, to be looked at.
 
-    Attributes:
-        recording: The recording.
-        windows: First and last time of each window that was averaged, by what it is
-            for [s].
-        names: Labels of the markers that count.
+    `windows` are first and last time of what was averaged, by what it is for [s];
+    `names` are labels of the markers that count.
     """
 
     recording: Recording

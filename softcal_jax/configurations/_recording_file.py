@@ -18,7 +18,6 @@ from softcal_jax.configurations._wide_table import (
 )
 
 C3D = ".c3d"
-"""How the names of recordings in the format of www.c3d.org end."""
 
 
 def read_recording(
@@ -28,13 +27,11 @@ def read_recording(
     delimiter: str | None = None,
     decimal: str | None = None,
 ) -> Recording:
-    """Read a recording: a file that ends with .c3d, or else a wide table.
+    """Read a recording: by `read_c3d` if it ends with .c3d, or by `read_wide_table`.
 
-    Options are those of `read_wide_table`, for tables only.
+    Options are for tables only.
 
     Raises:
-        ImportError: If it is a .c3d file and ezc3d is not installed.
-        FileNotFoundError: As `read_c3d` and `read_wide_table`.
         ValueError: As those, or if something is given that .c3d files state.
     """
     dialect = {"length_unit": length_unit, "delimiter": delimiter, "decimal": decimal}
@@ -47,29 +44,21 @@ def read_recording(
 
 
 def is_recording(path: Path) -> bool:
-    """Tell whether a file is a recording over time; it may be any text."""
+    """Whether a file is a recording over time; it may be any text."""
     return path.suffix.lower() == C3D or is_wide_table(path)
 
 
 def read_c3d(path: str | os.PathLike[str]) -> Recording:
     """Read a recording of motion capture, with the units that the file states.
 
-    A frame in which a marker has a negative residual did not see it.
-
-    Args:
-        path: A file in the format of www.c3d.org.
+    The format is that of www.c3d.org. A frame in which a marker has a negative residual
+    did not see it.
 
     Raises:
         FileNotFoundError: If there is no such file.
         ImportError: If ezc3d is not installed.
         ValueError: If it cannot be read, holds no frames, no markers or two of one
             label, or states no positive rate or no known unit of length.
-
-    Example:
-        The pose from 1.25 to 1.35 s after the valve opened::
-
-            arm = read_c3d("200mbar.c3d")
-            arm.between(1.25, 1.35, after_step_of="Tip - 1").positions_of(["Tip - 1"])
     """
     try:
         import ezc3d
@@ -107,10 +96,10 @@ def read_c3d(path: str | os.PathLike[str]) -> Recording:
 def _events(
     parameters: Mapping[str, Any], trimmed: float
 ) -> tuple[tuple[str, float], ...]:
-    """Return the named events of a file, whose times are minutes and seconds."""
     event = parameters.get("EVENT", {})
     if "LABELS" not in event or "TIMES" not in event:
         return ()
+    # Each time is a number of minutes and one of seconds.
     minutes, seconds = np.reshape(event["TIMES"]["value"], (2, -1))
     times = 60.0 * minutes + seconds - trimmed
     labels = map(escaped, event["LABELS"]["value"])

@@ -4,10 +4,19 @@ import numpy as np
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Bool, Float, HostArray, Int
-from softcal_jax.bodies import KINDS
+from softcal_jax.bodies import KINDS, three_numbers
 from softcal_jax.configurations._mechanism import Mechanism
-from softcal_jax.configurations._values import parse_axes, three_numbers
 from softcal_jax.mesh import TetMesh, node_indices, surface_shares
+
+
+def parse_axes(axes: str) -> list[int]:
+    """Return the indices of the axes in a word like "xz"."""
+    if not axes or set(axes) - set("xyz") or len(set(axes)) != len(axes):
+        raise ValueError(
+            'axes must be made of the letters x, y, z, like "xyz" or "z", '
+            f"got {axes!r}."
+        )
+    return ["xyz".index(letter) for letter in axes]
 
 
 class Support(Module):
@@ -36,7 +45,7 @@ class Support(Module):
         three_numbers("displacement", "m", self.displacement)
         if self.stiffness is None:
             return
-        if not (np.isfinite(self.stiffness) and self.stiffness > 0.0):
+        if not 0.0 < self.stiffness < np.inf:
             raise ValueError(
                 f"stiffness of the support {self.name!r} must be positive and finite "
                 f"[N/m3], got {self.stiffness!r}; leave it out for a rigid support."
@@ -123,21 +132,15 @@ def check_held(
     rank = np.linalg.matrix_rank(held @ held.T) if held.size else 0
     if rank < 6:
         nodes = int(fixed.any(axis=1).sum())
-        problem = (
+        hint = " Motor {!r} is driven by its torque: nothing that balances it is given."
+        raise ValueError(
             f"configuration {name!r} is not held: its supports ({nodes} nodes) leave "
             f"{6 - rank} of the 6 rigid motions free. Clamp a surface, add supports, "
-            "or hold a rigid body."
+            f"or hold a rigid body.{hint.format(motors[0]) if motors else ''}"
         )
-        if motors:
-            problem += (
-                f" Motor {motors[0]!r} is driven by its torque and only a hinge: "
-                "nothing that could balance it is given."
-            )
-        raise ValueError(problem)
 
 
 def motors_of(mechanism: Mechanism) -> list[tuple[str, int]]:
     """Return names of the motors, and indices of the bodies that they turn."""
-    actuators = mechanism.actuators
-    both = zip(actuators.names, actuators.motor_body, strict=True)
+    both = zip(mechanism.actuators.names, mechanism.actuators.motor_body, strict=True)
     return [(name, body) for name, body in both if body >= 0]

@@ -51,7 +51,6 @@ class PoseTable(Module):
     source: str
 
     def readings_of(self, name: str) -> "PoseTable":
-        """Return the rows of one sensor."""
         rows = [i for i, other in enumerate(self.names) if other == name]
         if not rows:
             known = dict.fromkeys(self.names)
@@ -59,23 +58,16 @@ class PoseTable(Module):
                 f"{self.source} has no sensor {name!r}.{suggestion(name, known)} "
                 f"It has {', '.join(known)}."
             )
-        return replace(
-            self,
-            names=(name,) * len(rows),
-            positions=self.positions[rows],
-            rotations=self.rotations[rows],
-            lines=tuple(self.lines[i] for i in rows),
-        )
+        names, lines = (name,) * len(rows), tuple(self.lines[i] for i in rows)
+        positions, rotations = self.positions[rows], self.rotations[rows]
+        return PoseTable(names, positions, rotations, lines, self.source)
 
 
 def in_frame(table: PoseTable, base: Pose) -> PoseTable:
     """Convert readings from the frame of the tracker's base to that of the robot.
 
-    T = T_base T_reading, where a pose stands for x -> R x + translation.
-
-    Args:
-        table: Readings of sensors.
-        base: Pose of the tracker's base in the robot's frame.
+    T = T_base T_reading, where the pose of the base in the robot's frame stands for
+    x -> R x + translation.
     """
     return replace(
         table,
@@ -84,22 +76,11 @@ def in_frame(table: PoseTable, base: Pose) -> PoseTable:
     )
 
 
-class AveragedPose(Module):
-    """Mean of the readings of one sensor.
-
-    Attributes:
-        position: Mean of the positions [m].
-        rotation: Mean of the rotations [-].
-    """
-
-    position: Float[HostArray, "3"]
-    rotation: Float[HostArray, "3 3"]
-
-
-def average_poses(table: PoseTable) -> dict[str, AveragedPose]:
+def average_poses(table: PoseTable) -> dict[str, Pose]:
     """Average the readings of each sensor, by name, while it stood still.
 
-    The mean rotation has the least sum of squared matrix distances, by
+    A pose stands for x = R x_sensor + translation. The mean rotation has the least sum
+    of squared matrix distances, by
     `scipy.spatial.transform.Rotation.mean` (Markley et al., J. Guid. Control Dyn. 30,
     2007).
 
@@ -111,11 +92,10 @@ def average_poses(table: PoseTable) -> dict[str, AveragedPose]:
     return {name: _average(table.readings_of(name)) for name in names}
 
 
-def _average(readings: PoseTable) -> AveragedPose:
+def _average(readings: PoseTable) -> Pose:
     rotations = Rotation.from_matrix(readings.rotations)
     mean = rotations.mean()
-    turns = (rotations * mean.inv()).as_rotvec()
-    angles = np.linalg.norm(turns, axis=1)
+    angles = (rotations * mean.inv()).magnitude()
     worst = int(np.argmax(angles))
     if angles[worst] > _ONE_POSE:
         raise ValueError(
@@ -124,7 +104,7 @@ def _average(readings: PoseTable) -> AveragedPose:
             f"the mean of {len(angles)}, more than 30 deg: select the readings of one "
             "pose."
         )
-    return AveragedPose(readings.positions.mean(axis=0), mean.as_matrix())
+    return Pose(readings.positions.mean(axis=0), mean.as_rotvec())
 
 
 _QUATERNION = ["qw", "qx", "qy", "qz"]
@@ -147,13 +127,10 @@ def read_poses(
 
     Columns: `sensor`; positions, other columns and arguments as for `read_markers`; and
     either the angles `azimuth_deg`, `elevation_deg`, `roll_deg` (or `..._rad`) or a
-    unit quaternion `qw`, `qx`, `qy`, `qz`.
-
-    The angles are those of Polhemus: R = Rz(azimuth) Ry(elevation) Rx(roll), from the
-    sensor's axes to those of the tracker's base.
+    unit quaternion `qw`, `qx`, `qy`, `qz`. The angles are those of Polhemus:
+    R = Rz(azimuth) Ry(elevation) Rx(roll), to the axes of the tracker's base.
 
     Raises:
-        FileNotFoundError: If there is no such file.
         ValueError: As for `read_markers`, or if an angle is out of its range or a
             quaternion is not of unit length.
 
@@ -161,9 +138,9 @@ def read_poses(
         TrackerWarning: If angles in degrees look like radians.
     """
     table = read_table(path, "sensor", select, delimiter=delimiter, decimal=decimal)
-    columns, metres = coordinates(table, length_unit)
+    point_columns, metres = coordinates(table, length_unit)
     turn_columns = _turn_columns(table)
-    columns += turn_columns
+    columns = point_columns + turn_columns
     values = table.numbers(columns)
     bad = np.argwhere(~np.isfinite(values))
     if bad.size:
@@ -172,19 +149,13 @@ def read_poses(
             f"{table.path}, line {table.lines[row]}: {columns[k]} of sensor "
             f"{table.names[row]!r} is missing or not finite. Leave the reading out."
         )
-    turns = values[:, 3:]
+    points, turns = metres * values[:, :3], values[:, 3:]
     if turn_columns == _QUATERNION:
         rotations = _from_quaternions(table.path, table.lines, turns)
     else:
         unit = turn_columns[0].removeprefix("azimuth_")
         rotations = _from_angles(table.path, table.lines, turns, unit)
-    return PoseTable(
-        names=table.names,
-        positions=metres * values[:, :3],
-        rotations=rotations,
-        lines=table.lines,
-        source=table.source,
-    )
+    return PoseTable(table.names, points, rotations, table.lines, table.source)
 
 
 def read_polhemus(
@@ -197,17 +168,12 @@ def read_polhemus(
     """Read the text that a Polhemus tracker sends: numbers without a header.
 
     Each line holds seven numbers with spaces between: station, x, y, z, azimuth,
-    elevation, roll; see `read_poses` for the angles. Lines that start with `#` and
-    blank lines are skipped.
-
-    Args:
-        path: The file.
-        length_unit: Unit that the tracker was set to: "cm" or "inch", or another one.
-        angle_unit: "deg" or "rad".
-        station: The only one to read; names of sensors are like "station 1".
+    elevation, roll; see `read_poses` for the angles. Units of length and of angles
+    ("deg" or "rad") are those that the tracker was set to. Lines that start with `#`
+    and blank lines are skipped. Names of sensors are like "station 1"; with a `station`
+    only that one is read.
 
     Raises:
-        FileNotFoundError: If there is no such file.
         ValueError: If a unit is unknown, a line does not hold seven finite numbers, the
             station is not there, or an angle is out of its range.
 
@@ -222,14 +188,14 @@ def read_polhemus(
         (line, _seven_numbers(path, line, text))
         for line, text in read_lines(path, "tracker")
     ]
-    if not readings:
-        raise ValueError(f"tracker file {path} holds no readings.")
-    present = dict.fromkeys(int(values[0]) for _, values in readings)
-    wanted = present if station is None else [station]
-    chosen = [reading for reading in readings if int(reading[1][0]) in wanted]
+    chosen = [(n, v) for n, v in readings if station is None or v[0] == station]
     if not chosen:
-        there = ", ".join(map(str, present))
-        raise ValueError(f"{path} has no station {station}. It has {there}.")
+        present = dict.fromkeys(f"{values[0]:.0f}" for _, values in readings)
+        wanted = "readings" if station is None else f"station {station}"
+        raise ValueError(
+            f"tracker file {path} has no {wanted}. Stations: "
+            f"{', '.join(present) or 'none'}."
+        )
     lines = tuple(line for line, _ in chosen)
     values = np.array([v for _, v in chosen])
     return PoseTable(
@@ -245,17 +211,11 @@ def _turn_columns(table: CsvTable) -> list[str]:
     path, header = table.path, table.header
     forms = [[f"{angle}_{unit}" for angle in _ANGLES] for unit in _RADIANS]
     kinds = [form for form in (_QUATERNION, *forms) if set(form) & set(header)]
-    if len(kinds) > 1:
-        there = [c for columns in kinds for c in columns if c in header]
+    if len(kinds) != 1:
         raise ValueError(
-            f"{path}: it has the rotation in more than one form ({', '.join(there)}); "
-            "keep one."
-        )
-    if not kinds:
-        raise ValueError(
-            f"{path}: it has no rotation with a unit; it needs the columns "
-            "azimuth_deg, elevation_deg, roll_deg (or azimuth_rad, ...) or qw, qx, qy, "
-            f"qz. Columns there: {', '.join(header)}."
+            f"{path}: it has the rotation with a unit in {len(kinds)} forms, expected "
+            "one: the columns azimuth_deg, elevation_deg, roll_deg (or azimuth_rad, "
+            f"...) or qw, qx, qy, qz. Columns there: {', '.join(header)}."
         )
     table.check_columns(kinds[0])
     return kinds[0]

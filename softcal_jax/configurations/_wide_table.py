@@ -32,9 +32,6 @@ from softcal_jax.configurations._recording import Recording
 _GAPS = {"", "nan", "null"}
 """What stands for a coordinate of a marker that was not seen, in small letters."""
 
-_HEADER_LINES = 12
-"""Lines from which the delimiter is told."""
-
 _WORDS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm", "Inches": "inch"}
 _STATED_METRES = METRES | {word: METRES[unit] for word, unit in _WORDS.items()}
 """Units of length as the programs write them."""
@@ -45,10 +42,9 @@ _CELL = "a cell (blank, nan or NULL where a marker was not seen)"
 class _Layout(NamedTuple):
     """What the lines above the numbers say.
 
-    Each label has the first of its three columns, and events have times [s]. Without a
-    `time_column`, of times or numbers of frames, rows are counted; what is there is
-    divided by `rate` for a time in seconds. `zero_is_gap` where a marker at exactly
-    (0, 0, 0) was not seen.
+    Each label has the first of its three columns, and events have times [s]. What is in
+    the `time_column`, or else the number of the row, is divided by `rate` for a time in
+    seconds. `zero_is_gap` where a marker at exactly (0, 0, 0) was not seen.
     """
 
     labels: Sequence[tuple[str, int]]
@@ -74,12 +70,8 @@ def read_wide_table(
     Motive's columns those of type "Marker" are read, which were seen, and not the
     solved ones of rigid bodies.
 
-    Args:
-        path: The file.
-        length_unit: Unit of length, for a file that states none, like those of QTM
-            (which are in mm).
-        delimiter: As for `read_markers`.
-        decimal: As for `read_markers`.
+    The `length_unit` is for a file that states none, like those of QTM (which are in
+    mm); `delimiter` and `decimal` are as for `read_markers`.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -123,20 +115,19 @@ def read_wide_table(
 
 
 def is_wide_table(path: Path) -> bool:
-    """Tell whether a file is one of these tables; it may be any text."""
+    """Whether a file is one of these tables; it may be any text."""
     return _program_of(_rows_of(path, None)[0]) is not None
 
 
 def _rows_of(path: Path, delimiter: str | None) -> tuple[NumberedCells, str]:
-    """Split a file into cells, and tell the delimiter."""
+    """Split a file into cells, and tell the delimiter from the header, if any."""
     lines = read_lines(path, "recording")
-    delimiter = delimiter or delimiter_of(text for _, text in lines[:_HEADER_LINES])
+    delimiter = delimiter or delimiter_of(text for _, text in lines[:12])
     rows = read_cells(path, lines, delimiter)
     return [(number, cells) for number, cells in rows if any(cells)], delimiter
 
 
 def check_rate(path: Path, rate: float) -> None:
-    """Raise ValueError unless a recording states a rate of frames."""
     if not 0.0 < rate < math.inf:
         raise ValueError(
             f"{path}: its rate of frames is {rate:g}; expected a positive number."
@@ -147,11 +138,11 @@ def metres_of(path: Path, stated: str | None, given: str | None = None) -> float
     """Return the unit of length that a recording states or that is given [m]."""
     if given is not None:
         check_length_unit(given)
-    if stated is None and given is None:
+    unit = given if stated is None else stated
+    if unit is None:
         raise ValueError(
             f"{path} states no unit of length; give length_unit (Qualisys writes mm)."
         )
-    unit = str(given) if stated is None else stated
     if unit not in _STATED_METRES:
         raise ValueError(
             f"{path} states the unit of length {unit!r}; expected one of "
@@ -178,12 +169,9 @@ def _numbers(
         with at_line(path, line):
             count = cells[layout.time_column] if layout.time_column is not None else i
             times[i] = parse_number(str(count), point) / layout.rate
-            values[i] = [
-                np.nan
-                if cells[k].lower() in _GAPS
-                else parse_number(cells[k], point, _CELL)
-                for k in columns
-            ]
+            for k, column in enumerate(columns):
+                if cells[column].lower() not in _GAPS:
+                    values[i, k] = parse_number(cells[column], point, _CELL)
             if i and not times[i] > times[i - 1]:
                 raise ValueError(
                     f"its time, {times[i]:g} s, is not after that of the frame before, "
@@ -225,11 +213,8 @@ def _vicon(rows: NumberedCells) -> _Layout:
     """Read the header of the section Trajectories: rate, labels, axes, units."""
     start = _starts(rows).index("Trajectories")
     (_, rate), (_, names), (_, axes), (_, units) = rows[start + 1 : start + 5]
-    labels = [
-        (name, k)
-        for k, name in enumerate(names)
-        if name and axes[k : k + 3] == ["X", "Y", "Z"]
-    ]
+    named = [(name, k) for k, name in enumerate(names) if name]
+    labels = [(name, k) for name, k in named if axes[k : k + 3] == ["X", "Y", "Z"]]
     stated = {unit for _, k in labels for unit in units[k : k + 3]}
     frames = rows[start + 5 :]
     # Another section may follow.
@@ -250,9 +235,7 @@ def _qualisys(rows: NumberedCells) -> _Layout:
     if about["DATA_INCLUDED"][0] != "3D":
         raise ValueError(f"it includes {about['DATA_INCLUDED'][0]} data")
     labels = [label for label in about["MARKER_NAMES"] if label]
-    rest = rows[last + 1 :]
-    if rest and rest[0][1][0] == "TRAJECTORY_TYPES":
-        rest = rest[1:]
+    rest = [row for row in rows[last + 1 :] if row[1][0] != "TRAJECTORY_TYPES"]
     titles = rest[0][1] if rest else []
     if f"{labels[0] if labels else ''} X" in titles:
         first, rest = titles.index(f"{labels[0]} X"), rest[1:]
@@ -277,22 +260,21 @@ def _qualisys(rows: NumberedCells) -> _Layout:
 
 
 class _Program(NamedTuple):
-    """A program: how a row near the top of its tables begins, and what to export."""
+    """A program: how it lays out a table, and what of it to export."""
 
     name: str
-    row: str
     layout: Callable[[NumberedCells], _Layout]
     needs: str
 
 
-_PROGRAMS = (
-    _Program("Motive", "Format Version", _motive, "Markers with the header and times"),
-    _Program("QTM", "NO_OF_FRAMES", _qualisys, "3D data with the TSV header"),
-    _Program("Nexus", "Trajectories", _vicon, "Trajectories with their four rows"),
-)
+_PROGRAMS = {
+    "Format Version": _Program("Motive", _motive, "Markers with the header and times"),
+    "NO_OF_FRAMES": _Program("QTM", _qualisys, "3D data with the TSV header"),
+    "Trajectories": _Program("Nexus", _vicon, "Trajectories with their four rows"),
+}
+"""Programs by how a row near the top of their tables begins."""
 
 
 def _program_of(rows: NumberedCells) -> _Program | None:
-    """Tell which program has written a table; None if none of these."""
     starts = _starts(rows)
-    return next((program for program in _PROGRAMS if program.row in starts), None)
+    return next((_PROGRAMS[row] for row in _PROGRAMS if row in starts), None)

@@ -22,7 +22,6 @@ from softcal_jax.equilibrium._element import (
 )
 from softcal_jax.equilibrium._model import Model, Nodal, check_law, to_blocks
 from softcal_jax.equilibrium._sparsity import element_entries
-from softcal_jax.materials import PointValues, is_point_values
 
 FieldOfLaw = Callable[[Any], Any]
 """Accessor of one field of a law, as `eqx.tree_at` expects it."""
@@ -174,12 +173,11 @@ def _predicted_dilatation(both, dN, w, law, active):
 
 def field_forces(
     model: Model, u: Nodal, fields: Mapping[str, FieldOfLaw]
-) -> dict[str, Float[Array, "n_blocks m n_en 3 block"]]:
-    """Differentiate each tet's internal force by its own values of some fields [N].
+) -> dict[str, Float[Array, "n_blocks n_en 3 block"]]:
+    """Differentiate each tet's internal force by its own value of some fields [N].
 
-    One pass over the tets gives the derivatives by all values, m per tet: one, or one
-    per quadrature point. Parameters that spread a field over the mesh are weighted sums
-    of them.
+    One pass over the tets gives the derivatives by all values. Parameters that spread a
+    field over the mesh are weighted sums of them.
     """
     own = {"fields": tuple(fields.items()), "formulation": model.formulation}
     return _map_blocks(model, u, _field_forces, **own)
@@ -187,42 +185,31 @@ def field_forces(
 
 def _field_forces(u, dN, w, law, active, fields, formulation):
     values = {name: where(law) for name, where in fields}
-    plain = {
-        name: value.values if is_point_values(value) else value[None]
-        for name, value in values.items()
-    }
 
-    def force(plain):
+    def force(values):
         new = law
         for name, where in fields:
-            points = is_point_values(values[name])
-            value = PointValues(plain[name]) if points else plain[name][0]
-            new = eqx.tree_at(where, new, value)
+            new = eqx.tree_at(where, new, values[name])
         return element_energy_and_force(u, dN, w, new, formulation)[1]
 
     # Linearise once: what a law computes from F is shared by all fields.
-    _, slope = jax.linearize(force, plain)
-    still = jax.tree.map(jnp.zeros_like, plain)
-
-    def along(name):
-        directions = jnp.eye(plain[name].shape[0])
-        return active * jax.vmap(lambda d: slope(still | {name: d}))(directions)
-
-    return {name: along(name) for name in plain}
+    _, slope = jax.linearize(force, values)
+    still = jax.tree.map(jnp.zeros_like, values)
+    along = lambda name: slope(still | {name: jnp.ones_like(values[name])})
+    return {name: active * along(name) for name in values}
 
 
 def add_weighted(
     model: Model,
-    forces: Mapping[str, Float[Array, "n_blocks _ n_en 3 block"]],
-    weights: Mapping[str, Float[Array, "n_p n_tets _"]],
+    forces: Mapping[str, Float[Array, "n_blocks n_en 3 block"]],
+    weights: Mapping[str, Float[Array, "n_p n_tets"]],
 ) -> Float[Array, "n_p n_points 3"]:
     """Sum `field_forces`, weighted by the change of each field per parameter [N]."""
 
     def of_tets(name, weight):
         n_blocks, *_, block = forces[name].shape
         blocked = to_blocks(weight, model.n_tets, n_blocks, block)
-        blocked = jnp.moveaxis(blocked, 1, 2)
-        return jnp.sum(forces[name] * blocked[:, :, None, None, :], axis=1)
+        return forces[name] * blocked[:, None, None, :]
 
     def one(weight):
         return _add_forces(model, sum_of(of_tets(n, w) for n, w in weight.items()))

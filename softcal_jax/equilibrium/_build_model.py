@@ -23,7 +23,7 @@ from softcal_jax.equilibrium._sparsity import (
     build_sparsity,
     destinations,
 )
-from softcal_jax.materials import AbstractLaw, PointValues, is_point_values
+from softcal_jax.materials import AbstractLaw
 from softcal_jax.mesh import Refinement, TetMesh, check_mesh, finer
 
 # Blocks of tets fit the L1 cache, with the tet index last for vectorisation: the
@@ -100,14 +100,11 @@ def refined_model(model: Model) -> tuple[Model, Refinement]:
     parent = refinement.parent
 
     def spread(leaf: Any) -> Any:
-        if isinstance(leaf, PointValues):
-            nearest = np.asarray(leaf.values)[parent[:, None], refinement.nearest_point]
-            return PointValues(jax.device_put(nearest))
         if jnp.ndim(leaf) == 0:
             return leaf
         return jax.device_put(np.asarray(leaf)[parent])
 
-    law = jax.tree.map(spread, model.law, is_leaf=is_point_values)
+    law = jax.tree.map(spread, model.law)
     raised = model.mesh.order == 1 and law.conservative
     fine = _prepared(
         refinement.mesh,

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.elements import cofactor, determinant, matmul, sum_of
-from softcal_jax.materials import AbstractLaw, law_at_points
+from softcal_jax.materials import AbstractLaw
 
 Formulation = Literal["displacement", "mean-dilatation"]
 
@@ -46,9 +46,7 @@ def _scaled_to(theta: Float[Array, ""], F: Float[Array, "n_qp 3 3"]):
 
 
 def _at_points(law: AbstractLaw, method: str, F: Float[Array, "n_qp 3 3"]):
-    plain, axes = law_at_points(law)
-    call = lambda law, F: getattr(law, method)(F)
-    return jax.vmap(call, in_axes=(axes, 0))(plain, F)
+    return jax.vmap(getattr(law, method))(F)
 
 
 def mean_dilatation(

@@ -1,6 +1,7 @@
 """What the solve of an equilibrium returns, and the error where there is none."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
@@ -51,22 +52,25 @@ class EquilibriumSolution(Module):
 
 def no_equilibrium(solution: EquilibriumSolution, names: tuple[str, ...]) -> str:
     """Say which lanes of a batch have no equilibrium, and why; empty if none."""
-    bad = np.flatnonzero(~np.atleast_1d(solution.converged)).tolist()
+    bad = np.flatnonzero(~np.atleast_1d(np.asarray(solution.converged)))
 
-    def why(index: int) -> str:
-        lane = jax.tree.map(lambda leaf: np.atleast_1d(leaf)[index], solution)
-        one = lane.n_negative == 1
-        count = f"{lane.n_negative} negative eigenvalue{'' if one else 's'}"
-        if lane.n_negative < 0:  # so a limit point would not be noticed
+    def why(lane):
+        of = lambda leaf: np.atleast_1d(np.asarray(leaf))[lane]
+        result = jax.tree.map(lambda a: jnp.asarray(of(a)), solution.result)
+        negative = int(of(solution.n_negative))
+        count = f"{negative} negative eigenvalue{'s' * (negative != 1)}"
+        if negative < 0:  # so a limit point would not be noticed
             count = "negative eigenvalues unknown"
         return (
-            f"configuration {names[index]!r}: {RESULTS[lane.result]} "
-            f"({100 * lane.load_reached:.3g} % of the load carried, {count}, "
-            f"{lane.steps} Newton steps, residual {lane.residual:.1e} with rounding at "
-            f"{lane.rounding:.1e}, smallest det F {lane.min_det_F:.3g})"
+            f"configuration {names[lane]!r}: {RESULTS[result]} "
+            f"({100 * of(solution.load_reached):.3g} % of the load carried, {count}, "
+            f"{of(solution.steps)} Newton steps, residual "
+            f"{of(solution.residual):.1e} with rounding at "
+            f"{of(solution.rounding):.1e}, smallest det F "
+            f"{of(solution.min_det_F):.3g})"
         )
 
-    return "\n".join(["no equilibrium found.", *map(why, bad)]) if bad else ""
+    return "\n".join(["no equilibrium found.", *map(why, bad)]) if bad.size else ""
 
 
 def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> None:

@@ -1,12 +1,10 @@
 """What several formats cannot hold of a robot."""
 
-import jax
 import numpy as np
 
 from softcal_jax.actuators import free_rim_nodes
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Model
-from softcal_jax.materials import AbstractLaw, is_point_values
 
 
 def check_no_bodies(model: Model, format: str) -> None:
@@ -18,16 +16,6 @@ def check_no_bodies(model: Model, format: str) -> None:
             f"to {format}. A body that is held: name its nodes in `supports` instead. "
             "A plate that only carries markers: leave it out, give [markers] "
             "`max_distance` and `base_radius`, and calibrate again."
-        )
-
-
-def check_one_value_per_tet(law: AbstractLaw, format: str) -> None:
-    """Raise ValueError if a constant of a law differs within a tet."""
-    leaves = jax.tree.leaves(law, is_leaf=is_point_values)
-    if any(map(is_point_values, leaves)):
-        raise ValueError(
-            f"the law has constants that differ within a tet, and {format} knows one "
-            'per tet; take sampling = "centroids" for the parameters, the default.'
         )
 
 

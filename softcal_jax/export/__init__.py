@@ -18,7 +18,6 @@ from softcal_jax.export._folder import (
 from softcal_jax.export._json import (
     RESULT_FORMAT as RESULT_FORMAT,
     comparison_dict as comparison_dict,
-    identifiability_dict as identifiability_dict,
     inverse_dict as inverse_dict,
     outlook_dict as outlook_dict,
     result_dict as result_dict,

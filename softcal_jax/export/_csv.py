@@ -37,12 +37,12 @@ def write_effectors_csv(path: Path, configurations: Configurations) -> None:
     """Write one line per coordinate of effectors that are not points, in SI."""
     rows = []
     for fit in configurations:
-        for own in fit.others:
-            what = "turn" if own.is_turn else "value"
-            for axis, values in zip("xyz", np.transpose(_values(own)), strict=False):
-                coordinate = f"{what}_{axis}" if len(own.measured) > 1 else what
-                head = [fit.name, fit.role, own.name, coordinate, own.unit]
-                rows.append([*head, *map(_text, values)])
+        for e in fit.others:
+            what = "turn" if e.is_turn else "value"
+            for axis, values in zip("xyz", np.transpose(_values(e)), strict=False):
+                coordinate = f"{what}_{axis}" if len(e.measured) > 1 else what
+                row = [fit.name, fit.role, e.name, coordinate, e.unit]
+                rows.append([*row, *map(_text, values)])
     header = ["configuration", "role", "effector", "coordinate", "unit", *_VALUES]
     _write(path, header, rows)
 

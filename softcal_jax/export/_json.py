@@ -55,14 +55,14 @@ def result_dict(
         "name": name,
         "converged": bool(result.converged),
         "source": source_dict(result.source, directory),
-        **pick(result, "parameters", "intervals", "configurations", "history"),
+        **pick(result, "parameters intervals configurations history"),
         "solver": _solver(result.model),
         "settings": {
             "calibration": result.settings,
             "newton": result.newton,
             "noise": result.uncertainty.noise,
         },
-        **pick(result, "uncertainty", "noise", "checks", "starts", "notes"),
+        **pick(result, "uncertainty noise checks starts notes"),
         "budget": budget_dict(result.budget),
         "assessment": found,
         "identifiability": found.identifiability,
@@ -76,8 +76,7 @@ def result_dict(
 
 def budget_dict(budget: ErrorBudget) -> dict[str, Any]:
     """Convert the error budget of a calibration to a dictionary, see `BudgetEntry`."""
-    by_cause = budget.by_cause()
-    total = budget.standard_errors
+    by_cause, total = budget.by_cause(), budget.standard_errors
     return plain(
         {
             "parameters": [
@@ -137,13 +136,6 @@ def simulation_dict(
     )
 
 
-def identifiability_dict(found: Identifiability) -> dict[str, Any]:
-    """Convert an identifiability result to its part of `result.json`."""
-    from softcal_jax.export.result_file import IDENTIFIABILITY
-
-    return IDENTIFIABILITY.entry(found)
-
-
 def outlook_dict(
     found: Identifiability | None,
     ranking: Ranking | None,
@@ -162,6 +154,8 @@ def outlook_dict(
     falls most `parameter`, `before`, `after`, `value`, `unit`), `unranked` (`name`,
     `reason`); `timing_s` [s].
     """
+    from softcal_jax.export.result_file import IDENTIFIABILITY
+
     ranked = ranking and {
         "blind_before": ranking.blind_before,
         "candidates": [{**plain(g), "volume": g.volume} for g in ranking.gains],
@@ -172,7 +166,7 @@ def outlook_dict(
             "format": "softcal_jax.identifiability/2",
             "name": name,
             **made_dict(made, directory),
-            "identifiability": found and identifiability_dict(found),
+            "identifiability": found and IDENTIFIABILITY.entry(found),
             "ranking": ranked,
             "timing_s": timing_s or {},
         }
@@ -182,29 +176,25 @@ def outlook_dict(
 def _simulated(result: ConfigurationResult) -> dict[str, Any]:
     from softcal_jax.export.result_file import RobotEntry
 
-    largest = 1e3 * result.largest_displacement if result.converged else None
-    return {
-        **pick(result, "name", "converged", "outcome"),
-        **pick(result, "newton_steps", "load_steps", "residual", "rounding"),
-        **pick(result, "at_rounding", "min_det_F"),
-        "largest_displacement_mm": largest,
-        "markers": [
-            {
-                "name": point.name,
-                "at_rest_mm": 1e3 * point.at_rest,
-                "simulated_mm": 1e3 * point.simulated if result.converged else None,
-            }
-            for point in result.points
-        ],
-        "effectors": [
-            {
-                **pick(effector, "name", "unit", "is_turn"),
-                "simulated": effector.simulated if result.converged else None,
-            }
-            for effector in result.others
-        ],
-        "robot": result.robot and RobotEntry.model_validate(result.robot).model_dump(),
-    }
+    entry = pick(
+        result,
+        "name converged outcome newton_steps load_steps residual rounding at_rounding "
+        "min_det_F largest_displacement_mm",
+    )
+    entry["markers"] = [pick(p, "name at_rest_mm simulated_mm") for p in result.points]
+    entry["effectors"] = [
+        pick(effector, "name unit is_turn simulated") for effector in result.others
+    ]
+    entry["robot"] = None
+    if result.robot is not None:
+        entry["robot"] = RobotEntry.model_validate(result.robot).model_dump()
+    if not result.converged:
+        entry["largest_displacement_mm"] = None
+        for marker in entry["markers"]:
+            marker["simulated_mm"] = None
+        for effector in entry["effectors"]:
+            effector["simulated"] = None
+    return entry
 
 
 def _solver(model: Model) -> dict[str, Any]:
@@ -215,7 +205,7 @@ def _solver(model: Model) -> dict[str, Any]:
         "elasticity": elasticity and type(elasticity).__name__,
         "formulation": model.formulation,
         "element_order": model.mesh.order,
-        **pick(model.mesh, "n_nodes", "n_tets"),
+        **pick(model.mesh, "n_nodes n_tets"),
     }
 
 
@@ -257,10 +247,7 @@ def comparison_dict(
             "level": LEVEL_OF_COMPARISON,
             "models": [_scored(model) for model in comparison.models],
             "differences": [
-                {
-                    **pick(d, "name", "difference", "standard_error"),
-                    **pick(d, "half_width", "n", "told_apart"),
-                }
+                pick(d, "name difference standard_error half_width n told_apart")
                 for d in comparison.differences
             ],
             "timing_s": timing_s or {},
@@ -269,23 +256,13 @@ def comparison_dict(
 
 
 def _scored(model: ModelScore) -> dict[str, Any]:
-    return {
-        **pick(model, "name", "n_parameters"),
-        "held_out_rms_mm": 1e3 * model.held_out_rms,
-        **pick(model, "held_out_noise_rms", "score", "standard_error"),
-        "fit_rms_mm": 1e3 * model.fit_rms,
-        **pick(model, "fit_noise_rms", "fit_failure", "verdict"),
-        "folds": [
-            {
-                "held_out": fold.held_out,
-                "rms_mm": 1e3 * fold.rms,
-                "noise_rms": fold.noise_rms,
-                "fit_rms_mm": 1e3 * fold.fit_rms,
-                "failure": fold.failure,
-            }
-            for fold in model.folds
-        ],
-    }
+    scored = pick(
+        model,
+        "name n_parameters held_out_rms_mm held_out_noise_rms score standard_error "
+        "fit_rms_mm fit_noise_rms fit_failure verdict",
+    )
+    fold = "held_out rms_mm noise_rms fit_rms_mm failure"
+    return {**scored, "folds": [pick(one, fold) for one in model.folds]}
 
 
 def inverse_dict(
@@ -311,9 +288,8 @@ def inverse_dict(
     standard deviations, `n_steps`); `steps` of the search. Then `timing_s` [s].
     """
     points = [result] if isinstance(result, InverseResult) else result.points
-    model = points[0].model if points else None
-    if made is None and model is not None:
-        made = Made(model, {})
+    if made is None and points:
+        made = Made(points[0].model, {})
     return plain(
         {
             "format": "softcal_jax.inverse/1",
@@ -329,34 +305,34 @@ def inverse_dict(
 def _point(result: InverseResult) -> dict[str, Any]:
     return {
         "configuration": result.configuration.name,
-        **pick(result, "met", "message", "tol"),
+        **pick(result, "met message tol"),
         "outcome": OUTCOMES[result.outcome],
         "goals": [_goal(fit, result.tol) for fit in result.goals],
         "actuators": [
-            {"commanded": own.name in result.configuration.actuation, **plain(own)}
-            for own in result.actuators
+            {"commanded": a.name in result.configuration.actuation, **plain(a)}
+            for a in result.actuators
         ],
-        **pick(result, "active_limits", "held_by", "blind"),
+        **pick(result, "active_limits held_by blind"),
         "attempts": [
             {
-                **pick(own, "way", "error", "n_steps"),
-                "outcome": None if own.outcome is None else OUTCOMES[own.outcome],
+                **pick(tried, "way error n_steps"),
+                "outcome": None if tried.outcome is None else OUTCOMES[tried.outcome],
             }
-            for own in result.attempts
+            for tried in result.attempts
         ],
         "steps": result.steps,
     }
 
 
 def _goal(fit: GoalFit, tol: float) -> dict[str, Any]:
-    own, seen = fit.effector, fit.effector.seen
-    asked = lambda values: np.where(seen, values, np.nan)
+    effector = fit.effector
+    asked = lambda values: np.where(effector.seen, values, np.nan)
     return {
-        **pick(own, "name", "unit", "is_turn"),
+        **pick(effector, "name unit is_turn"),
         "met": bool(np.max(np.abs(fit.in_std), initial=0.0) <= tol),
-        "goal": asked(own.measured),
+        "goal": asked(effector.measured),
         "reached": fit.reached,
         "residual": asked(fit.residual),
-        "std": own.std,
+        "std": effector.std,
         "in_std": asked(fit.in_std),
     }

@@ -21,9 +21,14 @@ from softcal_jax.equilibrium import Model
 _PACKAGES = ("jax", "jaxlib", "numpy", "equinox", "optimistix", "jaxopt")
 
 
-def pick(owner: object, *names: str) -> dict[str, Any]:
-    """Return some attributes by name."""
-    return {name: getattr(owner, name) for name in names}
+def pick(owner: object, names: str) -> dict[str, Any]:
+    """Return some attributes by name; one that ends in _mm is converted from metres."""
+    picked = {}
+    for name in names.split():
+        metres = name.removesuffix("_mm")
+        value = getattr(owner, metres)
+        picked[name] = value if metres == name else 1e3 * np.asarray(value)
+    return picked
 
 
 def plain(value: Any) -> Any:
@@ -32,7 +37,8 @@ def plain(value: Any) -> Any:
     NumPy numbers become those of Python.
     """
     if dataclasses.is_dataclass(value):
-        value = pick(value, *(field.name for field in dataclasses.fields(value)))
+        names = [field.name for field in dataclasses.fields(value)]
+        value = {name: getattr(value, name) for name in names}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic | jax.Array):
@@ -85,8 +91,7 @@ class Made(Module):
 def made_dict(made: Made | None, directory: str | Path = ".") -> dict[str, Any]:
     """Convert what a result was computed from and with, if that is known.
 
-    Keys: `source` (see `source_dict`), `settings`, `versions`. Paths are relative to
-    `directory`, the folder of the results.
+    Keys: `source` (see `source_dict`, for results in a folder), `settings`, `versions`.
     """
     if made is None:
         return {"source": None, "settings": {}, "versions": {}}
@@ -100,12 +105,7 @@ def made_dict(made: Made | None, directory: str | Path = ".") -> dict[str, Any]:
 def source_dict(
     source: ProjectSource | None, directory: str | Path = "."
 ) -> dict[str, Any] | None:
-    """Convert the files that a calibration was made from to a dictionary.
-
-    Keys: `project` (`file`, relative to `directory`, the folder of the results, and
-    `sha256`); `files`, mesh and measurements (likewise, relative to the folder of the
-    project); `changes` of the project file, by key. None without a project file.
-    """
+    """Convert the files that results in a folder were made from, see `SourceEntry`."""
     if source is None:
         return None
     folder = source.project.path.parent

@@ -16,7 +16,7 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import ActuatorGeometry, actuator_geometry
 from softcal_jax.equilibrium import Model, RobotState, TetStates, tet_states
 from softcal_jax.fields import find_field
-from softcal_jax.materials import Fibre, is_point_values
+from softcal_jax.materials import Fibre
 from softcal_jax.mesh import volumes
 
 if TYPE_CHECKING:
@@ -171,7 +171,6 @@ def write_pvd(path: str | Path, files: Sequence[Sequence[str]]) -> None:
 
 
 def _save(path: Path, grid: "pyvista.UnstructuredGrid") -> None:
-    """Write a grid."""
     grid.save(path)
     if not path.exists():  # VTK removes what it could not finish, and only prints it
         raise OSError(f"{path} could not be written: is the disk full?")
@@ -202,14 +201,12 @@ def tet_fields(
 ) -> dict[str, HostArray]:
     """Return density and fields of the law, one value or vector per tet, in SI.
 
-    Values at quadrature points are averaged. Fields that have standard errors in each
-    tet, see `field_standard_errors`, are followed by these, as `E_standard_error`.
+    Fields that have standard errors in each tet, see `field_standard_errors`, are
+    followed by these, as `E_standard_error`.
     """
     errors = {find_field(model, name).path: e for name, e in standard_errors.items()}
     cells = {}
     for name, path, leaf in _named(model):
-        if is_point_values(leaf):  # a cell of VTK holds one value
-            leaf = jnp.mean(leaf.values, axis=1)
         values = np.asarray(leaf, float)
         if values.ndim == 0:
             values = np.full(model.n_tets, values)
@@ -234,7 +231,7 @@ def field_units(model: Model) -> dict[str, str]:
 
 def _named(model: Model) -> Iterator[tuple[str, str, Any]]:
     """Yield name, path in the model and values of the density and the law's fields."""
-    law = jax.tree_util.tree_leaves_with_path(model.law, is_leaf=is_point_values)
+    law = jax.tree_util.tree_leaves_with_path(model.law)
     leaves: list[tuple[str, Any]] = [("density", model.density)]
     leaves += [("law" + jax.tree_util.keystr(path), leaf) for path, leaf in law]
     # Entries of a tuple, the local axes of a fibre, are no fields: see its direction.
@@ -276,20 +273,6 @@ def fibre_directions(model: Model) -> dict[str, Float[HostArray, "n_tets 3"]]:
 
 
 def _axes(fibre: Fibre, n_tets: int) -> Float[HostArray, "n_tets 3"]:
-    """Compute one direction per tet: the mean axis of those at quadrature points.
-
-    As u and -u are one axis, it is the first principal axis of the mean of u u^T.
-    """
-    leaves, tree = jax.tree.flatten(fibre, is_leaf=is_point_values)
-    tables = [
-        np.asarray(leaf.values if is_point_values(leaf) else jnp.reshape(leaf, (-1, 1)))
-        for leaf in leaves
-    ]
-    n_qp = max(values.shape[1] for values in tables)
-    flat = [np.broadcast_to(values, (n_tets, n_qp)).ravel() for values in tables]
-    at_points = jax.tree.unflatten(tree, map(jnp.asarray, flat))
-    u = np.asarray(jax.vmap(Fibre.direction)(at_points)).reshape(n_tets, n_qp, 3)
-    if n_qp == 1:
-        return u[:, 0]
-    mean = np.linalg.eigh(np.einsum("eqi,eqj->eij", u, u))[1][:, :, -1]
-    return mean * np.where(np.sum(mean * u[:, 0], axis=1) < 0.0, -1.0, 1.0)[:, None]
+    """Compute one direction per tet."""
+    per_tet = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, n_tets), fibre)
+    return np.asarray(jax.vmap(Fibre.direction)(per_tet))

@@ -6,7 +6,6 @@ Read, keys are taken as they stand; those without a default are needed to load a
 import dataclasses
 from typing import Annotated, Any, ClassVar
 
-import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 from softcal_jax.calibration import (
@@ -22,16 +21,13 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.configurations import EffectorRecord
 from softcal_jax.equilibrium import ActuatorState, BodyPlace, Reaction, RobotState
-from softcal_jax.export._made import plain
+from softcal_jax.export._made import pick, plain
 from softcal_jax.identifiability import Assessment, Identifiability, Prediction
 from softcal_jax.inference import LackOfFit, RecordingEstimate, Uncertainty
 
 
 class Keys:
-    """Mark of a key whose entries have attributes of the class `of` as their keys.
-
-    One that ends in _mm is converted from metres.
-    """
+    """Mark of a key whose entries have attributes of the class `of`, see `pick`."""
 
     def __init__(self, of: type, names: str = ""):
         """Take all attributes of a dataclass, or those with these names."""
@@ -53,12 +49,7 @@ class Keys:
 
     def entry(self, value: object) -> dict[str, Any]:
         """Take the keys of one entry."""
-        entry = {}
-        for name in self.names:
-            metres = name.removesuffix("_mm")
-            found = getattr(value, metres)
-            entry[name] = plain(found if metres == name else 1e3 * np.asarray(found))
-        return entry
+        return plain(pick(value, " ".join(self.names)))
 
 
 def _converted(factor: float) -> BeforeValidator:

@@ -2,7 +2,6 @@
 
 from softcal_jax.fields._control_points import (
     ControlPoints as ControlPoints,
-    idw_weights as idw_weights,
 )
 from softcal_jax.fields._errors import (
     FieldError as FieldError,

@@ -15,58 +15,6 @@ from softcal_jax._typing import Array, Float, HostArray
 AXES = "xyz"
 
 
-def idw_weights(
-    points: Float[ArrayLike, "n_points n_axes"],
-    control_points: Float[ArrayLike, "n_cp n_axes"],
-    *,
-    power: float = 2.0,
-    nearest: int | None = None,
-) -> Float[Array, "n_points n_cp"]:
-    """Compute weights that spread values at control points over other points.
-
-    Inverse-distance weighting, paper Sec. IV.A (Shepard 1968): w_ij is proportional to
-    d_ij^-power, with d_ij the distance from point i to control point j.
-
-    Args:
-        points: Where values are wanted [m].
-        control_points: Positions of the control points [m].
-        power: Decay exponent [-], positive; the paper settles on 2.
-        nearest: How many of the nearest control points act on a point; all by default.
-            The field jumps where this set changes.
-
-    Returns:
-        Weights [-] in [0, 1] whose rows sum to one. A point on a control point takes
-        that control point alone.
-
-    Raises:
-        ValueError: If the power is not positive, or `nearest` is out of range.
-    """
-    x, c = jnp.asarray(points, float), jnp.asarray(control_points, float)
-    _check_weighting(power, nearest, c.shape[0])
-    squares = jnp.sum((x[:, None] - c[None]) ** 2, axis=2)
-    # On a control point: the limit, with a derivative of zero instead of 0 / 0.
-    squares = jnp.maximum(squares, jnp.finfo(squares.dtype).tiny)
-    # Logarithms avoid overflow of the power.
-    nearness = -0.5 * power * jnp.log(squares)
-    if nearest is not None and nearest < c.shape[0]:
-        reach = jnp.sort(squares, axis=1)[:, nearest - 1 : nearest]
-        nearness = jnp.where(squares <= reach, nearness, -jnp.inf)
-    return jax.nn.softmax(nearness, axis=1)
-
-
-def _check_weighting(power: float, nearest: int | None, n_cp: int) -> None:
-    if not (np.isfinite(power) and power > 0.0):
-        raise ValueError(
-            f"power must be positive and finite, got {power:g}: with 0 every control "
-            "point would count the same everywhere; the paper takes 2."
-        )
-    if nearest is not None and not 1 <= nearest <= n_cp:
-        raise ValueError(
-            f"nearest must lie between 1 and the number of control points, {n_cp}, "
-            f"got {nearest}."
-        )
-
-
 Places = (
     Float[ArrayLike, "n_cp 3"]
     | Sequence[Sequence[float] | HostArray]
@@ -86,8 +34,9 @@ class ControlPoints(Module):
         positions: Positions in the frame of the mesh at rest [m], or a mapping of
             names to them.
         names: One name per control point; "CP 1", "CP 2", ... by default.
-        power: Exponent of the inverse-distance weighting [-].
+        power: Exponent of the inverse-distance weighting [-]; the paper settles on 2.
         nearest: How many of the nearest control points act on a tet; all by default.
+            The field jumps where this set changes.
         axes: Coordinate axes that count for the distance. With "xz" the field does not
             depend on y, so that two equal sheets can share one.
         max_distance: Largest distance of a control point from the mesh [m]; by default
@@ -136,7 +85,16 @@ class ControlPoints(Module):
             raise ValueError(
                 f'axes must be some of "xyz", each once, like "xz"; got {self.axes!r}.'
             )
-        _check_weighting(self.power, self.nearest, len(x))
+        if not (np.isfinite(self.power) and self.power > 0.0):
+            raise ValueError(
+                f"power must be positive and finite, got {self.power:g}: with 0 every "
+                "control point would count the same everywhere; the paper takes 2."
+            )
+        if self.nearest is not None and not 1 <= self.nearest <= len(x):
+            raise ValueError(
+                "nearest must lie between 1 and the number of control points, "
+                f"{len(x)}, got {self.nearest}."
+            )
         if self.max_distance is not None and not self.max_distance >= 0.0:
             raise ValueError(
                 f"max_distance must not be negative [m], got {self.max_distance:g}."
@@ -165,7 +123,20 @@ class ControlPoints(Module):
     def weights(
         self, points: Float[ArrayLike, "n_points 3"]
     ) -> Float[Array, "n_points n_cp"]:
-        """Compute the weights of the control points at some points [-]."""
+        """Compute weights that spread values at control points over other points [-].
+
+        Inverse-distance weighting, paper Sec. IV.A (Shepard 1968): w_ij is proportional
+        to d_ij^-power, with d_ij the distance from point i [m] to control point j. Rows
+        sum to one; a point on a control point takes that control point alone.
+        """
         columns = jnp.asarray(self.columns)
         x, c = (jnp.asarray(at, float)[:, columns] for at in (points, self.positions))
-        return idw_weights(x, c, power=self.power, nearest=self.nearest)
+        squares = jnp.sum((x[:, None] - c[None]) ** 2, axis=2)
+        # On a control point: the limit, with a derivative of zero instead of 0 / 0.
+        squares = jnp.maximum(squares, jnp.finfo(squares.dtype).tiny)
+        # Logarithms avoid overflow of the power.
+        nearness = -0.5 * self.power * jnp.log(squares)
+        if self.nearest is not None and self.nearest < len(self.names):
+            reach = jnp.sort(squares, axis=1)[:, self.nearest - 1 : self.nearest]
+            nearness = jnp.where(squares <= reach, nearness, -jnp.inf)
+        return jax.nn.softmax(nearness, axis=1)

@@ -19,7 +19,6 @@ from softcal_jax.fields._parameters import (
     as_number,
 )
 from softcal_jax.fields._setup import AbstractSetupEntry
-from softcal_jax.materials import PointValues, is_point_values
 
 
 class AbstractError(AbstractEntry):
@@ -30,8 +29,8 @@ class AbstractError(AbstractEntry):
         std: Its standard deviation, in SI units or relative.
     """
 
-    name: eqx.AbstractVar[str]
-    std: eqx.AbstractVar[Float[Array, ""]]
+    name: str = eqx.field(static=True)
+    std: Float[Array, ""] = eqx.field(converter=as_number)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -56,8 +55,6 @@ class FieldError(AbstractError):
         relative: Whether the error is relative to the value.
     """
 
-    name: str = eqx.field(static=True)
-    std: Float[Array, ""] = eqx.field(converter=as_number)
     field: str = eqx.field(static=True)
     share: Float[Array, " n_tets"]
     relative: bool = eqx.field(static=True, default=False)
@@ -71,16 +68,10 @@ class FieldError(AbstractError):
 
     def apply(self, model: Any, configuration: Any, values: Values) -> tuple[Any, Any]:
         """Add the error to the field."""
-        old: Any = find_field(model, self.field)(model)
+        old = jnp.broadcast_to(find_field(model, self.field)(model), self.share.shape)
         error = values[self.name] * self.std * self.share
-        by_points = is_point_values(old)
-        if by_points:
-            old, error = old.values, error[:, None]
-        else:
-            old = jnp.broadcast_to(old, self.share.shape)
         new = old + error * (old if self.relative else 1.0)
-        value = PointValues(new) if by_points else new
-        return set_field(model, self.field, value), configuration
+        return set_field(model, self.field, new), configuration
 
 
 class SetupError(AbstractError, AbstractSetupEntry):
@@ -89,8 +80,6 @@ class SetupError(AbstractError, AbstractSetupEntry):
     That of a factor is relative; for `kind`, `of` and `axis` see `SetupParameter`.
     """
 
-    name: str = eqx.field(static=True)
-    std: Float[Array, ""] = eqx.field(converter=as_number)
     kind: str = eqx.field(static=True)
     of: str = eqx.field(static=True, default="")
     axis: str = eqx.field(static=True, default="")

@@ -10,7 +10,6 @@ import numpy as np
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.fields._model_fields import find_field
 from softcal_jax.fields._space import ParameterSpace
-from softcal_jax.materials import is_point_values
 
 
 def field_standard_errors(
@@ -22,10 +21,9 @@ def field_standard_errors(
     """Compute the standard error of each field that parameters set, in each tet.
 
     To first order, the square root of the diagonal of J Sigma J^T, where J = df/dz is
-    the derivative of the field by the scaled parameters. What is given at quadrature
-    points is averaged over the tet. Where a parameter without a standard error acts,
-    nan in the covariance Sigma of z, the result is nan too. It is in the unit of the
-    field, by its name in the space.
+    the derivative of the field by the scaled parameters. Where a parameter without a
+    standard error acts, nan in the covariance Sigma of z, the result is nan too. It is
+    in the unit of the field, by its name in the space.
     """
     known = np.isfinite(np.diag(covariance))
     size, directions = np.linalg.eigh(covariance[np.ix_(known, known)])
@@ -45,13 +43,9 @@ def _slopes(
 ) -> list[Float[Array, "n_tets n_p"]]:
     """Differentiate the fields, one value per tet, by the scaled parameters."""
 
-    def by_tet(value: Any) -> Float[Array, " n_tets"]:
-        if is_point_values(value):
-            return jnp.mean(value.values, axis=1)
-        return jnp.broadcast_to(value, (model.mesh.n_tets,))
-
     def fields(z: Float[Array, " n_p"]) -> list[Float[Array, " n_tets"]]:
         changed = space.model_at(model, z)
-        return [by_tet(find_field(model, f)(changed)) for f in space.field_names]
+        values = [find_field(model, name)(changed) for name in space.field_names]
+        return [jnp.broadcast_to(value, (model.mesh.n_tets,)) for value in values]
 
     return jax.jacfwd(fields)(z)

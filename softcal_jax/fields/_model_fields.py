@@ -11,13 +11,12 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Float, HostArray, is_traced
-from softcal_jax.materials import PointValues, is_point_values
 
 
 def set_field(
     model: Any,
     field: str,
-    value: Float[ArrayLike, "..."] | PointValues,
+    value: Float[ArrayLike, "..."],
     region: str | None = None,
 ) -> Any:
     """Change one field of a model; traceable and differentiable.
@@ -25,8 +24,7 @@ def set_field(
     Args:
         model: Anything with `law`, `density` and `mesh`.
         field: Name of a field of the law, like "E", or "density".
-        value: New value in SI units: one for all, one per tet of the region, or
-            `PointValues` for these tets.
+        value: New value in SI units: one for all, or one per tet of the region.
         region: Tet group that it applies to; the whole mesh by default.
 
     Raises:
@@ -35,35 +33,22 @@ def set_field(
     """
     where = find_field(model, field)
     old = where(model)
-    new = value if isinstance(value, PointValues) else jnp.asarray(value, float)
+    new = jnp.asarray(value, float)
     if region is not None:
         new = _in_tets(old, new, model.mesh.tets_of(region), model.mesh.n_tets)
-    elif not (is_point_values(old) or isinstance(new, PointValues)):
+    else:
         new = jnp.broadcast_to(new, jnp.broadcast_shapes(new.shape, jnp.shape(old)))
     return eqx.tree_at(where, model, new)
 
 
 def _in_tets(old: Any, new: Any, tets: Any, n_tets: int) -> Any:
-    """Change values of some tets, by quadrature point if either is given so."""
-    either = is_point_values(old) or is_point_values(new)
+    """Change the values of some tets."""
+    if is_traced(old) or is_traced(new):
+        return jnp.broadcast_to(old, (n_tets,)).at[tets].set(new)
     # What is known is changed on the host, where nothing is compiled.
-    known = not any(map(is_traced, jax.tree.leaves((old, new))))
-    xp: Any = np if known else jnp
-    by_points = lambda v: (
-        xp.asarray(v.values) if is_point_values(v) else xp.asarray(v)[..., None]
-    )
-    before, after = by_points(old), by_points(new)
-    n_qp = max(before.shape[-1], after.shape[-1])
-    values = xp.broadcast_to(before.reshape(-1, before.shape[-1]), (n_tets, n_qp))
-    after = xp.broadcast_to(after.reshape(-1, after.shape[-1]), (len(tets), n_qp))
-    if known:
-        values = values.copy()
-        values[np.asarray(tets)] = after
-    else:
-        values = values.at[tets].set(after)
-    values = values if either else values[:, 0]
-    values = jax.device_put(values) if known else values
-    return PointValues(values) if either else values
+    values = np.broadcast_to(old, (n_tets,)).copy()
+    values[np.asarray(tets)] = new
+    return jax.device_put(values)
 
 
 def region_tets(mesh: Any, region: str | None) -> HostArray:
@@ -81,7 +66,7 @@ def find_field(model: Any, field: str):
     Raises:
         ValueError: If no field has that name, or more than one.
     """
-    leaves = jax.tree_util.tree_leaves_with_path(model.law, is_leaf=is_point_values)
+    leaves = jax.tree_util.tree_leaves_with_path(model.law)
     paths = ["density"] + ["law" + jax.tree_util.keystr(path) for path, _ in leaves]
     # Entries of a tuple, like the local axes of a fibre, are no fields.
     paths = [path for path in paths if "[" not in path]

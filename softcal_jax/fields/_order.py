@@ -243,14 +243,12 @@ def fading_axes(entries: Entries, axes: Groups) -> list[FadingAxis]:
                 f'say which in axes, like ("E_l", "E_t", "{angle.field}"), or leave '
                 "core out."
             )
-        where = (angle.region, angle.sampling)
-        beside = {e.field: e for e in fields if (e.region, e.sampling) == where}
+        beside = {e.field: e for e in fields if e.region == angle.region}
         for field in axis:
             if field not in beside:
                 raise ValueError(
-                    f"{angle.field} has a core, and {field} is not sampled where it "
-                    f"is: give both region={angle.region!r} and "
-                    f"sampling={angle.sampling!r}, or leave core out."
+                    f"{angle.field} has a core, and {field} is not set where it is: "
+                    f"give both region={angle.region!r}, or leave core out."
                 )
         found.append(FadingAxis(*(beside[field] for field in axis)))
     return found

@@ -15,7 +15,6 @@ from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax._units import readable
 from softcal_jax.fields._model_fields import find_field, set_field
-from softcal_jax.materials import is_point_values
 
 Value = TypeVar("Value")
 
@@ -220,8 +219,7 @@ class Parameter(AbstractFieldEntry):
 
     def check(self, model: Any) -> None:
         """Raise ValueError if it would overwrite values that differ over the mesh."""
-        value = find_field(model, self.field)(model)
-        values = np.asarray(value.values if is_point_values(value) else value)
+        values = np.asarray(find_field(model, self.field)(model))
         if self.region is None and values.ndim and np.ptp(values) > 0:
             raise ValueError(
                 f"parameter {self.name!r} would give the whole body one value of "

@@ -35,13 +35,7 @@ the same key have the same error."""
 
 
 class Poses(Module):
-    """Configurations of a model, as `Quantity.occurs` asks for them.
-
-    Attributes:
-        model: The model.
-        arrays: The configurations as arrays on the host.
-        recordings: Name of the recording of each.
-    """
+    """Configurations of a model, as arrays on the host, and the recording of each."""
 
     model: Any
     arrays: Any

@@ -48,12 +48,9 @@ _TRIPLES = _groups(
 
 
 class Pin(Module):
-    """A parameter drawn to a value, in place of its prior.
+    """A parameter drawn to a scaled value [-], in place of its prior.
 
-    Attributes:
-        column: Index of the parameter.
-        value: Its scaled value [-].
-        weight: 1 / tolerated deviation, scaled [-].
+    The weight is 1 / tolerated deviation, scaled [-].
     """
 
     column: Int[Array, ""]
@@ -232,15 +229,9 @@ class ParameterSpace(Module):
     ) -> tuple[Any, Any]:
         """Set the values of scaled coordinates in a model and a configuration.
 
-        Setting them again changes nothing.
-
-        Args:
-            model: Anything with `law`, `density`, `mesh` and `mechanism`.
-            configuration: Arrays of one configuration; None where only the model is
-                wanted.
-            z: Scaled coordinates [-].
-            columns: Indices of coordinates given separately, for derivatives by them.
-            own: Their values, in place of those in `z` [-].
+        Setting them again changes nothing. The configuration is None where only the
+        model is wanted. For derivatives by some coordinates, `own` has their values in
+        place of those in `z`, and `columns` their indices [-].
 
         Raises:
             ValueError: If either lacks what a parameter sets.

@@ -10,9 +10,8 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._names import unknown_name
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Array, Float
 from softcal_jax._units import readable_values
-from softcal_jax.elements import shape_functions, tet_rule
 from softcal_jax.fields._control_points import ControlPoints
 from softcal_jax.fields._model_fields import region_tets, set_field
 from softcal_jax.fields._parameters import (
@@ -22,12 +21,10 @@ from softcal_jax.fields._parameters import (
     Values,
     once,
 )
-from softcal_jax.materials import PointValues
 from softcal_jax.mesh import TetMesh
 
 Pair = tuple[str, str]
 Interpolation = Literal["linear", "log", "director"]
-Sampling = Literal["centroids", "quadrature"]
 
 _LOST = 1e-20
 """Square of rho below which there is no direction [-]."""
@@ -71,7 +68,6 @@ class ControlPointParameters(AbstractFieldEntry):
         lower: Smallest values allowed, likewise.
         upper: Largest values allowed, likewise.
         interpolation: How values are mixed.
-        sampling: Whether at the centroid of each tet or at its quadrature points.
         fixed: Known values, by control point.
         tied: Names of other parameters whose value is used, by control point, like
             {"upper 1": "E_t of lower 1"}.
@@ -90,7 +86,6 @@ class ControlPointParameters(AbstractFieldEntry):
     lower: Float[Array, " n_cp"] = eqx.field(converter=_numbers)
     upper: Float[Array, " n_cp"] = eqx.field(converter=_numbers)
     interpolation: Interpolation = eqx.field(static=True, default="linear")
-    sampling: Sampling = eqx.field(static=True, default="centroids")
     fixed: dict[str, Float[Array, ""]] = eqx.field(default=None, converter=_known)
     tied: tuple[Pair, ...] = eqx.field(static=True, default=None, converter=_pairs)
     core: float = eqx.field(static=True, default=0.0, converter=float)
@@ -125,8 +120,6 @@ class ControlPointParameters(AbstractFieldEntry):
         if self.interpolation not in get_args(Interpolation):
             known = get_args(Interpolation)
             raise unknown_name("interpolation", self.interpolation, known)
-        if self.sampling not in get_args(Sampling):
-            raise unknown_name("sampling", self.sampling, get_args(Sampling))
         if not 0.0 <= self.core < 1.0:
             raise ValueError(
                 f"core of {self.field} must lie in [0, 1), got {self.core:g}: it is a "
@@ -179,72 +172,59 @@ class ControlPointParameters(AbstractFieldEntry):
     def label(self) -> str:
         return f"{self.field} of {', '.join(self.control_points.names)}"
 
-    def _points(self, mesh: TetMesh) -> HostArray | Array:
-        """Return the sampling points, (n_tets, 3) or (n_tets, n_qp, 3) [m]."""
+    def _weights(self, mesh: TetMesh) -> Float[Array, "n_tets n_cp"]:
+        """Return the weights of the control points at the centroids of the tets [-]."""
         nodes = jnp.asarray(mesh.points)[jnp.asarray(mesh.tets)]
         if self.region is not None:
             nodes = nodes[jnp.asarray(mesh.tets_of(self.region))]
-        if self.sampling == "centroids":
-            return jnp.mean(nodes[:, :4], axis=1)
-        n_en = nodes.shape[1]
-        rule = tet_rule(1 if n_en == 4 else 2)
-        return jnp.einsum("qa,eai->eqi", shape_functions(rule.barycentric, n_en), nodes)
+        return self.control_points.weights(jnp.mean(nodes[:, :4], axis=1))
 
-    def _mixing(self, mesh: TetMesh, values: Values):
-        """Return weights and values of the control points, and the field's shape."""
-        points = self._points(mesh)
-        weights = self.control_points.weights(points.reshape(-1, 3))
+    def _at_points(self, values: Values) -> Float[Array, " n_cp"]:
+        """Return the values at the control points, known ones included."""
         names = self.control_points.names
         known = {
             n: values[self.parameter_name(n)] for n in names if n not in self.fixed
         }
-        at_points = jnp.stack([(known | self.fixed)[name] for name in names])
-        return weights, at_points, points.shape[:-1]
+        return jnp.stack([(known | self.fixed)[name] for name in names])
 
-    def evaluate(self, mesh: TetMesh, values: Values) -> Float[Array, "..."]:
-        """Evaluate the field in SI units, from the values of all parameters by name.
+    def evaluate(self, mesh: TetMesh, values: Values) -> Float[Array, " n_tets"]:
+        """Evaluate the field, from the values of all parameters by name.
 
-        There is one value per tet of the region, or per tet and quadrature point.
+        There is one value per tet of the region, that at its centroid, in SI units.
         """
-        weights, at_points, shape = self._mixing(mesh, values)
+        weights, at_points = self._weights(mesh), self._at_points(values)
         if self.interpolation == "log":
-            return jnp.exp(weights @ jnp.log(at_points)).reshape(shape)
+            return jnp.exp(weights @ jnp.log(at_points))
         if self.interpolation == "linear":
-            return (weights @ at_points).reshape(shape)
+            return weights @ at_points
         c, s = _direction(weights, at_points)
         # Half way between perpendicular axes there is neither a mean direction nor its
         # derivative: such a point gets the constant angle 0.
         lost = c**2 + s**2 < _LOST
         c, s = jnp.where(lost, 1.0, c), jnp.where(lost, 0.0, s)
-        return (0.5 * jnp.arctan2(s, c)).reshape(shape)
+        return 0.5 * jnp.arctan2(s, c)
 
-    def contrast(self, mesh: TetMesh, values: Values) -> Float[Array, "..."]:
+    def contrast(self, mesh: TetMesh, values: Values) -> Float[Array, " n_tets"]:
         """Compute the share of ln(E_l / E_s) that remains after fading [-].
 
         rho sqrt(1 + core^2) / sqrt(rho^2 + core^2): 1 where all directions agree, and
         0 where there is none. The tensor of the axis is then a smooth function of the
         parameters. Arguments and shape are those of `evaluate`.
         """
-        weights, at_points, shape = self._mixing(mesh, values)
-        c, s = _direction(weights, at_points)
-        square = (c**2 + s**2).reshape(shape)
+        c, s = _direction(self._weights(mesh), self._at_points(values))
+        square = c**2 + s**2
         rho = jnp.sqrt(jnp.maximum(square, _LOST))
         return rho * jnp.sqrt((1.0 + self.core**2) / (square + self.core**2))
 
     def apply(self, model: Any, configuration: Any, values: Values) -> tuple[Any, Any]:
         return self.set_on(model, self.evaluate(model.mesh, values)), configuration
 
-    def set_on(self, model: Any, field: Float[Array, "..."]) -> Any:
+    def set_on(self, model: Any, field: Float[Array, " n_tets"]) -> Any:
         """Set values of this field, as from `evaluate`, in a model."""
-        value = PointValues(field) if self.sampling == "quadrature" else field
-        return set_field(model, self.field, value, self.region)
+        return set_field(model, self.field, field, self.region)
 
     def check(self, model: Any) -> None:
         """Raise ValueError unless every control point lies near the body and acts."""
-        if self.sampling == "quadrature" and self.field == "density":
-            raise ValueError(
-                'density is one number per tet: give sampling="centroids" for it.'
-            )
         points, mesh = self.control_points, model.mesh
         tets = mesh.tets[region_tets(mesh, self.region)]
         nodes = mesh.points[np.unique(tets)][:, points.columns]
@@ -266,8 +246,7 @@ class ControlPointParameters(AbstractFieldEntry):
                     f"more than max_distance, {near}. Check its unit and frame, or "
                     "raise max_distance."
                 )
-        sampled = np.asarray(self._points(mesh)).reshape(-1, 3)
-        strongest = np.asarray(points.weights(sampled)).max(axis=0)
+        strongest = np.asarray(self._weights(mesh)).max(axis=0)
         why = f"nearest is {points.nearest}. Raise `nearest`"
         if points.nearest is None:
             why = f"power {points.power:g}. Lower `power`"

@@ -1,7 +1,6 @@
 """Checks that parameters fit the model that they calibrate."""
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -13,7 +12,6 @@ from softcal_jax._typing import HostArray
 from softcal_jax.fields._model_fields import find_field, region_tets
 from softcal_jax.fields._setup import SetupParameter
 from softcal_jax.fields._space import ParameterSpace
-from softcal_jax.materials import is_point_values
 
 
 def check_parameters(
@@ -99,7 +97,7 @@ def _check_effects(model: Any, space: ParameterSpace, configuration: Any) -> Non
     """
     # Copies: a model at the start may hold the very arrays of the parameters.
     values = {q.name: jax.device_put(np.array(q.start)) for q in space.parameters}
-    leaves = partial(jax.tree_util.tree_leaves_with_path, is_leaf=is_point_values)
+    leaves = jax.tree_util.tree_leaves_with_path
     before = dict(leaves((model, configuration)))
     for entry in space.entries:
         after = leaves(entry.apply(model, configuration, values))

@@ -1,6 +1,7 @@
 """Laws, meshes and layouts of control points judged by what they predict."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from softcal_jax.calibration import (
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import ControlPoints, Entry, ParameterSpace, Uncertain
-from softcal_jax.layouts._cross_validation import cross_validated
+from softcal_jax.layouts._cross_validation import FOR_PREDICTION, cross_validated
 from softcal_jax.layouts._model_comparison import ModelComparison
 
 Parameters = ParameterSpace | Entry | Sequence[Entry]
@@ -38,23 +39,9 @@ def compare_layouts(
     Of layouts within one standard error of the best, `preferred` has the fewest
     parameters.
 
-    Each number of parameters is compiled once, which takes far longer than all fits on
-    a small mesh.
-
-    Args:
-        model: The body.
-        layouts: Control points by the name of the layout.
-        configurations: Measured configurations, at least two.
-        make_parameters: The parameters of a layout, like
-            `lambda points: ControlPointParameters("E", points, ...)`.
-        settings: See `compare_laws`, as for all that follow.
-        newton: Settings of the equilibrium.
-        starts: Number of starts of each fit.
-        seed: Seed of the random starts.
-        uncertain: How well everything is known that is not calibrated.
-
-    Returns:
-        The layouts, the best first.
+    `make_parameters` gives the parameters of a layout, like
+    `lambda points: ControlPointParameters("E", points, ...)`; all that follows it is as
+    in `compare_laws`.
 
     Raises:
         ValueError: If fewer than two configurations or no layout is given, or an input
@@ -146,13 +133,7 @@ def compare_models(
 ) -> ModelComparison:
     """Compare calibrations of any models to the same data, see `compare_laws`.
 
-    Args:
-        problems: Calibrations by name of the model, as `build_problem` makes them.
-        configurations: The configurations, in their order.
-        settings: Settings of the outer loop.
-        starts: Number of starts of each fit.
-        seed: Seed of the random starts.
-        progress: Called with the name of each model before it is fitted.
+    `progress` is called with the name of each model before it is fitted.
 
     Raises:
         ValueError: If there is no model, fewer than two configurations, or the models
@@ -168,37 +149,29 @@ def compare_models(
     if starts is not None:
         check_starts(starts)
     _check_same_data(problems)
-    scores = cross_validated(
-        problems,
-        configurations,
-        settings=settings,
-        starts=starts,
-        seed=seed,
-        progress=progress,
-    )
+    scores = []
+    for name, problem in problems.items():
+        progress(name)
+        how = (settings or FOR_PREDICTION, starts, seed)
+        scores.append(cross_validated(name, problem, configurations, *how))
     return ModelComparison.ranked(scores)
 
 
 def _check_same_data(problems: Mapping[str, CalibrationProblem]) -> None:
     """Raise ValueError unless all models have the same measurements and noise."""
-    (first, reference), *others = problems.items()
-    expected = _data(reference)
-    for name, problem in others:
-        found = _data(problem)
-        if [a.shape for a in found] == [a.shape for a in expected] and all(
-            np.allclose(a, b, rtol=1e-9, atol=1e-12, equal_nan=True)
-            for a, b in zip(found, expected, strict=True)
-        ):
-            continue
-        raise ValueError(
-            f"{name!r} is not fitted to the same measurements as {first!r}, so that "
-            "their errors cannot be compared; give both the same configurations with "
-            "the same measured values and standard deviations."
-        )
+    (first, expected), *others = ((name, _data(p)) for name, p in problems.items())
+    close = partial(np.allclose, rtol=1e-9, atol=1e-12, equal_nan=True)
+    for name, data in others:
+        pairs = zip(data, expected, strict=True)
+        if not all(a.shape == b.shape and close(a, b) for a, b in pairs):
+            raise ValueError(
+                f"{name!r} is not fitted to the same measurements as {first!r}, so "
+                "that their errors cannot be compared; give both the same "
+                "configurations with the same measured values and standard deviations."
+            )
 
 
 def _data(problem: CalibrationProblem) -> list[np.ndarray]:
     effectors = problem.configurations.effectors
-    weight = np.asarray(effectors.inverse_std)
-    measured = np.asarray(effectors.measured)
+    weight, measured = map(np.asarray, (effectors.inverse_std, effectors.measured))
     return [np.where(weight > 0.0, measured, 0.0), weight]

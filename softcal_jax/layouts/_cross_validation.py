@@ -1,6 +1,6 @@
 """Fits that leave one configuration out, and their scores (Sec. V-C)."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -98,26 +98,20 @@ def _fit(
 
 
 def cross_validated(
-    problems: Mapping[str, CalibrationProblem],
+    name: str,
+    problem: CalibrationProblem,
     configurations: Sequence[Configuration],
-    *,
-    settings: CalibrationSettings | None,
+    settings: CalibrationSettings,
     starts: int | None,
     seed: int,
-    progress: Callable[[str], None],
-) -> list[ModelScore]:
-    """Fit all folds of models, one model after the other, and score them."""
-    scores = []
-    for name, problem in problems.items():
-        progress(name)
-        start = problem.space.admissible(problem.space.start())[None]
-        n = default_starts(problem.space) if starts is None else starts
-        if n > 1:
-            others = random_starts(problem.space, n - 1, seed=seed)
-            start = jnp.concatenate([start, others])
-        fits = _fit(problem, settings or FOR_PREDICTION, start)
-        scores.append(_score(name, problem, configurations, fits))
-    return scores
+) -> ModelScore:
+    """Fit all folds of a model, and score them."""
+    start = problem.space.admissible(problem.space.start())[None]
+    n = default_starts(problem.space) if starts is None else starts
+    if n > 1:
+        others = random_starts(problem.space, n - 1, seed=seed)
+        start = jnp.concatenate([start, others])
+    return _score(name, problem, configurations, _fit(problem, settings, start))
 
 
 def _score(
@@ -127,14 +121,14 @@ def _score(
     fits: list[_Fit],
 ) -> ModelScore:
     """Score the folds of one model and the fit to all configurations."""
-    weight = np.asarray(problem.configurations.effectors.inverse_std)
     effectors, noise = problem.configurations.effectors, problem.noise
+    weight = np.asarray(effectors.inverse_std)
     A = np.zeros((weight.size, 0))
     if noise is not None:
         A = noise.on_host(effectors)[:, : noise.n_common]
     A = A.reshape(*weight.shape, A.shape[1])
     # Distances are of points; turns and forces count in units of the noise.
-    n_points = problem.configurations.effectors.nodes.shape[-2]
+    n_points = effectors.nodes.shape[-2]
     every = np.arange(len(configurations))
 
     def rms(
@@ -191,9 +185,6 @@ def _failure(fit: _Fit, held_out: int | None) -> str:
         return "a fitted configuration has no equilibrium at the start"
     if not fit.run.converged:
         return "the fit did not converge"
-    there = np.asarray(fit.after.equilibrium.converged)
-    if held_out is not None and not there[held_out]:
-        return "with the fitted parameters it has no equilibrium"
-    if held_out is None and not there.all():
-        return "a configuration lost its equilibrium after the fit"
-    return ""
+    converged = np.asarray(fit.after.equilibrium.converged)
+    asked = converged if held_out is None else converged[held_out]
+    return "" if np.all(asked) else "no equilibrium with the fitted parameters"

@@ -95,9 +95,8 @@ class ModelScore(Module):
     @property
     def verdict(self) -> str:
         """Verdict of the identifiability; "not known" without one."""
-        if self.identifiability is None:
-            return "not known"
-        return self.identifiability.verdict
+        known = self.identifiability
+        return "not known" if known is None else known.verdict
 
 
 class PairedDifference(Module):
@@ -189,14 +188,8 @@ class ModelComparison(Result):
     @property
     def undecided(self) -> tuple[str, ...]:
         """The models that the data cannot tell from the best."""
-        if self.best is None:
-            return ()
-        failed = {model.name for model in self.models if model.failed}
-        return tuple(
-            d.name
-            for d in self.differences
-            if not d.told_apart and d.name not in failed
-        )
+        others = zip(self.models[1:], self.differences, strict=True)
+        return tuple(m.name for m, d in others if not (m.failed or d.told_apart))
 
     @property
     def verdict(self) -> str:
@@ -248,10 +241,8 @@ class ModelComparison(Result):
         """How well each model predicts, in texts."""
         head = ("model", "parameters", "held-out [mm]", "in noise", "squared [noise^2]")
         head += ("worse than the best by", "fit [mm]", "failed folds")
-        against = {d.name: d for d in self.differences}
         rows = []
-        for model in self.models:
-            worse = against.get(model.name)
+        for model, worse in zip(self.models, (None, *self.differences), strict=True):
             failed = f"{len(model.failed)} of {len(model.folds)}"
             rows.append(
                 (

@@ -83,22 +83,13 @@ def place_control_points(
     per field, picked together, and points keep half the distance that "farthest" would
     leave between as many. The result is local: it holds for the present fields.
 
-    Args:
-        mesh: The mesh [m].
-        n: Number of control points.
-        method: "farthest" or "sensitivity".
-        region: Tet group that they are for; the whole body by default.
-        power: Exponent of the weighting, see `ControlPoints` [-].
-        nearest: Number of control points that a tet depends on; all by default.
-        axes: Axes along which distance is counted, like "x" for a bar.
-        model: For "sensitivity": the body on this mesh.
-        configurations: For "sensitivity": poses with markers; need not be measured.
-        fields: For "sensitivity": the field that is calibrated; or several, each with
-            the size of its variation in SI units, to weigh them against each other.
-        newton: For "sensitivity": settings of the equilibrium.
+    The result are "CP 1" to "CP n" in the order in which they were found, for the tet
+    group `region` or the whole body, with `power`, `nearest` and `axes` as in
+    `ControlPoints`; distance counts along the axes, like "x" for a bar.
 
-    Returns:
-        The control points, "CP 1" to "CP n" in the order in which they were found.
+    "sensitivity" needs the model on this mesh, configurations with markers, which need
+    not be measured, and `fields`: the field that is calibrated; or several, each with
+    the size of its variation in SI units, to weigh them against each other.
 
     Raises:
         ValueError: If n is not between 1 and the number of different places, a name is

@@ -1,7 +1,6 @@
 """Sensitivity of the effectors to a field in each single tet, for all tets at once."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -28,26 +27,22 @@ from softcal_jax.fields import find_field
 from softcal_jax.sensitivity import adjoint_of_tets
 
 
-class _Lane(NamedTuple):
-    solution: EquilibriumSolution
-    rows: Float[Array, "*batch n_fields n_e n_tets"]
-    ok: Bool[Array, "*batch"]
-
-
 @eqx.filter_jit
 def _solve(
     model: Model,
     arrays: ConfigurationArrays,
     fields: tuple[str, ...],
     newton: NewtonSettings,
-) -> _Lane:
-    def lane(c: ConfigurationArrays) -> _Lane:
+) -> tuple[
+    EquilibriumSolution, Float[Array, "n_c n_fields n_e n_tets"], Bool[Array, " n_c"]
+]:
+    """Solve each configuration; return also its rows, and whether they are sound."""
+
+    def lane(c: ConfigurationArrays):
         solution = solve_equilibrium(model, c, settings=newton)
-        u, lambda_a = solution.displacement, solution.multipliers
-        lin = linearise(model, c, u, lambda_a)
+        lin = linearise(model, c, solution.displacement, solution.multipliers)
         adjoint = adjoint_rows(lin, effector_values)
-        rows = adjoint_of_tets(lin, fields, adjoint.state)
-        return _Lane(solution, rows, adjoint.ok)
+        return solution, adjoint_of_tets(lin, fields, adjoint.state), adjoint.ok
 
     return jax.lax.map(lane, arrays)
 
@@ -65,15 +60,10 @@ def tet_sensitivities(
     adjoint form: each configuration is solved for the rows W_e = K^-T H_e^T, and one
     pass over the tets gives the forces of their fields.
 
-    Args:
-        model: The body, with the fields where they are differentiated.
-        configurations: Poses with markers; `measured` is ignored.
-        fields: Names of fields of the law, or "density".
-        newton: Settings of the equilibrium.
-
-    Returns:
-        By field: rows for the measured coordinates, in the order configuration,
-        marker, axis; in units of the noise per SI unit of the field.
+    Fields are of the law, or "density", and are differentiated where the model has
+    them; `measured` of the configurations is ignored. Rows of each field are for the
+    measured coordinates, in the order configuration, marker, axis; in units of the
+    noise per SI unit of the field.
 
     Raises:
         ValueError: If a field does not exist, a configuration has no effectors, or one
@@ -94,15 +84,15 @@ def tet_sensitivities(
             "are forces: leave out ActuatorForce and SupportReaction."
         )
     newton = (newton or NewtonSettings()).as_arrays()
-    found = _solve(model, arrays, names, newton)
-    check_converged(found.solution, tuple(c.name for c in posed))
-    for c, ok in zip(posed, np.asarray(found.ok), strict=True):
+    solution, by_lane, sound = _solve(model, arrays, names, newton)
+    check_converged(solution, tuple(c.name for c in posed))
+    for c, ok in zip(posed, np.asarray(sound), strict=True):
         if not ok:
             raise RuntimeError(
                 f"configuration {c.name!r}: its tangent is singular at the equilibrium."
             )
     weight = np.asarray(arrays.effectors.inverse_std).ravel()
     seen = weight > 0.0
-    rows = np.moveaxis(np.asarray(found.rows), 1, 0)
+    rows = np.moveaxis(np.asarray(by_lane), 1, 0)
     rows = rows.reshape(len(names), len(weight), mesh.n_tets)[:, seen]
     return dict(zip(names, weight[seen, None] * rows, strict=True))

@@ -1,10 +1,7 @@
 """Constitutive laws: energy densities, their stresses and tangents."""
 
 from softcal_jax.materials._constants import (
-    PointValues as PointValues,
     constant as constant,
-    is_point_values as is_point_values,
-    law_at_points as law_at_points,
 )
 from softcal_jax.materials._corotational import (
     ClassicalCorotational as ClassicalCorotational,

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax._units import readable
 
@@ -33,34 +32,9 @@ def as_components(matrices: Any) -> tuple[Float[Array, "..."], ...]:
     return jax.device_put(tuple(parts))
 
 
-class PointValues(Module):
-    """One value per tet and quadrature point, in place of a constant of a law.
-
-    Attributes:
-        values: The values by tet, then by the points of `Model.shape_gradients`.
-    """
-
-    values: Float[Array, "*tets n_qp"]
-
-
 def as_matrix(components: tuple[Float[Array, "..."], ...]) -> Float[Array, "3 3 ..."]:
     """Stack the nine fields of `as_components` to a matrix, or one per tet."""
     return jnp.stack([jnp.stack(components[3 * i : 3 * i + 3]) for i in range(3)])
-
-
-def is_point_values(leaf: Any) -> bool:
-    """Say whether a constant of a law is given per quadrature point."""
-    return isinstance(leaf, PointValues)
-
-
-def law_at_points(law: Any) -> tuple[Any, Any]:
-    """Replace `PointValues` of a tet's law by arrays; return also the axes for `vmap`.
-
-    These are a tree of the same structure: 0 for values per point, else None.
-    """
-    each = lambda change: jax.tree.map(change, law, is_leaf=is_point_values)
-    plain = each(lambda leaf: leaf.values if is_point_values(leaf) else leaf)
-    return plain, each(lambda leaf: 0 if is_point_values(leaf) else None)
 
 
 def constant(
@@ -95,9 +69,8 @@ PLANE_RATIO = constant(
 RATIO = constant("", "Poisson's ratio: 0.499", within=(-1.0, 0.5))
 
 
-def _concrete(value: Any) -> np.ndarray | None:
+def _concrete(values: Any) -> np.ndarray | None:
     """Return the values on the host; None if they are traced."""
-    values = value.values if is_point_values(value) else value
     if is_traced(values) or not hasattr(values, "shape"):
         return None
     return np.atleast_1d(np.asarray(values))
@@ -131,11 +104,11 @@ def check_constants(module: eqx.Module) -> None:
 def _together(**fields: Constant) -> list[np.ndarray] | None:
     """Broadcast values on the host to one list each; None if one is traced."""
     columns = {name: _concrete(value) for name, value in fields.items()}
-    known = [v.reshape(len(v), -1) for v in columns.values() if v is not None]
+    known = [values for values in columns.values() if values is not None]
     if len(known) < len(columns):
         return None
     try:
-        return [values.ravel() for values in np.broadcast_arrays(*known)]
+        return list(np.broadcast_arrays(*known))
     except ValueError as error:
         counts = ", ".join(f"{k} {len(v)}" for k, v in zip(columns, known, strict=True))
         raise ValueError(

@@ -16,10 +16,8 @@ from softcal_jax.materials._constants import (
     MODULUS,
     RATIO,
     Constant,
-    PointValues,
     as_field,
     check_constants,
-    is_point_values,
 )
 from softcal_jax.materials._law import AbstractLaw, paired, turned
 
@@ -51,7 +49,7 @@ class AbstractElasticity(Module):
     def tabulated(self) -> "AbstractElasticity":
         """Compute the entries once, if that takes long.
 
-        Fields may be those of a whole body: one value, one per tet, or `PointValues`.
+        Fields may be those of a whole body: one value, or one per tet.
         """
         return self
 
@@ -68,15 +66,8 @@ class TabulatedElasticity(AbstractElasticity):
 
     @classmethod
     def of(cls, elasticity: AbstractElasticity) -> "TabulatedElasticity":
-        """Compute the entries of an elasticity with scalar constants at each point."""
-        leaves, tree = jax.tree.flatten(elasticity, is_leaf=is_point_values)
-        per_point = any(map(is_point_values, leaves))
-
-        def plain(leaf):
-            if is_point_values(leaf):
-                return leaf.values
-            # Values per tet come in front of the points of each tet.
-            return leaf[..., None] if per_point and leaf.ndim > 0 else leaf
+        """Compute the entries of an elasticity with scalar constants in each tet."""
+        leaves, tree = jax.tree.flatten(elasticity)
 
         def entries(*constants):
             C = jax.tree.unflatten(tree, constants).tensor()
@@ -84,11 +75,10 @@ class TabulatedElasticity(AbstractElasticity):
                 C[*_PAIRS[a], *_PAIRS[b]] for a in range(6) for b in range(a, 6)
             )
 
-        fields = jnp.broadcast_arrays(*map(plain, leaves))
+        fields = jnp.broadcast_arrays(*leaves)
         shape = fields[0].shape
         table = jax.vmap(entries)(*(field.ravel() for field in fields))
-        shaped = (entry.reshape(shape) for entry in table)
-        return cls(tuple(PointValues(e) if per_point else e for e in shaped))
+        return cls(tuple(entry.reshape(shape) for entry in table))
 
     def stress(self, strain: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         e = [strain[i, j] * (1.0 if i == j else 2.0) for i, j in _PAIRS]

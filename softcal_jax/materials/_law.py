@@ -96,7 +96,7 @@ class AbstractLaw(Module):
     def tabulated(self) -> "AbstractLaw":
         """Compute what does not depend on F once, as for all steps of an equilibrium.
 
-        Fields may be those of a whole body: one value, one per tet, or `PointValues`.
+        Fields may be those of a whole body: one value, or one per tet.
         """
         return self
 

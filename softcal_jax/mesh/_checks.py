@@ -35,10 +35,9 @@ def check_mesh(mesh: TetMesh, *, linked: Sequence[Int[HostArray, " _"]] = ()) ->
         *_repeated(mesh, table),
         *_disconnected(mesh, table, linked),
     ]
-    if len(problems) == 1:
-        raise ValueError(f"bad mesh: {problems[0]}")
     if problems:
-        raise ValueError("bad mesh:\n- " + "\n- ".join(problems))
+        several = "\n- " if len(problems) > 1 else " "
+        raise ValueError("bad mesh:" + "".join(several + text for text in problems))
 
 
 def _shape_volumes(mesh: TetMesh) -> HostArray:

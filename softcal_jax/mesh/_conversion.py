@@ -83,9 +83,7 @@ def _same(nodes: HostArray, cells: HostArray) -> bool:
 
 
 def to_linear(mesh: TetMesh) -> TetMesh:
-    """Convert a quadratic mesh to linear tets, with the same groups.
-
-    Mid nodes are dropped, so curved sides flatten.
+    """Convert a quadratic mesh to linear tets with the same groups; curves flatten.
 
     Raises:
         ValueError: If the mesh is linear already, or a node group has mid nodes only.

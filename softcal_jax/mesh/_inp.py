@@ -51,13 +51,10 @@ def included_files(path: Path) -> list[Path]:
 
 def _named_files(path: Path) -> list[str]:
     """Find what a file includes, in the lines that meshio takes for an *INCLUDE."""
-    lines = path.read_text(errors="replace").split("\n")
-    keywords = (line.partition(",")[0].strip().replace("*", "") for line in lines)
-    return [
-        line.split("=")[-1].strip()
-        for line, keyword in zip(lines, keywords, strict=True)
-        if keyword.upper() == "INCLUDE" and not line.startswith("**")
-    ]
+    text = path.read_text(errors="replace")
+    lines = [line for line in text.split("\n") if not line.startswith("**")]
+    keyword = lambda line: line.partition(",")[0].strip().replace("*", "").upper()
+    return [line.split("=")[-1].strip() for line in lines if keyword(line) == "INCLUDE"]
 
 
 def _headers(path: Path, keyword: str) -> list[str]:

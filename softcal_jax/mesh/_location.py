@@ -83,8 +83,11 @@ def locate(
         for i in outside:
             tet[i], b0, distance[i] = boundary.nearest(p[i])
             X = mesh.points[mesh.tets[tet[i]]]
-            foot[i] = shape_functions(b0, n_en) @ X
-            b[i], weights[i] = _extrapolate(X, b0, p[i])
+            N, dN = shape_functions(b0, n_en), shape_gradients(b0, n_en)
+            foot[i] = N @ X
+            step = np.linalg.solve(X.T @ dN, p[i] - foot[i])
+            b[i] = b0 + np.concatenate([[-step.sum()], step])
+            weights[i] = N + dN @ step
     if (distance > max_distance).any():
         labels = names or [f"point {i}" for i in range(len(p))]
         raise _too_far(p, distance, max_distance, labels)
@@ -139,13 +142,6 @@ class _Boundary:
         barycentric = np.zeros(4)
         barycentric[self.local[nearest_face][:3]] = best
         return int(self.tet[nearest_face]), barycentric, nearest
-
-
-def _extrapolate(X: HostArray, b0: HostArray, point: HostArray):
-    """Compute coordinates and weights by the tangent of the map at `b0`."""
-    N, dN = shape_functions(b0, len(X)), shape_gradients(b0, len(X))
-    step = np.linalg.solve(X.T @ dN, point - N @ X)
-    return b0 + np.concatenate([[-step.sum()], step]), N + dN @ step
 
 
 def _too_far(

@@ -4,6 +4,7 @@ A quadratic tet is split into eight through its mid nodes: four at its corners, 
 octahedron between them along its shortest diagonal (Bey, Computing 55, 1995).
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from jaxtyping import Shaped
 
 from softcal_jax._module import one_line
 from softcal_jax._typing import Bool, Float, HostArray, Int
-from softcal_jax.elements import TET_EDGES, shape_functions, tet_rule
+from softcal_jax.elements import TET_EDGES, shape_functions
 from softcal_jax.mesh._conversion import MidNodes, to_quadratic
 from softcal_jax.mesh._tet_mesh import TetMesh
 
@@ -82,13 +83,6 @@ class Refinement(NamedTuple):
         n_children = self.mesh.n_tets // self.coarse.n_tets
         return np.repeat(np.arange(self.coarse.n_tets), n_children)
 
-    @property
-    def nearest_point(self) -> Int[HostArray, "n_finer_tets n_qp"]:
-        """Index of the quadrature point of the parent nearest to each one of a tet."""
-        fine, coarse = (tet_rule(m.order).barycentric for m in (self.mesh, self.coarse))
-        apart = (fine @ self.corners)[:, :, None] - coarse
-        return np.argmin(np.linalg.norm(apart, axis=-1), axis=-1)
-
     def nodes(self, indices: Int[HostArray, "..."]) -> Int[HostArray, "..."]:
         """Return the new indices of nodes; those of frames come after the new nodes."""
         after = indices >= self.coarse.n_nodes
@@ -147,10 +141,7 @@ def finer(mesh: TetMesh) -> Refinement:
     weights[new] = shape_functions(mids, n_en)
     straight = Refinement(mesh, linear, fine, corners, carriers, weights)
     points = np.concatenate([mesh.points, straight.carried(mesh.points)])
-    curved = TetMesh(
-        points, fine.tets, fine.node_groups, fine.surface_groups, fine.tet_groups
-    )
-    return straight._replace(mesh=curved)
+    return straight._replace(mesh=replace(fine, points=points))
 
 
 def _split(mesh: TetMesh) -> tuple[TetMesh, Int[HostArray, "n_finer_tets 4"]]:

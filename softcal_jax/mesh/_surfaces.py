@@ -34,14 +34,10 @@ def select_reachable(
     angle: float | None = None,
     stop_at: Sequence[str] = (),
 ) -> Int[HostArray, "n n_fn"]:
-    """Select the boundary faces that a walk over the surface reaches from a point.
+    """Select the boundary faces that a walk over the surface reaches from a point [m].
 
-    Args:
-        mesh: The mesh.
-        point: Where the walk begins, on the surface [m].
-        angle: The walk does not cross edges at which the surface turns by more [rad];
-            None crosses all.
-        stop_at: Surface groups that the walk does not enter.
+    The point lies on the surface. The walk does not cross edges at which the surface
+    turns by more than `angle` [rad], if given, nor enter the surface groups `stop_at`.
 
     Raises:
         ValueError: If the point is not on the surface, on several surfaces, or on one

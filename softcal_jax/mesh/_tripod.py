@@ -50,19 +50,11 @@ def tripod(
     Node and tet groups: "end 1", "end 2", ... and "centre"; sides of tets lie along
     their borders. Surface groups: "top" (largest y) and "bottom".
 
-    Args:
-        length: Length of a branch, from the centre of the sheet [m].
-        width: Width of a branch [m].
-        thickness: Extent along y [m].
-        hole_radius: Radius of the hole [m].
-        centre_radius: Radius of the group "centre" [m].
-        end_length: Length of the groups "end 1", "end 2", ... [m].
-        branches: Number of branches, two at least.
-        y: Where the mid-surface lies along y [m].
-        size: Edge length in the plane that the branches come close to [m].
-        layers: Number of layers of tets through the thickness.
-        order: 2 for quadratic tets; 1 for linear ones, which are far too stiff in
-            bending.
+    Lengths are in metres: `length` that of a branch from the centre of the sheet,
+    `thickness` along y, `centre_radius` and `end_length` those of the groups, `y` where
+    the mid-surface lies, and `size` that of edges in the plane, which the branches come
+    close to. There are `layers` of tets through the thickness; linear ones (order 1)
+    are far too stiff in bending.
 
     Raises:
         ValueError: If a number is out of its range, the centre does not fit between

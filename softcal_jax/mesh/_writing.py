@@ -16,13 +16,12 @@ from softcal_jax.mesh._tet_mesh import TetMesh
 def write_mesh(
     mesh: TetMesh, path: str | os.PathLike[str], *, length_unit: str = "mm"
 ) -> None:
-    """Write the tets and all groups of a mesh as Gmsh 2.2, linear, in a length unit.
+    """Write the tets and all groups of a mesh as Gmsh 2.2, linear.
 
     `read_mesh` gives the same mesh again, and makes its tets quadratic where asked;
     straight edges are so again. Groups become physical groups: those of tets in three
-    dimensions, of surfaces in two, of other nodes in none.
-
-    The unit of the coordinates is "m", "cm", "mm", "um" or "inch".
+    dimensions, of surfaces in two, of other nodes in none. The unit of the coordinates
+    is "m", "cm", "mm", "um" or "inch".
 
     Raises:
         ValueError: If the name does not end in .msh, the unit is unknown, or a tet

@@ -10,13 +10,15 @@ from softcal_jax.plotting._configuration import (
     render_body as render_body,
     render_configuration as render_configuration,
 )
-from softcal_jax.plotting._directions import plot_directions as plot_directions
-from softcal_jax.plotting._fibres import plot_fibres as plot_fibres
-from softcal_jax.plotting._groups import plot_groups as plot_groups
-from softcal_jax.plotting._offscreen import (
-    RenderingError as RenderingError,
-    rendering_problem as rendering_problem,
+from softcal_jax.plotting._diagrams import (
+    plot_traces as plot_traces,
+    plot_trials as plot_trials,
 )
+from softcal_jax.plotting._fibres import (
+    plot_directions as plot_directions,
+    plot_fibres as plot_fibres,
+)
+from softcal_jax.plotting._groups import plot_groups as plot_groups
 from softcal_jax.plotting._plan import (
     MOST_PANELS as MOST_PANELS,
     plot_plan as plot_plan,
@@ -30,7 +32,9 @@ from softcal_jax.plotting._robot import (
     robot_picture as robot_picture,
     sensor_frames as sensor_frames,
 )
+from softcal_jax.plotting._scene import (
+    RenderingError as RenderingError,
+    rendering_problem as rendering_problem,
+)
 from softcal_jax.plotting._setup import load_place as load_place
-from softcal_jax.plotting._traces import plot_traces as plot_traces
-from softcal_jax.plotting._trials import plot_trials as plot_trials
 from softcal_jax.plotting._view import View as View, choose_view as choose_view

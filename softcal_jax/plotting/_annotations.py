@@ -59,20 +59,20 @@ def separate_names(axes: "matplotlib.axes.Axes") -> None:
 
 def draw_markers(
     axes: "matplotlib.axes.Axes",
-    measured: Float[HostArray, "n_markers 2"] | None,
-    simulated: Float[HostArray, "n_markers 2"] | None,
+    measured: Float[HostArray, "n_measured 2"],
+    simulated: Float[HostArray, "n_simulated 2"],
     names: Sequence[str],
 ) -> None:
     """Draw rings where markers were measured, crosses where they are simulated."""
-    if measured is not None and simulated is not None:
+    if len(measured) and len(simulated):
         for pair in zip(measured, simulated, strict=True):
             axes.plot(*np.transpose(pair), **SYMBOLS["distance"])
     for name, points in (("measured", measured), ("simulated", simulated)):
-        if points is not None:
+        if len(points):
             axes.plot(*points.T, path_effects=halo(5.0), **SYMBOLS[name])
-    places = simulated if measured is None else measured
-    if places is None or len(names) > _MOST_NAMES:
+    if len(names) > _MOST_NAMES:
         return
+    places = measured if len(measured) else simulated
     for name, place in zip(names, places, strict=False):
         if np.isfinite(place).all():
             draw_name(axes, name, place, (13, 10))
@@ -163,10 +163,7 @@ def draw_legend(
     height: float,
     labels: Mapping[str, str],
 ) -> None:
-    """Explain what was drawn of `SYMBOLS`, around a height [-].
-
-    `labels` has other names of symbols.
-    """
+    """Explain what was drawn of `SYMBOLS`, by other labels of some, at a height [-]."""
     from matplotlib.lines import Line2D
 
     handles = [
@@ -174,16 +171,9 @@ def draw_legend(
         for name, style in SYMBOLS.items()
         if name in drawn
     ]
-    figure.legend(
-        handles=handles,
-        loc="center left",
-        bbox_to_anchor=(0.12, height),
-        ncols=min(len(handles), 5),
-        fontsize=15,
-        frameon=False,
-        labelcolor=TEXT,
-        columnspacing=1.6,
-    )
+    place = {"loc": "center left", "bbox_to_anchor": (0.12, height)}
+    style = {"fontsize": 15, "frameon": False, "labelcolor": TEXT, "columnspacing": 1.6}
+    figure.legend(handles=handles, ncols=min(len(handles), 5), **place, **style)
 
 
 def draw_frame(

@@ -16,10 +16,10 @@ from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, RobotState
 from softcal_jax.plotting import _annotations as annotations, _robot as robots
 from softcal_jax.plotting._robot import SensorFrame
-from softcal_jax.plotting._save import add_axes, pixel_figure, save
+from softcal_jax.plotting._save import add_axes, add_view, pixel_figure, save
 from softcal_jax.plotting._scene import body_image
 from softcal_jax.plotting._setup import draw_setup, load_points
-from softcal_jax.plotting._view import choose_view
+from softcal_jax.plotting._view import choose_view, fit_body
 
 _WIDTH, _SIDE, _TOP, _BOTTOM = 1600, 190, 130, 130
 """Whole width, and sizes of colour scale, title and legend [pixels]."""
@@ -134,20 +134,20 @@ def render_body(
         RenderingError: If the machine has no OpenGL that works without a screen.
     """
     u = np.asarray(displacement, float)
-    given = {"measured": measured, "simulated": simulated}
-    groups = {
-        name: points[np.isfinite(points).all(axis=1)]
-        for name, points in given.items()
-        if points is not None
-    }
+    none = np.zeros((0, 3))
+    measured = none if measured is None else measured
+    simulated = none if simulated is None else simulated
+    markers = np.concatenate([measured, simulated])
+    more = [markers[np.isfinite(markers).all(axis=1)]]
     picture = None if robot is None else robots.robot_picture(model, robot)
-    more = [*groups.values()] + ([] if picture is None else [picture.points])
+    if picture is not None:
+        more.append(picture.points)
     x = model.mesh.points + u
     if posed is not None:
         more.append(load_points(posed, model.mesh, x))
-    view = choose_view(model.mesh.points, u, np.concatenate([np.zeros((0, 3)), *more]))
+    view = choose_view(model.mesh.points, u, np.concatenate(more))
     width = _WIDTH - _SIDE
-    scale, height = _fit_body(view.width, view.height, width)
+    scale, height = fit_body(view, width, _MARGIN, _LOWEST, _HIGHEST)
     largest = 1e3 * float(np.linalg.norm(u, axis=1).max())
     pixels = body_image(
         model, u, view, size=(width, height), scale=scale, largest_mm=largest
@@ -155,13 +155,16 @@ def render_body(
     top = _TOP + (annotations.WARNING_HEIGHT if warning else 0)
     total = height + top + _BOTTOM
     figure = pixel_figure(_WIDTH, total)
-    body = add_axes(figure, 0, _BOTTOM, width, height)
-    w, h = 0.5 * width / scale, 0.5 * height / scale
-    body.imshow(pixels, extent=(-w, w, -h, h), interpolation="none")
-    body.set(xlim=(-w, w), ylim=(-h, h))
-    body.set_axis_off()
-    drawn = [name for name, points in groups.items() if len(points)]
-    drawn += ["distance"] * (len(drawn) == 2) + ["at rest"]
+    body = add_view(figure, 0, _BOTTOM, width, height, scale=scale)
+    extent = (*body.get_xlim(), *body.get_ylim())
+    body.imshow(pixels, extent=extent, interpolation="none")
+    drawn = ["at rest"]
+    called: dict[str, str] = dict(zip(("measured", "simulated"), labels, strict=True))
+    for name, points in zip(called, (measured, simulated), strict=True):
+        if np.isfinite(points).all(axis=1).any():
+            drawn.append(name)
+    if {"measured", "simulated"} <= {*drawn}:
+        drawn.append("distance")
     if model.mechanism.bodies.n_bodies:
         drawn.append("rigid body")
     if posed is not None:
@@ -170,20 +173,11 @@ def render_body(
         robots.draw_robot(body, view, picture)
         drawn += picture.kinds
     drawn += robots.draw_sensors(body, view, sensors)
-    flat = {k: None if p is None else view.project(p) for k, p in given.items()}
-    annotations.draw_markers(body, **flat, names=marker_names)
+    flat = view.project(measured), view.project(simulated)
+    annotations.draw_markers(body, *flat, marker_names)
     bar = (_WIDTH - _SIDE + 20, _BOTTOM + 0.06 * height, 28, 0.88 * height)
     annotations.draw_colour_scale(add_axes(figure, *bar), largest)
     words = {"title": title, "subtitle": subtitle, "warning": warning}
     annotations.draw_frame(figure, view, scale=scale, top=top, bottom=_BOTTOM, **words)
-    called = dict(zip(given, labels, strict=True))
     annotations.draw_legend(figure, drawn, 62 / total, called)
     save(figure, path)
-
-
-def _fit_body(w: float, h: float, width: int) -> tuple[float, int]:
-    """Compute pixels per metre, and height in pixels, for a body that fills both."""
-    room = width - 2 * _MARGIN
-    scale = room / w
-    height = int(np.clip(h * scale + 2 * _MARGIN, _LOWEST, _HIGHEST))
-    return min(scale, (height - 2 * _MARGIN) / h), height

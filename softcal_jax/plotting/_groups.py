@@ -1,6 +1,7 @@
 """Draw a mesh with its named groups: from the front, from behind, and cut."""
 
 import colorsys
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -10,9 +11,14 @@ from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.mesh import CAD_FACE, TetMesh, boundary_faces
 from softcal_jax.plotting import _annotations as annotations
 from softcal_jax.plotting._colours import SERIES
-from softcal_jax.plotting._faces import draw_faces, visible_faces
-from softcal_jax.plotting._save import add_axes, pixel_figure, save
-from softcal_jax.plotting._view import View, choose_view
+from softcal_jax.plotting._save import add_view, pixel_figure, save
+from softcal_jax.plotting._view import (
+    View,
+    VisibleFaces,
+    choose_view,
+    draw_faces,
+    visible_faces,
+)
 
 if TYPE_CHECKING:
     import matplotlib.axes
@@ -32,27 +38,18 @@ _MARGIN = 1.15
 _DARKEST, _PALE = 0.72, 0.25
 """Brightness of a face seen from the side, and share of white in all colours."""
 
-_PLAIN, _SECTION = (0.92, 0.92, 0.92), (0.8, 0.8, 0.75)
-"""Colours of faces in no group, and of what is cut."""
+_PLAIN, _CUT = -1, -2
+"""What stands for the group of faces that have none: on the surface, and where the body
+is cut. Counted from the end, these are their colours in the table of all."""
+
+_NO_GROUP = ((0.8, 0.8, 0.75), (0.92, 0.92, 0.92))
+"""Colours of what is cut, and of other faces in no group."""
 
 _GOLDEN = 0.618
 """Step around the colour wheel that keeps any number of colours apart [turns]."""
 
 _LEAST = 30
 """Pixels of a group that are seen, at least, where its name stands."""
-
-
-class _Faces(NamedTuple):
-    """Faces that look towards the viewer, the farthest first.
-
-    They have corners [m], the share of their area that is seen, the index of the group
-    whose colour they have, -1 for none, and lie within the body where it is cut.
-    """
-
-    corners: Float[HostArray, "n_faces 3 3"]
-    light: Float[HostArray, " n_faces"]
-    group: Int[HostArray, " n_faces"]
-    cut: Bool[HostArray, " n_faces"]
 
 
 class _Frame(NamedTuple):
@@ -69,16 +66,11 @@ class _Frame(NamedTuple):
 
 
 def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
-    """Draw the body at rest with every group named and coloured, in four panels.
+    """Draw a mesh [m] with every group named and coloured, as a PNG or SVG file.
 
-    From the front, from behind, and both halves of it cut along, where the walls of
-    cavities show. A face in several groups has the colour of the last of them, and what
-    is not seen for that is called hidden. Groups of nodes alone are dots.
-
-    Args:
-        mesh: The mesh [m].
-        path: PNG or SVG file.
-        title: Title of the picture.
+    Four panels show it from the front, from behind, and both halves of it cut along,
+    with the walls of cavities. A face in several groups has the colour of the last, and
+    what is not seen for that is called hidden. Groups of nodes alone are dots.
     """
     from matplotlib.patches import Patch
 
@@ -91,30 +83,33 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
     frame = _frame(front)
     shown = [_faces(mesh, groups, *what) for what in panels.values()]
     images = [
-        _image(view, faces, frame)
-        for (view, _), faces in zip(panels.values(), shown, strict=True)
+        _image(view, *what, frame)
+        for (view, _), what in zip(panels.values(), shown, strict=True)
     ]
     n = len(groups)
     seen = np.array([np.bincount(i[i >= 0], minlength=n)[:n] for i in images])
     rows = len(panels) // _COLUMNS
     per_row = max(1, _COLUMNS * frame.width // _ENTRY[0])
-    legend = _ENTRY[1] * -(-len(groups) // per_row)
+    legend = _ENTRY[1] * math.ceil(len(groups) / per_row)
     total = _TOP + rows * (frame.height + _HEADING) + legend + _BOTTOM
     figure = pixel_figure(_COLUMNS * frame.width, total)
     for k, (heading, (view, drawn)) in enumerate(panels.items()):
         row, column = divmod(k, _COLUMNS)
         bottom = total - _TOP - (row + 1) * (frame.height + _HEADING)
-        own = add_axes(figure, column * frame.width, bottom, frame.width, frame.height)
-        draw_faces(own, view, shown[k].corners, _shaded(shown[k], colours))
-        _draw_nodes(own, view, mesh, drawn, dict(zip(groups, colours, strict=True)))
-        for group in np.flatnonzero((seen.argmax(axis=0) == k) & (seen[k] >= _LEAST)):
-            place = _middle(images[k] == group, frame)
+        box = (column * frame.width, bottom, frame.width, frame.height)
+        axes = add_view(figure, *box, scale=1.0 / frame.scale)
+        axes.set_title(heading, fontsize=16)
+        faces, group = shown[k]
+        # Darker where they are seen from the side.
+        light = _DARKEST + (1.0 - _DARKEST) * faces.light
+        shades = np.array([*colours, *_NO_GROUP])[group] * light[:, None]
+        draw_faces(axes, view, faces.corners, shades)
+        _draw_nodes(axes, view, mesh, drawn, dict(zip(groups, colours, strict=True)))
+        best = (seen.argmax(axis=0) == k) & (seen[k] >= _LEAST)
+        for index in np.flatnonzero(best):
+            place = _middle(images[k] == index, frame)
             style = {"ha": "center", "va": "center"}
-            annotations.draw_name(own, groups[group], place, (0, 0), **style)
-        w, h = frame.half
-        own.set(xlim=(-w, w), ylim=(-h, h), title=heading)
-        own.set_axis_off()
-        own.title.set_fontsize(16)
+            annotations.draw_name(axes, groups[index], place, (0, 0), **style)
     faced = {**mesh.tet_groups, **mesh.surface_groups}
     names = [
         f"{name} (hidden)" if name in faced and not seen[:, k].any() else name
@@ -150,20 +145,21 @@ def _frame(view: View) -> _Frame:
     """Choose the size of the panels; the other views are as large."""
     extent = _MARGIN * np.array([view.width, view.height])
     width, height = np.maximum(_SIZE * extent / extent.max(), 0.5 * _SIZE).astype(int)
-    return _Frame(
-        int(width), int(height), float(max(extent[0] / width, extent[1] / height))
-    )
+    scale = max(extent[0] / width, extent[1] / height)
+    return _Frame(int(width), int(height), float(scale))
 
 
-def _image(view: View, faces: _Faces, frame: _Frame) -> Int[HostArray, "_ _"]:
-    """Draw the group of what is seen at each pixel, -1 for none."""
+def _image(
+    view: View, faces: VisibleFaces, group: Int[HostArray, " n_faces"], frame: _Frame
+) -> Int[HostArray, "_ _"]:
+    """Draw the group of what is seen at each pixel, negative for none."""
     from PIL import Image, ImageDraw
 
     pixels = (view.project(faces.corners) + frame.half) / frame.scale
     image = Image.new("I", (frame.width, frame.height), -1)
     draw = ImageDraw.Draw(image)
-    for corners, group in zip(pixels, faces.group.tolist(), strict=True):
-        draw.polygon([tuple(corner) for corner in corners.tolist()], fill=group)
+    for corners, index in zip(pixels, group.tolist(), strict=True):
+        draw.polygon([tuple(corner) for corner in corners.tolist()], fill=index)
     return np.asarray(image)
 
 
@@ -187,34 +183,24 @@ def _colours(n: int) -> list[Colour]:
 
 def _faces(
     mesh: TetMesh, groups: list[str], view: View, drawn: Bool[HostArray, " n_tets"]
-) -> _Faces:
-    """Find what is seen of some of the tets."""
+) -> tuple[VisibleFaces, Int[HostArray, " n_faces"]]:
+    """Find what is seen of some of the tets, and the group that colours each face."""
     part = TetMesh(mesh.points, mesh.tets[drawn])
     faces = visible_faces(part, view)
     tets, keys = np.flatnonzero(drawn)[faces.tet], _keys(mesh, faces.nodes)
-    group = np.full(len(tets), -1)
-    for name, own in mesh.tet_groups.items():
-        group[np.isin(tets, own)] = groups.index(name)
-    for name, own in mesh.surface_groups.items():
-        group[np.isin(keys, _keys(mesh, own))] = groups.index(name)
-    cut = ~np.isin(keys, _keys(mesh, boundary_faces(mesh)))
-    return _Faces(faces.corners, faces.light, group, cut)
+    outside = np.isin(keys, _keys(mesh, boundary_faces(mesh)))
+    group = np.where(outside, _PLAIN, _CUT)
+    for name, members in mesh.tet_groups.items():
+        group[np.isin(tets, members)] = groups.index(name)
+    for name, members in mesh.surface_groups.items():
+        group[np.isin(keys, _keys(mesh, members))] = groups.index(name)
+    return faces, group
 
 
 def _keys(mesh: TetMesh, faces: Int[HostArray, "n _"]) -> Int[HostArray, " n"]:
     """Give each face a number, by its corners in any order."""
-    corners = np.sort(faces[:, :3].astype(np.int64), axis=1).T
-    a, b, c = corners
+    a, b, c = np.sort(faces[:, :3].astype(np.int64), axis=1).T
     return (a * mesh.n_nodes + b) * mesh.n_nodes + c
-
-
-def _shaded(faces: _Faces, colours: list[Colour]) -> Float[HostArray, "n_faces 3"]:
-    """Colour faces by their group, darker where they are seen from the side."""
-    # The last two stand for what is cut, and for the group -1.
-    table = np.array([*colours, _SECTION, _PLAIN])
-    index = np.where(faces.cut & (faces.group < 0), len(colours), faces.group)
-    light = _DARKEST + (1.0 - _DARKEST) * faces.light
-    return table[index] * light[:, None]
 
 
 def _draw_nodes(
@@ -225,12 +211,12 @@ def _draw_nodes(
     colours: dict[str, Colour],
 ) -> None:
     """Draw the nodes of drawn tets in groups that are neither of faces nor of tets."""
-    there = np.unique(mesh.tets[drawn])
-    for name, nodes in mesh.node_groups.items():
-        own = np.intersect1d(nodes, there)
-        if name in mesh.surface_groups or name in mesh.tet_groups or not own.size:
+    faced = {**mesh.surface_groups, **mesh.tet_groups}
+    for name, members in mesh.node_groups.items():
+        nodes = np.intersect1d(members, mesh.tets[drawn])
+        if name in faced or not nodes.size:
             continue
-        places = view.project(mesh.points[own])
+        places = view.project(mesh.points[nodes])
         axes.plot(*places.T, "o", ms=5, color=colours[name], mec="black", mew=0.5)
         highest = places[np.argmax(places[:, 1])]
         annotations.draw_name(axes, name, highest, (0, 14), ha="center")

@@ -3,9 +3,8 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-import jax
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
@@ -19,15 +18,20 @@ from softcal_jax.configurations import (
     motions,
 )
 from softcal_jax.equilibrium import ActuatorState, Model, RobotState
-from softcal_jax.materials import Fibre
 from softcal_jax.mesh import boundary_faces
 from softcal_jax.plotting import _annotations as annotations, _robot as robots
 from softcal_jax.plotting._colours import FAINT, RIGID, SYMBOLS, TEXT
-from softcal_jax.plotting._faces import VisibleFaces, draw_faces, visible_faces
 from softcal_jax.plotting._robot import RobotPicture, SensorFrame
-from softcal_jax.plotting._save import add_axes, pixel_figure, save
+from softcal_jax.plotting._save import add_view, pixel_figure, save
 from softcal_jax.plotting._setup import draw_setup, load_points
-from softcal_jax.plotting._view import View, choose_view
+from softcal_jax.plotting._view import (
+    View,
+    VisibleFaces,
+    choose_view,
+    draw_faces,
+    fit_body,
+    visible_faces,
+)
 
 if TYPE_CHECKING:
     import matplotlib.axes
@@ -52,16 +56,6 @@ _LIGHT, _DARK = 0.97, 0.70
 """Brightness of a face seen from the front, and from the side."""
 
 
-class _Panel(NamedTuple):
-    """A configuration as it is drawn, with its heading and the points to be seen."""
-
-    configuration: Configuration
-    heading: str
-    records: tuple[EffectorRecord, ...]
-    robot: RobotPicture
-    points: Float[HostArray, "n 3"]
-
-
 def plot_plan(
     model: Model,
     headings: Mapping[str, str],
@@ -75,98 +69,58 @@ def plot_plan(
 ) -> None:
     """Draw the body at rest with all that acts on it and is measured, unsolved.
 
-    A panel for each configuration: supports, dead loads, gravity, actuators with what
-    is imposed on them, rigid bodies, and markers at rest and where they were measured.
-    All have the same camera. Fibres are drawn on the faces that are seen. A point that
-    was measured far away, see `farthest`, is left out. Needs no OpenGL.
-
-    Args:
-        model: The model.
-        headings: What stands above each configuration, by its name.
-        configurations: The configurations; the first `MOST_PANELS` are drawn.
-        path: PNG file, 1600 pixels wide, or SVG file.
-        title: First line.
-        subtitle: Second line.
-        control_points: Control points, numbered from 1 [m].
-        software: What drew it, which is kept in the file.
+    Each of the first `MOST_PANELS` configurations has a panel below its heading; all
+    have the same camera. Control points are numbered from 1 [m]. A point that was
+    measured far away, see `farthest`, is left out. Needs no OpenGL.
     """
     mesh, fibres = model.mesh, _fibre_directions(model)
     shown = configurations[:MOST_PANELS]
     lanes = configuration_lanes(mesh, shown, model.mechanism).effectors
-    panels = [
-        _panel(model, c, headings[c.name], records)
-        for c, records in zip(shown, lanes, strict=True)
-    ]
-    more = [panel.points for panel in panels]
-    if control_points is not None:
-        more.append(control_points)
+    markers = [[p for p in records if p.quantity == "point"] for records in lanes]
+    pictures = [robots.robot_picture(model, _at_rest(model, c)) for c in shown]
+    numbered = np.zeros((0, 3)) if control_points is None else control_points
+    more = [numbered, *(picture.points for picture in pictures)]
+    more += [load_points(c, mesh, mesh.points) for c in shown]
+    for points in markers:
+        more += [p.at_rest for p in points]
+        more += [place for place, _ in _measured(model, points)]
     view = choose_view(mesh.points, np.zeros_like(mesh.points), np.vstack(more))
-    columns, rows, height, scale = _grid(view, len(panels))
-    width = _WIDTH // columns
+    n = len(shown)
+    columns = max(range(1, n + 1), key=lambda columns: _fit(view, n, columns)[0])
+    width, rows = _WIDTH // columns, math.ceil(n / columns)
+    scale, height = _fit(view, n, columns)
     total = _TOP + rows * (height + _HEADING) + _BOTTOM
     figure = pixel_figure(_WIDTH, total)
     faces = visible_faces(mesh, view)
     light = _DARK + (_LIGHT - _DARK) * faces.light
     grey = np.repeat(light[:, None], 3, axis=1)
-    drawn: set[str] = set()
-    for k, panel in enumerate(panels):
+    drawn = {"control point"} if len(numbered) else set()
+    if fibres is not None:
+        drawn.add("fibre")
+    for k, c in enumerate(shown):
         row, column = divmod(k, columns)
         bottom = total - _TOP - (row + 1) * (height + _HEADING)
-        own = add_axes(figure, column * width, bottom, width, height)
-        w, h = 0.5 * width / scale, 0.5 * height / scale
-        own.set(xlim=(-w, w), ylim=(-h, h))
-        own.set_axis_off()
-        draw_faces(own, view, faces.corners, grey)
+        axes = add_view(figure, column * width, bottom, width, height, scale=scale)
+        draw_faces(axes, view, faces.corners, grey)
         if fibres is not None:
-            _draw_fibres(own, view, faces, fibres)
-            drawn.add("fibre")
-        drawn.update(_draw_panel(own, view, model, panel))
-        for i, place in enumerate(() if control_points is None else control_points):
-            flat = view.project(place)
-            own.plot(*flat, **SYMBOLS["control point"])
+            _draw_fibres(axes, view, faces, fibres)
+        drawn |= _draw_configuration(axes, view, model, c, pictures[k], markers[k])
+        for i, flat in enumerate(view.project(numbered)):
+            axes.plot(*flat, **SYMBOLS["control point"])
             style = {"ha": "center", "va": "center", "fontsize": 10, "color": TEXT}
-            own.text(flat[0], flat[1], str(i + 1), **style)
-            drawn.add("control point")
+            axes.text(flat[0], flat[1], str(i + 1), **style)
         style = {"fontsize": 16, "color": TEXT, "parse_math": False}
-        annotations.shrink(own.set_title(panel.heading, **style), width - 40)
+        annotations.shrink(axes.set_title(headings[c.name], **style), width - 40)
     words = {"title": title, "subtitle": subtitle}
     annotations.draw_frame(figure, view, scale=scale, top=_TOP, bottom=_BOTTOM, **words)
     annotations.draw_legend(figure, drawn, 70 / total, {})
     save(figure, path, software=software)
 
 
-class _Grid(NamedTuple):
-    """How panels are arranged: their number, height [pixels] and pixels per metre."""
-
-    columns: int
-    rows: int
-    height: int
-    scale: float
-
-
-def _grid(view: View, n: int) -> _Grid:
-    """Arrange panels so that the body is as large as the page allows."""
-    grids = []
-    for columns in range(1, n + 1):
-        rows = math.ceil(n / columns)
-        scale = (_WIDTH // columns - 2 * _MARGIN) / view.width
-        most = max(_LOWEST, min(_HIGHEST, _PAGE // rows))
-        height = int(np.clip(view.height * scale + 2 * _MARGIN, _LOWEST, most))
-        scale = min(scale, (height - 2 * _MARGIN) / view.height)
-        grids.append(_Grid(columns, rows, height, scale))
-    return max(grids, key=lambda grid: grid.scale)
-
-
-def _panel(
-    model: Model, c: Configuration, heading: str, records: tuple[EffectorRecord, ...]
-) -> _Panel:
-    """Collect what is drawn of a configuration."""
-    robot = robots.robot_picture(model, _at_rest(model, c))
-    points = [record for record in records if record.quantity == "point"]
-    seen = [p.at_rest for p in points] + [p for p, _ in _measured(model, points)]
-    places = [np.reshape(seen, (-1, 3)), robot.points]
-    places.append(load_points(c, model.mesh, model.mesh.points))
-    return _Panel(c, heading, tuple(points), robot, np.vstack(places))
+def _fit(view: View, n: int, columns: int) -> tuple[float, int]:
+    """Fit the body into each of n panels, as large as the page allows."""
+    highest = max(_LOWEST, min(_HIGHEST, _PAGE // math.ceil(n / columns)))
+    return fit_body(view, _WIDTH // columns, _MARGIN, _LOWEST, highest)
 
 
 def _measured(
@@ -203,33 +157,35 @@ def _at_rest(model: Model, c: Configuration) -> RobotState:
     return RobotState((), tuple(states), (), np.zeros_like(model.mechanism.points))
 
 
-def _draw_panel(
-    axes: "matplotlib.axes.Axes", view: View, model: Model, panel: _Panel
-) -> list[str]:
+def _draw_configuration(
+    axes: "matplotlib.axes.Axes",
+    view: View,
+    model: Model,
+    c: Configuration,
+    picture: RobotPicture,
+    points: Sequence[EffectorRecord],
+) -> set[str]:
     """Draw one configuration; return what was drawn, for the legend."""
-    c, mesh = panel.configuration, model.mesh
     _draw_bodies(axes, view, model, c)
-    drawn = ["rigid body"] if model.mechanism.bodies.n_bodies else []
-    drawn += draw_setup(axes, view, c, mesh, mesh.points)
-    robots.draw_robot(axes, view, panel.robot)
-    drawn += panel.robot.kinds
+    drawn = {"rigid body"} if model.mechanism.bodies.n_bodies else set()
+    drawn.update(draw_setup(axes, view, c, model.mesh, model.mesh.points))
+    robots.draw_robot(axes, view, picture)
+    drawn.update(picture.kinds)
     frames = {e.name for e in c.effectors if isinstance(e, BodyFrame)}
-    sensors = [
-        SensorFrame(p.at_rest, np.eye(3)) for p in panel.records if p.name in frames
-    ]
-    drawn += robots.draw_sensors(axes, view, sensors)
-    for place, rest in _measured(model, panel.records):
+    sensors = [SensorFrame(p.at_rest, np.eye(3)) for p in points if p.name in frames]
+    drawn.update(robots.draw_sensors(axes, view, sensors))
+    for place, rest in _measured(model, points):
         ends = view.project(np.stack([rest, place]))
         axes.plot(*ends[1], path_effects=annotations.halo(5.0), **SYMBOLS["measured"])
         axes.plot(*ends.T, **SYMBOLS["distance"])
-        drawn.append("measured")
-    for p in panel.records:
+        drawn.add("measured")
+    for p in points:
         flat = view.project(p.at_rest)
         style = SYMBOLS["point at rest"]
         axes.plot(*flat, path_effects=annotations.halo(5.0), **style)
-        if len(panel.records) <= _MOST_NAMES:
+        if len(points) <= _MOST_NAMES:
             annotations.draw_name(axes, p.name, flat, (9, 7), fontsize=13)
-        drawn.append("point at rest")
+        drawn.add("point at rest")
     annotations.separate_names(axes)
     return drawn
 
@@ -244,12 +200,12 @@ def _draw_bodies(
     faces = boundary_faces(mesh)[:, :3]
     for k, name in enumerate(bodies.names):
         nodes = bodies.attached[bodies.body == k]
-        own = faces[np.isin(faces, nodes).all(axis=1)]
-        corners = list(view.project(mesh.points[own]))
+        covered = faces[np.isin(faces, nodes).all(axis=1)]
+        corners = list(view.project(mesh.points[covered]))
         style = {"facecolor": RIGID, "edgecolor": FAINT, "lw": 0.6, "alpha": 0.75}
         axes.add_collection(PolyCollection(corners, **style))
         flat = view.project(mesh.points[nodes])
-        if not len(own):
+        if not len(covered):
             axes.plot(*flat.T, "o", ms=4, color=FAINT)
         state = c.bodies.get(name)
         kind = state if isinstance(state, str) else getattr(state, "kind", "held")
@@ -263,9 +219,7 @@ def _fibre_directions(model: Model) -> Float[HostArray, "n_tets 3"] | None:
 
     On the host, where nothing is compiled; None for a law without fibres.
     """
-    is_fibre = lambda part: isinstance(part, Fibre)
-    parts = jax.tree.leaves(model.law, is_leaf=is_fibre)
-    fibres = [part for part in parts if is_fibre(part)]
+    fibres = model.law.fibres()
     if not fibres:
         return None
 
@@ -300,8 +254,8 @@ def _draw_fibres(
     sides = faces.corners[:, 1:] - faces.corners[:, :1]
     areas = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
     half = max(0.5 * np.sqrt(np.median(areas)), 0.008 * view.width)
-    own = np.flatnonzero(np.any(fibres[faces.tet] != 0.0, axis=1))
-    own = own[:: max(1, math.ceil(own.size / _MOST_FIBRES))]
-    centres, along = faces.corners[own].mean(axis=1), half * fibres[faces.tet[own]]
+    some = np.flatnonzero(np.any(fibres[faces.tet] != 0.0, axis=1))
+    some = some[:: max(1, math.ceil(some.size / _MOST_FIBRES))]
+    centres, along = faces.corners[some].mean(axis=1), half * fibres[faces.tet[some]]
     lines = view.project(np.stack([centres - along, centres + along], axis=1))
     axes.add_collection(LineCollection(list(lines), **SYMBOLS["fibre"], alpha=0.8))

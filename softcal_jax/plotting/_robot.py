@@ -27,13 +27,7 @@ _UNSEEN_AT_REST = ("force actuator", "surface force actuator", "surface pressure
 
 
 class SensorFrame(NamedTuple):
-    """Position and orientation of a 6-D sensor.
-
-    Attributes:
-        position: Its position [m].
-        rotation: Rotation from rest, whose columns are drawn as axes [-].
-        is_measured: Whether it was measured; otherwise it is simulated.
-    """
+    """Measured or simulated place of a 6-D sensor [m], and rotation from rest [-]."""
 
     position: Float[HostArray, "3"]
     rotation: Float[HostArray, "3 3"]
@@ -84,7 +78,7 @@ class RobotPicture(NamedTuple):
             "motor": any(a.kind == "motor" for a in driven),
             "force": any(a.kind != "motor" and is_seen(a) for a in driven),
         }
-        return [kind for kind, there in present.items() if there]
+        return [kind for kind, is_present in present.items() if is_present]
 
 
 def robot_picture(model: Model, state: RobotState) -> RobotPicture:
@@ -131,15 +125,14 @@ def actuator_words(actuator: ActuatorState) -> str:
 
 
 def _draw_cable(axes, view: View, geometry: ActuatorGeometry, a: int, *, slack: bool):
-    own = geometry.segments[geometry.segment_owner == a]
-    if not len(own):
+    segments = geometry.segments[geometry.segment_owner == a]
+    if not len(segments):
         return None
-    for segment in own:
-        style = {**SYMBOLS["cable"], "ls": ":" if slack else "-"}
-        ends = view.project(segment)
-        axes.plot(*ends.T, **style, marker="o", ms=6, path_effects=halo(5.0))
-    lengths = np.linalg.norm(own[:, 1] - own[:, 0], axis=1)
-    return view.project(own[np.argmax(lengths)].mean(axis=0))
+    style = {**SYMBOLS["cable"], "ls": ":" if slack else "-", "marker": "o", "ms": 6}
+    for ends in view.project(segments):
+        axes.plot(*ends.T, **style, path_effects=halo(5.0))
+    lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+    return view.project(segments[np.argmax(lengths)].mean(axis=0))
 
 
 def _draw_wall(axes, view: View, picture: RobotPicture, a: int):
@@ -156,30 +149,29 @@ def _draw_wall(axes, view: View, picture: RobotPicture, a: int):
 
 def _draw_point(axes, view: View, picture: RobotPicture, a: int):
     geometry, actuator = picture.geometry, picture.state.actuators[a]
-    own = np.flatnonzero(geometry.point_owner == a)
-    if not own.size:
+    if a not in geometry.point_owner:
         return None
-    point, arrow = geometry.points[own[0]], geometry.arrows[own[0]]
+    k = np.argmax(geometry.point_owner == a)
+    point, arrow = geometry.points[k], geometry.arrows[k]
     if actuator.kind == "motor":
         half = _AXIS * view.width * arrow
         ends = view.project(np.stack([point - half, point + half]))
         style = {k: v for k, v in SYMBOLS["motor"].items() if k != "marker"}
         axes.plot(*ends.T, **style, path_effects=halo(5.0))
         axes.plot(*view.project(point), "o", color=MOTOR, ms=9)
-    else:
-        # The arrow ends where the force acts.
-        tail = point - pushes(actuator) * _ARROW * view.width * arrow
-        ends = view.project(np.stack([tail, point]))
-        look = {"arrowstyle": "-|>", "color": FORCE, "lw": 3.0, "mutation_scale": 22}
-        axes.annotate("", ends[1], ends[0], arrowprops={**look, "shrinkB": 0})
-        return ends[0]
-    return view.project(point)
+        return view.project(point)
+    # The arrow ends where the force acts.
+    tail = point - pushes(actuator) * _ARROW * view.width * arrow
+    ends = view.project(np.stack([tail, point]))
+    look = {"arrowstyle": "-|>", "color": FORCE, "lw": 3.0, "mutation_scale": 22}
+    axes.annotate("", ends[1], ends[0], arrowprops={**look, "shrinkB": 0})
+    return ends[0]
 
 
 def pushes(actuator: ActuatorState) -> float:
     """Say which way a force actuator acts along its direction: 1 or -1."""
-    own = actuator.displacement if np.isnan(actuator.force) else actuator.force
-    return float(np.sign(own or 1.0))
+    imposed = actuator.displacement if np.isnan(actuator.force) else actuator.force
+    return float(np.sign(imposed or 1.0))
 
 
 def draw_sensors(

@@ -18,28 +18,31 @@ def pixel_figure(width: float, height: float) -> "matplotlib.figure.Figure":
     return Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor="white")
 
 
-def add_axes(
-    figure: "matplotlib.figure.Figure",
-    left: float,
-    bottom: float,
-    width: float,
-    height: float,
-) -> "matplotlib.axes.Axes":
-    """Add axes at a place in pixels, from the lower left corner."""
+def add_axes(figure: "matplotlib.figure.Figure", *box: float) -> "matplotlib.axes.Axes":
+    """Add axes in a box of pixels: its left, bottom, width and height."""
     x, y = DPI * figure.get_size_inches()
+    left, bottom, width, height = box
     return figure.add_axes((left / x, bottom / y, width / x, height / y))
 
 
+def add_view(
+    figure: "matplotlib.figure.Figure", *box: float, scale: float
+) -> "matplotlib.axes.Axes":
+    """Add axes in metres around the centre of a view; the scale is in pixels per m."""
+    axes = add_axes(figure, *box)
+    w, h = 0.5 * box[2] / scale, 0.5 * box[3] / scale
+    axes.set(xlim=(-w, w), ylim=(-h, h))
+    axes.set_axis_off()
+    return axes
+
+
 def save(
-    figure: "matplotlib.figure.Figure",
-    path: str | Path,
-    *,
-    software: str = "softcal_jax",
+    figure: "matplotlib.figure.Figure", path: str | Path, software: str = "softcal_jax"
 ) -> None:
     """Write a figure as PNG or SVG, whichever the name of the file ends in.
 
-    The same figure gives the same file: without a date, and with the same ids. What
-    drew it is kept in the file.
+    The same figure gives the same file: without a date, and with the same ids. The file
+    names the software that drew it.
 
     Raises:
         ValueError: If the name ends in something else.

@@ -34,9 +34,9 @@ def load_place(
     weights = np.abs(forces @ forces.sum(axis=0))
     if not weights.any():
         weights = np.linalg.norm(forces, axis=1)
-    where = np.flatnonzero(weights) if weights.any() else np.arange(mesh.n_nodes)
-    weights = weights[where] if weights.any() else np.ones(len(where))
-    return np.average(x[where], axis=0, weights=weights), forces.sum(axis=0)
+    if not weights.any():
+        weights = np.ones(mesh.n_nodes)
+    return np.average(x, axis=0, weights=weights), forces.sum(axis=0)
 
 
 def load_points(
@@ -85,12 +85,9 @@ def draw_setup(
     else:
         style = {"fontsize": 13, "color": GRAVITY, "ha": "right"}
         draw_name(axes, "no gravity", 0.95 * corner, (0, 0), **style)
-    drawn = {
-        "support": bool(configuration.supports),
-        "load": any(sizes),
-        "gravity": size > 0.0,
-    }
-    return [what for what, present in drawn.items() if present]
+    drawn = ["support"] if configuration.supports else []
+    drawn += ["load"] if any(sizes) else []
+    return drawn + (["gravity"] if size > 0.0 else [])
 
 
 def _draw_support(

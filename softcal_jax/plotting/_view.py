@@ -1,11 +1,15 @@
-"""Choose the view of a body from its shape and its motion."""
+"""The view of a body, chosen from its shape and its motion, and what is seen in it."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from softcal_jax._module import one_line
-from softcal_jax._typing import Float, HostArray
+from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax.mesh import TetMesh, boundary_faces, boundary_tets
+
+if TYPE_CHECKING:
+    import matplotlib.axes
 
 _AZIMUTH, _ELEVATION = np.radians(20.0), np.radians(18.0)
 
@@ -29,6 +33,15 @@ class View(NamedTuple):
     def project(self, points: Float[HostArray, "*n 3"]) -> Float[HostArray, "*n 2"]:
         """Project points to picture coordinates, from the centre [m]."""
         return (points - self.centre) @ np.stack([self.right, self.up], axis=1)
+
+
+def fit_body(
+    view: View, width: int, margin: int, lowest: int, highest: int
+) -> tuple[float, int]:
+    """Compute pixels per metre, and height in pixels, for a body that fills both."""
+    scale = (width - 2 * margin) / view.width
+    height = int(np.clip(view.height * scale + 2 * margin, lowest, highest))
+    return min(scale, (height - 2 * margin) / view.height), height
 
 
 def choose_view(
@@ -75,3 +88,44 @@ def choose_view(
 
 def _unit(v: Float[HostArray, "3"]) -> Float[HostArray, "3"]:
     return v / np.linalg.norm(v)
+
+
+class VisibleFaces(NamedTuple):
+    """Faces that look towards the viewer, the farthest first.
+
+    They have nodes at their corners [m], unit normals outwards, the share of their area
+    that is seen, and the tet that each bounds.
+    """
+
+    nodes: Int[HostArray, "n_faces 3"]
+    corners: Float[HostArray, "n_faces 3 3"]
+    normal: Float[HostArray, "n_faces 3"]
+    light: Float[HostArray, " n_faces"]
+    tet: Int[HostArray, " n_faces"]
+
+
+def visible_faces(mesh: TetMesh, view: View) -> VisibleFaces:
+    """Find the faces of the boundary that look towards the viewer."""
+    nodes = boundary_faces(mesh)[:, :3]
+    corners = mesh.points[nodes]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    light = normal @ view.towards
+    seen = np.flatnonzero(light > 0.0)
+    seen = seen[np.argsort(corners[seen].mean(axis=1) @ view.towards)]
+    tet = boundary_tets(mesh)[seen]
+    return VisibleFaces(nodes[seen], corners[seen], normal[seen], light[seen], tet)
+
+
+def draw_faces(
+    axes: "matplotlib.axes.Axes",
+    view: View,
+    corners: Float[HostArray, "n_faces 3 3"],
+    colours: Float[HostArray, "n_faces 3"],
+) -> None:
+    """Draw faces in their order, with edges a little darker; as pixels in SVG."""
+    from matplotlib.collections import PolyCollection
+
+    look = {"facecolors": colours, "edgecolors": 0.85 * colours, "lw": 0.4}
+    shapes = list(view.project(corners))
+    axes.add_collection(PolyCollection(shapes, **look, rasterized=True))

@@ -78,7 +78,9 @@ class ParameterTable(Table):
     S: float | None = None
     max_step: Number | None = None
     interpolation: Literal["linear", "log", "director"] | None = None
-    sampling: Literal["centroids", "quadrature"] | None = None
+    sampling: Literal["centroids"] | None = Field(
+        default=None, description="only in older files; it does nothing"
+    )
     fixed: dict[str, float] = Field(default_factory=dict)
     tied: dict[str, str] = Field(default_factory=dict)
     prior_std: float | None = None
@@ -97,6 +99,16 @@ class ParameterTable(Table):
             known = one_of(value, material.constants)
             elsewhere = material.foreign(value)
             raise ValueError(f"got {shown(value)}; expected {known}{elsewhere}")
+        return value
+
+    @field_validator("sampling", mode="before")
+    @classmethod
+    def _check_sampling(cls, value: Any) -> Any:
+        if value not in (None, "centroids"):
+            raise ValueError(
+                f"got {shown(value)}; a field has one value per tet, the one at its "
+                "centroid. Leave `sampling` out."
+            )
         return value
 
     @field_validator("lower", "upper", "start", "S", "fixed", mode="before")
@@ -180,7 +192,6 @@ class ParameterTable(Table):
                 # +90 and -90 degrees are the same axis, so their mean is not 0.
                 interpolation=self.interpolation
                 or ("director" if constant.is_angle else "linear"),
-                sampling=self.sampling or "centroids",
                 **self.model_dump(include={"fixed", "tied", "core"}),
             )
         for parameter in entry.parameters:

@@ -134,18 +134,18 @@ class SensorPoseTable(Table):
         sensor or tag stands at `rest` [m] and is `mounted` on the mesh; with an earlier
         pose it does not matter exactly where it was glued.
         """
-        position, rotation = _mean(self.readings(folder), base)
+        seen = _mean(self.readings(folder), base)
         before, mounting = rest, mounted.rotation
         earlier = self.earlier_readings(folder)
         if earlier is not None:
-            before, mounting = _mean(earlier, base)
-        return Pose.from_matrix(rotation @ mounting.T, position - before), None
+            start = _mean(earlier, base)
+            before, mounting = start.translation, start.matrix
+        turn = seen.matrix @ mounting.T
+        return Pose.from_matrix(turn, seen.translation - before), None
 
 
-def _mean(
-    readings: PoseTable, base: FrameTable
-) -> tuple[Float[HostArray, "3"], Float[HostArray, "3 3"]]:
-    """Average position [m] and axes of one sensor, in the mesh's frame."""
+def _mean(readings: PoseTable, base: FrameTable) -> Pose:
+    """Average the pose of one sensor in the mesh's frame."""
     means = average_poses(in_frame(readings, base.pose))
     if len(means) > 1:
         raise ValueError(
@@ -153,7 +153,7 @@ def _mean(
             f"meant, by `sensor` or `station`."
         )
     (mean,) = means.values()
-    return mean.position, mean.rotation
+    return mean
 
 
 class WrittenPoseTable(SensorPoseTable, OrientationTable):

@@ -3,6 +3,7 @@
 from softcal_jax.report._calibration import (
     held_out_sentences as held_out_sentences,
     model_words as model_words,
+    summary_table as summary_table,
 )
 from softcal_jax.report._inverse import (
     inverse_table as inverse_table,
@@ -14,21 +15,18 @@ from softcal_jax.report._load import (
     ResultWarning as ResultWarning,
     load_result as load_result,
 )
-from softcal_jax.report._notebook import notebook_html as notebook_html
 from softcal_jax.report._outline import (
     control_point_sets as control_point_sets,
     mesh_lines as mesh_lines,
     outline as outline,
     roles_of as roles_of,
 )
+from softcal_jax.report._pages import notebook_html as notebook_html
 from softcal_jax.report._sweep_page import (
     check_sweep_page as check_sweep_page,
     write_sweep as write_sweep,
 )
-from softcal_jax.report._tables import (
-    simulation_table as simulation_table,
-    summary_table as summary_table,
-)
+from softcal_jax.report._tables import simulation_table as simulation_table
 from softcal_jax.report._write import (
     PictureWarning as PictureWarning,
     write_comparison as write_comparison,

@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from softcal_jax._names import listed
-from softcal_jax._text_table import Cell, TextTable, text_table
+from softcal_jax._text_table import STYLES, Cell, TextTable, Tone, text_table
 from softcal_jax._units import readable
 from softcal_jax.calibration import (
     CalibrationResult,
@@ -15,7 +16,17 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import readable_unit
-from softcal_jax.identifiability import Assessment, Identifiability, Tone, percent
+from softcal_jax.identifiability import (
+    Assessment,
+    Identifiability,
+    assess,
+    percent,
+    verdict_of,
+)
+from softcal_jax.report._tables import HEADS, distance, robot_tables
+
+if TYPE_CHECKING:
+    import rich.console
 
 MOST_DIRECTIONS = 6
 """Most blind directions that are listed; the others are only counted."""
@@ -25,9 +36,6 @@ MOST_CORRELATED = 12
 
 MOST_PAIRS = 20
 """Most pairs of parameters that are listed where there are more."""
-
-FAR_BOUND = 1e4
-"""Bound, in the unit of the value, from which it has a unit of its own [-]."""
 
 TONES: dict[str, Tone] = {
     "identifiable": "good",
@@ -58,7 +66,7 @@ def parameter_table(result: CalibrationResult, found: Identifiability) -> TextTa
         elif q.given:
             text += f" (with {', '.join(q.given)} on a bound)"
         factor, unit = readable_unit([q.value], q.unit)
-        bounds = _bounds(q.lower, q.upper, q.value, q.unit)
+        bounds = f"{readable(q.lower, q.unit)} to {readable(q.upper, q.unit)}"
         sound = result.converged and not q.at_bound and q.name not in blind
         start = f"{q.start * factor:.4g} {unit}".rstrip()
         value = Cell(text, "strong" if sound else "bad")
@@ -66,14 +74,6 @@ def parameter_table(result: CalibrationResult, found: Identifiability) -> TextTa
     return text_table(
         title, ("parameter", "value ± std. error", "start", "bounds"), rows
     )
-
-
-def _bounds(lower: float, upper: float, value: float, unit: str) -> str:
-    """Write bounds in the unit of the value, and each in its own if they are far."""
-    factor, shown = readable_unit([value], unit)
-    if abs(upper * factor) >= FAR_BOUND and readable_unit([upper], unit).unit != shown:
-        return f"{readable(lower, unit)} to {readable(upper, unit)}"
-    return f"{lower * factor:.4g} to {upper * factor:.4g} {shown}".rstrip()
 
 
 def budget_table(result: CalibrationResult) -> TextTable:
@@ -87,10 +87,10 @@ def interval_tables(result: CalibrationResult) -> list[TextTable]:
     """Tabulate the intervals of the parameters, and how each was found."""
     if not result.intervals:
         return []
-    rows = []
-    for own in result.intervals:
-        tone: Tone = "bad" if own.kind == "none" else "plain"
-        rows.append((own.name, Cell(str(own), tone), own.kind))
+    rows = [
+        (own.name, Cell(str(own), "bad" if own.kind == "none" else "plain"), own.kind)
+        for own in result.intervals
+    ]
     level = f"{100.0 * result.intervals[0].level:g} % interval"
     return [text_table("Intervals", ("parameter", level, "kind"), rows)]
 
@@ -117,14 +117,12 @@ def error_tables(
     shown = []
     if any(fit.points for fit in fits):
         shown.append(text_table("Rms distance of the markers", columns, points))
-    by_others = [
-        (own.name, distance(own.rms), distance(own.expected))
-        for own in ([] if checks is None else checks.left_out)
-    ]
-    if by_others:
+    left_out = [] if checks is None else checks.left_out
+    rows = [(own.name, distance(own.rms), distance(own.expected)) for own in left_out]
+    if rows:
         heads = ("configuration", "off by", "errors explain")
         title = "Rms distance of a configuration left out"
-        shown.append(text_table(title, heads, by_others))
+        shown.append(text_table(title, heads, rows))
     if turns:
         shown.append(text_table("Rms angle of the orientations", columns[:4], turns))
     return shown
@@ -157,45 +155,41 @@ def _points(fit: ConfigurationResult) -> str:
 
 def outlook_table(assessment: Assessment) -> TextTable:
     """Tabulate what the data tell about each parameter."""
-    rows = [
-        (
-            p.name,
-            percent(p.ratio),
-            Cell(p.verdict, outlook_tone(p.verdict, assessment)),
-        )
-        for p in assessment.identifiability.parameters
-    ]
+    rows = []
+    for p in assessment.identifiability.parameters:
+        verdict = Cell(p.verdict, outlook_tone(p.verdict, assessment))
+        rows.append((p.name, percent(p.ratio), verdict))
     columns = "parameter", "std. error over asked", "verdict"
     return text_table("What the data tell", columns, rows)
 
 
 def outlook_tone(verdict: str, assessment: Assessment) -> Tone:
-    """Return how a verdict on the data is meant.
-
-    What they would tell is no good news under a model that they contradict.
-    """
+    """Return how a verdict is meant: none is good for a model that data contradict."""
     doubtful = verdict == "identifiable" and not assessment.identified
     return "doubtful" if doubtful else TONES[verdict]
 
 
 def outlook_legend(found: Identifiability) -> str:
     """Say what the verdicts mean, and give the condition numbers."""
-    return f"{found.scale} {str(found.conditioning).splitlines()[0]}"
+    words = [found.scale]
+    if found.has_prior:
+        shares = f"{found.informed} of {found.n_parameters} directions"
+        words.append(f"The data tell more than the prior along {shares}.")
+    if found.n_data:
+        words.append(str(found.conditioning).splitlines()[0])
+    return " ".join(words)
 
 
-def blindness(assessment: Assessment) -> list[str]:
-    """Describe the directions of the parameters that the data hardly see.
-
-    The first line says how many; the others are one direction each, or count the rest.
-    """
-    found = assessment.identifiability
+def blindness(found: Identifiability) -> list[str]:
+    """Say how many directions the data hardly see, then one a line, the worst first."""
     blind = found.blind[::-1]
     if not blind:
-        return [_sight(assessment)]
+        return ["No combination of the parameters is hidden from the data."]
     by = "the prior and the start" if found.has_prior else "the start"
     lines = [
-        f"The data hardly see {len(blind)} of {found.n_parameters} directions; these "
-        f"are decided by {by}, not by the data:"
+        f"The data hardly see {len(blind)} of {found.n_parameters} directions of the "
+        f"parameters; these are decided by {by}. The worst first (standard error over "
+        "the asked one):"
     ]
     lines += [f"{d.words} ({percent(d.ratio)})" for d in blind[:MOST_DIRECTIONS]]
     if len(blind) > MOST_DIRECTIONS:
@@ -203,43 +197,25 @@ def blindness(assessment: Assessment) -> list[str]:
     return lines
 
 
-def _sight(assessment: Assessment) -> str:
-    """Say what the data determine where they are blind to no direction."""
-    verdict = assessment.identifiability.verdict
-    if verdict == "not identifiable":
-        return "The data do not determine all parameters."
-    if verdict != "identifiable":
-        return "The data determine the parameters only weakly in part."
-    if not assessment.identified:
-        return "The data would determine the parameters well; see the reasons for care."
-    return "The data determine the parameters well."
+def inner_tables(found: Identifiability) -> list[TextTable]:
+    """Tabulate the correlation of the parameters and the singular values of W_ep."""
+    tables = [_correlation_table(found)] if found.n_parameters > 1 else []
+    return [*tables, _singular_value_table(found)] if found.n_data else tables
 
 
-def beyond_prior(found: Identifiability) -> str:
-    """Say along how many directions blind data tell more than the prior; or nothing."""
-    if not (found.has_prior and found.blind):
-        return ""
-    n = found.n_parameters
-    return f"They tell more than the prior along {found.informed} of {n}."
-
-
-def correlation_table(found: Identifiability) -> TextTable:
+def _correlation_table(found: Identifiability) -> TextTable:
     """Tabulate the correlation of the parameters; of many, the strongest pairs."""
     names = [p.name for p in found.parameters]
     C = found.correlation
     if len(names) <= MOST_CORRELATED:
-        rows = [
-            (name, *(_correlation(c) for c in row))
-            for name, row in zip(names, C, strict=True)
-        ]
+        named = zip(names, C, strict=True)
+        rows = [(name, *map(_correlation, row)) for name, row in named]
         return text_table("Correlation", ("parameter", *names), rows)
     i, j = np.triu_indices(len(names), 1)
     strength = np.nan_to_num(np.abs(C[i, j]), nan=-1.0)
     first = np.argsort(-strength, kind="stable")[:MOST_PAIRS]
-    rows = [
-        (names[a], names[b], _correlation(float(C[a, b])))
-        for a, b in zip(i[first], j[first], strict=True)
-    ]
+    pairs = zip(i[first], j[first], strict=True)
+    rows = [(names[a], names[b], _correlation(float(C[a, b]))) for a, b in pairs]
     columns = "parameter", "of", "correlation"
     return text_table(f"The {MOST_PAIRS} strongest correlations", columns, rows)
 
@@ -248,7 +224,7 @@ def _correlation(value: float) -> str:
     return f"{value:.2f}" if math.isfinite(value) else "-"
 
 
-def singular_value_table(found: Identifiability) -> TextTable:
+def _singular_value_table(found: Identifiability) -> TextTable:
     """Tabulate the singular values of W_ep in units of the noise."""
     values = enumerate(found.conditioning.singular_values, 1)
     rows = [(str(k), f"{value:.3g}") for k, value in values]
@@ -258,16 +234,12 @@ def singular_value_table(found: Identifiability) -> TextTable:
 
 def history_table(result: CalibrationResult) -> TextTable:
     """Tabulate the steps of the fit."""
-    rows = [
-        (
-            str(own.step),
-            f"{own.cost:.4g}",
-            "-" if math.isnan(own.rms) else f"{1e3 * own.rms:.4g} mm",
-            f"{max(map(abs, own.lambda_p)):.2g}" if own.step else "-",
-            "taken" if own.accepted else Cell("refused", "doubtful"),
-        )
-        for own in result.history
-    ]
+    rows = []
+    for own in result.history:
+        rms = "-" if math.isnan(own.rms) else f"{1e3 * own.rms:.4g} mm"
+        size = f"{max(map(abs, own.lambda_p)):.2g}" if own.step else "-"
+        outcome = "taken" if own.accepted else Cell("refused", "doubtful")
+        rows.append((str(own.step), f"{own.cost:.4g}", rms, size, outcome))
     columns = "step", "cost", "rms marker distance", "largest lambda_p", "outcome"
     return text_table("Steps of the fit", columns, rows)
 
@@ -276,6 +248,35 @@ def _angle(radians: float) -> str:
     return "-" if math.isnan(radians) else f"{math.degrees(radians):.2f} deg"
 
 
-def distance(metres: float) -> str:
-    """Write a distance in millimetres."""
-    return "-" if math.isnan(metres) else f"{1e3 * metres:.2f} mm"
+def summary_table(
+    result: CalibrationResult, assessment: Assessment | None = None
+) -> "rich.console.Group":
+    """Tabulate a calibration for the terminal, with its assessment, if known already.
+
+    Parameters come first, then configurations, identifiability, verdict and notes.
+    """
+    from rich.console import Group
+    from rich.text import Text
+
+    own = assessment or assess(result)
+    found, verdict = own.identifiability, verdict_of(result, own)
+    shown = result.configurations
+    style = STYLES[outlook_tone(found.verdict, own)]
+    tables = [
+        parameter_table(result, found),
+        budget_table(result),
+        *interval_tables(result),
+        *error_tables(shown, result.checks),
+        *robot_tables(shown),
+        outlook_table(own),
+    ]
+    return Group(
+        *map(TextTable.drawn, tables),
+        Text(outlook_legend(found)),
+        Text("\n  ".join(blindness(found)), style=style),
+        *([Text(own.prediction)] if own.prediction else []),
+        Text("\n  ".join([verdict.sentence, *verdict.reasons]), HEADS[verdict.tone]),
+        *([] if result.starts is None else [Text(str(result.starts))]),
+        *(Text(line) for line in (result.checks.agreement if result.checks else ())),
+        *(Text(f"Note: {note}", style="yellow") for note in result.notes),
+    )

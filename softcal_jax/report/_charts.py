@@ -4,22 +4,32 @@ They are SVG whose text keeps its size, however wide the page is: places along t
 are percentages, and those along the height pixels.
 """
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import readable, readable_unit
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
     ParameterEstimate,
 )
+from softcal_jax.identifiability import end_of
 from softcal_jax.inference import ErrorBudget
-from softcal_jax.report._calibration import distance
 from softcal_jax.report._html import Html, figure, joined, node
+from softcal_jax.report._tables import distance
 
 INK, BLUE, LINE, PAPER = "#1a1a1a", "#0b4f8a", "#c8c8c8", "#ffffff"
+
+MOST_PARAMETERS = 7
+"""Most parameters whose course is drawn."""
+
+_TOP, _BOTTOM, _LABELS, _HEIGHT = 30.0, 170.0, 190.0, 196
+"""Where a chart over an axis begins and ends, its labels stand, and its height."""
 
 MOST_BARS = 24
 """Most rows of a chart."""
@@ -52,20 +62,20 @@ def error_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
 def _errors(fit: ConfigurationResult, longest: float) -> Html:
     """Draw one row, with its numbers in words."""
     x = lambda value: f"{2.0 + 96.0 * value / longest:.2f}%"
-    parts = [line("2%", 14, "98%", 14, stroke=LINE)]
+    parts = [_line("2%", 14, "98%", 14, stroke=LINE)]
     before, after = "no equilibrium before", x(fit.rms_after)
     if math.isfinite(fit.motion):
         moved = x(fit.motion)
-        parts.append(line(moved, 3, moved, 25, stroke=INK, stroke_width="3"))
+        parts.append(_line(moved, 3, moved, 25, stroke=INK, stroke_width="3"))
     if math.isfinite(fit.rms_before):
         start = x(fit.rms_before)
-        parts.append(line(after, 14, start, 14, stroke=BLUE, stroke_width="3"))
-        parts.append(circle(start, 14, filled=False))
+        parts.append(_line(after, 14, start, 14, stroke=BLUE, stroke_width="3"))
+        parts.append(_circle(start, 14, filled=False))
         before = f"{distance(fit.rms_before)} before"
-    parts.append(circle(after, 14))
+    parts.append(_circle(after, 14))
     held = " (held out)" if fit.role == "validation" else ""
     words = f"{before}, {distance(fit.rms_after)} after, moved {distance(fit.motion)}"
-    return row(f"{fit.name}{held}", parts, words)
+    return _row(f"{fit.name}{held}", parts, words)
 
 
 def budget_chart(result: CalibrationResult) -> list[Html]:
@@ -83,8 +93,12 @@ def budget_chart(result: CalibrationResult) -> list[Html]:
         for i, parameter in known[:MOST_BARS]
     ]
     # Colours repeat, so what is too thin to be seen is left out.
-    named = [max(share) >= LEAST_NAMED for share in shares.values()]
-    entries = [_entry(k, cause) for k, cause in enumerate(shares) if named[k]]
+    entries = []
+    for k, (cause, share) in enumerate(shares.items()):
+        if max(share) >= LEAST_NAMED:
+            swatch = _filled(k, x="0", y="0", width="28", height="16")
+            drawn = node("svg", swatch, height="16", aria_hidden="true")
+            entries.append(node("li", drawn, cause))
     legend = node("ul", *entries, class_="legend")
     caption = (
         "Where the standard error of each parameter comes from: share of each cause in "
@@ -118,36 +132,145 @@ def _bar(parameter: ParameterEstimate, shares: Mapping[str, float]) -> Html:
     ranked = sorted(shares.items(), key=lambda item: -item[1])
     named = (f"{c} {100 * s:.0f} %" for c, s in ranked if s >= LEAST_NAMED)
     title = f"{parameter.name} = {parameter}"
-    return row(title, parts, ", ".join(named), height=24)
-
-
-def _entry(k: int, cause: str) -> Html:
-    swatch = _filled(k, x="0", y="0", width="28", height="16")
-    return node("li", node("svg", swatch, height="16", aria_hidden="true"), cause)
+    return _row(title, parts, ", ".join(named), height=24)
 
 
 def _filled(k: int, **place: str) -> Html:
     return node("rect", **place, fill=_FILLS[k % len(_FILLS)], stroke=INK)
 
 
-def row(title: str, parts: Sequence[Html], words: str, *, height: int = 28) -> Html:
+def _row(title: str, parts: Sequence[Html], words: str, *, height: int = 28) -> Html:
     """Put a chart of one row between its title and the same in words."""
     drawn = node("svg", *parts, height=str(height), aria_hidden="true")
     head = node("p", node("strong", title))
     return node("div", head, drawn, node("p", words), class_="row")
 
 
-def line(x1: str, y1: float, x2: str, y2: float, **look: str) -> Html:
-    """Draw a straight line."""
+def _line(x1: str, y1: float, x2: str, y2: float, **look: str) -> Html:
     return node("line", x1=x1, y1=f"{y1:.1f}", x2=x2, y2=f"{y2:.1f}", **look)
 
 
-def circle(x: str, y: float, *, filled: bool = True) -> Html:
-    """Draw a circle, filled or open."""
+def _circle(x: str, y: float, *, filled: bool = True) -> Html:
     look = {"fill": BLUE if filled else PAPER, "stroke": BLUE, "stroke_width": "2"}
     return node("circle", cx=x, cy=f"{y:.1f}", r="5", **look)
 
 
-def text(words: str, x: str, y: float, **look: str) -> Html:
-    """Write words at a place."""
+def _text(words: str, x: str, y: float, **look: str) -> Html:
     return node("text", words, x=x, y=f"{y:.1f}", **look)
+
+
+class _Curve(NamedTuple):
+    """A number that changes with the steps: its value at each, with the title's unit.
+
+    `ticks` are the grid; `level` is a value to be reached, with its name.
+    """
+
+    title: str
+    values: Sequence[float]
+    ticks: Mapping[float, str]
+    level: Mapping[float, str]
+    caption: str
+
+
+def course_charts(result: CalibrationResult) -> list[Html]:
+    """Draw the fit, the size of the step and the parameters against the steps."""
+    curves = [_fit(result)]
+    if len(result.history) > 1:
+        curves.append(_step_size(result))
+    curves += [_parameter(result, q) for q in result.parameters[:MOST_PARAMETERS]]
+    charts = node("div", *(_drawn(curve, result) for curve in curves), class_="charts")
+    words = "Each against the number of the step; 0 is the start."
+    if not all(entry.accepted for entry in result.history):
+        words += " Open circles: steps that were refused."
+    if _noise_changes(result):
+        words += " Dotted line: there the noise was estimated anew."
+    return [node("p", words), charts]
+
+
+def _fit(result: CalibrationResult) -> _Curve:
+    fitted = [fit for fit in result.configurations if fit.role == "calibration"]
+    title = "Distance of the markers, root mean square [mm]"
+    values = [1e3 * entry.rms for entry in result.history]
+    if not any(fit.points for fit in fitted):  # lengths, angles or forces alone
+        title, values = "Cost [-]", [entry.cost for entry in result.history]
+    ticks = _round_ticks([0.0, *filter(math.isfinite, values)])
+    return _Curve(title, values, ticks, {}, "")
+
+
+def _step_size(result: CalibrationResult) -> _Curve:
+    """Draw the largest lambda_p over the tolerance, on a logarithmic scale."""
+    # A step of exactly zero has no logarithm; it is drawn at the level of rounding.
+    steps = [max(*map(abs, entry.lambda_p), 1e-16) for entry in result.history]
+    values, tol = [math.log10(step) for step in steps], result.settings.tol
+    level = {math.log10(tol): f"tolerance {tol:g}"}
+    ends = [*values[1:], *level]
+    low, high = math.floor(min(ends)), math.ceil(max(ends))
+    every = max(1, math.ceil((high - low) / 5))
+    ticks = {float(k): f"1e{k}" for k in range(low, high + 1, every)}
+    title = "Size of the step, largest lambda_p [-]"
+    return _Curve(title, values, ticks, level, end_of(result))
+
+
+def _parameter(result: CalibrationResult, q: ParameterEstimate) -> _Curve:
+    series = [entry.values[q.name] for entry in result.history]
+    factor, unit = readable_unit(series, q.unit)
+    values = [factor * value for value in series]
+    bounds = f"{readable(q.lower, q.unit)} to {readable(q.upper, q.unit)}"
+    words = f"Ends at {q}{', on a bound' if q.at_bound else ''}; bounds {bounds}."
+    title = f"{q.name} [{unit or '-'}]"
+    return _Curve(title, values, _round_ticks(values), {}, words)
+
+
+def _drawn(curve: _Curve, result: CalibrationResult) -> Html:
+    """Draw one curve over the steps."""
+    history = result.history
+    last = max(history[-1].step, 1)
+    ends = [*curve.ticks, *curve.level]
+    low, high = min(ends), max(ends)
+    x = lambda step: f"{14.0 + 82.0 * step / last:.2f}%"
+    y = lambda v: _BOTTOM - (_BOTTOM - _TOP) * (v - low) / (high - low or 1.0)
+    parts = []
+    for value, label in curve.ticks.items():
+        parts.append(_line("0", y(value), "100%", y(value), stroke=LINE))
+        parts.append(_text(label, "0", y(value) - 3))
+    for value, label in curve.level.items():
+        look = {"stroke": INK, "stroke_dasharray": "6 4", "stroke_width": "1.5"}
+        parts.append(_line("0", y(value), "100%", y(value), **look))
+        # On the left: there a curve that falls to the level is still far from it.
+        parts.append(_text(label, "12%", y(value) - 4))
+    for step in _noise_changes(result):
+        look = {"stroke": INK, "stroke_dasharray": "2 4"}
+        parts.append(_line(x(step), _TOP, x(step), _BOTTOM, **look))
+    pairs = zip(history, curve.values, strict=True)
+    known = [(entry, value) for entry, value in pairs if math.isfinite(value)]
+    places = [(x(entry.step), y(value)) for entry, value in known]
+    for start, end in itertools.pairwise(places):
+        parts.append(_line(*start, *end, stroke=BLUE, stroke_width="2"))
+    for (entry, _), place in zip(known, places, strict=True):
+        parts.append(_circle(*place, filled=entry.accepted))
+    for step in range(0, last + 1, max(1, math.ceil(last / 10))):
+        parts.append(_text(str(step), x(step), _LABELS, text_anchor="middle"))
+    words = f"{curve.title}, after each step"
+    drawn = node("svg", *parts, role="img", aria_label=words, height=str(_HEIGHT))
+    return figure(drawn, curve.caption, title=curve.title)
+
+
+def _noise_changes(result: CalibrationResult) -> list[float]:
+    """Return where the data are weighed anew, between steps: the fit goes on there."""
+    return [
+        0.5 * (before.step + entry.step)
+        for before, entry in itertools.pairwise(result.history)
+        if not math.isclose(before.noise_level, entry.noise_level)
+    ]
+
+
+def _round_ticks(values: Sequence[float]) -> dict[float, str]:
+    """Choose round numbers around values, for about three lines of a grid."""
+    from matplotlib.ticker import MaxNLocator
+
+    low, high = min(values), max(values)
+    if high - low <= 1e-9 * max(abs(low), abs(high)):  # equal up to rounding
+        margin = 0.05 * max(abs(low), abs(high)) or 1.0
+        low, high = low - margin, high + margin
+    ticks = MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high)
+    return {float(tick): f"{tick:.6g}" for tick in ticks}

@@ -1,24 +1,36 @@
-"""HTML in which every text is escaped, and the frame of a page."""
+"""HTML in which every text is escaped, and the frame of a page with its last parts."""
 
 import base64
 import hashlib
 import html
+import os
+import shlex
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from softcal_jax._machine import installed_version
 from softcal_jax._text import escaped
-from softcal_jax._text_table import TextTable
+from softcal_jax._text_table import TextTable, text_table
 from softcal_jax.identifiability import RunVerdict
 
 MOST_PICTURES = 3_400_000
-"""Most bytes of pictures in one page; the others stay beside it.
+"""Most bytes of pictures in one page, which, as text by a third more, is below 5 MB."""
 
-As text they take a third more, so that a page stays below 5 MB.
-"""
+REPEATED = "repeated"
+"""Folder that the command to repeat a run writes to."""
+
+_KINDS = {
+    ".vtu": "for ParaView",
+    ".pvd": "all configurations for ParaView",
+    ".png": "picture",
+    ".svg": "picture",
+    ".csv": "table",
+    ".txt": "text",
+    ".html": "this page",
+}
 
 _VOID = {"br", "img", "input", "meta"}
 """Elements that have neither content nor an end."""
@@ -82,7 +94,7 @@ def sentences(lines: Iterable[str]) -> list[Html]:
 
 
 def table_html(table: TextTable) -> Html:
-    """Write a table."""
+    """Write a table that scrolls by itself where the page is too narrow for it."""
     kinds = ["w" if table.holds_words(k) else "n" for k in range(len(table.columns))]
     head = (
         node("th", column, scope="col", class_=kind)
@@ -95,23 +107,17 @@ def table_html(table: TextTable) -> Html:
             for cell, kind in zip(others, kinds[1:], strict=True)
         )
         rows.append(node("tr", node("th", first.text, scope="row"), *cells))
-    return _wide(table.title, node("thead", node("tr", *head)), node("tbody", *rows))
+    parts = [node("caption", table.title)]
+    if any(table.columns):
+        parts.append(node("thead", node("tr", *head)))
+    drawn = node("table", *parts, node("tbody", *rows))
+    about = {"role": "region", "aria_label": table.title, "tabindex": "0"}
+    return node("div", drawn, class_="wide", **about)
 
 
 def facts_html(title: str, facts: Mapping[str, str]) -> Html:
     """Write names and what they stand for as a table without heads of columns."""
-    rows = (
-        node("tr", node("th", name, scope="row"), node("td", fact, class_="w"))
-        for name, fact in facts.items()
-    )
-    return _wide(title, node("tbody", *rows))
-
-
-def _wide(title: str, *content: Html) -> Html:
-    """Make a table that scrolls by itself where the page is too narrow for it."""
-    table = node("table", node("caption", title), *content)
-    about = {"role": "region", "aria_label": title, "tabindex": "0"}
-    return node("div", table, class_="wide", **about)
+    return table_html(text_table(title, ("", ""), facts.items(), words=[""]))
 
 
 def picture(path: Path, alt: str) -> Html:
@@ -148,6 +154,10 @@ def page(
         digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
         policy += f"; script-src 'sha256-{digest}'"
     shown = [own for own in sections if any(own.content)]
+    parts = (
+        node("section", node("h2", own.title), joined(own.content), id=own.id)
+        for own in shown
+    )
     head = node(
         "head",
         node("meta", charset="utf-8"),
@@ -163,9 +173,9 @@ def page(
         node("header", node("p", kind, class_="kind"), node("h1", name)),
         node(
             "main",
-            verdict_html(verdict),
+            _verdict(verdict),
             node("nav", node("ul", *links), aria_label="Contents"),
-            *map(_section, shown),
+            *parts,
         ),
         node(
             "footer",
@@ -181,7 +191,7 @@ def page(
 
 def output(verdict: RunVerdict, content: Iterable[Html]) -> Html:
     """Write what a cell of a notebook shows: a verdict and what follows from it."""
-    return fragment([verdict_html(verdict), *content])
+    return fragment([_verdict(verdict), *content])
 
 
 def fragment(content: Iterable[Html]) -> Html:
@@ -195,11 +205,92 @@ def _style() -> Html:
     return Html(files("softcal_jax.report").joinpath("page.css").read_text("utf-8"))
 
 
-def verdict_html(verdict: RunVerdict) -> Html:
+def _verdict(verdict: RunVerdict) -> Html:
     said = node("p", node("strong", verdict.sentence)), bullets(verdict.reasons)
     head = node("h2", "Verdict")
     return node("section", head, *said, class_=f"verdict {verdict.tone}")
 
 
-def _section(own: Section) -> Html:
-    return node("section", node("h2", own.title), joined(own.content), id=own.id)
+def closing(
+    command: str,
+    data: Mapping[str, Any],
+    sources: Iterable[Mapping[str, Any] | None],
+    *,
+    files: Sequence[Mapping[str, str]] | None = None,
+    options: Sequence[str] = (),
+    out: str = REPEATED,
+) -> list[Section]:
+    """Say how a run can be repeated, what it read, and what it was made with.
+
+    The command reads the project files `sources`, as `source_dict` converts them, None
+    where a model was made in Python; or `files`, which lead to them. It writes `out`.
+    """
+    every = list(sources)
+    known = [source for source in every if source is not None]
+    named = files or []
+    if files is None and len(known) == len(every):
+        named = [source["project"] for source in known]
+    made_in_python = "This was made in Python, so there is no command that repeats it."
+    content = [node("p", made_in_python)]
+    if named:
+        words = ["softcal", command, *(own["file"] for own in named), *options]
+        code = node("code", shlex.join([*words, "-o", out]))
+        content = [node("p", "In the folder of this page:"), node("pre", code)]
+    for source in known if files is None else ():
+        if source["changes"]:
+            rows = [(key, repr(value)) for key, value in source["changes"].items()]
+            of = f" of {source['project']['file']}" if len(known) > 1 else ""
+            columns = "key of the project file", "value"
+            text = (
+                "Some values of the project file were replaced when it was loaded. Set "
+                "them in the file, or give them to load_project(changes=...) in Python:"
+            )
+            changes = text_table(f"Changes{of}", columns, rows)
+            content += [node("p", text), table_html(changes)]
+    read = [*(files or ()), *(own for source in known for own in _files_of(source))]
+    if read:
+        rows = dict.fromkeys((own["file"], own["sha256"]) for own in read)
+        table = text_table("Files that were read", ("file", "SHA-256"), rows)
+        content.append(table_html(table))
+    return [
+        Section("repeat", "Repeat it", content),
+        Section("made", "Settings, versions and times", _made_html(data)),
+    ]
+
+
+def _files_of(source: Mapping[str, Any]) -> list[Mapping[str, str]]:
+    """List a project file and those that it names, relative to the results."""
+    project = source["project"]
+    files = [project]
+    for own in source["files"]:
+        path = os.path.normpath(
+            os.path.join(os.path.dirname(project["file"]), own["file"])
+        )
+        files.append({**own, "file": Path(path).as_posix()})
+    return files
+
+
+def _made_html(data: Mapping[str, Any]) -> list[Html]:
+    """Tabulate settings, versions, times and files."""
+    parts = {
+        "Settings": _flat(data.get("settings", {})),
+        "Versions": data.get("versions", {}),
+        "Times": {k: f"{v:.2f} s" for k, v in data.get("timing_s", {}).items()},
+        "Files": {name: _KINDS.get(Path(name).suffix, "") for name in data["files"]},
+    }
+    return [
+        facts_html(title, {name: str(value) for name, value in rows.items()})
+        for title, rows in parts.items()
+        if rows
+    ]
+
+
+def _flat(settings: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    """Name nested settings by their path, like newton.rtol."""
+    flat = {}
+    for key, value in settings.items():
+        if isinstance(value, Mapping):
+            flat |= _flat(value, f"{before}{key}.")
+        else:
+            flat[f"{before}{key}"] = "none" if value is None else value
+    return flat

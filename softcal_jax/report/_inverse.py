@@ -27,10 +27,18 @@ from softcal_jax.export import (
 )
 from softcal_jax.identifiability import RunVerdict
 from softcal_jax.plotting import render_body
-from softcal_jax.report._html import Html, Section, bullets, page, sentences, table_html
-from softcal_jax.report._pages import REPORT, shown_pictures
-from softcal_jax.report._provenance import closing, files_of
-from softcal_jax.report._tables import HEADS, actuator_row
+from softcal_jax.report._html import (
+    Html,
+    Section,
+    bullets,
+    closing,
+    output,
+    page,
+    sentences,
+    table_html,
+)
+from softcal_jax.report._pages import REPORT, notebook_html, shown_pictures
+from softcal_jax.report._tables import HEADS, actuator_row, actuator_values
 from softcal_jax.report._write import COLLECTION, Picture, Told, picture_problem
 
 if TYPE_CHECKING:
@@ -53,19 +61,12 @@ def inverse_html(result: InverseResult | TrajectoryResult) -> list[Html]:
         tables = map(table_html, (goal_table(result.goals), actuator_table(result)))
         limits = "Limits that are reached:" if result.active_limits else ""
         return [*tables, *sentences([limits]), bullets(result.active_limits)]
-    rows = []
-    for i, point in enumerate(result.points, 1):
-        outcome = Cell(point.message, "good" if point.met else "bad")
-        rows.append((str(i), _inputs(point), outcome))
+    rows = [
+        (str(i), _inputs(point), Cell(point.message, "good" if point.met else "bad"))
+        for i, point in enumerate(result.points, 1)
+    ]
     columns = "goal", "inputs", "outcome"
     return [table_html(text_table("Commands", columns, rows, words=["inputs"]))]
-
-
-def attempts_table(result: InverseResult) -> TextTable:
-    """Tabulate the descents of the search."""
-    rows = [(own.way, str(own.n_steps), f"{own.error:.3g}") for own in result.attempts]
-    columns = "begun from", "steps", "largest error, in standard deviations"
-    return text_table("Descents", columns, rows)
 
 
 def inverse_table(result: InverseResult) -> "rich.console.Group":
@@ -74,27 +75,18 @@ def inverse_table(result: InverseResult) -> "rich.console.Group":
     from rich.text import Text
 
     verdict = inverse_verdict(result)
-    style = HEADS[verdict.tone]
     tables = map(TextTable.drawn, (goal_table(result.goals), actuator_table(result)))
-    return Group(*tables, Text(verdict.sentence, style=style))
-
-
-def _titled(fit: GoalFit) -> str:
-    return f"{fit.name} (turn)" if fit.effector.is_turn else fit.name
+    return Group(*tables, Text(verdict.sentence, HEADS[verdict.tone]))
 
 
 def goal_table(goals: Sequence[GoalFit]) -> TextTable:
     """Tabulate goals, what is reached, and how far that is off."""
-    rows = [
-        (
-            _titled(fit),
-            _coordinates(fit, fit.effector.measured),
-            _coordinates(fit, fit.reached),
-            fit.off,
-            f"{np.max(np.abs(fit.in_std), initial=0.0):.2g}",
-        )
-        for fit in goals
-    ]
+    rows = []
+    for fit in goals:
+        name = f"{fit.name} (turn)" if fit.effector.is_turn else fit.name
+        pair = [_coordinates(fit, x) for x in (fit.effector.measured, fit.reached)]
+        worst = f"{np.max(np.abs(fit.in_std), initial=0.0):.2g}"
+        rows.append((name, *pair, fit.off, worst))
     columns = "effector", "goal", "reached", "off by", "standard deviations"
     return text_table("Goals", columns, rows)
 
@@ -113,29 +105,19 @@ def actuator_table(result: InverseResult) -> TextTable:
     columns = "actuator", "kind", "force", "displacement"
     rows = []
     for own in result.actuators:
-        name, *shown = actuator_row(own)
-        commanded = name in result.configuration.actuation
-        cells = [Cell(text) for text in shown]
-        if commanded:
-            k = int(own.imposed == "displacement")
-            cells[k] = Cell(shown[k], "strong")
+        commanded = own.name in result.configuration.actuation
         kind = own.kind if commanded else f"{own.kind}, not commanded"
-        rows.append((name, kind, *cells))
+        rows.append((own.name, kind, *actuator_row(own)))
     return text_table("Actuators", columns, rows)
 
 
 def _inputs(result: InverseResult) -> str:
     """Write what is commanded."""
-    words = []
-    for own in result.actuators:
-        value, unit = own.force, own.force_unit
-        if own.imposed == "displacement":
-            assert own.displacement is not None
-            assert own.displacement_unit is not None
-            value, unit = own.displacement, own.displacement_unit
-        if own.name in result.configuration.actuation:
-            words.append(f"{own.name} = {readable_values([value], unit)}")
-    return ", ".join(words)
+    return ", ".join(
+        f"{own.name} = {actuator_values(own)[own.imposed]}"
+        for own in result.actuators
+        if own.name in result.configuration.actuation
+    )
 
 
 def write_inverse(
@@ -170,9 +152,8 @@ def write_inverse(
         raise ValueError("the trajectory has no goals, so there is nothing to write.")
     more: dict[str, Any] = {"made": made, "directory": directory}
     data = inverse_dict(result, name=name, timing_s=timing_s, **more)
-    names = ["command"]
-    if len(points) > 1:
-        names = [f"goal {i}" for i in range(1, len(points) + 1)]
+    several = [f"goal {i}" for i in range(1, len(points) + 1)]
+    names = several if len(several) > 1 else ["command"]
     stems = file_stems(names)
     solved = [bool(point.solution.converged) for point in points]
     problem = picture_problem(list(compress(stems, solved)), pictures)
@@ -180,7 +161,9 @@ def write_inverse(
     own = None if calibration is None else SourceFile.of(Path(calibration))
     data["calibration"] = own and file_dict(own, directory)
     suffix = None if problem else pictures
-    files, bodies, captions = [], [], {}
+    seen = "the body at the commands found, coloured by displacement, with the goals "
+    seen += "(circles) and what is reached (crosses)"
+    bodies, captions = [], {}
     with results_folder(directory, force=force) as folder:
         told(0, len(points))
         for k, (point, title, stem) in enumerate(
@@ -188,26 +171,17 @@ def write_inverse(
         ):
             if solved[k]:
                 written = _write_body(folder, point, stem, title, suffix)
-                captions |= dict.fromkeys(written, f"{title}: {_SEEN}")
-                files += written
+                captions |= dict.fromkeys(written, f"{title}: {seen}")
                 bodies.append([file for file in written if file.endswith(".vtu")])
             told(k + 1, len(points))
         if bodies:
             write_pvd(folder / COLLECTION, bodies)
-            files.insert(0, COLLECTION)
-        data["files"] = [REPORT, *files]
+        data["files"] = [REPORT, *([COLLECTION] if bodies else []), *captions]
         shown = shown_pictures(captions, folder)
         text = _page(result, data, shown, options)
         (folder / REPORT).write_text(text, encoding="utf-8")
         write_json(folder / "inverse.json", data)
     return Path(directory)
-
-
-_SEEN = (
-    "the body at the commands found, coloured by displacement, with the goals "
-    "(circles) and what is reached (crosses)"
-)
-"""What a picture shows."""
 
 
 def _write_body(
@@ -248,6 +222,12 @@ def _write_body(
     return files
 
 
+@notebook_html.register(InverseResult)
+@notebook_html.register(TrajectoryResult)
+def _cell(result: InverseResult | TrajectoryResult) -> Html:
+    return output(inverse_verdict(result), inverse_html(result))
+
+
 def _page(
     result: InverseResult | TrajectoryResult,
     data: Mapping[str, Any],
@@ -256,18 +236,16 @@ def _page(
 ) -> str:
     search = []
     if isinstance(result, InverseResult) and result.attempts:
-        search = [table_html(attempts_table(result))]
-    loaded, source = data["calibration"], data["source"]
-    files = [] if source is None else files_of(source)
-    words = []
-    if loaded is not None:
-        words, files = ["inverse", loaded["file"], *options], [loaded, *files]
+        rows = [(a.way, str(a.n_steps), f"{a.error:.3g}") for a in result.attempts]
+        columns = "begun from", "steps", "largest error, in standard deviations"
+        search = [table_html(text_table("Descents", columns, rows))]
+    loaded = [own for own in [data["calibration"]] if own is not None]
     sections = [
         Section("notes", "Notes", [bullets(data["notes"])]),
         Section("goals", "Goals and commands", inverse_html(result)),
         Section("pictures", "Pictures", pictures),
         Section("search", "Course of the search", search),
-        *closing(data, words, files=files),
+        *closing("inverse", data, [data["source"]], files=loaded, options=options),
     ]
     verdict = inverse_verdict(result)
     of = {"index": "inverse.json", "units": "SI"}

@@ -4,7 +4,6 @@ import json
 import os
 import warnings
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -82,10 +81,7 @@ class LoadedResult(Module):
     def posed(
         self, name: str | None = None
     ) -> tuple[Configuration, ConfigurationArrays]:
-        """Return a configuration of the project, and its arrays with values set.
-
-        Supports, loads and actuation in the arrays are those of the fit, with factors
-        and offsets that were calibrated.
+        """Return a configuration, and its arrays with calibrated factors and offsets.
 
         Args:
             name: Its name; may be left out where there is one configuration.
@@ -173,7 +169,14 @@ def _read(path: Path) -> tuple[ResultFile, SourceEntry]:
     check_file(path, "result file")
     try:
         text = path.read_text(encoding="utf-8")
-        _check_head(path, json.loads(text))
+        content = json.loads(text)
+        kind = content.get("format") if isinstance(content, dict) else None
+        if kind != RESULT_FORMAT:
+            raise ResultError(
+                f"{path}: its format is {kind!r}; expected {RESULT_FORMAT!r}, which "
+                "softcal calibrate of this version writes: calibrate again, or load it "
+                "with the version that wrote it."
+            )
         data = ResultFile.model_validate_json(text)
     except (ValidationError, UnicodeDecodeError, json.JSONDecodeError) as error:
         what = str(error)
@@ -186,29 +189,12 @@ def _read(path: Path) -> tuple[ResultFile, SourceEntry]:
         ) from error
     if data.source is None:
         raise ResultError(
-            f"{path}: this calibration was made in Python, without a project file, so "
-            "the file does not say of which mesh, law and measurements. Build model "
-            "and space in Python as they were, and set the values by "
+            f"{path}: this calibration was made in Python, without a project file. "
+            "Build model and space in Python as they were, and set the values by "
             "space.model_at(model, space.to_scaled(values)); or describe them in a "
             "project file, and calibrate that."
         )
     return data, data.source
-
-
-def _check_head(path: Path, content: Any) -> None:
-    """Raise for files of another kind or version."""
-    kind = content.get("format") if isinstance(content, dict) else None
-    if kind != RESULT_FORMAT:
-        raise ResultError(
-            f"{path}: its format is {kind!r}; expected {RESULT_FORMAT!r}, which "
-            "softcal calibrate of this version writes: calibrate again, or load it "
-            "with the version that wrote it."
-        )
-    if "source" not in content:
-        raise ResultError(
-            f"{path}: it names no project file, as results of earlier versions do: "
-            "calibrate again."
-        )
 
 
 def _check_unchanged(path: Path, project: Path, source: SourceEntry) -> None:

@@ -1,20 +1,24 @@
 """What a project or a mesh describes, in aligned lines: before anything is solved."""
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
 import numpy as np
 
 from softcal_jax._text_table import aligned
-from softcal_jax._typing import Float, HostArray
+from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators import actuator_geometry, enclosed_volumes
 from softcal_jax.configurations import (
     STANDARD_GRAVITY,
     AbstractLoad,
     Configuration,
+    ConfigurationLanes,
+    EffectorRecord,
+    ImposedDisplacement,
     Support,
+    Unstated,
     configuration_lanes,
 )
 from softcal_jax.equilibrium import Model
@@ -22,13 +26,15 @@ from softcal_jax.export import readable_values
 from softcal_jax.fields import ControlPointParameters, ControlPoints, Parameter
 from softcal_jax.mesh import TetMesh, face_shares, locate, node_indices, volumes
 from softcal_jax.project import Project, ProjectError, QuantityAsRead, guesses_left
-from softcal_jax.report._outline_measured import measured_rows
 
 ROLES = {"calibration": "fitted", "validation": "held out", "candidate": "candidate"}
 """Roles of configurations in words."""
 
 _MOST_ALIKE = 4
 """Most quantities of one table and unit, like positions, that are listed one by one."""
+
+_QUANTITIES = {"point": "position", "turn": "orientation", "scalar": "value"}
+"""What coordinates are, where another word than their own says it better."""
 
 Rows = Iterable[Sequence[str]]
 
@@ -64,10 +70,8 @@ def outline(
         quantities: Its quantities as they were typed.
 
     Yields:
-        Lines of text: guesses of `softcal new` that are left, mesh, unknowns and
-        weight, bodies, actuators, markers and control points with their distances from
-        the mesh, configurations, what is measured, parameters, quantities as read, and
-        which commands the project suffices for.
+        Lines of text, in sections: from the guesses of `softcal new` that are left to
+        the commands that the project suffices for.
     """
     model, mesh = project.model, project.model.mesh
     posed = (*project.configurations, *project.candidates)
@@ -82,13 +86,8 @@ def outline(
     head = ("name", "at rest [mm]", "mesh", "")
     yield from _section("Markers", head, _markers(mesh, posed))
     for fields, points in control_point_sets(project).items():
-        places = np.asarray(points.positions)
-        rows = [
-            (str(i), name, *place)
-            for i, (name, place) in enumerate(
-                zip(points.names, _placed(mesh, places), strict=True), 1
-            )
-        ]
+        placed = _placed(mesh, points.names, points.positions)
+        rows = [(str(i), *place) for i, place in enumerate(placed, 1)]
         head = ("", "name", "place [mm]", "mesh")
         yield from _section(f"Control points of {fields}", head, rows)
     roles = roles_of(project)
@@ -96,14 +95,13 @@ def outline(
     head = ("name", "role", "gravity", "held", "loads", "actuators and bodies")
     yield from _section("Configurations", head, rows)
     head = ("configuration", "what", "value", "standard deviation")
-    yield from _section("Measured", head, measured_rows(posed, lanes))
+    yield from _section("Measured", head, _measured(posed, lanes))
     rows = [(k, f"{1e3 * own.rms:.2f} mm") for k, own in project.registrations.items()]
     head = ("configuration", "rms left at the markers")
     yield from _section("Camera frames, registered to the mesh", head, rows)
     head = ("name", "start", "lower", "upper", "scale", "prior")
     yield from _section("Parameters", head, map(_parameter, project.parameters))
-    rows = _as_read(quantities)
-    yield from _section("Quantities as read, in SI and mm", (), rows)
+    yield from _section("Quantities as read, in SI and mm", (), _as_read(quantities))
     yield from _section("Commands", (), _commands(project))
 
 
@@ -116,9 +114,8 @@ def _section(title: str, head: Sequence[str], rows: Rows) -> Iterator[str]:
 
 def _model(model: Model) -> Iterator[tuple[str, str]]:
     mesh = model.mesh
-    kind = "quadratic" if mesh.order == 2 else "linear"
     size = " x ".join(f"{1e3 * x:.4g}" for x in np.ptp(mesh.points, axis=0))
-    yield "mesh", f"{mesh.n_nodes} nodes, {mesh.n_tets} {kind} tets; {size} mm"
+    yield "mesh", f"{mesh.words}; {size} mm"
     yield "volume", _read(float(volumes(mesh).sum()), "m3")
     weight = _read(model.mass * STANDARD_GRAVITY, "N")
     yield "weight", f"{weight} ({1e3 * model.mass:.4g} g)"
@@ -159,26 +156,26 @@ def _actuators(model: Model) -> Iterator[tuple[str, ...]]:
 
 
 def _placed(
-    mesh: TetMesh, places: Float[HostArray, "n 3"]
-) -> Iterator[tuple[str, str]]:
-    """Yield places, and how far each stands off the mesh."""
+    mesh: TetMesh, names: Sequence[str], positions: Float[Array | HostArray, "n 3"]
+) -> Iterator[tuple[str, str, str]]:
+    """Yield names and places, and how far each stands off the mesh."""
+    places = np.asarray(positions)
     off = locate(mesh, places, max_distance=math.inf).distance
-    for place, distance in zip(places, off, strict=True):
+    for name, place, distance in zip(names, places, off, strict=True):
         text = readable_values([float(distance)], "m", digits=3)
-        yield _in_mm(place), f"{text} off" if distance else "in it"
+        yield name, _in_mm(place), f"{text} off" if distance else "in it"
 
 
 def _markers(
     mesh: TetMesh, posed: Sequence[Configuration]
 ) -> Iterable[tuple[str, ...]]:
     """List markers, each place once."""
-    found: dict[tuple[str, ...], None] = {}
+    rows = []
     for markers in [c.markers for c in posed if c.markers is not None]:
         axes = "" if markers.axes == "xyz" else f"only {markers.axes}"
-        places = _placed(mesh, np.asarray(markers.positions))
-        for name, place in zip(markers.names, places, strict=True):
-            found[name, *place, axes] = None
-    return found
+        placed = _placed(mesh, markers.names, markers.positions)
+        rows += [(*place, axes) for place in placed]
+    return dict.fromkeys(rows)
 
 
 def _configuration(model: Model, c: Configuration, role: str) -> tuple[str, ...]:
@@ -205,14 +202,11 @@ def _support(support: Support, mesh: TetMesh) -> str:
 
 def _load(load: AbstractLoad, mesh: TetMesh, weight: float) -> str:
     force = load.nodal_forces(mesh).sum(axis=0)
-    where = getattr(load, "where", None)
-    if isinstance(where, str):
-        on = f" on {where}"
-    else:
-        point = getattr(load, "point", None)
-        on = "" if point is None else f" at {_in_mm(np.asarray(point))} mm"
-    share = float(np.linalg.norm(force)) / weight if weight else math.inf
-    times = f" = {share:.3g} x weight" if math.isfinite(share) else ""
+    where, point = getattr(load, "where", None), getattr(load, "point", None)
+    on = f" on {where}" if isinstance(where, str) else ""
+    if not on and point is not None:
+        on = f" at {_in_mm(np.asarray(point))} mm"
+    times = f" = {np.linalg.norm(force) / weight:.3g} x weight" if weight else ""
     return f"{_sized(force, 'N')}{on}{times}"
 
 
@@ -220,7 +214,7 @@ def _actuation(model: Model, c: Configuration) -> Iterator[str]:
     actuators = model.mechanism.actuators
     for name, asked in c.actuation.items():
         kind = actuators.kinds[actuators.names.index(name)]
-        imposed = type(asked).__name__ == "ImposedDisplacement"
+        imposed = isinstance(asked, ImposedDisplacement)
         unit = kind.displacement_unit if imposed else kind.force_unit
         released = ", releasing" if asked.releasing else ""
         yield f"{name} {readable_values([asked.value], unit or '')}{released}"
@@ -238,13 +232,83 @@ def _states(c: Configuration) -> Iterator[str]:
         yield f"{name} {kind}" + (f" at {' and '.join(moved)}" if moved else "")
 
 
+def _measured(
+    posed: Sequence[Configuration], lanes: ConfigurationLanes
+) -> list[tuple[str, ...]]:
+    """List what is measured in each configuration: markers together, others alone."""
+    records = dict(zip([c.name for c in posed], lanes.effectors, strict=True))
+    rows: list[tuple[str, ...]] = []
+    for c in posed:
+        before = {r.name: r for r in records.get(c.displacement_from or "", ())}
+        effectors = {e.name: e for e in c.effectors}
+        n = 0 if c.markers is None else len(c.markers.names)
+        own = []
+        if c.markers is not None:
+            noise = _noise(c.markers.std, "m") + _share(c)
+            what = f"{n} marker{'s' if n > 1 else ''}"
+            if c.markers.axes != "xyz":
+                what += f" along {c.markers.axes}"
+            own.append((what, _motion(records[c.name][:n], before), noise))
+        for record in records[c.name][n:]:
+            effector: Any = effectors[record.name]
+            std = effector.std_angle if record.is_turn else effector.std
+            noise = _noise(std, record.unit) if record.seen.any() else ""
+            if noise and record.quantity == "point":
+                noise += _share(c)
+            quantity = _QUANTITIES.get(record.quantity, record.quantity)
+            what = f"{record.name}, {quantity}"
+            own.append((what, _value_seen(record, before), noise))
+        own = own or [("nothing", "", "")]
+        # The name stands once, on the first of its lines.
+        rows += [("" if i else c.name, *row) for i, row in enumerate(own)]
+    return rows
+
+
+def _noise(std: Any, unit: str) -> str:
+    """Write standard deviations, of several the least and the largest."""
+    ends = dict.fromkeys([float(np.min(std)), float(np.max(std))])
+    size = " to ".join(readable_values([end], unit) for end in ends)
+    return f"not stated: {size} as a weight" if isinstance(std, Unstated) else size
+
+
+def _share(c: Configuration) -> str:
+    """Say what belongs to the noise beside a standard deviation."""
+    if c.relative_std == "estimated":
+        return " and an estimated share of the motion"
+    return f" and {100 * c.relative_std:.3g} % of the motion" if c.relative_std else ""
+
+
+def _motion(
+    markers: Sequence[EffectorRecord], before: Mapping[str, EffectorRecord]
+) -> str:
+    """Say how far markers were measured from where they are at rest, or were before."""
+    moved = []
+    for record in (m for m in markers if m.seen.any()):
+        earlier = before.get(record.name)
+        start = record.at_rest if earlier is None else earlier.measured
+        moved.append(np.linalg.norm((record.measured - start)[record.seen]))
+    if not moved:
+        return "not measured"
+    since = "since the reference" if before else "from rest"
+    ends = dict.fromkeys(f"{1e3 * end:.3g}" for end in (min(moved), max(moved)))
+    return f"moved {' to '.join(ends)} mm {since}"
+
+
+def _value_seen(record: EffectorRecord, before: Mapping[str, EffectorRecord]) -> str:
+    if record.quantity == "point" or not record.seen.any():
+        return _motion([record], before)
+    if record.is_turn:
+        turn = math.acos(np.clip(0.5 * (np.trace(record.reference) - 1.0), -1.0, 1.0))
+        return f"turned {math.degrees(turn):.3g} deg from rest"
+    return readable_values(list(record.measured), record.unit)
+
+
 def _parameter(q: Parameter) -> tuple[str, ...]:
     prior = "none"
     if q.prior_std is not None:
         std = float(q.prior_std)
-        prior = (
-            f"+- {100 * std:.3g} %" if q.scale == "log" else f"+- {_read(std, q.unit)}"
-        )
+        share = f"{100 * std:.3g} %"
+        prior = f"+- {share if q.scale == 'log' else _read(std, q.unit)}"
     values = (_read(float(v), q.unit) for v in (q.start, q.lower, q.upper))
     return (q.name, *values, f"{q.scale}, periodic" if q.periodic else q.scale, prior)
 
@@ -292,12 +356,9 @@ def mesh_lines(mesh: TetMesh) -> list[str]:
     """
     corners = mesh.points[mesh.tets[:, :4]]
     edges = np.linalg.norm(corners[:, [1, 2, 3]] - corners[:, :1], axis=2)
-    kind = "quadratic" if mesh.order == 2 else "linear"
-    lines = [
-        f"{mesh.n_nodes} nodes, {mesh.n_tets} {kind} tets, edges of "
-        f"{readable_values([float(edges.mean())], 'm', digits=3)} in the mean, volume "
-        f"{_read(float(volumes(mesh).sum()), 'm3')}"
-    ]
+    mean = readable_values([float(edges.mean())], "m", digits=3)
+    volume = _read(float(volumes(mesh).sum()), "m3")
+    line = f"{mesh.words}, edges of {mean} in the mean, volume {volume}"
     rows = []
     for name, faces in mesh.surface_groups.items():
         centres = mesh.points[faces[:, :3]].mean(axis=1)
@@ -308,12 +369,12 @@ def mesh_lines(mesh: TetMesh) -> list[str]:
         text = f'{1e6 * areas.sum():.1f} mm2, a point on it: "({place}) mm"'
         rows.append((name, text))
     for name, tets in mesh.tet_groups.items():
-        volume = readable_values([float(volumes(mesh)[tets].sum())], "m3")
+        volume = _read(float(volumes(mesh)[tets].sum()), "m3")
         rows.append((name, f"{len(tets)} tets, {volume}"))
     for name, nodes in mesh.node_groups.items():
         if name not in mesh.surface_groups and name not in mesh.tet_groups:
             rows.append((name, f"{len(nodes)} nodes"))
-    return [*lines, *aligned(rows)]
+    return [line, *aligned(rows)]
 
 
 def _sized(vector: Any, unit: str) -> str:

@@ -1,6 +1,7 @@
-"""The page of each kind of run."""
+"""The page of each kind of run, and the parts of it that notebooks show."""
 
 from collections.abc import Collection, Mapping
+from functools import singledispatch
 from pathlib import Path
 from typing import Any
 
@@ -12,48 +13,43 @@ from softcal_jax.identifiability import (
     Ranking,
     RunVerdict,
     Tone,
-    percent,
+    assess,
     verdict_of,
 )
 from softcal_jax.layouts import ModelComparison
 from softcal_jax.report._calibration import (
     TONES,
-    beyond_prior,
     blindness,
     budget_table,
-    correlation_table,
     error_tables,
     held_out_sentences,
     history_table,
+    inner_tables,
     interval_tables,
     model_words,
     outlook_legend,
     outlook_table,
     parameter_table,
-    singular_value_table,
 )
-from softcal_jax.report._charts import budget_chart, error_chart
-from softcal_jax.report._course import course_charts
+from softcal_jax.report._charts import budget_chart, course_charts, error_chart
 from softcal_jax.report._html import (
     MOST_PICTURES,
     Html,
     Section,
     bullets,
+    closing,
     facts_html,
     figure,
     node,
+    output,
     page,
     picture,
     sentences,
     table_html,
 )
 from softcal_jax.report._outline import ROLES
-from softcal_jax.report._provenance import closing_of
 from softcal_jax.report._tables import robot_tables, simulation_tables
 from softcal_jax.report._view import PageView
-
-PICTURES = (".png", ".svg")
-"""Endings of pictures."""
 
 REPORT = "report.html"
 """Name of the page in a results folder."""
@@ -68,16 +64,9 @@ def calibration_page(
     folder: Path,
     view: PageView | None = None,
 ) -> str:
-    """Write the page of a calibration.
-
-    `data` is the content of its `result.json`, with notes and files; pictures are in
-    `folder`. Without a view, the page has no body in three dimensions.
-    """
+    """Write the page of a calibration from its index and the pictures in a folder."""
     fits, own = result.configurations, found.identifiability
     agreement = result.checks.agreement if result.checks else ()
-    inner = [singular_value_table(own)]
-    if own.n_parameters > 1:
-        inner.insert(0, correlation_table(own))
     course = [*course_charts(result), table_html(history_table(result))]
     sections = [
         Section("notes", "Notes", [bullets(data["notes"])]),
@@ -90,8 +79,8 @@ def calibration_page(
         Section("pictures", "Pictures", _pictures(data, folder, view)),
         Section("robot", "Robot", [*map(table_html, robot_tables(fits))]),
         Section("fit", "Course of the fit", course),
-        Section("inner", "Correlation and singular values", [*map(table_html, inner)]),
-        *closing_of("calibrate", data, [data["source"]]),
+        _inner(own),
+        *closing("calibrate", data, [data["source"]]),
     ]
     about = {"index": "result.json", "script": view.script if view else ""}
     verdict = verdict_of(result, found)
@@ -110,11 +99,15 @@ def simulation_page(
         Section("model", "Model", [node("p", f"{model_words(result.model)}.")]),
         Section("states", "States", [*map(table_html, simulation_tables(result))]),
         Section("pictures", "Pictures", _pictures(data, folder, view)),
-        *closing_of("simulate", data, [data["source"]]),
+        *closing("simulate", data, [data["source"]]),
     ]
     about = {"index": "simulation.json", "script": view.script if view else ""}
-    verdict = RunVerdict(result.headline, "good" if result.converged else "bad")
+    verdict = _simulation_verdict(result)
     return page(data["name"], "Simulation", verdict, sections, **about)
+
+
+def _simulation_verdict(result: SimulationResult) -> RunVerdict:
+    return RunVerdict(result.headline, "good" if result.converged else "bad")
 
 
 def _subject(result: CalibrationResult, found: Assessment) -> Html:
@@ -147,13 +140,10 @@ def _errors(result: CalibrationResult, found: Assessment) -> list[Html]:
 
 
 def _parameters(result: CalibrationResult, found: Assessment) -> list[Html]:
-    tables = [
-        parameter_table(result, found.identifiability),
-        *interval_tables(result),
-        budget_table(result),
-    ]
+    values = parameter_table(result, found.identifiability)
+    marked = any(cell.tone == "bad" for row in values.rows for cell in row)
+    tables = [values, *interval_tables(result), budget_table(result)]
     starts = [] if result.starts is None else [node("pre", str(result.starts))]
-    marked = any(cell.tone == "bad" for row in tables[0].rows for cell in row)
     legend = sentences([_MARKED if marked else ""])
     return [*legend, *map(table_html, tables), *budget_chart(result), *starts]
 
@@ -161,14 +151,18 @@ def _parameters(result: CalibrationResult, found: Assessment) -> list[Html]:
 def _outlook(found: Assessment) -> list[Html]:
     """Say what the data see, and what they are blind to."""
     own = found.identifiability
+    legend = node("p", outlook_legend(own))
+    return [*_blindness(own), table_html(outlook_table(found)), legend]
+
+
+def _blindness(found: Identifiability) -> list[Html]:
     first, *directions = blindness(found)
-    return [
-        node("p", first),
-        bullets(directions),
-        *sentences([beyond_prior(own)]),
-        table_html(outlook_table(found)),
-        node("p", outlook_legend(own)),
-    ]
+    return [node("p", first), bullets(directions)]
+
+
+def _inner(found: Identifiability) -> Section:
+    tables = [*map(table_html, inner_tables(found))]
+    return Section("inner", "Correlation and singular values", tables)
 
 
 def _pictures(
@@ -178,15 +172,19 @@ def _pictures(
 
     A picture of what the view shows stands for it where there is none, as in print.
     """
-    every = [(own, name) for own in data["configurations"] for name in own["files"]]
-    captions = {name: _seen(own, name) for own, name in every}
+    captions, viewed = {}, []
+    for own in data["configurations"]:
+        posed, role = own["name"], ROLES.get(own.get("role", ""), "simulated")
+        for name in own["files"]:
+            captions[name] = f"{posed}: the recording of the markers over time"
+            if Path(name).stem.endswith("_recording"):
+                continue
+            shown = "the deformed body, coloured by displacement"
+            captions[name] = f"{posed} ({role}): {shown}"
+            if view is not None and posed in view.names:
+                viewed.append(name)
     if view is None:
         return shown_pictures(captions, folder)
-    viewed = {
-        name
-        for own, name in every
-        if own["name"] in view.names and not _is_recording(name)
-    }
     taken = 3 * view.size // 4  # pictures grow by a third as text
     return [view.content, *shown_pictures(captions, folder, taken, viewed)]
 
@@ -197,15 +195,13 @@ def shown_pictures(
     taken: int = 0,
     viewed: Collection[str] = (),
 ) -> list[Html]:
-    """Show the pictures among some files, as many as a page should hold.
+    """Show the pictures among some files with captions, as many as a page should hold.
 
-    `captions` say what each file shows. `taken` is the size of what the page shows
-    beside them [bytes]. Pictures in `viewed` stand for a view, and are hidden where it
-    is drawn.
+    It shows `taken` bytes beside them. Those in `viewed` are hidden where a view is.
     """
     shown, left = [], MOST_PICTURES - taken
     for name, caption in captions.items():
-        if not name.endswith(PICTURES):
+        if not name.endswith((".png", ".svg")):
             continue
         path = folder / name
         left -= path.stat().st_size
@@ -221,37 +217,32 @@ def shown_pictures(
     return shown
 
 
-def _is_recording(file: str) -> bool:
-    return Path(file).stem.endswith("_recording")
-
-
-def _seen(own: Mapping[str, Any], file: str) -> str:
-    """Say what the picture of a configuration shows."""
-    if _is_recording(file):
-        return f"{own['name']}: the recording of the markers over time"
-    role = ROLES.get(own.get("role", ""), "simulated")
-    return f"{own['name']} ({role}): the deformed body, coloured by displacement"
-
-
 def identifiability_page(
     found: Identifiability | None, ranking: Ranking | None, data: Mapping[str, Any]
 ) -> str:
     """Write the page of what data would tell, from the content of its index."""
     verdict = RunVerdict("There is nothing to judge.", "plain")
+    sections = [Section("next", "What to measure next", _next_html(found, ranking))]
     if found is not None:
-        verdict = RunVerdict(found.headline, TONES[found.verdict])
+        verdict = _outlook_verdict(found)
+        known, blind = _outlook_html(found)
+        sections += [
+            Section("parameters", "Parameters", known),
+            Section("directions", "What the data are blind to", blind),
+            _inner(found),
+        ]
     elif ranking is not None:
         verdict = RunVerdict(ranking.headline, "plain")
-    sections = [
-        Section("next", "What to measure next", next_html(found, ranking)),
-        *([] if found is None else outlook_sections(found)),
-        *closing_of("identify", data, [data["source"]]),
-    ]
+    sections += closing("identify", data, [data["source"]])
     index = "identifiability.json"
     return page(data["name"], "Identifiability", verdict, sections, index=index)
 
 
-def next_html(found: Identifiability | None, ranking: Ranking | None) -> list[Html]:
+def _outlook_verdict(found: Identifiability) -> RunVerdict:
+    return RunVerdict(found.headline, TONES[found.verdict])
+
+
+def _next_html(found: Identifiability | None, ranking: Ranking | None) -> list[Html]:
     """Show which candidate to measure, or what else to do."""
     if ranking is None:
         return sentences(found.advice if found else ())
@@ -261,55 +252,101 @@ def next_html(found: Identifiability | None, ranking: Ranking | None) -> list[Ht
     return [*content, bullets(map(str, ranking.unranked))]
 
 
-def outlook_sections(found: Identifiability) -> list[Section]:
-    """Show what the data would tell of parameters and of their combinations."""
-    blind = found.blind[::-1]
+def _outlook_html(found: Identifiability) -> tuple[list[Html], list[Html]]:
+    """Show what the data would tell of the parameters, and what they are blind to."""
     unknown = [
         f"Errors of the {cause} are not among these: their size is not known here."
         for cause in found.unknown
     ]
-    sight = "No combination of the parameters is hidden from the data."
-    if blind:
-        sight = (
-            f"The data hardly see {len(blind)} of {found.n_parameters} directions of "
-            "the parameters, the worst first (standard error over the asked one):"
-        )
-    words = bullets(f"{d.words} ({percent(d.ratio)})" for d in blind)
-    inner = [singular_value_table(found)] if found.n_data else []
-    if found.n_parameters > 1:
-        inner.append(correlation_table(found))
-    known = [table_html(found.tabulated), *sentences([found.scale, *unknown])]
-    directions = [node("p", sight), words]
-    if found.n_data:
-        directions.append(node("p", str(found.conditioning).splitlines()[0]))
-    return [
-        Section("parameters", "Parameters", known),
-        Section("directions", "What the data are blind to", directions),
-        Section("inner", "Correlation and singular values", [*map(table_html, inner)]),
-    ]
+    legend = sentences([outlook_legend(found), *unknown])
+    return [table_html(found.tabulated), *legend], _blindness(found)
 
 
 def comparison_page(comparison: ModelComparison, data: Mapping[str, Any]) -> str:
     """Write the page of a comparison of models, from the content of its index."""
-    # The best of several may still predict badly, so there is no tone of success.
-    tone: Tone = "bad"
-    if comparison.best is not None:
-        tone = "doubtful" if comparison.undecided else "plain"
     columns = "configuration", *(model.name for model in comparison.models)
     cells: dict[str, list[str]] = {}
     for model in comparison.models:
         for fold in model.folds:
             text = "failed" if fold.failure else f"{1e3 * fold.rms:.4g} mm"
             cells.setdefault(fold.held_out, [fold.held_out]).append(text)
-    held_out = text_table(
-        "Error of each configuration, held out", columns, cells.values()
-    )
+    title = "Error of each configuration, held out"
+    held_out = text_table(title, columns, cells.values())
     sections = [
         Section("failures", "What failed", [bullets(comparison.failures)]),
         Section("models", "Models", [table_html(comparison.tabulated)]),
         Section("folds", "Held-out configurations", [table_html(held_out)]),
-        *closing_of("compare", data, data["sources"].values()),
+        *closing("compare", data, data["sources"].values()),
     ]
-    verdict = RunVerdict(comparison.verdict, tone)
-    index = "comparison.json"
+    verdict, index = _comparison_verdict(comparison), "comparison.json"
     return page(data["name"], "Comparison of models", verdict, sections, index=index)
+
+
+def _comparison_verdict(comparison: ModelComparison) -> RunVerdict:
+    # The best of several may still predict badly, so there is no tone of success.
+    tone: Tone = "bad"
+    if comparison.best is not None:
+        tone = "doubtful" if comparison.undecided else "plain"
+    return RunVerdict(comparison.verdict, tone)
+
+
+@singledispatch
+def notebook_html(result: object) -> Html:
+    """Write a result as the output of a cell: verdict, tables and a picture.
+
+    It is HTML that needs nothing else; `write_results` writes the whole page.
+
+    Raises:
+        TypeError: If there is no output for such a result.
+    """
+    raise TypeError(f"a {type(result).__name__} has no output for notebooks.")
+
+
+@notebook_html.register
+def _calibration_cell(result: CalibrationResult) -> Html:
+    found = assess(result)
+    content = [
+        table_html(parameter_table(result, found.identifiability)),
+        *_errors(result, found),
+        *budget_chart(result),
+        bullets(result.notes),
+    ]
+    return output(verdict_of(result, found), content)
+
+
+@notebook_html.register
+def _assessment_cell(found: Assessment) -> Html:
+    tone: Tone = "good" if found.identified else "doubtful"
+    own = found.identifiability
+    content = [*sentences([own.headline]), *_known(own)]
+    content += sentences([found.prediction or ""])
+    return output(RunVerdict(found.headline, tone, found.reasons), content)
+
+
+@notebook_html.register
+def _identifiability_cell(found: Identifiability) -> Html:
+    return output(_outlook_verdict(found), _known(found))
+
+
+def _known(found: Identifiability) -> list[Html]:
+    """Show what is known of the parameters, what is not, and what to do."""
+    known, blind = _outlook_html(found)
+    return [*known, *blind, *_next_html(found, None)]
+
+
+@notebook_html.register
+def _ranking_cell(ranking: Ranking) -> Html:
+    _, *content = _next_html(None, ranking)  # the first says what the verdict says
+    return output(RunVerdict(ranking.headline, "plain"), content)
+
+
+@notebook_html.register
+def _simulation_cell(result: SimulationResult) -> Html:
+    tables = map(table_html, simulation_tables(result))
+    return output(_simulation_verdict(result), tables)
+
+
+@notebook_html.register
+def _comparison_cell(comparison: ModelComparison) -> Html:
+    models = table_html(comparison.tabulated)
+    return output(_comparison_verdict(comparison), [models])

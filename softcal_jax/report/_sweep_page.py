@@ -9,9 +9,11 @@ from softcal_jax.export import file_dict, made_dict
 from softcal_jax.identifiability import RunVerdict
 from softcal_jax.plotting import plot_trials
 from softcal_jax.report._html import (
+    REPEATED,
     Html,
     Section,
     bullets,
+    closing,
     figure,
     node,
     page,
@@ -19,7 +21,6 @@ from softcal_jax.report._html import (
     sentences,
     table_html,
 )
-from softcal_jax.report._provenance import REPEATED, closing, files_of
 from softcal_jax.sweeps import Sweep, SweepResult, SweepSummary, SweptAxis, summarise
 
 KIND = "Sweep"
@@ -58,9 +59,8 @@ def write_sweep(
 ) -> Path:
     """Write the page of a sweep beside its database, whole or not at all.
 
-    It shows how the trials ended, the best ones, means and spread, a chart for each
-    axis, and with `sweep` the settings, the files with their SHA-256 and the command
-    that repeats it. Trials that failed or did not converge are in no mean and chart.
+    Trials that failed or did not converge are in no mean and chart. With `sweep` it has
+    the settings, the files with their SHA-256 and the command that repeats it, too.
 
     Args:
         result: The sweep, finished or not.
@@ -96,6 +96,7 @@ def _sweep_page(
     found = summarise(result)
     made = made_dict(None if sweep is None else sweep.made, database.parent)
     data = {**made, "timing_s": timing_s, "files": [database.name]}
+    files = [] if sweep is None else [file_dict(sweep.file, database.parent)]
     best, means, spread, trials = [], [], [], []
     if found.best is not None:
         best = [node("p", found.best_in_words), table_html(found.best)]
@@ -107,22 +108,18 @@ def _sweep_page(
         spread = [node("p", "No trial has converged: there is nothing to average.")]
     if found.spread.rows:
         spread = [table_html(found.spread)]
-    files, words = [], []
-    if sweep is not None:
-        own = file_dict(sweep.file, database.parent)
-        files, words = [own, *files_of(made["source"])], ["sweep", own["file"]]
+    named = enumerate(found.axes)
+    axes = [Section(f"axis{k}", f"By {own.name}", [_drawn(own)]) for k, own in named]
+    again = f"{REPEATED}.sqlite"
     sections = [
         Section("notes", "Notes", [bullets(found.notes)]),
         Section("varied", "What was varied", [table_html(found.varied)]),
         Section("best", "Best trials", best),
         Section("means", "Means over repetitions", means),
         Section("spread", "Spread of all trials", spread),
-        *(
-            Section(f"axis{k}", f"By {axis.name}", [_drawn(axis)])
-            for k, axis in enumerate(found.axes)
-        ),
+        *axes,
         Section("trials", "All trials", trials),
-        *closing(data, words, files=files, out=f"{REPEATED}.sqlite"),
+        *closing("sweep", data, [made["source"]], files=files, out=again),
     ]
     verdict = RunVerdict(found.headline, found.tone, found.doubts)
     return page(result.name, KIND, verdict, sections, index=database.name, units="SI")
@@ -138,10 +135,10 @@ def _drawn(axis: SweptAxis) -> Html:
 
 
 def _trials(found: SweepSummary) -> list[Html]:
-    more, others = "", ""
+    words = []
     if found.more_trials:
-        more = f"{found.more_trials} more are in the database; softcal sweep show lists"
-        more += " all of them with --all."
+        more = "more are in the database; softcal sweep show lists all of them with"
+        words.append(f"{found.more_trials} {more} --all.")
     if found.not_drawn:
-        others = f"In this table, and not drawn: {', '.join(found.not_drawn)}."
-    return [table_html(found.trials), *sentences([more, others])]
+        words.append(f"In this table, and not drawn: {', '.join(found.not_drawn)}.")
+    return [table_html(found.trials), *sentences(words)]

@@ -6,29 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from softcal_jax._text_table import STYLES, Cell, TextTable, Tone, text_table
+from softcal_jax._text_table import Cell, TextTable, Tone, text_table
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.calibration import (
-    CalibrationResult,
-    ConfigurationResult,
-    SimulationResult,
-)
+from softcal_jax.calibration import ConfigurationResult, SimulationResult
 from softcal_jax.configurations import EffectorRecord
 from softcal_jax.equilibrium import ActuatorState
 from softcal_jax.export import readable_values
-from softcal_jax.identifiability import Assessment, assess, verdict_of
-from softcal_jax.report._calibration import (
-    beyond_prior,
-    blindness,
-    budget_table,
-    distance,
-    error_tables,
-    interval_tables,
-    outlook_legend,
-    outlook_table,
-    outlook_tone,
-    parameter_table,
-)
 
 if TYPE_CHECKING:
     import rich.console
@@ -41,53 +24,8 @@ HEADS: dict[Tone, str] = {
 """Styles of a verdict."""
 
 
-def summary_table(
-    result: CalibrationResult, assessment: Assessment | None = None
-) -> "rich.console.Group":
-    """Tabulate a calibration for the terminal, with its assessment, if known already.
-
-    Returns:
-        Parameters, configurations, identifiability, verdict and notes.
-    """
-    from rich.console import Group
-    from rich.text import Text
-
-    own = assessment or assess(result)
-    found, verdict = own.identifiability, verdict_of(result, own)
-    shown = result.configurations
-    first, *directions = blindness(own)
-    seen = [first, *(f"  {line}" for line in directions), beyond_prior(found)]
-    style = STYLES[outlook_tone(found.verdict, own)]
-    tables = [
-        parameter_table(result, found),
-        budget_table(result),
-        *interval_tables(result),
-        *error_tables(shown, result.checks),
-        *robot_tables(shown),
-        outlook_table(own),
-    ]
-    return Group(
-        *map(TextTable.drawn, tables),
-        Text(outlook_legend(found)),
-        Text("\n".join(filter(None, seen)), style=style),
-        *([Text(own.prediction)] if own.prediction else []),
-        Text(
-            "\n  ".join([verdict.sentence, *verdict.reasons]),
-            style=HEADS[verdict.tone],
-        ),
-        *([] if result.starts is None else [Text(str(result.starts))]),
-        *(Text(line) for line in (result.checks.agreement if result.checks else ())),
-        *(Text(f"Note: {note}", style="yellow") for note in result.notes),
-    )
-
-
 def simulation_table(result: SimulationResult) -> "rich.console.Group":
-    """Tabulate a forward simulation for the terminal.
-
-    Returns:
-        One line per configuration, with the reason if it has no equilibrium; then
-        effectors that are not points, actuators, rigid bodies and reactions.
-    """
+    """Tabulate a forward simulation for the terminal: outcomes, then the robot."""
     from rich.console import Group
 
     return Group(*map(TextTable.drawn, simulation_tables(result)))
@@ -106,10 +44,7 @@ def simulation_tables(result: SimulationResult) -> list[TextTable]:
 
 
 def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTable]:
-    """Tabulate effectors that are not points, actuators, rigid bodies and reactions.
-
-    There is no table for what is missing.
-    """
+    """Tabulate other effectors, actuators, bodies and reactions where there are any."""
     fitted = any(result.role != "simulation" for result in configurations)
     values = ["measured", "before", "after"] if fitted else ["simulated"]
     titles = {
@@ -130,7 +65,8 @@ def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTabl
         robot = result.robot
         if robot is None:
             continue
-        rows["Actuators"] += [(result.name, *actuator_row(a)) for a in robot.actuators]
+        for own in robot.actuators:
+            rows["Actuators"].append((result.name, own.name, *actuator_row(own)))
         for body in robot.bodies:
             moved = readable_values([_length(body.translation)], "m")
             turned = readable_values([_length(body.rotation_vector)], "rad")
@@ -146,13 +82,20 @@ def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTabl
     ]
 
 
-def actuator_row(own: ActuatorState) -> tuple[str, ...]:
-    """Write name, force and displacement of an actuator, and which is imposed."""
-    shown = [readable_values([own.force], own.force_unit), "-"]
+def actuator_values(own: ActuatorState) -> dict[str, str]:
+    """Write the force and the displacement of an actuator."""
+    shown = {"force": readable_values([own.force], own.force_unit), "displacement": "-"}
     if own.displacement is not None and own.displacement_unit is not None:
-        shown[1] = readable_values([own.displacement], own.displacement_unit)
-    shown[own.imposed == "displacement"] += " (imposed)"
-    return own.name, *shown
+        delta = readable_values([own.displacement], own.displacement_unit)
+        shown["displacement"] = delta
+    return shown
+
+
+def actuator_row(own: ActuatorState) -> list[str]:
+    """Write the force and the displacement of an actuator, and which is imposed."""
+    shown = actuator_values(own)
+    shown[own.imposed] += " (imposed)"
+    return list(shown.values())
 
 
 def _values(own: EffectorRecord, values: Float[HostArray, " k"]) -> str:
@@ -163,3 +106,8 @@ def _values(own: EffectorRecord, values: Float[HostArray, " k"]) -> str:
 
 def _length(vector: Float[HostArray, "3"]) -> float:
     return float(np.linalg.norm(vector))
+
+
+def distance(metres: float) -> str:
+    """Write a distance in millimetres."""
+    return "-" if math.isnan(metres) else f"{1e3 * metres:.2f} mm"

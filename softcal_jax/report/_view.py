@@ -6,7 +6,6 @@ from importlib.resources import files
 from typing import Any, NamedTuple
 
 from softcal_jax._module import one_line
-from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
@@ -18,12 +17,15 @@ from softcal_jax.plotting import MARKS, NOT_CONVERGED, motion_words
 from softcal_jax.report._html import Html, bullets, joined, node
 from softcal_jax.report._outline import ROLES
 from softcal_jax.report._view_data import view_data
-from softcal_jax.report._view_fields import Field, state_fields, surface_of, view_fields
+from softcal_jax.report._view_fields import (
+    TetValues,
+    state_fields,
+    surface_of,
+    view_fields,
+)
 
 MOST_DATA = 1_500_000
 """Most bytes of what a view draws; curved faces are cut more coarsely to stay below."""
-
-_DIRECTIONS = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 _SHOWN = {
     "mesh": ("faces of the mesh", False),
@@ -53,8 +55,17 @@ _KEYS = (
 )
 
 _LINE = '<path d="M2 7H26" stroke="{0}" stroke-width="2.5"/>'
+_DASHED = _LINE.replace("/>", ' stroke-dasharray="7 3 2 3"/>')
 _ARROW = '<path d="M2 7H20M26 7L17 2V12Z" stroke="{0}" fill="{0}" stroke-width="2"/>'
 _PATCH = '<rect x="4" y="2" width="20" height="10" fill="{0}"/>'
+_PALE = _PATCH.replace("/>", ' opacity=".4"/>')
+_CIRCLE = '<circle cx="14" cy="7" r="5" fill="none" stroke="{0}" stroke-width="2.2"/>'
+_CROSS = '<path d="M14 1V13M8 7H20" stroke="{0}" stroke-width="2.2"/>'
+_HATCH = '<path d="M3 12L13 2M14 12L24 2" stroke="{0}" stroke-width="2"/>'
+_AXES = (
+    '<path d="M14 13V2M14 13H25M14 13L6 8" fill="none" stroke="{0}" '
+    'stroke-width="2" stroke-dasharray="3 2"/>'
+)
 
 
 class _Mark(NamedTuple):
@@ -65,45 +76,22 @@ class _Mark(NamedTuple):
 
     words: str
     symbol: str
-    boxes: tuple[str, ...] = ()
+    boxes: str = ""
 
 
 _MARKS = {
-    "measured": _Mark(
-        "measured",
-        '<circle cx="14" cy="7" r="5" fill="none" stroke="{0}" stroke-width="2.2"/>',
-        ("markers", "frames"),
-    ),
-    "simulated": _Mark(
-        "simulated",
-        '<path d="M14 1V13M8 7H20" stroke="{0}" stroke-width="2.2"/>',
-        ("markers", "frames"),
-    ),
-    "at rest": _Mark("at rest", _LINE, ("rest",)),
-    "cable": _Mark("cable", _LINE, ("robot",)),
-    "wall": _Mark(
-        "wall under pressure", _PATCH.replace("/>", ' opacity=".4"/>'), ("robot",)
-    ),
-    "motor": _Mark(
-        "motor",
-        _LINE.replace("/>", ' stroke-dasharray="7 3 2 3"/>'),
-        ("robot",),
-    ),
-    "force": _Mark("force", _ARROW, ("robot",)),
-    "load": _Mark("load", _ARROW, ("loads",)),
-    "gravity": _Mark("gravity", _ARROW, ("loads",)),
+    "measured": _Mark("measured", _CIRCLE, "markers frames"),
+    "simulated": _Mark("simulated", _CROSS, "markers frames"),
+    "at rest": _Mark("at rest", _LINE, "rest"),
+    "cable": _Mark("cable", _LINE, "robot"),
+    "wall": _Mark("wall under pressure", _PALE, "robot"),
+    "motor": _Mark("motor", _DASHED, "robot"),
+    "force": _Mark("force", _ARROW, "robot"),
+    "load": _Mark("load", _ARROW, "loads"),
+    "gravity": _Mark("gravity", _ARROW, "loads"),
     "rigid": _Mark("rigid body", _PATCH),
-    "frame": _Mark(
-        "frame of a rigid body",
-        '<path d="M14 13V2M14 13H25M14 13L6 8" fill="none" stroke="{0}" '
-        'stroke-width="2" stroke-dasharray="3 2"/>',
-        ("frames",),
-    ),
-    "fibre": _Mark(
-        "fibre",
-        '<path d="M3 12L13 2M14 12L24 2" stroke="{0}" stroke-width="2"/>',
-        ("fibres",),
-    ),
+    "frame": _Mark("frame of a rigid body", _AXES, "frames"),
+    "fibre": _Mark("fibre", _HATCH, "fibres"),
 }
 """What a view may hold, by its name among the colours `MARKS`."""
 
@@ -126,59 +114,53 @@ class PageView(NamedTuple):
         return len(self.content.encode()) + len(self.script.encode())
 
 
+class _Drawing(NamedTuple):
+    """What is drawn, as JSON too, its configurations, and what is amiss."""
+
+    data: dict[str, Any]
+    text: str
+    shown: Sequence[ConfigurationResult]
+    remarks: Sequence[str]
+
+
 def body_view(
-    result: CalibrationResult | SimulationResult,
-    errors: Mapping[str, Float[HostArray, " n_tets"]] | None,
+    result: CalibrationResult | SimulationResult, errors: TetValues | None
 ) -> PageView:
     """Make the view of all configurations of a result.
 
     What is too large for a page is drawn more coarsely or left out, and the view says
     so: first curved faces get fewer triangles, then the last configurations go.
-    `errors` are standard errors of calibrated fields in each tet; None if nothing was
-    calibrated.
     """
-    made, why = None, "no configuration has an equilibrium"
+    drawing, why = None, "no configuration has an equilibrium"
     if any(own.converged for own in result.configurations):
-        made = _made(result.model, result.configurations, errors)
+        drawing = _drawing(result.model, result.configurations, errors)
         n = len(boundary_tets(result.model.mesh))
         why = f"the surface of this mesh, {n} faces, is too large for a page; "
         why += "configurations.pvd is for ParaView"
-    if made is None:
+    if drawing is None:
         return PageView(node("p", f"There is no body to turn: {why}."), "", frozenset())
     converged = not isinstance(result, CalibrationResult) or result.converged
-    drawn = Html(made.text)
+    drawn = Html(drawing.text)
     data = node("script", drawn, type="application/json", id="view-data")
-    content = joined([_figure(made, converged=converged), data])
+    content = joined([_figure(drawing, converged=converged), data])
     script = files("softcal_jax.report").joinpath("view.js").read_text("utf-8")
-    names = frozenset(own.name for own in made.shown if own.converged)
+    names = frozenset(own.name for own in drawing.shown if own.converged)
     return PageView(content, script, names)
 
 
-class _Made(NamedTuple):
-    """What is drawn, as JSON too, its fields and configurations, and what is amiss."""
-
-    data: dict[str, Any]
-    text: str
-    fields: Sequence[Field]
-    shown: Sequence[ConfigurationResult]
-    remarks: Sequence[str]
-
-
-def _made(
-    model: Model,
-    every: Sequence[ConfigurationResult],
-    errors: Mapping[str, Float[HostArray, " n_tets"]] | None,
-) -> _Made | None:
+def _drawing(
+    model: Model, every: Sequence[ConfigurationResult], errors: TetValues | None
+) -> _Drawing | None:
     """Collect what is drawn, as finely as fits; None if nothing fits.
 
     Where not all configurations fit, those without an equilibrium go first.
     """
     states = [state_fields(model, own) for own in every]
 
-    def cut(parts: int, kept: Sequence[int]) -> _Made:
+    def cut(parts: int, kept: Sequence[int]) -> _Drawing:
         surface = surface_of(model, parts)
-        shown, borne = [every[k] for k in kept], [states[k] for k in kept]
-        fields = view_fields(model, shown, borne, surface, errors)
+        shown = [every[k] for k in kept]
+        fields = view_fields(model, shown, [states[k] for k in kept], surface, errors)
         data = view_data(model, shown, surface, fields) | {"colours": MARKS}
         # "<" must not end the element that the data are in.
         text = json.dumps(data, allow_nan=False, separators=(",", ":"))
@@ -189,41 +171,42 @@ def _made(
         left_out = [own.name for k, own in enumerate(every) if k not in kept]
         if left_out:
             remarks.append(f"Left out to keep the page small: {', '.join(left_out)}.")
-        return _Made(data, text, fields, shown, remarks)
+        return _Drawing(data, text, shown, remarks)
 
     everything = range(len(every))
     for parts in (PARTS, 2, 1) if model.mesh.order == 2 else (1,):
-        made = cut(parts, everything)
-        if len(made.text) <= MOST_DATA:
-            return made
+        drawing = cut(parts, everything)
+        if len(drawing.text) <= MOST_DATA:
+            return drawing
     kept = [k for k in everything if every[k].converged]
     while kept:
-        made = cut(1, kept)
-        if len(made.text) <= MOST_DATA:
-            return made
+        drawing = cut(1, kept)
+        size = len(drawing.text)
+        if size <= MOST_DATA:
+            return drawing
         # Most of it is what each configuration adds.
-        kept = kept[: min(len(kept) - 1, len(kept) * MOST_DATA // len(made.text) + 1)]
+        kept = kept[: min(len(kept) - 1, len(kept) * MOST_DATA // size + 1)]
     return None
 
 
-def _figure(made: _Made, *, converged: bool) -> Html:
+def _figure(drawing: _Drawing, *, converged: bool) -> Html:
     """Write controls, drawing area and words; hidden where no script shows it."""
     warning = [] if converged else [node("p", NOT_CONVERGED, class_="stop")]
-    marks = _marks(made.data)
+    marks = _marks(drawing.data)
     words = [
         node("p", _words(own), hidden="", class_="" if own.converged else "stop")
-        for own in made.shown
+        for own in drawing.shown
     ]
     return node(
         "figure",
         *warning,
-        _choices(made, marks),
+        _choices(drawing, marks),
         _stage(),
-        _scale(made),
+        _scale(drawing.data["fields"]),
         _legend(marks),
         node("figcaption", *words, node("p", "", role="status"), id="view-words"),
         node("p", _KEYS, id="view-keys", class_="keys"),
-        *([bullets(made.remarks)] if made.remarks else []),
+        bullets(drawing.remarks),
         id="view",
         class_="view",
         hidden="",
@@ -243,25 +226,27 @@ def _named(own: ConfigurationResult) -> str:
     return f"{own.name}{role}" + ("" if own.converged else " - no equilibrium")
 
 
-def _choices(made: _Made, marks: Sequence[str]) -> Html:
+def _choices(drawing: _Drawing, marks: Sequence[str]) -> Html:
     """Write the choices of configuration, field and direction, and what is shown."""
-    drawn = [k for k, own in enumerate(made.shown) if own.converged]
-    first = max(drawn, key=lambda k: made.shown[k].largest_displacement, default=0)
-    directions = ["at an angle", *(f"from {name}" for name in _DIRECTIONS)]
-    poses = made.data["configurations"]
+    shown, fields = drawing.shown, drawing.data["fields"]
+    poses = drawing.data["configurations"]
+    drawn = [k for k, own in enumerate(shown) if own.converged]
+    first = max(drawn, key=lambda k: shown[k].largest_displacement, default=0)
+    directions = ["at an angle", *(f"from {s}{axis}" for axis in "xyz" for s in "+-")]
     offered = {"mesh", "rest", "names"}
     offered |= {key for key in ("markers", "frames") if any(own[key] for own in poses)}
     for name in set(marks) - {"measured", "simulated"}:
-        offered.update(_MARKS[name].boxes)
-    boxes = [
-        node("label", _checkbox(name, on=on), f" {words}")
-        for name, (words, on) in _SHOWN.items()
-        if name in offered
-    ]
+        offered.update(_MARKS[name].boxes.split())
+    boxes = []
+    for name, (words, on) in _SHOWN.items():
+        if name in offered:
+            checked = {"checked": ""} if on else {}
+            box = node("input", type="checkbox", id=f"view-{name}", **checked)
+            boxes.append(node("label", box, f" {words}"))
     return node(
         "div",
-        _select("configuration", "Configuration", map(_named, made.shown), first),
-        _select("field", "Coloured by", [own.label for own in made.fields], 0),
+        _select("configuration", "Configuration", map(_named, shown), first),
+        _select("field", "Coloured by", [own["label"] for own in fields], 0),
         _select("direction", "Seen", directions, 0),
         node("fieldset", node("legend", "Show"), *boxes),
         class_="choices",
@@ -274,11 +259,6 @@ def _select(key: str, label: str, texts: Iterable[str], chosen: int) -> Html:
         for k, text in enumerate(texts)
     )
     return node("label", f"{label} ", node("select", *options, id=f"view-{key}"))
-
-
-def _checkbox(name: str, *, on: bool) -> Html:
-    checked = {"checked": ""} if on else {}
-    return node("input", type="checkbox", id=f"view-{name}", **checked)
 
 
 def _marks(data: Mapping[str, Any]) -> list[str]:
@@ -315,19 +295,17 @@ def _stage() -> Html:
     return node("div", node("div", area, over, class_="stage"), turns)
 
 
-def _scale(made: _Made) -> Html:
+def _scale(fields: Sequence[Mapping[str, Any]]) -> Html:
     """Write the colour bar, whose numbers and colours the script sets."""
     ticks = (node("span", "") for _ in range(5))
-    bar = node("div", class_="colours", id="view-colours")
-    title = node("p", "", id="view-title")
     return node(
         "div",
-        title,
-        bar,
+        node("p", "", id="view-title"),
+        node("div", class_="colours", id="view-colours"),
         node("div", *ticks, class_="ticks", id="view-ticks"),
         class_="scale",
         role="img",
-        aria_label=f"Colours of {made.fields[0].label}" if made.fields else "Colours",
+        aria_label=f"Colours of {fields[0]['label']}" if fields else "Colours",
         id="view-scale",
     )
 
@@ -336,9 +314,9 @@ def _legend(marks: Sequence[str]) -> Html:
     """Explain the marks."""
     entries = []
     for name in marks:
-        mark = _MARKS[name]
-        drawn = Html(mark.symbol.format(MARKS[name]))
-        of = {"data_of": " ".join(mark.boxes)} if mark.boxes else {}
-        symbol = node("svg", drawn, width="28", height="14", aria_hidden="true")
-        entries.append(node("li", symbol, mark.words, **of))
+        words, symbol, boxes = _MARKS[name]
+        drawn = Html(symbol.format(MARKS[name]))
+        of = {"data_of": boxes} if boxes else {}
+        mark = node("svg", drawn, width="28", height="14", aria_hidden="true")
+        entries.append(node("li", mark, words, **of))
     return node("ul", *entries, class_="legend")

@@ -131,13 +131,10 @@ def _markers(own: ConfigurationResult) -> list[dict[str, Any]]:
         if own.role != "simulation" and point.seen.any():
             # What was not measured of a point does not count in its distance.
             measured = np.where(point.seen, point.measured, simulated)
-        row = {"name": escaped(point.name), "measured": _place(measured)}
-        rows.append({**row, "simulated": _place(simulated)})
+        places = {"measured": measured, "simulated": simulated}.items()
+        known = {key: _mm(x) if np.isfinite(x).all() else None for key, x in places}
+        rows.append({"name": escaped(point.name), **known})
     return rows
-
-
-def _place(x: Float[HostArray, "3"]) -> list[float] | None:
-    return np.round(1e3 * x, 4).tolist() if np.isfinite(x).all() else None
 
 
 def _fibres(
@@ -181,16 +178,10 @@ def _first_view(
     X = model.mesh.points
     most = max(drawn, key=lambda own: own.largest_displacement, default=None)
     u = np.zeros_like(X) if most is None else most.displacement
-    view = choose_view(
-        X, u, np.concatenate([X, *(X + own.displacement for own in drawn)])
-    )
-    more = [p for robot in robots for p in robot["reach"]]
-    return {
-        "right": view.right.tolist(),
-        "up": view.up.tolist(),
-        "towards": view.towards.tolist(),
-        "more": np.round(more, 3).tolist(),
-    }
+    everything = np.concatenate([X, *(X + own.displacement for own in drawn)])
+    view = choose_view(X, u, everything)
+    axes = {k: getattr(view, k).tolist() for k in ("right", "up", "towards")}
+    return {**axes, "more": [place for robot in robots for place in robot["reach"]]}
 
 
 def robot_data(model: Model, own: ConfigurationResult) -> dict[str, Any]:
@@ -207,7 +198,7 @@ def robot_data(model: Model, own: ConfigurationResult) -> dict[str, Any]:
     found |= {k: [] for k in ("cables", "wallNames", "arrows", "motors", "frames")}
     if own.converged and own.robot is not None:
         picture = robot_picture(model, own.robot)
-        found |= _actuators(picture)
+        _add_actuators(found, picture)
         found["frames"] += _bodies(model, picture)
     if own.converged:
         for frame in sensor_frames(own):
@@ -227,9 +218,8 @@ def robot_data(model: Model, own: ConfigurationResult) -> dict[str, Any]:
     return found
 
 
-def _actuators(picture: RobotPicture) -> dict[str, Any]:
+def _add_actuators(found: dict[str, Any], picture: RobotPicture) -> None:
     geometry = picture.geometry
-    cables, names, arrows, motors, walls = [], [], [], [], [np.zeros((0, 3), int)]
     for a, actuator in enumerate(picture.state.actuators):
         if not is_seen(actuator):
             continue
@@ -238,26 +228,21 @@ def _actuators(picture: RobotPicture) -> dict[str, Any]:
         if len(segments):
             slack = actuator.kind == "cable" and actuator.force == 0.0
             ends = [[_mm(end) for end in segment] for segment in segments]
-            cables.append({"name": name, "slack": slack, "segments": ends})
+            found["cables"].append({"name": name, "slack": slack, "segments": ends})
         faces = geometry.faces[geometry.face_owner == a, :3]
         if len(faces):
-            walls.append(faces)
-            names.append({"name": name, "at": _mm(picture.x[faces].mean(axis=(0, 1)))})
+            found["walls"] = np.concatenate([found["walls"], faces])
+            middle = _mm(picture.x[faces].mean(axis=(0, 1)))
+            found["wallNames"].append({"name": name, "at": middle})
         for k in np.flatnonzero(geometry.point_owner == a)[:1]:
             place, along = _mm(geometry.points[k]), geometry.arrows[k]
             if actuator.kind == "motor":
-                motors.append({"name": name, "at": place, "axis": along.tolist()})
+                motor = {"name": name, "at": place, "axis": along.tolist()}
+                found["motors"].append(motor)
             else:
                 towards = (pushes(actuator) * along).tolist()
-                arrows.append(_arrow("force", name, place, towards))
-    joined = {"cables": cables, "walls": np.concatenate(walls), "wallNames": names}
-    return {**joined, "arrows": arrows, "motors": motors}
-
-
-def _arrow(
-    kind: str, name: str, tip: list[float], towards: list[float]
-) -> dict[str, Any]:
-    return {"kind": kind, "name": name, "tip": tip, "towards": towards}
+                arrow = {"kind": "force", "name": name}
+                found["arrows"].append({**arrow, "tip": place, "towards": towards})
 
 
 def _bodies(model: Model, picture: RobotPicture) -> Iterator[dict[str, Any]]:
@@ -277,9 +262,9 @@ def _loads(
         place, force = load_place(load, mesh, x)
         size = float(np.linalg.norm(force))
         if size > 0.0:
-            name = readable_values([size], "N", digits=3)
-            yield _arrow("load", name, _mm(place), (force / size).tolist())
+            arrow = {"kind": "load", "name": readable_values([size], "N", digits=3)}
+            yield {**arrow, "tip": _mm(place), "towards": (force / size).tolist()}
 
 
 def _mm(x: Float[HostArray, "3"]) -> list[float]:
-    return np.round(1e3 * x, 3).tolist()
+    return np.round(1e3 * x, 4).tolist()

@@ -20,6 +20,9 @@ from softcal_jax.export import (
 )
 from softcal_jax.mesh import Tessellation, TetMesh, boundary_tets, tessellate
 
+TetValues = Mapping[str, Float[HostArray, " n_tets"]]
+"""Values of fields in each tet, or their standard errors, by the name of the field."""
+
 _SHARP = np.cos(np.radians(30.0))
 """Cosine of the angle between two triangles above which their edge is not sharp."""
 
@@ -90,15 +93,12 @@ def _edges(
     return sides[first[~within]], sharp[~within]
 
 
-Place = Literal["point", "face", "marker"]
-"""What has a value: points of the surface, its faces, or the markers alone."""
-
 _AS_THEY_ARE = ("rad", "m")
 """Units whose standard errors are no share of a value, as in an `ErrorBudget`."""
 
 
 class Field(NamedTuple):
-    """A field, in the unit in which it is shown.
+    """A field, in the unit in which it is shown, of points, faces or the markers alone.
 
     Values are those in each configuration, nan where there is none, or None without an
     equilibrium; there is a single entry for a field that is the same in all.
@@ -106,7 +106,7 @@ class Field(NamedTuple):
 
     label: str
     unit: str
-    place: Place
+    place: Literal["point", "face", "marker"]
     values: tuple[Float[HostArray, " n"] | None, ...]
     note: str = ""
 
@@ -116,14 +116,9 @@ class Field(NamedTuple):
 _STATE = {"largest principal stretch": "", "von Mises stress": "Pa"}
 """Fields of the state of a body, with their units."""
 
-StateFields = Mapping[str, Float[HostArray, " n_tets"]]
 
-
-def state_fields(model: Model, own: ConfigurationResult) -> StateFields:
-    """Compute how far the tets are stretched, and their stress.
-
-    There are none without an equilibrium.
-    """
+def state_fields(model: Model, own: ConfigurationResult) -> TetValues:
+    """Compute stretch and stress of the tets; nothing without an equilibrium."""
     if not own.converged:
         return {}
     states = tet_states(model, jnp.asarray(own.displacement))
@@ -134,37 +129,27 @@ def state_fields(model: Model, own: ConfigurationResult) -> StateFields:
 def view_fields(
     model: Model,
     shown: Sequence[ConfigurationResult],
-    states: Sequence[StateFields],
+    states: Sequence[TetValues],
     surface: Surface,
-    errors: Mapping[str, Float[HostArray, " n_tets"]] | None,
+    errors: TetValues | None,
 ) -> list[Field]:
     """Collect the fields: of the state of the body, of its law, and at markers.
 
     Fields of the law are those that were calibrated, which have standard errors, or
     that vary over the body; where all faces belong to rigid bodies nothing has a value.
     """
-    moved = [_displacement(own, surface) for own in shown]
+    size = lambda u: 1e3 * np.linalg.norm(surface.cut.interpolate(u), axis=1)
+    moved = [size(own.displacement) if own.converged else None for own in shown]
     fields = [Field("displacement [mm]", "mm", "point", tuple(moved))]
     fields += _law_fields(model, surface, errors)
     for name, unit in _STATE.items():
         values = [own[name][surface.tets] if own else None for own in states]
         fields.append(_of_faces(name, unit, values, surface))
-    distances = [_distances(own) for own in shown]
-    if any(d is not None and np.isfinite(d).any() for d in distances):
-        label = "distance at markers [mm]"
-        note = "Discs at the measured markers; between them nothing is known."
-        fields.append(Field(label, "mm", "marker", tuple(distances), note))
-    return [own for own in fields if any(map(_has_values, own.values))]
-
-
-def _has_values(values: Float[HostArray, " n"] | None) -> bool:
-    return values is not None and bool(np.isfinite(values).any())
-
-
-def _displacement(own: ConfigurationResult, surface: Surface):
-    if not own.converged:
-        return None
-    return 1e3 * np.linalg.norm(surface.cut.interpolate(own.displacement), axis=1)
+    label = "distance at markers [mm]"
+    note = "Discs at the measured markers; between them nothing is known."
+    fields.append(Field(label, "mm", "marker", tuple(map(_distances, shown)), note))
+    has_values = lambda v: v is not None and np.isfinite(v).any()
+    return [own for own in fields if any(map(has_values, own.values))]
 
 
 def _distances(own: ConfigurationResult):
@@ -178,7 +163,7 @@ def _distances(own: ConfigurationResult):
 def _law_fields(
     model: Model,
     surface: Surface,
-    errors: Mapping[str, Float[HostArray, " n_tets"]] | None,
+    errors: TetValues | None,
 ) -> list[Field]:
     units, found = field_units(model), tet_fields(model, errors or {})
     fields = []
@@ -191,12 +176,11 @@ def _law_fields(
         unit = units[name]
         fields.append(_of_faces(name, unit, [values[surface.tets]], surface))
         if error is not None:
-            title, what, own = f"standard error of {name}", "%", 100.0 * error
-            if unit in _AS_THEY_ARE:
-                what, own = unit, error
-            else:
-                own = own / np.where(values == 0.0, np.nan, np.abs(values))
-            fields.append(_of_faces(title, what, [own[surface.tets]], surface))
+            if unit not in _AS_THEY_ARE:
+                size = np.where(values == 0.0, np.nan, np.abs(values))
+                unit, error = "%", 100.0 * error / size
+            title = f"standard error of {name}"
+            fields.append(_of_faces(title, unit, [error[surface.tets]], surface))
     return fields
 
 

@@ -6,7 +6,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-from softcal_jax._typing import Float, HostArray
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.calibration import (
     CalibrationResult,
@@ -42,6 +41,7 @@ from softcal_jax.report._pages import (
     simulation_page,
 )
 from softcal_jax.report._view import PageView, body_view
+from softcal_jax.report._view_fields import TetValues
 
 COLLECTION = "configurations.pvd"
 """All configurations at once, for ParaView."""
@@ -73,13 +73,11 @@ def write_results(
 
     The folder holds `report.html`, a page for people that needs no other file;
     `result.json` (see `result_dict`; its `files` lists the others), `markers.csv` and,
-    for each configuration, a .vtu for ParaView and a .png; `configurations.pvd` opens
-    all .vtu at once. For a robot with other effectors, rigid bodies or actuators there
-    are `effectors.csv` and `robot.csv`, too; of a recording of markers over time a
-    picture that ends with `_recording.png`. With `pictures="svg"` all pictures end in
-    .svg; with None there are none, and the page has no view of the robot. A calibration
-    that did not converge is written too, marked as such. A configuration without an
-    equilibrium has neither .vtu nor .png.
+    for each configuration with an equilibrium, a .vtu for ParaView and a picture;
+    `configurations.pvd` opens all .vtu at once. For a robot with other effectors, rigid
+    bodies or actuators there are `effectors.csv` and `robot.csv`, too; of a recording
+    of markers over time a picture that ends with `_recording.png`. A calibration that
+    did not converge is written too, marked as such.
 
     Args:
         result: The calibration.
@@ -89,7 +87,8 @@ def write_results(
         assessment: Assessment of the calibration, if known already.
         timing_s: Wall time of further parts, added to those of the result [s].
         traces: Recordings of markers by configuration, as in a `Project`.
-        pictures: Format of the pictures, "png" or "svg"; None writes none.
+        pictures: Format of all pictures; with None there are none, and the page has no
+            view of the robot.
         told: Called with how many pictures are drawn, of how many.
 
     Returns:
@@ -100,8 +99,9 @@ def write_results(
             results folder.
     """
     found = assessment or assess(result)
-    more: dict[str, Any] = {"assessment": found, "timing_s": timing_s}
-    data = result_dict(result, name=name, directory=directory, **more)
+    data = result_dict(
+        result, name=name, directory=directory, assessment=found, timing_s=timing_s
+    )
     page = partial(calibration_page, result, found)
     drawn = {"traces": traces or {}, "suffix": pictures, "told": told}
     return _write(result, data, directory, "result.json", page, force=force, **drawn)
@@ -132,8 +132,9 @@ def write_simulation(
     data = simulation_dict(result, name=name, timing_s=timing_s, **more)
     page = partial(simulation_page, result)
     drawn = {"traces": traces or {}, "suffix": pictures, "told": told}
-    index = "simulation.json"
-    return _write(result, data, directory, index, page, force=force, **drawn)
+    return _write(
+        result, data, directory, "simulation.json", page, force=force, **drawn
+    )
 
 
 def write_identifiability(
@@ -179,9 +180,8 @@ def write_comparison(
     more: dict[str, Any] = {"made": made, "directory": directory}
     data = comparison_dict(comparison, name=name, timing_s=timing_s, **more)
     page = partial(comparison_page, comparison)
-    return _write_words(
-        data, "comparison", str(comparison), page, directory, force=force
-    )
+    text = str(comparison)
+    return _write_words(data, "comparison", text, page, directory, force=force)
 
 
 def _write_words(
@@ -204,16 +204,13 @@ def _write_words(
 
 Result = CalibrationResult | SimulationResult
 
-Page = Callable[[Mapping[str, Any], Path, PageView | None], str]
-"""Writes a page of the content of the index, the pictures in a folder and a view."""
-
 
 def _write(
     result: Result,
     data: dict[str, Any],
     directory: str | Path,
     index: str,
-    page: Page,
+    page: Callable[[Mapping[str, Any], Path, PageView | None], str],
     *,
     force: bool,
     traces: Mapping[str, Traces],
@@ -264,7 +261,7 @@ def _write(
     return Path(directory)
 
 
-def _field_errors(result: Result) -> Mapping[str, Float[HostArray, " n_tets"]] | None:
+def _field_errors(result: Result) -> TetValues | None:
     """Compute the standard errors of what was calibrated; None for a simulation."""
     if not isinstance(result, CalibrationResult):
         return None

@@ -49,7 +49,7 @@ TARGET = {
 
 
 class AnisotropicBeam(Module):
-    """A calibration problem of Sec. V before measuring.
+    """A calibration problem of Sec. V, to be measured by `synthetic_measurements`.
 
     Attributes:
         model: The beam.
@@ -99,9 +99,6 @@ def anisotropic_beam(
         tensor_steps: Whether steps of {E_t, E_l, theta} are taken as tensors (`axes` of
             `ParameterSpace`); needs the director and the log scale.
         ordered: Whether E_l <= E_t is a constraint of the QP.
-
-    Returns:
-        The problem, to be measured by `synthetic_measurements`.
 
     Raises:
         ValueError: If a pose or the number of effectors is unknown.

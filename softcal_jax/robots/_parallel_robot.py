@@ -1,7 +1,6 @@
 """The parallel robot of Sec. VI of the paper, as a calibration problem."""
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
 
 import numpy as np
 
@@ -87,8 +86,6 @@ def parallel_robot(
     geometry: ParallelRobotGeometry | None = None,
     *,
     size: float = 0.005,
-    layers: int = 1,
-    order: Literal[1, 2] = 2,
     prior: Mapping[str, float] | None = PRIOR,
     setup: Mapping[str, float] | None = SETUP,
     std: float = 0.76e-3,
@@ -101,21 +98,16 @@ def parallel_robot(
 
     Args:
         geometry: Dimensions; the published ones by default.
-        size: Edge length of the tets in the plane of a sheet [m].
-        layers: Layers of tets through the thickness.
-        order: 2 for quadratic tets; linear ones are wrong by a factor 1.7 in twist.
+        size: Edge length of the (quadratic) tets in the plane of a sheet [m].
         prior: Prior standard deviations of E_t and E_l (relative) and theta [rad], or
             None. Without them, directions that the data do not see drift.
         setup: Standard deviations of "motor_zero" [rad] and "mounting" [m] if they are
             calibrated together with the material, or None.
         std: Standard deviation of the sensor's position [m].
         std_angle: Standard deviation of its orientation [rad].
-
-    Returns:
-        The robot, to be measured by `synthetic_measurements` or a tracker.
     """
     geometry = geometry or ParallelRobotGeometry()
-    mesh = geometry.mesh(size=size, layers=layers, order=order)
+    mesh = geometry.mesh(size=size)
     law = Corotational(
         ReducedTransverseIsotropic(
             geometry.E_t, geometry.E_l, geometry.nu, Fibre(0.0, plane="xz")
@@ -171,25 +163,25 @@ def _space(
     setup: Mapping[str, float],
 ) -> ParameterSpace:
     """Build {E_t, E_l, theta} as tensors with prior, then the errors of the setup."""
-    points, start = geometry.control_points(), geometry.start_field()
+    points = geometry.control_points()
     moduli = [
         ControlPointParameters(
             field,
             points,
-            start=start[field],
+            start=start,
             lower=BOUNDS[field][0],
             upper=BOUNDS[field][1],
             unit="Pa",
             interpolation="log",
             prior_std=prior.get(field),
         )
-        for field in ("E_t", "E_l")
+        for field, start in (("E_t", geometry.E_t), ("E_l", geometry.E_l))
     ]
     half = np.pi / 2
     theta = ControlPointParameters(
         "theta",
         points,
-        start=np.mod(start["theta"] + half, np.pi) - half,
+        start=np.mod(geometry.start_angles() + half, np.pi) - half,
         lower=-half,
         upper=half,
         unit="rad",

@@ -128,24 +128,22 @@ class ParallelRobotGeometry(Module):
         """How far the rod pulls each sheet towards the middle [m]."""
         return self.sheet_height - self.rod_half_length
 
-    def mesh(self, *, size: float = 0.005, layers: int = 1, order: int = 2) -> TetMesh:
+    def mesh(self, *, size: float = 0.005, order: int = 2) -> TetMesh:
         """Mesh the two flat sheets, with groups like "lower/end 1" and "upper/centre".
 
         Args:
             size: Edge length in the plane of a sheet [m].
-            layers: Number of layers of tets through the thickness.
             order: 2 for quadratic tets; linear ones are wrong by a factor 1.7 in twist.
 
         Raises:
             ValueError: If `tripod` refuses the dimensions.
         """
-        sheet = partial(self.sheet, size=size, layers=layers, order=order)
-        return merge(
-            {name: sheet(side * self.sheet_height) for name, side in SHEETS.items()}
-        )
+        heights = {name: side * self.sheet_height for name, side in SHEETS.items()}
+        sheet = partial(self.sheet, size=size, order=order)
+        return merge({name: sheet(y) for name, y in heights.items()})
 
-    def sheet(self, y: float = 0.0, **options) -> TetMesh:
-        """Mesh one flat sheet at a height y [m]; the options are those of `mesh`."""
+    def sheet(self, y: float = 0.0, *, size: float, order: int = 2) -> TetMesh:
+        """Mesh one flat sheet at a height y [m], see `mesh`."""
         return tripod(
             self.branch_length,
             self.branch_width,
@@ -155,7 +153,8 @@ class ParallelRobotGeometry(Module):
             end_length=self.end_length,
             branches=N_BRANCHES,
             y=y,
-            **options,
+            size=size,
+            order=order,
         )
 
     def control_points(self) -> ControlPoints:
@@ -170,18 +169,14 @@ class ParallelRobotGeometry(Module):
         }
         return ControlPoints(places, axes="xz")
 
-    def start_field(self) -> dict[str, Float[HostArray, " n_cp"]]:
-        """Compute E_t, E_l [Pa] and theta [rad] at the control points at the start.
+    def start_angles(self) -> Float[HostArray, " n_cp"]:
+        """Compute theta at the control points before calibration [rad].
 
         The fibre is a spiral: theta is the azimuth plus `spiral_angle`, and may exceed
         half a turn, its period.
         """
-        azimuth = np.array([a for _, a in self._control_point_places().values()])
-        return {
-            "E_t": np.full(azimuth.shape, self.E_t),
-            "E_l": np.full(azimuth.shape, self.E_l),
-            "theta": azimuth + self.spiral_angle,
-        }
+        azimuths = [azimuth for _, azimuth in self._control_point_places().values()]
+        return np.array(azimuths) + self.spiral_angle
 
     def _control_point_places(self) -> dict[str, tuple[float, float]]:
         """Radius [m] and azimuth [rad] of each control point."""

@@ -71,7 +71,6 @@ def printed_robot(
     seed: int,
     errors: PrintingErrors | None = None,
     size: float = 0.005,
-    layers: int = 1,
 ) -> PrintedRobot:
     """Build a robot with another law, and fields that vary about the ordered ones.
 
@@ -82,14 +81,10 @@ def printed_robot(
         seed: Seed of all its errors.
         errors: The size of its errors.
         size: Edge length of its (quadratic) tets [m].
-        layers: Layers of tets through the thickness.
-
-    Returns:
-        The robot.
     """
     geometry, errors = geometry or ParallelRobotGeometry(), errors or PrintingErrors()
     random = np.random.default_rng(seed)
-    mesh = geometry.mesh(size=size, layers=layers)
+    mesh = geometry.mesh(size=size)
     vary = [_smooth(random, errors.correlation_length) for _ in range(3)]
 
     def fields(places):
@@ -153,9 +148,6 @@ def read_poses_of(
             deviations, which are those assumed in the calibration.
         seed: Seed of the readings.
         readings: How many readings of each pose are averaged.
-
-    Returns:
-        The configurations, measured.
 
     Raises:
         ValueError: If there is no reading.

@@ -16,13 +16,10 @@ READY_MADE = {
 
 
 def ready_made_path(name: str) -> Path:
-    """Return the project file of a ready-made robot.
+    """Return the project file of a ready-made robot, by its name in `READY_MADE`.
 
     The readings of "beam" and "pneumatic-arm" were measured, those of "cable-beam",
     "pneumatic-finger" and "parallel-robot" computed; README.md beside each says how.
-
-    Args:
-        name: A key of `READY_MADE`.
 
     Raises:
         ValueError: If there is no such robot; the text suggests the closest name.
@@ -33,14 +30,7 @@ def ready_made_path(name: str) -> Path:
 
 
 def silicone_beam_path() -> Path:
-    """Return the project file of the clamped silicone beam of `softcal demo`.
-
-    Example:
-        Calibrate it::
-
-            project = load_project(silicone_beam_path())
-            result = project.calibrate()
-    """
+    """Return the project file of the clamped silicone beam of `softcal demo`."""
     return ready_made_path("beam")
 
 

@@ -33,7 +33,6 @@ from softcal_jax.equilibrium import (
     solved_forces,
 )
 from softcal_jax.fields import ParameterSpace, find_field
-from softcal_jax.materials import is_point_values
 
 
 def parameter_forces(
@@ -146,7 +145,7 @@ def _field_rows(
     wheres = {name: find_field(model, name) for name in space.field_names}
     in_law = {name: _InLaw(at) for name, at in wheres.items() if name != "density"}
     fields = lambda z: {
-        name: _one_per_tet(model, where(space.model_at(model, z)))
+        name: jnp.broadcast_to(where(space.model_at(model, z)), (model.n_tets,))
         for name, where in wheres.items()
     }
     directions = jnp.eye(z.shape[0])
@@ -157,7 +156,7 @@ def _field_rows(
         bare = eqx.tree_at(
             lambda m: m.mechanism.bodies.mass, model, replace_fn=jnp.zeros_like
         )
-        of_slope = lambda slope: eqx.tree_at(wheres["density"], bare, slope[:, 0])
+        of_slope = lambda slope: eqx.tree_at(wheres["density"], bare, slope)
         weight = lambda slope: gravity_load(of_slope(slope), configuration.acceleration)
         total = total + jax.vmap(weight)(slopes["density"])
     if in_law:
@@ -182,7 +181,7 @@ def adjoint_of_tets(
 
     def of_law(field: str, row: Float[Array, "n_points 3"]) -> Float[Array, " n_tets"]:
         at = jnp.moveaxis(row[model.nodes], -1, 2)
-        work = jnp.sum(forces[field] * at[:, None], axis=(1, 2, 3))
+        work = jnp.sum(forces[field] * at, axis=(1, 2))
         return -work.ravel()[: model.n_tets]
 
     def of_density(row: Float[Array, "n_points 3"]) -> Float[Array, " n_tets"]:
@@ -203,13 +202,6 @@ class _InLaw:
 
     def __call__(self, law: Any) -> Any:
         return self.where(SimpleNamespace(law=law))
-
-
-def _one_per_tet(model: Model, value: Any) -> Float[Array, "n_tets m"]:
-    """Expand a field to tets and quadrature points; m is 1 for one value per tet."""
-    if is_point_values(value):
-        return value.values
-    return jnp.broadcast_to(value, (model.n_tets,))[:, None]
 
 
 class DerivativeCheck(Module):

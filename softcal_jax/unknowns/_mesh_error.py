@@ -30,7 +30,6 @@ from softcal_jax.configurations import (
     ConfigurationArrays,
     EdgeForce,
     NodalForces,
-    SharedNames,
     SupportReaction,
     configuration_lanes,
 )
@@ -128,9 +127,8 @@ def mesh_errors(
 def _refined(setting: Setting, fine: Model, r: Refinement) -> ConfigurationArrays:
     """Pose the finer mesh like the coarse one, with the same supports and loads."""
     batch = setting.arrays
-    shared = SharedNames(batch.springs.names, batch.loads.names)
     alike = [_as_found(c, r) for c in setting.configurations]
-    posed, _ = configuration_lanes(fine.mesh, alike, fine.mechanism, shared=shared)
+    posed, _ = configuration_lanes(fine.mesh, alike, fine.mechanism, like=batch)
     held = [r.with_new(fixed, r.among(fixed)) for fixed in np.asarray(batch.fixed)]
     moved = [r.with_new(u, r.carried(u)) for u in np.asarray(batch.imposed)]
     where = lambda c: (c.fixed, c.imposed)

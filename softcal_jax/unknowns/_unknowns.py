@@ -33,7 +33,6 @@ from softcal_jax.fields import (
     Uncertain,
     grounded_bodies,
 )
-from softcal_jax.materials import is_point_values
 from softcal_jax.mesh import TetMesh, boundary_faces
 
 INCOMPRESSIBLE = 0.5
@@ -184,11 +183,11 @@ def _of_fields(setting: Setting) -> Iterator[Unknown]:
 
 def _ratios(model: Model) -> Iterator[tuple[str, HostArray]]:
     """List the Poisson's ratios of the law: path and values."""
-    leaves = jax.tree_util.tree_leaves_with_path(model.law, is_leaf=is_point_values)
+    leaves = jax.tree_util.tree_leaves_with_path(model.law)
     for path, leaf in leaves:
         field = "law" + jax.tree_util.keystr(path)
         if (field.rpartition(".")[2] + "_").startswith("nu_"):
-            yield field, np.asarray(leaf.values if is_point_values(leaf) else leaf)
+            yield field, np.asarray(leaf)
 
 
 def _share_not_fitted(setting: Setting, field: str) -> HostArray:

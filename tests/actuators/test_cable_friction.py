@@ -237,7 +237,7 @@ def test_picture_shows_every_segment():
         ({"friction": -0.1}, r"cable 'c' has the coefficient of friction -0.1, expec"),
         ({"friction": np.inf}, "coefficient of friction inf, expected a finite number"),
         ({"friction": np.nan}, "coefficient of friction nan, expected a finite number"),
-        ({"pulled_from": None}, "give pulled_from='first' or 'last'"),
+        ({"pulled_from": None}, "pulled_from=None, expected 'first' or 'last'"),
         ({"pulled_from": "left"}, "pulled_from='left', expected 'first' or 'last'"),
         ({"guides": PATH[:2]}, "friction but no guide between its ends"),
     ],
@@ -250,5 +250,5 @@ def test_bad_friction(changes, message, unchecked):
 
 def test_a_cable_without_friction_has_no_coefficient_to_change():
     arrays = arrays_of(MESH, Cable("c", PATH))
-    with pytest.raises(ValueError, match="cable 'c' has no friction whose coefficient"):
+    with pytest.raises(ValueError, match="cable 'c' has no friction"):
         arrays.with_friction(0, 0.1)

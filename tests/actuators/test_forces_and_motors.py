@@ -92,7 +92,7 @@ def test_motor_torque():
 def test_unknown_body_is_suggested():
     mesh = body()
     points = with_frames(mesh, (ORIGIN, TURN))
-    with pytest.raises(ValueError, match=r"'m': unknown rigid body 'hup'.* 'hub'\?"):
+    with pytest.raises(ValueError, match=r"body of motor 'm' 'hup'.* 'hub'\?"):
         actuator_arrays(mesh, points, (Motor("m", "hup"),), {"hub": 0})
 
 
@@ -104,7 +104,7 @@ def test_unknown_body_is_suggested():
     ],
 )
 def test_bad_direction(make, unchecked):
-    with pytest.raises(ValueError, match="'f': direction is zero: give the direction"):
+    with pytest.raises(ValueError, match=r"'f': direction .* not all zero"):
         make((0.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="direction must be three finite numbers"):
         make((0.0, np.inf, 0.0))
@@ -113,5 +113,5 @@ def test_bad_direction(make, unchecked):
 def test_bad_point(unchecked):
     with pytest.raises(ValueError, match="point must be three finite numbers"):
         ForceActuator("f", (0.0, 1.0), DIRECTION)
-    with pytest.raises(ValueError, match=r"'f': the point .* outside the mesh"):
+    with pytest.raises(ValueError, match=r"'f' at .* from the mesh"):
         arrays_of(body(), ForceActuator("f", (1.0, 0.1, 0.1), DIRECTION))

@@ -66,14 +66,6 @@ def test_bad_actuation(actuation, message):
         ({"tipp": "held"}, "rigid body of configuration 'one'.*'tipp'"),
         ({"flap": "held"}, "'flap' is tied to 'tip'"),
         ({"root": Pose()}, "'root' is turned by motor 'motor'"),
-        (
-            {"tip": BodyState("free", Pose((0.0, 0.1, 0.0)))},
-            r"'tip' is free, .*\[0.0, 0.1, 0.0\] m.* To hold",
-        ),
-        (
-            {"tip": BodyState("hinged", Pose(rotation_vector=(0.5, 0.0, 0.0)))},
-            r"'tip' is hinged, .*\[0.5, 0.0, 0.0\] rad.* To hold",
-        ),
     ],
 )
 def test_bad_states_of_bodies(bodies, message):
@@ -109,6 +101,10 @@ def test_bad_poses():
         Pose.from_matrix(2.0 * np.eye(3), np.zeros(3))
     with pytest.raises(ValueError, match=r"'fixed'.*'free', 'held', 'hinged'"):
         BodyState("fixed")
+    with pytest.raises(ValueError, match=r"free body .*\[0.0, 0.1, 0.0\] m.* Hold"):
+        BodyState("free", Pose((0.0, 0.1, 0.0)))
+    with pytest.raises(ValueError, match=r"hinged .*\[0.5, 0.0, 0.0\] rad.* Hold"):
+        BodyState("hinged", Pose(rotation_vector=(0.5, 0.0, 0.0)))
 
 
 def test_bad_bodies(unchecked):
@@ -139,7 +135,7 @@ def test_axes_of_a_hinge():
         ((ROOT, RigidBody("b", "y_min")), "'root' and 'b' share 2 nodes"),
         ((RigidBody("b", "nowhere"),), "rigid body 'b': unknown group 'nowhere'"),
         ((RigidBody("b", np.array([0, 1])),), "'b' holds 2 nodes on a line"),
-        ((RigidBody("b", "x_min", tied_to="tip"),), r"an unknown body 'tip'.*'b'"),
+        ((RigidBody("b", "x_min", tied_to="tip"),), "tied_to of body 'b' 'tip'"),
         (
             (
                 ROOT,
@@ -158,9 +154,9 @@ def test_bodies_that_do_not_fit(bodies, message):
 @pytest.mark.parametrize(
     ("motors", "message"),
     [
-        (("root", "root"), "motors 'm0' and 'm1' both turn 'root'"),
+        (("root", "root"), "'m1' turns 'root'.* motor 'm0'"),
         (("flap",), "'flap', .*let it turn 'tip'"),
-        (("hip",), "rigid body 'hip'.* mean 'tip'"),
+        (("hip",), "'hip'.* mean 'tip'"),
     ],
 )
 def test_bad_motors(motors, message):

@@ -8,7 +8,8 @@ import pytest
 from problems import central_difference
 from scipy.spatial.transform import Rotation
 
-from softcal_jax.bodies import cross_matrix, rotation_matrix, rotation_vector
+from softcal_jax.bodies import rotation_matrix, rotation_vector
+from softcal_jax.bodies._kinematics import cross_matrix
 
 AXIS = np.array([0.36, -0.48, 0.8])
 # Both sides of the angle where a series takes over (0.01 in the matrix, 0.02 in the

@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from softcal_jax.bodies import cross_matrix, winding
+from softcal_jax.bodies._kinematics import cross_matrix, winding
 
 LENGTH = 0.1
 ARM = jnp.array([LENGTH, 0.0, 0.0])

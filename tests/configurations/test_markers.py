@@ -115,7 +115,7 @@ def test_bad_measurements(measured, message):
 
 
 def test_measured_without_markers():
-    with pytest.raises(ValueError, match="'one' has measured positions but no markers"):
+    with pytest.raises(ValueError, match="'one' has measured positions, no markers"):
         Configuration("one", CLAMP, measured=np.array([INSIDE]))
 
 

@@ -112,7 +112,7 @@ def test_no_rows(table, text):
         ("marker x_mm y_mm z_mm", ["separated by commas, semicolons"]),
         ("marker,x_mm,x_cm,z_mm", ["cm, mm; keep one"]),
         ("marker,x,y,z", ["no unit ... x_mm ... length_unit"]),
-        ("marker,x_mm,x_mm,z_mm", ["'x_mm' twice"]),
+        ("marker,x_mm,x_mm,z_mm", ["'x_mm' ... more than once"]),
     ],
 )
 def test_bad_header(table, header, texts):
@@ -132,12 +132,12 @@ def test_unknown_unit(table):
 
 
 def test_selection_that_matches_nothing(table):
-    with refused("phase = 'puled' ... mean 'pulled'", "there: rest, pulled."):
+    with refused("phase = puled ... there: rest, pulled."):
         read_markers(table(TABLE), select={"phase": "puled"})
     with refused("'phas' is missing ... mean 'phase'"):
         read_markers(table(TABLE), select={"phas": "rest"})
     path = table("run,marker,x,y,z\n1,a,0,0,0\n2,b,0,0,0\n")
-    with refused("run = '1', marker = 'b'"):
+    with refused("run = 1, marker = b"):
         read_markers(path, length_unit="m", select={"run": "1", "marker": "b"})
 
 

@@ -77,8 +77,8 @@ def scattered():
 
 def test_mean_of_known_deviations():
     mean = average_poses(scattered())["s"]
-    np.testing.assert_allclose(mean.position, [1.0, 2.0, 3.0], rtol=1e-14)
-    np.testing.assert_allclose(mean.rotation, MEAN.as_matrix(), atol=1e-14)
+    np.testing.assert_allclose(mean.translation, [1.0, 2.0, 3.0], rtol=1e-14)
+    np.testing.assert_allclose(mean.matrix, MEAN.as_matrix(), atol=1e-14)
 
 
 def test_each_sensor_for_itself():
@@ -93,13 +93,13 @@ def test_each_sensor_for_itself():
     means = average_poses(both)
     assert list(means) == ["a", "b"]
     np.testing.assert_allclose(
-        means["b"].position, table.positions[[1, 4]].mean(axis=0)
+        means["b"].translation, table.positions[[1, 4]].mean(axis=0)
     )
 
 
 def test_one_reading_is_its_mean():
     mean = average_poses(rows([[1.0, 2.0, 3.0]], [MEAN.as_matrix()]))["s"]
-    np.testing.assert_allclose(mean.rotation, MEAN.as_matrix(), atol=1e-15)
+    np.testing.assert_allclose(mean.matrix, MEAN.as_matrix(), atol=1e-15)
 
 
 def test_readings_of_two_poses_are_refused():

@@ -108,7 +108,7 @@ def test_the_dialect_of_a_file_can_be_stated(tmp_path):
 
 REFUSED = {
     "unknown": (write_vicon, "Trajectories", "Model Outputs", "is no table of motion"),
-    "twice": (write_vicon, "arm:tip", "arm:base", "has the label 'arm:base' twice"),
+    "twice": (write_vicon, "arm:tip", "arm:base", "label 'arm:base' is named more"),
     "no unit": (write_vicon, "mm,mm,mm,", "mm,,mm,", "unit of length ', mm'; expected"),
     "unknown unit": (write_vicon, ",mm", ",deg", "unit of length 'deg'; expected one"),
     "no rate": (write_vicon, "\n100\n,", "\nfast\n,", "not as Nexus writes.*'fast'"),

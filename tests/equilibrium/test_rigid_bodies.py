@@ -332,12 +332,12 @@ forward_and_reverse = both_ways(frames)
 
 @pytest.fixture(scope="module", params=["free", "hinged", "held"])
 def start(request):
-    state = BodyState(request.param, Pose((1e-3, 0.0, -2e-3)))
-    if request.param == "held":
-        state = Pose((1e-3, 0.0, -2e-3), (0.1, -0.1, 0.2))
-    if request.param == "free":
-        state = "free"
-    lane = arrays(MODEL, posed(tip=state))
+    states = {
+        "free": "free",
+        "hinged": BodyState("hinged", Pose((1e-3, 0.0, -2e-3))),
+        "held": Pose((1e-3, 0.0, -2e-3), (0.1, -0.1, 0.2)),
+    }
+    lane = arrays(MODEL, posed(tip=states[request.param]))
     return (MODEL, lane), _inputs((MODEL, lane))
 
 

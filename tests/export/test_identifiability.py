@@ -7,7 +7,6 @@ import pytest
 from export.handmade import axis_space, make_ranking, make_result, replaced
 
 from softcal_jax.export import (
-    identifiability_dict,
     outlook_dict,
     result_dict,
 )
@@ -23,7 +22,7 @@ def half_blind():
 
 
 def test_verdict_as_strict_json():
-    data = identifiability_dict(half_blind())
+    data = outlook_dict(half_blind(), None)["identifiability"]
     assert json.loads(json.dumps(data, allow_nan=False)) == data
     assert list(data) == [
         "verdict",
@@ -68,7 +67,7 @@ def test_in_the_result_of_a_calibration(estimated, used):
     )
     found = assess(result).identifiability
     data = result_dict(result)["identifiability"]
-    assert data == identifiability_dict(found)
+    assert data == outlook_dict(found, None)["identifiability"]
     assert [p["name"] for p in data["parameters"]] == ["E", "nu"]
     # Six coordinates of 100 per unit of ln E, at E = 240 kPa.
     assert data["parameters"][0]["data_only"] == pytest.approx(

@@ -12,11 +12,9 @@ from softcal_jax.fields import (
     ControlPoints,
     Parameter,
     ParameterSpace,
-    find_field,
-    set_field,
 )
-from softcal_jax.materials import Corotational, Fibre, PointValues, TransverseIsotropic
-from softcal_jax.mesh import TetMesh, beam
+from softcal_jax.materials import Corotational, Fibre, TransverseIsotropic
+from softcal_jax.mesh import beam
 
 SIZE = (1.0, 0.5, 0.5)
 MESH = beam(*SIZE, (2, 1, 1)).with_tet_group("one", [4])
@@ -197,27 +195,8 @@ def test_density_is_spread_too(model):
     )
 
 
-def quadrature_points(mesh: TetMesh) -> np.ndarray:
-    """The four points of degree 2, typed by hand."""
-    a, b = (5.0 - 5.0**0.5) / 20.0, (5.0 + 3.0 * 5.0**0.5) / 20.0
-    corners = mesh.points[mesh.tets[:, :4]]
-    return np.einsum("qa,eai->eqi", np.full((4, 4), a) + (b - a) * np.eye(4), corners)
-
-
-def test_field_at_the_quadrature_points():
-    """Four in each quadratic tet, one in a linear one: its centroid."""
-    mesh = beam(*SIZE, (2, 1, 1), order=2)
-    entry = modulus(sampling="quadrature")
-    values = values_of(entry, [300.0, 900.0])
-    expected = by_hand(quadrature_points(mesh), [300.0, 900.0])
-    np.testing.assert_allclose(entry.evaluate(mesh, values), expected, rtol=1e-13)
-    linear = entry.evaluate(MESH, values)
-    centre = by_hand(CENTROIDS, [300.0, 900.0])[:, None]
-    np.testing.assert_allclose(linear, centre, rtol=1e-13)
-
-
-def test_both_samplings_converge_to_the_field():
-    """Its integral over the body: second order from centroids, higher from points."""
+def test_the_mean_of_a_field_converges_at_second_order():
+    """Its integral over the body, from one value per tet."""
     outside = ControlPoints([(-0.5, 0.2, 0.3), (1.4, 0.6, -0.2)])
     nodes, gauss = np.polynomial.legendre.leggauss(20)
     axes = [0.5 * size * (nodes + 1.0) for size in SIZE]
@@ -225,49 +204,15 @@ def test_both_samplings_converge_to_the_field():
     squares = [np.sum((X - np.asarray(x)) ** 2, axis=-1) for x in outside.positions]
     field = 300.0 + 600.0 * squares[0] / (squares[0] + squares[1])
     exact = np.einsum("i,j,k,ijk", gauss, gauss, gauss, field) / 8.0
-    error = {}
-    for sampling in ("centroids", "quadrature"):
-        entry = modulus(outside, sampling=sampling)
-        values = values_of(entry, [300.0, 900.0])
-        # All tets of these meshes have the same volume.
-        error[sampling] = [
-            float(jnp.mean(entry.evaluate(beam(*SIZE, (2 * n, n, n), order=2), values)))
-            - exact
-            for n in (2, 4)
-        ]
-    coarse, fine = error["centroids"]
-    np.testing.assert_allclose(coarse / fine, 4.0, rtol=0.05)
-    assert abs(error["quadrature"][0]) < 0.02 * abs(coarse)
-    assert abs(error["quadrature"][1]) < abs(error["quadrature"][0]) / 8.0
-
-
-def test_quadrature_sampling_sets_point_values_in_its_region():
-    mesh = beam(*SIZE, (2, 1, 1), order=2).with_tet_group("one", [4])
-    body = build_model(mesh, law(np.linspace(1000.0, 2100.0, 12)), density=1000.0)
-    entry = modulus(region="one", sampling="quadrature")
-    changed = ParameterSpace((entry,)).model_at(
-        body, jnp.log(jnp.array([300.0, 900.0]))
+    entry = modulus(outside)
+    values = values_of(entry, [300.0, 900.0])
+    # All tets of these meshes have the same volume.
+    coarse, fine = (
+        float(jnp.mean(entry.evaluate(beam(*SIZE, (2 * n, n, n), order=2), values)))
+        - exact
+        for n in (2, 4)
     )
-    E_t = changed.law.elasticity.E_t
-    assert isinstance(E_t, PointValues)
-    expected = np.repeat(np.linspace(1000.0, 2100.0, 12)[:, None], 4, axis=1)
-    expected[4] = by_hand(quadrature_points(mesh)[4], [300.0, 900.0])
-    np.testing.assert_allclose(E_t.values, expected, rtol=1e-13)
-
-
-def test_field_of_point_values_is_changed_by_region_and_as_a_whole():
-    mesh = beam(*SIZE, (2, 1, 1), order=2).with_tet_group("one", [4])
-    points = PointValues(jnp.arange(48.0).reshape(12, 4) + 1.0)
-    body = set_field(build_model(mesh, law(), density=1.0), "E_t", points)
-    value = set_field(body, "E_t", 7.0, "one").law.elasticity.E_t.values
-    expected = np.arange(48.0).reshape(12, 4) + 1.0
-    expected[4] = 7.0
-    np.testing.assert_array_equal(value, expected)
-    again = set_field(body, "E_t", PointValues(-points.values[4:5]), "one")
-    expected[4] = -(np.arange(16.0, 20.0) + 1.0)
-    np.testing.assert_array_equal(again.law.elasticity.E_t.values, expected)
-    np.testing.assert_array_equal(set_field(body, "E_t", 7.0).law.elasticity.E_t, 7.0)
-    assert find_field(body, "E_t")(body) is body.law.elasticity.E_t
+    np.testing.assert_allclose(coarse / fine, 4.0, rtol=0.05)
 
 
 def test_full_turn_of_the_bounds_makes_an_angle_periodic():
@@ -293,7 +238,6 @@ def test_full_turn_of_the_bounds_makes_an_angle_periodic():
             {"interpolation": "cubic"},
             "interpolation 'cubic'.*'director', 'linear', 'log'",
         ),
-        ({"sampling": "nodes"}, "sampling 'nodes'.*'centroids', 'quadrature'"),
         (
             {"interpolation": "director", "lower": 0.0, "upper": 3.5},
             "bounds of E_t span 201 degrees: .* after 180",

@@ -124,17 +124,15 @@ def test_half_way_between_right_angles_it_is_isotropic(model):
 
 
 def test_derivatives_meet_differences_at_second_order(model):
-    """Forward and reverse, of fields that are sampled at the quadrature points."""
-    faded = space(sampling="quadrature")
+    """Forward and reverse."""
+    faded = space()
     z = scaled(faded, [900.0, 700.0, 1200.0], [300.0, 350.0, 200.0], [70, -10, -40])
     z += 1e-2
 
     @jax.jit
     def size(z):
         found = faded.model_at(model, z).law.elasticity
-        return jnp.sum(jnp.sin(found.E_t.values / 300.0)) + jnp.sum(
-            jnp.cos(found.E_l.values / 100.0)
-        )
+        return jnp.sum(jnp.sin(found.E_t / 300.0)) + jnp.sum(jnp.cos(found.E_l / 100.0))
 
     slope = np.asarray(jax.jit(jax.grad(size))(z))
     forward = jax.jit(jax.jacfwd(size))(z)
@@ -169,11 +167,7 @@ def test_plain_steps_and_numbers_keep_the_fields(model):
             {"of_angle": {"interpolation": "linear"}},
             'core of theta .*interpolation="director"',
         ),
-        (
-            {"of_angle": {"sampling": "quadrature"}},
-            "theta has a core.* E_l .*'quadrature'",
-        ),
-        ({"of_angle": {"region": "one"}}, "E_l is not sampled .* region='one'"),
+        ({"of_angle": {"region": "one"}}, "E_l is not set .* region='one'"),
     ],
 )
 def test_bad_core(options, message):

@@ -13,7 +13,7 @@ from softcal_jax.fields import (
     field_standard_errors,
 )
 from softcal_jax.materials import NeoHookean
-from softcal_jax.mesh import beam, to_quadratic
+from softcal_jax.mesh import beam
 
 MESH = beam(0.1, 0.02, 0.02, (4, 1, 1))
 HALF = MESH.with_tet_group("left", np.flatnonzero(MESH.centroids[:, 0] < 0.05))
@@ -54,22 +54,6 @@ def test_two_control_points(scale):
     expected = closed_form(shares(MESH.centroids), in_si)
     assert set(found) == {"E"}
     np.testing.assert_allclose(found["E"], expected, rtol=1e-12)
-
-
-def test_mean_over_quadrature_points():
-    """The error of the mean of a tet, not the mean of the errors."""
-    mesh = to_quadratic(MESH)
-    model = build_model(mesh, NeoHookean(2e5, 0.4), density=1e3)
-    space = spread("linear", sampling="quadrature")
-    model = space.model_at(model, space.start())
-    found = field_standard_errors(model, space, space.start(), COVARIANCE)
-    # Points of the rule of degree 2, on the lines from the centroid to the corners.
-    inner, outer = (5 - np.sqrt(5)) / 20, (5 + 3 * np.sqrt(5)) / 20
-    corners = MESH.points[MESH.tets]
-    at = (outer - inner) * corners + inner * corners.sum(axis=1, keepdims=True)
-    weights = np.mean([shares(at[:, q]) for q in range(4)], axis=0)
-    expected = 9e5 * closed_form(weights, COVARIANCE)
-    np.testing.assert_allclose(found["E"], expected, rtol=1e-10)
 
 
 def test_regions_and_what_is_not_known():

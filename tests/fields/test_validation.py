@@ -97,7 +97,6 @@ def test_fields_with_control_points_are_fine():
     check(model(stiff_tip), spread(), density)
     root = ControlPoints([(0.0, 0.1, 0.1), (0.4, 0.5, 0.5)])
     check(model(), spread(points=root, region="near"), modulus("b", "far"))
-    check(model(), spread(sampling="quadrature"))
 
 
 def test_control_points_and_a_parameter_must_not_set_the_same_tets():
@@ -153,28 +152,18 @@ def test_control_point_that_acts_on_no_tet(options, message):
     check(model(), spread(points=points, fixed={"CP 3": 2e5}))
 
 
-def test_density_has_no_quadrature_points():
-    density = spread("density", sampling="quadrature")
-    with pytest.raises(
-        ValueError, match=r'density is one .* give sampling="centroids"'
-    ):
-        check(model(), density)
-
-
-@pytest.mark.parametrize("sampling", ["centroids", "quadrature"])
 @pytest.mark.parametrize("order", [1, 2])
-def test_bounds_of_a_field_outside_the_range_of_the_material(sampling, order):
+def test_bounds_of_a_field_outside_the_range_of_the_material(order):
     mesh = beam(1.0, 0.5, 0.5, (2, 1, 1), order=order)
     body = build_model(mesh, Corotational(Isotropic(2e5, 0.3)), density=1000.0)
-    options = {"start": 0.3, "lower": 0.1, "scale": "linear", "sampling": sampling}
+    options = {"start": 0.3, "lower": 0.1, "scale": "linear"}
     check(body, spread("nu", upper=0.49, **options))
     with pytest.raises(ValueError, match=r"upper bound: nu must lie in \(-1, 0.5\)"):
         check(body, spread("nu", upper=[0.4, 0.7], **options))
 
 
-@pytest.mark.parametrize("sampling", ["centroids", "quadrature"])
-def test_known_value_outside_the_range_of_the_material(sampling):
-    bad = spread(fixed={"tip": -1e7}, sampling=sampling)
+def test_known_value_outside_the_range_of_the_material():
+    bad = spread(fixed={"tip": -1e7})
     with pytest.raises(ValueError, match="lower bound: E must be positive"):
         check(model(), bad)
 

@@ -1,7 +1,6 @@
 """Sensitivities per tet against differences of whole equilibria."""
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from bars import MID, STD, TIP, bar, pose, stretched
@@ -19,7 +18,6 @@ from softcal_jax.layouts import tet_sensitivities
 from softcal_jax.materials import (
     ClassicalCorotational,
     Fibre,
-    PointValues,
     ReducedTransverseIsotropic,
 )
 from softcal_jax.sensitivity import parameter_compliance
@@ -81,14 +79,6 @@ def test_only_measured_axes_have_rows(sensitivities):
     found = tet_sensitivities(bar((2, 1, 1)), (upright, other), FIELDS, newton=TIGHT)
     rows = [2, 5, *range(6, 12)]
     np.testing.assert_allclose(found["E"], sensitivities["E"][rows], rtol=1e-9)
-
-
-def test_values_per_quadrature_point(sensitivities):
-    """A field given per point rises at all points of a tet."""
-    model = bar((2, 1, 1))
-    per_point = set_field(model, "E", PointValues(jnp.full((12, 1), 1e5)))
-    found = tet_sensitivities(per_point, POSES, "E", newton=TIGHT)["E"]
-    np.testing.assert_allclose(found, sensitivities["E"], rtol=1e-8, atol=1e-12)
 
 
 def test_all_tets_together_without_a_potential():

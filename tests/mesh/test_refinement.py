@@ -107,12 +107,3 @@ def test_what_two_sides_do_not_decide_is_not_held():
     fine = finer(mesh)
     y = fine.mesh.points[mesh.n_nodes :][fine.among(held), 1]
     assert set(y.round(12).tolist()) == {0.0, 0.02}
-
-
-def test_quadrature_points_are_those_of_the_parent():
-    """The corner tets lie about one point each, and all points are in use."""
-    fine = finer(grouped(2))
-    nearest = fine.nearest_point.reshape(-1, 8, 4)
-    np.testing.assert_array_equal(nearest[:, :4], nearest[:1, :4].repeat(36, axis=0))
-    for corner in range(4):
-        assert np.all(nearest[:, corner] == corner)

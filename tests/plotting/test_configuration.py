@@ -12,8 +12,8 @@ from softcal_jax.plotting import (
     rendering_problem,
 )
 from softcal_jax.plotting._colours import BAD, MEASURED
-from softcal_jax.plotting._configuration import _fit_body, motion_words
-from softcal_jax.plotting._view import choose_view
+from softcal_jax.plotting._configuration import motion_words
+from softcal_jax.plotting._view import View, choose_view, fit_body
 
 pytestmark = pytest.mark.skipif(
     rendering_problem() is not None, reason=str(rendering_problem())
@@ -79,7 +79,7 @@ def test_body_and_markers_are_drawn_to_the_same_scale(tmp_path):
     model = small_model()
     u = sag(model.mesh)
     view = choose_view(model.mesh.points, u, np.zeros((0, 3)))
-    scale, height = _fit_body(view.width, view.height, 1410)
+    scale, height = fit_body(view, 1410, 60, 420, 900)
     render_body(model, u, tmp_path / "a.png", title="a")
     image = imread(tmp_path / "a.png")[130:-130, :1390, :3]
     drawn = np.argwhere((image < 0.99).any(axis=2))
@@ -156,7 +156,9 @@ def test_a_marker_that_was_lost_is_left_out(tmp_path):
 @pytest.mark.parametrize("w", [0.01, 0.1, 1.0])
 @pytest.mark.parametrize("h", [0.01, 0.1, 1.0])
 def test_the_body_fits_and_fills_its_part(w, h):
-    scale, height = _fit_body(w, h, 1410)
+    x, y, z = np.eye(3)
+    view = View(right=x, up=y, towards=z, centre=np.zeros(3), width=w, height=h)
+    scale, height = fit_body(view, 1410, 60, 420, 900)
     assert 420 <= height <= 900
     assert max(w * scale / (1410 - 120), h * scale / (height - 120)) == (
         pytest.approx(1.0, abs=0.01)  # whole pixels

@@ -4,10 +4,23 @@ from matplotlib.collections import LineCollection
 from matplotlib.image import imread
 
 from softcal_jax.mesh import beam
-from softcal_jax.plotting import plot_fibres
-from softcal_jax.plotting._fibres import fibre_figure, middle_layer
+from softcal_jax.plotting import _fibres, plot_fibres
+from softcal_jax.plotting._fibres import middle_layer
 
 SIZE = (0.1, 0.02, 0.03)
+
+
+@pytest.fixture
+def figure_of(monkeypatch):
+    """Draw, and return the figure instead of writing it."""
+    figures = []
+    monkeypatch.setattr(_fibres, "save", lambda figure, _: figures.append(figure))
+
+    def draw(mesh, panels, **options):
+        plot_fibres(mesh, panels, "a.png", **options)
+        return figures.pop()
+
+    return draw
 
 
 def fibres(axes):
@@ -16,10 +29,10 @@ def fibres(axes):
     return np.array(collections[-1].get_segments())
 
 
-def test_lines_lie_along_the_fibre_at_centroids():
+def test_lines_lie_along_the_fibre_at_centroids(figure_of):
     mesh = beam(*SIZE, (4, 3, 3))
     theta = np.linspace(-1.0, 1.0, len(mesh.tets))
-    figure = fibre_figure(mesh, {"a": theta}, plane="xz")
+    figure = figure_of(mesh, {"a": theta}, plane="xz")
     lines, layer = fibres(figure.axes[0]), middle_layer(mesh, 1)
     assert len(lines) == len(layer)
     along = lines[:, 1] - lines[:, 0]
@@ -46,11 +59,11 @@ def test_the_layer_lies_in_the_middle():
 @pytest.mark.parametrize(
     ("largest", "limit"), [(35.0, 35.0), (85.0, 90.0)], ids=["small", "half a turn"]
 )
-def test_colours_tell_the_angle(largest, limit):
+def test_colours_tell_the_angle(figure_of, largest, limit):
     """Up to 90 degrees the map is cyclic: +90 and -90 are the same axis."""
     mesh = beam(*SIZE, (4, 3, 3))
     theta = np.deg2rad(np.linspace(-largest, largest, len(mesh.tets)))
-    *_, bar = fibre_figure(mesh, {"a": theta}, plane="xy").axes
+    *_, bar = figure_of(mesh, {"a": theta}, plane="xy").axes
     np.testing.assert_allclose(bar.get_ylim(), (-limit, limit))
     assert bar.get_ylabel() == "fibre angle theta [degrees]"
 
@@ -63,9 +76,14 @@ def test_picture_with_control_points(tmp_path):
     panels = {"a $1$": zero, "b": zero}
     plot_fibres(mesh, panels, path, plane="xy", control_points=points, title="t")
     assert imread(path).shape[1] == 1400
-    first, second, _ = fibre_figure(
-        mesh, panels, plane="xy", control_points=points
-    ).axes
+
+
+def test_control_points_are_marked(figure_of):
+    mesh = beam(*SIZE, (4, 3, 3))
+    zero = np.zeros(len(mesh.tets))
+    points = np.array([[0.0, 0.01, 0.015], [0.1, 0.01, 0.015]])
+    panels = {"a $1$": zero, "b": zero}
+    first, second, _ = figure_of(mesh, panels, plane="xy", control_points=points).axes
     assert (first.get_title(), second.get_title()) == ("a $1$", "b")
     marked = [line for line in first.lines if line.get_marker() == "o"]
     np.testing.assert_allclose(marked[0].get_xydata(), [[0, 10], [100, 10]])

@@ -7,7 +7,14 @@ from matplotlib.image import imread
 from benchmarks._hollow import hollow_cube
 from softcal_jax.mesh import beam
 from softcal_jax.plotting import plot_groups
-from softcal_jax.plotting._groups import _colours, _faces, _frame, _image, _panels
+from softcal_jax.plotting._groups import (
+    _CUT,
+    _colours,
+    _faces,
+    _frame,
+    _image,
+    _panels,
+)
 from softcal_jax.plotting._view import choose_view
 
 
@@ -19,10 +26,10 @@ def test_a_box_shows_three_sides_with_their_colours():
     """Pixels of each side: its area times the cosine of its angle."""
     mesh, size = beam(0.1, 0.04, 0.02, (5, 2, 1)), np.array([0.1, 0.04, 0.02])
     view, names = view_of(mesh), list(mesh.surface_groups)
-    found = _faces(mesh, names, view, np.ones(mesh.n_tets, bool))
-    assert not found.cut.any()
+    faces, group = _faces(mesh, names, view, np.ones(mesh.n_tets, bool))
+    assert np.all(group >= 0)
     frame = _frame(view)
-    image = _image(view, found, frame)
+    image = _image(view, faces, group, frame)
     for k, name in enumerate(names):
         axis, sign = "xyz".index(name[0]), 1.0 if name.endswith("max") else -1.0
         facing = max(sign * view.towards[axis], 0.0)
@@ -37,7 +44,7 @@ def test_walls_of_a_cavity_are_hidden_until_it_is_cut():
     names = list(mesh.surface_groups)
     wall, seen = names.index("cavity"), []
     for view, drawn in _panels(mesh).values():
-        image = _image(view, _faces(mesh, names, view, drawn), _frame(view))
+        image = _image(view, *_faces(mesh, names, view, drawn), _frame(view))
         seen.append(np.sum(image == wall))
     assert seen[:2] == [0, 0]
     assert min(seen[2:]) > 1000
@@ -47,11 +54,10 @@ def test_a_cut_bares_the_wall_of_a_cavity():
     mesh = hollow_cube()
     view, names = view_of(mesh), list(mesh.surface_groups)
     behind = (mesh.centroids @ view.towards) < 0.0
-    found = _faces(mesh, names, view, behind)
-    assert found.cut.any()
-    assert np.all(found.group[found.cut] == -1)
+    faces, group = _faces(mesh, names, view, behind)
+    assert np.any(group == _CUT)
     # What looks towards the viewer of the far half of the wall, and of none else.
-    wall = found.corners[found.group == names.index("cavity")]
+    wall = faces.corners[group == names.index("cavity")]
     assert len(wall) > 2
     assert np.abs(wall).max() == pytest.approx(1 / 6)
 
@@ -60,12 +66,12 @@ def test_the_last_group_of_a_face_colours_it():
     mesh = beam(0.1, 0.04, 0.02, (5, 2, 1))
     mesh = mesh.with_tet_group("left", np.flatnonzero(mesh.centroids[:, 0] < 0.04))
     names = ["left", *mesh.surface_groups]
-    found = _faces(mesh, names, view_of(mesh), np.ones(mesh.n_tets, bool))
-    assert not np.any(found.group == 0)  # each face has a surface of its own
+    _, group = _faces(mesh, names, view_of(mesh), np.ones(mesh.n_tets, bool))
+    assert not np.any(group == 0)  # each face has a surface of its own
     bare = type(mesh)(mesh.points, mesh.tets, {}, {}, mesh.tet_groups)
-    found = _faces(bare, ["left"], view_of(mesh), np.ones(mesh.n_tets, bool))
-    left = found.corners.mean(axis=1)[:, 0] < 0.04
-    np.testing.assert_array_equal(found.group, np.where(left, 0, -1))
+    faces, group = _faces(bare, ["left"], view_of(mesh), np.ones(mesh.n_tets, bool))
+    left = faces.corners.mean(axis=1)[:, 0] < 0.04
+    np.testing.assert_array_equal(group, np.where(left, 0, -1))
 
 
 def test_colours_are_apart():

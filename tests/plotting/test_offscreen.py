@@ -6,8 +6,8 @@ import sys
 import pytest
 from small_project import write_small_project
 
-from softcal_jax.plotting import RenderingError, _offscreen, rendering_problem
-from softcal_jax.plotting._offscreen import offscreen
+from softcal_jax.plotting import RenderingError, _scene, rendering_problem
+from softcal_jax.plotting._scene import offscreen
 
 CHOICE = "VTK_DEFAULT_OPENGL_WINDOW"
 
@@ -23,12 +23,12 @@ def machine(monkeypatch):
     def make(*libraries, egl=True):
         for variable in (CHOICE, "DISPLAY"):
             monkeypatch.delenv(variable, raising=False)
-        _offscreen._headless_backend.cache_clear()
-        monkeypatch.setattr(_offscreen, "_can_load", lambda name: name in libraries)
-        monkeypatch.setattr(_offscreen, "_egl_works", lambda: egl)
+        _scene._headless_backend.cache_clear()
+        monkeypatch.setattr(_scene, "_can_load", lambda name: name in libraries)
+        monkeypatch.setattr(_scene, "_egl_works", lambda: egl)
 
     yield make
-    _offscreen._headless_backend.cache_clear()
+    _scene._headless_backend.cache_clear()
 
 
 def test_no_opengl_is_an_error_and_not_a_crash(machine):
@@ -84,8 +84,8 @@ def test_the_users_choice_stands(machine, monkeypatch):
 
 
 def test_a_missing_library_cannot_be_loaded():
-    assert not _offscreen._can_load("libNoSuchThing.so.1")
-    assert _offscreen._can_load("libc.so.6")
+    assert not _scene._can_load("libNoSuchThing.so.1")
+    assert _scene._can_load("libc.so.6")
 
 
 @pytest.fixture

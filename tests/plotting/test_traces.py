@@ -5,8 +5,7 @@ import pytest
 from matplotlib.image import imread
 
 from softcal_jax.configurations import Recording, Traces
-from softcal_jax.plotting import plot_traces
-from softcal_jax.plotting._traces import traces_figure
+from softcal_jax.plotting import _diagrams, plot_traces
 
 
 def traces(*, names=("tip", "base"), windows=None):
@@ -22,13 +21,26 @@ def traces(*, names=("tip", "base"), windows=None):
     return Traces(recording, windows, names)
 
 
+@pytest.fixture
+def figure_of(monkeypatch):
+    """Draw, and return the figure instead of writing it."""
+    figures = []
+    monkeypatch.setattr(_diagrams, "save", lambda figure, _: figures.append(figure))
+
+    def draw(shown):
+        plot_traces(shown, "a.png", name="pose 1")
+        return figures.pop()
+
+    return draw
+
+
 def line(axes, label):
     (own,) = [entry for entry in axes.lines if entry.get_label() == label]
     return own.get_xydata()
 
 
-def test_distances_and_gaps():
-    whole, close = traces_figure(traces(), "pose 1").axes
+def test_distances_and_gaps(figure_of):
+    whole, close = figure_of(traces()).axes
     rising = line(whole, "tip")
     seen = np.isfinite(rising[:, 1])
     assert np.flatnonzero(~seen).tolist() == [40, 41]
@@ -40,13 +52,13 @@ def test_distances_and_gaps():
     np.testing.assert_allclose(rising[:, 1], np.abs(rising[:, 0] - 7.0), atol=1e-12)
 
 
-def test_windows_and_events():
+def test_windows_and_events(figure_of):
     windows = {
         "select": (6.0, 8.0),
         "displacement_from": (0.0, 1.0),
         "registration.select": (0.0, 1.0),
     }
-    figure = traces_figure(traces(windows=windows), "pose 1")
+    figure = figure_of(traces(windows=windows))
     whole, *close = figure.axes
     assert len(close) == 2
     spans = {p.get_label(): p.get_extents() for p in whole.patches}

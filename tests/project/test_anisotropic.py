@@ -169,7 +169,7 @@ def test_options_of_control_points(tmp_path):
         (
             'start = { "CP 2" = "0.6 MPa" }\nlower = "50 kPa"\nupper = "1 MPa"',
             'lower = { foot = "50 kPa", middle = "60 kPa" }\nupper = "1 MPa"\n'
-            'fixed = { tip = "0.9 MPa" }\nsampling = "quadrature"\n'
+            'fixed = { tip = "0.9 MPa" }\nsampling = "centroids"\n'
             'interpolation = "log"\nmax_step = 0.01',
         ),
         (
@@ -188,7 +188,7 @@ def test_options_of_control_points(tmp_path):
     assert (points.power, points.nearest, points.axes) == (4.0, 2, "x")
     assert points.max_distance == 0.01
     assert [float(q.lower) for q in E_t.parameters] == [50e3, 60e3]
-    assert (E_t.sampling, E_t.interpolation) == ("quadrature", "log")
+    assert E_t.interpolation == "log"
     assert {k: float(v) for k, v in E_t.fixed.items()} == {"tip": 900e3}
     assert [float(q.max_step) for q in E_t.parameters] == [0.01, 0.01]
     assert isinstance(E_l, ControlPointParameters)
@@ -197,7 +197,7 @@ def test_options_of_control_points(tmp_path):
     assert (E_l.scale, float(E_l.parameters[0].unit_step)) == ("linear", 1e6)
     assert E_l.interpolation == "linear"
     assert isinstance(theta, ControlPointParameters)
-    assert (theta.interpolation, theta.sampling) == ("director", "centroids")
+    assert theta.interpolation == "director"
     assert theta.scale == "linear"
     assert space.order == (("E_l of foot", "E_l of middle"),)
 

@@ -162,6 +162,10 @@ CASES = {
         (E_L, f'{E_L}interpolation = "axis"\n'),
         'parameters.E_l.interpolation: got "axis" ... "linear", "log"',
     ),
+    "values per quadrature point": (
+        (E_L, f'{E_L}sampling = "quadrature"\n'),
+        'parameters.E_l.sampling: got "quadrature" ... per tet ... out',
+    ),
     "order of nothing": (
         ("axes = [[", 'order = [["E_x", "E_t"]]\n# [['),
         "parameter_space: order ... 'E_x'",

@@ -342,7 +342,7 @@ def test_every_problem_is_listed_once(tmp_path):
 
 def test_selection_lists_what_is_there(tmp_path):
     text = refusal(tmp_path, ('{ run = "pulled" }', '{ run = "pull" }'))
-    assert says(text, "run = 'pull' ... mean 'pulled' ... weight")
+    assert says(text, "run = pull ... there: ... pulled")
 
 
 TIP = "weight,loaded,tip,124.627615364"

@@ -57,8 +57,6 @@ def space():
                 scale=scale,
                 S=1.0 if scale == "linear" else None,
                 interpolation=MIXING.get(field, "linear"),
-                # One field at the points of a tet, so that both ways are seen.
-                sampling="quadrature" if field == "E_t" else "centroids",
             )
             for field, (values, lower, upper, scale) in STARTS.items()
         )

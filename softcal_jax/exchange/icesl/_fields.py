@@ -13,7 +13,7 @@ from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.elements import TET_EDGES
 from softcal_jax.equilibrium import Model
 from softcal_jax.fields import ParameterSpace
-from softcal_jax.materials import AbstractLaw, PointValues, is_point_values
+from softcal_jax.materials import AbstractLaw
 from softcal_jax.mesh import Grid, TetMesh, fill
 
 N_VOXELS = 64
@@ -139,12 +139,9 @@ def _law_at(
 
     def taken(leaf: Any) -> Any:
         # On the host, where each number of places compiles no program.
-        if is_point_values(leaf):
-            values = np.asarray(leaf.values)[tets].mean(axis=1, keepdims=True)
-            return PointValues(jnp.asarray(values))
         return jnp.asarray(np.asarray(leaf)[tets]) if jnp.ndim(leaf) else leaf
 
-    law = jax.tree.map(taken, model.law, is_leaf=is_point_values)
+    law = jax.tree.map(taken, model.law)
     sampled = eqx.tree_at(
         lambda m: (m.mesh, m.law, m.density), model, (specks, law, taken(model.density))
     )
@@ -152,10 +149,10 @@ def _law_at(
         sampled = design.space.model_at(sampled, design.z)
 
     def by_place(leaf: Any) -> Any:
-        values = np.asarray(leaf.values[:, 0] if is_point_values(leaf) else leaf)
+        values = np.asarray(leaf)
         return jnp.asarray(values[:n] if values.ndim else values)
 
-    return jax.tree.map(by_place, sampled.law, is_leaf=is_point_values)
+    return jax.tree.map(by_place, sampled.law)
 
 
 def _axis_moduli(

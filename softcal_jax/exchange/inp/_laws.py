@@ -6,7 +6,6 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.equilibrium import Model
-from softcal_jax.exchange._refusals import check_one_value_per_tet
 from softcal_jax.materials import (
     AbstractElasticity,
     AbstractLaw,
@@ -47,7 +46,6 @@ class InpLaw(NamedTuple):
 
 def inp_law(model: Model) -> InpLaw:
     """Convert the law of a model; a ValueError says why neither program has it."""
-    check_one_value_per_tet(model.law, "an input file")
     keyword, constants, *more = _converted(model.law)
     columns = [np.broadcast_to(np.asarray(c, float), model.n_tets) for c in constants]
     return InpLaw(keyword, np.stack(columns, axis=1), *more)

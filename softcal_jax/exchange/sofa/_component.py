@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.exchange._refusals import check_one_value_per_tet
 from softcal_jax.materials import (
     AbstractElasticity,
     AbstractLaw,
@@ -122,7 +121,6 @@ def law_for_sofa(
     Corotational tets turn by `rotation`; with fibres it is "large", that of the plugin.
     A ValueError says why there is no counterpart, and what to do.
     """
-    check_one_value_per_tet(law, "SOFA")
     elasticity = getattr(law, "elasticity", None)
     if isinstance(law, Corotational | ClassicalCorotational):
         if isinstance(elasticity, Isotropic):

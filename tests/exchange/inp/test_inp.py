@@ -4,8 +4,6 @@ import re
 from functools import partial
 from typing import NamedTuple
 
-import equinox as eqx
-import jax.numpy as jnp
 import meshio
 import numpy as np
 import pytest
@@ -45,7 +43,6 @@ from softcal_jax.materials import (
     MooneyRivlin,
     NeoHookean,
     Ogden,
-    PointValues,
     StVenantKirchhoff,
     TransverseIsotropic,
     Yeoh,
@@ -303,9 +300,6 @@ def test_what_differs_is_said_and_stands_in_the_file(law, said, tmp_path):
     assert said in " ".join(comments)
 
 
-PER_POINT = PointValues(jnp.full((12, 4), 2e5))
-
-
 @pytest.mark.parametrize(
     ("law", "message"),
     [
@@ -323,15 +317,6 @@ def test_laws_that_are_refused(law, message, tmp_path):
     with pytest.raises(ValueError, match=message):
         write_inp(tmp_path / "job.inp", model, lane)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_values_within_a_tet_are_refused(tmp_path):
-    model = bar(NeoHookean(2e5, 0.4))
-
-    model = eqx.tree_at(lambda m: m.law.E, model, PER_POINT)
-    lane = lane_of(model, Configuration("droop", "x_min"))
-    with pytest.raises(ValueError, match='take sampling = "centroids"'):
-        write_inp(tmp_path / "job.inp", model, lane)
 
 
 def test_robots_that_are_refused(tmp_path):
