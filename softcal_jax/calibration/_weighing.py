@@ -143,6 +143,8 @@ def weighed_fit(
 
     def until(state: CalibrationState, least_fall: float) -> CalibrationState:
         """Take the steps by which the cost falls by this share of it, or more."""
+        if state.converged and float(state.least_fall) <= least_fall:
+            return state  # of a checkpoint
         last = least_fall == SMALLEST_FALL
 
         def noted(new: CalibrationState) -> None:

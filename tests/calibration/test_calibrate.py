@@ -419,7 +419,8 @@ def test_nothing_is_compiled_after_the_first_step(model, exact):
     assert len(until) > 3
     assert fresh.programs.count("jit(evaluate_lane)") == 1
     assert fresh.programs.count("jit(_solved_each)") == 1
-    assert set(until[1:]) == {until[1]}
+    # The last step, which is not taken, is told after the noise is estimated.
+    assert set(until[1:-1]) == {until[1]}
 
     law = NeoHookean(E_TRUE, NU_TRUE)
     longer = beam(0.11, 0.021, 0.02, (5, 2, 2))
