@@ -9,8 +9,8 @@ import pytest
 from export.handmade import make_result
 
 from softcal_jax.calibration import ParameterEstimate
-from softcal_jax.identifiability import end_of
 from softcal_jax.report._charts import MOST_PARAMETERS, budget_chart, course_charts
+from softcal_jax.report._verdict import end_of
 
 
 def drawn(result):

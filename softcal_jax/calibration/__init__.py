@@ -8,7 +8,6 @@ from softcal_jax.calibration._calibrate import (
     profile_intervals as profile_intervals,
 )
 from softcal_jax.calibration._checked_intervals import LEVEL as LEVEL
-from softcal_jax.calibration._checkpoint import Clock as Clock
 from softcal_jax.calibration._checks import (
     levenberg_marquardt as levenberg_marquardt,
     simulated_measurements as simulated_measurements,

@@ -116,11 +116,9 @@ def calibrate(
         progress: Called after the first evaluation and after each step.
         search_progress: Called when a run from one of many starts has ended.
         equilibrium_progress: Called while the first equilibria are solved.
-        answer: Called with the result so far as soon as the steps have ended and the
-            held-out configurations are predicted: with standard errors by the noise
-            alone, before the error budget and the intervals.
-        stage: Called with what is computed next, and what it takes, before each of
-            these.
+        answer: Called with the result so far, standard errors by the noise alone, once
+            the steps have ended and held-out configurations are predicted.
+        stage: Called with what is computed next, and what it takes.
 
     Returns:
         The result; `result.converged` says whether lambda_p vanished. Ctrl-C ends the

@@ -10,19 +10,16 @@ import jax
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
+from softcal_jax._clock import Clock
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_values
-from softcal_jax.calibration._checkpoint import Clock
 from softcal_jax.calibration._evaluation import (
     Evaluation,
     Evaluator,
     linearised,
     weighed,
 )
-from softcal_jax.calibration._problem import (
-    CalibrationProblem,
-    without_names,
-)
+from softcal_jax.calibration._problem import CalibrationProblem, without_names
 from softcal_jax.calibration._profile import (
     LOWER,
     LowerCostFound,
@@ -249,8 +246,7 @@ def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInte
         # The ends are closer to the fit than the equilibria are exact.
         straight, bent = known, []
     else:
-        n = len(known)
-        stage(f"the intervals of {n} parameters, with an evaluation for each end")
+        stage(f"the intervals of {len(known)} parameters, an evaluation for each end")
         holds = _first_order_holds(fitted, quantile, known)
         checked = list(zip(known, holds, strict=True))
         straight = [column for column, good in checked if good]

@@ -18,9 +18,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._clock import Clock
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checked_intervals import Fitted
-from softcal_jax.calibration._checkpoint import Clock, Journal
+from softcal_jax.calibration._checkpoint import Journal
 from softcal_jax.calibration._checks import check_cost, check_sensitive
 from softcal_jax.calibration._configuration_result import (
     ConfigurationResult,
@@ -200,13 +201,11 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
         if not (task.quick or journal.interrupted):
             try:
                 watch.stage(_words_of_budget(task, journal.history[-1].seconds))
-                solved = predicted.response.equilibrium
-                z = weighed.state.z
+                solved, z = predicted.response.equilibrium, weighed.state.z
                 doubts = considered_errors(workers, setting, z=z, equilibrium=solved)
                 result = _result(task, found, doubts)
             except KeyboardInterrupt:
-                note = f"Interrupted before {BUDGET} was known."
-                notes = (*result.notes, note)
+                notes = (*result.notes, f"Interrupted before {BUDGET} was known.")
                 result = replace(result, notes=notes, interrupted=True)
     problem = batch.fitted.with_noise(weighed.noise)
     return Fitted(result, problem, task.fitted, weighed.state.evaluation)
@@ -214,10 +213,9 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
 
 def _words_of_budget(task: Task, seconds: float) -> str:
     """Say what the error budget takes."""
-    finer = ""
-    if task.uncertain.mesh > 0:
-        n = task.model.n_tets * (1 if task.model.mesh.order == 1 else 8)
-        finer = f", with one solve of a mesh of {n} quadratic tets"
+    n = task.model.n_tets * (1 if task.model.mesh.order == 1 else 8)
+    finer = f", with one solve of a mesh of {n} quadratic tets"
+    finer *= task.uncertain.mesh > 0
     return f"{BUDGET}{finer} (the fit took {seconds:.0f} s)"
 
 

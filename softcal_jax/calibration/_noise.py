@@ -40,11 +40,7 @@ from scipy.spatial.transform import Rotation
 from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
-from softcal_jax.configurations import (
-    Configuration,
-    EffectorArrays,
-    EffectorRecord,
-)
+from softcal_jax.configurations import Configuration, EffectorArrays, EffectorRecord
 from softcal_jax.inference import ATTACHMENTS, RANK, ErrorColumns, no_errors
 from softcal_jax.unknowns import Setting, recording_names, unknowns
 

@@ -302,8 +302,7 @@ class CalibrationResult(Result):
         noise: Covariance of the stacked errors that weighed them.
         noise_settled: Whether an estimated noise stood still beside the fit.
         checks: What the residuals say about the model.
-        left_out: What was not computed, in words: nothing but the noise is in the
-            standard errors where this is not empty.
+        left_out: What was not computed; standard errors are then by the noise alone.
         source: The project file that it was made from; None for one made in Python.
     """
 

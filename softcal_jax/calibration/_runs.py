@@ -153,8 +153,7 @@ def settle(
 
     def again(state: CalibrationState) -> CalibrationState:
         new = initial_state(settings, state.z, state.evaluation)
-        kept = lambda s: (s.step, s.least_fall)  # count on
-        return eqx.tree_at(kept, new, kept(state))
+        return replace(new, step=state.step, least_fall=state.least_fall)  # count on
 
     for _ in range(MOST_SETTLED):
         done = state.converged or state.step >= settings.max_steps

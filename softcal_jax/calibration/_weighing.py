@@ -8,9 +8,9 @@ could see are not taken.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -25,11 +25,7 @@ from softcal_jax.calibration._noise import (
 )
 from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._runs import settle
-from softcal_jax.calibration._step import (
-    SMALLEST_FALL,
-    CalibrationState,
-    initial_state,
-)
+from softcal_jax.calibration._step import SMALLEST_FALL, CalibrationState, initial_state
 from softcal_jax.configurations import Configuration
 from softcal_jax.fields import OFFSET
 from softcal_jax.inference import (
@@ -133,27 +129,28 @@ def weighed_fit(
     Begins with the noise of the evaluator. `motion` is the measured one of the points
     [m]; `note` is called with state and noise after each step.
     """
-    noise, scale, notes, settled = evaluate.problem.noise, None, [], True
+    assert evaluate.problem.noise is not None
+    noise: CorrelatedNoise = evaluate.problem.noise
+    scale, notes, settled = None, [], True
     effectors = evaluate.problem.configurations.effectors
     n_points = effectors.nodes.shape[-2]
     n_rows = int(np.sum(np.asarray(effectors.inverse_std) > 0.0))
     # A step of `UNSEEN` standard errors lets the cost fall by this share of it.
     unseen = UNSEEN**2 / max(n_rows - len(state.z), 1)
-    assert noise is not None
 
     def until(state: CalibrationState, least_fall: float) -> CalibrationState:
         """Take the steps by which the cost falls by this share of it, or more."""
         if state.converged and float(state.least_fall) <= least_fall:
             return state  # of a checkpoint
-        last = least_fall == SMALLEST_FALL
 
         def noted(new: CalibrationState) -> None:
-            if last or not new.converged:  # others will be asked for again
+            # Others that are not taken will be asked for again.
+            if least_fall == SMALLEST_FALL or not new.converged:
                 note(new, noise)
 
-        where = lambda s: (s.converged, s.least_fall)
-        wanted = jax.device_put((np.array(False), np.array(least_fall)))
-        return settle(evaluate, settings, eqx.tree_at(where, state, wanted), noted)
+        falls = jax.device_put((np.array(False), np.array(least_fall)))
+        state = replace(state, converged=falls[0], least_fall=falls[1])
+        return settle(evaluate, settings, state, noted)
 
     for n in range(MOST_ROUNDS):
         state = until(state, max(unseen, 2.0 * SMALLEST_FALL))

@@ -14,13 +14,7 @@ import shtab
 
 from softcal_jax.cli._calibrated import add_export, add_inverse
 from softcal_jax.cli._check import add_check, add_mesh
-from softcal_jax.cli._commands import (
-    add_compare,
-    calibrate,
-    demo,
-    identify,
-    simulate,
-)
+from softcal_jax.cli._commands import add_compare, calibrate, demo, identify, simulate
 from softcal_jax.cli._display import (
     Display,
     PlainConsole,

@@ -8,13 +8,7 @@ import numpy as np
 
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.bodies import (
-    BodyArrays,
-    Pose,
-    as_floats,
-    if_any,
-    unit_vector,
-)
+from softcal_jax.bodies import BodyArrays, Pose, as_floats, if_any, unit_vector
 from softcal_jax.configurations._effector import (
     AbstractEffector,
     AbstractScalar,

@@ -17,14 +17,7 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.control import OUTCOMES, GoalFit, InverseResult, TrajectoryResult
 from softcal_jax.equilibrium import Model
-from softcal_jax.export._made import (
-    Made,
-    made_dict,
-    pick,
-    plain,
-    source_dict,
-    versions,
-)
+from softcal_jax.export._made import Made, made_dict, pick, plain, source_dict, versions
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.inference import ErrorBudget
 from softcal_jax.layouts import LEVEL_OF_COMPARISON, ModelComparison, ModelScore

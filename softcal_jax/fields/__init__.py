@@ -1,8 +1,6 @@
 """Parameters: control points, bounds, scaling S, place in the model (Sec. IV.A)."""
 
-from softcal_jax.fields._control_points import (
-    ControlPoints as ControlPoints,
-)
+from softcal_jax.fields._control_points import ControlPoints as ControlPoints
 from softcal_jax.fields._errors import (
     FieldError as FieldError,
     SetupError as SetupError,

@@ -3,11 +3,7 @@
 from softcal_jax.identifiability._assessment import (
     Assessment as Assessment,
     Prediction as Prediction,
-    RunVerdict as RunVerdict,
-    Tone as Tone,
     assess as assess,
-    end_of as end_of,
-    verdict_of as verdict_of,
 )
 from softcal_jax.identifiability._identify import (
     identifiability as identifiability,

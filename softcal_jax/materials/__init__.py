@@ -1,8 +1,6 @@
 """Constitutive laws: energy densities, their stresses and tangents."""
 
-from softcal_jax.materials._constants import (
-    constant as constant,
-)
+from softcal_jax.materials._constants import constant as constant
 from softcal_jax.materials._corotational import (
     ClassicalCorotational as ClassicalCorotational,
     Corotational as Corotational,

@@ -19,11 +19,7 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import Model
 from softcal_jax.project._effectors import Effectors
-from softcal_jax.project._markers import (
-    MarkersTable,
-    MeasuredMarkers,
-    MeasuredTable,
-)
+from softcal_jax.project._markers import MarkersTable, MeasuredMarkers, MeasuredTable
 from softcal_jax.project._mechanism import State, build_actuation, build_states
 from softcal_jax.project._problems import WrongKeyError, known_name, under
 from softcal_jax.project._table import (

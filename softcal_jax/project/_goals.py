@@ -11,11 +11,7 @@ import numpy as np
 
 from softcal_jax._names import listed, unknown_name
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.configurations import (
-    AbstractEffector,
-    Configuration,
-    ImposedForce,
-)
+from softcal_jax.configurations import AbstractEffector, Configuration, ImposedForce
 from softcal_jax.control import Limits
 from softcal_jax.project._effectors import EffectorTable, build_effectors
 from softcal_jax.project._mechanism import ActuatorTable

@@ -16,14 +16,9 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import readable_unit
-from softcal_jax.identifiability import (
-    Assessment,
-    Identifiability,
-    assess,
-    percent,
-    verdict_of,
-)
+from softcal_jax.identifiability import Assessment, Identifiability, assess, percent
 from softcal_jax.report._tables import HEADS, distance, robot_tables
+from softcal_jax.report._verdict import verdict_of
 
 if TYPE_CHECKING:
     import rich.console

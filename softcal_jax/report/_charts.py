@@ -18,10 +18,10 @@ from softcal_jax.calibration import (
     ConfigurationResult,
     ParameterEstimate,
 )
-from softcal_jax.identifiability import end_of
 from softcal_jax.inference import ErrorBudget
 from softcal_jax.report._html import Html, figure, joined, node
 from softcal_jax.report._tables import distance
+from softcal_jax.report._verdict import end_of
 
 INK, BLUE, LINE, PAPER = "#1a1a1a", "#0b4f8a", "#c8c8c8", "#ffffff"
 

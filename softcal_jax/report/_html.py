@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from softcal_jax._machine import installed_version
 from softcal_jax._text import escaped
 from softcal_jax._text_table import TextTable, text_table
-from softcal_jax.identifiability import RunVerdict
+from softcal_jax.report._verdict import RunVerdict
 
 MOST_PICTURES = 3_400_000
 """Most bytes of pictures in one page, which, as text by a third more, is below 5 MB."""

@@ -25,7 +25,6 @@ from softcal_jax.export import (
     write_robot_vtu,
     write_vtu,
 )
-from softcal_jax.identifiability import RunVerdict
 from softcal_jax.plotting import render_body
 from softcal_jax.report._html import (
     Html,
@@ -39,6 +38,7 @@ from softcal_jax.report._html import (
 )
 from softcal_jax.report._pages import REPORT, notebook_html, shown_pictures
 from softcal_jax.report._tables import HEADS, actuator_row, actuator_values
+from softcal_jax.report._verdict import RunVerdict
 from softcal_jax.report._write import COLLECTION, Picture, Told, picture_problem
 
 if TYPE_CHECKING:

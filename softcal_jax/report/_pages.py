@@ -5,17 +5,9 @@ from functools import singledispatch
 from pathlib import Path
 from typing import Any
 
-from softcal_jax._text_table import text_table
+from softcal_jax._text_table import Tone, text_table
 from softcal_jax.calibration import CalibrationResult, SimulationResult
-from softcal_jax.identifiability import (
-    Assessment,
-    Identifiability,
-    Ranking,
-    RunVerdict,
-    Tone,
-    assess,
-    verdict_of,
-)
+from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.layouts import ModelComparison
 from softcal_jax.report._calibration import (
     TONES,
@@ -49,6 +41,7 @@ from softcal_jax.report._html import (
 )
 from softcal_jax.report._outline import ROLES
 from softcal_jax.report._tables import robot_tables, simulation_tables
+from softcal_jax.report._verdict import RunVerdict, verdict_of
 from softcal_jax.report._view import PageView
 
 REPORT = "report.html"

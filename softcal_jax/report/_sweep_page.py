@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from softcal_jax.export import file_dict, made_dict
-from softcal_jax.identifiability import RunVerdict
 from softcal_jax.plotting import plot_trials
 from softcal_jax.report._html import (
     REPEATED,
@@ -21,6 +20,7 @@ from softcal_jax.report._html import (
     sentences,
     table_html,
 )
+from softcal_jax.report._verdict import RunVerdict
 from softcal_jax.sweeps import Sweep, SweepResult, SweepSummary, SweptAxis, summarise
 
 KIND = "Sweep"

@@ -13,9 +13,9 @@ from typing import Any, Literal
 import jax
 import numpy as np
 
+from softcal_jax._clock import Clock
 from softcal_jax._compilation_cache import throw_away_damaged
 from softcal_jax._module import one_line
-from softcal_jax.calibration import Clock
 from softcal_jax.sweeps._trial import Trial
 
 State = Literal["converged", "not converged", "failed"]

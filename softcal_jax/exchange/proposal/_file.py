@@ -8,12 +8,7 @@ import numpy as np
 from softcal_jax._units import readable_values
 from softcal_jax.configurations import STANDARD_GRAVITY
 from softcal_jax.exchange.proposal._body import in_mm
-from softcal_jax.exchange.proposal._recorded import (
-    Findings,
-    RecordedPose,
-    bare,
-    quoted,
-)
+from softcal_jax.exchange.proposal._recorded import Findings, RecordedPose, bare, quoted
 from softcal_jax.materials import LAWS
 from softcal_jax.mesh import volumes
 from softcal_jax.project import parse_in_si
