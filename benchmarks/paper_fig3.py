@@ -41,6 +41,9 @@ REACHED = 1e-6 * LENGTH
 COUNTS = (1, 2, 3, 4)
 """Numbers of configurations, 1 to n of Fig. 2."""
 
+LONGEST_STEP = 1e3
+"""Bound on a step that holds nothing back: the authors' limits are per parameter."""
+
 PAPER_STEPS = 250
 """Steps that the runs with the paper's limits are given."""
 
@@ -100,7 +103,7 @@ def paper_run(
 ) -> tuple[MeasuredBeam, CalibrationSettings]:
     """The beam with the step limits of the authors' scene, and the paper's loop."""
     beam = measured_beam(cells, plane="xy", **{**PAPER, "scaling": "paper"})
-    return beam, paper_settings(np.inf, max_steps)
+    return beam, paper_settings(LONGEST_STEP, max_steps)
 
 
 def descend(

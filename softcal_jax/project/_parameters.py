@@ -153,7 +153,7 @@ class ParameterTable(Table):
             return self
         options = {"interpolation", "sampling", "fixed", "tied", "core"}
         for key, value in self:
-            if value and (key in options or isinstance(value, dict)):
+            if value if key in options else isinstance(value, dict):
                 raise ValueError(
                     f"{key} = {shown(value)} is for control points: name a set of "
                     'them, like control_points = "ends".'

@@ -86,6 +86,7 @@ def run_trial(function: TrialFunction, trial: Trial) -> TrialRow:
     outcome, reason, trace = Outcome({}), "", ""
     with warnings.catch_warnings(record=True) as caught, Clock() as clock:
         warnings.simplefilter("always")
+        warnings.simplefilter("ignore", DeprecationWarning)  # for developers
         try:
             outcome = _as_outcome(function(trial))
         except Exception as error:  # a trial that fails is a row with its reason

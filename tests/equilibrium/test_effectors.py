@@ -176,22 +176,18 @@ def test_parameter_compliance_of_all_kinds_of_effectors(cable):
 
 
 @pytest.mark.slow  # half a minute of compiling
-def test_adjoint_side_without_forces():
-    effectors = EFFECTORS[:5]
-    lane, z = arrays(MODEL, watched(BY_DISPLACEMENT, effectors)), SPACE.start()
-    solution, _, _ = solved(MODEL, watched(BY_DISPLACEMENT, effectors), TIGHT)
+def test_adjoint_side():
+    """Of forces of actuators and of reactions, too."""
+    lane, z = arrays(MODEL, watched(BY_DISPLACEMENT)), SPACE.start()
+    solution, _, _ = solved(MODEL, watched(BY_DISPLACEMENT), TIGHT)
     of = eqx.filter_jit(parameter_compliance)
     direct, adjoint = (
         of(MODEL, lane, solution.displacement, SPACE, z, method=method).W_ep
         for method in ("direct", "adjoint")
     )
-    scale = np.abs(direct).max()
-    np.testing.assert_allclose(direct, adjoint, rtol=0, atol=1e-10 * scale)
-    lane = arrays(MODEL, watched(BY_DISPLACEMENT))
-    with pytest.raises(ValueError, match='method "adjoint" cannot tell how forces'):
-        parameter_compliance(
-            MODEL, lane, solution.displacement, SPACE, z, method="adjoint"
-        )
+    # Effectors differ in size and unit.
+    scale = np.abs(direct).max(axis=-1, keepdims=True) + 1e-7
+    np.testing.assert_allclose(direct / scale, adjoint / scale, rtol=0, atol=1e-10)
 
 
 def bad(message, *effectors, mesh: TetMesh = MESH):

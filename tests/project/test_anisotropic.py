@@ -241,6 +241,19 @@ def test_one_angle_for_the_body_turns_freely(tmp_path):
     assert load_project(path).parameters[-1].periodic
 
 
+def test_a_single_parameter_has_no_table_of_bounds(tmp_path):
+    """Not an empty one, either."""
+    path = write_anisotropic_project(
+        tmp_path,
+        ('field = "theta"\ncontrol_points = "ends"', 'field = "theta"'),
+        ('upper = "90 deg"', "upper = {}"),
+        ("axes = [[", "# [["),
+    )
+    with pytest.raises(ProjectError) as refused:
+        load_project(path)
+    assert says(refused.value, "upper = {}", "control_points")
+
+
 def test_regions_have_constants_of_their_own(tmp_path):
     path = write_anisotropic_project(
         tmp_path,

@@ -235,6 +235,7 @@ def test_wrong_returns_are_failures(returned, reason, tmp_path):
 def test_figures_that_do_not_exist_and_warnings(tmp_path):
     def function(trial):
         warnings.warn("the mesh locks", stacklevel=1)
+        warnings.warn("for developers", DeprecationWarning, stacklevel=1)
         return {"x": float("nan"), "y": float("inf"), "z": None, "word": "yes"}
 
     path = tmp_path / "s.sqlite"

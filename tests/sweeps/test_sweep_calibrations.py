@@ -235,7 +235,9 @@ def test_calibrations_do_not_depend_on_workers_or_kills(tmp_path):
 
     def started(rows):
         driver = subprocess.Popen(command, stdout=subprocess.DEVNULL)
-        while not path.exists() or len(read_sweep(path).rows) < rows:
+        while not path.exists() or not path.stat().st_size:
+            assert driver.poll() is None
+        while len(read_sweep(path).rows) < rows:
             assert driver.poll() is None
         return driver
 
