@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 TRIAL = """\
 import softcal_jax as sc
 
@@ -11,6 +13,7 @@ sc.does_not_exist
 """
 
 
+@pytest.mark.slow
 def test_pyright_knows_the_names_and_no_others(tmp_path):
     (tmp_path / "trial.py").write_text(TRIAL)
     done = subprocess.run(

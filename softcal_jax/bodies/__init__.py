@@ -27,4 +27,5 @@ from softcal_jax.bodies._kinematics import (
     place as place,
     rotation_matrix as rotation_matrix,
     rotation_vector as rotation_vector,
+    winding as winding,
 )

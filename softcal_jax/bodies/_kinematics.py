@@ -139,22 +139,23 @@ class Mounted(NamedTuple):
     """Frames after a share of their mounting.
 
     The share is `load`, which also applies to imposed poses [-]; `rotation` is that of
-    the mountings, `axes` are by rows [-], and `arm` is as for `winding` [m].
+    the mountings, `axes` are by rows [-], and `home` are the origins of held and hinged
+    bodies [m].
     """
 
     load: Float[Array, ""]
     rotation: Float[Array, "n_b 3 3"]
     axes: Float[Array, "n_b 3 3"]
-    arm: Float[Array, "n_b 3"]
+    home: Float[Array, "n_b 3"]
 
     __repr__ = one_line
 
 
-def mounted(
-    bodies: BodyArrays, load: Float[Array, ""], arm: Float[Array, "n_b 3"]
-) -> Mounted:
+def mounted(bodies: BodyArrays, load: Float[Array, ""]) -> Mounted:
+    """Return the frames as mounted, wherever bodies are held."""
     R = jax.vmap(rotation_matrix)(load * bodies.mounting_rotation)
-    return Mounted(load, R, _apply(R[:, None], jnp.asarray(bodies.axes)), arm)
+    home = jnp.asarray(bodies.origin) + load * bodies.mounting_translation
+    return Mounted(load, R, _apply(R[:, None], jnp.asarray(bodies.axes)), home)
 
 
 def _screw(w: Float[Array, "3"]) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
@@ -220,13 +221,8 @@ def place(
     twist: Float[Array, "n_b 6"],
 ) -> Frames:
     """Move free and hinged bodies by their twists [m]; place all others as imposed."""
-    load, mounting, axes, arm = mounted
+    load, mounting, axes, home = mounted
     along = lambda v: jnp.sum(axes * v[:, :, None], axis=1)
-    rest = jnp.asarray(bodies.origin)
-    home = rest + load * (bodies.mounting_translation + state.translation)
-    home = home + jax.vmap(winding, (0, 0, 0, None))(
-        arm, jnp.asarray(state.translation), jnp.asarray(state.rotation), load
-    )
     turned = _product(frames.rotation, jnp.swapaxes(mounting, 1, 2))
     first = _apply(turned, axes[:, 0])
     about = lambda axis: jnp.sum(first * axes[:, axis], axis=1)
@@ -247,6 +243,7 @@ def place(
     untied = hinged.where(state.kind == KINDS.index("hinged"), held)
     untied = free.where(state.kind == KINDS.index("free"), untied)
     # A tied body follows its owner, after its own mounting.
+    rest = jnp.asarray(bodies.origin)
     arm = rest + load * bodies.mounting_translation - rest[bodies.owner]
     origin, rotation = untied.origin[bodies.owner], untied.rotation[bodies.owner]
     tied = Frames(origin + _apply(rotation, arm), _product(rotation, mounting))

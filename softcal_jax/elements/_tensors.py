@@ -22,11 +22,8 @@ def sum_of(terms: Iterable[Array]) -> Array:
 
 def determinant(F: Float[Array, "3 3"]) -> Float[Array, ""]:
     """Compute the determinant."""
-    return (
-        F[0, 0] * (F[1, 1] * F[2, 2] - F[1, 2] * F[2, 1])
-        - F[0, 1] * (F[1, 0] * F[2, 2] - F[1, 2] * F[2, 0])
-        + F[0, 2] * (F[1, 0] * F[2, 1] - F[1, 1] * F[2, 0])
-    )
+    (a, b, c), (d, e, f), (g, h, i) = map(jnp.unstack, jnp.unstack(F))
+    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
 def cofactor(F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
@@ -35,9 +32,8 @@ def cofactor(F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
     By rows, since XLA compiles every entry that is written out.
     """
     twice = jnp.concatenate([F, F], axis=1)
-    a, b = twice[:, 1:4], twice[:, 2:5]
-    rows = [a[i - 2] * b[i - 1] - b[i - 2] * a[i - 1] for i in range(3)]
-    return jnp.stack(rows)
+    a, b = jnp.unstack(twice[:, 1:4]), jnp.unstack(twice[:, 2:5])
+    return jnp.stack([a[i - 2] * b[i - 1] - b[i - 2] * a[i - 1] for i in range(3)])
 
 
 def matmul(A: Float[Array, "3 3"], B: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
@@ -48,13 +44,14 @@ def matmul(A: Float[Array, "3 3"], B: Float[Array, "3 3"]) -> Float[Array, "3 3"
 
 def axial(A: Float[Array, "3 3"]) -> Float[Array, "3"]:
     """Return twice the axial vector of the skew part: [A32-A23, A13-A31, A21-A12]."""
-    return jnp.stack([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]])
+    (_, b, c), (d, _, f), (g, h, _) = map(jnp.unstack, jnp.unstack(A))
+    return jnp.stack([h - f, c - g, d - b])
 
 
 def skew(a: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """Return the skew matrix hat(a) with hat(a) b = a x b."""
-    zero = jnp.zeros_like(a[0])
-    rows = [[zero, -a[2], a[1]], [a[2], zero, -a[0]], [-a[1], a[0], zero]]
+    (x, y, z), zero = jnp.unstack(a), jnp.zeros_like(a[0])
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
     return jnp.stack([jnp.stack(row) for row in rows])
 
 

@@ -130,7 +130,7 @@ def assemble(
     g, rows = unbalanced(posed, at, lambda_a)
     nodal = nodal_tangent(posed, u, lambda_a, mesh)
     reduced = posed.reduce(u, nodal, g)
-    values, stiffness = mask_supports(model.solver.sparsity, reduced, posed.fixed())
+    values, stiffness = mask_supports(model.solver.sparsity, reduced, posed.fixed)
     H_a, H_own = rows[which], None
     if any(actuators.has_friction):
         H_a = displacement_rows(actuators, model.positions(u))[which]

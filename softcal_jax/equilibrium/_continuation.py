@@ -106,11 +106,11 @@ def continue_equilibrium(
         solution = as_solution(state, settings)
         u, lambda_a = solution.displacement, solution.multipliers
         return solution, linearise(model, configuration, u, lambda_a)
-    quick = _QuickSteps(Posed.of(model.tabulated(), configuration), settings, precise)
+    posed = Posed.of(model, configuration)
+    quick = _QuickSteps(posed.tabulated(), settings, precise)
     start = quick.start(guess, before)
     state = jax.lax.while_loop(lambda s: ~s.done, quick.step, start)
-    posed, u = Posed.of(model, configuration), state.solution.displacement
-    lambda_a = state.solution.multipliers
+    u, lambda_a = state.solution.displacement, state.solution.multipliers
     return state.solution, Linearisation(
         posed=posed,
         at=state.at._replace(u=u),
@@ -137,14 +137,15 @@ class _QuickSteps(NamedTuple):
     def start(self, guess: Nodal, before) -> _Quick:
         posed = self.posed
         rigid = posed.rigid(guess)
-        at = evaluate(self.model, posed.held_at(rigid))
+        held = posed.held_at(rigid)
+        at = evaluate(self.model, held)
         usable = at.finite & (at.min_det_F > 0.0)
         # After a moved support, or from rest, only the careful solve is safe.
-        usable = usable & ~jnp.any(posed.imposed(rigid) != 0.0)
+        usable = usable & ~jnp.any(posed.motion(rigid, held) != 0.0)
         usable = usable & jnp.any(guess != 0.0)
         lambda_a = estimated_forces(posed, at)
         no = jnp.zeros((), bool)
-        unsolved = NewtonLoop(posed, self.settings).start(guess)._replace(at=at)
+        unsolved = NewtonLoop(posed, self.settings).start_at(at, at.u)
         before = at.u if before is None else before
         return _Quick(
             solution=as_solution(unsolved, self.settings),
@@ -161,7 +162,8 @@ class _QuickSteps(NamedTuple):
         )
 
     def careful(self, s: _Quick) -> tuple[EquilibriumSolution, Point, Array]:
-        state = newton(self.model, self.posed.configuration, s.at.u, self.settings)
+        loop = NewtonLoop(self.posed, self.settings)
+        state = loop.run(loop.start_at(s.at, s.at.u), self.settings.max_steps)
         return as_solution(state, self.settings), state.at, state.lambda_a
 
     def residual(self, at: Point, lambda_a):
@@ -170,7 +172,7 @@ class _QuickSteps(NamedTuple):
         return relative(self.posed, at, size, jnp.zeros((), at.u.dtype)).size
 
     def newton_step(self, at: Point, lambda_a, before) -> tuple[Step, Factor]:
-        found = newton_direction(self.posed, at, lambda_a, before=before)
+        found = newton_direction(self.posed, at, lambda_a, before=before, placed=True)
         return found.step, found.factor
 
     def chord_step(self, s: _Quick) -> tuple[Step, Factor]:

@@ -91,14 +91,16 @@ def newton_direction(
     theta=None,
     strict=None,
     before: Nodal | None = None,
+    placed: bool = False,
 ) -> NewtonDirection:
     """Compute the Newton step at a deformed state.
 
     The mixed formulation needs the volume ratios `theta`, and whether only steps that
-    lower the potential are taken. `before`: see `tangent_values`.
+    lower the potential are taken. `before`: see `tangent_values`. `placed`: what is
+    held is known to be where it is imposed.
     """
     model, u = posed.model, at.u
-    held_step = posed.imposed(u)
+    held_step = jnp.zeros_like(u) if placed else posed.imposed(u)
     moving = jnp.any(held_step != 0.0)
     to_go, active = gap(posed, at, lambda_a, jnp.ones(()))
     # A slack cable loses its force before the step.
@@ -137,7 +139,7 @@ def newton_direction(
     )
     return NewtonDirection(
         step=Step(
-            d=(sign * d).at[: u.size].add(supports.ravel()),
+            d=sign * d + jnp.pad(supports.ravel(), (0, d.size - u.size)),
             lambda_a=lambda_a,
             d_lambda=sign * model.among_all(solved.lambda_a[0]),
         ),

@@ -33,8 +33,8 @@ def deformation_gradients(
     would grow with the ratio of mesh size to tet size, and the residual of a nearly
     incompressible mesh would stagnate.
     """
-    relative = u[1:] - u[:1]
-    H = sum_of(r[None, :, None] * dN[:, a, None] for a, r in enumerate(relative, 1))
+    both = zip(jnp.unstack(u[1:] - u[:1]), jnp.unstack(dN[:, 1:], axis=1), strict=True)
+    H = sum_of(r[None, :, None] * g[:, None, :] for r, g in both)
     # The barrier stops XLA from recomputing F for each entry of the result.
     return jax.lax.optimization_barrier(jnp.eye(3)[None] + H)
 

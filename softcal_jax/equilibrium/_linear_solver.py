@@ -67,9 +67,9 @@ class AbstractLinearSolver(Module):
             values = values[self.sparsity.mirror]
         finite = jnp.all(jnp.isfinite(values)) & jnp.all(jnp.isfinite(rhs))
         # NaN makes PARDISO abort the process: factorize the identity instead.
-        unit = jnp.zeros_like(values).at[self.sparsity.diagonal].set(1.0)
         x, n_negative, ok = self._factor_solve(
-            jnp.where(finite, values, unit), jnp.where(finite, rhs, 0.0)
+            jnp.where(finite, values, self.sparsity.identity()),
+            jnp.where(finite, rhs, 0.0),
         )
         ok = ok & finite & jnp.all(jnp.isfinite(x))
         return LinearSolution(jnp.where(ok, x, 0.0), n_negative, ok)

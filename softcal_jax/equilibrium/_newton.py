@@ -288,9 +288,12 @@ class NewtonLoop:
         )
 
     def start(self, u0: Nodal) -> NewtonState:
+        return self.start_at(evaluate(self.model, self.posed.rigid(u0)), u0)
+
+    def start_at(self, guess: Point, u0: Nodal) -> NewtonState:
+        """Begin at a guess `u0`, evaluated with its bodies rigid."""
         zero, one = jnp.zeros((), u0.dtype), jnp.ones((), u0.dtype)
         rest, count = at_rest(self.model), jnp.zeros((), jnp.int32)
-        guess = evaluate(self.model, self.posed.rigid(u0))
         # Rest is a better start than inverted tets or infinite energy.
         usable = guess.finite & (guess.min_det_F > 0.0)
         at = _select(usable, guess, rest)

@@ -25,6 +25,7 @@ from softcal_jax.bodies import (
     mounted,
     place,
     rotation_matrix,
+    winding,
 )
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._assembly import gravity_load
@@ -98,13 +99,15 @@ def external_force(model: Model, configuration: ConfigurationArrays) -> Nodal:
 class Posed(NamedTuple):
     """One configuration of a model under a share of its load; built by `of`.
 
-    `f_ext` are the forces at full load [N]. How configuration and motors constrain the
-    bodies, and their frames at this load, are None without bodies.
+    `f_ext` are the forces at full load [N]. `fixed` flags the unknowns that are not
+    free: held, or of nodes that follow a body. How configuration and motors constrain
+    the bodies, and their frames at this load, are None without bodies.
     """
 
     model: Model
     configuration: ConfigurationArrays
     f_ext: Nodal
+    fixed: Bool[Array, " n_dof"]
     load: Float[Array, ""]
     states: BodyStateArrays | None
     mounted: Mounted | None
@@ -118,20 +121,31 @@ class Posed(NamedTuple):
                 model.mechanism.actuators, configuration.actuation.releasing
             )
             model = eqx.tree_at(lambda m: m.mechanism.actuators, model, actuators)
-        load, states, frames = jnp.ones((), f_ext.dtype), None, None
-        if model.reduction is not None:
-            bodies = model.mechanism.bodies
-            frames = mounted(bodies, load, jnp.zeros((bodies.n_bodies, 3)))
-            states = _body_states(model, configuration, frames)
-            arms = _arms_from_supports(model, configuration, states)
-            frames = frames._replace(arm=arms)
-        return cls(model, configuration, f_ext, load, states, frames)
+        held = jnp.asarray(configuration.fixed)
+        load, plan = jnp.ones((), f_ext.dtype), model.reduction
+        if plan is None:
+            return cls(model, configuration, f_ext, held.ravel(), load, None, None)
+        frames = mounted(model.mechanism.bodies, load)
+        states = _body_states(model, configuration, frames)
+        frames = frames._replace(home=frames.home + load * states.translation)
+        twists = blocked(states, model.mechanism.bodies)
+        held = held.at[plan.rigid].set(True)
+        fixed = jnp.concatenate([held.ravel(), twists.ravel()])
+        return cls(model, configuration, f_ext, fixed, load, states, frames)
 
     def at_load(self, load: Float[Array, ""]) -> "Posed":
-        if self.mounted is None:
+        """Pose the same at another share of the load, on the way to full load."""
+        if self.states is None:
             return self._replace(load=load)
-        frames = mounted(self.model.mechanism.bodies, load, self.mounted.arm)
-        return self._replace(load=load, mounted=frames)
+        frames = mounted(self.model.mechanism.bodies, load)
+        arms = _arms_from_supports(self.model, self.configuration, self.states)
+        there = self.states.translation, self.states.rotation
+        wound = jax.vmap(winding, (0, 0, 0, None))(arms, *there, load)
+        home = frames.home + load * self.states.translation + wound
+        return self._replace(load=load, mounted=frames._replace(home=home))
+
+    def tabulated(self) -> "Posed":
+        return self._replace(model=self.model.tabulated())
 
     @property
     def by_multiplier(self) -> Bool[Array, " n_a"]:
@@ -152,28 +166,21 @@ class Posed(NamedTuple):
         stretch = u - self.load * jnp.asarray(self.configuration.springs.rest)
         return 0.5 * jnp.sum(self.spring_force(u) * stretch)
 
-    def fixed(self) -> Bool[Array, " n_dof"]:
-        """Flag the unknowns that are not free: held, or of nodes that follow a body."""
-        held = jnp.asarray(self.configuration.fixed)
-        plan, states = self.model.reduction, self.states
-        if plan is None or states is None:
-            return held.ravel()
-        twists = blocked(states, self.model.mechanism.bodies)
-        return jnp.concatenate([held.at[plan.rigid].set(True).ravel(), twists.ravel()])
-
     def gather(self, u: Nodal, forces: Nodal) -> Float[Array, " n_dof"]:
-        """Gather forces on all nodes at u into forces on the unknowns, G^T f [N]."""
+        """Gather forces on all nodes at u into forces on the unknowns, G^T f [N].
+
+        Nodes that follow a body keep theirs as well, although they are no unknowns.
+        """
         plan = self.model.reduction
         if plan is None:
             return forces.ravel()
         on_bodies = jnp.sum(self._follow(u) * forces[plan.rigid][:, :, None], axis=1)
         n_b = self.model.mechanism.bodies.n_bodies
         wrench = jax.ops.segment_sum(on_bodies, jnp.asarray(plan.owner), n_b)
-        free = forces.at[plan.rigid].set(0.0, unique_indices=True)
-        return jnp.concatenate([free.ravel(), wrench.ravel()])
+        return jnp.concatenate([forces.ravel(), wrench.ravel()])
 
     def on_free(self, u: Nodal, forces: Nodal) -> Float[Array, " n_dof"]:
-        return jnp.where(self.fixed(), 0.0, self.gather(u, forces))
+        return jnp.where(self.fixed, 0.0, self.gather(u, forces))
 
     def scatter(self, u: Nodal, d: Float[Array, " n_dof"]) -> Nodal:
         """Spread a small step of the unknowns over all nodes, G d [m]."""
@@ -236,8 +243,11 @@ class Posed(NamedTuple):
 
     def imposed(self, u: Nodal) -> Nodal:
         """Return the remaining motion of held nodes to their imposed positions [m]."""
-        gap = self.held_at(u) - u
-        plan = self.model.reduction
+        return self.motion(u, self.held_at(u))
+
+    def motion(self, u: Nodal, there: Nodal) -> Nodal:
+        """Return there - u, without the rounding of nodes that follow a body [m]."""
+        gap, plan = there - u, self.model.reduction
         if plan is None:
             return gap
         far = gap[plan.rigid]
@@ -280,7 +290,7 @@ class Posed(NamedTuple):
         points = jnp.asarray(self.model.mechanism.points)
         ends = frame_nodes(bodies, frames)
         attached = jnp.sum(bodies.weights[:, :, None] * ends[bodies.body], axis=1)
-        u = u.at[n_nodes:].set(ends.reshape(-1, 3) - points[n_nodes:])
+        u = jnp.concatenate([u[:n_nodes], ends.reshape(-1, 3) - points[n_nodes:]])
         moved = attached - points[bodies.attached]
         return u.at[bodies.attached].set(moved, unique_indices=True)
 

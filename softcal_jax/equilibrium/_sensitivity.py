@@ -91,7 +91,7 @@ def input_rows(
         )
 
     rows = by_inputs(at_fixed_unknowns)
-    fixed = lin.posed.fixed()
+    fixed = lin.posed.fixed
     return rows._replace(force=jnp.where(fixed[None], 0.0, rows.force))
 
 

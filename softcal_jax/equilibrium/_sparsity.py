@@ -41,6 +41,10 @@ class Sparsity(Module):
     def nnz(self) -> int:
         return self.indices.shape[0]
 
+    def identity(self) -> Float[Array, " nnz"]:
+        """Return the stored entries of the identity."""
+        return jnp.asarray(self.rows == self.indices, float)
+
     def positions(
         self, rows: Int[HostArray, "..."], columns: Int[HostArray, "..."]
     ) -> Int[HostArray, "..."]:
@@ -139,8 +143,8 @@ def product(
     if not sparsity.symmetric:
         return jnp.zeros_like(v).at[rows].add(values * v[cols])
     lower = jnp.where(rows == cols, 0.0, values)
-    upper = jnp.zeros_like(v).at[rows].add(values * v[cols])
-    return upper.at[cols].add(lower * v[rows])
+    both = jnp.concatenate([values * v[cols], lower * v[rows]])
+    return jnp.zeros_like(v).at[jnp.concatenate([rows, cols])].add(both)
 
 
 def mask_supports(
@@ -151,11 +155,9 @@ def mask_supports(
     The scale, returned too, is the mean stiffness of an unknown [N/m].
     """
     held = fixed[sparsity.rows] | fixed[sparsity.indices]
-    diagonal = values[sparsity.diagonal]
     # Unlike 1, the mean stiffness keeps the matrix well scaled in any unit.
-    scale = jnp.mean(jnp.abs(diagonal))
-    on_diagonal = jnp.where(fixed, scale, diagonal)
-    return jnp.where(held, 0.0, values).at[sparsity.diagonal].set(on_diagonal), scale
+    scale = jnp.mean(jnp.abs(values[sparsity.diagonal]))
+    return jnp.where(held, scale * sparsity.identity(), values), scale
 
 
 class Reduction(Module):

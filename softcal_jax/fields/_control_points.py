@@ -1,6 +1,7 @@
 """Control points and inverse-distance weighting (paper Sec. IV.A)."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -129,14 +130,20 @@ class ControlPoints(Module):
         to d_ij^-power, with d_ij the distance from point i [m] to control point j. Rows
         sum to one; a point on a control point takes that control point alone.
         """
-        columns = jnp.asarray(self.columns)
-        x, c = (jnp.asarray(at, float)[:, columns] for at in (points, self.positions))
-        squares = jnp.sum((x[:, None] - c[None]) ** 2, axis=2)
-        # On a control point: the limit, with a derivative of zero instead of 0 / 0.
-        squares = jnp.maximum(squares, jnp.finfo(squares.dtype).tiny)
-        # Logarithms avoid overflow of the power.
-        nearness = -0.5 * self.power * jnp.log(squares)
-        if self.nearest is not None and self.nearest < len(self.names):
-            reach = jnp.sort(squares, axis=1)[:, self.nearest - 1 : self.nearest]
-            nearness = jnp.where(squares <= reach, nearness, -jnp.inf)
-        return jax.nn.softmax(nearness, axis=1)
+        at = [jnp.asarray(x, float) for x in (points, self.positions)]
+        return _weights(*at, self.power, tuple(self.columns), self.nearest)
+
+
+@partial(jax.jit, static_argnums=(3, 4))
+def _weights(x, c, power, columns: tuple[int, ...], nearest: int | None):
+    """Compute `ControlPoints.weights` in one program."""
+    x, c = x[:, columns], c[:, columns]
+    squares = jnp.sum((x[:, None] - c[None]) ** 2, axis=2)
+    # On a control point: the limit, with a derivative of zero instead of 0 / 0.
+    squares = jnp.maximum(squares, jnp.finfo(squares.dtype).tiny)
+    # Logarithms avoid overflow of the power.
+    nearness = -0.5 * power * jnp.log(squares)
+    if nearest is not None and nearest < len(c):
+        reach = jnp.sort(squares, axis=1)[:, nearest - 1 : nearest]
+        nearness = jnp.where(squares <= reach, nearness, -jnp.inf)
+    return jax.nn.softmax(nearness, axis=1)

@@ -5,6 +5,7 @@ from dataclasses import replace
 from typing import Any, Literal, get_args
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
@@ -174,10 +175,10 @@ class ControlPointParameters(AbstractFieldEntry):
 
     def _weights(self, mesh: TetMesh) -> Float[Array, "n_tets n_cp"]:
         """Return the weights of the control points at the centroids of the tets [-]."""
-        nodes = jnp.asarray(mesh.points)[jnp.asarray(mesh.tets)]
-        if self.region is not None:
-            nodes = nodes[jnp.asarray(mesh.tets_of(self.region))]
-        return self.control_points.weights(jnp.mean(nodes[:, :4], axis=1))
+        tets = (
+            mesh.tets if self.region is None else mesh.tets[mesh.tets_of(self.region)]
+        )
+        return self.control_points.weights(_centroids(mesh.points, tets))
 
     def _at_points(self, values: Values) -> Float[Array, " n_cp"]:
         """Return the values at the control points, known ones included."""
@@ -267,6 +268,11 @@ class ControlPointParameters(AbstractFieldEntry):
             fixed={points[name]: value for name, value in self.fixed.items()},
             tied={points[name]: names[other] for name, other in self.tied},
         )
+
+
+@jax.jit
+def _centroids(points, tets):
+    return jnp.mean(points[tets[:, :4]], axis=1)
 
 
 def _direction(weights, angles):

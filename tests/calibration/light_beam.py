@@ -8,11 +8,11 @@ from softcal_jax.calibration import simulated_measurements
 from softcal_jax.configurations import Configuration, Markers, PointForce
 from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import Parameter
-from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 
 MESH = beam(0.1, 0.02, 0.02, (3, 1, 1), order=1)
-MODEL = build_model(MESH, Corotational(Isotropic(400e3, 0.3)), density=1.0)
+MODEL = build_model(MESH, NeoHookean(400e3, 0.3), density=1.0)
 TIP = (0.1, 0.01, 0.01)
 STD = 0.1e-6
 """A sixteenth of how far the tip sinks, of a body so light that it stays linear [m]."""

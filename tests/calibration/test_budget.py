@@ -34,7 +34,7 @@ from softcal_jax.fields import (
     recording_offset,
 )
 from softcal_jax.inference import NOISE
-from softcal_jax.materials import Corotational, Isotropic, NeoHookean
+from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam, to_quadratic
 from softcal_jax.unknowns import ConsideredErrors, Setting, unknowns
 from softcal_jax.unknowns._mesh_error import MeshErrors
@@ -64,7 +64,7 @@ def robot(mounting=(0.0, 0.0, 0.0), shorter=0.0):
     )
     model = build_model(
         mesh,
-        Corotational(Isotropic(5e5, 0.3)),
+        NeoHookean(5e5, 0.3),
         density=1000.0,
         bodies=[base],
         actuators=[
@@ -143,7 +143,7 @@ def refitted(model=None, configurations=None, measured=None):
 
 
 def with_law(nu):
-    return robot().with_law(Corotational(Isotropic(5e5, nu)))
+    return robot().with_law(NeoHookean(5e5, nu))
 
 
 def with_density(density):

@@ -337,6 +337,7 @@ def test_a_search_that_has_ended_is_not_forgotten(tmp_path, fit, searched, monke
     np.testing.assert_array_equal(resumed.z, searched.result.z)
 
 
+@pytest.mark.slow
 def test_an_interrupted_search_goes_on_as_if_nothing_had_stopped_it(
     tmp_path, fit, searched
 ):

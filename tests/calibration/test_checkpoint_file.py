@@ -14,7 +14,7 @@ from softcal_jax.calibration._checkpoint import Journal
 from softcal_jax.configurations import Configuration, Markers
 from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import Parameter
-from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam as beam_mesh
 
 MESH = beam_mesh(0.1, 0.02, 0.02, (1, 1, 1), order=2)
@@ -24,7 +24,7 @@ STATE = np.ones(2), np.arange(3.0)
 def journal(path, guide=0.02, **options):
     """The checkpoint of a beam that a cable pulls, whose modulus is calibrated."""
     cable = Cable("cable", [(0.0, 0.01, 0.02), (0.1, 0.01, guide)])
-    law = Corotational(Isotropic(3e5, 0.3))
+    law = NeoHookean(3e5, 0.3)
     model = build_model(MESH, law, density=1e3, actuators=[cable], **options)
     tip = Markers(["tip"], [(0.1, 0.01, 0.01)])
     pose = Configuration("pose", "x_min", markers=tip, measured=tip.positions)

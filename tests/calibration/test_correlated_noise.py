@@ -20,7 +20,7 @@ from softcal_jax.configurations import Configuration, Markers, Support, SurfaceF
 from softcal_jax.equilibrium import NewtonSettings, build_model
 from softcal_jax.fields import Parameter, exactly_known
 from softcal_jax.identifiability import assess, identify
-from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 
 STD, OFFSET = 1e-4, 0.5e-3
@@ -30,7 +30,7 @@ MARKERS = Markers(
     std=STD,
 )
 MESH = beam(0.1, 0.02, 0.02, (3, 1, 1), order=1)
-MODEL = build_model(MESH, Corotational(Isotropic(5e5, 0.3)), density=1000.0)
+MODEL = build_model(MESH, NeoHookean(5e5, 0.3), density=1000.0)
 E = Parameter("E", "E", 5e5, 1e5, 2e6, unit="Pa")
 ONLY_OFFSETS = replace(exactly_known(), recordings=OFFSET)
 LOADS = (0.0, -0.1, -0.2, -0.3)

@@ -33,12 +33,12 @@ from softcal_jax.equilibrium import (
 from softcal_jax.fields import Parameter, exactly_known, set_field
 from softcal_jax.identifiability import identify
 from softcal_jax.layouts import compare_laws
-from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 
 MESH = beam(0.1, 0.02, 0.02, (3, 1, 1), order=1)
 E_TRUE = 400e3
-MODEL = build_model(MESH, Corotational(Isotropic(E_TRUE, 0.3)), density=1000.0)
+MODEL = build_model(MESH, NeoHookean(E_TRUE, 0.3), density=1000.0)
 TIP, MIDDLE = (0.1, 0.01, 0.01), (0.05, 0.02, 0.01)
 STD = 1e-4
 MARKERS = Markers(["tip", "middle"], [TIP, MIDDLE], STD)

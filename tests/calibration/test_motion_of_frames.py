@@ -29,7 +29,7 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.fields import Parameter, exactly_known, set_field
 from softcal_jax.identifiability import identify
-from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 from softcal_jax.unknowns import _mesh_error
 
@@ -38,7 +38,7 @@ END = np.array([0.1, 0.01, 0.01])
 E_TRUE = 400e3
 MODEL = build_model(
     MESH,
-    Corotational(Isotropic(E_TRUE, 0.3)),
+    NeoHookean(E_TRUE, 0.3),
     density=1000.0,
     bodies=[RigidBody("plate", "x_max", origin=END)],
 )

@@ -18,13 +18,13 @@ from softcal_jax.configurations import Configuration, Markers
 from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
 from softcal_jax.inference import independent, uncertainty
-from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 
 calibrate = partial(calibrate_with, intervals=None)
 
 MESH = beam(0.1, 0.02, 0.02, (3, 1, 1), order=1)
-MODEL = build_model(MESH, Corotational(Isotropic(400e3, 0.3)), density=1000.0)
+MODEL = build_model(MESH, NeoHookean(400e3, 0.3), density=1000.0)
 POSE = Configuration(
     "hanging", "x_min", markers=Markers(["tip"], [(0.1, 0.01, 0.01)], 1e-4)
 )

@@ -239,6 +239,7 @@ def softened(E, guess, before):
     return with_solutions(done, lambda u: -internal_force(BEAM, u)[None])
 
 
+@pytest.mark.slow
 def test_a_long_step_of_a_slender_beam_is_closed_in_fewer_steps():
     """From an extrapolation in the modulus, with and without where it began.
 

@@ -148,8 +148,8 @@ def wrenches(model, lane, u):
     """Out-of-balance force and moment of each body, and on each free node."""
     r = residual(model, lane, u)
     robot = Posed.of(model, lane)
-    gathered = robot.gather(u, r)
-    return gathered[: u.size].reshape(u.shape), gathered[u.size :].reshape(-1, 6)
+    free = robot.on_free(u, r)[: u.size].reshape(u.shape)
+    return free, robot.gather(u, r)[u.size :].reshape(-1, 6)
 
 
 def test_held_body_carries_all_weight_and_its_moment():
@@ -208,7 +208,7 @@ class Terms(NamedTuple):
 def along(model, lane, u, d, t):
     """Pi, its slope and its curvature at a share t of the step d."""
     robot = Posed.of(model, lane)
-    d = jnp.where(robot.fixed(), 0.0, d)
+    d = jnp.where(robot.fixed, 0.0, d)
     v = robot.move(u, t * d)
     pi = energy_and_force(model, v)[0] - jnp.sum(lane.dead_loads * v)
     slope = jnp.vdot(robot.gather(v, residual(model, lane, v)), d)

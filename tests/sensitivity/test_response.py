@@ -171,7 +171,7 @@ def near(name):
     [
         "plain",
         "many parameters",
-        "KLU",
+        pytest.param("KLU", marks=pytest.mark.slow),
         pytest.param("no potential", marks=pytest.mark.slow),
         pytest.param("no potential, many parameters", marks=pytest.mark.slow),
         pytest.param("mean dilatation", marks=pytest.mark.slow),
