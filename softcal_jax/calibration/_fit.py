@@ -212,10 +212,9 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
 
 
 def _words_of_budget(task: Task, seconds: float) -> str:
-    """Say what the error budget takes."""
     n = task.model.n_tets * (1 if task.model.mesh.order == 1 else 8)
     finer = f", with one solve of a mesh of {n} quadratic tets"
-    finer *= task.uncertain.mesh > 0
+    finer = finer if task.uncertain.mesh > 0 else ""
     return f"{BUDGET}{finer} (the fit took {seconds:.0f} s)"
 
 
