@@ -254,6 +254,7 @@ def test_a_module_of_ours_that_is_missing_is_not_hidden():
         pass
 
 
+@pytest.mark.slow
 def test_a_run_without_peers_tells_ours(job, monkeypatch, tmp_path):
     monkeypatch.setattr(peers, "peer_job", lambda: job)
     monkeypatch.setattr(peers, "our_end", lambda job: {"ours_recovered": 1})

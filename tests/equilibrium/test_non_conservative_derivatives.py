@@ -76,6 +76,7 @@ def direction(name: str) -> Inputs:
     return jax.tree.map(jnp.zeros_like, START)._replace(**{name: part})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", Inputs._fields)
 def test_implicit_derivative_is_second_order_against_differences(name):
     tangent = direction(name)

@@ -13,7 +13,7 @@ from problems import lane_of
 
 from softcal_jax.configurations import Configuration, Support, configuration_arrays
 from softcal_jax.equilibrium import Program, Workers, build_model, solve_equilibrium
-from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 
 MODULI = np.linspace(2e5, 9e5, 7)
@@ -22,7 +22,7 @@ MODULI = np.linspace(2e5, 9e5, 7)
 @pytest.fixture(scope="module")
 def cantilever():
     mesh = beam(0.1, 0.02, 0.015, (6, 2, 2), order=2)
-    model = build_model(mesh, Corotational(Isotropic(5e5, 0.3)), density=1000.0)
+    model = build_model(mesh, NeoHookean(5e5, 0.3), density=1000.0)
     own_weight = Configuration("weight", (Support("x_min"),), gravity=(0, 0, -9.81))
     lane = configuration_arrays(mesh, [own_weight])
     return model, lane_of(lane)
@@ -30,7 +30,7 @@ def cantilever():
 
 @eqx.filter_jit
 def _solve(model, configuration, E):
-    model = model.with_law(Corotational(Isotropic(E, 0.3)))
+    model = model.with_law(NeoHookean(E, 0.3))
     return solve_equilibrium(model, configuration)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from softcal_jax.configurations import Configuration, Markers, Support, SurfaceForce
 from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import ControlPointParameters, ControlPoints
-from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import TetMesh, beam
 
 STD = 1e-4
@@ -21,7 +21,7 @@ def bar(cells, order=1):
     tip = box.points[box.tets[:, :4]].mean(axis=1)[:, 0] > 0.05
     groups = {"root": np.flatnonzero(~tip), "tip": np.flatnonzero(tip)}
     mesh = TetMesh(box.points, box.tets, box.node_groups, box.surface_groups, groups)
-    law = Corotational(Isotropic(np.full(mesh.n_tets, 1e5), 0.3))
+    law = NeoHookean(np.full(mesh.n_tets, 1e5), 0.3)
     return build_model(mesh, law, density=1000.0)
 
 

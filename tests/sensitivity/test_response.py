@@ -170,7 +170,7 @@ def near(name):
     "name",
     [
         "plain",
-        "many parameters",
+        pytest.param("many parameters", marks=pytest.mark.slow),
         pytest.param("KLU", marks=pytest.mark.slow),
         pytest.param("no potential", marks=pytest.mark.slow),
         pytest.param("no potential, many parameters", marks=pytest.mark.slow),
