@@ -139,9 +139,10 @@ class Posed(NamedTuple):
             return self._replace(load=load)
         frames = mounted(self.model.mechanism.bodies, load)
         arms = _arms_from_supports(self.model, self.configuration, self.states)
-        there = self.states.translation, self.states.rotation
-        wound = jax.vmap(winding, (0, 0, 0, None))(arms, *there, load)
-        home = frames.home + load * self.states.translation + wound
+        moved = jnp.asarray(self.states.translation)
+        turned = jnp.asarray(self.states.rotation)
+        wound = jax.vmap(winding, (0, 0, 0, None))(arms, moved, turned, load)
+        home = frames.home + load * moved + wound
         return self._replace(load=load, mounted=frames._replace(home=home))
 
     def tabulated(self) -> "Posed":
