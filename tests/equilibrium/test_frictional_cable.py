@@ -147,7 +147,9 @@ def test_a_cable_that_is_let_out_goes_slack():
     assert values[PULL, 0] == 0.0
 
 
-@pytest.mark.parametrize("by", ["force", "displacement"])
+@pytest.mark.parametrize(
+    "by", ["force", pytest.param("displacement", marks=pytest.mark.slow)]
+)
 def test_derivatives_by_the_coefficient_of_friction(pulled, by):
     """Forward = reverse, and differences of second order; tip, shortening and pull."""
     solution, values, lane = pulled[1]

@@ -244,11 +244,11 @@ def derivative(both, inputs, tangent):
     return forward_and_reverse(inputs, tangent, cotangent, both).forward
 
 
-TORQUE = pytest.param("torque", marks=pytest.mark.slow)
-"""A third set of programs of the same kind."""
+OTHERS = [pytest.param(n, marks=pytest.mark.slow) for n in ("displacements", "torque")]
+"""More programs of the same kind."""
 
 
-@pytest.fixture(scope="module", params=["forces", "displacements", TORQUE])
+@pytest.fixture(scope="module", params=["forces", *OTHERS])
 def start(request, by_force):
     delta, lambda_a = read(by_force[1])
     asked = (

@@ -44,7 +44,9 @@ from softcal_jax.materials import (
 )
 
 PACKAGES = {"pardiso": "pardiso_mkl_jax", "klu": "klujax"}
-each_solver = pytest.mark.parametrize("solver", PACKAGES)
+each_solver = pytest.mark.parametrize(
+    "solver", ["pardiso", pytest.param("klu", marks=pytest.mark.slow)]
+)
 
 
 @pytest.mark.slow
