@@ -150,6 +150,7 @@ def _without_root():
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:os.fork")  # what JAX says of `before`
 @linux
 def test_with_a_home_that_cannot_be_written(tmp_path):
     home = tmp_path / "home"

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Literal
 
 import equinox as eqx
-import jax.numpy as jnp
+import jax
 import numpy as np
 from scipy.special import chdtrc
 
@@ -288,7 +288,7 @@ def simulation_result(
     """
     lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
     reference = lambda arrays: arrays.effectors.turn_reference
-    from_rest = jnp.broadcast_to(jnp.eye(3), reference(lanes.arrays).shape)
+    from_rest = np.broadcast_to(np.eye(3), reference(lanes.arrays).shape)
     arrays = eqx.tree_at(reference, lanes.arrays, from_rest)
 
     effectors = [
@@ -334,6 +334,7 @@ def _results(
     model, configurations, arrays, solution, *, roles: Sequence[Role], effectors
 ) -> tuple[ConfigurationResult, ...]:
     states = robot_states(model, configurations, solution, arrays)
+    solution = jax.device_get(solution)
     return tuple(
         ConfigurationResult(
             name=configuration.name,

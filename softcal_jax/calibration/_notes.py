@@ -3,7 +3,6 @@
 import warnings
 from collections.abc import Sequence
 
-import jax.numpy as jnp
 import numpy as np
 from scipy.special import chdtrc
 
@@ -240,7 +239,7 @@ def result_notes(
 
 def fit_notes(state: CalibrationState, settings: CalibrationSettings) -> list[str]:
     """Say why a fit did not converge, if it did not."""
-    size = float(jnp.max(jnp.abs(state.lambda_p)))
+    size = float(np.max(np.abs(state.lambda_p)))
     if state.stalled:
         return [
             "Not converged: steps were refused until they were shorter than "

@@ -142,8 +142,9 @@ class ParameterSpace(Module):
 
     def at_bound(self, z: Float[Array | HostArray, " n_p"]) -> Bool[HostArray, " n_p"]:
         """Tell which parameters are on a bound, up to rounding."""
-        down, up = map(np.asarray, self.room(jax.device_put(z)))
-        return (down >= -1e-9) | (up <= 1e-9)
+        z, low, high = map(np.asarray, (z, self.lower(), self.upper()))
+        on_bound = (low - z >= -1e-9) | (high - z <= 1e-9)
+        return on_bound & ~np.array([q.periodic for q in self.parameters])
 
     def max_step(self) -> Scaled:
         """Return the step limits of the parameters, infinite by default."""
