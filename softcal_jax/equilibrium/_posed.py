@@ -101,7 +101,8 @@ class Posed(NamedTuple):
 
     `f_ext` are the forces at full load [N]. `fixed` flags the unknowns that are not
     free: held, or of nodes that follow a body. How configuration and motors constrain
-    the bodies, and their frames at this load, are None without bodies.
+    the bodies, their arms for `winding` [m], and their frames at this load are None
+    without bodies.
     """
 
     model: Model
@@ -109,8 +110,9 @@ class Posed(NamedTuple):
     f_ext: Nodal
     fixed: Bool[Array, " n_dof"]
     load: Float[Array, ""]
-    states: BodyStateArrays | None
-    mounted: Mounted | None
+    states: BodyStateArrays | None = None
+    arms: Float[Array, "n_b 3"] | None = None
+    mounted: Mounted | None = None
 
     @classmethod
     def of(cls, model: Model, configuration: ConfigurationArrays) -> "Posed":
@@ -124,24 +126,24 @@ class Posed(NamedTuple):
         held = jnp.asarray(configuration.fixed)
         load, plan = jnp.ones((), f_ext.dtype), model.reduction
         if plan is None:
-            return cls(model, configuration, f_ext, held.ravel(), load, None, None)
+            return cls(model, configuration, f_ext, held.ravel(), load)
         frames = mounted(model.mechanism.bodies, load)
         states = _body_states(model, configuration, frames)
         frames = frames._replace(home=frames.home + load * states.translation)
         twists = blocked(states, model.mechanism.bodies)
         held = held.at[plan.rigid].set(True)
         fixed = jnp.concatenate([held.ravel(), twists.ravel()])
-        return cls(model, configuration, f_ext, fixed, load, states, frames)
+        arms = _arms_from_supports(model, configuration, states)
+        return cls(model, configuration, f_ext, fixed, load, states, arms, frames)
 
     def at_load(self, load: Float[Array, ""]) -> "Posed":
         """Pose the same at another share of the load, on the way to full load."""
-        if self.states is None:
+        if self.states is None or self.arms is None:
             return self._replace(load=load)
         frames = mounted(self.model.mechanism.bodies, load)
-        arms = _arms_from_supports(self.model, self.configuration, self.states)
         moved = jnp.asarray(self.states.translation)
         turned = jnp.asarray(self.states.rotation)
-        wound = jax.vmap(winding, (0, 0, 0, None))(arms, moved, turned, load)
+        wound = jax.vmap(winding, (0, 0, 0, None))(self.arms, moved, turned, load)
         home = frames.home + load * moved + wound
         return self._replace(load=load, mounted=frames._replace(home=home))
 

@@ -142,6 +142,7 @@ class ParameterSpace(Module):
 
     def at_bound(self, z: Float[Array | HostArray, " n_p"]) -> Bool[HostArray, " n_p"]:
         """Tell which parameters are on a bound, up to rounding."""
+        # On the host: `room` would compile, at the end of a fit.
         z, low, high = map(np.asarray, (z, self.lower(), self.upper()))
         on_bound = (low - z >= -1e-9) | (high - z <= 1e-9)
         return on_bound & ~np.array([q.periodic for q in self.parameters])

@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any, Literal, get_args
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
@@ -175,10 +174,11 @@ class ControlPointParameters(AbstractFieldEntry):
 
     def _weights(self, mesh: TetMesh) -> Float[Array, "n_tets n_cp"]:
         """Return the weights of the control points at the centroids of the tets [-]."""
-        tets = (
-            mesh.tets if self.region is None else mesh.tets[mesh.tets_of(self.region)]
-        )
-        return self.control_points.weights(_centroids(mesh.points, tets))
+        # As `TetMesh.centroids`, but of a traced mesh as well.
+        centroids = mesh.points[mesh.tets[:, :4]].mean(axis=1)
+        if self.region is not None:
+            centroids = centroids[mesh.tets_of(self.region)]
+        return self.control_points.weights(centroids)
 
     def _at_points(self, values: Values) -> Float[Array, " n_cp"]:
         """Return the values at the control points, known ones included."""
@@ -268,11 +268,6 @@ class ControlPointParameters(AbstractFieldEntry):
             fixed={points[name]: value for name, value in self.fixed.items()},
             tied={points[name]: names[other] for name, other in self.tied},
         )
-
-
-@jax.jit
-def _centroids(points, tets):
-    return jnp.mean(points[tets[:, :4]], axis=1)
 
 
 def _direction(weights, angles):

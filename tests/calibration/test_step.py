@@ -403,10 +403,10 @@ def test_a_fit_that_leaves_an_error_converges_by_its_curvature(problem):
     )
     settings, z = CalibrationSettings(), problem.space.start()
     begin = initial_state(settings, z, evaluate(noisy, z))
-    ends, most = [], 30
+    ends = []
     for learns in (True, False):
         state = begin
-        while not (state.converged or state.stalled) and state.step < most:
+        while not (state.converged or state.stalled) and state.step < 30:
             if not learns:
                 where = lambda s: s.curvature.used
                 state = eqx.tree_at(where, state, jnp.zeros((), bool))
@@ -416,7 +416,6 @@ def test_a_fit_that_leaves_an_error_converges_by_its_curvature(problem):
                 now = evaluate(noisy, proposal.z, now.equilibrium.displacement)
             state = decide(noisy, settings, state, proposal, now)
         ends.append(state)
-        most = 2 * state.step
     curved, linear = ends
     assert bool(curved.converged)
     assert not bool(linear.converged)

@@ -88,10 +88,10 @@ def test_force_and_tangent_are_derivatives_of_the_energy(formulation):
 
 @pytest.mark.parametrize("order", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_tabulated_law_has_its_entries_where_the_constants_are(order):
-    """One per tet, and one for all beside it."""
+    """One for all, one per tet, and both in one law."""
     mesh = cube(order)
     u, E_t, theta = bent(mesh), per_tet(0.8, 1.3), per_tet(0.2, 1.0)
-    for constants in [(E_t, 0.3), (E_t, theta)]:
+    for constants in [(1.0, 0.3), (E_t, 0.3), (1.0, theta), (E_t, theta)]:
         model = build_model(mesh, anisotropic(*constants), density=1.0)
         table = model.tabulated()
         shape = jax.tree.leaves(table.law)[0].shape
