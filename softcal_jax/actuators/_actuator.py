@@ -7,14 +7,13 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
-import equinox as eqx
 import jax
 import numpy as np
 
 from softcal_jax._module import Module, one_line
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray, Int
-from softcal_jax.mesh import Refinement, TetMesh, locate
+from softcal_jax.mesh import TetMesh, locate
 
 T = TypeVar("T", bound="AbstractCliques")
 
@@ -64,11 +63,6 @@ class AbstractCliques(Module):
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         """Collect what to draw of all cliques at the positions of all nodes [m]."""
 
-    def refined(self, refinement: Refinement) -> "AbstractCliques":
-        """Return the cliques on a finer mesh; here for nodes of frames of bodies."""
-        nodes = refinement.nodes(np.asarray(self.nodes))
-        return eqx.tree_at(lambda c: c.nodes, self, jax.device_put(nodes))
-
     def curvature(self, x: Float[Array, "m 3"]) -> Float[Array, "3*m 3*m"]:
         """Differentiate the force by the positions, node by node, for lambda_a = 1."""
         return jax.jacfwd(self.row)(x).reshape(x.size, x.size)
@@ -107,19 +101,8 @@ def owned(nodes: HostArray, owner: int) -> tuple[Array, Array]:
     return jax.device_put((nodes, np.full(len(nodes), owner, nodes.dtype)))
 
 
-def on_finer_faces(cliques: T, refinement: Refinement) -> T:
-    """Return cliques that are faces on the faces that each of them becomes."""
-    nodes = refinement.faces(np.asarray(cliques.nodes))
-    each = lambda a: np.repeat(np.asarray(a), len(nodes) // len(a), axis=0)
-    many = jax.tree.map(each, cliques)
-    return jax.device_put(eqx.tree_at(lambda c: c.nodes, many, nodes))
-
-
 class AbstractPressedFaces(AbstractCliques):
     """Faces on which a pressure acts."""
-
-    def refined(self, refinement: Refinement) -> "AbstractPressedFaces":
-        return on_finer_faces(self, refinement)
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         nodes, owner = np.asarray(self.nodes), np.asarray(self.owner)

@@ -21,7 +21,6 @@ from softcal_jax.actuators._actuator import (
     RestState,
 )
 from softcal_jax.bodies import Vector, as_floats, three_numbers
-from softcal_jax.mesh import Refinement, locate
 
 _COINCIDENT = 1e-9
 """Distance at which guides coincide, relative to the extent of the cable [-]."""
@@ -197,27 +196,6 @@ class AbstractGuided(AbstractDisplacedCliques):
 
     weights: Float[Array, "*cliques n_guides m"]
     fixed: Float[Array, "*cliques n_guides 3"]
-
-    def refined(self, refinement: Refinement) -> "AbstractGuided":
-        n, points = refinement.coarse.n_nodes, refinement.coarse.points
-        nodes, weights = np.asarray(self.nodes), np.asarray(self.weights)
-        mesh_weights = weights * (nodes < n)[:, None]
-        on_mesh = np.any(mesh_weights != 0.0, axis=2)
-        rest = np.einsum("cem,cmi->cei", mesh_weights, points[np.minimum(nodes, n - 1)])
-        located = locate(refinement.mesh, rest[on_mesh], max_distance=np.inf)
-        carriers = zip(located.nodes, located.weights, strict=True)
-        pieces = []
-        for c, fixed in enumerate(np.asarray(self.fixed)):
-            guides = []
-            for w, moves, constant in zip(weights[c], on_mesh[c], fixed, strict=True):
-                kept = refinement.nodes(nodes[c, w != 0.0]), w[w != 0.0]
-                guides.append((*(next(carriers) if moves else kept), constant))
-            pieces.append(guides)
-        touched = (np.concatenate([nodes for nodes, *_ in piece]) for piece in pieces)
-        m = max(np.unique(each).size for each in touched)
-        parts = zip(*(_along(guides, m) for guides in pieces), strict=True)
-        where = lambda c: (c.nodes, c.weights, c.fixed)
-        return eqx.tree_at(where, self, jax.device_put(tuple(map(np.stack, parts))))
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         nodes, weights = np.asarray(self.nodes), np.asarray(self.weights)

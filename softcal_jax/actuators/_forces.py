@@ -14,12 +14,11 @@ from softcal_jax.actuators._actuator import (
     ActuatorGeometry,
     Kind,
     RestState,
-    on_finer_faces,
     owned,
     unit,
 )
 from softcal_jax.bodies import as_floats, three_numbers, unit_vector
-from softcal_jax.mesh import Refinement, face_shares, locate
+from softcal_jax.mesh import face_shares
 
 
 class ForceActuator(AbstractActuator):
@@ -99,30 +98,9 @@ class AbstractWeighted(AbstractPotentialCliques):
 class WeightedNodes(AbstractWeighted):
     """Nodes that carry a point."""
 
-    def refined(self, refinement: Refinement) -> "WeightedNodes":
-        weights = np.asarray(self.weights)
-        force = weights.sum(axis=1)
-        per_force = force / np.sum(force**2, axis=1)[:, None]
-        share = np.einsum("cmi,ci->cm", weights, per_force)
-        points = refinement.coarse.points[np.asarray(self.nodes)]
-        rest = np.einsum("cm,cmi->ci", share, points)
-        at = locate(refinement.mesh, rest, max_distance=np.inf)
-        new = at.nodes.astype(self.nodes.dtype), at.weights[..., None] * force[:, None]
-        where = lambda c: (c.nodes, c.weights)
-        return eqx.tree_at(where, self, jax.device_put(new))
-
 
 class WeightedFaces(AbstractWeighted):
     """Faces with a force of fixed direction, consistent with their shape functions."""
-
-    def refined(self, refinement: Refinement) -> "WeightedFaces":
-        many = on_finer_faces(self, refinement)
-        shares = face_shares(refinement.mesh, np.asarray(many.nodes))
-        n = len(many.nodes) // len(self.nodes)
-        whole = np.repeat(shares.reshape(-1, n, shares.shape[1]).sum((1, 2)), n)
-        force = np.sum(np.asarray(many.weights), axis=1, keepdims=True)
-        spread = (shares / whole[:, None])[..., None] * force
-        return eqx.tree_at(lambda f: f.weights, many, jax.device_put(spread))
 
 
 class Motor(AbstractActuator):

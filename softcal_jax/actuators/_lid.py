@@ -16,7 +16,6 @@ from softcal_jax.actuators._actuator import (
     RestState,
     owned,
 )
-from softcal_jax.mesh import Refinement
 
 
 class OpenEdges(NamedTuple):
@@ -109,15 +108,6 @@ class ChamberLids(AbstractPotentialCliques):
 
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
         return lid_cone(x - self.centre[None], self.weights, quadratic=self.quadratic)
-
-    def refined(self, refinement: Refinement) -> "ChamberLids":
-        rings = np.asarray(self.nodes)
-        mids = refinement.mids(np.stack([rings, np.roll(rings, -1, axis=1)], axis=-1))
-        finer = np.stack([rings, mids], axis=-1).reshape(len(rings), -1)
-        finer = finer.astype(rings.dtype)
-        weights = np.stack([_shares(refinement.mesh.points[r], True) for r in finer])
-        nodes, weights = jax.device_put((finer, weights))
-        return ChamberLids(nodes, self.owner, weights, self.centre, quadratic=True)
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         return ActuatorGeometry()  # neither material nor faces

@@ -1,7 +1,6 @@
 """Rigid bodies as arrays; their nodes follow four frame nodes each."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -12,7 +11,7 @@ from softcal_jax._module import Module
 from softcal_jax._names import check_unique, unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies._body import KINDS, RigidBody
-from softcal_jax.mesh import Refinement, TetMesh, node_indices
+from softcal_jax.mesh import TetMesh, node_indices
 
 
 class BodyArrays(Module):
@@ -65,18 +64,6 @@ class BodyArrays(Module):
     def at(self, body: int, points: Float[HostArray, "n 3"]) -> Float[HostArray, "n 4"]:
         """Return the weights on the frame nodes [-] for points fixed on a body [m]."""
         return _affine(self.origin[body], self.axes[body], self.length, points)
-
-    def refined(self, refinement: Refinement) -> "BodyArrays":
-        """Add the nodes of a finer mesh that lie between nodes of a body."""
-        parts, n = [(self.attached, self.body, self.weights)], refinement.coarse.n_nodes
-        for k in range(self.n_bodies):
-            of_body = np.zeros(n, bool)
-            of_body[self.attached[self.body == k]] = True
-            new = n + np.flatnonzero(refinement.among(of_body)).astype(np.int32)
-            weights = self.at(k, refinement.mesh.points[new])
-            parts.append((new, np.full(len(new), k, np.int32), weights))
-        attached, body, weights = map(np.concatenate, zip(*parts, strict=True))
-        return replace(self, attached=attached, body=body, weights=weights)
 
 
 def _affine(origin, axes, length, points):

@@ -37,7 +37,6 @@ from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.inference import EXACT, LinearModel
-from softcal_jax.unknowns import MESH
 
 LEVEL = 0.95
 """Confidence of intervals unless another one is asked for [-]."""
@@ -236,8 +235,6 @@ def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInte
         return _none(fitted, level, "the calibration did not converge")
     if not np.isfinite(spread.noise_scale):
         return _none(fitted, level, "too few data to estimate the noise")
-    if MESH in result.budget.unknown:
-        return _none(fitted, level, "how far the mesh moves it could not be estimated")
     std = np.sqrt(np.diag(spread.covariance))
     known = np.flatnonzero(np.isfinite(std)).tolist()
     bent = np.flatnonzero(spread.at_bound).tolist()

@@ -390,13 +390,7 @@ def _judged(
     spread = uncertainty(linear.with_scale(1.0), task.noise, weighed.scale)
     noise_is_known = bool(np.isfinite(spread.noise_scale))
     linear = linear.with_scale(spread.noise_scale if noise_is_known else 1.0)
-    budget = error_budget(
-        linear.of_fit(),
-        task.space,
-        z,
-        noise_is_known=noise_is_known,
-        unknown=doubts.unknown(n_fitted),
-    )
+    budget = error_budget(linear.of_fit(), task.space, z, noise_is_known=noise_is_known)
     checks = residual_checks(
         linear.of_fit(),
         task.fitted,
@@ -405,7 +399,7 @@ def _judged(
         fits=predicted.fits[:n_fitted],
     )
     recordings = recording_estimates(
-        linear, _witnesses(task, doubts), space=task.space, z=z, spread=spread
+        linear, _witnesses(task), space=task.space, z=z, spread=spread
     )
     checks = replace(checks, recordings=recordings)
     notes = result_notes(problem.of_first(n_fitted), predicted.fits, z, spread)
@@ -430,17 +424,14 @@ def _linear(
     )
 
 
-def _witnesses(task: Task, doubts: ConsideredErrors) -> list[str | None]:
+def _witnesses(task: Task) -> list[str | None]:
     """Return the recording of each configuration that may be asked alone.
 
-    None for those held out of a recording that is fitted, too, and where the error of
-    the mesh, which counts elsewhere, is not known.
+    None for those held out of a recording that is fitted, too.
     """
     recordings = independent_recordings(task.configurations)
     n = len(task.fitted)
-    known = [True] * len(recordings) if doubts.mesh is None else doubts.mesh.known
-    counts = doubts.mesh is None or not np.all(doubts.mesh.known[:n])
     return [
-        name if k < n or (name not in recordings[:n] and (counts or known[k])) else None
+        name if k < n or name not in recordings[:n] else None
         for k, name in enumerate(recordings)
     ]

@@ -1,7 +1,6 @@
 """Rigid bodies and actuators of a robot, and what a configuration asks of them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import jax
 import numpy as np
@@ -25,7 +24,7 @@ from softcal_jax.bodies import (
     body_arrays,
 )
 from softcal_jax.configurations._arrays import ActuationArrays
-from softcal_jax.mesh import Refinement, TetMesh
+from softcal_jax.mesh import TetMesh
 
 
 class Mechanism(Module):
@@ -56,17 +55,6 @@ class Mechanism(Module):
         For a motor it is the reading of its encoder: the angle minus the zero error.
         """
         return actuator_displacements(self.actuators, x) - self.motor_zero
-
-    def refined(self, refinement: Refinement) -> "Mechanism":
-        """Return the same bodies and actuators on a finer mesh."""
-        groups = tuple(g.refined(refinement) for g in self.actuators.groups)
-        frames = self.points[refinement.coarse.n_nodes :]
-        return Mechanism(
-            points=np.concatenate([refinement.mesh.points, frames]),
-            bodies=self.bodies.refined(refinement),
-            actuators=replace(self.actuators, groups=groups),
-            motor_zero=self.motor_zero,
-        )
 
 
 def build_mechanism(

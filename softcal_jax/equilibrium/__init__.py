@@ -6,15 +6,16 @@ from softcal_jax.equilibrium._assembly import (
     add_weighted as add_weighted,
     energy_and_force as energy_and_force,
     field_forces as field_forces,
+    force_of_gradients as force_of_gradients,
     gravity_load as gravity_load,
     internal_force as internal_force,
     tangent_values as tangent_values,
     tet_states as tet_states,
+    tet_stresses as tet_stresses,
 )
 from softcal_jax.equilibrium._build_model import (
     build_model as build_model,
     model_for_law as model_for_law,
-    refined_model as refined_model,
 )
 from softcal_jax.equilibrium._continuation import (
     continue_equilibrium as continue_equilibrium,

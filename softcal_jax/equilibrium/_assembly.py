@@ -17,6 +17,7 @@ from softcal_jax.equilibrium._element import (
     element_energy_and_force,
     element_state,
     element_stiffness,
+    element_stresses,
     mean_dilatation,
     mixed_newton,
 )
@@ -81,6 +82,49 @@ def _states(model: Model, u: Nodal):
 def _state(u, dN, w, law, active, formulation):
     energy, cauchy, F = element_state(u, dN, w, law, formulation)
     return active * energy, active * cauchy, F
+
+
+class TetStresses(NamedTuple):
+    """Stress and deformation of tets; see `element_stresses`.
+
+    Attributes:
+        stress: First Piola-Kirchhoff stress P at the quadrature points [Pa].
+        F: Mean deformation gradient [-].
+        excess: J - J_bar at the points with "mean-dilatation", else None [-].
+        pressure_slope: Derivative of the pressure by the gradient there [Pa].
+    """
+
+    stress: Float[Array, "n_tets n_qp 3 3"]
+    F: Float[Array, "n_tets 3 3"]
+    excess: Float[Array, "n_tets n_qp"] | None = None
+    pressure_slope: Float[Array, "n_tets n_qp 3 3"] | None = None
+
+    __repr__ = one_line
+
+
+def tet_stresses(model: Model, u: Nodal) -> TetStresses:
+    """Compute stress and deformation of each tet."""
+
+    def in_order(values: Float[Array, "n_blocks ... block"]):
+        by_tet = jnp.moveaxis(values, -1, 1)
+        return by_tet.reshape(-1, *by_tet.shape[2:])[: model.n_tets]
+
+    own = {"formulation": model.formulation}
+    return TetStresses(*map(in_order, _map_blocks(model, u, _stresses, **own)))
+
+
+def _stresses(u, dN, w, law, active, formulation):
+    del active
+    return element_stresses(u, dN, w, law, formulation)
+
+
+def force_of_gradients(model: Model, values: Float[Array, "n_tets n_qp 3 3"]) -> Nodal:
+    """Compute the nodal forces whose work is sum_q values_q : grad z [N]."""
+    n_blocks, _, block = model.weights.shape
+    blocked = jnp.moveaxis(to_blocks(values, model.n_tets, n_blocks, block), 1, -1)
+    return _add_forces(
+        model, jnp.einsum("bqiJt,bqaJt->bait", blocked, model.shape_gradients)
+    )
 
 
 def internal_force(model: Model, u: Nodal) -> Nodal:

@@ -1,7 +1,7 @@
 """Building a model: shape gradients, sparsity, symbolic analysis."""
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +24,7 @@ from softcal_jax.equilibrium._sparsity import (
     destinations,
 )
 from softcal_jax.materials import AbstractLaw
-from softcal_jax.mesh import Refinement, TetMesh, check_mesh, finer
+from softcal_jax.mesh import TetMesh, check_mesh
 
 # Blocks of tets fit the L1 cache, with the tet index last for vectorisation: the
 # corotational law takes twice as long with blocks of 32 as with 16.
@@ -88,33 +88,6 @@ def build_model(
         formulation=_formulation(formulation, law, mesh.order),
         solver=kind,
     )
-
-
-def refined_model(model: Model) -> tuple[Model, Refinement]:
-    """Prepare the same robot on a finer mesh, see `Refinement`.
-
-    Linear tets become quadratic, in the formulation that `build_model` chooses for
-    them; quadratic ones keep theirs. A tet has the constants of the one it is part of.
-    """
-    refinement = finer(model.mesh)
-    parent = refinement.parent
-
-    def spread(leaf: Any) -> Any:
-        if jnp.ndim(leaf) == 0:
-            return leaf
-        return jax.device_put(np.asarray(leaf)[parent])
-
-    law = jax.tree.map(spread, model.law)
-    raised = model.mesh.order == 1 and law.conservative
-    fine = _prepared(
-        refinement.mesh,
-        law,
-        density=spread(model.density),
-        mechanism=model.mechanism.refined(refinement),
-        formulation=_formulation("auto", law, 2) if raised else model.formulation,
-        solver=type(model.solver),
-    )
-    return fine, refinement
 
 
 def model_for_law(model: Model, law: AbstractLaw) -> Model:

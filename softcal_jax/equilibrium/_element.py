@@ -93,6 +93,36 @@ def element_state(
     return jnp.sum(w * psi), force / jnp.sum(w * jax.vmap(determinant)(F)), F
 
 
+def element_stresses(
+    u: Float[Array, "n_en 3"],
+    dN: Float[Array, "n_qp n_en 3"],
+    w: Float[Array, " n_qp"],
+    law: AbstractLaw,
+    formulation: Formulation,
+) -> tuple[Float[Array, "..."], ...]:
+    """Compute P at the quadrature points [Pa] and the mean F of a tet.
+
+    With "mean-dilatation", further J - J_bar at the points [-] and the derivative of
+    the pressure by the displacement gradient there [Pa].
+    """
+    F = deformation_gradients(u, dN)
+    P = _energies_and_stresses(F, u, dN, w, law, formulation)[1] / _each(w)
+    share = w / jnp.sum(w)
+    mean = jnp.sum(_each(share) * F, axis=0)
+    if not is_mixed(formulation, F.shape[0]):
+        return P, mean
+    J, matrix = jax.vmap(determinant)(F), law.parts()[0]
+
+    def pressure(scale):
+        at = scale * mean
+        return jnp.sum(matrix.stress(at) * at) / (3.0 * determinant(at))
+
+    _, per_stretch = jax.jvp(pressure, (jnp.ones(()),), (jnp.ones(()),))
+    bulk = per_stretch / (3.0 * determinant(mean))  # J grows by three times the stretch
+    slope = bulk * _each(share) * jax.vmap(cofactor)(F)
+    return P, mean, J - jnp.sum(share * J), slope
+
+
 def _energies_and_stresses(
     F: Float[Array, "n_qp 3 3"],
     u: Float[Array, "n_en 3"],

@@ -91,7 +91,6 @@ def budget_dict(budget: ErrorBudget) -> dict[str, Any]:
                 for cause in budget.causes
                 for k, error in enumerate(cause.errors)
             ],
-            "unknown": budget.unknown,
             "covariance": budget.covariance,
         }
     )

@@ -165,8 +165,6 @@ class BudgetEntry(Entry):
     """`name`, `unit`, `standard_error` by all causes, `by_cause`, and a `sentence`."""
     errors: Plain = None
     """What is uncertain: `cause`, `name`, `deviations`: change of each parameter."""
-    unknown: Plain = None
-    """Causes whose size could not be estimated."""
     covariance: list[list[float | None]]
     """Of the scaled parameters by all causes."""
 

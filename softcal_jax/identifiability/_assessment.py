@@ -126,7 +126,6 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
         result.space,
         result.z,
         precision=result.precision if precision is None else precision,
-        unknown=result.budget.unknown,
     )
     reasons = []
     if not result.converged:
@@ -153,11 +152,6 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
     reasons += [f"{p.name} ended on a bound." for p in result.parameters if p.at_bound]
     if result.model.mesh.order == 1:
         reasons += _locking(result.budget, report)
-    elif MESH in result.budget.unknown:
-        reasons.append(
-            "How far the mesh moves the values could not be estimated. Calibrate with "
-            "a finer mesh as well; where both agree, say so: Uncertain(mesh=0)."
-        )
     reasons += _wide(report, result)
     reasons += _rivals(result.starts, spread.level)
     for verdict, words in (
@@ -184,10 +178,10 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
 def _locking(budget: ErrorBudget, report: Identifiability) -> list[str]:
     """Say what linear tets may do to the values, unless that is switched off."""
     errors = budget.by_cause().get(MESH)
-    if errors is None and MESH not in budget.unknown:
+    if errors is None:
         return []
     amount = ", by an unknown amount here"
-    if errors is not None and np.any(np.isfinite(errors)):  # nan on a bound
+    if np.any(np.isfinite(errors)):  # nan on a bound
         asked = np.array([p.asked for p in report.parameters])
         worst = int(np.nanargmax(errors / asked))
         error = budget.readable(worst, errors[worst])

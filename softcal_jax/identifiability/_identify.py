@@ -70,7 +70,6 @@ def identifiability(
     W_ep: Float[HostArray, "n_e n_p"] | None = None,
     W_pp: Float[HostArray, "n_p n_p"] | None = None,
     precision: float = PRECISION,
-    unknown: tuple[str, ...] = (),
 ) -> Identifiability:
     """Judge what the data of a linear model tell about the parameters; Sec. V-C.
 
@@ -88,7 +87,6 @@ def identifiability(
         W_ep: Compliances in metres, for condition numbers [m].
         W_pp: Sum over the configurations of H_p K^-1 H_p^T [J].
         precision: Standard error that is asked for, relative to the value [-].
-        unknown: Causes of errors that `linear` lacks, such as `ErrorBudget.unknown`.
 
     Raises:
         ValueError: If a compliance is not finite, or the scale of the noise or the
@@ -113,7 +111,6 @@ def identifiability(
         informed=count_informed(information(in_asked), in_asked.prior_weights),
         conditioning=numbers,
         n_data=int(np.any(fit.W != 0.0, axis=1).sum()),
-        unknown=unknown,
     )
 
 
@@ -201,7 +198,6 @@ def identify(
         W_ep=seen.W_ep,
         W_pp=seen.W_pp,
         precision=precision,
-        unknown=seen.unknown,
     )
 
 
@@ -215,7 +211,6 @@ class Survey(Module):
         W_ep: Compliances of these rows, in their units, per unit of lambda_p.
         W_pp: Sum over the configurations [J].
         failures: Why a configuration has no equilibrium; empty if it has one.
-        unknown: Causes of errors that `linear` lacks, see `ErrorBudget`.
     """
 
     space: ParameterSpace
@@ -224,7 +219,6 @@ class Survey(Module):
     W_ep: Float[HostArray, "n_e n_p"]
     W_pp: Float[HostArray, "n_p n_p"]
     failures: tuple[str, ...]
-    unknown: tuple[str, ...] = ()
 
 
 def survey(
@@ -311,7 +305,6 @@ def survey(
         W_ep=np.concatenate(np.asarray(compliance.W_ep))[seen.ravel()],
         W_pp=np.sum(np.asarray(compliance.W_pp), axis=0),
         failures=failures,
-        unknown=doubts.unknown(len(names)),
     )
 
 

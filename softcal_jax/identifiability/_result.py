@@ -65,8 +65,6 @@ class Identifiability(Result):
             without one, enough for "weakly identifiable".
         conditioning: Singular values and condition numbers.
         n_data: Number of measured coordinates.
-        unknown: Causes of errors whose size could not be estimated, so that standard
-            errors leave them out: "mesh".
     """
 
     verdict: Verdict
@@ -79,7 +77,6 @@ class Identifiability(Result):
     informed: int
     conditioning: Conditioning
     n_data: int
-    unknown: tuple[str, ...] = ()
 
     @property
     def covariance(self) -> Float[HostArray, "n_p n_p"]:
@@ -146,10 +143,6 @@ class Identifiability(Result):
         """Format the verdict, the parameters, blind directions and what to do."""
         n_data, n_p = self.n_data, self.n_parameters
         lines = [self.headline, *self.tabulated.lines(), self.scale]
-        lines += [
-            f"Errors of the {cause} are not among these: their size is not known here."
-            for cause in self.unknown
-        ]
         worst_first = self.blind[::-1]
         if worst_first:
             lines.append(

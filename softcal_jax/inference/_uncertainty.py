@@ -172,7 +172,6 @@ class ErrorBudget(Module):
         noise: Covariance of the scaled parameters by the jitter of coordinates, and
             what the priors leave [-].
         causes: What else may be wrong, the largest first.
-        unknown: Causes that count, but whose size could not be estimated, like "mesh".
     """
 
     names: tuple[str, ...]
@@ -181,7 +180,6 @@ class ErrorBudget(Module):
     units: tuple[str, ...]
     noise: Float[HostArray, "n_p n_p"]
     causes: tuple[Cause, ...]
-    unknown: tuple[str, ...] = ()
 
     @property
     def covariance(self) -> Float[HostArray, "n_p n_p"]:
@@ -210,7 +208,7 @@ class ErrorBudget(Module):
         shown = [c for c in errors if c == NOISE or errors[c] >= SMALL * total]
         shown.sort(key=lambda c: (c != NOISE, -errors[c]))
         parts = [f"{cause} {self.readable(i, errors[cause])}" for cause in shown]
-        text = ", ".join([*parts, *(f"{cause} unknown" for cause in self.unknown)])
+        text = ", ".join(parts)
         worst = max(errors, key=lambda c: errors[c])
         if worst == NOISE:
             return text + LESS_NOISE * (len(shown) > 1)
@@ -237,7 +235,6 @@ def error_budget(
     z: Float[Array, " n_p"],
     *,
     noise_is_known: bool,
-    unknown: tuple[str, ...],
 ) -> ErrorBudget:
     """Split the uncertainty of a fit by cause.
 
@@ -247,7 +244,6 @@ def error_budget(
         z: Where it ended, scaled [-].
         noise_is_known: Whether the level of the noise is; where the residuals are too
             few to tell, the errors by noise are nan.
-        unknown: Causes that count and are not among the errors of `linear`.
     """
     deviations = linear.deviations()
     jitter = deviations.pop(NOISE)
@@ -267,5 +263,4 @@ def error_budget(
         units=tuple(q.unit for q in space.parameters),
         noise=noise,
         causes=tuple(sorted(causes, key=size, reverse=True)),
-        unknown=unknown,
     )

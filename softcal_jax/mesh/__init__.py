@@ -26,11 +26,8 @@ from softcal_jax.mesh._reading import (
     read_mesh as read_mesh,
     read_tet_data as read_tet_data,
 )
-from softcal_jax.mesh._refinement import (
-    Refinement as Refinement,
-    finer as finer,
-    refine as refine,
-)
+from softcal_jax.mesh._recovery import Recovery as Recovery, recovery as recovery
+from softcal_jax.mesh._refinement import refine as refine
 from softcal_jax.mesh._selection import (
     Annulus as Annulus,
     Box as Box,

@@ -247,11 +247,7 @@ def _next_html(found: Identifiability | None, ranking: Ranking | None) -> list[H
 
 def _outlook_html(found: Identifiability) -> tuple[list[Html], list[Html]]:
     """Show what the data would tell of the parameters, and what they are blind to."""
-    unknown = [
-        f"Errors of the {cause} are not among these: their size is not known here."
-        for cause in found.unknown
-    ]
-    legend = sentences([outlook_legend(found), *unknown])
+    legend = sentences([outlook_legend(found)])
     return [table_html(found.tabulated), *legend], _blindness(found)
 
 

@@ -1,4 +1,4 @@
-"""Rows of errors of the whole body: where it is really held, and how stiff it is."""
+"""Row of where the body is really held."""
 
 import equinox as eqx
 import jax
@@ -67,17 +67,3 @@ def _stretched(model: Model, v: Float[Array, "n_nodes 3"]) -> Model:
     )
     where = lambda m: (m.shape_gradients, m.weights, m.node_volumes)
     return eqx.tree_at(where, model, changed)
-
-
-def stiffness_row(
-    linearisation: Linearisation,
-    internal: Float[Array, "n_points 3"] | None = None,
-) -> InputRows:
-    """Compute the row of Eq. (9) of a factor of all moduli, per relative change.
-
-    The internal force [N] is proportional to them, so it is the row itself; by default
-    it is that of the equilibrium.
-    """
-    lin = linearisation
-    row = -internal_force(lin.posed.model, lin.u) if internal is None else -internal
-    return rows_of_forces(lin, row[None], held=jnp.zeros((1, *row.shape)))

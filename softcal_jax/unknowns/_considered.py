@@ -20,13 +20,18 @@ from softcal_jax.equilibrium import (
     sensitivity,
 )
 from softcal_jax.fields import ParameterSpace, unnamed
-from softcal_jax.inference import ErrorColumns
-from softcal_jax.sensitivity import clamp_row, parameter_rows, stiffness_row
-from softcal_jax.unknowns._mesh_error import MeshErrors, mesh_errors
+from softcal_jax.inference import REMEDIES, ErrorColumns
+from softcal_jax.mesh import Recovery
+from softcal_jax.sensitivity import (
+    clamp_row,
+    mesh_row,
+    parameter_rows,
+    stress_patches,
+)
 from softcal_jax.unknowns._unknowns import Setting, Unknown, unknowns
 
 MESH = "mesh"
-"""Name of the error of the mesh, see `mesh_errors`."""
+"""Name of the error of the mesh, see `mesh_row`."""
 
 
 class ConsideredErrors(NamedTuple):
@@ -35,13 +40,13 @@ class ConsideredErrors(NamedTuple):
     Attributes:
         errors: The errors, and which configurations share each.
         columns: Change of the effectors per standard deviation of each, as if each
-            configuration had it.
-        mesh: That by the mesh; None if this is right.
+            configuration had it; last that by the mesh, if this may be wrong.
+        mesh: Name of the error of the mesh, see `REMEDIES`; None if this is right.
     """
 
     errors: tuple[Unknown, ...]
-    columns: Float[HostArray, "n_errors n_c n_e"]
-    mesh: MeshErrors | None
+    columns: Float[HostArray, "n_columns n_c n_e"]
+    mesh: str | None
 
     __repr__ = one_line
 
@@ -50,27 +55,20 @@ class ConsideredErrors(NamedTuple):
     ) -> ErrorColumns:
         """Return W_c of all rows, in stated standard deviations.
 
-        A change is zero in configurations that do not have the error. That of the mesh
-        is left out where it is not known of a fitted configuration, which come first,
-        and zero where it is not known of one that was held out.
+        A change is zero in configurations that do not have the error; fitted ones come
+        first.
         """
         parts: list[tuple[str, str, HostArray]] = []
-        for error, column in zip(self.errors, self.columns, strict=True):
+        for error, column in zip(self.errors, self.columns, strict=False):
             for name, sharing in error.groups(n_fitted):
                 shared = np.where(sharing[:, None], column, 0.0)
                 parts.append((error.cause, name, shared))
-        if self.mesh is not None and np.all(self.mesh.known[:n_fitted]):
-            changes = np.where(self.mesh.known[:, None], self.mesh.changes, 0.0)
-            parts.append((MESH, self.mesh.name, changes))
+        if self.mesh is not None:
+            parts.append((MESH, self.mesh, self.columns[-1]))
         changes = [np.ravel(weight) * np.ravel(change) for *_, change in parts]
         values = np.stack([np.zeros(weight.size), *changes], axis=1)[:, 1:]
         causes = tuple(cause for cause, *_ in parts)
         return ErrorColumns(values, causes, tuple(name for _, name, _ in parts))
-
-    def unknown(self, n_fitted: int) -> tuple[str, ...]:
-        """Return causes that count, but of unknown size: that of the mesh, or none."""
-        missing = self.mesh is not None and not np.all(self.mesh.known[:n_fitted])
-        return (MESH,) if missing else ()
 
 
 def nothing_considered(setting: Setting) -> ConsideredErrors:
@@ -92,27 +90,21 @@ def considered_errors(
     errors = tuple(u for u in unknowns(setting) if u.role == "considered")
     if not of_mesh and not any(error.happens for error in errors):
         errors = ()
-    u, forces = equilibrium.displacement, equilibrium.multipliers
     setting = setting._replace(space=unnamed(setting.space))
-    columns = _all_columns(workers, setting, errors, z, u, of_stiffness=of_mesh)
+    columns = _columns(workers, setting, errors, z, equilibrium.displacement)
     if not of_mesh:
         return ConsideredErrors(errors, columns, None)
-    mesh = mesh_errors(setting, z, forces=forces, of_stiffness=columns[-1])
-    mesh = mesh._replace(changes=setting.uncertain.mesh * mesh.changes)
-    return ConsideredErrors(errors, columns[:-1], mesh)
+    columns[-1] *= setting.uncertain.mesh
+    locks = setting.model.mesh.order == 1
+    return ConsideredErrors(errors, columns, list(REMEDIES)[0 if locks else 1])
 
 
-def _all_columns(
-    workers: Workers,
-    setting: Setting,
-    errors: Sequence[Unknown],
-    z,
-    displacement,
-    *,
-    of_stiffness: bool,
+def _columns(
+    workers: Workers, setting: Setting, errors: Sequence[Unknown], z, displacement
 ) -> Float[HostArray, "n_rows n_c n_e"]:
-    """Compute W_c as if each configuration had each error, see `_columns`."""
-    n_c, n_rows = len(displacement), len(errors) + of_stiffness
+    """Compute W_c as if each configuration had each error, see `_of_pose`."""
+    model, of_mesh = setting.model, setting.uncertain.mesh > 0
+    n_c, n_rows = len(displacement), len(errors) + of_mesh
     n_e = setting.arrays.effectors.measured.size // n_c
     if n_e * n_rows == 0:
         return np.zeros((n_rows, n_c, n_e))
@@ -128,30 +120,28 @@ def _all_columns(
         )
         for c in range(n_c)
     ]
-    program = Program(_columns, setting.model, setting.space, space, of_stiffness)
+    patches = stress_patches(model) if of_mesh else None
+    program = Program(_of_pose, model, setting.space, space, patches)
     of_lanes = workers.map(program, lanes)
     return np.stack([np.asarray(own).T for own in of_lanes], axis=1)
 
 
 @eqx.filter_jit
-def _columns(
+def _of_pose(
     model,
     space: ParameterSpace,
     errors: ParameterSpace | None,
-    of_stiffness: bool,
+    patches: Recovery | None,
     motions: tuple[Float[Array, "n_nodes 3"], ...],
     z,
     c,
     u,
 ) -> Float[Array, "n_e n_rows"]:
-    """Compute W_c of one configuration, in the units of its effectors; Eq. (9).
-
-    The last column is that of the stiffness where it is asked for, see `mesh_errors`.
-    """
+    """Compute W_c of one configuration, in the units of its effectors; Eq. (9)."""
     lin = linearise(*space.apply(model, c, z), u)
     rows = [] if errors is None else [parameter_rows(lin, errors, errors.start())]
     rows += [clamp_row(lin, motion) for motion in motions]
-    rows += [stiffness_row(lin)] if of_stiffness else []
+    rows += [mesh_row(lin, patches)] if patches is not None else []
     stacked = jax.tree.map(lambda *own: jnp.concatenate(own), *rows)
     fewer = len(stacked.force) > c.effectors.measured.size
     found = sensitivity(lin, stacked, effector_values, adjoint=fewer)

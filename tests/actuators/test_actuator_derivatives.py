@@ -1,7 +1,5 @@
 """Rows and curvature of every actuator against central differences."""
 
-from dataclasses import replace
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -30,7 +28,6 @@ from softcal_jax.actuators import (
     actuator_arrays,
     clique_nodes,
 )
-from softcal_jax.mesh import finer
 
 CABLE = Cable(
     "cable",
@@ -188,29 +185,3 @@ def test_bad_arrays(unchecked):
     mesh = hollow_cube()
     with pytest.raises(ValueError, match="actuator 'cable' is named more than once"):
         actuator_arrays(mesh, mesh.points, (CABLE, CABLE), {"plate": 0})
-
-
-@each_order
-@pytest.mark.parametrize("name", ACTUATORS)
-def test_forces_do_the_same_work_on_a_finer_mesh(name, order):
-    """On every motion that the coarse mesh can make; there, also the same delta_a."""
-    arrays, _, tangent = robot(name, order=order)
-    fine = finer(hollow_cube(1, order))
-    groups = tuple(group.refined(fine) for group in arrays.groups)
-    refined = replace(arrays, groups=groups)
-    carried = lambda v: fine.with_new(np.asarray(v), fine.carried(np.asarray(v)))
-    work = lambda arrays, x, v: jnp.sum(actuator_rows(arrays, x) * v[None])
-    # At rest, where the faces are flat, so that no quadrature rule errs.
-    rest = with_frames(hollow_cube(1, order), (np.array([0.8, 0.1, 0.2]), TURN))
-    both = [
-        (arrays, rest, np.asarray(tangent)),
-        (refined, carried(rest), carried(tangent)),
-    ]
-    coarse, exact = (float(work(a, jnp.asarray(r), jnp.asarray(v))) for a, r, v in both)
-    assert coarse == pytest.approx(exact, rel=1e-12)
-    there = rest + 0.1 * np.asarray(tangent)
-    moved = [
-        actuator_displacements(arrays, jnp.asarray(there)),
-        actuator_displacements(refined, jnp.asarray(carried(there))),
-    ]
-    np.testing.assert_allclose(*moved, rtol=1e-12)

@@ -37,7 +37,6 @@ from softcal_jax.inference import NOISE
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam, to_quadratic
 from softcal_jax.unknowns import ConsideredErrors, Setting, unknowns
-from softcal_jax.unknowns._mesh_error import MeshErrors
 from softcal_jax.unknowns._unknowns import Unknown
 
 calibrate = partial(calibrate_with, intervals=None)
@@ -443,13 +442,12 @@ def test_linear_tets_know_how_far_off_they_are():
 
 
 def test_the_budget_is_that_of_the_fit_whatever_is_held_out():
-    """Another clamp there gives no group here, nor is the mesh unknown here by it."""
+    """Another clamp there gives no group here."""
     scope = (b"left", b"right")
     clamps = Unknown("clamp", "clamp", None, 1e-3, "considered", scope)
-    mesh = MeshErrors("refinement", np.array([[3.0], [4.0]]), np.array([True, False]))
     three = lambda *values: np.repeat(np.array(values)[:, None], 3, axis=1)
-    mesh = mesh._replace(changes=three(3.0, 4.0))
-    errors = ConsideredErrors((clamps,), three(1.0, 2.0)[None], mesh)
+    columns = np.stack([three(1.0, 2.0), three(3.0, 4.0)])
+    errors = ConsideredErrors((clamps,), columns, "refinement")
     both = errors.in_std(1, np.ones((2, 1, 3)))
     first = both.only(np.arange(6) < 3)
     assert dict(zip(first.causes, first.names, strict=True)) == {
@@ -457,11 +455,8 @@ def test_the_budget_is_that_of_the_fit_whatever_is_held_out():
         "mesh": "refinement",
     }
     np.testing.assert_array_equal(first.values, np.tile([1.0, 3.0], (3, 1)))
-    assert errors.unknown(1) == ()
-    # The other has a clamp of its own, and an error of the mesh that is not known.
+    # The other has a clamp of its own.
     second = both.only(np.arange(6) >= 3)
-    assert second.causes == ("clamp",)
-    np.testing.assert_array_equal(second.values, np.full((3, 1), 2.0))
-    assert errors.unknown(2) == ("mesh",)
+    np.testing.assert_array_equal(second.values, np.tile([2.0, 4.0], (3, 1)))
     names = errors.in_std(2, np.ones((2, 1, 3))).names
-    assert names == ("clamp in group 1", "clamp in group 2")
+    assert names == ("clamp in group 1", "clamp in group 2", "refinement")

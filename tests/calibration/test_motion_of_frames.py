@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
-from wording import says
 
 from softcal_jax.bodies import Pose, RigidBody
 from softcal_jax.calibration import calibrate
@@ -31,7 +30,6 @@ from softcal_jax.fields import Parameter, exactly_known, set_field
 from softcal_jax.identifiability import identify
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
-from softcal_jax.unknowns import _mesh_error
 
 MESH = beam(0.1, 0.02, 0.02, (3, 1, 1), order=1)
 END = np.array([0.1, 0.01, 0.01])
@@ -178,15 +176,6 @@ def test_what_it_would_tell_is_known_before():
     ).parameters
     exact = fitted(measured(noise=0.0, mounted=np.zeros(6))).parameters[0]
     np.testing.assert_allclose(own.standard_error, exact.standard_error, rtol=1e-5)
-
-
-@pytest.mark.slow
-def test_before_measuring_an_unknown_error_of_the_mesh_is_named(monkeypatch):
-    """A mesh that is too large to be refined."""
-    monkeypatch.setattr(_mesh_error, "MOST_TETS", {1: 1, 2: 1})
-    outlook = identify(MODEL, E, poses(), newton=TIGHT)
-    assert outlook.unknown == ("mesh",)
-    assert says(outlook, "mesh", "not among these")
 
 
 def test_an_unknown_reference_is_named_before_solving():

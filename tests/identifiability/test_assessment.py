@@ -26,7 +26,7 @@ from softcal_jax.fields import Parameter, ParameterSpace, Uncertain, exactly_kno
 from softcal_jax.identifiability import assess
 from softcal_jax.inference import UNLIKELY, Cause
 from softcal_jax.materials import NeoHookean
-from softcal_jax.mesh import TetMesh, beam, to_quadratic
+from softcal_jax.mesh import TetMesh, beam
 from softcal_jax.unknowns import MESH
 
 TARGET = {"E of root": 1.5e5, "E of tip": 0.8e5}
@@ -289,19 +289,9 @@ def test_linear_tets_reach_the_verdict(good):
     with_error = lambda **changed: replace(good, budget=replace(good.budget, **changed))
     (reason,) = assess(with_error(causes=(locking,))).reasons
     assert says(reason, "Linear tets", "E of tip", "20 %", "to_quadratic")
-    (reason,) = assess(with_error(unknown=(MESH,))).reasons
-    assert says(reason, "Linear tets", "unknown")
     on_bounds = replace(locking, deviations=np.full((2, 1), np.nan))
     (reason,) = assess(with_error(causes=(on_bounds,))).reasons
     assert says(reason, "Linear tets", "unknown")
-
-
-def test_an_unknown_error_of_quadratic_tets_reaches_the_verdict(good):
-    quadratic = eqx.tree_at(lambda r: r.model.mesh, good, to_quadratic(good.model.mesh))
-    unknown = replace(quadratic, budget=replace(good.budget, unknown=(MESH,)))
-    assert assess(quadratic).identified
-    (reason,) = assess(unknown).reasons
-    assert says(reason, "mesh", "not be estimated")
 
 
 def test_the_precision_that_is_asked_for_decides(good):

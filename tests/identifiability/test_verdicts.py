@@ -8,7 +8,6 @@ import pytest
 from judged import angle, judge, modulus
 from wording import says
 
-from softcal_jax.export import outlook_dict
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.identifiability import identifiability
 from softcal_jax.identifiability._spread import direction_words, information, spread_of
@@ -284,10 +283,3 @@ def test_the_principal_errors_of_a_covariance_are_the_directions():
     np.testing.assert_allclose(
         [d.ratio for d in found.directions], np.sort(expected), rtol=1e-9
     )
-
-
-def test_errors_of_unknown_size_are_named():
-    found = judge([[200.0]], modulus(), unknown=("mesh",))
-    assert says(found, "mesh", "not among these")
-    assert outlook_dict(found, None)["identifiability"]["unknown"] == ["mesh"]
-    assert "not among these" not in str(judge([[200.0]], modulus()))

@@ -2,23 +2,18 @@
 
 from dataclasses import replace
 
-import jax.numpy as jnp
-import jax.random as jr
 import numpy as np
 import pytest
 
-from softcal_jax.actuators import Cable, Motor
+from softcal_jax.actuators import Cable
 from softcal_jax.bodies import Pose, RigidBody
 from softcal_jax.calibration import (
     build_problem,
     evaluate,
-    simulated_measurements,
 )
 from softcal_jax.configurations import (
     ActuatorForce,
-    Centroid,
     Configuration,
-    EdgeForce,
     ImposedDisplacement,
     ImposedForce,
     Markers,
@@ -26,13 +21,11 @@ from softcal_jax.configurations import (
     Support,
     SupportReaction,
     SurfaceForce,
-    configuration_lanes,
 )
 from softcal_jax.equilibrium import (
     NewtonSettings,
     Workers,
     build_model,
-    refined_model,
 )
 from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
 from softcal_jax.materials import (
@@ -43,8 +36,8 @@ from softcal_jax.materials import (
     NeoHookean,
     TransverseHyperelastic,
 )
-from softcal_jax.mesh import beam, finer, refine, to_quadratic
-from softcal_jax.unknowns import MESH, Setting, _mesh_error, considered_errors
+from softcal_jax.mesh import beam, refine, to_quadratic
+from softcal_jax.unknowns import MESH, Setting, considered_errors
 
 REFERENCE = 6.7812
 """Sag of a silicone cantilever [mm]: mixed hexahedra of FElupe, extrapolated, in
@@ -55,9 +48,9 @@ TIP = (0.1, 0.015, 0.015)
 HANGING = ("x_min", (0.0, 0.0, -9.81))
 
 
-def posed(law, formulation="auto", cells=(7, 2, 2), at=TIP, **more):
+def posed(law, formulation="auto", cells=(7, 2, 2), at=TIP, order=2, **more):
     """The cantilever of the benchmark, under its own weight and as told."""
-    mesh = beam(0.1, 0.03, 0.03, cells, order=2)
+    mesh = beam(0.1, 0.03, 0.03, cells, order=order)
     model = build_model(mesh, law, density=1070.0, formulation=formulation)
     seen = Markers(["tip"], [at], 1e-4)
     measured = np.zeros((1, 3))
@@ -124,212 +117,136 @@ def test_it_is_of_the_order_of_the_element():
 
 
 @pytest.mark.slow
-def test_large_loads_move_as_far_as_they_do():
-    """Bent by over a quarter of its length; both meshes are solved to the end."""
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("nu", [0.3, 0.499])
+@pytest.mark.parametrize("cells", [(10, 4, 4), (14, 4, 4)])
+def test_it_is_right_to_a_factor_of_two(cells, nu, order):
+    """Linear tets a fifth too stiff, quadratic ones some permille stiff or soft."""
+    own, std = errors_of(*posed(NeoHookean(265e3, nu), cells=cells, order=order))
+    off = {0.3: 7.0236, 0.499: REFERENCE}[nu] + own[2]
+    assert -2.0 * off < std[2] < -0.5 * off if off > 0 else 0.5 < std[2] / -off < 2.0
+
+
+@pytest.mark.slow
+def test_so_it_is_under_large_loads():
+    """Bent by over a quarter of its length, where a linear body shows no error in x."""
     pushed = {"loads": [SurfaceForce("x_max", (0.0, 0.0, -1.1))], "at": (0.1, 0.0, 0.0)}
     (own, std), (fine, _) = (
         errors_of(*posed(NeoHookean(265e3, 0.3), cells=cells, **pushed))
-        for cells in ((4, 1, 1), (8, 2, 2))
+        for cells in ((8, 2, 2), (16, 4, 4))
     )
     assert np.linalg.norm(own) > 25.0
-    apart = np.linalg.norm(fine - own)
-    assert np.linalg.norm(std) == pytest.approx(apart, rel=0.25)
+    apart = fine - own
+    assert 0.5 < np.linalg.norm(std) / np.linalg.norm(apart) < 2.0
+    assert std @ apart > 0.95 * np.linalg.norm(std) * np.linalg.norm(apart)
 
 
-BODY = RigidBody("tip", "x_max")
-CABLE = Cable("cable", [(0.0, 0.01, 0.02), (0.06, 0.01, 0.02)])
-MOVED = Support("x_min", "xyz", (0.0, 1e-5, 0.0))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("order", [1, 2])
-def test_it_is_the_change_on_a_finer_mesh(order):
-    """Of all that loads and moves: small motions of the same robot, meshed anew.
-
-    The finer robot is built from its parts, with groups that the refined mesh names.
-    """
-    coarse = beam(0.1, 0.02, 0.02, (3, 1, 1), order=order)
-    law = TransverseHyperelastic(
-        E_t=np.linspace(3e5, 5e5, coarse.n_tets),
-        E_l=6e5,
-        nu=0.2,
-        mu_l=1e5,
-        fibre=Fibre(0.4, plane="xz"),
-    )
-    finer_mesh = to_quadratic(coarse) if order == 1 else refine(coarse)
-    each = finer_mesh.n_tets // coarse.n_tets
-    finer_law = replace(law, E_t=np.repeat(law.E_t, each))
+def stretched(mesh, law, formulation="auto", pull=0.2):
+    """A bar between rollers, stretched evenly; a marker inside, and the force."""
+    sides = [Support(name, axis) for name, axis in (("y_min", "y"), ("z_min", "z"))]
+    ends = [Support("x_min", "x"), Support("x_max", "x", (pull * mesh.size, 0.0, 0.0))]
     pose = Configuration(
         "pose",
-        MOVED,
-        (0.0, 0.0, -1e-3),
-        SurfaceForce("z_max", (0.0, 1e-5, -1e-5)),
-        Markers(["m"], [(0.05, 0.01, 0.02)], 1e-4),
-        np.zeros((1, 3)),
-        bodies={"tip": Pose((0.0, 0.0, 3e-5), (0.0, 2e-4, 0.0))},
-        actuation={"cable": ImposedDisplacement(2e-5)},
+        [*sides, *ends],
+        gravity=(0.0, 0.0, 0.0),
+        markers=Markers(["m"], [(0.03, 0.02, 0.01)], 1e-4),
+        measured=np.zeros((1, 3)),
+        effectors=[SupportReaction("force", "x_max")],
     )
-    models = [
-        build_model(mesh, own, density=1000.0, bodies=[BODY], actuators=[CABLE])
-        for mesh, own in ((coarse, law), (finer_mesh, finer_law))
-    ]
-    space = ParameterSpace([Parameter("E_l", "E_l", 6e5, 1e5, 1e6, unit="Pa")])
+    model = build_model(mesh, law, density=1000.0, formulation=formulation)
+    density = Parameter("density", "density", 1000.0, 500.0, 2000.0, unit="kg/m3")
     exact = NewtonSettings(rtol=1e-12)
-    (own,), (fine,) = (
-        simulated_measurements(model, [pose], newton=exact) for model in models
-    )
-    _, change = errors_of(build_problem(models[0], space, [pose], exact), [pose])
-    apart = 1e3 * np.ravel(fine.measured - own.measured)
-    np.testing.assert_allclose(change, apart, rtol=0, atol=2e-3 * max(abs(change)))
+    problem = build_problem(model, ParameterSpace([density]), [pose], exact)
+    return both_by_pose(problem, [pose])
 
 
-CLAMP = "x_min"
-PAD = Support("x_max", "xyz", (0.0, 0.0, 1e-5), stiffness=1e6)
-LOAD = SurfaceForce("z_max", (0.0, 1e-5, -1e-5))
-SEEN = (
-    Centroid("middle", "z_max"),
-    SupportReaction("cell", "x_min"),
-    ActuatorForce("tension", "cable"),
+@pytest.mark.parametrize(
+    ("order", "formulation"),
+    [
+        (1, "displacement"),
+        (2, "displacement"),
+        pytest.param(2, "mean-dilatation", marks=pytest.mark.slow),
+    ],
 )
+def test_an_even_stretch_has_no_error(order, formulation):
+    """The patch test: every mesh gets it right, and the estimate says so."""
+    mesh = beam(0.1, 0.02, 0.02, (3, 1, 1), order=order)
+    read, of_mesh = stretched(mesh, NeoHookean(2e5, 0.3), formulation)
+    assert np.max(np.abs(read)) > 1.0  # newtons
+    np.testing.assert_allclose(of_mesh, 0.0, atol=1e-7)
+
+
+def test_a_jump_of_the_material_is_no_error():
+    """Two halves in parallel, each with an even stress, if the mesh names them."""
+    mesh = beam(0.1, 0.02, 0.02, (3, 2, 1), order=1)
+    left = mesh.centroids[:, 1] < 0.01
+    law = NeoHookean(np.where(left, 2e5, 8e5), 0.0)
+    named = mesh.with_tet_group("left", np.flatnonzero(left))
+    (_, apart), (_, smeared) = (stretched(m, law, pull=1e-3) for m in (named, mesh))
+    np.testing.assert_allclose(apart, 0.0, atol=1e-9)
+    assert np.max(np.abs(smeared)) > 1e-3
+
+
+TIP_BODY = RigidBody("tip", "x_max")
+CABLE = Cable("cable", [(0.0, 0.01, 0.015), (0.06, 0.01, 0.015)])
+LEANING = Fibre(0.4, plane="xz")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("order", [1, 2])
-def test_it_is_that_of_each_of_many_configurations(order):
-    """Held in turns, with pads and without; readings of forces stay out of scale.
+@pytest.mark.parametrize(
+    ("order", "told"),
+    [
+        (1, {"gravity": (0.0, 0.0, -9.81)}),
+        (2, {"gravity": (0.0, 0.0, -9.81)}),
+        (2, {"loads": SurfaceForce("z_max", (0.0, 1e-2, -1e-2))}),
+        (2, {"actuation": {"cable": ImposedForce(0.5)}}),
+        (2, {"actuation": {"cable": ImposedDisplacement(2e-3)}}),
+        (2, {"bodies": {"tip": Pose((0.0, 0.0, 3e-3), (0.0, 2e-2, 0.0))}}),
+        (2, {"bodies": {"tip": Pose((0.0, 0.0, 0.0), (0.3, 0.0, 0.0))}}),
+    ],
+)
+def test_readings_change_like_this_on_a_finer_mesh(order, told):
+    """Whatever loads or moves: fibres askew, a graded modulus, a body at the end.
 
-    An elastic pad carries what the body does not, and the tension of a cable whose
-    displacement is imposed grows with the stiffness.
+    Markers where no motion is imposed, and the force there where one is.
     """
-    coarse = beam(0.1, 0.02, 0.02, (3, 1, 1), order=order)
-    fine = to_quadratic(coarse) if order == 1 else refine(coarse)
-    posed = [
-        Configuration(
-            f"pose {k}",
-            (CLAMP, PAD) if k % 2 else (CLAMP,),
-            (0.0, 0.0, -1e-3 * (k + 1)),
-            LOAD,
-            Markers(["m"], [(0.05, 0.01, 0.02)], 1e-4),
-            effectors=SEEN,
-            actuation={"cable": ImposedDisplacement(1e-5 * k)},
-        )
-        for k in range(1, 6)
-    ]
-    models = [
-        build_model(mesh, NeoHookean(2e5, 0.3), density=1000.0, actuators=[CABLE])
-        for mesh in (coarse, fine)
-    ]
-    space = ParameterSpace([Parameter("E", "E", 2e5, 1e5, 1e6, unit="Pa")])
-    exact = NewtonSettings(rtol=1e-12)
-    own, other = (simulated_measurements(m, posed, newton=exact) for m in models)
-    _, changes = both_by_pose(build_problem(models[0], space, own, exact), own)
-    for change, c, f in zip(changes, own, other, strict=True):
-        by_marker = np.ravel(f.measured - c.measured)
-        largest = np.max(np.abs(by_marker))
-        np.testing.assert_allclose(change[:3], by_marker, atol=5e-3 * largest)
-        apart = float(f.effectors[2].measured) - float(c.effectors[2].measured)
-        np.testing.assert_allclose(change[-6], apart, rtol=5e-3)
-
-
-def test_groups_mean_what_they_did_on_the_coarse_mesh():
-    """Edges by their corners, means over nodes and reactions."""
-    coarse = beam(0.1, 0.02, 0.02, (1, 1, 1), order=2)
-    corners = np.flatnonzero(coarse.points[:8, 0] > 0.0)
-    r = finer(coarse)
+    coarse = beam(0.1, 0.02, 0.02, (6, 2, 2), order=order)
+    fine = refine(to_quadratic(coarse)) if order == 1 else refine(coarse)
+    E_t = 3e5 * (1.0 + coarse.centroids[:, 0] / 0.15)
+    driven = told.get("actuation", {}).get("cable")
+    imposed = "bodies" in told or isinstance(driven, ImposedDisplacement)
+    force = (
+        SupportReaction("force", "x_min")
+        if "bodies" in told
+        else ActuatorForce("force", "cable")
+    )
     pose = Configuration(
         "pose",
         "x_min",
-        loads=[EdgeForce(corners, (0.0, 0.0, -1.0))],
-        effectors=[Centroid("c", "x_max"), SupportReaction("r", "x_min")],
+        told.get("gravity", (0.0, 0.0, 0.0)),
+        told.get("loads", ()),
+        Markers(["m", "n"], [(0.05, 0.0, 0.02), (0.08, 0.02, 0.0)], 1e-4),
+        np.zeros((2, 3)),
+        effectors=[force],
+        bodies=told.get("bodies", {}),
+        actuation=told.get("actuation", {}),
     )
-    alike = _mesh_error._as_found(pose, r)
-    lanes = [
-        configuration_lanes(*own).arrays
-        for own in ((coarse, [pose]), (r.mesh, [alike]))
-    ]
-    force = [np.asarray(own.loads.force)[0, 0] for own in lanes]
-    u = np.asarray(jr.normal(jr.key(0), coarse.points.shape))
-    work = np.sum(force[0] * u), np.sum(force[1] * np.concatenate([u, r.carried(u)]))
-    assert work[0] == pytest.approx(work[1], rel=1e-12)
-    seen = lanes[1].effectors
-    used = lambda nodes, weights: np.asarray(nodes)[np.asarray(weights) > 0.0]
-    centre = used(seen.nodes[0, 0], seen.weights[0, 0])
-    np.testing.assert_array_equal(centre, coarse.nodes("x_max"))
-    summed = used(seen.reaction_nodes, seen.reaction_weights)
-    np.testing.assert_array_equal(summed, r.mesh.nodes("x_min"))
-
-
-def test_posts_that_were_short_enough_are_so_on_the_finer_mesh():
-    """Of the greatest length, where one mesh rounds up and the other down."""
-    coarse = beam(0.1, 0.02, 0.02, (3, 1, 1), order=2)
-    r, refused = finer(coarse), 0
-    for x in np.linspace(0.0, 0.1, 101):
-        markers = Markers(["m"], [(x, 0.007, 0.03)], 1e-4)
-        pose = Configuration("pose", "x_min", markers=markers)
-        try:
-            configuration_lanes(coarse, [pose])
-        except ValueError:
-            continue
-        configuration_lanes(r.mesh, [_mesh_error._as_found(pose, r)])
-        try:
-            configuration_lanes(r.mesh, [pose])
-        except ValueError:
-            refused += 1
-    assert refused > 0, "else this says nothing"
-
-
-def test_a_slack_cable_does_nothing_at_rest():
-    """Its displacement is imposed, but without a force; that of a taut one stays."""
-    mesh = beam(0.1, 0.02, 0.02, (3, 1, 1))
-    cables = [replace(CABLE, name=name) for name in ("taut", "slack")]
-    model = build_model(mesh, NeoHookean(2e5, 0.3), density=1e3, actuators=cables)
-    imposed = {name: ImposedDisplacement(1e-3) for name in ("taut", "slack")}
-    pose = Configuration("pose", "x_min", actuation=imposed)
-    batch, _ = configuration_lanes(mesh, [pose], model.mechanism)
-    forces = jnp.array([[0.1, 0.0]])
-    seen = _mesh_error._comparable(model, batch, forces).actuation
-    np.testing.assert_array_equal(seen.by_displacement, [[True, False]])
-    np.testing.assert_array_equal(seen.value, [[1e-3, 0.0]])
-
-
-def test_constants_of_the_finer_model_are_those_of_the_parent():
-    """One per tet, and one for all; a law without a potential, too."""
-    mesh = beam(0.1, 0.02, 0.02, (3, 1, 1), order=2)
-    per_tet = 0.1 + 1e-3 * np.arange(mesh.n_tets)
-    law = NeoHookean(2e5, per_tet)
-    model = build_model(mesh, law, density=1e3)
-    fine, _ = refined_model(model)
-    np.testing.assert_array_equal(fine.law.nu, np.repeat(per_tet, 8))
-    np.testing.assert_array_equal(fine.law.E, 2e5)
-    classical = ClassicalCorotational(Isotropic(2e5, 0.49))
-    linear = build_model(beam(0.1, 0.02, 0.02, (3, 1, 1)), classical, density=1e3)
-    assert refined_model(linear)[0].formulation == "displacement"
-
-
-@pytest.mark.slow
-def test_where_only_weight_keeps_the_rest_shape_nothing_is_known():
-    """A beam that hangs from a motor without torque: at rest it turns freely."""
-    axes = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-    body = RigidBody("arm", "x_min", origin=(0.0, 0.01, 0.01), axes=axes)
-    model = build_model(
-        beam(0.1, 0.02, 0.02, (3, 1, 1), order=2),
-        NeoHookean(2e5, 0.3),
-        density=1000.0,
-        bodies=[body],
-        actuators=[Motor("motor", "arm")],
+    problems = []
+    for mesh in (coarse, fine):
+        each = np.repeat(E_t, mesh.n_tets // coarse.n_tets)
+        law = TransverseHyperelastic(E_t=each, E_l=6e5, nu=0.2, mu_l=1e5, fibre=LEANING)
+        robot = {"bodies": [TIP_BODY], "actuators": [CABLE]}
+        model = build_model(mesh, law, density=1000.0, **robot)
+        space = ParameterSpace([Parameter("E_l", "E_l", 6e5, 1e5, 1e6, unit="Pa")])
+        problems.append(build_problem(model, space, [pose]))
+    (own, std), (exact, _) = (
+        [np.ravel(rows) for rows in both_by_pose(p, [pose])] for p in problems
     )
-    pose = Configuration(
-        "hanging",
-        gravity=(9.81, 0.0, 0.0),
-        loads=LOAD,
-        markers=Markers(["m"], [(0.1, 0.01, 0.02)], 1e-4),
-        measured=np.zeros((1, 3)),
-        actuation={"motor": ImposedForce(0.0)},
-    )
-    space = ParameterSpace([Parameter("E", "E", 2e5, 1e5, 1e6, unit="Pa")])
-    _, found = considered_at_start(build_problem(model, space, [pose]), [pose])
-    assert found.in_std(1, np.ones((1, 1, 3))).causes == ()
-    assert found.unknown(1) == (MESH,)
+    seen = slice(6, 9) if imposed else slice(0, 6)
+    off, std = (exact - own)[seen], std[seen]
+    size, said = np.linalg.norm(off), np.linalg.norm(std)
+    assert 0.5 * said < size < 2.0 * said
+    assert off @ std > 0.95 * size * said
 
 
 CORNERS = [(0.1, y, z) for y in (0.0, 0.03) for z in (0.0, 0.03)]
@@ -338,24 +255,26 @@ TWIST = [
     for c in CORNERS
 ]
 STIFF_ALONG = FibreReinforced(NeoHookean(1e5, 0.3), 1e7, Fibre(0.0, plane="xy"))
+TURNED = {"at": (0.05, 0.015, 0.03), "loads": TWIST}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cells", [(5, 1, 1), (10, 2, 2)])
+@pytest.mark.parametrize("cells", [(5, 1, 1), (6, 2, 2), (10, 2, 2)])
 @pytest.mark.parametrize(
     ("law", "axis", "told"),
     [
-        (NeoHookean(265e3, 0.3), 1, {"at": (0.05, 0.015, 0.03), "loads": TWIST}),
+        (NeoHookean(265e3, 0.3), 1, TURNED),
+        (STIFF_ALONG, 1, TURNED),
         (STIFF_ALONG, 2, {}),
         (ClassicalCorotational(Isotropic(265e3, 0.3)), 2, {}),
     ],
-    ids=["torsion", "stiff fibres", "no potential"],
+    ids=["torsion", "torsion of stiff fibres", "stiff fibres", "no potential"],
 )
 def test_what_is_no_locking_of_the_volume_is_seen(law, axis, told, cells):
-    """One and two tets across against four: up to 15 % too stiff."""
+    """One and two tets across against four: up to 18 % too stiff."""
     (own, std), (exact, _) = (
         errors_of(*posed(law, cells=own, **told)) for own in (cells, (20, 4, 4))
     )
-    off = abs(exact[axis]) - abs(own[axis])
-    assert off > 0.005 * abs(exact[axis])
-    assert 0.5 * abs(std[axis]) < off < 2.0 * abs(std[axis])
+    off = exact[axis] - own[axis]
+    assert abs(off) > 0.005 * abs(exact[axis])
+    assert 0.5 < std[axis] / off < 2.0
