@@ -198,7 +198,7 @@ class AssessmentEntry(Entry):
 IDENTIFIABILITY = Keys(
     Identifiability,
     "verdict n_data precision parameters informed directions covariance correlation "
-    "conditioning unknown",
+    "conditioning",
 )
 """Keys of what the data tell; null stands for infinite, too."""
 

@@ -34,7 +34,6 @@ def test_verdict_as_strict_json():
         "covariance",
         "correlation",
         "conditioning",
-        "unknown",
     ]
     assert (data["verdict"], data["n_data"]) == ("not identifiable", 2)
     E_t, theta = data["parameters"]
