@@ -426,7 +426,7 @@ def test_a_standard_deviation_is_not_negative(value):
 def test_linear_tets_know_how_far_off_they_are():
     """Fitted to quadratic tets of the same mesh: ln E is off by ln(e_linear / e).
 
-    The budget knows e / e_linear - 1, for small displacements exactly.
+    The budget estimates e / e_linear - 1 to a factor of two.
     """
     fine = build_model(to_quadratic(LINEAR), NeoHookean(2e5, 0.3), density=1000.0)
     light = replace(PULLED, loads=SurfaceForce("x_max", (0.0, 0.0, -5e-3)))
@@ -435,7 +435,7 @@ def test_linear_tets_know_how_far_off_they_are():
     (mesh_error,) = [c for c in result.budget.causes if c.name == "mesh"]
     off = np.exp(-result.z[0]) * 2e5 - 1.0
     assert off > 1.0  # a modulus of less than half
-    np.testing.assert_allclose(abs(mesh_error.deviations[0, 0]), off, rtol=1e-2)
+    assert 0.5 * off < abs(mesh_error.deviations[0, 0]) < 2.0 * off
     assert str(result.budget).endswith(": use quadratic tets")
     known = calibrate(PLAIN, WIDE, measured, noise="stated", uncertain=SAME_MESH)
     assert "mesh" not in {cause.name for cause in known.budget.causes}
