@@ -200,7 +200,9 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
         watch.answer(result)
         if not (task.quick or journal.interrupted):
             try:
-                watch.stage(_words_of_budget(task, journal.history[-1].seconds))
+                watch.stage(
+                    f"{BUDGET} (the fit took {journal.history[-1].seconds:.0f} s)"
+                )
                 solved, z = predicted.response.equilibrium, weighed.state.z
                 doubts = considered_errors(workers, setting, z=z, equilibrium=solved)
                 result = _result(task, found, doubts)
@@ -209,13 +211,6 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
                 result = replace(result, notes=notes, interrupted=True)
     problem = batch.fitted.with_noise(weighed.noise)
     return Fitted(result, problem, task.fitted, weighed.state.evaluation)
-
-
-def _words_of_budget(task: Task, seconds: float) -> str:
-    n = task.model.n_tets * (1 if task.model.mesh.order == 1 else 8)
-    finer = f", with one solve of a mesh of {n} quadratic tets"
-    finer = finer if task.uncertain.mesh > 0 else ""
-    return f"{BUDGET}{finer} (the fit took {seconds:.0f} s)"
 
 
 def _result(task: Task, found: _Found, doubts: ConsideredErrors) -> CalibrationResult:
