@@ -1,6 +1,7 @@
 """The intervals that a calibration prints: to first order where that holds, or not."""
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -158,6 +159,9 @@ def _breaks_order(space, z: HostArray) -> bool:
     return bool(np.any(A @ z > b) or crossed)
 
 
+INTERRUPTED = "its profile was interrupted"
+"""Why a parameter has no interval after Ctrl-C."""
+
 GoOn = Callable[[Fitted, Float[Array, " n_p"]], Fitted]
 Stage = Callable[[str], None]
 
@@ -182,7 +186,9 @@ def with_intervals(
     with Clock() as clock:
         fitted, found = _settled(fitted, level, go_on, stage)
     result = fitted.result
-    notes = result.notes
+    notes, interrupted = result.notes, any(own.why == INTERRUPTED for own in found)
+    if interrupted:
+        notes += ("Interrupted before the intervals of all parameters were known.",)
     if result is not first:
         notes += (
             f"While intervals were computed, a lower cost was found than that of the "
@@ -196,6 +202,7 @@ def with_intervals(
         parameters=tuple(replace(own, interval=interval) for own, interval in pairs),
         notes=notes,
         timing_s=timing,
+        interrupted=result.interrupted or interrupted,
     )
 
 
@@ -257,22 +264,31 @@ def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInte
         ends = end, end
         whole = whole_interval(result, column, level, ends, first_order=True)
         intervals[column] = whole
-    if bent:
-        names = ", ".join(result.space.names[column] for column in bent)
-        stage(
-            f"the intervals of {names} by profile likelihood, a few fits for each end "
-            f"(the fit took {result.history[-1].seconds:.0f} s)"
-        )
-        profiles = profile_ends(
-            fitted.problem,
-            result.settings,
-            z=result.z,
-            rows=fitted.evaluation.rows,
-            rise=quantile * spread.noise_scale,
-            which=bent,
-        )
-        for column, ends in zip(bent, profiles, strict=True):
-            intervals[column] = whole_interval(result, column, level, ends)
+    # The least certain first, each by itself: Ctrl-C keeps those that are known.
+    worst_first = sorted(bent, key=lambda column: -np.nan_to_num(std[column]))
+    began, n = time.perf_counter(), len(bent)
+    for k, column in enumerate(worst_first):
+        left = (time.perf_counter() - began) / max(k, 1) * (n - k)
+        fit = f"some fits; the first one took {result.history[-1].seconds:.0f} s"
+        name, more = result.space.names[column], f"about {left:.0f} s more"
+        try:
+            stage(
+                f"the interval of {name} by profile likelihood, {k + 1} of {n} "
+                f"({more if k else fit})"
+            )
+            (ends,) = profile_ends(
+                fitted.problem,
+                result.settings,
+                z=result.z,
+                rows=fitted.evaluation.rows,
+                rise=quantile * spread.noise_scale,
+                which=[column],
+            )
+        except KeyboardInterrupt:
+            for other in worst_first[k:]:
+                intervals[other] = replace(intervals[other], why=INTERRUPTED)
+            break
+        intervals[column] = whole_interval(result, column, level, ends)
     return intervals
 
 

@@ -36,7 +36,6 @@ from softcal_jax.calibration._checked_intervals import (
 )
 from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
 from softcal_jax.inference import ErrorColumns, Whitened, independent
-from softcal_jax.unknowns import MESH
 
 EXACTLY = {"noise": "stated", "uncertain": exactly_known()}
 CLOSE = 3e-3
@@ -82,18 +81,6 @@ def test_where_first_order_is_wrong_the_profile_is_printed(result):
     assert "±" not in str(result.parameters[0])
     assert str(found) in str(result)
     assert "+-" not in str(result).split("\n")[1]
-
-
-def test_where_the_error_of_the_mesh_is_unknown_no_interval_is_printed(result, poses):
-    budget = replace(result.budget, unknown=(MESH,))
-    problem = build_problem(MODEL, unknowns(), poses)
-    unknown = replace(result, budget=budget)
-    fitted = Fitted(unknown, problem, tuple(poses), bare(Evaluation))
-    found = with_intervals(fitted, 0.95, bare, bare)
-    assert [own.kind for own in found.intervals] == ["none", "none"]
-    assert says(found.intervals[0].why, "mesh", "not be estimated")
-    assert "±" not in str(found.parameters[0])
-    assert str(budget).count("mesh unknown") == 2
 
 
 @pytest.mark.parametrize(

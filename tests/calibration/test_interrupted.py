@@ -67,9 +67,8 @@ def test_a_search_leaves_the_best_end_so_far(whole):
     assert np.isfinite(result.starts.cost).any()
 
 
-@pytest.mark.parametrize("part", ["error budget", "profile likelihood"])
-def test_an_interruption_after_the_fit_leaves_it(whole, part):
-    """As by a user who does not wait; so little data that intervals need profiles."""
+def interrupted_in(part):
+    """A fit that a user ends who does not wait for a later stage."""
 
     def told(text):
         if part in text:
@@ -78,6 +77,19 @@ def test_an_interruption_after_the_fit_leaves_it(whole, part):
     result = fitted(intervals=0.95, stage=told)
     assert result.interrupted
     assert result.converged
+    assert says(result.notes[-1], "Interrupted")
+    return result
+
+
+def test_an_interruption_after_the_fit_leaves_it(whole):
+    result = interrupted_in("error budget")
     assert result.value("E") == whole.value("E")
     assert result.intervals == ()
-    assert says(result.notes[-1], "Interrupted")
+
+
+def test_an_interruption_of_the_profiles_leaves_those_that_are_known():
+    """So little data that both need one; the density is the less certain."""
+    density, E = interrupted_in("2 of 2").intervals[::-1]
+    assert density.kind != "none"
+    assert (E.kind, E.name) == ("none", "E")
+    assert says(E.why, "interrupted")
