@@ -48,13 +48,16 @@ def ratio(peer: Sequence[float], ours: Sequence[float]) -> float:
 
 
 def run_process(
-    command: Sequence[str], environment: Mapping[str, str] | None = None
+    command: Sequence[str],
+    environment: Mapping[str, str] | None = None,
+    folder: Path = ROOT,
 ) -> str:
     """Standard output of a command that runs in a process of its own.
 
     Args:
         command: Program and arguments.
         environment: Variables that are added to those of this process.
+        folder: Where it runs.
 
     Raises:
         RuntimeError: If it fails; the text is its error output.
@@ -63,7 +66,7 @@ def run_process(
         list(command),
         capture_output=True,
         text=True,
-        cwd=ROOT,
+        cwd=folder,
         env={**os.environ, **(environment or {})},
     )
     if done.returncode:

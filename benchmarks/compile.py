@@ -6,6 +6,10 @@ import is timed inside the process, after one that is not counted, so the files 
 from memory. The parts of the demo are those that its `result.json` reports. The beam is
 that of Sec. V, 525 nodes, four poses: from the start of its process to its first
 result, the equilibria of the poses, and to the end of its calibration.
+
+The same starts of the commit `BEFORE`, the last one before error budgets became a solve
+of their own, take turns with these, so that ratios do not depend on the day. The answer
+is there when the line "So far" is printed; before, when the demo has ended.
 """
 
 import json
@@ -14,15 +18,23 @@ import statistics
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from benchmarks._paper import CELLS, Cells
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
-from benchmarks._timing import run_process
+from benchmarks._timing import ROOT, run_process
 
+BEFORE = "c57df9d"
 IMPORTS, STARTS = 7, 3
 GOALS = {
-    "demo_cold_s": Goal("at most", 60.0),
+    "demo_cold_over_before": Goal("at most", 0.35),
+    "demo_warm_over_before": Goal("at most", 0.2),
+    "answer_cold_over_before": Goal("at most", 0.25),
+    "answer_warm_over_before": Goal("at most", 0.12),
+    "beam_cold_over_before": Goal("at most", 0.5),
+    "tracing_warm_over_before": Goal("at most", 0.25),
     "recompilations_after_first_step": Goal("at most", 0),
     "beam_programs_not_kept": Goal("at most", 0),
 }
@@ -31,6 +43,34 @@ _TIMED_IMPORT = (
     "import time; begin = time.perf_counter(); import {}; "
     "print(time.perf_counter() - begin)"
 )
+
+_DEMO = """
+import runpy, sys, time
+begin = time.perf_counter()
+import jax
+told = {"answer": None, "tracing": 0.0}
+parts = ("trace_duration", "module_duration", "cache_retrieval_time_sec")
+def add(event, seconds, **_):
+    if event.endswith(parts):
+        told["tracing"] += seconds
+jax.monitoring.register_event_duration_secs_listener(add)
+write = sys.stdout.write
+def seen(text):
+    if "So far" in text:
+        told["answer"] = time.perf_counter() - begin
+    return write(text)
+sys.stdout.write = seen
+sys.argv[0] = "softcal"
+try:
+    runpy.run_module("softcal_jax", run_name="__main__")
+except SystemExit as end:
+    assert not end.code, end.code
+import json
+told["total"] = time.perf_counter() - begin
+write("\\n" + json.dumps(told))
+"""
+"""A demo that tells when its answer was there, and what tracing, lowering and reading
+compiled programs back took [s]."""
 
 COUNTS = ("recompilations_after_first_step", "beam_programs", "beam_programs_not_kept")
 """What is counted, not timed: of all runs the worst."""
@@ -44,14 +84,19 @@ def run(options: Options) -> Outcome:
     for module in ("softcal_jax", "jax"):
         times = [_import_seconds(module) for _ in range(IMPORTS + 1)]
         samples["import_s" if module == "softcal_jax" else "import_jax_s"] = times[1:]
-    for i in range(STARTS):
-        options.say(f"softcal demo and the beam, {i + 1} of {STARTS}")
-        for name, value in {**demo_starts(), **beam_starts(CELLS)}.items():
-            samples.setdefault(name, []).append(value)
+    before: dict[str, list[float]] = {}
+    with tree_before() as tree:
+        for i in range(STARTS):
+            options.say(f"softcal demo and the beam, {i + 1} of {STARTS}")
+            for folder, own in ((ROOT, samples), (tree, before)):
+                found = {**demo_starts(folder), **beam_starts(CELLS, folder)}
+                for name, value in found.items():
+                    own.setdefault(name, []).append(value)
     figures: dict[str, Figure] = {
         name: int(max(values)) if name in COUNTS else statistics.median(values)
         for name, values in samples.items()
     }
+    figures |= over_before(samples, before)
     seconds = {name: times for name, times in samples.items() if name not in COUNTS}
     return Outcome(figures, seconds, GOALS, [_table(figures)])
 
@@ -76,20 +121,48 @@ def _import_seconds(module: str) -> float:
         return float(run_process(command, _at_home(home)))
 
 
-def demo_starts() -> dict[str, float]:
+@contextmanager
+def tree_before() -> Iterator[Path]:
+    """Check `BEFORE` out beside this tree, for as long as it is needed."""
+    with tempfile.TemporaryDirectory() as parent:
+        tree = Path(parent) / "before"
+        run_process(["git", "worktree", "add", "--detach", str(tree), BEFORE])
+        try:
+            yield tree
+        finally:
+            run_process(["git", "worktree", "remove", "--force", str(tree)])
+
+
+def over_before(
+    now: dict[str, list[float]], before: dict[str, list[float]]
+) -> dict[str, Figure]:
+    """Ratios of medians to those of `BEFORE`."""
+    median = lambda own, name: statistics.median(own[name])
+    ratio = lambda name, old: median(now, name) / median(before, old)
+    figures: dict[str, Figure] = {
+        f"{what}_{start}_over_before": ratio(f"{what}_{start}_s", f"demo_{start}_s")
+        for what in ("demo", "answer")
+        for start in ("cold", "warm")
+    }
+    calibration, tracing = "beam_cold_calibration_s", "tracing_warm_s"
+    figures["beam_cold_over_before"] = ratio(calibration, calibration)
+    figures["tracing_warm_over_before"] = ratio(tracing, tracing)
+    return figures
+
+
+def demo_starts(folder: Path = ROOT) -> dict[str, float]:
     """Wall times of a demo, cold and then warm, and its own account of them [s]."""
-    program = Path(sys.executable).with_name("softcal")
-    if not program.exists():
-        raise FileNotFoundError(
-            f"{program} does not exist: install the package into this environment."
-        )
     found: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as home:
         for start in ("cold", "warm"):
             results = Path(home) / start
-            begin = time.perf_counter()
-            run_process([str(program), "demo", "-o", str(results)], _at_home(home))
-            found[f"demo_{start}_s"] = time.perf_counter() - begin
+            command = [sys.executable, "-c", _DEMO, "demo", "-o", str(results)]
+            said = json.loads(
+                run_process(command, _at_home(home, folder), folder).splitlines()[-1]
+            )
+            found[f"demo_{start}_s"] = said["total"]
+            found[f"answer_{start}_s"] = said["answer"] or said["total"]
+            found[f"tracing_{start}_s"] = said["tracing"]
             told = json.loads((results / "result.json").read_text(encoding="utf-8"))
             for part, seconds in told["timing_s"].items():
                 name = re.sub(r"[^a-z0-9]+", "_", part.lower())
@@ -97,11 +170,12 @@ def demo_starts() -> dict[str, float]:
     return found
 
 
-def beam_starts(cells: Cells) -> dict[str, float]:
+def beam_starts(cells: Cells, folder: Path = ROOT) -> dict[str, float]:
     """Times of the beam, cold and then warm [s], and what was compiled.
 
     Args:
         cells: Cells along, up and across.
+        folder: The tree whose package it is.
 
     Raises:
         RuntimeError: If its calibration does not converge.
@@ -111,7 +185,7 @@ def beam_starts(cells: Cells) -> dict[str, float]:
         for start in ("cold", "warm"):
             command = [sys.executable, "-m", "benchmarks._first_result"]
             command += [str(time.time()), *map(str, cells)]
-            told = json.loads(run_process(command, _at_home(home)))
+            told = json.loads(run_process(command, _at_home(home, folder), folder))
             if not told["converged"]:
                 raise RuntimeError("the calibration of the beam did not converge.")
             for part in ("first_result", "calibration", "compile"):
@@ -123,9 +197,10 @@ def beam_starts(cells: Cells) -> dict[str, float]:
     return found
 
 
-def _at_home(home: str) -> dict[str, str]:
-    """Environment with nothing kept from earlier runs but what is in a folder."""
+def _at_home(home: str, folder: Path = ROOT) -> dict[str, str]:
+    """Environment of a tree, with nothing kept but what is in a folder."""
     return {
+        "PYTHONPATH": str(folder),
         "XDG_CACHE_HOME": home,
         "MPLCONFIGDIR": home,  # matplotlib lists the fonts once, which takes a second
         "JAX_ENABLE_COMPILATION_CACHE": "true",
