@@ -5,7 +5,7 @@ A cable segment, a face of a chamber, the frame of a motor: each is one clique.
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import numpy as np
@@ -14,8 +14,6 @@ from softcal_jax._module import Module, one_line
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.mesh import TetMesh, locate
-
-T = TypeVar("T", bound="AbstractCliques")
 
 
 class ActuatorGeometry(NamedTuple):

@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -264,31 +265,35 @@ def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInte
         ends = end, end
         whole = whole_interval(result, column, level, ends, first_order=True)
         intervals[column] = whole
-    # The least certain first, each by itself: Ctrl-C keeps those that are known.
+    # The least certain first: Ctrl-C keeps those that are known.
     worst_first = sorted(bent, key=lambda column: -np.nan_to_num(std[column]))
     began, n = time.perf_counter(), len(bent)
-    for k, column in enumerate(worst_first):
-        left = (time.perf_counter() - began) / max(k, 1) * (n - k)
-        fit = f"some fits; the first one took {result.history[-1].seconds:.0f} s"
-        name, more = result.space.names[column], f"about {left:.0f} s more"
-        try:
+
+    def known_now(column: int, ends: tuple[ProfileEnd, ProfileEnd]) -> None:
+        intervals[column] = whole_interval(result, column, level, ends)
+        k = worst_first.index(column) + 1
+        left = (time.perf_counter() - began) / k * (n - k)
+        if k < n:
+            stage(f"the intervals by profile likelihood: {k} of {n}, {left:.0f} s left")
+
+    if bent:
+        names = ", ".join(result.space.names[column] for column in worst_first)
+        for column in bent:
+            intervals[column] = replace(intervals[column], why=INTERRUPTED)
+        with suppress(KeyboardInterrupt):
             stage(
-                f"the interval of {name} by profile likelihood, {k + 1} of {n} "
-                f"({more if k else fit})"
+                f"the intervals of {names} by profile likelihood, some fits for each "
+                f"(the calibration took {result.history[-1].seconds:.0f} s)"
             )
-            (ends,) = profile_ends(
+            profile_ends(
                 fitted.problem,
                 result.settings,
                 z=result.z,
                 rows=fitted.evaluation.rows,
                 rise=quantile * spread.noise_scale,
-                which=[column],
+                which=worst_first,
+                ended=known_now,
             )
-        except KeyboardInterrupt:
-            for other in worst_first[k:]:
-                intervals[other] = replace(intervals[other], why=INTERRUPTED)
-            break
-        intervals[column] = whole_interval(result, column, level, ends)
     return intervals
 
 

@@ -97,6 +97,7 @@ def profile_ends(
     rows: Whitened,
     rise: float,
     which: Sequence[int],
+    ended: Callable[[int, tuple[ProfileEnd, ProfileEnd]], None] = lambda *_: None,
 ) -> list[tuple[ProfileEnd, ProfileEnd]]:
     """Find how far parameters can move before the best fit of the others is too bad.
 
@@ -111,6 +112,7 @@ def profile_ends(
         rows: Its `Evaluation.rows` there [-].
         rise: Root of the rise of twice the cost at the end of an interval [-].
         which: Indices of the parameters.
+        ended: Called with the index of each parameter and its ends, in this order.
 
     Raises:
         LowerCostFound: If the calibration is not in the best optimum.
@@ -130,9 +132,15 @@ def profile_ends(
             rise=rise,
             covariance=np.linalg.inv(W.T @ W + np.diag(size**-2.0)),
         )
-        ends = workers.side_by_side(
-            partial(_end, _Profile(calibration, column, sign)) for column, sign in sides
-        )
+        ends: list[ProfileEnd] = []
+
+        def keep(i: int, end: ProfileEnd) -> None:
+            ends.append(end)
+            if i % 2:
+                ended(sides[i][0], (ends[-2], ends[-1]))
+
+        runs = (partial(_end, _Profile(calibration, *side)) for side in sides)
+        workers.side_by_side(runs, keep)
     return list(zip(ends[::2], ends[1::2], strict=True))
 
 

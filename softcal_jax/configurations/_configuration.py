@@ -164,7 +164,6 @@ def configuration_lanes(
     mesh: TetMesh,
     configurations: Sequence[Configuration],
     mechanism: Mechanism | None = None,
-    like: ConfigurationArrays | None = None,
 ) -> ConfigurationLanes:
     """Stack configurations of one mesh, and describe their effectors.
 
@@ -172,8 +171,6 @@ def configuration_lanes(
         mesh: The mesh that all of them share.
         configurations: At least one; they may differ in everything but the mesh.
         mechanism: Rigid bodies and actuators of the model; none by default.
-        like: A batch whose names of loads and of elastic supports to take, in order to
-            share its programs.
 
     Raises:
         ValueError: If there is none, names repeat, one is not held, what it names is
@@ -193,8 +190,6 @@ def configuration_lanes(
                 "one of them."
             )
     springs, loads = _names_of(configurations)
-    if like is not None:
-        springs, loads = like.springs.names, like.loads.names
     rows = [_effector_rows(mesh, c, mechanism) for c in configurations]
     lanes, records = [], []
     for c, of_c, (effectors, indices) in zip(

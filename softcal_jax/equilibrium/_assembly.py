@@ -66,17 +66,19 @@ class TetStates(NamedTuple):
 
 def tet_states(model: Model, u: Nodal) -> TetStates:
     """Compute energy, stress and deformation of each tet; zero energy if rigid."""
-
-    def in_order(values: Float[Array, "n_blocks ... block"]) -> HostArray:
-        by_tet = np.moveaxis(np.asarray(values), -1, 1)
-        return by_tet.reshape(-1, *by_tet.shape[2:])[: model.n_tets]
-
-    return TetStates(*map(in_order, _states(model, u)))
+    return TetStates(*map(np.asarray, _states(model, u)))
 
 
 @eqx.filter_jit
 def _states(model: Model, u: Nodal):
-    return _map_blocks(model, u, _state, formulation=model.formulation)
+    own = {"formulation": model.formulation}
+    return [_by_tet(model, v) for v in _map_blocks(model, u, _state, **own)]
+
+
+def _by_tet(model: Model, values: Float[Array, "n_blocks ... block"]):
+    """Return the values of all tets, without the copies that pad the last block."""
+    by_tet = jnp.moveaxis(values, -1, 1)
+    return by_tet.reshape(-1, *by_tet.shape[2:])[: model.n_tets]
 
 
 def _state(u, dN, w, law, active, formulation):
@@ -91,7 +93,8 @@ class TetStresses(NamedTuple):
         stress: First Piola-Kirchhoff stress P at the quadrature points [Pa].
         F: Mean deformation gradient [-].
         excess: J - J_bar at the points with "mean-dilatation", else None [-].
-        pressure_slope: Derivative of the pressure by the gradient there [Pa].
+        pressure_slope: Derivative of the pressure by the gradient there, else None;
+            the share of a point in the volume is in it [Pa].
     """
 
     stress: Float[Array, "n_tets n_qp 3 3"]
@@ -104,13 +107,10 @@ class TetStresses(NamedTuple):
 
 def tet_stresses(model: Model, u: Nodal) -> TetStresses:
     """Compute stress and deformation of each tet."""
-
-    def in_order(values: Float[Array, "n_blocks ... block"]):
-        by_tet = jnp.moveaxis(values, -1, 1)
-        return by_tet.reshape(-1, *by_tet.shape[2:])[: model.n_tets]
-
     own = {"formulation": model.formulation}
-    return TetStresses(*map(in_order, _map_blocks(model, u, _stresses, **own)))
+    return TetStresses(
+        *(_by_tet(model, v) for v in _map_blocks(model, u, _stresses, **own))
+    )
 
 
 def _stresses(u, dN, w, law, active, formulation):
@@ -119,12 +119,15 @@ def _stresses(u, dN, w, law, active, formulation):
 
 
 def force_of_gradients(model: Model, values: Float[Array, "n_tets n_qp 3 3"]) -> Nodal:
-    """Compute the nodal forces whose work is sum_q values_q : grad z [N]."""
+    """Compute the nodal forces whose work is sum_q values_q : grad z [N].
+
+    The values are stresses times the volumes of the points [Pa m3]; those of a tet that
+    does not deform do not count.
+    """
     n_blocks, _, block = model.weights.shape
     blocked = jnp.moveaxis(to_blocks(values, model.n_tets, n_blocks, block), 1, -1)
-    return _add_forces(
-        model, jnp.einsum("bqiJt,bqaJt->bait", blocked, model.shape_gradients)
-    )
+    both = jnp.einsum("bqiJt,bqaJt->bait", blocked, model.shape_gradients)
+    return _add_forces(model, model.active[:, None, None] * both)
 
 
 def internal_force(model: Model, u: Nodal) -> Nodal:

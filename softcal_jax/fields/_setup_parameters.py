@@ -69,11 +69,8 @@ class Uncertain(Module):
         zeros: Zero error of each motor [rad].
         mountings: Place of each held rigid body, along each axis [m].
         mesh: Error of the mesh, in units of its estimate [-]. One error for all
-            configurations. The estimate is how far a finer mesh would move what is
-            measured: quadratic tets in place of linear ones, or eight of each. Zero for
-            data that are simulated on the same mesh. Not known for more than 50 000
-            linear or 12 500 quadratic tets, and where the body at rest has no
-            stiffness: such a fit has no intervals, and is not called identified.
+            configurations, see `mesh_row`. Zero for data that are simulated on the
+            same mesh.
     """
 
     nu: float = _std(0.05)

@@ -15,12 +15,15 @@ from softcal_jax.mesh._topology import (
     tet_faces,
 )
 
-_LEAST = {1: 8, 2: 24}
-"""Points that a patch has at least, by order: twice the terms of its polynomial."""
+_TERMS = {0: 1, 1: 4, 2: 10}
+"""Terms of a polynomial, by its degree."""
+
+_LEAST = {degree: 2 * terms for degree, terms in _TERMS.items()}
+"""Points that a patch has at least, if there are so many tets around."""
 
 _DEPENDENT = 0.01
 """Singular value of quadratic terms at the points of a patch, relative to the largest,
-below which it does not tell them apart [-]."""
+below which the points do not determine it [-]."""
 
 _IN_FACE = np.full((3, 3), 1.0 / 6.0) + np.eye(3) / 2.0
 """Points in a triangle that integrate polynomials of degree 2, barycentric [-]."""
@@ -44,7 +47,7 @@ class Recovery(NamedTuple):
         volumes: Volume of each of these; 0 in tets that do not deform [m3].
         face_tet: Tet behind each boundary face.
         face_nodes: Its nodes in the mesh.
-        face_normal: Its outward normal [-].
+        face_normal: Its outward normal, that of the triangle of its corners [-].
         face_from_points: Continues values to three points of the face [-].
         face_volume: Volume of the tet behind it, by these three points [m3].
     """
@@ -95,8 +98,8 @@ def recovery(mesh: TetMesh, deforming: Bool[HostArray, " n_tets"]) -> Recovery:
     for k, corners in enumerate(TET_FACES):
         in_tet[k][:, corners] = _IN_FACE
     return Recovery(
-        node=node,
-        point=of_deforming[tet] * at.shape[1] + q,
+        node=node.astype(np.int32),
+        point=(of_deforming[tet] * at.shape[1] + q).astype(np.int32),
         weight=weight,
         tets=tets,
         from_nodes=shape_functions(fine.barycentric, n_en),
@@ -136,6 +139,29 @@ def _weights(
     A mid node takes the mean of the polynomials at both ends of its edge.
     """
     n_qp = at.shape[1]
+    of_node, mids = _around(tets)
+    for corner, patch in of_node.items():
+        nodes = [corner, *sorted(mids.get(corner, ()))]
+        rows, degree, least = None, order, _LEAST
+        while rows is None:
+            x = at[patch].reshape(-1, 3)
+            if len(x) >= least[degree]:
+                rows = _fit(x, points[nodes], degree)
+            if rows is None:
+                around = {node for tet in patch for node in tets[tet, :4].tolist()}
+                wider = sorted({tet for node in around for tet in of_node[node]})
+                if len(wider) == len(patch):  # there are no more tets
+                    degree, least = degree - (least is _TERMS), _TERMS
+                patch = wider
+        rows[1:] /= 2.0
+        index = (n_qp * np.array(patch)[:, None] + np.arange(n_qp)).ravel()
+        yield np.repeat(nodes, index.size), np.tile(index, len(nodes)), rows.ravel()
+
+
+def _around(
+    tets: Int[HostArray, "n_tets n_en"],
+) -> tuple[dict[int, list[int]], dict[int, set[int]]]:
+    """List the tets around each corner node, and the mid nodes of its edges."""
     of_node: dict[int, list[int]] = {}
     for tet, corners in enumerate(tets[:, :4].tolist()):
         for node in corners:
@@ -145,16 +171,7 @@ def _weights(
         for end in TET_EDGES[k - 4]:
             for node, mid in tets[:, [end, k]].tolist():
                 mids.setdefault(node, set()).add(mid)
-    for corner, patch in of_node.items():
-        nodes, terms = [corner, *sorted(mids.get(corner, ()))], order
-        while (rows := _fit(at[patch].reshape(-1, 3), points[nodes], terms)) is None:
-            around = {node for tet in patch for node in tets[tet, :4].tolist()}
-            wider = sorted({tet for node in around for tet in of_node[node]})
-            terms -= len(wider) == len(patch)  # there are no more tets
-            patch = wider
-        rows[1:] /= 2.0
-        index = (n_qp * np.array(patch)[:, None] + np.arange(n_qp)).ravel()
-        yield np.repeat(nodes, index.size), np.tile(index, len(nodes)), rows.ravel()
+    return of_node, mids
 
 
 def _fit(
@@ -164,13 +181,13 @@ def _fit(
 
     In coordinates of unit variance, since patches of thin walls are flat. Of quadratic
     terms, what the points do not tell apart is left out: those of a cube lie on a
-    sphere. None if the points are too few, or lie in a plane.
+    sphere. None if they all lie in a plane.
     """
     if order == 0:
         return np.full((len(read), len(x)), 1.0 / len(x))
     centre = x.mean(axis=0)
     _, size, axes = np.linalg.svd(x - centre, full_matrices=False)
-    if len(x) < _LEAST[order] or size[-1] < 1e-6 * size[0]:
+    if size[-1] < 1e-6 * size[0]:
         return None
     scale = size / np.sqrt(len(x))
     at, to = ((p - centre) @ axes.T / scale for p in (x, read))

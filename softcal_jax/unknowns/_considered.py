@@ -20,7 +20,7 @@ from softcal_jax.equilibrium import (
     sensitivity,
 )
 from softcal_jax.fields import ParameterSpace, unnamed
-from softcal_jax.inference import REMEDIES, ErrorColumns
+from softcal_jax.inference import ErrorColumns
 from softcal_jax.mesh import Recovery
 from softcal_jax.sensitivity import (
     clamp_row,
@@ -86,25 +86,32 @@ def considered_errors(
     equilibrium: EquilibriumSolution,
 ) -> ConsideredErrors:
     """Compute W_c: change of the effectors per standard deviation of each error."""
-    of_mesh = setting.uncertain.mesh > 0
+    # Nothing is wrong with a mesh of which no tet deforms.
+    of_mesh = setting.uncertain.mesh > 0 and bool(np.any(setting.model.active))
     errors = tuple(u for u in unknowns(setting) if u.role == "considered")
     if not of_mesh and not any(error.happens for error in errors):
         errors = ()
     setting = setting._replace(space=unnamed(setting.space))
-    columns = _columns(workers, setting, errors, z, equilibrium.displacement)
+    patches = stress_patches(setting.model) if of_mesh else None
+    u = equilibrium.displacement
+    columns = _columns(workers, setting, errors, patches, z, u)
     if not of_mesh:
         return ConsideredErrors(errors, columns, None)
     columns[-1] *= setting.uncertain.mesh
-    locks = setting.model.mesh.order == 1
-    return ConsideredErrors(errors, columns, list(REMEDIES)[0 if locks else 1])
+    name = "locking" if setting.model.mesh.order == 1 else "refinement"
+    return ConsideredErrors(errors, columns, name)
 
 
 def _columns(
-    workers: Workers, setting: Setting, errors: Sequence[Unknown], z, displacement
+    workers: Workers,
+    setting: Setting,
+    errors: Sequence[Unknown],
+    patches: Recovery | None,
+    z,
+    displacement,
 ) -> Float[HostArray, "n_rows n_c n_e"]:
     """Compute W_c as if each configuration had each error, see `_of_pose`."""
-    model, of_mesh = setting.model, setting.uncertain.mesh > 0
-    n_c, n_rows = len(displacement), len(errors) + of_mesh
+    n_c, n_rows = len(displacement), len(errors) + (patches is not None)
     n_e = setting.arrays.effectors.measured.size // n_c
     if n_e * n_rows == 0:
         return np.zeros((n_rows, n_c, n_e))
@@ -120,8 +127,7 @@ def _columns(
         )
         for c in range(n_c)
     ]
-    patches = stress_patches(model) if of_mesh else None
-    program = Program(_of_pose, model, setting.space, space, patches)
+    program = Program(_of_pose, setting.model, setting.space, space, patches)
     of_lanes = workers.map(program, lanes)
     return np.stack([np.asarray(own).T for own in of_lanes], axis=1)
 

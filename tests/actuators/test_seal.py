@@ -1,5 +1,7 @@
 """Chambers that are open at an inlet and sealed there, against closed ones."""
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,8 +15,10 @@ from actuator_programs import (
 )
 from scipy.spatial import KDTree
 
+import softcal_jax as sc
 from benchmarks._hollow import hollow
 from softcal_jax.actuators import Chamber
+from softcal_jax.configurations import configuration_arrays
 from softcal_jax.mesh import TetMesh, beam
 
 each_order = pytest.mark.parametrize("order", [1, 2])
@@ -136,3 +140,69 @@ def test_force_is_the_gradient_of_the_volume(order):
     for matrices in curvature_entries(arrays, jnp.asarray(x), jnp.ones(1)):
         swapped = jnp.swapaxes(matrices, 1, 2)
         np.testing.assert_allclose(matrices, swapped, rtol=0, atol=1e-15)
+
+
+@pytest.mark.slow
+@each_order
+def test_equilibrium_is_that_of_a_closed_twin(order):
+    """The rim is clamped; the twin is closed by what is clamped as a whole."""
+    law = sc.NeoHookean(E=100e3, nu=0.4)
+    # Two layers, since the cut of the cells alternates.
+    tall = channel(2, 5, order, cells=6)
+    closed = TetMesh(tall.points - [2 * SIDE, 0, 0], tall.tets, {}, tall.surface_groups)
+    mesh = channel(0, 3, order)
+    _, twin = KDTree(closed.points).query(mesh.points)
+    found = []
+    for body, chamber in ((mesh, SEALED), (closed, Chamber("c", "cavity"))):
+        held = sc.select_nodes(body, lambda X: X[:, 0] < 1e-9)
+        model = sc.build_model(
+            body.with_node_group("held", held),
+            law,
+            density=1000.0,
+            actuators=[chamber],
+        )
+        pose = sc.Configuration(
+            "blown", "held", (0, 0, 0), actuation={"c": sc.ImposedForce(2e4)}
+        )
+        lanes = configuration_arrays(model.mesh, [pose], model.mechanism)
+        lane = jax.tree.map(lambda leaf: leaf[0], lanes)
+        solve = eqx.filter_jit(sc.solve_equilibrium)
+        found.append(np.asarray(solve(model, lane).displacement)[: body.n_nodes])
+    assert np.abs(found[0]).max() > 0.01
+    # Far above the tolerance of the equilibrium, 1e-8.
+    largest = np.abs(found[0]).max()
+    np.testing.assert_allclose(found[0], found[1][twin], rtol=0, atol=1e-6 * largest)
+
+
+def test_a_closed_wall_needs_no_seal():
+    with pytest.raises(ValueError, match=r"surface 'cavity' is closed.*Leave seal out"):
+        arrays_of(channel(1, 3), SEALED)
+
+
+def test_an_open_wall_says_how_to_seal_it():
+    message = r"'cavity' is not closed.* 4 open edges.*\(seal = true\)"
+    with pytest.raises(ValueError, match=message):
+        arrays_of(channel(0, 3), Chamber("c", "cavity"))
+
+
+def test_openings_that_meet():
+    """Two faces that share a corner are missing: where does each opening end?"""
+    mesh = channel(1, 3)
+    faces = mesh.faces("cavity")
+    others = [set(f) & set(faces[0]) for f in faces]
+    k = next(k for k, both in enumerate(others) if len(both) == 1)
+    left = np.delete(faces, [0, k], axis=0)
+    opened = TetMesh(mesh.points, mesh.tets, surface_groups={"cavity": left})
+    message = "chamber 'c': openings .* mm"
+    with pytest.raises(ValueError, match=message):
+        arrays_of(opened, SEALED)
+
+
+def test_what_is_around_the_body_is_no_cavity():
+    """The outer surface without a side, sealed there."""
+    mesh = channel(1, 3)
+    outer = mesh.faces("outer")
+    open_side = outer[~(np.abs(mesh.points[outer, 0]) < 1e-9).all(axis=1)]
+    body = TetMesh(mesh.points, mesh.tets, surface_groups={"cavity": open_side})
+    with pytest.raises(ValueError, match="has the body on its inner side"):
+        arrays_of(body, SEALED)

@@ -89,7 +89,7 @@ def test_an_interruption_after_the_fit_leaves_it(whole):
 
 def test_an_interruption_of_the_profiles_leaves_those_that_are_known():
     """So little data that both need one; the density is the less certain."""
-    density, E = interrupted_in("2 of 2").intervals[::-1]
+    density, E = interrupted_in("1 of 2").intervals[::-1]
     assert density.kind != "none"
     assert (E.kind, E.name) == ("none", "E")
     assert says(E.why, "interrupted")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softcal_jax.elements import shape_functions, tet_rule
-from softcal_jax.mesh import TetMesh, beam, boundary_faces, recovery
+from softcal_jax.mesh import TetMesh, beam, boundary_faces, recovery, volumes
 
 each_order = pytest.mark.parametrize("order", [1, 2])
 
@@ -78,18 +78,32 @@ def test_rigid_tets_take_no_part(order):
 
 @each_order
 def test_faces_are_where_they_are(order):
-    """Values are continued to them, with their normals outwards and their volumes."""
-    mesh = bent(order)
+    """Each point on its face, with the normal outwards and a third of the volume."""
+    mesh = beam(0.1, 0.06, 0.04, (4, 3, 2), order=order)
     r = recovery(mesh, np.ones(mesh.n_tets, bool))
     x = at_points(mesh).reshape(mesh.n_tets, -1, 3)[r.face_tet]
     corners = mesh.points[r.face_nodes[:, :3]]
-    if order == 2:
-        flat = TetMesh(beam(0.1, 0.06, 0.04, (4, 3, 2), order=2).points, mesh.tets)
-        r = recovery(flat, np.ones(mesh.n_tets, bool))
-        x = at_points(flat).reshape(mesh.n_tets, -1, 3)[r.face_tet]
-        corners = flat.points[r.face_nodes[:, :3]]
-        at = np.einsum("fkq,fqi->fki", r.face_from_points, x)
-        np.testing.assert_allclose(at.mean(axis=1), corners.mean(axis=1), atol=1e-15)
     away = corners.mean(axis=1) - x.mean(axis=1)
     assert np.all(np.sum(away * r.face_normal, axis=1) > 0.0)
-    assert np.all(r.face_volume > 0.0)
+    np.testing.assert_allclose(3.0 * r.face_volume, volumes(mesh)[r.face_tet])
+    if order == 1:  # a constant is all that is known
+        np.testing.assert_array_equal(r.face_from_points, 1.0)
+        return
+    at = np.einsum("fkq,fqi->fki", r.face_from_points, x)
+    shares = np.full((3, 3), 1.0 / 6.0) + np.eye(3) / 2.0
+    expected = np.einsum("kc,fci->fki", shares, corners)
+    # In any order, since a face may begin at any of its corners.
+    off = np.linalg.norm(at[:, :, None] - expected[:, None], axis=3)
+    assert np.max(off.min(axis=2)) < 1e-15
+
+
+@pytest.mark.parametrize(("order", "n"), [(1, 1), (2, 1), (2, 4)])
+def test_a_part_too_small_for_a_patch(order, n):
+    """Recovered as well as its points allow: four of them give a linear field."""
+    mesh = beam(0.1, 0.03, 0.03, (4, 2, 2), order=order)
+    small = np.arange(n)
+    found = recovered(mesh.with_tet_group("small", small), at_points(mesh)[:, 0])
+    assert np.all(np.isfinite(found))
+    if order == 2:
+        exact = mesh.points[mesh.tets[small]][:, :, 0]
+        np.testing.assert_allclose(found[small], exact, atol=1e-15)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softcal_jax.actuators import Cable
+from softcal_jax.actuators import Cable, Motor
 from softcal_jax.bodies import Pose, RigidBody
 from softcal_jax.calibration import (
     build_problem,
@@ -124,7 +124,7 @@ def test_it_is_right_to_a_factor_of_two(cells, nu, order):
     """Linear tets a fifth too stiff, quadratic ones some permille stiff or soft."""
     own, std = errors_of(*posed(NeoHookean(265e3, nu), cells=cells, order=order))
     off = {0.3: 7.0236, 0.499: REFERENCE}[nu] + own[2]
-    assert -2.0 * off < std[2] < -0.5 * off if off > 0 else 0.5 < std[2] / -off < 2.0
+    assert 0.5 < std[2] / -off < 2.0
 
 
 @pytest.mark.slow
@@ -184,7 +184,28 @@ def test_a_jump_of_the_material_is_no_error():
     named = mesh.with_tet_group("left", np.flatnonzero(left))
     (_, apart), (_, smeared) = (stretched(m, law, pull=1e-3) for m in (named, mesh))
     np.testing.assert_allclose(apart, 0.0, atol=1e-9)
-    assert np.max(np.abs(smeared)) > 1e-3
+    assert np.max(np.abs(smeared)) > 1e-4
+
+
+def test_a_robot_without_a_tet_that_deforms_has_no_error():
+    """All of it is one body, which hangs from a motor without torque."""
+    mesh = beam(0.1, 0.02, 0.02, (3, 1, 1), order=1)
+    axes = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    all_nodes = np.arange(mesh.n_nodes)
+    body = RigidBody("all", all_nodes, origin=(0.0, 0.01, 0.01), axes=axes)
+    law, motor = NeoHookean(2e5, 0.3), Motor("motor", "all")
+    model = build_model(mesh, law, density=1000.0, bodies=[body], actuators=[motor])
+    pose = Configuration(
+        "hanging",
+        gravity=(9.81, 0.0, 0.0),
+        markers=Markers(["m"], [(0.1, 0.01, 0.02)], 1e-4),
+        measured=np.zeros((1, 3)),
+        actuation={"motor": ImposedForce(0.0)},
+    )
+    density = Parameter("density", "density", 1000.0, 500.0, 2000.0, unit="kg/m3")
+    problem = build_problem(model, ParameterSpace([density]), [pose])
+    _, found = considered_at_start(problem, [pose])
+    assert MESH not in found.in_std(1, np.ones((1, 1, 3))).causes
 
 
 TIP_BODY = RigidBody("tip", "x_max")
