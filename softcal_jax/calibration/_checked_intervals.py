@@ -261,40 +261,51 @@ def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInte
         why = "it ended on a bound, and the residuals show no noise"
         intervals[column] = replace(intervals[column], why=why)
     for column in straight:
-        end = ProfileEnd(float(quantile * std[column]), "likelihood")
-        ends = end, end
+        ends = (ProfileEnd(float(quantile * std[column]), "likelihood"),) * 2
         whole = whole_interval(result, column, level, ends, first_order=True)
         intervals[column] = whole
-    # The least certain first: Ctrl-C keeps those that are known.
-    worst_first = sorted(bent, key=lambda column: -np.nan_to_num(std[column]))
-    began, n = time.perf_counter(), len(bent)
+    if bent:
+        # The least certain first: Ctrl-C keeps those that are known.
+        bent.sort(key=lambda column: -np.nan_to_num(std[column]))
+        profiled = _by_profile(
+            fitted, level, quantile * spread.noise_scale, bent, stage
+        )
+        for column in bent:
+            none = replace(intervals[column], why=INTERRUPTED)
+            intervals[column] = profiled.get(column, none)
+    return intervals
 
-    def known_now(column: int, ends: tuple[ProfileEnd, ProfileEnd]) -> None:
-        intervals[column] = whole_interval(result, column, level, ends)
-        k = worst_first.index(column) + 1
+
+def _by_profile(
+    fitted: Fitted, level: float, rise: float, which: Sequence[int], stage: Stage
+) -> dict[int, ParameterInterval]:
+    """Find intervals by profile likelihood, in this order, until Ctrl-C."""
+    result, found = fitted.result, {}
+    began, n = time.perf_counter(), len(which)
+
+    def keep(column: int, ends: tuple[ProfileEnd, ProfileEnd]) -> None:
+        found[column] = whole_interval(result, column, level, ends)
+        k = len(found)
         left = (time.perf_counter() - began) / k * (n - k)
         if k < n:
             stage(f"the intervals by profile likelihood: {k} of {n}, {left:.0f} s left")
 
-    if bent:
-        names = ", ".join(result.space.names[column] for column in worst_first)
-        for column in bent:
-            intervals[column] = replace(intervals[column], why=INTERRUPTED)
-        with suppress(KeyboardInterrupt):
-            stage(
-                f"the intervals of {names} by profile likelihood, some fits for each "
-                f"(the calibration took {result.history[-1].seconds:.0f} s)"
-            )
-            profile_ends(
-                fitted.problem,
-                result.settings,
-                z=result.z,
-                rows=fitted.evaluation.rows,
-                rise=quantile * spread.noise_scale,
-                which=worst_first,
-                ended=known_now,
-            )
-    return intervals
+    names = ", ".join(result.space.names[column] for column in which)
+    with suppress(KeyboardInterrupt):
+        stage(
+            f"the intervals of {names} by profile likelihood, some fits for each "
+            f"(the calibration took {result.history[-1].seconds:.0f} s)"
+        )
+        profile_ends(
+            fitted.problem,
+            result.settings,
+            z=result.z,
+            rows=fitted.evaluation.rows,
+            rise=rise,
+            which=which,
+            ended=keep,
+        )
+    return found
 
 
 def quantile_of(result: CalibrationResult, level: float) -> float:

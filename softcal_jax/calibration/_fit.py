@@ -200,9 +200,8 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
         watch.answer(result)
         if not (task.quick or journal.interrupted):
             try:
-                watch.stage(
-                    f"{BUDGET} (the fit took {journal.history[-1].seconds:.0f} s)"
-                )
+                taken = journal.history[-1].seconds
+                watch.stage(f"{BUDGET} (the fit took {taken:.0f} s)")
                 solved, z = predicted.response.equilibrium, weighed.state.z
                 doubts = considered_errors(workers, setting, z=z, equilibrium=solved)
                 result = _result(task, found, doubts)

@@ -59,7 +59,8 @@ class ConsideredErrors(NamedTuple):
         first.
         """
         parts: list[tuple[str, str, HostArray]] = []
-        for error, column in zip(self.errors, self.columns, strict=False):
+        of_errors = self.columns[: len(self.errors)]
+        for error, column in zip(self.errors, of_errors, strict=True):
             for name, sharing in error.groups(n_fitted):
                 shared = np.where(sharing[:, None], column, 0.0)
                 parts.append((error.cause, name, shared))
