@@ -111,7 +111,7 @@ def _table(figures: dict[str, Figure]) -> Table:
             f"{figures[name.replace('_cold_', '_warm_')]:.2f}",
         ]
         for name, value in figures.items()
-        if "_cold_" in name
+        if "_cold_" in name and name.endswith("_s")
     ]
     return Table("Starts, medians", ["until", "cold [s]", "warm [s]"], rows)
 

@@ -267,9 +267,8 @@ def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInte
     if bent:
         # The least certain first: Ctrl-C keeps those that are known.
         bent.sort(key=lambda column: -np.nan_to_num(std[column]))
-        profiled = _by_profile(
-            fitted, level, quantile * spread.noise_scale, bent, stage
-        )
+        rise = quantile * spread.noise_scale
+        profiled = _by_profile(fitted, level, rise, bent, stage)
         for column in bent:
             none = replace(intervals[column], why=INTERRUPTED)
             intervals[column] = profiled.get(column, none)

@@ -424,8 +424,5 @@ def _witnesses(task: Task) -> list[str | None]:
     None for those held out of a recording that is fitted, too.
     """
     recordings = independent_recordings(task.configurations)
-    n = len(task.fitted)
-    return [
-        name if k < n or name not in recordings[:n] else None
-        for k, name in enumerate(recordings)
-    ]
+    fitted, others = recordings[: len(task.fitted)], recordings[len(task.fitted) :]
+    return [*fitted, *(None if name in fitted else name for name in others)]
