@@ -125,12 +125,13 @@ def run_each(
     images = images_of(problems[0].space, mirror=False)
     lanes = len(problems) * len(problems[0].configurations.gravity)
     with Workers(problems[0].model, lanes) as workers:
-        return workers.side_by_side(
+        ended = workers.side_by_side(
             partial(
                 run_start, Evaluator(problem, workers), settings, start, images=images
             )
             for problem in problems
         )
+    return [each.best for each in ended]
 
 
 def one_run(

@@ -56,6 +56,8 @@ GOALS = {
     "recovered_of_30": Goal("at least", 30),
     "recovered_of_30_xz": Goal("at least", 30),
     "seconds_30_starts": Goal("at most", 10),
+    "steps_over_alone": Goal("at most", 0.45),
+    "steps_over_alone_xz": Goal("at most", 0.45),
 }
 
 
@@ -124,6 +126,7 @@ def run(options: Options) -> Outcome:
         figures[f"optima{suffix}"] = sum(bool(own.starts) for own in result.optima)
         figures[f"median_steps{suffix}"] = float(np.median(result.steps))
         figures[f"most_steps{suffix}"] = int(result.steps.max())
+        figures[f"steps_over_alone{suffix}"] = _over_alone(found[suffix])
     picture = options.folder() / "fig4.png"
     plot({WAYS[s].title: found[s] for s in ("", "_without")}, picture)
     options.say(f"picture: {picture}")
@@ -153,7 +156,7 @@ def runs_from_random(way: Way, plane: str, cells: Cells, n: int) -> Ends:
     measured = measured_beam(cells, plane=plane, **way.choices)
     starts = random_starts(measured.space, n, seed=SEED)
     result = multi_start(
-        measured.problem, starts, settings=way.settings, mirror=way.mirror
+        measured.problem, starts, settings=way.settings, mirror=way.mirror, enough=0.0
     )
     errors = [
         parameter_errors(measured.space, jnp.asarray(z), measured.target)
@@ -167,8 +170,18 @@ def _timed(measured: MeasuredBeam) -> float:
     starts = random_starts(measured.space, STARTS, seed=SEED)
     jax.block_until_ready(starts)
     begin = time.perf_counter()
-    multi_start(measured.problem, starts)
+    multi_start(measured.problem, starts, enough=0.0)
     return time.perf_counter() - begin
+
+
+def _over_alone(ends: Ends) -> float:
+    """Steps of all starts over those of starts that know nothing of each other."""
+    starts = random_starts(ends.measured.space, STARTS, seed=SEED)
+    alone = sum(
+        int(multi_start(ends.measured.problem, starts[i : i + 1]).steps[0])
+        for i in range(STARTS)
+    )
+    return int(ends.result.steps.sum()) / alone
 
 
 def _table(title: str, ends: Ends) -> Table:

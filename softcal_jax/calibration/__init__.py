@@ -58,10 +58,12 @@ from softcal_jax.calibration._result import (
     ParameterInterval as ParameterInterval,
 )
 from softcal_jax.calibration._runs import (
+    Begun as Begun,
     Run as Run,
     best_of as best_of,
     descend as descend,
     images_of as images_of,
+    known_optima as known_optima,
     run_start as run_start,
 )
 from softcal_jax.calibration._starts import (

@@ -19,6 +19,7 @@ import numpy as np
 from softcal_jax._names import listed
 from softcal_jax._places import cause, only_writer, partial_of
 from softcal_jax._typing import HostArray
+from softcal_jax.calibration._evaluation import Evaluation
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._notes import CalibrationWarning
 from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
@@ -130,6 +131,21 @@ def _digest(arrays: Iterable[HostArray], text: str = "") -> str:
     return digest.hexdigest()
 
 
+def marker_rms(problem: CalibrationProblem, evaluation: Evaluation) -> float:
+    """Compute the root mean square of the marker distances [m].
+
+    On the host: on the device, each shape of the data would be more programs.
+    """
+    effectors, noise = problem.configurations.effectors, problem.noise
+    assert noise is not None
+    n_points = effectors.nodes.shape[-2]  # the rows behind are no distances
+    delta_e = noise.without_attachments(effectors, np.asarray(evaluation.delta_e))
+    seen = np.asarray(effectors.inverse_std)[:, :n_points] > 0.0
+    squares = np.sum(np.where(seen, delta_e[:, :n_points], 0.0) ** 2)
+    markers = max(int(np.sum(np.any(seen, axis=-1))), 1)
+    return float(np.sqrt(squares / markers))
+
+
 class Journal:
     """History of a calibration: reported to the user, and saved if a file is given.
 
@@ -210,18 +226,11 @@ class Journal:
     def _summary(self, state: CalibrationState, noise: CorrelatedNoise) -> HistoryEntry:
         """Summarise a step for the history."""
         evaluation, space = state.evaluation, self._problem.space
-        effectors = self._problem.configurations.effectors
-        n_points = effectors.nodes.shape[-2]  # rms of distances: not angles, forces
-        # On the host: on the device, each shape of the data would be more programs.
-        delta_e = noise.without_attachments(effectors, np.asarray(evaluation.delta_e))
-        seen = np.asarray(effectors.inverse_std)[:, :n_points] > 0.0
-        squares = np.sum(np.where(seen, delta_e[:, :n_points], 0.0) ** 2)
-        markers = max(int(np.sum(np.any(seen, axis=-1))), 1)
         p = space.from_scaled(state.z)
         return HistoryEntry(
             step=len(self.history),
             cost=float(evaluation.cost),
-            rms=float(np.sqrt(squares / markers)),
+            rms=marker_rms(self._problem.with_noise(noise), evaluation),
             lambda_p=tuple(float(v) for v in state.lambda_p),
             step_bound=float(state.step_bound),
             accepted=bool(state.accepted),

@@ -14,6 +14,7 @@ from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
 from softcal_jax.calibration._result import IntervalEnd
 from softcal_jax.calibration._runs import Run, in_plain_steps, minimise
+from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import ParameterSpace, Pin
 from softcal_jax.inference import Whitened
@@ -350,9 +351,15 @@ class _Profile:
         """Calibrate with the parameter held."""
         pinned = eqx.tree_at(lambda s: s.pin, space, pin, is_leaf=lambda x: x is None)
         evaluate, settings = self.calibration.evaluate, self.calibration.settings
-        steady = STEADY, self.least_fall
+        costs: list[float] = []
+
+        def steady(state: CalibrationState) -> bool:
+            costs.append(float(state.evaluation.cost))
+            before = costs[-1 - STEADY] if len(costs) > STEADY else np.inf
+            return 2.0 * (before - costs[-1]) <= self.least_fall
+
         return minimise(
-            evaluate.with_space(pinned), settings, jnp.asarray(start), steady=steady
+            evaluate.with_space(pinned), settings, jnp.asarray(start), steady
         )
 
     def _check(self, pin: Pin, run: Run) -> tuple[float, float]:

@@ -250,6 +250,19 @@ class MultiStartResult(Module):
         return best_of(self.cost, self.converged)
 
     @property
+    def missed(self) -> float:
+        """Expected share of starts that would end at an optimum not found yet [-].
+
+        That is w (w + 1) / (n (n - 1)) after n starts that ended at w optima, whatever
+        their number (Boender and Rinnooy Kan, Math. Program. 37, 1987). One that has
+        not converged counts as an optimum of its own.
+        """
+        n = int(np.isfinite(self.cost).sum())
+        optima = sum(bool(optimum.starts) for optimum in self.optima)
+        w = optima + n - int(self.converged.sum())
+        return min(w * (w + 1) / (n * (n - 1)), 1.0) if n > 1 else 1.0
+
+    @property
     def second_best(self) -> Optimum | None:
         """The optimum with the lowest cost after the best; None if there is none."""
         return self.optima[1] if len(self.optima) > 1 else None
@@ -258,7 +271,8 @@ class MultiStartResult(Module):
         """Write one line per optimum, the best few, and the runs that found none."""
         n, n_converged = len(self.cost), int(self.converged.sum())
         lines = [
-            f"{n} starts, {n_converged} converged, {len(self.optima)} distinct optima."
+            f"{n} starts, {n_converged} converged, {len(self.optima)} distinct optima; "
+            f"about {100.0 * self.missed:.2g} % of further starts would find others."
         ]
         for best in self.optima[:MOST_OPTIMA]:
             origin = f"from {len(best.starts)} starts" if best.starts else "on the way"

@@ -3,11 +3,13 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray
@@ -30,10 +32,22 @@ MOST_SETTLED = 3
 LITTLE = 1e-3
 """Relative contrast of an axis and change of the cost at which steps of tensors end."""
 
+FORETOLD = 0.25
+"""Share of the way down within which a linear model must foretell an optimum [-]."""
+
+SAME_END = 0.05
+"""Cost between two ends of a linear model that are the same, in noise units [-].
+
+They are a third of a standard error apart. The noise is that which the known optimum
+shows, but a tenth of the stated one at least: where it shows none, rivals cost more.
+"""
+
 NO_FALL = 1e-6
 """Relative fall of the cost that is no way down [-]."""
 
 admissible = eqx.filter_jit(lambda space, z: space.admissible(z))
+_shorter = eqx.filter_jit(lambda space, gap: space.shorter(gap))
+_room = eqx.filter_jit(lambda space, z: space.room(z))
 
 
 class Run(Module):
@@ -81,25 +95,22 @@ def minimise(
     evaluate: Evaluator,
     settings: CalibrationSettings,
     start: Float[Array, " n_p"],
-    *,
-    steady: tuple[int, float] | None = None,
+    enough: Callable[[CalibrationState], bool] = lambda _: False,
+    note: Callable[[CalibrationState], None] = lambda _: None,
 ) -> Run:
     """Run the outer loop from one start, in scaled parameters, to its end.
 
-    `steady` are steps, and the fall of twice the cost over them at which the run may
-    stop before it has converged.
+    For `enough` and `note` see `descend`.
     """
     z = admissible(evaluate.numbered.space, start)
     state = initial_state(settings, z, evaluate.from_rest(z))
     costs = [float(state.evaluation.cost)]
-    note = lambda state: costs.append(float(state.evaluation.cost))
 
-    def enough(_: CalibrationState) -> bool:
-        if steady is None or len(costs) <= steady[0]:
-            return False
-        return 2.0 * (costs[-1 - steady[0]] - costs[-1]) <= steady[1]
+    def noted(state: CalibrationState) -> None:
+        costs.append(float(state.evaluation.cost))
+        note(state)
 
-    state = descend(evaluate, settings, state, note, enough)
+    state = descend(evaluate, settings, state, noted, enough)
     errors = np.full(settings.max_steps + 1, np.nan)
     errors[: len(costs)] = np.sqrt(2.0 * np.array(costs))
     return Run(
@@ -248,6 +259,39 @@ def better(best: Run, new: Run) -> Run:
     return replace(lower, steps=best.steps + new.steps, errors=errors)
 
 
+class Known(NamedTuple):
+    """An optimum that a run has reached, and the best end of that run by its images.
+
+    None where that run has not ended: it is the one that comes by again.
+    """
+
+    z: Float[HostArray, " n_p"]
+    cost: float
+    best: Run | None = None
+
+
+def leads_to(space: ParameterSpace, state: CalibrationState, known: Known) -> bool:
+    """Return whether a run is on its way into a known optimum.
+
+    It is where the linear model of its errors foretells the cost there, and has its own
+    lowest cost within the bounds there, too: no start could win more.
+    """
+    fall = float(state.evaluation.cost) - known.cost
+    if fall <= 0.0:
+        return False
+    error, W = map(np.asarray, state.evaluation.rows)
+    cost = lambda step: 0.5 * np.sum((error + W @ step) ** 2)
+    way = np.asarray(_shorter(space, jnp.asarray(known.z) - state.z))
+    if abs(cost(way) - known.cost) > FORETOLD * fall:
+        return False
+    down, up = map(np.asarray, _room(space, state.z))
+    # A bound that the known optimum has reached may be off by rounding.
+    bounds = np.minimum(down, way) - 1e-12, np.maximum(up, way) + 1e-12
+    noise = max(2.0 * known.cost / max(len(error) - len(way), 1), 0.01)
+    lowest = cost(lsq_linear(W, -error, bounds).x)
+    return bool(cost(way) - lowest <= min(FORETOLD * fall, SAME_END * noise))
+
+
 class Begun(NamedTuple):
     """A run between two images: the number done, and the best end so far.
 
@@ -276,25 +320,61 @@ def run_start(
     *,
     images: Sequence[Image],
     begun: Begun | None = None,
+    known: Sequence[Known] = (),
     note: Callable[[Begun], None] = lambda _: None,
-) -> Run:
-    """Run the outer loop from a start and its images, and return the best end.
+    note_step: Callable[[int, CalibrationState], None] = lambda *_: None,
+) -> Begun:
+    """Run the outer loop from a start and its images to the end.
 
     `begun` is the progress of the run so far; `note` is called after each image,
-    whether it was run or skipped.
+    whether it was run or skipped. On its way into an optimum that is `known`, an image
+    ends there. If that is one of another run, so does this run, where that one went on
+    to by its images, unless it has been lower already.
     """
     tried, best, z, cost = begun or not_begun(settings, start, len(images))
-    for i, image in enumerate(images[tried:], start=tried):
-        if wanted(evaluate.problem, best, image):
-            origin = jnp.asarray(image.origin(best, np.asarray(start)))
-            end = minimise(evaluate, settings, origin)
-            best = better(best, end)
+    space, first = evaluate.numbered.space, np.asarray(start)
+    while tried < len(images):
+        i, image = tried, images[tried]
+        tried += 1
+        # An axis at zero is its own image.
+        again = image.of_start and any(
+            np.array_equal(image.origin(best, first), other.origin(best, first))
+            for other in (images[0]._replace(of_start=True), *images[1:i])
+            if other.of_start
+        )
+        if not again and wanted(evaluate.problem, best, image):
+            own = [Known(*at) for at in zip(z, cost, strict=True) if np.isfinite(at[1])]
+            met: list[Known] = []
+
+            def meets(state: CalibrationState, among=(*known, *own), met=met) -> bool:
+                met += [k for k in among if leads_to(space, state, k)][:1]
+                return bool(met)
+
+            origin = jnp.asarray(image.origin(best, first))
+            end = minimise(evaluate, settings, origin, meets, partial(note_step, i))
+            for there in met:
+                end = replace(end, z=there.z, cost=there.cost, converged=True)
             if end.converged:
                 here = np.arange(len(images)) == i
                 z = np.where(here[:, None], end.z, z)
                 cost = np.where(here, end.cost, cost)
-        note(Begun(i + 1, best, z, cost))
-    return best
+            for there in met:
+                if there.best is not None and there.best.cost <= best.cost:
+                    end = replace(there.best, steps=end.steps, errors=end.errors)
+                    tried = len(images)
+            best = better(best, end)
+        note(Begun(tried, best, z, cost))
+    return Begun(tried, best, z, cost)
+
+
+def known_optima(runs: Sequence[Begun]) -> list[Known]:
+    """List the optima where runs came by, each with the first run that did."""
+    known: dict[tuple[float, ...], Known] = {}
+    for run in runs:
+        for z, cost in zip(run.z, run.cost, strict=True):
+            if np.isfinite(cost):
+                known.setdefault(tuple(z.round(3)), Known(z, float(cost), run.best))
+    return [*known.values()]
 
 
 def best_of(cost: Float[HostArray, " n"], converged: Bool[HostArray, " n"]) -> int:

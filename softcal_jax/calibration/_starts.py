@@ -14,7 +14,7 @@ from softcal_jax._module import one_line
 from softcal_jax._names import listed
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax._units import readable
-from softcal_jax.calibration._checkpoint import Journal
+from softcal_jax.calibration._checkpoint import Journal, marker_rms
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._problem import (
@@ -27,13 +27,15 @@ from softcal_jax.calibration._problem import (
 from softcal_jax.calibration._result import MultiStartResult, Optimum
 from softcal_jax.calibration._runs import (
     Begun,
-    Run,
+    Known,
     admissible,
     images_of,
     in_plain_steps,
+    known_optima,
     not_begun,
     run_start,
 )
+from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.equilibrium import EquilibriumSolution, Workers, no_equilibrium
 from softcal_jax.fields import ParameterSpace, unnamed
 
@@ -50,7 +52,16 @@ FROM_ANYWHERE = CalibrationSettings(max_steps=12)
 """Settings of runs from many starts: few steps, as a good start converges quickly."""
 
 SEVERAL = 6
-"""Number of starts by default where there may be several optima."""
+"""Most starts by default where there may be several optima."""
+
+GROUP = 4
+"""Starts that run side by side, and know the optima of those before."""
+
+ENOUGH = 0.1
+"""Share of the starts that may end at optima not found yet, where a search ends [-].
+
+Five starts that agree leave as much, see `MultiStartResult.missed`.
+"""
 
 # One row at a time, so that the programs do not depend on the number of rows.
 _to_scaled = eqx.filter_jit(lambda space, p: space.admissible(space.to_scaled(p)))
@@ -153,23 +164,32 @@ def _reached(solution: EquilibriumSolution, names: tuple[str, ...]) -> str:
 
 
 class SearchProgress(NamedTuple):
-    """Progress of a search: runs that have ended, runs in all, and converged ones.
+    """A step of a search, from a start or from a mirror image of it or of its end.
 
-    `cost` is the lowest of those that ended; infinite without an equilibrium [-].
+    Attributes:
+        start: Index of the start.
+        starts: Number of starts at most.
+        image: 0 from the start itself, else the number of the image.
+        step: Number of the step from there.
+        rms: Root mean square of the marker distances after it [m].
+        ended: Number of starts that have ended.
     """
 
-    ended: int
+    start: int
     starts: int
-    converged: int
-    cost: float
+    image: int
+    step: int
+    rms: float
+    ended: int
 
     __repr__ = one_line
 
     def __str__(self) -> str:
         """Write it in one line."""
+        image = f", mirror image {self.image}" if self.image else ""
         return (
-            f"{self.ended} of {self.starts} starts ended, {self.converged} converged, "
-            f"lowest cost {self.cost:.4g}"
+            f"start {self.start + 1} of {self.starts}{image}, step {self.step}: rms "
+            f"{1e3 * self.rms:.3f} mm"
         )
 
 
@@ -180,9 +200,13 @@ def multi_start(
     seed: int = 0,
     settings: CalibrationSettings | None = None,
     mirror: bool = True,
+    enough: float = ENOUGH,
 ) -> MultiStartResult:
     """Calibrate from many starts, side by side, and list the distinct optima.
 
+    The first start runs alone, the others in groups of four. A run ends on its way into
+    an optimum of a group before, where the run that found it went on to from there; the
+    search ends once the expected share of starts that lead elsewhere is small enough.
     Ctrl-C returns what was found so far, once a run has come to an end.
 
     Args:
@@ -191,6 +215,7 @@ def multi_start(
         seed: Seed of the random ones.
         settings: Settings of the outer loop; by default `FROM_ANYWHERE`.
         mirror: Whether runs that end with an error continue from mirror images.
+        enough: The share at which it ends, see `MultiStartResult.missed`; 0 runs all.
 
     Raises:
         ValueError: If there are no starts, or they do not fit the parameters.
@@ -209,7 +234,9 @@ def multi_start(
     lanes = len(starts) * len(problem.configurations.gravity)
     with Workers(problem.model, lanes) as workers:
         evaluate = Evaluator(problem, workers)
-        return search(evaluate, settings, starts, mirror=mirror, journal=journal)
+        return search(
+            evaluate, settings, starts, mirror=mirror, journal=journal, enough=enough
+        )
 
 
 def search(
@@ -219,50 +246,63 @@ def search(
     *,
     mirror: bool,
     journal: Journal,
+    enough: float = ENOUGH,
     progress: Callable[[SearchProgress], None] | None = None,
 ) -> MultiStartResult:
     """Run the search of `multi_start`; the journal returns the runs saved before.
 
-    Ctrl-C ends it with the best ends so far, which the journal then knows. `progress`
-    must not solve anything itself, since other runs occupy all cores.
+    The first start runs alone, the others in groups of `GROUP`: a run knows the optima
+    of the groups before, however many cores there are. Ctrl-C ends it with the best
+    ends so far, which the journal then knows. `progress` must not solve anything
+    itself, since other runs occupy all cores.
     """
     space, images = evaluate.problem.space, images_of(evaluate.problem.space, mirror)
-    run_from = partial(run_start, evaluate, settings, images=images)
-    tasks, ended, begun = [], {}, {}
+    rows = list(map(jnp.asarray, np.asarray(starts)))
+    none = [not_begun(settings, start, len(images)) for start in rows]
+    begun = [journal.kept(f"run{i}", own) or own for i, own in enumerate(none)]
+    n = 0
 
     def keep(i: int, now: Begun) -> None:
         begun[i] = now
         journal.keep(f"run{i}", now)
 
-    # Sliced on the host: on the device, the number of rows gives another program.
-    for i, start in enumerate(map(jnp.asarray, np.asarray(starts))):
-        none = not_begun(settings, start, len(images))
-        begun[i] = journal.kept(f"run{i}", none) or none
-        if begun[i].images == len(images):
-            ended[i] = begun[i].best
-        tasks.append(partial(run_from, start, begun=begun[i], note=partial(keep, i)))
-
-    def count(i: int, run: Run) -> None:
-        if i in ended:  # it had ended before this search was resumed
-            return
-        ended[i] = run
+    def tell(i: int, image: int, state: CalibrationState) -> None:
         if progress is not None:
-            converged = sum(run.converged for run in ended.values())
-            lowest = min(run.cost for run in ended.values())
-            progress(SearchProgress(len(ended), len(starts), converged, lowest))
+            ended = [own.best.cost for own in begun if own.images == len(images)]
+            rms = marker_rms(evaluate.problem, state.evaluation)
+            step = int(state.step)
+            progress(SearchProgress(i, len(rows), image, step, rms, len(ended)))
+
+    def run_from(known: Sequence[Known], i: int) -> Begun:
+        return run_start(
+            evaluate,
+            settings,
+            rows[i],
+            images=images,
+            begun=begun[i],
+            known=known,
+            note=partial(keep, i),
+            note_step=partial(tell, i),
+        )
 
     try:
-        evaluate.workers.side_by_side(tasks, count)
+        while n < len(rows):
+            group = range(n, min(n + GROUP, len(rows)) if n else 1)
+            n = group.stop
+            run = partial(run_from, known_optima(begun[: group.start]))
+            evaluate.workers.side_by_side(partial(run, i) for i in group)
+            if _result(space, starts, begun[:n]).missed <= enough:
+                break
     except KeyboardInterrupt:
-        if not any(np.isfinite(own.best.cost) for own in begun.values()):
+        if not any(np.isfinite(own.best.cost) for own in begun):
             raise
         journal.interrupted = True
-    if not any(np.isfinite(own.best.cost) for own in begun.values()):
+    if not any(np.isfinite(own.best.cost) for own in begun):
         raise RuntimeError(
             f"none of {len(starts)} starts has an equilibrium in every configuration: "
             "check loads, units and bounds, or `softcal simulate`."
         )
-    return _result(space, starts, list(begun.values()))
+    return _result(space, starts, begun[:n])
 
 
 def _result(
@@ -283,7 +323,7 @@ def _result(
     passed = np.concatenate([run.cost for run in runs])
     return MultiStartResult(
         names=tuple(space.names),
-        starts=in_si(starts),
+        starts=in_si(starts)[: len(runs)],
         values=in_si(z),
         z=z,
         cost=cost,

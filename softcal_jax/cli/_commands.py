@@ -73,7 +73,7 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> None:
         result = project.calibrate(
             checkpoint=args.checkpoint,
             progress=step_lines(project, show),
-            search_progress=lambda search: show.note(f"search   {search}"),
+            search_progress=lambda step: show.now(str(step), log=False),
             equilibrium_progress=equilibrium_lines(show),
             quick=args.quick,
             answer=lambda result: None if args.quick else so_far(result, show),

@@ -242,7 +242,7 @@ class ResultFile(Entry):
         Any,
         Keys(
             MultiStartResult,
-            "names starts values cost steps converged optima second_best",
+            "names starts values cost steps converged optima second_best missed",
         ),
     ] = None
     notes: Plain = None

@@ -11,6 +11,7 @@ import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.calibration import (
+    Begun,
     CalibrationProblem,
     CalibrationSettings,
     Evaluation,
@@ -19,6 +20,7 @@ from softcal_jax.calibration import (
     best_of,
     default_starts,
     images_of,
+    known_optima,
     linearised,
     random_starts,
     run_start,
@@ -83,10 +85,11 @@ def _fit(
 
     def fit(whole: Evaluator, fold: _Fold) -> _Fit:
         own = Evaluator(_fold_problem(problem, fold), whole.workers)
-        runs = [
-            run_start(own, settings, start, images=images)
-            for start in map(jnp.asarray, np.asarray(starts))
-        ]
+        ended: list[Begun] = []
+        for start in map(jnp.asarray, np.asarray(starts)):
+            known = known_optima(ended)
+            ended.append(run_start(own, settings, start, images=images, known=known))
+        runs = [each.best for each in ended]
         cost = np.array([run.cost for run in runs])
         run = runs[best_of(cost, np.array([run.converged for run in runs]))]
         return _Fit(run, whole.from_rest(jnp.asarray(run.z)))

@@ -4,6 +4,7 @@ import errno
 import os
 import signal
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -289,13 +290,18 @@ def same_search(ours, theirs):
 
 
 def test_a_search_says_how_far_it_is(searched):
+    """Each step, counted from each image on; several starts take turns."""
     result, told, _ = searched
-    assert [p.ended for p in told] == list(range(1, STARTS + 1))
+    for start in range(STARTS):
+        own = [p for p in told if p.start == start]
+        for before, now in pairwise(own):
+            assert now.step == (before.step + 1 if now.image == before.image else 1)
+        assert own[0].step == 1
+        assert len(own) == result.starts.steps[start]
     assert {p.starts for p in told} == {STARTS}
-    last, found = told[-1], result.starts
-    assert last.converged == found.converged.sum()
-    assert last.cost == found.cost.min()
-    assert str(last).startswith(f"{STARTS} of {STARTS} starts ended, {last.converged} ")
+    assert {p.ended for p in told if p.start == 0} == {0}
+    line = str(SearchProgress(1, 6, 2, 4, 1.5e-3, 1))
+    assert says(line, "start 2 of 6", "image 2", "step 4", "1.500 mm")
 
 
 @pytest.mark.parametrize(
@@ -306,20 +312,18 @@ def test_a_stopped_search_ends_as_if_nothing_had_stopped_it(
 ):
     """Wherever it stops; runs that had ended are not run again."""
     path, whole = tmp_path / "fit.npz", searched.result
-    told, resumed_told = [], []
     with monkeypatch.context() as patch:
         before = Evaluations(patch, stop_at=int(share * searched.n))
         with pytest.raises(Stopped):
-            fit(path, starts=STARTS, search_progress=told.append)
+            fit(path, starts=STARTS)
     with monkeypatch.context() as patch:
         after = Evaluations(patch)
-        resumed = fit(path, starts=STARTS, search_progress=resumed_told.append)
+        resumed = fit(path, starts=STARTS)
     same_search(resumed.starts, whole.starts)
     np.testing.assert_array_equal(resumed.z, whole.z)
     assert_same_history(resumed.history, whole.history)
-    # Those that had ended stay so: they are neither told nor evaluated again.
-    assert len(told) + len(resumed_told) == STARTS
-    # At most an image of each run that was under way is repeated, and the first of all.
+    # Runs that had ended are not run again: at most an image of each run that was under
+    # way is repeated, and the first of all.
     under_way = 4
     assert before.n + after.n <= searched.n + under_way * (FROM_ANYWHERE.max_steps + 2)
 
@@ -344,8 +348,9 @@ def test_an_interrupted_search_goes_on_as_if_nothing_had_stopped_it(
     """The best end so far is returned, but it is no part of the whole search."""
     path = tmp_path / "fit.npz"
 
-    def ctrl_c(progress):
-        signal.raise_signal(signal.SIGINT)
+    def ctrl_c(step):
+        if step.ended:
+            signal.raise_signal(signal.SIGINT)
 
     stopped = fit(path, starts=STARTS, search_progress=ctrl_c)
     assert stopped.interrupted
