@@ -25,8 +25,8 @@ def main() -> None:
     jax.monitoring.register_event_listener(lambda event, **_: events.update([event]))
 
     from benchmarks._paper import STD
-    from softcal_jax.calibration import calibrate, synthetic_measurements
-    from softcal_jax.robots import anisotropic_beam
+    from softcal_jax.calibration import calibrate
+    from softcal_jax.robots import anisotropic_beam, synthetic_measurements
 
     with Compilations() as seen:
         beam = anisotropic_beam(cells=(nx, ny, nz), plane="xy", std=STD)

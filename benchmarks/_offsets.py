@@ -10,8 +10,9 @@ from benchmarks._paper import STD, Cells
 from benchmarks._printed import Printed, printed
 from benchmarks._problem import Options, Table
 from benchmarks.paper_table1 import all_markers, with_known
-from softcal_jax.calibration import calibrate, synthetic_measurements
+from softcal_jax.calibration import calibrate
 from softcal_jax.fields import exactly_known
+from softcal_jax.robots import synthetic_measurements
 
 OFFSET = 0.5e-3
 """Standard deviation of the offset of each recording, along each axis [m]."""

@@ -18,11 +18,10 @@ from softcal_jax.calibration import (
     build_problem,
     images_of,
     run_start,
-    synthetic_measurements,
 )
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import ParameterSpace
-from softcal_jax.robots import AnisotropicBeam, anisotropic_beam
+from softcal_jax.robots import AnisotropicBeam, anisotropic_beam, synthetic_measurements
 
 Cells = tuple[int, int, int]
 

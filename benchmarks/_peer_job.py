@@ -21,7 +21,6 @@ from softcal_jax.calibration import (
     at_rest,
     build_problem,
     multi_start,
-    synthetic_measurements,
 )
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import (
@@ -33,7 +32,7 @@ from softcal_jax.equilibrium import (
     solve_equilibrium,
 )
 from softcal_jax.materials import StVenantKirchhoff
-from softcal_jax.robots import anisotropic_beam
+from softcal_jax.robots import anisotropic_beam, synthetic_measurements
 from softcal_jax.sensitivity import equilibrium_response
 
 NEWTON = NewtonSettings()

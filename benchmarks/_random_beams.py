@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax.calibration import random_starts
 from softcal_jax.configurations import Configuration, Markers, SurfaceForce
 from softcal_jax.equilibrium import Model, build_model
 from softcal_jax.fields import (
@@ -16,6 +15,7 @@ from softcal_jax.fields import (
     ParameterSpace,
     Uncertain,
     exactly_known,
+    random_starts,
 )
 from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
 from softcal_jax.mesh import beam

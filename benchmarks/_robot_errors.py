@@ -12,10 +12,15 @@ import numpy as np
 
 from benchmarks._robot import SIZE, STD, STD_ANGLE, Measured
 from softcal_jax.bodies import Pose
-from softcal_jax.calibration import simulated_measurements
 from softcal_jax.configurations import BodyFrame, Configuration
 from softcal_jax.equilibrium import Model
-from softcal_jax.robots import ParallelRobot, PrintedRobot, pose, printed_robot
+from softcal_jax.robots import (
+    ParallelRobot,
+    PrintedRobot,
+    pose,
+    printed_robot,
+    simulated_measurements,
+)
 
 
 class Differences(NamedTuple):

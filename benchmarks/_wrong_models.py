@@ -12,7 +12,6 @@ from benchmarks.paper_table1 import all_markers
 from softcal_jax._typing import HostArray
 from softcal_jax.actuators import Cable, Guide
 from softcal_jax.bodies import RigidBody, rotation_matrix
-from softcal_jax.calibration import synthetic_measurements
 from softcal_jax.configurations import (
     BodyFrame,
     Configuration,
@@ -29,6 +28,7 @@ from softcal_jax.materials import (
     ReducedTransverseIsotropic,
 )
 from softcal_jax.mesh import TetMesh, beam
+from softcal_jax.robots import synthetic_measurements
 from softcal_jax.robots._anisotropic_beam import MASS, NU, SIZE
 
 WIDTHS = Uncertain()

@@ -40,9 +40,9 @@ from softcal_jax.calibration import (
     at_rest,
     effectors_of,
     multi_start,
-    random_starts,
 )
 from softcal_jax.equilibrium import energy_and_force, solve_equilibrium
+from softcal_jax.fields import random_starts
 from softcal_jax.sensitivity import equilibrium_response, parameter_compliance
 
 STARTS = 30

@@ -39,7 +39,6 @@ from softcal_jax.calibration import (
     Evaluator,
     descend,
     initial_state,
-    random_starts,
 )
 from softcal_jax.configurations import ConfigurationArrays, configuration_arrays
 from softcal_jax.equilibrium import (
@@ -49,7 +48,12 @@ from softcal_jax.equilibrium import (
     factor_solve,
     residual,
 )
-from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
+from softcal_jax.fields import (
+    ControlPointParameters,
+    ControlPoints,
+    ParameterSpace,
+    random_starts,
+)
 from softcal_jax.sensitivity import equilibrium_response
 
 

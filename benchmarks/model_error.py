@@ -25,12 +25,7 @@ import numpy as np
 from benchmarks._paper import CELLS, STD, Cells
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from benchmarks.paper_table1 import all_markers
-from softcal_jax.calibration import (
-    CalibrationResult,
-    CalibrationSettings,
-    calibrate,
-    synthetic_measurements,
-)
+from softcal_jax.calibration import CalibrationResult, CalibrationSettings, calibrate
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, build_model
 from softcal_jax.fields import (
@@ -47,6 +42,7 @@ from softcal_jax.materials import (
     TransverseIsotropic,
 )
 from softcal_jax.mesh import beam
+from softcal_jax.robots import synthetic_measurements
 from softcal_jax.robots._anisotropic_beam import SIZE
 
 FOAM = {

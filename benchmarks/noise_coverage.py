@@ -46,10 +46,10 @@ from softcal_jax.calibration import (
     CalibrationSettings,
     build_problem,
     evaluate,
-    synthetic_measurements,
 )
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import independent
+from softcal_jax.robots import synthetic_measurements
 
 LEVELS = (0.1e-3, 0.3e-3, 1.0e-3)
 """Standard deviations of the markers [m]."""

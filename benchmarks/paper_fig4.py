@@ -38,8 +38,8 @@ from softcal_jax.calibration import (
     CalibrationSettings,
     MultiStartResult,
     multi_start,
-    random_starts,
 )
+from softcal_jax.fields import random_starts
 
 STARTS = 30
 

@@ -41,13 +41,12 @@ from softcal_jax.calibration import (
     CalibrationSettings,
     Run,
     build_problem,
-    synthetic_measurements,
 )
 from softcal_jax.configurations import Configuration, Markers
 from softcal_jax.equilibrium import solve_from_rest
 from softcal_jax.fields import ControlPointParameters, ParameterSpace
 from softcal_jax.identifiability import conditioning
-from softcal_jax.robots import AnisotropicBeam, anisotropic_beam
+from softcal_jax.robots import AnisotropicBeam, anisotropic_beam, synthetic_measurements
 from softcal_jax.sensitivity import energy_compliance
 
 FIELDS = {

@@ -43,13 +43,10 @@ from benchmarks._random_beams import (
     problem,
     true_values,
 )
-from softcal_jax.calibration import (
-    CalibrationResult,
-    calibrate,
-    synthetic_measurements,
-)
+from softcal_jax.calibration import CalibrationResult, calibrate
 from softcal_jax.calibration._result import IntervalKind
 from softcal_jax.identifiability import assess
+from softcal_jax.robots import synthetic_measurements
 
 TRUTHS = 40
 

@@ -11,8 +11,6 @@ from softcal_jax.bodies import Pose as Pose, RigidBody as RigidBody
 from softcal_jax.calibration import (
     calibrate as calibrate,
     profile_intervals as profile_intervals,
-    simulated_measurements as simulated_measurements,
-    synthetic_measurements as synthetic_measurements,
 )
 from softcal_jax.configurations import (
     ActuatorDisplacement as ActuatorDisplacement,
@@ -63,6 +61,10 @@ from softcal_jax.project import load_project as load_project
 from softcal_jax.report import (
     load_result as load_result,
     write_results as write_results,
+)
+from softcal_jax.robots import (
+    simulated_measurements as simulated_measurements,
+    synthetic_measurements as synthetic_measurements,
 )
 
 __version__: str

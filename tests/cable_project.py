@@ -10,8 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import softcal_jax as sc
-from softcal_jax.calibration import simulated_measurements
-from softcal_jax.robots import ready_made_path
+from softcal_jax.robots import ready_made_path, simulated_measurements
 
 FOLDER = ready_made_path("cable-beam").parent
 E_TRUE, N_READINGS = 400e3, 5

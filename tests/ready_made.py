@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softcal_jax.calibration import simulated_measurements
 from softcal_jax.exchange.cad import mesh_cad
 from softcal_jax.mesh import TetMesh, to_linear, write_mesh
 from softcal_jax.project import load_project
@@ -23,6 +22,7 @@ from softcal_jax.robots import (
     printed_robot,
     read_poses_of,
     ready_made_path,
+    simulated_measurements,
 )
 
 FINGER_E, FINGER_STD, FINGER_ABOVE = 320e3, 0.2e-3, 2.0

@@ -6,12 +6,11 @@ from ready_made import FINGER_E, ordered_robot
 from recordings import motion, write_recording
 from wording import says
 
-from softcal_jax.calibration import simulated_measurements
 from softcal_jax.cli import main
 from softcal_jax.exchange.proposal import propose_project
 from softcal_jax.mesh import beam, node_indices, write_mesh
 from softcal_jax.project import ProjectWarning, guesses_left, load_project
-from softcal_jax.robots import READY_MADE, ready_made_path
+from softcal_jax.robots import READY_MADE, ready_made_path, simulated_measurements
 
 PLACES = {"tip": (60.0, 10.0, 10.0), "top": (60.0, 10.0, 21.0), "foot": (5.0, 0.0, 5.0)}
 """Where markers are on the beam [mm]; one stands on a post of 1 mm."""

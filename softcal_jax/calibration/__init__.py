@@ -10,8 +10,6 @@ from softcal_jax.calibration._calibrate import (
 from softcal_jax.calibration._checked_intervals import LEVEL as LEVEL
 from softcal_jax.calibration._checks import (
     levenberg_marquardt as levenberg_marquardt,
-    simulated_measurements as simulated_measurements,
-    synthetic_measurements as synthetic_measurements,
 )
 from softcal_jax.calibration._configuration_result import (
     ConfigurationResult as ConfigurationResult,
@@ -39,7 +37,9 @@ from softcal_jax.calibration._problem import (
     CalibrationProblem as CalibrationProblem,
     CalibrationSettings as CalibrationSettings,
     EquilibriumProgress as EquilibriumProgress,
+    as_guess as as_guess,
     effectors_of as effectors_of,
+    effectors_on_all_cores as effectors_on_all_cores,
     equilibria as equilibria,
     linear_model as linear_model,
     reports_of as reports_of,
@@ -69,10 +69,7 @@ from softcal_jax.calibration._runs import (
 from softcal_jax.calibration._starts import (
     FROM_ANYWHERE as FROM_ANYWHERE,
     SearchProgress as SearchProgress,
-    check_starts as check_starts,
-    default_starts as default_starts,
     multi_start as multi_start,
-    random_starts as random_starts,
 )
 from softcal_jax.calibration._step import (
     FLAT as FLAT,

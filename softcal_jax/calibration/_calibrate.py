@@ -33,7 +33,7 @@ from softcal_jax.calibration._result import (
     HistoryEntry,
     ParameterInterval,
 )
-from softcal_jax.calibration._starts import SearchProgress, check_starts, default_starts
+from softcal_jax.calibration._starts import SearchProgress
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationLanes,
@@ -49,6 +49,8 @@ from softcal_jax.fields import (
     check_parameters,
     check_precision,
     check_scopes,
+    check_starts,
+    default_starts,
     exactly_known,
 )
 from softcal_jax.unknowns import Setting

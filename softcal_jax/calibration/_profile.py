@@ -13,7 +13,7 @@ from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
 from softcal_jax.calibration._result import IntervalEnd
-from softcal_jax.calibration._runs import Run, in_plain_steps, minimise
+from softcal_jax.calibration._runs import Run, minimise
 from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import ParameterSpace, Pin
@@ -317,7 +317,7 @@ class _Profile:
         rest = self._rest(distance, pin, run)
         if rest is None or (not run.converged and rest.excess > 0.0):
             again = run.z if np.isfinite(run.cost) else self.seen[near].z
-            run = self._pinned(in_plain_steps(self.space), pin, again)
+            run = self._pinned(self.space.in_plain_steps(), pin, again)
             rest = self._rest(distance, pin, run)
         if rest is None:
             raise NotFound

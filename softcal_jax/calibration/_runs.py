@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from softcal_jax._module import Module
+from softcal_jax._module import Module, one_line
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
@@ -122,20 +122,6 @@ def minimise(
     )
 
 
-def in_plain_steps(space: ParameterSpace) -> ParameterSpace:
-    """Return the parameters with steps of moduli and angles instead of tensors.
-
-    Where both moduli of an axis are equal, a step of tensors has a kink, since the axis
-    switches there. With their order as a constraint such an optimum is regular.
-    """
-    if space.chart is None:
-        return space
-    names, chart = space.names, space.chart
-    pairs = zip(chart.small, chart.large, strict=True)
-    order = [(names[small], names[large]) for small, large in pairs]
-    return replace(space, order=(*space.order, *order), tensor_steps=False)
-
-
 def settle(
     evaluate: Evaluator,
     settings: CalibrationSettings,
@@ -144,9 +130,10 @@ def settle(
 ) -> CalibrationState:
     """Take steps to an optimum, also to one where both moduli of an axis are equal.
 
-    Steps of tensors go to and fro there, see `in_plain_steps`: plain ones go on where
-    they gave up. These cannot leave an isotropic body, right or wrong, since the angle
-    has no effect on it; so their end only counts if tensors find no way down.
+    Steps of tensors go to and fro there: plain ones (`ParameterSpace.in_plain_steps`)
+    go on where they gave up. These cannot leave an isotropic body, right or wrong,
+    since the angle has no effect on it; so their end only counts if tensors find no way
+    down.
     """
     space = evaluate.numbered.space
     if space.chart is None:
@@ -160,7 +147,7 @@ def settle(
         return bool(np.min(z[large] - z[small]) <= LITTLE)
 
     state = descend(evaluate, settings, state, note, to_and_fro)
-    plain = evaluate.with_space(in_plain_steps(space))
+    plain = evaluate.with_space(space.in_plain_steps())
 
     def again(state: CalibrationState) -> CalibrationState:
         new = initial_state(settings, state.z, state.evaluation)
@@ -303,6 +290,8 @@ class Begun(NamedTuple):
     z: Float[HostArray, "n_images n_p"]
     cost: Float[HostArray, " n_images"]
 
+    __repr__ = one_line
+
 
 def not_begun(
     settings: CalibrationSettings, start: Float[Array, " n_p"], n_images: int
@@ -332,39 +321,52 @@ def run_start(
     to by its images, unless it has been lower already.
     """
     tried, best, z, cost = begun or not_begun(settings, start, len(images))
-    space, first = evaluate.numbered.space, np.asarray(start)
+    first = np.asarray(start)
     while tried < len(images):
         i, image = tried, images[tried]
-        tried += 1
+        origin, tried = image.origin(best, first), tried + 1
+        begins = [
+            first,
+            *(m.signs * first for m in images[:i] if m.of_start),
+        ]
         # An axis at zero is its own image.
-        again = image.of_start and any(
-            np.array_equal(image.origin(best, first), other.origin(best, first))
-            for other in (images[0]._replace(of_start=True), *images[1:i])
-            if other.of_start
-        )
+        again = image.of_start and any(np.array_equal(origin, z) for z in begins)
         if not again and wanted(evaluate.problem, best, image):
             own = [Known(*at) for at in zip(z, cost, strict=True) if np.isfinite(at[1])]
-            met: list[Known] = []
-
-            def meets(state: CalibrationState, among=(*known, *own), met=met) -> bool:
-                met += [k for k in among if leads_to(space, state, k)][:1]
-                return bool(met)
-
-            origin = jnp.asarray(image.origin(best, first))
-            end = minimise(evaluate, settings, origin, meets, partial(note_step, i))
-            for there in met:
-                end = replace(end, z=there.z, cost=there.cost, converged=True)
+            step = partial(note_step, i)
+            end, there = _to(evaluate, settings, origin, (*known, *own), step)
             if end.converged:
                 here = np.arange(len(images)) == i
                 z = np.where(here[:, None], end.z, z)
                 cost = np.where(here, end.cost, cost)
-            for there in met:
-                if there.best is not None and there.best.cost <= best.cost:
-                    end = replace(there.best, steps=end.steps, errors=end.errors)
-                    tried = len(images)
+            if there and there.best and there.best.cost <= best.cost:
+                end = replace(there.best, steps=end.steps, errors=end.errors)
+                tried = len(images)
             best = better(best, end)
         note(Begun(tried, best, z, cost))
     return Begun(tried, best, z, cost)
+
+
+def _to(
+    evaluate: Evaluator,
+    settings: CalibrationSettings,
+    origin: Float[HostArray, " n_p"],
+    known: Sequence[Known],
+    note: Callable[[CalibrationState], None],
+) -> tuple[Run, Known | None]:
+    """Run the outer loop to its end, or to a known optimum that it leads to."""
+    there = None
+
+    def ahead(state: CalibrationState) -> bool:
+        nonlocal there
+        leading = (k for k in known if leads_to(evaluate.numbered.space, state, k))
+        there = next(leading, None)
+        return there is not None
+
+    end = minimise(evaluate, settings, jnp.asarray(origin), ahead, note)
+    if there is not None:
+        end = replace(end, z=there.z, cost=there.cost, converged=True)
+    return end, there
 
 
 def known_optima(runs: Sequence[Begun]) -> list[Known]:

@@ -5,11 +5,9 @@ from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._limits import TRIALS
 from softcal_jax._module import one_line
 from softcal_jax._names import listed
 from softcal_jax._typing import Array, Bool, Float, HostArray
@@ -30,14 +28,13 @@ from softcal_jax.calibration._runs import (
     Known,
     admissible,
     images_of,
-    in_plain_steps,
     known_optima,
     not_begun,
     run_start,
 )
 from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.equilibrium import EquilibriumSolution, Workers, no_equilibrium
-from softcal_jax.fields import ParameterSpace, unnamed
+from softcal_jax.fields import ParameterSpace, random_starts, unnamed
 
 STIFFER = 2.0
 """Factor by which moduli are raised until all configurations have an equilibrium."""
@@ -51,9 +48,6 @@ SAME_OPTIMUM = 1e-3
 FROM_ANYWHERE = CalibrationSettings(max_steps=12)
 """Settings of runs from many starts: few steps, as a good start converges quickly."""
 
-SEVERAL = 6
-"""Most starts by default where there may be several optima."""
-
 GROUP = 4
 """Starts that run side by side, and know the optima of those before."""
 
@@ -64,7 +58,6 @@ Five starts that agree leave as much, see `MultiStartResult.missed`.
 """
 
 # One row at a time, so that the programs do not depend on the number of rows.
-_to_scaled = eqx.filter_jit(lambda space, p: space.admissible(space.to_scaled(p)))
 _from_scaled = eqx.filter_jit(lambda space, z: space.from_scaled(z))
 _distance = eqx.filter_jit(lambda space, a, b: jnp.abs(space.shorter(a - b)))
 
@@ -372,52 +365,3 @@ def _optima(
         )
         for group in groups
     )
-
-
-def default_starts(space: ParameterSpace) -> int:
-    """Return how many starts a calibration takes unless the user says otherwise.
-
-    `SEVERAL` where the angle of an axis or more than one control point of a field is
-    calibrated, since there the cost has several optima; 1 elsewhere. Each start goes on
-    from its mirror images, so it takes several times as long as a single fit: a sweep
-    of thousands of calibrations from good start values may say `starts = 1`.
-    """
-    fields = [entry.parameters for entry in space.entries if entry.fields]
-    angle = any(q.unit == "rad" or q.periodic for field in fields for q in field)
-    several = any(len(field) > 1 for field in fields)
-    return SEVERAL if space.axes or angle or several else 1
-
-
-def check_starts(n: int) -> None:
-    """Raise ValueError unless there may be so many starts."""
-    if n < 1:
-        raise ValueError(f"starts must be at least 1, got {n}.")
-    TRIALS.check(f"starts = {n}", n)
-
-
-def random_starts(
-    space: ParameterSpace, n: int, *, seed: int = 0
-) -> Float[Array, "n p"]:
-    """Draw random scaled parameters within the bounds, uniform in SI units.
-
-    Pairs that break their order are swapped.
-
-    Raises:
-        ValueError: If n is less than one, or above a limit.
-    """
-    check_starts(n)
-    random = np.random.default_rng(seed)
-    low = np.asarray(space.from_scaled(space.lower()))
-    high = np.asarray(space.from_scaled(space.upper()))
-    p = low + (high - low) * random.random((n, len(low)))
-    names = space.names
-    pairs = [
-        (names.index(small), names.index(large))
-        for small, large in in_plain_steps(space).order_names()
-        if small in names and large in names  # one may be known
-    ]
-    for small, large in pairs * len(pairs):  # repeated, for chains a <= b <= c
-        p[:, [small, large]] = np.sort(p[:, [small, large]], axis=1)
-        p = np.clip(p, low, high)
-    numbered = unnamed(space)
-    return jax.device_put(np.stack([_to_scaled(numbered, row) for row in p]))

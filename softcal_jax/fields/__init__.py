@@ -52,6 +52,12 @@ from softcal_jax.fields._space import (
     unnamed as unnamed,
 )
 from softcal_jax.fields._spread import ControlPointParameters as ControlPointParameters
+from softcal_jax.fields._starts import (
+    SEVERAL as SEVERAL,
+    check_starts as check_starts,
+    default_starts as default_starts,
+    random_starts as random_starts,
+)
 from softcal_jax.fields._validation import (
     check_parameters as check_parameters,
     check_scopes as check_scopes,

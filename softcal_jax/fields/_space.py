@@ -172,6 +172,19 @@ class ParameterSpace(Module):
         S = [self.parameters[i].unit_step for i in angle]
         return AxisChart(small, large, angle, jnp.stack(S))
 
+    def in_plain_steps(self) -> "ParameterSpace":
+        """Return the parameters with steps of moduli and angles instead of tensors.
+
+        Where both moduli of an axis are equal, a step of tensors has a kink, since the
+        axis switches there. With their order as a constraint such an optimum is
+        regular.
+        """
+        if self.chart is None:
+            return self
+        pairs = zip(self.chart.small, self.chart.large, strict=True)
+        order = [(self.names[small], self.names[large]) for small, large in pairs]
+        return replace(self, order=(*self.order, *order), tensor_steps=False)
+
     def admissible(self, z: Scaled) -> Scaled:
         """Clip parameters to their bounds, keeping moduli of an axis slightly apart."""
         z = self.wrap(z)

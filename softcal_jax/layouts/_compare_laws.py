@@ -9,11 +9,16 @@ from softcal_jax.calibration import (
     CalibrationProblem,
     CalibrationSettings,
     build_problem,
-    check_starts,
 )
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, NewtonSettings
-from softcal_jax.fields import ControlPoints, Entry, ParameterSpace, Uncertain
+from softcal_jax.fields import (
+    ControlPoints,
+    Entry,
+    ParameterSpace,
+    Uncertain,
+    check_starts,
+)
 from softcal_jax.layouts._cross_validation import FOR_PREDICTION, cross_validated
 from softcal_jax.layouts._model_comparison import ModelComparison
 

@@ -18,15 +18,14 @@ from softcal_jax.calibration import (
     Evaluator,
     Run,
     best_of,
-    default_starts,
     images_of,
     known_optima,
     linearised,
-    random_starts,
     run_start,
 )
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Workers
+from softcal_jax.fields import default_starts, random_starts
 from softcal_jax.identifiability import identifiability
 from softcal_jax.inference import whitened
 from softcal_jax.layouts._model_comparison import FoldScore, ModelScore

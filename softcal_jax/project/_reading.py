@@ -17,8 +17,8 @@ from pydantic import BaseModel, Field, ValidationError, create_model, field_vali
 from softcal_jax._files import check_file
 from softcal_jax._module import one_line
 from softcal_jax._text import check_characters, escaped
-from softcal_jax.calibration import LEVEL, check_starts
-from softcal_jax.fields import PRECISION
+from softcal_jax.calibration import LEVEL
+from softcal_jax.fields import PRECISION, check_starts
 from softcal_jax.project._configurations import CandidateTable, ConfigurationTable
 from softcal_jax.project._effectors import AnyEffector
 from softcal_jax.project._laws import Material, material_table

@@ -4,6 +4,10 @@ from softcal_jax.robots._anisotropic_beam import (
     AnisotropicBeam as AnisotropicBeam,
     anisotropic_beam as anisotropic_beam,
 )
+from softcal_jax.robots._measurements import (
+    simulated_measurements as simulated_measurements,
+    synthetic_measurements as synthetic_measurements,
+)
 from softcal_jax.robots._parallel_robot import (
     CALIBRATION_ANGLES as CALIBRATION_ANGLES,
     PRIOR as PRIOR,

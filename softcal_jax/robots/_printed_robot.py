@@ -12,7 +12,6 @@ import equinox as eqx
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax.calibration import simulated_measurements
 from softcal_jax.configurations import AbstractEffector, BodyFrame, Configuration
 from softcal_jax.equilibrium import Model, build_model
 from softcal_jax.materials import (
@@ -21,6 +20,7 @@ from softcal_jax.materials import (
     ReducedTransverseIsotropic,
     TransverseHyperelastic,
 )
+from softcal_jax.robots._measurements import simulated_measurements
 from softcal_jax.robots._parallel_robot import mechanism
 from softcal_jax.robots._parallel_robot_geometry import ParallelRobotGeometry
 

@@ -13,15 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import one_line
-from softcal_jax.calibration import (
-    CalibrationResult,
-    random_starts,
-    synthetic_measurements,
-)
+from softcal_jax.calibration import CalibrationResult
 from softcal_jax.configurations import Configuration
-from softcal_jax.fields import ParameterSpace
+from softcal_jax.fields import ParameterSpace, random_starts
 from softcal_jax.layouts import place_control_points
 from softcal_jax.project import Project, load_project, parse_in_si, read_toml
+from softcal_jax.robots import synthetic_measurements
 from softcal_jax.sweeps._axes import OWN_AXES
 from softcal_jax.sweeps._row import Outcome
 from softcal_jax.sweeps._trial import Trial

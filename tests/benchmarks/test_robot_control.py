@@ -5,8 +5,12 @@ import pytest
 
 from benchmarks._robot import READ_STD, READ_STD_ANGLE, READINGS
 from benchmarks._robot_errors import differences
-from softcal_jax.calibration import simulated_measurements
-from softcal_jax.robots import parallel_robot, printed_robot, read_poses_of
+from softcal_jax.robots import (
+    parallel_robot,
+    printed_robot,
+    read_poses_of,
+    simulated_measurements,
+)
 
 
 @pytest.mark.slow  # a printed robot, whose equilibria compile for half a minute

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from softcal_jax.calibration import simulated_measurements
 from softcal_jax.configurations import Configuration, Markers, PointForce
 from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import Parameter
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
+from softcal_jax.robots import simulated_measurements
 
 MESH = beam(0.1, 0.02, 0.02, (3, 1, 1), order=1)
 MODEL = build_model(MESH, NeoHookean(400e3, 0.3), density=1.0)

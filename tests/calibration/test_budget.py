@@ -10,11 +10,7 @@ import pytest
 
 from softcal_jax.actuators import Cable, Guide, Motor
 from softcal_jax.bodies import Pose, RigidBody, hinge_axes, rotation_matrix
-from softcal_jax.calibration import (
-    build_problem,
-    calibrate as calibrate_with,
-    simulated_measurements,
-)
+from softcal_jax.calibration import build_problem, calibrate as calibrate_with
 from softcal_jax.calibration._noise import noise_columns
 from softcal_jax.configurations import (
     Configuration,
@@ -36,6 +32,7 @@ from softcal_jax.fields import (
 from softcal_jax.inference import NOISE
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam, to_quadratic
+from softcal_jax.robots import simulated_measurements
 from softcal_jax.unknowns import ConsideredErrors, Setting, unknowns
 from softcal_jax.unknowns._unknowns import Unknown
 

@@ -19,10 +19,9 @@ from softcal_jax.calibration import (
     Evaluator,
     SearchProgress,
     calibrate,
-    synthetic_measurements,
 )
 from softcal_jax.fields import exactly_known
-from softcal_jax.robots import anisotropic_beam
+from softcal_jax.robots import anisotropic_beam, synthetic_measurements
 
 BEAM = {"cells": (4, 1, 1), "order": 1, "poses": (1, 5), "n_effectors": 4}
 SHORT = CalibrationSettings(max_steps=4)

@@ -14,7 +14,6 @@ from softcal_jax.calibration import (
     calibrate,
     evaluate,
     levenberg_marquardt,
-    simulated_measurements,
 )
 from softcal_jax.configurations import Configuration, Markers, Support, SurfaceForce
 from softcal_jax.equilibrium import NewtonSettings, build_model
@@ -22,6 +21,7 @@ from softcal_jax.fields import Parameter, exactly_known
 from softcal_jax.identifiability import assess, identify
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
+from softcal_jax.robots import simulated_measurements
 
 STD, OFFSET = 1e-4, 0.5e-3
 MARKERS = Markers(

@@ -18,7 +18,6 @@ from softcal_jax.calibration import (
     calibrate as calibrate_with,
     profile_ends,
     profile_intervals,
-    synthetic_measurements,
 )
 from softcal_jax.calibration._calibrate import build_problem
 from softcal_jax.calibration._profile import NotFound, _end, bracket, root
@@ -30,7 +29,7 @@ from softcal_jax.fields import (
     unnamed,
 )
 from softcal_jax.inference import ErrorColumns, Whitened
-from softcal_jax.robots import anisotropic_beam
+from softcal_jax.robots import anisotropic_beam, synthetic_measurements
 
 calibrate = partial(calibrate_with, uncertain=exactly_known(), intervals=None)
 

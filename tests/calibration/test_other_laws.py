@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from softcal_jax.calibration import (
-    build_problem,
-    calibrate,
-    levenberg_marquardt,
-    synthetic_measurements,
-)
+from softcal_jax.calibration import build_problem, calibrate, levenberg_marquardt
 from softcal_jax.configurations import Configuration, Markers
 from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
@@ -21,6 +16,7 @@ from softcal_jax.materials import (
     TransverseIsotropic,
 )
 from softcal_jax.mesh import beam
+from softcal_jax.robots import synthetic_measurements
 
 FIBRE = Fibre(0.0, plane="xy")
 MODULI = (700e3, 400e3)

@@ -11,7 +11,6 @@ from softcal_jax.calibration import (
     CalibrationWarning,
     build_problem,
     calibrate as calibrate_with,
-    simulated_measurements,
 )
 from softcal_jax.calibration._notes import warn_if_too_few_data
 from softcal_jax.configurations import Configuration, Markers
@@ -20,6 +19,7 @@ from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
 from softcal_jax.inference import independent, uncertainty
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
+from softcal_jax.robots import simulated_measurements
 
 calibrate = partial(calibrate_with, intervals=None)
 

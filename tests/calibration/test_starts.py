@@ -18,11 +18,8 @@ from softcal_jax.calibration import (
     Optimum,
     build_problem,
     calibrate,
-    default_starts,
     evaluate,
     multi_start,
-    random_starts,
-    synthetic_measurements,
 )
 from softcal_jax.calibration._checkpoint import Journal
 from softcal_jax.calibration._runs import (
@@ -35,18 +32,21 @@ from softcal_jax.calibration._runs import (
     run_start,
     wanted,
 )
-from softcal_jax.calibration._starts import FROM_ANYWHERE, SEVERAL, _optima, search
+from softcal_jax.calibration._starts import FROM_ANYWHERE, _optima, search
 from softcal_jax.calibration._step import initial_state
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import (
+    SEVERAL,
     ControlPointParameters,
     ControlPoints,
     Parameter,
     ParameterSpace,
+    default_starts,
     exactly_known,
     motor_zero,
+    random_starts,
 )
-from softcal_jax.robots import AnisotropicBeam, anisotropic_beam
+from softcal_jax.robots import AnisotropicBeam, anisotropic_beam, synthetic_measurements
 
 # Columns: E_t, E_l and theta, at both control points each.
 E_T, E_L, THETA = slice(0, 2), slice(2, 4), slice(4, 6)
@@ -364,7 +364,7 @@ def test_mirror_images_find_the_better_optimum(measured, plain, mirrored):
 
 def test_calibrate_goes_on_from_the_best_of_several_starts(measured, monkeypatch):
     """The user's start is the one that ends wrong; several are the default."""
-    monkeypatch.setattr("softcal_jax.calibration._starts.SEVERAL", 3)
+    monkeypatch.setattr("softcal_jax.fields._starts.SEVERAL", 3)
     beam, space = measured.beam, measured.beam.space
     p = space.from_scaled(measured.starts[2])
     wrong = [p[E_T], p[E_L], p[THETA]]

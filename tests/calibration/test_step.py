@@ -15,12 +15,11 @@ from softcal_jax.calibration import (
     evaluate,
     initial_state,
     propose,
-    synthetic_measurements,
 )
 from softcal_jax.calibration._notes import warn_if_too_few_data
 from softcal_jax.calibration._step import MEMORY, decide
 from softcal_jax.fields import exactly_known
-from softcal_jax.robots import anisotropic_beam
+from softcal_jax.robots import anisotropic_beam, synthetic_measurements
 
 CELLS = (2, 1, 1)
 # Columns: E_t, E_l and theta, at both control points each.

@@ -6,12 +6,12 @@ import jax
 import numpy as np
 import pytest
 
-from softcal_jax.calibration import synthetic_measurements
 from softcal_jax.configurations import Configuration, Markers, configuration_arrays
 from softcal_jax.equilibrium import build_model, marker_positions, solve_equilibrium
 from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
+from softcal_jax.robots import synthetic_measurements
 
 N_MARKERS = 300
 VALUES = {"rho": 800.0, "E": 2e5}  # not in the order of the space

@@ -15,7 +15,6 @@ from softcal_jax.calibration import (
     build_problem,
     initial_state,
     propose,
-    synthetic_measurements,
 )
 from softcal_jax.calibration._evaluation import evaluate_lane, weighed
 from softcal_jax.configurations import configuration_arrays
@@ -25,7 +24,7 @@ from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._sparsity import Sparsity
 from softcal_jax.materials import ClassicalCorotational, Corotational, Isotropic
 from softcal_jax.mesh import beam
-from softcal_jax.robots import anisotropic_beam
+from softcal_jax.robots import anisotropic_beam, synthetic_measurements
 
 pypardiso = pytest.importorskip("pypardiso", reason="not installed on this platform")
 compiled = jax.jit(factor_solve)

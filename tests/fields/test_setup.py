@@ -8,7 +8,7 @@ from problems import lane_of
 
 from softcal_jax.actuators import Motor
 from softcal_jax.bodies import Pose, RigidBody, hinge_axes
-from softcal_jax.calibration import calibrate, simulated_measurements
+from softcal_jax.calibration import calibrate
 from softcal_jax.configurations import (
     ActuatorDisplacement,
     ActuatorForce,
@@ -35,6 +35,7 @@ from softcal_jax.fields import (
 )
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
+from softcal_jax.robots import simulated_measurements
 from softcal_jax.sensitivity import parameter_compliance
 
 MOUNTED = (0.0, 0.001, 0.0)

@@ -13,7 +13,6 @@ from softcal_jax.calibration import (
     MultiStartResult,
     Optimum,
     calibrate,
-    synthetic_measurements,
 )
 from softcal_jax.configurations import (
     Configuration,
@@ -27,6 +26,7 @@ from softcal_jax.identifiability import assess
 from softcal_jax.inference import UNLIKELY, Cause
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import TetMesh, beam
+from softcal_jax.robots import synthetic_measurements
 from softcal_jax.unknowns import MESH
 
 TARGET = {"E of root": 1.5e5, "E of tip": 0.8e5}

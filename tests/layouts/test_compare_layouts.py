@@ -16,11 +16,7 @@ from bars import MID, ROOT, STD, TIP, bar, moduli, on_axis, pose
 from wording import says
 
 from benchmarks._compilations import Compilations
-from softcal_jax.calibration import (
-    build_problem,
-    calibrate as calibrate_with,
-    synthetic_measurements,
-)
+from softcal_jax.calibration import build_problem, calibrate as calibrate_with
 from softcal_jax.fields import Parameter, ParameterSpace, as_space, exactly_known
 from softcal_jax.identifiability import identify
 from softcal_jax.layouts import (
@@ -30,6 +26,7 @@ from softcal_jax.layouts import (
     _cross_validation,
     compare_layouts as compare_layouts_with,
 )
+from softcal_jax.robots import synthetic_measurements
 
 calibrate = partial(calibrate_with, starts=1, intervals=None)
 compare_layouts = partial(compare_layouts_with, starts=1)

@@ -11,7 +11,6 @@ from anisotropic_project import write_anisotropic_project
 from small_project import write_small_project
 from wording import says
 
-from softcal_jax.calibration import synthetic_measurements
 from softcal_jax.fields import ControlPointParameters
 from softcal_jax.materials import (
     ClassicalCorotational,
@@ -26,7 +25,7 @@ from softcal_jax.materials import (
     TransverseIsotropic,
 )
 from softcal_jax.project import ProjectError, load_project
-from softcal_jax.robots import anisotropic_beam
+from softcal_jax.robots import anisotropic_beam, synthetic_measurements
 
 DEGREE = np.pi / 180.0
 FIBRE = 'theta = "20 deg"\nphi = "0.1 rad"\nprint_plane = "xy"\n'

@@ -15,9 +15,10 @@ from test_page import Read
 from wording import says
 
 from softcal_jax._files import sha256_of
-from softcal_jax.calibration import CalibrationSettings, random_starts
+from softcal_jax.calibration import CalibrationSettings
 from softcal_jax.cli import main
 from softcal_jax.configurations import BodyFrame, Configuration
+from softcal_jax.fields import random_starts
 from softcal_jax.project import load_project
 from softcal_jax.sweeps import Trial, _calibration, load_sweep, read_sweep
 from softcal_jax.sweeps._calibration import _with_noise, why_not
