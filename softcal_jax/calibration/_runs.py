@@ -325,12 +325,9 @@ def run_start(
     while tried < len(images):
         i, image = tried, images[tried]
         origin, tried = image.origin(best, first), tried + 1
-        begins = [
-            first,
-            *(m.signs * first for m in images[:i] if m.of_start),
-        ]
         # An axis at zero is its own image.
-        again = image.of_start and any(np.array_equal(origin, z) for z in begins)
+        before = [first, *(m.signs * first for m in images[:i] if m.of_start)]
+        again = image.of_start and any(np.array_equal(origin, old) for old in before)
         if not again and wanted(evaluate.problem, best, image):
             own = [Known(*at) for at in zip(z, cost, strict=True) if np.isfinite(at[1])]
             step = partial(note_step, i)

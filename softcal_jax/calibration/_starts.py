@@ -261,10 +261,10 @@ def search(
 
     def tell(i: int, image: int, state: CalibrationState) -> None:
         if progress is not None:
-            ended = [own.best.cost for own in begun if own.images == len(images)]
+            ended = sum(own.images == len(images) for own in begun)
             rms = marker_rms(evaluate.problem, state.evaluation)
             step = int(state.step)
-            progress(SearchProgress(i, len(rows), image, step, rms, len(ended)))
+            progress(SearchProgress(i, len(rows), image, step, rms, ended))
 
     def run_from(known: Sequence[Known], i: int) -> Begun:
         return run_start(

@@ -16,12 +16,12 @@ _to_scaled = eqx.filter_jit(lambda space, p: space.admissible(space.to_scaled(p)
 
 
 def default_starts(space: ParameterSpace) -> int:
-    """Return how many starts a calibration takes unless the user says otherwise.
+    """Return how many starts a calibration takes at most, unless the user says so.
 
     `SEVERAL` where the angle of an axis or more than one control point of a field is
-    calibrated, since there the cost has several optima; 1 elsewhere. Each start goes on
-    from its mirror images, so it takes several times as long as a single fit: a sweep
-    of thousands of calibrations from good start values may say `starts = 1`.
+    calibrated, since there the cost has several optima; 1 elsewhere. Mirror images
+    included, they take several times as long as a single fit: a sweep of thousands of
+    calibrations from good start values may say `starts = 1`.
     """
     fields = [entry.parameters for entry in space.entries if entry.fields]
     angle = any(q.unit == "rad" or q.periodic for field in fields for q in field)
