@@ -77,16 +77,16 @@ def descend(
     compile, serves the start and every step. `note` is called after each step, and
     `enough` says whether to stop before the end.
     """
-    problem = evaluate.numbered
+    space = evaluate.numbered.space
     while not (state.converged or state.stalled or not state.evaluation.ok) and (
         state.step < settings.max_steps and not enough(state)
     ):
-        proposal = propose(problem, settings, state)
+        proposal = propose(space, settings, state)
         tried = state.evaluation
         if not proposal.vanishes:
             before = tried.equilibrium.displacement
             tried = evaluate(proposal.z, proposal.guess, before, proposal.precise)
-        state = decide(problem, settings, state, proposal, tried)
+        state = decide(space, settings, state, proposal, tried)
         note(state)
     return state
 

@@ -17,7 +17,7 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, Int
 from softcal_jax.calibration._evaluation import Evaluation
-from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
+from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._qp import (
     QPLimits,
     QPStep,
@@ -177,16 +177,16 @@ class Proposal(Module):
 
 
 def propose(
-    problem: CalibrationProblem, settings: CalibrationSettings, state: CalibrationState
+    space: ParameterSpace, settings: CalibrationSettings, state: CalibrationState
 ) -> Proposal:
     """Solve the QP within the bounds on p and on the step (paper Eqs. 10, 11).
 
     In three programs: that of the QP is the longest to compile, and as its size is that
     of the parameters alone, it serves calibrations with any number of errors.
     """
-    models = _models(problem, settings, state)
+    models = _models(space, settings, state)
     both = _solved_each(models.qps, state.curvature.used)
-    return _proposal(problem, settings, state, models, both)
+    return _proposal(space, settings, state, models, both)
 
 
 class _Models(NamedTuple):
@@ -199,12 +199,12 @@ class _Models(NamedTuple):
 
 @eqx.filter_jit
 def _models(
-    problem: CalibrationProblem, settings: CalibrationSettings, state: CalibrationState
+    space: ParameterSpace, settings: CalibrationSettings, state: CalibrationState
 ) -> _Models:
-    J = _step_coordinates(problem.space, state.z)
+    J = _step_coordinates(space, state.z)
     error, W = map(jnp.asarray, state.evaluation.rows)
     W = W @ J
-    limits = _limits(problem.space, settings, state, J)
+    limits = _limits(space, settings, state, J)
     models = (W, error), convex_model(W, error, state.curvature.matrix)
     scaled = [scaled_qp(*model, limits) for model in models]
     stacked = jax.tree.map(lambda *x: jnp.stack(x), *scaled)
@@ -229,14 +229,14 @@ def _solved_each(qps: ScaledQP, curved: Bool[Array, ""]) -> QPStep:
 
 @eqx.filter_jit
 def _proposal(
-    problem: CalibrationProblem,
+    space: ParameterSpace,
     settings: CalibrationSettings,
     state: CalibrationState,
     models: _Models,
     both: QPStep,
 ) -> Proposal:
     """Return the step of the model that is used, and what it predicts."""
-    now, space = state.evaluation, problem.space
+    now = state.evaluation
     (error, W), J, S = models.rows, models.J, state.curvature.matrix
     used = state.curvature.used.astype(jnp.int32)
     qp = jax.tree.map(lambda steps: steps[used], both)
@@ -331,7 +331,7 @@ def _is_at_bound(
 
 @eqx.filter_jit
 def decide(
-    problem: CalibrationProblem,
+    space: ParameterSpace,
     settings: CalibrationSettings,
     state: CalibrationState,
     proposal: Proposal,
@@ -345,7 +345,7 @@ def decide(
     reference = jnp.max(state.recent_costs)
     lowered = tried.cost <= reference - 1e-4 * predicted
     size = jnp.max(jnp.abs(lambda_p))
-    at_bound = _is_at_bound(problem.space, state, proposal.qp)
+    at_bound = _is_at_bound(space, state, proposal.qp)
     no_harm = tried.cost <= now.cost + SMALLEST_FALL * now.cost
     vanished = proposal.vanishes & tried.ok & ((size <= settings.tol) | no_harm)
     accepted = tried.ok & (lowered | vanished | (not settings.adapt))
@@ -354,7 +354,7 @@ def decide(
         grown = jnp.minimum(2.0 * bound, most)
         grown = jnp.where((gain > 0.75) & at_bound, grown, bound)
         bound = jnp.where(accepted, grown, 0.25 * size)
-        curvature = _after(problem.space, state, proposal, tried)
+        curvature = _after(space, state, proposal, tried)
     # A bound that shrank to nothing means a minimum only where the slope vanishes too.
     collapsed = ~vanished & (bound < settings.tol)
     # The slope is the relative fall of the cost per unit of lambda_p, predicted within

@@ -293,8 +293,8 @@ def test_a_run_whose_steps_are_all_refused_is_not_converged(model, exact):
     state = initial_state(settings, z, evaluation)
     failed = eqx.tree_at(lambda e: e.ok, evaluation, jnp.zeros((), bool))
     for _ in range(12):
-        proposal = propose(problem, settings, state)
-        state = decide(problem, settings, state, proposal, failed)
+        proposal = propose(problem.space, settings, state)
+        state = decide(problem.space, settings, state, proposal, failed)
     assert bool(state.stalled)
     assert not bool(state.converged)
     np.testing.assert_array_equal(state.z, z)
@@ -310,9 +310,9 @@ def test_a_step_held_short_by_its_bound_is_no_convergence(model, exact):
     evaluation = evaluate(problem, z)
     state = initial_state(settings, z, evaluation)
     held = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-7, float))
-    proposal = propose(problem, settings, held)
+    proposal = propose(problem.space, settings, held)
     assert float(jnp.max(jnp.abs(proposal.qp.lambda_p))) <= settings.tol
-    state = decide(problem, settings, held, proposal, evaluation)
+    state = decide(problem.space, settings, held, proposal, evaluation)
     assert not bool(state.converged)
 
 

@@ -77,7 +77,7 @@ def test_tensor_step_keeps_bounds_and_order(problem, evaluation):
     on_a_bound = on_the_step_bound = 0
     for seed in range(60):
         state = random_state(problem, evaluation, seed)
-        proposal = propose(problem, CalibrationSettings(), state)
+        proposal = propose(problem.space, CalibrationSettings(), state)
         z = np.asarray(proposal.z)
         assert np.all(z >= low - 1e-12)
         assert np.all(z <= high + 1e-12)
@@ -98,7 +98,7 @@ def test_linear_model_of_a_tensor_step_is_that_of_the_parameters(problem, evalua
     # The angle's derivative is that of a regular tensor, not of an isotropic one.
     assert np.min(state.z[E_T] - state.z[E_L]) > 0.05
     short = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-5, float))
-    proposal = propose(problem, CalibrationSettings(), short)
+    proposal = propose(problem.space, CalibrationSettings(), short)
     now = state.evaluation
     change = problem.space.wrap(proposal.z) - state.z
     linear = 0.5 * jnp.sum((now.rows.W @ change + now.rows.error) ** 2)
@@ -111,7 +111,7 @@ def test_guess_follows_the_tangents_of_the_parameters(problem, evaluation):
     """A warm start to first order: u + du/dz dz, with dz from the tensor."""
     state = initial_state(CalibrationSettings(), problem.space.start(), evaluation)
     state = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-5, float))
-    proposal = propose(problem, CalibrationSettings(), state)
+    proposal = propose(problem.space, CalibrationSettings(), state)
     dz = proposal.z - state.z
     assert np.max(np.abs(dz)) > 1e-6
     expected = jnp.einsum("p,cpni->cni", dz, evaluation.response.displacement)
@@ -197,12 +197,12 @@ def test_paper_mode_limits_every_step(measured, evaluation):
     longest = np.zeros(6)
     for seed in range(30):
         state = random_state(paper, untangled(evaluation), seed, settings)
-        proposal = propose(paper, settings, state)
+        proposal = propose(paper.space, settings, state)
         moves = np.abs(paper.space.from_scaled(proposal.z - state.z)) / limits
         assert np.all(moves <= 1.0 + 1e-9)
         assert np.all(proposal.z[E_L] <= proposal.z[E_T] + 1e-12)
         longest = np.maximum(longest, moves)
-        after = decide(paper, settings, state, proposal, state.evaluation)
+        after = decide(paper.space, settings, state, proposal, state.evaluation)
         assert float(after.step_bound) == settings.step_bound
     np.testing.assert_allclose(longest, 1.0, rtol=1e-9)
 
@@ -213,8 +213,8 @@ def test_paper_mode_takes_a_step_that_makes_the_fit_worse(problem, evaluation):
     for adapt in (False, True):
         settings = CalibrationSettings(adapt=adapt)
         state = random_state(problem, evaluation, 0, settings)
-        proposal = propose(problem, settings, state)
-        after = decide(problem, settings, state, proposal, worse)
+        proposal = propose(problem.space, settings, state)
+        after = decide(problem.space, settings, state, proposal, worse)
         assert bool(after.accepted) is not adapt
         if adapt:
             size = float(jnp.max(jnp.abs(proposal.qp.lambda_p)))
@@ -245,13 +245,13 @@ def after_costs(problem, evaluation, costs):
 
 def tried(problem, state, cost):
     settings = CalibrationSettings()
-    proposal = propose(problem, settings, state)
+    proposal = propose(problem.space, settings, state)
     # A model that promises next to nothing: acceptance is by the costs alone.
     proposal = eqx.tree_at(
         lambda p: p.cost, proposal, state.evaluation.cost * (1.0 - 1e-9)
     )
     here = costing(state.evaluation, cost)
-    return decide(problem, settings, state, proposal, here)
+    return decide(problem.space, settings, state, proposal, here)
 
 
 def test_a_cost_below_one_of_the_recent_ones_is_kept(problem, evaluation):
@@ -302,13 +302,13 @@ def test_a_step_that_gains_next_to_nothing_ends_the_search(
     error = np.sqrt(20.0) * (left[:, -1] + np.sqrt(promised) * left[:, 5])
     state = eqx.tree_at(lambda s: s.evaluation.rows.error, state, jnp.asarray(error))
     state = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(10.0, float))
-    proposal = propose(problem, settings, state)
+    proposal = propose(problem.space, settings, state)
     assert np.max(np.abs(proposal.qp.lambda_p)) > settings.tol
     fall = 1.0 - float(proposal.cost / state.evaluation.cost)
     assert fall == pytest.approx(promised, rel=1e-3)
     assert bool(proposal.vanishes) == (adapt and promised < 1e-8)
     now = costing(state.evaluation, float(state.evaluation.cost) * (1.0 + worse))
-    after = decide(problem, settings, state, proposal, now)
+    after = decide(problem.space, settings, state, proposal, now)
     assert bool(after.converged) == ends
     if proposal.vanishes:  # nothing was learned from a step that was not taken
         np.testing.assert_array_equal(after.curvature.matrix, 0.0)
@@ -321,11 +321,11 @@ def test_a_step_that_vanishes_is_not_tried(tensor, measured, problem):
     there = evaluate(problem, z)
     settings = CalibrationSettings()
     state = initial_state(settings, z, there)
-    proposal = propose(problem, settings, state)
+    proposal = propose(problem.space, settings, state)
     assert bool(proposal.vanishes)
     np.testing.assert_array_equal(proposal.z, z)
     np.testing.assert_array_equal(proposal.guess, there.equilibrium.displacement)
-    after = decide(problem, settings, state, proposal, there)
+    after = decide(problem.space, settings, state, proposal, there)
     assert bool(after.converged)
     assert int(after.step) == 1
     np.testing.assert_array_equal(after.z, z)
@@ -333,16 +333,16 @@ def test_a_step_that_vanishes_is_not_tried(tensor, measured, problem):
     away = evaluate(problem, problem.space.start())
     state = initial_state(settings, problem.space.start(), away)
     state = eqx.tree_at(lambda s: s.step_bound, state, jnp.asarray(1e-8, float))
-    assert not bool(propose(problem, settings, state).vanishes)
+    assert not bool(propose(problem.space, settings, state).vanishes)
 
 
 def test_a_failed_equilibrium_is_refused_whatever_its_cost(problem, evaluation):
     state = after_costs(problem, evaluation, [10.0])
-    proposal = propose(problem, CalibrationSettings(), state)
+    proposal = propose(problem.space, CalibrationSettings(), state)
     failed = eqx.tree_at(lambda e: e.ok, costing(evaluation, 1.0), jnp.zeros((), bool))
     for adapt in (True, False):
         settings = CalibrationSettings(adapt=adapt)
-        after = decide(problem, settings, state, proposal, failed)
+        after = decide(problem.space, settings, state, proposal, failed)
         assert not bool(after.accepted)
 
 
@@ -359,10 +359,10 @@ def test_rank_deficient_fit_ends_in_finite_bounded_steps(problem, evaluation):
     state = initial_state(settings, z, evaluate(problem, z))
     first = float(state.evaluation.cost)
     while not (state.converged or state.stalled) and state.step < 30:
-        proposal = propose(problem, settings, state)
+        proposal = propose(problem.space, settings, state)
         now = evaluate(problem, proposal.z, proposal.guess)
         bound = float(state.step_bound)
-        state = decide(problem, settings, state, proposal, now)
+        state = decide(problem.space, settings, state, proposal, now)
         assert np.all(np.isfinite(state.lambda_p))
         assert np.max(np.abs(state.lambda_p)) <= bound * (1.0 + 1e-9)
         assert np.all(state.z >= problem.space.lower())
@@ -379,7 +379,7 @@ def test_order_holds_along_the_way_without_tensors(measured, evaluation):
     active = 0
     for seed in range(40):
         state = random_state(plain, untangled(evaluation), seed)
-        proposal = propose(plain, CalibrationSettings(), state)
+        proposal = propose(plain.space, CalibrationSettings(), state)
         slack = np.asarray(proposal.z[E_T] - proposal.z[E_L])
         assert np.all(slack > -1e-12)
         assert np.all(np.abs(proposal.qp.lambda_p) <= 1.0 + 1e-12)
@@ -409,11 +409,11 @@ def test_a_fit_that_leaves_an_error_converges_by_its_curvature(problem):
             if not learns:
                 where = lambda s: s.curvature.used
                 state = eqx.tree_at(where, state, jnp.zeros((), bool))
-            proposal = propose(noisy, settings, state)
+            proposal = propose(noisy.space, settings, state)
             now = evaluate(noisy, proposal.z, proposal.guess)
             if proposal.precise:
                 now = evaluate(noisy, proposal.z, now.equilibrium.displacement)
-            state = decide(noisy, settings, state, proposal, now)
+            state = decide(noisy.space, settings, state, proposal, now)
         ends.append(state)
     curved, linear = ends
     assert bool(curved.converged)

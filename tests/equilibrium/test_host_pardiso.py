@@ -144,7 +144,7 @@ def test_what_is_around_the_solver_lowers_for_cuda(calibration):
         lane = lambda c, u: evaluate_lane(problem, z, c, u, u)
         lanes = jax.vmap(lane)(problem.configurations, guess)
         state = initial_state(settings, z, weighed(problem, z, lanes))
-        return propose(problem, settings, state).z
+        return propose(problem.space, settings, state).z
 
     z = problem.space.start()
     traced = jax.jit(step).trace(z, at_rest(problem))
