@@ -49,6 +49,13 @@ def _at_points(law: AbstractLaw, method: str, F: Float[Array, "n_qp 3 3"]):
     return jax.vmap(getattr(law, method))(F)
 
 
+def _stresses_and_tangents(
+    law: AbstractLaw, F: Float[Array, "n_qp 3 3"]
+) -> tuple[Float[Array, "n_qp 3 3"], Float[Array, "n_qp 3 3 3 3"]]:
+    # One point after the other: the tensors of a block of tets stay in the cache.
+    return jax.lax.map(law.stress_and_tangent, F)
+
+
 def mean_dilatation(
     u: Float[Array, "n_en 3"],
     dN: Float[Array, "n_qp n_en 3"],
@@ -169,7 +176,7 @@ def element_stiffness(
     F = deformation_gradients(u, dN)
     if is_mixed(formulation, F.shape[0]):
         return mixed_newton(u, mean_dilatation(u, dN, w), dN, w, law)[0]
-    P, A = _at_points(law, "stress_and_tangent", F)
+    P, A = _stresses_and_tangents(law, F)
     if before is not None:
         began = deformation_gradients(before, dN)
         gap = jax.lax.cond(
@@ -260,7 +267,7 @@ def mixed_newton(
     share = w * J / (theta * jnp.sum(w))
     gap = jnp.sum(share) - 1.0  # J_bar / theta - 1
     matrix, rest = law.parts()
-    P_bar, A = _at_points(matrix, "stress_and_tangent", _each(s) * F)
+    P_bar, A = _stresses_and_tangents(matrix, _each(s) * F)
     P_bar, A = _each(s) * P_bar, (s**2)[:, None, None, None, None] * A
     A_F = jnp.sum(A * F[:, None, None], axis=(3, 4))
     Q = A_F + P_bar
@@ -280,10 +287,12 @@ def mixed_newton(
     )
     P_eff = _each(w) * P_bar + _each(pressure * share - w * mean_stress) * G
     if rest is not None:
-        P_rest, A_rest = _at_points(rest, "stress_and_tangent", F)
+        P_rest, A_rest = _stresses_and_tangents(rest, F)
         P_eff, A_eff = P_eff + _each(w) * P_rest, A_eff + wide(w) * A_rest
     force = _push(P_eff, dN)
     g = _push(_each(share) * G, dN)
     h = _push(_each(w / 3.0) * Q - _each(w * both) * G, dN)
+    # As in `_pull`: else they are computed again for each entry.
+    g, h = jax.lax.optimization_barrier((g, h))
     K = _pull(A_eff, dN) + _outer(g, h) + _outer(h, g) + curvature * _outer(g, g)
     return K, force + (h + curvature * g) * gap

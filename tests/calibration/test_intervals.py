@@ -21,7 +21,7 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.calibration._calibrate import build_problem
 from softcal_jax.calibration._profile import NotFound, _end, bracket, root
-from softcal_jax.calibration._runs import in_plain_steps, minimise
+from softcal_jax.calibration._runs import minimise
 from softcal_jax.fields import (
     ParameterSpace,
     Pin,
@@ -317,7 +317,7 @@ def test_where_both_moduli_meet_an_end_is_found():
 
 def test_plain_steps_keep_the_order_of_the_moduli():
     setup = anisotropic_beam(cells=(2, 1, 1))
-    plain = in_plain_steps(setup.space)
+    plain = setup.space.in_plain_steps()
     assert setup.space.chart is not None
     assert plain.chart is None
     assert plain.order_names() == [
