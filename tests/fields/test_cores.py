@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softcal_jax.calibration._runs import in_plain_steps
 from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import (
     ControlPointParameters,
@@ -150,7 +149,7 @@ def test_plain_steps_and_numbers_keep_the_fields(model):
     faded = space()
     z = scaled(faded, 900.0, 300.0, [70.0, -10.0, -40.0])
     expected = fields(model, faded, z)
-    plain = in_plain_steps(faded)
+    plain = faded.in_plain_steps()
     assert plain.chart is None
     assert len(plain.order_names()) == 3
     np.testing.assert_array_equal(fields(model, plain, z), expected)
