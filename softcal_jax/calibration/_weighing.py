@@ -40,8 +40,11 @@ from softcal_jax.inference import (
 SETTLED = 0.01
 """Relative change of a standard deviation at which the noise has settled [-]."""
 
-UNSEEN = 1e-2
-"""Standard errors below which a step waits until the noise is settled [-]."""
+UNSEEN = 0.1
+"""Standard errors below which a step waits until the noise is settled [-].
+
+The noise is found from what is left to first order after such a step.
+"""
 
 MOST_ROUNDS = 10
 """Most estimates of the noise."""
