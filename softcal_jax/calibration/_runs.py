@@ -9,7 +9,6 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from softcal_jax._module import Module, one_line
 from softcal_jax._typing import Array, Bool, Float, HostArray
@@ -263,6 +262,9 @@ def leads_to(space: ParameterSpace, state: CalibrationState, known: Known) -> bo
     It is where the linear model of its errors foretells the cost there, and has its own
     lowest cost within the bounds there, too: no start could win more.
     """
+    # Here, so that commands which do not need it do not wait for it.
+    from scipy.optimize import lsq_linear
+
     fall = float(state.evaluation.cost) - known.cost
     if fall <= 0.0:
         return False
