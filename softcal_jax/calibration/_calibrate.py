@@ -100,9 +100,9 @@ def calibrate(
             10 %, and 0.1 rad of an axis [-].
         settings: Settings of the outer loop.
         newton: Settings of the equilibrium.
-        starts: Most starts: that of the parameters, and random ones within the
-            bounds; see `multi_start`. The fit then continues from the best. By default
-            see `default_starts`; 1 where `start` is given.
+        starts: Number of starts at most: that of the parameters, then random ones
+            within the bounds; see `multi_start`. The fit then continues from the best.
+            By default see `default_starts`; 1 where `start` is given.
         seed: Seed of the random starts.
         start: Scaled parameters to start from, instead of the start of the parameters;
             priors stay centred on the latter [-].
@@ -116,7 +116,7 @@ def calibrate(
             with the same result. Where it cannot be written any more, as on a full
             disk, the calibration goes on with a warning and a note.
         progress: Called after the first evaluation and after each step.
-        search_progress: Called after each step of a search from several starts.
+        search_progress: Called after each step of a search, in one of its threads.
         equilibrium_progress: Called while the first equilibria are solved.
         answer: Called with the result so far, standard errors by the noise alone, once
             the steps have ended and held-out configurations are predicted.

@@ -223,13 +223,14 @@ class MultiStartResult(Module):
     Attributes:
         names: Names of the parameters.
         starts: Where the runs began, in SI units.
-        values: Where they ended, in SI units.
+        values: Where they ended, or a known optimum that they led to, in SI units.
         z: The same, scaled [-].
         cost: Half the sum of squared errors in noise units; infinite where the start
             has no equilibrium [-].
         steps: QP steps of each run.
-        converged: Whether lambda_p vanished.
-        errors: Size of the stacked error after each step, in noise units [-].
+        converged: Whether lambda_p vanished, there or at that optimum.
+        errors: Size of the stacked error after each step, in noise units; of a run that
+            led to a known optimum not to its end [-].
         optima: Distinct ends of the converged runs and of their mirror images, the
             lowest cost first.
     """
@@ -251,11 +252,11 @@ class MultiStartResult(Module):
 
     @property
     def missed(self) -> float:
-        """Expected share of starts that would end at an optimum not found yet [-].
+        """Expected share of random starts that would end at other optima [-].
 
-        That is w (w + 1) / (n (n - 1)) after n starts that ended at w optima, whatever
-        their number (Boender and Rinnooy Kan, Math. Program. 37, 1987). One that has
-        not converged counts as an optimum of its own.
+        That is w (w + 1) / (n (n - 1)) after n independent starts that ended at w
+        optima, whatever their number (Boender and Rinnooy Kan, Math. Program. 37,
+        1987). One that has not converged counts as an optimum of its own.
         """
         n = int(np.isfinite(self.cost).sum())
         optima = sum(bool(optimum.starts) for optimum in self.optima)
@@ -271,9 +272,11 @@ class MultiStartResult(Module):
         """Write one line per optimum, the best few, and the runs that found none."""
         n, n_converged = len(self.cost), int(self.converged.sum())
         lines = [
-            f"{n} starts, {n_converged} converged, {len(self.optima)} distinct optima; "
-            f"about {100.0 * self.missed:.2g} % of further starts would find others."
+            f"{n} starts, {n_converged} converged, {len(self.optima)} distinct optima."
         ]
+        if self.missed < 1.0:
+            missed = f"About {100.0 * self.missed:.0f} % of further starts would"
+            lines[0] += f" {missed} end at others."
         for best in self.optima[:MOST_OPTIMA]:
             origin = f"from {len(best.starts)} starts" if best.starts else "on the way"
             lines.append(f"  cost {best.cost:.3g} {origin}: {best.words}")

@@ -246,9 +246,10 @@ def better(best: Run, new: Run) -> Run:
 
 
 class Known(NamedTuple):
-    """An optimum that a run has reached, and the best end of that run by its images.
+    """An optimum that a run has reached, and the best end of that run.
 
-    None where that run has not ended: it is the one that comes by again.
+    None for one that says nothing of others that lead there: the run's own, or that of
+    an image of its start.
     """
 
     z: Float[HostArray, " n_p"]
@@ -257,10 +258,10 @@ class Known(NamedTuple):
 
 
 def leads_to(space: ParameterSpace, state: CalibrationState, known: Known) -> bool:
-    """Return whether a run is on its way into a known optimum.
+    """Return whether a run seems to be on its way into a known optimum.
 
-    It is where the linear model of its errors foretells the cost there, and has its own
-    lowest cost within the bounds there, too: no start could win more.
+    The linear model of its errors foretells the cost there, and nothing clearly lower
+    within the bounds.
     """
     # Here, so that commands which do not need it do not wait for it.
     from scipy.optimize import lsq_linear
@@ -276,15 +277,18 @@ def leads_to(space: ParameterSpace, state: CalibrationState, known: Known) -> bo
     down, up = map(np.asarray, _room(space, state.z))
     # A bound that the known optimum has reached may be off by rounding.
     bounds = np.minimum(down, way) - 1e-12, np.maximum(up, way) + 1e-12
-    noise = max(2.0 * known.cost / max(len(error) - len(way), 1), 0.01)
-    lowest = cost(lsq_linear(W, -error, bounds).x)
-    return bool(cost(way) - lowest <= min(FORETOLD * fall, SAME_END * noise))
+    measured = int(np.any(W, axis=1).sum())
+    noise = max(2.0 * known.cost / max(measured - len(way), 1), 0.01)
+    best = lsq_linear(W, -error, bounds)
+    near = cost(way) - cost(best.x) <= min(FORETOLD * fall, SAME_END * noise)
+    return bool(best.success and near)
 
 
 class Begun(NamedTuple):
     """A run between two images: the number done, and the best end so far.
 
-    `z` and `cost` say where each image converged; the cost is infinite if it did not.
+    `z` and `cost` say where each image converged, or led to; the cost is infinite if it
+    did not.
     """
 
     images: int
@@ -318,9 +322,9 @@ def run_start(
     """Run the outer loop from a start and its images to the end.
 
     `begun` is the progress of the run so far; `note` is called after each image,
-    whether it was run or skipped. On its way into an optimum that is `known`, an image
-    ends there. If that is one of another run, so does this run, where that one went on
-    to by its images, unless it has been lower already.
+    whether it was run or skipped. An image that leads to a `known` optimum ends there.
+    If another run found that optimum, this run ends too, with that run's best end,
+    unless its own is lower.
     """
     tried, best, z, cost = begun or not_begun(settings, start, len(images))
     first = np.asarray(start)
@@ -338,8 +342,9 @@ def run_start(
                 here = np.arange(len(images)) == i
                 z = np.where(here[:, None], end.z, z)
                 cost = np.where(here, end.cost, cost)
-            if there and there.best and there.best.cost <= best.cost:
-                end = replace(there.best, steps=end.steps, errors=end.errors)
+            other = None if there is None else there.best
+            if other is not None and other.cost <= best.cost:
+                end = replace(other, steps=end.steps, errors=end.errors)
                 tried = len(images)
             best = better(best, end)
         note(Begun(tried, best, z, cost))
@@ -368,13 +373,14 @@ def _to(
     return end, there
 
 
-def known_optima(runs: Sequence[Begun]) -> list[Known]:
-    """List the optima where runs came by, each with the first run that did."""
+def known_optima(runs: Sequence[Begun], images: Sequence[Image]) -> list[Known]:
+    """List the optima that runs reached, each with the first run that did."""
     known: dict[tuple[float, ...], Known] = {}
     for run in runs:
-        for z, cost in zip(run.z, run.cost, strict=True):
+        for z, cost, image in zip(run.z, run.cost, images, strict=True):
             if np.isfinite(cost):
-                known.setdefault(tuple(z.round(3)), Known(z, float(cost), run.best))
+                best = None if image.of_start else run.best
+                known.setdefault(tuple(z.round(3)), Known(z, float(cost), best))
     return [*known.values()]
 
 

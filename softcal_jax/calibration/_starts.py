@@ -52,10 +52,7 @@ GROUP = 4
 """Starts that run side by side, and know the optima of those before."""
 
 ENOUGH = 0.1
-"""Share of the starts that may end at optima not found yet, where a search ends [-].
-
-Five starts that agree leave as much, see `MultiStartResult.missed`.
-"""
+"""Share of further starts that may end elsewhere; five that agree leave as much [-]."""
 
 # One row at a time, so that the programs do not depend on the number of rows.
 _from_scaled = eqx.filter_jit(lambda space, z: space.from_scaled(z))
@@ -165,7 +162,6 @@ class SearchProgress(NamedTuple):
         image: 0 from the start itself, else the number of the image.
         step: Number of the step from there.
         rms: Root mean square of the marker distances after it [m].
-        ended: Number of starts that have ended.
     """
 
     start: int
@@ -173,7 +169,6 @@ class SearchProgress(NamedTuple):
     image: int
     step: int
     rms: float
-    ended: int
 
     __repr__ = one_line
 
@@ -197,9 +192,9 @@ def multi_start(
 ) -> MultiStartResult:
     """Calibrate from many starts, side by side, and list the distinct optima.
 
-    The first start runs alone, the others in groups of four. A run ends on its way into
-    an optimum of a group before, where the run that found it went on to from there; the
-    search ends once the expected share of starts that lead elsewhere is small enough.
+    The first start runs alone, the others in groups of four. A run that is on its way
+    to an optimum of an earlier group ends, with the best end of the run that found it;
+    the search ends once the expected share of starts that lead elsewhere is small.
     Ctrl-C returns what was found so far, once a run has come to an end.
 
     Args:
@@ -224,7 +219,7 @@ def multi_start(
         )
     settings = settings or FROM_ANYWHERE
     journal = Journal(problem, settings)
-    lanes = len(starts) * len(problem.configurations.gravity)
+    lanes = min(len(starts), GROUP) * len(problem.configurations.gravity)
     with Workers(problem.model, lanes) as workers:
         evaluate = Evaluator(problem, workers)
         return search(
@@ -246,13 +241,14 @@ def search(
 
     The first start runs alone, the others in groups of `GROUP`: a run knows the optima
     of the groups before, however many cores there are. Ctrl-C ends it with the best
-    ends so far, which the journal then knows. `progress` must not solve anything
-    itself, since other runs occupy all cores.
+    ends so far, which the journal then knows. `progress` is called from threads, one at
+    a time, and must not solve anything itself, since other runs occupy all cores.
     """
     space, images = evaluate.problem.space, images_of(evaluate.problem.space, mirror)
     rows = list(map(jnp.asarray, np.asarray(starts)))
     none = [not_begun(settings, start, len(images)) for start in rows]
     begun = [journal.kept(f"run{i}", own) or own for i, own in enumerate(none)]
+    found = lambda: any(np.isfinite(own.best.cost) for own in begun)
     n = 0
 
     def keep(i: int, now: Begun) -> None:
@@ -261,10 +257,8 @@ def search(
 
     def tell(i: int, image: int, state: CalibrationState) -> None:
         if progress is not None:
-            ended = sum(own.images == len(images) for own in begun)
             rms = marker_rms(evaluate.problem, state.evaluation)
-            step = int(state.step)
-            progress(SearchProgress(i, len(rows), image, step, rms, ended))
+            progress(SearchProgress(i, len(rows), image, int(state.step), rms))
 
     def run_from(known: Sequence[Known], i: int) -> Begun:
         return run_start(
@@ -282,25 +276,26 @@ def search(
         while n < len(rows):
             group = range(n, min(n + GROUP, len(rows)) if n else 1)
             n = group.stop
-            run = partial(run_from, known_optima(begun[: group.start]))
+            run = partial(run_from, known_optima(begun[: group.start], images))
             evaluate.workers.side_by_side(partial(run, i) for i in group)
-            if _result(space, starts, begun[:n]).missed <= enough:
+            if _result(space, rows[:n], begun[:n]).missed <= enough:
                 break
     except KeyboardInterrupt:
-        if not any(np.isfinite(own.best.cost) for own in begun):
+        if not found():
             raise
         journal.interrupted = True
-    if not any(np.isfinite(own.best.cost) for own in begun):
+    if not found():
         raise RuntimeError(
             f"none of {len(starts)} starts has an equilibrium in every configuration: "
             "check loads, units and bounds, or `softcal simulate`."
         )
-    return _result(space, starts, begun[:n])
+    some = [i for i, own in enumerate(begun) if own.best.steps]
+    return _result(space, [rows[i] for i in some], [begun[i] for i in some])
 
 
 def _result(
     space: ParameterSpace,
-    starts: Float[Array, "n_starts n_p"],
+    starts: Sequence[Float[Array, " n_p"]],
     runs: Sequence[Begun],
 ) -> MultiStartResult:
     """List the ends of all runs, and the optima among these and those on their way.
@@ -316,7 +311,7 @@ def _result(
     passed = np.concatenate([run.cost for run in runs])
     return MultiStartResult(
         names=tuple(space.names),
-        starts=in_si(starts)[: len(runs)],
+        starts=in_si(starts),
         values=in_si(z),
         z=z,
         cost=cost,

@@ -43,7 +43,7 @@ SETTLED = 0.01
 UNSEEN = 0.1
 """Standard errors below which a step waits until the noise is settled [-].
 
-The noise is found from what is left to first order after such a step.
+The noise is estimated from the residuals after that step, to first order.
 """
 
 MOST_ROUNDS = 10

@@ -86,7 +86,7 @@ def _fit(
         own = Evaluator(_fold_problem(problem, fold), whole.workers)
         ended: list[Begun] = []
         for start in map(jnp.asarray, np.asarray(starts)):
-            known = known_optima(ended)
+            known = known_optima(ended, images)
             ended.append(run_start(own, settings, start, images=images, known=known))
         runs = [each.best for each in ended]
         cost = np.array([run.cost for run in runs])
