@@ -56,8 +56,8 @@ GOALS = {
     "recovered_of_30": Goal("at least", 30),
     "recovered_of_30_xz": Goal("at least", 30),
     "seconds_30_starts": Goal("at most", 10),
-    "steps_over_alone": Goal("at most", 0.45),
-    "steps_over_alone_xz": Goal("at most", 0.45),
+    "search_over_all_alone": Goal("at most", 0.45),
+    "search_over_all_alone_xz": Goal("at most", 0.45),
 }
 
 
@@ -126,7 +126,7 @@ def run(options: Options) -> Outcome:
         figures[f"optima{suffix}"] = sum(bool(own.starts) for own in result.optima)
         figures[f"median_steps{suffix}"] = float(np.median(result.steps))
         figures[f"most_steps{suffix}"] = int(result.steps.max())
-        figures[f"steps_over_alone{suffix}"] = _over_alone(found[suffix])
+        figures[f"search_over_all_alone{suffix}"] = _over_alone(found[suffix].measured)
     picture = options.folder() / "fig4.png"
     plot({WAYS[s].title: found[s] for s in ("", "_without")}, picture)
     options.say(f"picture: {picture}")
@@ -174,14 +174,12 @@ def _timed(measured: MeasuredBeam) -> float:
     return time.perf_counter() - begin
 
 
-def _over_alone(ends: Ends) -> float:
-    """Steps of all starts over those of starts that know nothing of each other."""
-    starts = random_starts(ends.measured.space, STARTS, seed=SEED)
-    alone = sum(
-        int(multi_start(ends.measured.problem, starts[i : i + 1]).steps[0])
-        for i in range(STARTS)
-    )
-    return int(ends.result.steps.sum()) / alone
+def _over_alone(measured: MeasuredBeam) -> float:
+    """Steps of a search that ends by itself, over those of all starts alone."""
+    starts = random_starts(measured.space, STARTS, seed=SEED)
+    search = multi_start(measured.problem, starts)
+    alone = [multi_start(measured.problem, start[None]) for start in starts]
+    return int(search.steps.sum()) / sum(int(one.steps[0]) for one in alone)
 
 
 def _table(title: str, ends: Ends) -> Table:
