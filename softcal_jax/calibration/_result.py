@@ -275,8 +275,8 @@ class MultiStartResult(Module):
             f"{n} starts, {n_converged} converged, {len(self.optima)} distinct optima."
         ]
         if self.missed < 1.0:
-            missed = f"About {100.0 * self.missed:.0f} % of further starts would"
-            lines[0] += f" {missed} end at others."
+            share = f"{100.0 * self.missed:.0f} %"
+            lines[0] += f" Of further starts, {share} are expected to end at others."
         for best in self.optima[:MOST_OPTIMA]:
             origin = f"from {len(best.starts)} starts" if best.starts else "on the way"
             lines.append(f"  cost {best.cost:.3g} {origin}: {best.words}")

@@ -192,7 +192,7 @@ def test_a_search_ends_once_enough_starts_agree(measured):
     )
     assert len(few.cost) == len(few.starts) == 5
     assert few.missed == pytest.approx(0.1)
-    assert says(few, "5 starts", "10 % of further starts")
+    assert says(few, "5 starts", "further starts, 10 %")
     assert "further" not in str(multi_start(measured.problem, starts[:1]))
     assert len(every.cost) == 8
     assert every.missed == pytest.approx(2 / 56)
