@@ -40,11 +40,8 @@ from softcal_jax.inference import (
 SETTLED = 0.01
 """Relative change of a standard deviation at which the noise has settled [-]."""
 
-UNSEEN = 0.03
-"""Standard errors below which a step waits until the noise is settled [-].
-
-The noise is estimated from the residuals after that step, to first order.
-"""
+UNSEEN = 1e-2
+"""Standard errors below which a step waits until the noise is settled [-]."""
 
 MOST_ROUNDS = 10
 """Most estimates of the noise."""
