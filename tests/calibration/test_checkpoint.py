@@ -12,6 +12,7 @@ import pytest
 from wording import says
 
 from softcal_jax.calibration import (
+    FROM_ANYWHERE,
     CalibrationResult,
     CalibrationSettings,
     CalibrationWarning,
@@ -311,16 +312,21 @@ def test_a_stopped_search_ends_as_if_nothing_had_stopped_it(
     path, whole = tmp_path / "fit.npz", searched.result
     told, resumed_told = [], []
     with monkeypatch.context() as patch:
-        Evaluations(patch, stop_at=int(share * searched.n))
+        before = Evaluations(patch, stop_at=int(share * searched.n))
         with pytest.raises(Stopped):
             fit(path, starts=STARTS, search_progress=told.append)
-    resumed = fit(path, starts=STARTS, search_progress=resumed_told.append)
+    with monkeypatch.context() as patch:
+        after = Evaluations(patch)
+        resumed = fit(path, starts=STARTS, search_progress=resumed_told.append)
     same_search(resumed.starts, whole.starts)
     np.testing.assert_array_equal(resumed.z, whole.z)
     assert_same_history(resumed.history, whole.history)
     # Only images that were under way are repeated: the first start runs alone.
     twice = {p[:3] for p in told} & {p[:3] for p in resumed_told}
-    assert len(twice) <= (1 if {p.start for p in told} == {0} else STARTS - 1)
+    under_way = 1 if {p.start for p in told} == {0} else STARTS - 1
+    assert len(twice) <= under_way
+    most = under_way * (FROM_ANYWHERE.max_steps + 1) + 1  # and the first of all
+    assert before.n + after.n <= searched.n + most
 
 
 @pytest.mark.slow

@@ -132,6 +132,18 @@ def test_errors_go_from_the_start_to_the_end(measured, plain):
         assert np.isfinite(plain.errors[i]).sum() == steps + 1
 
 
+def test_starts_of_one_group_change_nothing_for_each_other(measured, mirrored):
+    """Bit for bit, whichever thread takes a lane; a lost one too."""
+    lost = jnp.full_like(measured.starts[0], jnp.nan)
+    starts = jnp.stack([measured.starts[0], measured.starts[2], lost])
+    again = multi_start(measured.problem, starts)
+    for name in ("z", "cost", "steps", "converged", "errors"):
+        for ours, theirs in ((0, 0), (1, 2)):
+            np.testing.assert_array_equal(
+                getattr(again, name)[ours], getattr(mirrored, name)[theirs]
+            )
+
+
 def test_order_of_the_starts_changes_no_optimum(measured, mirrored):
     """Nor does a lost one; the first to reach an optimum runs to its end there."""
     lost = jnp.full_like(measured.starts[0], jnp.nan)
