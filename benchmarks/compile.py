@@ -10,6 +10,8 @@ result, the equilibria of the poses, and to the end of its calibration.
 The same starts of the commit `BEFORE`, the last one before error budgets became a solve
 of their own, take turns with these, so that ratios do not depend on the day. The answer
 is there when the line "So far" is printed; before, when the demo has ended.
+
+Last, what the error of the mesh takes beside a fit.
 """
 
 import json
@@ -22,6 +24,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from benchmarks._mesh_error import ROBOTS
 from benchmarks._paper import CELLS, Cells
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from benchmarks._timing import ROOT, run_process
@@ -36,6 +39,8 @@ GOALS = {
     "answer_warm_over_before": Goal("at most", 0.12),
     "beam_cold_over_before": Goal("at most", 0.5),
     "tracing_warm_over_before": Goal("at most", 0.25),
+    "mesh_error_over_fit": Goal("at most", 0.15),
+    "mesh_error_memory_over_fit": Goal("at most", 1.5),
     "recompilations_after_first_step": Goal("at most", 0),
     "beam_programs_not_kept": Goal("at most", 0),
 }
@@ -98,6 +103,7 @@ def run(options: Options) -> Outcome:
         for name, values in samples.items()
     }
     figures |= over_before(samples, before)
+    figures |= mesh_errors(options)
     seconds = {name: times for name, times in samples.items() if name not in COUNTS}
     return Outcome(figures, seconds, GOALS, [_table(figures)])
 
@@ -196,6 +202,20 @@ def beam_starts(cells: Cells, folder: Path = ROOT) -> dict[str, float]:
     found["beam_programs"] = told["programs"]
     found["beam_programs_not_kept"] = told["programs"] - told["from_disk"]
     return found
+
+
+def mesh_errors(options: Options) -> dict[str, Figure]:
+    """What the error of the mesh takes over the fit, of each robot and the worst."""
+    figures: dict[str, Figure] = {}
+    for robot in ROBOTS:
+        options.say(f"error of the mesh, {robot}")
+        command = [sys.executable, "-m", "benchmarks._mesh_error", robot]
+        told = json.loads(run_process(command).splitlines()[-1])
+        for what, value in told.items():
+            worst, own = f"mesh_error_{what}", f"{robot}_mesh_error_{what}"
+            figures[own] = value
+            figures[worst] = max(figures.get(worst, 0.0), value)
+    return figures
 
 
 def _at_home(home: str, folder: Path = ROOT) -> dict[str, str]:

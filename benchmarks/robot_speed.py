@@ -24,6 +24,7 @@ from softcal_jax.calibration import CalibrationResult, calibrate
 from softcal_jax.configurations import (
     AbstractEffector,
     BodyFrame,
+    Configuration,
     configuration_arrays,
 )
 from softcal_jax.control import ControlSettings, solve_inverse
@@ -66,11 +67,16 @@ def run(options: Options) -> Outcome:
     return Outcome(figures, goals=GOALS, tables=[Table("Speed", ["", ""], rows)])
 
 
-def calibration_figures() -> dict[str, Figure]:
-    """Time of the second calibration, and peak memory of this process."""
+def measured_robot() -> tuple[ParallelRobot, tuple[Configuration, ...]]:
+    """The robot, and its poses as a printed one takes them."""
     robot = parallel_robot(size=SIZE, setup=None)
     printed = printed_robot(robot.geometry, seed=0, size=PRINTED_SIZE)
-    measured = read_poses_of(printed, robot.configurations, seed=0)
+    return robot, read_poses_of(printed, robot.configurations, seed=0)
+
+
+def calibration_figures() -> dict[str, Figure]:
+    """Time of the second calibration, and peak memory of this process."""
+    robot, measured = measured_robot()
     seconds: list[float] = []
     results: list[CalibrationResult] = []
     for _ in range(2):

@@ -117,14 +117,15 @@ def calibrate(
             disk, the calibration goes on with a warning and a note.
         progress: Called after the first evaluation and after each step.
         search_progress: Called after each step of a search, in one of its threads.
-        equilibrium_progress: Called while the first equilibria are solved.
+        equilibrium_progress: Called while equilibria are solved from rest: the first,
+            and those that are held out.
         answer: Called with the result so far, standard errors by the noise alone, once
             the steps have ended and held-out configurations are predicted.
         stage: Called with what is computed next, and what it takes.
 
     Returns:
         The result; `result.converged` says whether lambda_p vanished. Ctrl-C ends the
-        steps, or the intervals, and returns what was found so far, with a note and
+        steps, or what comes after, and returns what was found so far, with a note and
         `result.interrupted`; a second Ctrl-C, and one before the first step, raises.
 
     Raises:

@@ -13,6 +13,7 @@ import numpy as np
 
 from softcal_jax._lanes import lane_of, stacked
 from softcal_jax._module import Module, one_line
+from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._problem import (
@@ -227,30 +228,36 @@ class Evaluator:
         response = self.response(z, guess, before, precise)
         return weighed(self.numbered, z, response)
 
+    def response_of(
+        self, lane: int, z: Float[Array, " n_p"], guess: Float[Array, "n_points 3"]
+    ) -> Response:
+        """Compute equilibrium and compliances of one lane, not `precise`."""
+        arguments = (z, self.lanes[lane], guess, guess, jnp.asarray(False))
+        return self.workers.map(self._program, [arguments])[0]
+
+    def posed(self, z: Float[Array, " n_p"]) -> tuple[Model, ConfigurationArrays]:
+        """Return model and configurations with scaled parameters set [-]."""
+        return _posed(self.numbered.with_noise(None), z)
+
     def equilibria(
         self, z: Float[Array, " n_p"], report: Report | None = None
     ) -> EquilibriumSolution:
         """Solve the equilibria from rest; see the function of this name."""
-        posed = _posed(self.numbered.with_noise(None), z)
-        return equilibria(self.workers, *posed, self.problem.newton, report=report)
+        posed, newton = self.posed(z), self.problem.newton
+        return equilibria(self.workers, *posed, newton, report=report)
 
     def effectors(
         self, z: Float[Array, " n_p"], solution: EquilibriumSolution
     ) -> Float[Array, "n_c n_rows 3"]:
         """Compute effector coordinates at these equilibria."""
-        posed = _posed(self.numbered.with_noise(None), z)
-        return effectors_on_all_cores(self.workers, *posed, solution)
+        return effectors_on_all_cores(self.workers, *self.posed(z), solution)
 
     def from_rest(self, z: Float[Array, " n_p"]) -> Evaluation:
         """Evaluate without a guess from another evaluation, see `solve_from_rest`."""
-        return weighed(self.numbered, z, self.response_from_rest(z))
-
-    def response_from_rest(self, z: Float[Array, " n_p"]) -> Response:
-        """Respond without a guess from another evaluation."""
         guess = at_rest(self.problem)
         if self.problem.model.mechanism.bodies.n_bodies > 0:
             guess = as_guess(self.equilibria(z))
-        return self.response(z, guess)
+        return self(z, guess)
 
     def energy_compliances(
         self, z: Float[Array, " n_p"], u: Float[Array, "n_c n_points 3"]
@@ -307,62 +314,121 @@ class HeldOut(NamedTuple):
     before: Float[HostArray, "n_c n_rows 3"]
     response: Response
     notes: tuple[str, ...]
+    interrupted: bool
+
+
+class _Chain(NamedTuple):
+    """Held-out configurations at some parameters, by index, as they are solved.
+
+    `before` is a configuration that was fitted, with the same parameters.
+    """
+
+    z: Float[Array, " n_p"]
+    before: Response
+    solved: dict[int, Response]
+
+    @property
+    def none(self) -> Response:
+        """A response without an equilibrium."""
+        zeros = jax.tree.map(lambda leaf: np.zeros_like(np.asarray(leaf)), self.before)
+        where = lambda response: response.equilibrium.result
+        return eqx.tree_at(where, zeros, RESULTS.max_steps)
+
+    def all(self, n: int) -> Response:
+        """Stack the first `n`, whether solved or not."""
+        return stacked([self.solved.get(i, self.none) for i in range(n)])
 
 
 def held_out_responses(
     evaluate: Evaluator,
     configurations: Sequence[Configuration],
     *,
-    start: Float[Array, " n_p"],
-    z: Float[Array, " n_p"],
+    start: tuple[Float[Array, " n_p"], Response],
+    end: tuple[Float[Array, " n_p"], Response],
+    report: Report,
 ) -> HeldOut:
-    """Solve held-out configurations with the start and the calibrated parameters.
+    """Solve held-out configurations with the parameters at the end and at the start.
 
-    Near a limit point an equilibrium need not be found from rest: there the path of the
-    configuration is followed by arc length, and its end is where the search begins
-    anew. A configuration without equilibrium is left out with a note: it must neither
-    count as a prediction nor cost the user the fit.
+    Both come with the response of a configuration that was fitted, whose equilibrium
+    robots with rigid bodies begin from. Near a limit point an equilibrium need not be
+    found from rest: there the path of the configuration is followed by arc length, and
+    its end is where the search begins anew. A configuration without equilibrium is left
+    out with a note, as it must neither count as a prediction nor cost the user the fit;
+    so are those that Ctrl-C cuts off. `report` is called as by `equilibria`.
     """
-    first, last = evaluate.workers.side_by_side(
-        partial(evaluate.response_from_rest, p) for p in (start, z)
-    )
-    guess, carried = _along_paths(evaluate, z, last.equilibrium)
-    if any(share == 1.0 for share in carried.values()):
-        last = evaluate.response(z, guess)
-    converged = np.asarray(last.equilibrium.converged)
-    notes = [
-        f"{configurations[i].name} is not predicted: with the calibrated parameters it "
-        "has no equilibrium. Along its path (`LoadPath`) it carries at most "
-        f"{100.0 * share:.3g} % of its load."
-        for i, share in carried.items()
-        if not converged[i]
-    ]
+    n = len(configurations)
+    last, first = _Chain(*end, {}), _Chain(*start, {})
+    bodies = evaluate.problem.model.mechanism.bodies.n_bodies > 0
+    groups = [range(n)] if bodies else [range(i, i + 1) for i in range(n)]
+    carried: dict[int, float] = {}
+    interrupted = False
+    try:
+        evaluate.workers.side_by_side(
+            partial(_solve_group, evaluate, chain, group, report)
+            for chain in (last, first)
+            for group in groups
+        )
+        _follow_paths(evaluate, last, carried)
+    except KeyboardInterrupt:
+        interrupted = True
+    response, before = last.all(n), first.all(n)
+    converged = np.asarray(response.equilibrium.converged)
+    notes = []
+    for i in np.flatnonzero(~converged).tolist():
+        why = "with the calibrated parameters it has no equilibrium"
+        if i in carried:
+            share = f"{100.0 * carried[i]:.3g} % of its load"
+            why += f". Along its path (`LoadPath`) it carries at most {share}"
+        elif interrupted:
+            why = "this was interrupted"
+        notes.append(f"{configurations[i].name} is not predicted: {why}.")
     notes += unscoped_notes(evaluate.problem.space, configurations)
     # A pose that only the start parameters cannot hold has no "before".
-    held = np.asarray(first.equilibrium.converged)[:, None, None]
-    before = np.where(held, np.asarray(first.effectors), np.nan)
-    return HeldOut(before, last, tuple(notes))
+    held = np.asarray(before.equilibrium.converged)[:, None, None]
+    effectors = np.where(held, np.asarray(before.effectors), np.nan)
+    return HeldOut(effectors, response, tuple(notes), interrupted)
 
 
-def _along_paths(
-    evaluate: Evaluator, z: Float[Array, " n_p"], solution: EquilibriumSolution
-) -> tuple[Float[Array, "n_c n_points 3"], dict[int, float]]:
+def _solve_group(
+    evaluate: Evaluator, chain: _Chain, group: Sequence[int], report: Report
+) -> None:
+    """Solve configurations from rest; rigid bodies go on from the one before."""
+    model, lanes = evaluate.posed(chain.z)
+    settings, before = evaluate.problem.newton, chain.before.equilibrium.displacement
+    guess = before if model.mechanism.bodies.n_bodies > 0 else jnp.zeros_like(before)
+    for i in group:
+        solution = equilibria(
+            evaluate.workers,
+            model,
+            lane_of(lanes, slice(i, i + 1)),
+            settings,
+            guess=guess[None],
+            report=lambda _, load, steps, i=i: report(i, load, steps),
+        )
+        if solution.converged[0]:
+            guess = solution.displacement[0]
+            chain.solved[i] = evaluate.response_of(i, chain.z, guess)
+        else:
+            chain.solved[i] = chain.none
+
+
+def _follow_paths(
+    evaluate: Evaluator, chain: _Chain, carried: dict[int, float]
+) -> None:
     """Follow what is not in equilibrium from rest along its load.
 
-    Returns displacements to start from, and the largest share of its load that each of
-    these configurations carries.
+    `carried` gets the largest share of its load that each of these carries.
     """
-    lost = np.flatnonzero(~np.asarray(solution.converged)).tolist()
-    if not lost:
-        return solution.displacement, {}
-    guess, carried = np.array(solution.displacement), {}
-    model, arrays = evaluate.problem.at(z)
-    for i in lost:
-        newton, lane = evaluate.problem.newton, lane_of(arrays, i)
-        path = solve_equilibrium(model, lane, settings=newton, path=LoadPath())
+    lost = [i for i, r in chain.solved.items() if not bool(r.equilibrium.converged)]
+    model, lanes = evaluate.posed(chain.z)
+    for i in sorted(lost):
+        path = solve_equilibrium(
+            model, lane_of(lanes, i), settings=evaluate.problem.newton, path=LoadPath()
+        )
         carried[i] = min(float(np.max(path.load)), 1.0)
-        guess[i] = path.displacement[-1]
-    return jax.device_put(guess), carried
+        if carried[i] == 1.0:
+            guess = jax.device_put(path.displacement[-1])
+            chain.solved[i] = evaluate.response_of(i, chain.z, guess)
 
 
 def unscoped_notes(

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._clock import Clock
+from softcal_jax._lanes import lane_of
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checked_intervals import Fitted
 from softcal_jax.calibration._checkpoint import Journal
@@ -49,6 +50,7 @@ from softcal_jax.calibration._problem import (
     CalibrationProblem,
     CalibrationSettings,
     EquilibriumProgress,
+    reports_of,
 )
 from softcal_jax.calibration._result import (
     CalibrationResult,
@@ -191,7 +193,7 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
         start = _start(task, watch, batch, workers)
         place = _place(task, watch, start, journal, resume)
         weighed = _descended(task, start, place, journal)
-        predicted = _predicted(task, batch, start, weighed)
+        predicted = _predicted(task, watch, batch, start, weighed, journal)
         found = _Found(start, place, weighed, predicted, journal, clock)
         poses, arrays = task.configurations, predicted.problem.configurations
         setting = Setting(task.model, task.space, poses, arrays, task.uncertain)
@@ -320,14 +322,29 @@ def _descended(task: Task, start: Start, place: _Place, journal: Journal) -> Wei
     return weighed._replace(notes=(*of_steps, *journal.notes, *weighed.notes))
 
 
-def _predicted(task: Task, batch: Batch, start: Start, weighed: Weighed) -> _Predicted:
+def _predicted(
+    task: Task,
+    watch: Watch,
+    batch: Batch,
+    start: Start,
+    weighed: Weighed,
+    journal: Journal,
+) -> _Predicted:
     """Describe all configurations at the optimum; solve those that were held out."""
     z, n_fitted, everything = weighed.state.z, len(task.fitted), batch.everything
     before, response = start.evaluation.effectors, weighed.state.evaluation.response
     notes = ()
     if task.held_out:
-        others = Evaluator(everything.without_first(n_fitted), start.evaluate.workers)
-        held = held_out_responses(others, task.held_out, start=start.z, z=z)
+        names = tuple(c.name for c in task.held_out)
+        watch.stage(f"predicting {', '.join(names)}")
+        held = held_out_responses(
+            Evaluator(everything.without_first(n_fitted), start.evaluate.workers),
+            task.held_out,
+            start=(start.z, lane_of(start.evaluation.response, -1)),
+            end=(z, lane_of(response, -1)),
+            report=reports_of(watch.equilibrium_progress, names) or (lambda *_: None),
+        )
+        journal.interrupted |= held.interrupted
         join = lambda *parts: np.concatenate([*map(np.asarray, parts)])
         before, notes = join(before, held.before), held.notes
         response = jax.device_put(jax.tree.map(join, response, held.response))

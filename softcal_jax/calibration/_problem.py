@@ -1,6 +1,7 @@
 """A calibration as arrays: its lanes, their equilibria, and its linear model."""
 
 import math
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -42,12 +43,15 @@ MOST_STEPS = 1_000_000
 STEPS_BETWEEN = 2
 """Newton iterations of a configuration between two reports."""
 
+FORESEEN_S = 5.0
+"""Time after which the share of the load tells how long an equilibrium takes [s]."""
+
 Report = Callable[[int, float, int], None]
 """Takes the index of a configuration, the share of its load, and its iterations."""
 
 
 class EquilibriumProgress(NamedTuple):
-    """Progress of the first equilibrium of a configuration: Newton iterations so far.
+    """Progress of an equilibrium from rest: Newton iterations and seconds so far.
 
     `load` is the share of the load that is carried, `stiffer` the factor on the moduli
     of the start [-].
@@ -57,16 +61,22 @@ class EquilibriumProgress(NamedTuple):
     load: float
     steps: int
     stiffer: float
+    seconds: float
 
     __repr__ = one_line
 
     def __str__(self) -> str:
         """Write it in one line."""
-        raised = f", moduli {self.stiffer:g} times the start" * (self.stiffer > 1.0)
-        return (
+        text = (
             f"equilibrium of {self.configuration}: {100.0 * self.load:.0f} % of the "
-            f"load, step {self.steps}{raised}"
+            f"load, step {self.steps}"
         )
+        if self.stiffer > 1.0:
+            text += f", moduli {self.stiffer:g} times the start"
+        if self.seconds > FORESEEN_S and 0.0 < self.load < 1.0:
+            left = self.seconds * (1.0 - self.load) / self.load
+            text += f", about {left:.0f} s left"
+        return text
 
 
 def reports_of(
@@ -77,9 +87,14 @@ def reports_of(
     """Return a report for `equilibria`, which knows configurations by index alone."""
     if progress is None:
         return None
-    return lambda c, load, steps: progress(
-        EquilibriumProgress(names[c], load, steps, factor)
-    )
+    begun: dict[int, float] = {}
+
+    def report(c: int, load: float, steps: int) -> None:
+        now = time.monotonic()
+        seconds = now - begun.setdefault(c, now)
+        progress(EquilibriumProgress(names[c], load, steps, factor, seconds))
+
+    return report
 
 
 def _lanes_of(batch: ConfigurationArrays) -> list[ConfigurationArrays]:

@@ -114,14 +114,8 @@ def step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], N
         noise = entry.noise_level
         what = f"step {entry.step}" if entry.step else "start"
         show.note(f"{what:<8} {misfit}   {moved}   {values}{note}")
-        last = entry.step == project.settings.max_steps
-        finished = last or (entry.step > 0 and size <= project.settings.tol)
-        if finished and project.validation:
-            names = ", ".join(c.name for c in project.validation)
-            show.now(f"predicting {names}")
-        else:
-            more = f" of at most {project.settings.max_steps}"
-            show.now(f"step {entry.step + 1}{more}", log=False)
+        more = f" of at most {project.settings.max_steps}"
+        show.now(f"step {entry.step + 1}{more}", log=False)
 
     return progress
 
@@ -142,7 +136,7 @@ def so_far(result: "CalibrationResult", show: Display) -> None:
 
 
 def equilibrium_lines(show: Display) -> "Callable[[EquilibriumProgress], None]":
-    """Return a callback that shows how far the first equilibria are.
+    """Return a callback that shows how far equilibria from rest are.
 
     A line stays where the moduli of the start are raised.
     """

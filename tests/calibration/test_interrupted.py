@@ -1,6 +1,7 @@
 """Ctrl-C ends a calibration with what has been fitted."""
 
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -79,6 +80,27 @@ def interrupted_in(part):
     assert result.converged
     assert says(result.notes[-1], "Interrupted")
     return result
+
+
+def test_an_interrupted_prediction_leaves_those_before(whole, monkeypatch):
+    """On one core, where poses are predicted one after the other."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    held_out = [replace(pose, name=f"{pose.name} again") for pose in measured()]
+
+    def told(now):
+        if now.configuration == held_out[1].name:
+            signal.raise_signal(signal.SIGINT)
+
+    result = fitted(validation=held_out, equilibrium_progress=told)
+    assert result.interrupted
+    assert result.converged
+    assert result.value("E") == pytest.approx(whole.value("E"), rel=1e-9)
+    first, _, again = result.configurations
+    assert (again.name, again.role) == ("hanging again", "validation")
+    assert again.rms_after == pytest.approx(first.rms_after, rel=1e-6)
+    assert np.isnan(again.rms_before)
+    assert says(result.notes, "pushed again is not predicted: this was interrupted.")
+    assert not any("hanging again" in note for note in result.notes)
 
 
 def test_an_interruption_after_the_fit_leaves_it(whole):
