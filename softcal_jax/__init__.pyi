@@ -9,7 +9,11 @@ from softcal_jax.actuators import (
 )
 from softcal_jax.bodies import Pose as Pose, RigidBody as RigidBody
 from softcal_jax.calibration import (
+    bounded_step as bounded_step,
+    build_problem as build_problem,
     calibrate as calibrate,
+    evaluate as evaluate,
+    multi_start as multi_start,
     profile_intervals as profile_intervals,
 )
 from softcal_jax.configurations import (
@@ -27,7 +31,11 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.control import solve_inverse as solve_inverse
 from softcal_jax.equilibrium import (
+    LoadPath as LoadPath,
     build_model as build_model,
+    check_converged as check_converged,
+    lanes as lanes,
+    marker_positions as marker_positions,
     solve_equilibrium as solve_equilibrium,
 )
 from softcal_jax.exchange.icesl import export_icesl as export_icesl
@@ -38,6 +46,8 @@ from softcal_jax.fields import (
     ControlPoints as ControlPoints,
     Parameter as Parameter,
     ParameterSpace as ParameterSpace,
+    exactly_known as exactly_known,
+    set_field as set_field,
 )
 from softcal_jax.identifiability import (
     assess as assess,
@@ -53,6 +63,7 @@ from softcal_jax.materials import (
     ReducedTransverseIsotropic as ReducedTransverseIsotropic,
 )
 from softcal_jax.mesh import (
+    TetMesh as TetMesh,
     beam as beam,
     read_mesh as read_mesh,
     select_nodes as select_nodes,
@@ -66,6 +77,7 @@ from softcal_jax.robots import (
     simulated_measurements as simulated_measurements,
     synthetic_measurements as synthetic_measurements,
 )
+from softcal_jax.sensitivity import parameter_compliance as parameter_compliance
 
 __version__: str
 __all__: list[str]

@@ -139,7 +139,13 @@ def bounded_step(
         raise ValueError(f"damping must be positive, got {damping}.")
     if A is None or b is None:
         A, b = jnp.zeros((0, W.shape[1]), W.dtype), jnp.zeros(0, W.dtype)
-    return solved_qp(scaled_qp(W, error, QPLimits(lower, upper, A, b, damping)))
+    limits = QPLimits(lower, upper, A, b, jnp.asarray(damping))
+    return _bounded_step(W, error, limits)
+
+
+@jax.jit
+def _bounded_step(W, error, limits: QPLimits) -> QPStep:
+    return solved_qp(scaled_qp(W, error, limits))
 
 
 def scaled_qp(

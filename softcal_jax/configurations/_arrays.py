@@ -1,10 +1,13 @@
 """Configurations as arrays: what the solver sees, one lane per configuration."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 
+from softcal_jax._lanes import lane_of
 from softcal_jax._module import Module
-from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int, is_traced
 from softcal_jax.bodies import BodyStateArrays, rotation_matrix
 
 AnyArray = Array | HostArray
@@ -137,7 +140,8 @@ class DeadLoads(Module):
 class ConfigurationArrays(Module):
     """Supports, loads and effectors of one configuration, or of a batch.
 
-    The nodes are those of the mesh, then those of the frames of the rigid bodies.
+    A batch has a length, and `batch[0]` is its first configuration; so has a slice. The
+    nodes are those of the mesh, then those of the frames of the rigid bodies.
 
     Attributes:
         key: `name_key` of the configuration and of its recording: arrays hold no text.
@@ -163,6 +167,33 @@ class ConfigurationArrays(Module):
     bodies: BodyStateArrays
     actuation: ActuationArrays
     effectors: EffectorArrays
+
+    @property
+    def is_batch(self) -> bool:
+        """Whether there is a leading axis."""
+        return np.ndim(self.gravity) > 1
+
+    def _words(self) -> str:
+        what = f"a batch of {len(self)}" if self.is_batch else "one configuration"
+        return f"{what}, {np.shape(self.fixed)[-2]} nodes"
+
+    def __len__(self) -> int:
+        """Return the number of configurations of a batch."""
+        if not self.is_batch:
+            raise TypeError("this is one configuration, and no batch of them.")
+        return len(self.gravity)
+
+    def __bool__(self) -> bool:
+        """Return True, as other records are, also without a length."""
+        return True
+
+    def __getitem__(self, index: int | slice) -> "ConfigurationArrays":
+        """Return one configuration of a batch, or a shorter batch."""
+        if isinstance(index, int) and not -len(self) <= index < len(self):
+            raise IndexError(f"there is no lane {index}: the batch has {len(self)}.")
+        if any(map(is_traced, jax.tree.leaves(self))):
+            return jax.tree.map(lambda leaf: leaf[index], self)
+        return lane_of(self, index)
 
     @property
     def acceleration(self) -> Float[Array, "3"]:

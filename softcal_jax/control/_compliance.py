@@ -84,6 +84,7 @@ def with_inputs(
     return eqx.tree_at(lambda c: c.actuation.value, configuration, value)
 
 
+@eqx.filter_jit
 def actuator_compliance(
     model: Model, configuration: ConfigurationArrays, solution: EquilibriumSolution
 ) -> ActuatorCompliance:

@@ -65,6 +65,7 @@ from softcal_jax.equilibrium._solution import (
 from softcal_jax.equilibrium._solve import (
     begin_newton as begin_newton,
     continue_newton as continue_newton,
+    lanes as lanes,
     solve_equilibrium as solve_equilibrium,
     solve_from_rest as solve_from_rest,
 )

@@ -6,6 +6,7 @@ or two full Newton steps reach it.
 
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -77,6 +78,7 @@ class _Quick(NamedTuple):
     done: Bool[Array, ""]
 
 
+@eqx.filter_jit
 def continue_equilibrium(
     model: Model,
     configuration: ConfigurationArrays,

@@ -202,6 +202,7 @@ def linearise(
     )
 
 
+@eqx.filter_jit
 def factor_solve(
     model: Model,
     configuration: ConfigurationArrays,

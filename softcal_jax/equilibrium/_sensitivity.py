@@ -7,6 +7,7 @@ user differentiates.
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -111,6 +112,7 @@ class Sensitivity(NamedTuple):
     __repr__ = one_line
 
 
+@eqx.filter_jit
 def sensitivity(
     linearisation: Linearisation,
     rows: InputRows,
@@ -155,6 +157,7 @@ class AdjointRows(NamedTuple):
     ok: Bool[Array, ""]
 
 
+@eqx.filter_jit
 def adjoint_rows(linearisation: Linearisation, readings: Readings) -> AdjointRows:
     """Solve for the rows of H_e, one right-hand side per reading."""
     lin = linearisation

@@ -49,6 +49,14 @@ class EquilibriumSolution(Module):
         """Whether each configuration reached a regular equilibrium."""
         return self.result == RESULTS.converged
 
+    def _words(self) -> str:
+        good = np.asarray(self.converged)
+        steps, residual = np.max(np.asarray(self.steps)), np.max(self.residual)
+        how = f"{steps} Newton steps, residual {residual:.1e}"
+        if good.ndim == 0:
+            return f"{RESULTS[self.result]}; {how}"
+        return f"{good.sum()} of {good.size} converged; at most {how}"
+
 
 def no_equilibrium(solution: EquilibriumSolution, names: tuple[str, ...]) -> str:
     """Say which lanes of a batch have no equilibrium, and why; empty if none."""

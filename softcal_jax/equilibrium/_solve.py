@@ -1,5 +1,6 @@
 """Static equilibrium of a configuration, differentiable and batched."""
 
+from collections.abc import Sequence
 from typing import overload
 
 import equinox as eqx
@@ -9,7 +10,11 @@ import jax.numpy as jnp
 from softcal_jax._process import check_process
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Int
-from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationArrays,
+    configuration_arrays,
+)
 from softcal_jax.equilibrium._linearisation import linearise
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import (
@@ -112,6 +117,11 @@ def _equilibrium_jvp(primals, tangents):
     )
 
 
+# Called eagerly too, an equilibrium is compiled once for each set of shapes.
+_compiled_equilibrium = eqx.filter_jit(_equilibrium)
+
+
+@eqx.filter_jit
 def solve_from_rest(
     model: Model,
     configurations: ConfigurationArrays,
@@ -134,10 +144,22 @@ def solve_from_rest(
     return jax.lax.scan(follow, rest, configurations)[1]
 
 
+def lanes(model: Model, poses: Sequence[Configuration]) -> ConfigurationArrays:
+    """Return configurations as a batch of arrays, to be solved under `vmap`.
+
+    `lanes(model, poses)[0]` is the first of them. They share one compiled program.
+
+    Raises:
+        ValueError: If there is none, names repeat, one is not held, what it names is
+            unknown, a body has held nodes, or a marker stands too far from the mesh.
+    """
+    return configuration_arrays(model.mesh, poses, model.mechanism)
+
+
 @overload
 def solve_equilibrium(
     model: Model,
-    configuration: ConfigurationArrays,
+    configuration: Configuration | ConfigurationArrays,
     *,
     guess: Nodal | None = None,
     settings: NewtonSettings | None = None,
@@ -148,7 +170,7 @@ def solve_equilibrium(
 @overload
 def solve_equilibrium(
     model: Model,
-    configuration: ConfigurationArrays,
+    configuration: Configuration | ConfigurationArrays,
     *,
     settings: NewtonSettings | None = None,
     path: LoadPath,
@@ -157,7 +179,7 @@ def solve_equilibrium(
 
 def solve_equilibrium(
     model: Model,
-    configuration: ConfigurationArrays,
+    configuration: Configuration | ConfigurationArrays,
     *,
     guess: Nodal | None = None,
     settings: NewtonSettings | None = None,
@@ -170,7 +192,7 @@ def solve_equilibrium(
 
     Args:
         model: The model.
-        configuration: Supports and loads of one configuration.
+        configuration: Supports and loads of one configuration, as it is or of `lanes`.
         guess: Displacement to start from [m]; rest by default.
         settings: Settings of Newton's method.
         path: Traces all states from rest along the load by arc length, also past limit
@@ -181,15 +203,44 @@ def solve_equilibrium(
         states along the load.
 
     Raises:
-        ValueError: If a path is asked for together with a guess, or under `jit`, or
-            float64 is off in JAX.
+        ValueError: If the configuration is a batch or of another model, the guess has
+            another shape or is not float64, a path is asked for together with a guess
+            or under `jit`, or float64 is off in JAX.
         RuntimeError: If this process was forked from one that had computed.
     """
     check_process()
+    configuration = _one(model, configuration)
     if path is not None:
         if guess is not None:
             raise ValueError("a path begins at rest: leave out `guess`.")
         numbers = (settings or NewtonSettings()).as_arrays()
         return trace(model, configuration, path, numbers)
-    u0 = jnp.zeros((model.n_points, 3)) if guess is None else guess
-    return _equilibrium(model, configuration, u0, settings or NewtonSettings())
+    u0 = jnp.zeros((model.n_points, 3)) if guess is None else jnp.asarray(guess)
+    if u0.shape != (model.n_points, 3) or u0.dtype != jnp.float64:
+        raise ValueError(
+            f"the guess is {u0.dtype} of shape {u0.shape}; expected float64 of shape "
+            f"({model.n_points}, 3), a displacement of each node [m]."
+        )
+    settings = settings or NewtonSettings()
+    return _compiled_equilibrium(model, configuration, u0, settings)
+
+
+def _one(
+    model: Model, configuration: Configuration | ConfigurationArrays
+) -> ConfigurationArrays:
+    """Return the arrays of one configuration of this model, or raise ValueError."""
+    if isinstance(configuration, Configuration):
+        return lanes(model, [configuration])[0]
+    if configuration.is_batch:
+        raise ValueError(
+            f"this is a batch of {len(configuration)} configurations, and one is "
+            "solved at a time: take one, batch[0], or all of them by "
+            "jax.vmap(lambda lane: solve_equilibrium(model, lane))(batch)."
+        )
+    if (n := len(configuration.fixed)) != model.n_points:
+        raise ValueError(
+            f"the configuration is of a mesh with {n} nodes, those of the frames of "
+            f"rigid bodies included; the model has {model.n_points}. Make it by "
+            "lanes(model, poses)."
+        )
+    return configuration

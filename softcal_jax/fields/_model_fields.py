@@ -28,12 +28,19 @@ def set_field(
         region: Tet group that it applies to; the whole mesh by default.
 
     Raises:
-        ValueError: If the field or the region does not exist, or the field is not
-            unique.
+        ValueError: If the field or the region does not exist, the field is not unique,
+            or there are neither one value nor as many as tets.
     """
     where = find_field(model, field)
     old = where(model)
     new = jnp.asarray(value, float)
+    n_tets = len(region_tets(model.mesh, region))
+    if new.shape not in ((), (n_tets,)):
+        of = "the mesh" if region is None else f"region {region!r}"
+        raise ValueError(
+            f"{field} has shape {new.shape}; expected one value, or one per tet: {of} "
+            f"has {n_tets} tets."
+        )
     if region is not None:
         new = _in_tets(old, new, model.mesh.tets_of(region), model.mesh.n_tets)
     else:

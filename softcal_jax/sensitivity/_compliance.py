@@ -2,6 +2,7 @@
 
 from typing import Literal, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -30,6 +31,7 @@ The next equilibria start from that; a dozen right-hand sides cost one factoriza
 """
 
 
+@eqx.filter_jit
 def parameter_compliance(
     model: Model,
     configuration: ConfigurationArrays,
@@ -68,6 +70,7 @@ class EnergyCompliance(NamedTuple):
     __repr__ = one_line
 
 
+@eqx.filter_jit
 def energy_compliance(
     model: Model,
     configuration: ConfigurationArrays,
@@ -134,6 +137,7 @@ class Response(NamedTuple):
     __repr__ = one_line
 
 
+@eqx.filter_jit
 def equilibrium_response(
     model: Model,
     configuration: ConfigurationArrays,

@@ -1,5 +1,6 @@
 """Row of the error of the mesh, estimated on the mesh at hand."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -38,6 +39,7 @@ def stress_patches(model: Model) -> Recovery:
     return jax.device_put(recovery(model.mesh, deforming))
 
 
+@eqx.filter_jit
 def mesh_row(linearisation: Linearisation, patches: Recovery) -> InputRows:
     """Compute the row of Eq. (9) of the finite size of the tets.
 

@@ -35,6 +35,7 @@ from softcal_jax.equilibrium import (
 from softcal_jax.fields import ParameterSpace, find_field
 
 
+@eqx.filter_jit
 def parameter_forces(
     model: Model,
     configuration: ConfigurationArrays,
@@ -67,6 +68,7 @@ def parameter_forces(
     return forces.at[others].set(found)
 
 
+@eqx.filter_jit
 def parameter_rows(
     linearisation: Linearisation, space: ParameterSpace, z: Float[Array, " n_p"]
 ) -> InputRows:
@@ -165,6 +167,7 @@ def _field_rows(
     return total
 
 
+@eqx.filter_jit
 def adjoint_of_tets(
     linearisation: Linearisation,
     fields: tuple[str, ...],

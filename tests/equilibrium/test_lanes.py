@@ -1,0 +1,92 @@
+"""Configurations as arrays: one, a batch, and what does not fit."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softcal_jax import (
+    Configuration,
+    NeoHookean,
+    Support,
+    beam,
+    build_model,
+    lanes,
+    set_field,
+    solve_equilibrium,
+)
+
+
+def model_of(cells):
+    mesh = beam(0.1, 0.02, 0.02, cells, order=1)
+    return build_model(mesh, NeoHookean(1e5, 0.3), density=1000.0)
+
+
+MODEL = model_of((2, 1, 1))
+POSES = [
+    Configuration(name, [Support("x_min")], (0.0, 0.0, g))
+    for name, g in {"hang": -9.81, "up": 9.81, "crushed": 1e7}.items()
+]
+BATCH = lanes(MODEL, POSES)
+
+
+def solve(lane):
+    return solve_equilibrium(MODEL, lane)
+
+
+def test_a_batch_has_a_length_and_its_lanes():
+    assert len(BATCH) == 3
+    assert [float(lane.gravity[2]) for lane in BATCH] == [-9.81, 9.81, 1e7]
+    assert float(BATCH[-2].gravity[2]) == 9.81
+    assert len(BATCH[1:]) == 2
+    assert BATCH[0]
+    with pytest.raises(IndexError, match="no lane 3: the batch has 3"):
+        BATCH[3]
+    with pytest.raises(TypeError, match="one configuration"):
+        len(BATCH[0])
+    assert "batch of 3" in repr(BATCH)
+    assert "one configuration" in repr(BATCH[0])
+
+
+def test_a_configuration_is_solved_as_its_lane_is():
+    u = solve(BATCH[1]).displacement
+    np.testing.assert_array_equal(solve(POSES[1]).displacement, u)
+    within = jax.jit(lambda batch: solve(batch[1]).displacement)(BATCH)
+    np.testing.assert_allclose(within, u, rtol=1e-9, atol=1e-12)
+
+
+def test_a_solution_says_first_how_it_ended():
+    assert repr(solve(BATCH[0])).startswith("EquilibriumSolution: converged; ")
+    failed = solve(BATCH[2])
+    assert repr(failed)[len("EquilibriumSolution: ") :][:20] in str(failed.result)
+    assert "2 of 3 converged" in repr(jax.vmap(solve)(BATCH))
+    jax.jit(lambda lane: repr(solve(lane)))(BATCH[0])  # also where it is traced
+
+
+@pytest.mark.parametrize(
+    ("guess", "expected"),
+    [
+        (np.zeros((3, 3)), r"shape \(3, 3\)"),
+        (jnp.zeros((MODEL.n_points, 3), jnp.float32), "float32"),
+    ],
+)
+def test_a_guess_that_does_not_fit_is_named(guess, expected):
+    with pytest.raises(ValueError, match=expected):
+        solve_equilibrium(MODEL, BATCH[0], guess=guess)
+
+
+def test_a_batch_is_not_solved_as_one():
+    with pytest.raises(ValueError, match=r"batch of 3 .* jax\.vmap"):
+        solve(BATCH)
+
+
+def test_a_lane_of_another_model_is_named():
+    with pytest.raises(ValueError, match="mesh with 12 nodes"):
+        solve_equilibrium(model_of((3, 1, 1)), BATCH[0])
+
+
+def test_a_field_of_another_length_is_named():
+    with pytest.raises(ValueError, match=r"E has shape \(7,\)"):
+        set_field(MODEL, "E", jnp.ones(7))
+    per_tet = jnp.full(MODEL.n_tets, 2e5)
+    assert set_field(MODEL, "E", per_tet).law.E.shape == per_tet.shape

@@ -1,0 +1,135 @@
+"""What computes is compiled once for each set of shapes, also where called eagerly."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from benchmarks._compilations import Compilations
+from softcal_jax import (
+    Configuration,
+    Markers,
+    NeoHookean,
+    Parameter,
+    ParameterSpace,
+    Support,
+    beam,
+    build_model,
+    identify,
+    solve_equilibrium,
+)
+from softcal_jax.calibration import bounded_step, build_problem, evaluate
+from softcal_jax.configurations import configuration_arrays
+from softcal_jax.equilibrium import (
+    NewtonSettings,
+    adjoint_rows,
+    continue_equilibrium,
+    effector_values,
+    energy_and_force,
+    factor_solve,
+    linearise,
+    marker_positions,
+    sensitivity,
+    solve_from_rest,
+)
+from softcal_jax.fields import set_field
+from softcal_jax.sensitivity import (
+    adjoint_of_tets,
+    energy_compliance,
+    equilibrium_response,
+    mesh_row,
+    parameter_compliance,
+    parameter_forces,
+    parameter_rows,
+    stress_patches,
+)
+
+MESH = beam(0.1, 0.02, 0.02, (2, 1, 1), order=2)
+MODEL = build_model(MESH, NeoHookean(1e5, 0.3), density=1000.0)
+TIP = np.array([[0.1, 0.01, 0.01]])
+HANG = Configuration(
+    "hang",
+    [Support("x_min")],
+    (0.0, 0.0, -9.81),
+    markers=Markers(("tip",), TIP),
+    measured=TIP - [0.0, 0.0, 0.01],
+)
+LANES = configuration_arrays(MESH, [HANG])
+LANE = jax.tree.map(lambda leaf: leaf[0], LANES)
+SPACE = ParameterSpace([Parameter("E", "E", 1e5, 1e4, 1e6)])
+Z = SPACE.start()
+
+
+def tip_height(E):
+    model = set_field(MODEL, "E", E)
+    return marker_positions(model, LANE, solve_equilibrium(model, LANE))[0, 2]
+
+
+@pytest.fixture(scope="module")
+def state():
+    u = solve_equilibrium(MODEL, LANE).displacement
+    return u, linearise(MODEL, LANE, u)
+
+
+def step():
+    one = jnp.ones(1)
+    return bounded_step(jnp.ones((3, 1)), jnp.ones(3), -one, one)
+
+
+def batch(u, lin):
+    return jax.vmap(lambda lane: solve_equilibrium(MODEL, lane))(LANES)
+
+
+def response(u, lin):
+    return equilibrium_response(MODEL, LANE, u, SPACE, Z, newton=NewtonSettings())
+
+
+def adjoint(u, lin):
+    rows = parameter_rows(lin, SPACE, Z)
+    return sensitivity(lin, rows, effector_values, adjoint=True)
+
+
+CALLS = {
+    "solve_equilibrium": lambda u, lin: solve_equilibrium(MODEL, LANE),
+    "solve_equilibrium, guess": lambda u, lin: solve_equilibrium(MODEL, LANE, guess=u),
+    "solve_equilibrium, vmap": batch,
+    "solve_from_rest": lambda u, lin: solve_from_rest(MODEL, LANES),
+    "continue_equilibrium": lambda u, lin: continue_equilibrium(
+        MODEL, LANE, u, settings=NewtonSettings()
+    ),
+    "energy_and_force": lambda u, lin: energy_and_force(MODEL, u),
+    "factor_solve": lambda u, lin: factor_solve(MODEL, LANE, u, u[None]),
+    "linearise": lambda u, lin: linearise(MODEL, LANE, u),
+    "effector_values": lambda u, lin: effector_values(MODEL, LANE, u),
+    "parameter_forces": lambda u, lin: parameter_forces(MODEL, LANE, u, SPACE, Z),
+    "parameter_rows": lambda u, lin: parameter_rows(lin, SPACE, Z),
+    "sensitivity": lambda u, lin: sensitivity(
+        lin, parameter_rows(lin, SPACE, Z), effector_values
+    ),
+    "sensitivity, adjoint": adjoint,
+    "adjoint_rows": lambda u, lin: adjoint_rows(lin, effector_values),
+    "adjoint_of_tets": lambda u, lin: adjoint_of_tets(
+        lin, ("E",), jnp.ones((3, MODEL.n_dof))
+    ),
+    "parameter_compliance": lambda u, lin: parameter_compliance(
+        MODEL, LANE, u, SPACE, Z
+    ),
+    "energy_compliance": lambda u, lin: energy_compliance(MODEL, LANE, u, SPACE, Z),
+    "equilibrium_response": response,
+    "mesh_row": lambda u, lin: mesh_row(lin, stress_patches(MODEL)),
+    "bounded_step": lambda u, lin: step(),
+    "evaluate": lambda u, lin: evaluate(build_problem(MODEL, SPACE, HANG), Z),
+    "identify": lambda u, lin: identify(MODEL, SPACE, HANG),
+    "gradient": lambda u, lin: jax.grad(tip_height)(1e5),
+    "forward": lambda u, lin: jax.jacfwd(tip_height)(1e5),
+    "Hessian": lambda u, lin: jax.hessian(tip_height)(1e5),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_second_eager_call_compiles_nothing(name, state):
+    call = CALLS[name]
+    jax.block_until_ready(jax.tree.leaves(call(*state)))
+    with Compilations() as seen:
+        call(*state)
+    assert seen.programs == []
