@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import TypeVar
 
+import equinox as eqx
 import jax
 import numpy as np
 
@@ -20,3 +21,12 @@ def lane_of(batch: T, index: int | slice | Int[HostArray, " n"]) -> T:
 def stacked(lanes: Sequence[T]) -> T:
     """Return lanes as a batch, without a program for each number of them."""
     return jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *lanes))
+
+
+def traceable(tree: T) -> tuple[T, T]:
+    """Split into what JAX takes, and the rest, like the activation of a network.
+
+    `equinox.combine` joins them again.
+    """
+    number = lambda leaf: hasattr(leaf, "dtype") or isinstance(leaf, bool | int | float)
+    return eqx.partition(tree, number)

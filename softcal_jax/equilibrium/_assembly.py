@@ -35,16 +35,24 @@ def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, *
     be traced at every call and keep its program alive. `per_tet` are further values of
     each tet, in blocks; `own` are arrays or hashable options that all tets share.
     """
-    blocks = (model.shape_gradients, model.weights, model.law_blocks(), model.active)
+    law, shared = model.law_blocks()
+    shared, static = eqx.partition(shared, eqx.is_array)
+    blocks = (model.shape_gradients, model.weights, law, model.active)
     arrays = {name: value for name, value in own.items() if eqx.is_array(value)}
     options = tuple((name, own[name]) for name in own if name not in arrays)
-    return _mapped(kernel, options, u, arrays, model.nodes, *blocks, *per_tet)
+    how = kernel, options, static
+    return _mapped(how, u, arrays, shared, model.nodes, *blocks, *per_tet)
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1))
-def _mapped(kernel, options, u, arrays, nodes, *of_tets):
+@functools.partial(jax.jit, static_argnums=0)
+def _mapped(how, u, arrays, shared, nodes, *of_tets):
+    kernel, options, static = how
     axes = (-1, -1, -1, 0, -1) + (-1,) * (len(of_tets) - 4)
-    one = functools.partial(kernel, **arrays, **dict(options))
+
+    def one(u, dN, w, law, *others):
+        law = eqx.combine(law, shared, static)
+        return kernel(u, dN, w, law, *others, **arrays, **dict(options))
+
     vectorised = jax.vmap(one, in_axes=axes, out_axes=-1)
 
     def block(args):

@@ -14,7 +14,7 @@ from softcal_jax.configurations import Mechanism
 from softcal_jax.equilibrium._element import Formulation
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._sparsity import Reduction, Sparsity
-from softcal_jax.materials import AbstractLaw
+from softcal_jax.materials import AbstractLaw, fields_of_tets, split_law
 from softcal_jax.mesh import TetMesh, volumes
 
 Nodal = Float[Array, "n_points 3"]
@@ -25,7 +25,8 @@ class Model(Module):
     """A mesh with its law and mechanism; its arrays are traced arguments of the solver.
 
     Attributes:
-        law: Constitutive law; its arrays hold one value, or one per tet.
+        law: Constitutive law; its arrays hold one value, or one per tet, but for
+            those that all tets share, see `AbstractLaw`.
         density: Mass density, one value or one per tet [kg/m3].
         mechanism: Rigid bodies and actuators.
         active: 1 for each tet; 0 for copies that pad the last block, and for tets
@@ -125,13 +126,16 @@ class Model(Module):
 
     def tabulated(self) -> "Model":
         """Return the model with all that does not depend on its shape precomputed."""
-        law = jax.lax.optimization_barrier(self.law.tabulated())
+        arrays, rest = eqx.partition(self.law.tabulated(), eqx.is_array)
+        law = eqx.combine(jax.lax.optimization_barrier(arrays), rest)
         return eqx.tree_at(lambda m: m.law, self, law)
 
-    def law_blocks(self) -> AbstractLaw:
+    def law_blocks(self) -> tuple[AbstractLaw, AbstractLaw]:
+        """Return the law with its values per tet in blocks, and what tets share."""
         n_blocks, _, block = self.weights.shape
         cut = lambda leaf: to_blocks(leaf, self.n_tets, n_blocks, block)
-        return jax.tree.map(cut, self.law)
+        of_tets, shared = split_law(self.law)
+        return jax.tree.map(cut, of_tets), shared
 
 
 def to_blocks(
@@ -147,11 +151,13 @@ def to_blocks(
 
 
 def check_fields(law: AbstractLaw, n_tets: int) -> None:
-    for path, leaf in jax.tree_util.tree_leaves_with_path(law):
+    for path, leaf in fields_of_tets(law):
         if jnp.ndim(leaf) > 0 and jnp.shape(leaf)[0] != n_tets:
             raise ValueError(
-                f"law{jax.tree_util.keystr(path)} has shape {jnp.shape(leaf)}; "
-                f"expected one value, or one per tet: the mesh has {n_tets} tets."
+                f"law{path} has shape {jnp.shape(leaf)}; expected one value, or one "
+                f"per tet: the mesh has {n_tets} tets. If all tets share it, like the "
+                "weights of a network, give the field of the law "
+                "equinox.field(metadata=SHARED), see AbstractLaw."
             )
 
 

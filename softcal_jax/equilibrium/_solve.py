@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from softcal_jax._lanes import traceable
 from softcal_jax._process import check_process
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Int
@@ -80,8 +81,11 @@ def continue_newton(
 def _equilibrium(model, configuration, u0, settings):
     # A `vmap` of the loop would run every lane until the slowest has ended. So a batch
     # also gives bit for bit the results of its members, and copies nothing they share.
+    model, rest = traceable(model)
+
     @jax.custom_batching.sequential_vmap
     def lane(model, configuration, u0, settings):
+        model = eqx.combine(model, rest)
         return as_solution(newton(model, configuration, u0, settings), settings)
 
     return lane(model, configuration, u0, settings)

@@ -16,7 +16,7 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import ActuatorGeometry, actuator_geometry
 from softcal_jax.equilibrium import Model, RobotState, TetStates, tet_states
 from softcal_jax.fields import find_field
-from softcal_jax.materials import Fibre
+from softcal_jax.materials import Fibre, fields_of_tets
 from softcal_jax.mesh import volumes
 
 if TYPE_CHECKING:
@@ -231,9 +231,8 @@ def field_units(model: Model) -> dict[str, str]:
 
 def _named(model: Model) -> Iterator[tuple[str, str, Any]]:
     """Yield name, path in the model and values of the density and the law's fields."""
-    law = jax.tree_util.tree_leaves_with_path(model.law)
     leaves: list[tuple[str, Any]] = [("density", model.density)]
-    leaves += [("law" + jax.tree_util.keystr(path), leaf) for path, leaf in law]
+    leaves += [("law" + path, leaf) for path, leaf in fields_of_tets(model.law)]
     # Entries of a tuple, the local axes of a fibre, are no fields: see its direction.
     leaves = [(path, leaf) for path, leaf in leaves if "[" not in path]
     shorts = [path.rpartition(".")[2] for path, _ in leaves]

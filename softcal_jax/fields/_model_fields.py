@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Float, HostArray, is_traced
+from softcal_jax.materials import fields_of_tets
 
 
 def set_field(
@@ -34,7 +35,8 @@ def set_field(
     where = find_field(model, field)
     old = where(model)
     new = jnp.asarray(value, float)
-    n_tets = len(region_tets(model.mesh, region))
+    mesh = model.mesh
+    n_tets = mesh.n_tets if region is None else len(mesh.tets_of(region))
     if new.shape not in ((), (n_tets,)):
         of = "the mesh" if region is None else f"region {region!r}"
         raise ValueError(
@@ -73,8 +75,7 @@ def find_field(model: Any, field: str):
     Raises:
         ValueError: If no field has that name, or more than one.
     """
-    leaves = jax.tree_util.tree_leaves_with_path(model.law)
-    paths = ["density"] + ["law" + jax.tree_util.keystr(path) for path, _ in leaves]
+    paths = ["density"] + ["law" + path for path, _ in fields_of_tets(model.law)]
     # Entries of a tuple, like the local axes of a fibre, are no fields.
     paths = [path for path in paths if "[" not in path]
     named = [path for path in paths if ("." + path).endswith("." + field)]

@@ -24,7 +24,12 @@ from softcal_jax.materials._incompressible import (
     Ogden as Ogden,
     Yeoh as Yeoh,
 )
-from softcal_jax.materials._law import AbstractLaw as AbstractLaw
+from softcal_jax.materials._law import (
+    SHARED as SHARED,
+    AbstractLaw as AbstractLaw,
+    fields_of_tets as fields_of_tets,
+    split_law as split_law,
+)
 from softcal_jax.materials._rubber import NeoHookean as NeoHookean
 from softcal_jax.materials._sofa import (
     SofaCorotational as SofaCorotational,

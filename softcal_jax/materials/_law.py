@@ -1,14 +1,21 @@
 """What every constitutive law offers, and the products that make its tangent."""
 
+import dataclasses
 from abc import abstractmethod
-from typing import ClassVar
+from collections.abc import Sequence
+from typing import Any, ClassVar
 
+import equinox as eqx
 import jax
+from jax.tree_util import GetAttrKey
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import sum_of
 from softcal_jax.materials._fibre import Fibre
+
+SHARED = {"shared": True}
+"""Metadata of a field that all tets of a model share, like the weights of a network."""
 
 Matrix = Float[Array, "3 3"]
 Tensor = Float[Array, "3 3 3 3"]
@@ -44,8 +51,10 @@ class AbstractLaw(Module):
     Stress and tangent follow by automatic differentiation. A law with closed forms
     overrides `stress` or `tangent`; they are tested against the energy.
 
-    Methods see one material point, at which a field of the law is one value, although a
-    model may hold one value (a scalar or a tensor) per tet. Write 3x3 algebra with
+    Methods see one material point, at which a field of the law is one value. A model
+    may hold one scalar for the whole body, or one value (a scalar or a tensor) per tet.
+    A field with the metadata `SHARED` is handed to all points as it is, whatever its
+    shape: weights of a network, coefficients of a series. Write 3x3 algebra with
     `softcal_jax.elements` (`determinant`, `matmul`, ...), which vectorises;
     `jnp.linalg` works too but is slower.
 
@@ -115,3 +124,30 @@ class AbstractLaw(Module):
         J. Solids Structures 47, 2010).
         """
         return self, None
+
+
+def split_law(law: AbstractLaw) -> tuple[AbstractLaw, AbstractLaw]:
+    """Split into the fields that tets have values of, and what they share.
+
+    Each has None for what belongs to the other; `equinox.combine` joins them again.
+    """
+    own = lambda path, leaf: hasattr(leaf, "ndim") and not _is_shared(law, path)
+    return eqx.partition(law, jax.tree_util.tree_map_with_path(own, law))
+
+
+def fields_of_tets(law: AbstractLaw) -> list[tuple[str, Any]]:
+    """List the fields that tets have values of, with their paths, like ".fibre.E"."""
+    leaves = jax.tree_util.tree_leaves_with_path(split_law(law)[0])
+    return [(jax.tree_util.keystr(path), leaf) for path, leaf in leaves]
+
+
+def _is_shared(node: Any, path: Sequence[Any]) -> bool:
+    """Tell whether a field on the way to a leaf of a law is one that tets share."""
+    for key in path:
+        if not (isinstance(key, GetAttrKey) and dataclasses.is_dataclass(node)):
+            return False
+        (field,) = (f for f in dataclasses.fields(node) if f.name == key.name)
+        if field.metadata.get("shared"):
+            return True
+        node = getattr(node, key.name)
+    return False

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from softcal_jax._lanes import traceable
 from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import ConfigurationArrays
@@ -155,9 +156,11 @@ def equilibrium_response(
     `vmap` runs configurations sequentially, each to its own convergence. Arguments as
     for `continue_equilibrium` and `parameter_compliance`.
     """
+    model, rest = traceable(model)
 
     @jax.custom_batching.sequential_vmap
     def lane(model, configuration, guess, before, precise, space, z):
+        model = eqx.combine(model, rest)
         model, configuration = space.apply(model, configuration, z)
         equilibrium, linearisation = continue_equilibrium(
             model, configuration, guess, settings=newton, before=before, precise=precise

@@ -15,6 +15,7 @@ from softcal_jax.equilibrium import (
     internal_force,
     tet_stresses,
 )
+from softcal_jax.materials import split_law
 from softcal_jax.mesh import Recovery, recovery
 from softcal_jax.sensitivity._rows import rows_of_forces
 
@@ -111,6 +112,8 @@ def _at_free_faces(
 
 
 def _tangents(model: Model, tets, F: Float[Array, "n 3 3"]):
-    law = jax.tree.map(lambda v: v[tets] if jnp.ndim(v) else v, model.law)
-    of_tet = jax.tree.map(lambda v: 0 if jnp.ndim(v) else None, model.law)
-    return jax.vmap(lambda law, F: law.stress_and_tangent(F)[1], (of_tet, 0))(law, F)
+    own, shared = split_law(model.law)
+    own = jax.tree.map(lambda v: v[tets] if jnp.ndim(v) else v, own)
+    of_tet = jax.tree.map(lambda v: 0 if jnp.ndim(v) else None, own)
+    tangent = lambda own, F: eqx.combine(own, shared).stress_and_tangent(F)[1]
+    return jax.vmap(tangent, (of_tet, 0))(own, F)

@@ -33,6 +33,7 @@ from softcal_jax.fields import (
     Uncertain,
     grounded_bodies,
 )
+from softcal_jax.materials import fields_of_tets
 from softcal_jax.mesh import TetMesh, boundary_faces
 
 INCOMPRESSIBLE = 0.5
@@ -183,9 +184,8 @@ def _of_fields(setting: Setting) -> Iterator[Unknown]:
 
 def _ratios(model: Model) -> Iterator[tuple[str, HostArray]]:
     """List the Poisson's ratios of the law: path and values."""
-    leaves = jax.tree_util.tree_leaves_with_path(model.law)
-    for path, leaf in leaves:
-        field = "law" + jax.tree_util.keystr(path)
+    for path, leaf in fields_of_tets(model.law):
+        field = "law" + path
         if (field.rpartition(".")[2] + "_").startswith("nu_"):
             yield field, np.asarray(leaf)
 

@@ -60,13 +60,18 @@ def test_a_solution_says_first_how_it_ended():
     failed = solve(BATCH[2])
     assert repr(failed)[len("EquilibriumSolution: ") :][:20] in str(failed.result)
     assert "2 of 3 converged" in repr(jax.vmap(solve)(BATCH))
-    jax.jit(lambda lane: repr(solve(lane)))(BATCH[0])  # also where it is traced
+
+
+def test_a_solution_that_is_traced_has_a_text():
+    shown = []
+    jax.make_jaxpr(lambda lane: shown.append(repr(solve(lane))))(BATCH[0])
+    assert shown[0].startswith("EquilibriumSolution, displacement")
 
 
 @pytest.mark.parametrize(
     ("guess", "expected"),
     [
-        (np.zeros((3, 3)), r"shape \(3, 3\)"),
+        (jnp.zeros((3, 3)), r"shape \(3, 3\)"),
         (jnp.zeros((MODEL.n_points, 3), jnp.float32), "float32"),
     ],
 )

@@ -1,0 +1,129 @@
+"""Fields of a law that all tets share, like the weights of a network."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softcal_jax import Configuration, Support, beam, build_model, solve_equilibrium
+from softcal_jax._typing import Array
+from softcal_jax.elements import determinant
+from softcal_jax.equilibrium import tet_stresses
+from softcal_jax.materials import SHARED, AbstractLaw
+
+MESH = beam(0.1, 0.02, 0.02, (2, 1, 1), order=1)
+HANG = Configuration("hang", [Support("x_min")], (0.0, 0.0, -9.81))
+
+
+def invariant(F):
+    return determinant(F) ** (-2.0 / 3.0) * jnp.sum(F * F) - 3.0
+
+
+class Separate(AbstractLaw):
+    c1: Array
+    c2: Array
+    bulk: Array
+
+    def energy_density(self, F):
+        I1 = invariant(F)
+        volume = 0.5 * self.bulk * (determinant(F) - 1.0) ** 2
+        return self.c1 * I1 + self.c2 * I1**2 + volume
+
+
+class Series(AbstractLaw):
+    """The same with its coefficients as one vector."""
+
+    c: Array = eqx.field(metadata=SHARED)
+    bulk: Array
+
+    def energy_density(self, F):
+        I1 = invariant(F)
+        volume = 0.5 * self.bulk * (determinant(F) - 1.0) ** 2
+        return jnp.sum(self.c * jnp.stack([I1, I1**2])) + volume
+
+
+class Guessed(AbstractLaw):
+    """A vector that does not say what it is."""
+
+    c: Array
+    bulk: Array
+
+    def energy_density(self, F):
+        return jnp.sum(self.c) * invariant(F)
+
+
+class Network(AbstractLaw):
+    net: eqx.nn.MLP = eqx.field(metadata=SHARED)
+    bulk: Array
+
+    def energy_density(self, F):
+        I1 = invariant(F)
+        stiff = self.net(I1[None])[0]
+        return 1e4 * stiff * I1 + 0.5 * self.bulk * (determinant(F) - 1.0) ** 2
+
+
+C, BULK = jnp.array([1.7e4, 2e3]), jnp.full(MESH.n_tets, 1e5)
+
+
+def model_of(law):
+    return build_model(MESH, law, density=1000.0)
+
+
+def tip(law):
+    return solve_equilibrium(model_of(law), HANG).displacement[-1]
+
+
+def test_a_vector_that_is_shared_is_what_its_entries_are():
+    expected = tip(Separate(C[0], C[1], BULK))
+    np.testing.assert_allclose(tip(Series(C, BULK)), expected, rtol=1e-9)
+
+
+def test_its_derivative_is_that_of_its_entries():
+    apart = jax.jacfwd(lambda c: tip(Separate(c[0], c[1], BULK)))(C)
+    by_shared = lambda c: solve_equilibrium(
+        eqx.tree_at(lambda m: m.law.c, model_of(Series(C, BULK)), c), HANG
+    ).displacement[-1]
+    np.testing.assert_allclose(jax.jacfwd(by_shared)(C), apart, rtol=1e-7)
+    np.testing.assert_allclose(jax.jacrev(by_shared)(C), apart, rtol=1e-7)
+
+
+def test_a_shape_that_happens_to_fit_is_not_guessed():
+    """As many coefficients as tets are still coefficients."""
+    many = jnp.full(MESH.n_tets, 1e3)
+
+    class Sum(Series):
+        def energy_density(self, F):
+            return (
+                jnp.sum(self.c) * invariant(F)
+                + 0.5 * self.bulk * (determinant(F) - 1.0) ** 2
+            )
+
+    law = Separate(jnp.sum(many), jnp.zeros(()), BULK)
+    np.testing.assert_allclose(tip(Sum(many, BULK)), tip(law), rtol=1e-9)
+
+
+def test_a_vector_that_says_nothing_is_named():
+    with pytest.raises(ValueError, match=r"law.c has shape \(2,\).*SHARED"):
+        model_of(Guessed(C, BULK))
+
+
+def test_a_network_is_a_law():
+    key = jax.random.key(0)
+    net = eqx.nn.MLP(1, 1, 8, 2, final_activation=jax.nn.softplus, key=key)
+    model = model_of(Network(net, BULK))
+    u = solve_equilibrium(model, HANG)
+    assert u.converged
+    assert np.isfinite(tet_stresses(model, u.displacement).stress).all()
+
+    @eqx.filter_grad
+    def slope(law):
+        body = eqx.tree_at(lambda m: m.law, model, law)
+        return solve_equilibrium(body, HANG).displacement[-1, 2]
+
+    weight = lambda law: law.net.layers[0].weight
+    by_weight = weight(slope(model.law))
+    h = 1e-4
+    bend = lambda h: eqx.tree_at(weight, model.law, weight(model.law).at[3, 0].add(h))
+    difference = float((tip(bend(h)) - tip(bend(-h)))[2]) / (2.0 * h)
+    assert by_weight[3, 0] == pytest.approx(difference, rel=1e-4)
