@@ -35,6 +35,7 @@ def main() -> None:
     else:
         path = {"beam": robots.silicone_beam_path, "arm": robots.pneumatic_arm_path}
         project = load_project(path[name]())
+        assert project.space is not None
         fit = (project.model, project.space, project.calibration)
         options = {"starts": project.starts, "noise": project.noise}
 

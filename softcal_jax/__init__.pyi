@@ -10,10 +10,7 @@ from softcal_jax.actuators import (
 from softcal_jax.bodies import Pose as Pose, RigidBody as RigidBody
 from softcal_jax.calibration import (
     bounded_step as bounded_step,
-    build_problem as build_problem,
     calibrate as calibrate,
-    evaluate as evaluate,
-    multi_start as multi_start,
     profile_intervals as profile_intervals,
 )
 from softcal_jax.configurations import (
@@ -24,6 +21,7 @@ from softcal_jax.configurations import (
     ImposedDisplacement as ImposedDisplacement,
     ImposedForce as ImposedForce,
     Markers as Markers,
+    Observation as Observation,
     Support as Support,
     read_markers as read_markers,
     read_poses as read_poses,
@@ -33,7 +31,6 @@ from softcal_jax.control import solve_inverse as solve_inverse
 from softcal_jax.equilibrium import (
     LoadPath as LoadPath,
     build_model as build_model,
-    check_converged as check_converged,
     lanes as lanes,
     marker_positions as marker_positions,
     solve_equilibrium as solve_equilibrium,

@@ -315,7 +315,8 @@ def _simulated(
     values = None
     if records and solution.converged:
         # Positions are cheap enough to compute without compiling.
-        compute = _effector_values if lane.effectors.has_forces else effector_values
+        more = lane.effectors.has_forces or lane.effectors.observed
+        compute = _effector_values if more else effector_values
         states = solution.displacement, solution.multipliers
         values = np.asarray(compute(model, lane, *states))
     return tuple(

@@ -3,6 +3,7 @@
 from softcal_jax.configurations._arrays import (
     ConfigurationArrays as ConfigurationArrays,
     EffectorArrays as EffectorArrays,
+    Observed as Observed,
 )
 from softcal_jax.configurations._configuration import (
     STANDARD_GRAVITY as STANDARD_GRAVITY,
@@ -28,6 +29,7 @@ from softcal_jax.configurations._effectors import (
     BodyAngle as BodyAngle,
     BodyFrame as BodyFrame,
     Centroid as Centroid,
+    Observation as Observation,
     SupportReaction as SupportReaction,
 )
 from softcal_jax.configurations._loads import (

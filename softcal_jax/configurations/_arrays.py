@@ -1,12 +1,15 @@
 """Configurations as arrays: what the solver sees, one lane per configuration."""
 
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._lanes import lane_of
-from softcal_jax._module import Module
+from softcal_jax._module import Module, one_line
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int, is_traced
 from softcal_jax.bodies import BodyStateArrays, rotation_matrix
 
@@ -37,6 +40,16 @@ class RecordingBase(Module):
         return jnp.sum(base[None, :, :, None] * R[:, None, :, :], axis=2)
 
 
+class Observed(NamedTuple):
+    """A reading of one's own, see `Observation`: a function, and how many values."""
+
+    name: str
+    n_values: int
+    function: Callable[..., Any]
+
+    __repr__ = one_line
+
+
 class EffectorArrays(Module):
     """Effectors in rows of three coordinates, in the order of `QUANTITIES`.
 
@@ -57,6 +70,7 @@ class EffectorArrays(Module):
         measured: Measured values, or goals, of all rows.
         inverse_std: 1 / standard deviation per coordinate; 0 where not measured.
         base: Offset of the frame of the recording.
+        observed: What the last rows are computed by, the same in all configurations.
     """
 
     nodes: Int[AnyArray, "*batch n_points n_carriers"]
@@ -71,6 +85,7 @@ class EffectorArrays(Module):
     measured: Float[AnyArray, "*batch n_rows 3"]
     inverse_std: Float[AnyArray, "*batch n_rows 3"]
     base: RecordingBase
+    observed: tuple[Observed, ...] = eqx.field(static=True, default=())
 
     @property
     def has_forces(self) -> bool:

@@ -5,10 +5,10 @@ Each is a sensor where it has a measured value; control brings the others to goa
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import accumulate, count
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import equinox as eqx
 import numpy as np
@@ -17,11 +17,11 @@ from jaxtyping import ArrayLike
 from softcal_jax._module import Module
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax._units import readable_values
-from softcal_jax.configurations._arrays import EffectorArrays, RecordingBase
+from softcal_jax.configurations._arrays import EffectorArrays, Observed, RecordingBase
 from softcal_jax.configurations._mechanism import Mechanism
 from softcal_jax.mesh import TetMesh
 
-Quantity = Literal["point", "turn", "scalar", "force", "reaction"]
+Quantity = Literal["point", "turn", "scalar", "force", "reaction", "observation"]
 """What a row of three effector coordinates is computed from."""
 
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
@@ -37,7 +37,8 @@ class EffectorRow(NamedTuple):
 
     Nodes carry a point, with weights [-], or hold a reaction; `about` are indices of
     bodies or of the actuator. An angle has an axis [-] in the frame of the mesh, and
-    turns are counted from a reference. Measured values are NaN where there is none,
+    turns are counted from a reference. An observation has a function and the number of
+    its values. Measured values are NaN where there is none,
     and `inverse_std` is 0 for a coordinate that does not count.
     """
 
@@ -51,11 +52,19 @@ class EffectorRow(NamedTuple):
     about: tuple[int, int] = (0, 0)
     axis: Float[HostArray, "3"] = np.zeros(3)
     reference: Float[HostArray, "3 3"] = np.eye(3)
+    function: Callable[..., Any] | None = None
+    n_values: int = 3
 
     @property
     def width(self) -> int:
         """Number of coordinates; the others of a scalar or a force are padding."""
-        return 1 if self.quantity in ("scalar", "force") else 3
+        return 1 if self.quantity in ("scalar", "force") else self.n_values
+
+    @property
+    def observed(self) -> Observed:
+        """What an observation computes, by which its row is found again."""
+        assert self.function is not None
+        return Observed(self.name, self.width, self.function)
 
     def with_value(
         self,
@@ -65,9 +74,10 @@ class EffectorRow(NamedTuple):
         weight = inverse_std(self.name, "std", std, self.unit)
         if value is None:
             return (self,)
-        n, shape = self.width, () if self.width == 1 else (3,)
+        n, shape = self.width, () if self.width == 1 else (self.width,)
         if np.shape(value) != shape or not np.all(np.isfinite(value)):
-            count = "a finite number" if n == 1 else "three finite numbers"
+            words = {2: "two finite numbers", 3: "three finite numbers"}
+            count = words.get(n, "a finite number")
             raise ValueError(
                 f"effector {self.name!r} has the value {value}, expected {count} "
                 f"[{self.unit}]; leave out what was not measured."
@@ -198,19 +208,31 @@ def stack_effectors(lanes: Sequence[Rows]) -> list[tuple[EffectorArrays, list[in
     """Put rows of each configuration into arrays, and find the index of each row."""
     number = lambda lane, quantity: sum(row.quantity == quantity for row in lane)
     counts = [max(number(lane, quantity) for lane in lanes) for quantity in QUANTITIES]
+    # A function has the same row in all lanes, as it is part of their program.
+    rows = [row for lane in lanes for row in lane]
+    functions = dict.fromkeys(r.observed for r in rows if r.quantity == "observation")
+    counts[-1] = len(functions)
     ends = list(accumulate(counts, initial=0))
     places = dict(zip(QUANTITIES, map(slice, ends, ends[1:]), strict=True))
-    widest = max((row.nodes.size for lane in lanes for row in lane), default=0)
-    return [_stack(lane, places, widest) for lane in lanes]
+    widest = max((row.nodes.size for row in rows), default=0)
+    return [_stack(lane, places, widest, tuple(functions)) for lane in lanes]
 
 
 def _stack(
-    lane: Rows, places: Mapping[Quantity, slice], widest: int
+    lane: Rows,
+    places: Mapping[Quantity, slice],
+    widest: int,
+    functions: tuple[Observed, ...],
 ) -> tuple[EffectorArrays, list[int]]:
-    points, turns, scalars, forces, reactions = places.values()
+    points, turns, scalars, forces, reactions, observations = places.values()
     following = {quantity: count(place.start) for quantity, place in places.items()}
-    indices = [next(following[row.quantity]) for row in lane]
-    total = reactions.stop
+    index = lambda row: (
+        observations.start + functions.index(row.observed)
+        if row.quantity == "observation"
+        else next(following[row.quantity])
+    )
+    indices = [index(row) for row in lane]
+    total = observations.stop
     nodes = np.zeros((total, widest), np.int32)
     weights = np.zeros((total, widest))
     about, axis = np.zeros((total, 2), np.int32), np.zeros((total, 3))
@@ -234,6 +256,7 @@ def _stack(
         measured=measured,
         inverse_std=inverse_std,
         base=RecordingBase(np.zeros(3), np.zeros(3)),
+        observed=functions,
     )
     return arrays, indices
 

@@ -1,7 +1,8 @@
 """The kinds of effectors: frames, positions, angles, lengths, volumes, forces."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -185,6 +186,58 @@ class ActuatorForce(AbstractScalar):
         unit = mechanism.actuators.kinds[a].force_unit
         row = EffectorRow(self.name, "force", unit, about=(a, 0))
         return row.with_value(self.measured, self.std)
+
+
+class Observation(AbstractEffector):
+    """A reading of one's own: any function of the robot in equilibrium.
+
+    Its derivatives are found by autodiff, so it calls what JAX can differentiate.
+
+    Attributes:
+        function: Takes model, configuration and state, of which `displacement` are
+            those of the nodes [m] and `multipliers` the forces of actuators whose
+            displacement is imposed. It returns one number, or a vector of two or three.
+        unit: Its unit, for tables.
+        measured: Measured value, with as many numbers.
+        std: Standard deviation of each, one for all or one for each.
+
+    Example:
+        The stored energy of a robot::
+
+            def stored(model, configuration, state):
+                return energy_and_force(model, state.displacement)[0]
+
+            Observation("stored", stored, "J", measured=0.013, std=1e-3)
+    """
+
+    name: str
+    function: Callable[..., Any] = eqx.field(static=True)
+    unit: str
+    measured: float | Float[HostArray, " k"] | None = None
+    std: float | Float[HostArray, " k"] = Unstated(1e-3)
+
+    @property
+    def n_values(self) -> int:
+        """Number of values, by what is measured or else by `std`."""
+        return np.size(self.std if self.measured is None else self.measured)
+
+    def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
+        n = self.n_values
+        if not 1 <= n <= 3:
+            raise ValueError(
+                f"effector {self.name!r} has {n} values; expected one to three. Give a "
+                "longer reading in several observations."
+            )
+        row = EffectorRow(
+            self.name, "observation", self.unit, function=self.function, n_values=n
+        )
+        return row.with_value(self.measured, self.std)
+
+    def measured_as(
+        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
+    ) -> "Observation":
+        own = values[0, : self.n_values]
+        return replace(self, measured=own if own.size > 1 else float(own[0]))
 
 
 def _index_of(wanted: str, names: Sequence[str], kind: str, owner: str) -> int:

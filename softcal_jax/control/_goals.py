@@ -15,6 +15,7 @@ from softcal_jax.configurations import (
     BodyFrame,
     Configuration,
     ConfigurationLanes,
+    Observation,
 )
 
 Goal = Pose | Float[ArrayLike, "3"] | Sequence[float] | float
@@ -68,7 +69,10 @@ def _aimed(effector: AbstractEffector, goal: Goal) -> AbstractEffector:
         return replace(effector, measured=goal)
     if isinstance(effector, AbstractScalar):
         return replace(effector, measured=float(_numbers(what, goal, 1)[0]))
-    return replace(effector, measured=_numbers(what, goal, 3))  # type: ignore[call-arg]
+    n = effector.n_values if isinstance(effector, Observation) else 3
+    numbers = _numbers(what, goal, n)
+    value = numbers if n > 1 else float(numbers[0])
+    return replace(effector, measured=value)  # type: ignore[call-arg]
 
 
 def _numbers(what: str, goal: Goal, count: int) -> Float[HostArray, " n"]:

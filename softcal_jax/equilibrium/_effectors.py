@@ -1,11 +1,14 @@
 """Effector coordinates e of a state, in rows of three (paper Sec. II)."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 
+from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Float
 from softcal_jax.bodies import frames_at, rotation_vector
-from softcal_jax.configurations import ConfigurationArrays, EffectorArrays
+from softcal_jax.configurations import ConfigurationArrays, EffectorArrays, Observed
 from softcal_jax.equilibrium._linearisation import residual, solved_forces
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
@@ -26,10 +29,14 @@ def effector_values(
     """
     effectors = configuration.effectors
     rows = [_positions(model, effectors, u)]
-    if not effectors.has_forces:
+    if not (effectors.has_forces or effectors.observed):
         return rows[0]
     if multipliers is None:
         multipliers = solved_forces(model, configuration, u)
+    state = ObservedState(u, multipliers)
+    observed = [_observe(o, model, configuration, state) for o in effectors.observed]
+    if not effectors.has_forces:
+        return jnp.concatenate([*rows, *observed])
     if unbalanced is None:
         unbalanced = residual(model, configuration, u, multipliers)
     if effectors.force_actuator.shape[0] > 0:
@@ -40,7 +47,41 @@ def effector_values(
     ground = unbalanced - Posed.of(model, configuration).spring_force(u)
     held = ground[effectors.reaction_nodes]
     rows.append(jnp.sum(weights[:, :, None] * held, axis=1))
-    return jnp.concatenate(rows)
+    return jnp.concatenate([*rows, *observed])
+
+
+class ObservedState(NamedTuple):
+    """What an `Observation` sees of a robot, beside model and configuration.
+
+    `displacement` are those of the nodes [m], `multipliers` the forces of actuators
+    whose displacement is imposed, 0 for the others.
+    """
+
+    displacement: Nodal
+    multipliers: Float[Array, " n_a"]
+
+    __repr__ = one_line
+
+
+def _observe(
+    own: Observed,
+    model: Model,
+    configuration: ConfigurationArrays,
+    state: ObservedState,
+) -> Float[Array, "1 3"]:
+    """Compute an observation as a row.
+
+    Raises:
+        ValueError: If it does not have as many values as were declared.
+    """
+    value = jnp.asarray(own.function(model, configuration, state))
+    if value.ndim > 1 or value.size != own.n_values:
+        raise ValueError(
+            f"observation {own.name!r} returned an array of shape {value.shape}, but "
+            f"its measured value or std has {own.n_values}: return that many numbers."
+        )
+    none = jnp.zeros(3 - own.n_values)
+    return jnp.concatenate([jnp.ravel(value).astype(float), none])[None]
 
 
 def _in_first_column(value: Float[Array, " n"]) -> Float[Array, "n 3"]:

@@ -130,6 +130,7 @@ def sensitivity(
     if adjoint:
         assert readings is not None
         H = adjoint_rows(lin, readings)
+        _check_readings(rows, len(H.state))
         W = H.state @ rows.force.T + H.gap @ rows.gap.T + rows.reading.T
         return Sensitivity(W, H.ok)
     solved = lin.solve(rows.force, rows.gap)
@@ -137,7 +138,9 @@ def sensitivity(
     changed = lin.posed.model.among_all(solved.lambda_a)
     W = rows.reading.T
     if readings is not None:
-        _, slope = jax.linearize(_at_fixed_inputs(lin, readings), lin.u, lin.lambda_a)
+        at_inputs = _at_fixed_inputs(lin, readings)
+        value, slope = jax.linearize(at_inputs, lin.u, lin.lambda_a)
+        _check_readings(rows, value.size)
         # One after the other, like `derivatives`.
         W = W + jax.lax.map(lambda d: slope(*d), (moved, changed)).T
     return Sensitivity(
@@ -147,6 +150,15 @@ def sensitivity(
         unknowns=solved.x,
         multipliers=changed,
     )
+
+
+def _check_readings(rows: InputRows, n_e: int) -> None:
+    """Raise ValueError where rows were made for other readings than are asked for."""
+    if (n := rows.reading.shape[-1]) not in (0, n_e):
+        raise ValueError(
+            f"the rows of the inputs are for {n} readings, and {n_e} are asked for: "
+            "give `parameter_rows` or `input_rows` the same `readings`."
+        )
 
 
 class AdjointRows(NamedTuple):

@@ -78,10 +78,10 @@ def tet_sensitivities(
     mesh, mechanism = model.mesh, model.mechanism
     measured = [measured_at_rest(c, mesh, mechanism) for c in posed]
     arrays = configuration_arrays(mesh, measured, mechanism)
-    if arrays.effectors.has_forces:
+    if arrays.effectors.has_forces or arrays.effectors.observed:
         raise ValueError(
-            "tet_sensitivities takes effectors that follow from positions, and some "
-            "are forces: leave out ActuatorForce and SupportReaction."
+            "tet_sensitivities takes effectors that follow from positions: leave out "
+            "ActuatorForce, SupportReaction and Observation."
         )
     newton = (newton or NewtonSettings()).as_arrays()
     solution, by_lane, sound = _solve(model, arrays, names, newton)

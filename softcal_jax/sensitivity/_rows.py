@@ -23,6 +23,7 @@ from softcal_jax.equilibrium import (
     InputRows,
     Linearisation,
     Model,
+    Readings,
     add_weighted,
     derivatives,
     effector_values,
@@ -70,23 +71,49 @@ def parameter_forces(
 
 @eqx.filter_jit
 def parameter_rows(
-    linearisation: Linearisation, space: ParameterSpace, z: Float[Array, " n_p"]
+    linearisation: Linearisation,
+    space: ParameterSpace,
+    z: Float[Array, " n_p"],
+    readings: Readings = effector_values,
 ) -> InputRows:
     """Compute the rows of all parameters at an equilibrium, per unit of lambda_p.
 
     Parameters that set fields of the law need one pass over the tets per field and move
-    nothing held. Those of `z` are applied in the linearisation already.
+    nothing held. Those of `z` are applied in the linearisation already. `readings` are
+    those that `sensitivity` is asked for.
     """
     lin = linearisation
     model, configuration = lin.posed.model, lin.posed.configuration
     forces = _field_rows(model, configuration, lin.u, space, z)
     rows = rows_of_forces(lin, forces, held=jnp.zeros_like(forces))
+    if readings is not effector_values or configuration.effectors.observed:
+        direct = _direct_changes(lin, space, z, forces, readings)
+        rows = rows._replace(reading=direct)
     others = _others(space)
     if others.size == 0:
         return rows
     by_others = _by_others(model, configuration, space, z)
-    found = input_rows(lin, by_others, effector_values)
+    found = input_rows(lin, by_others, readings)
     return jax.tree.map(lambda all_, own: all_.at[others].set(own), rows, found)
+
+
+def _direct_changes(
+    lin: Linearisation,
+    space: ParameterSpace,
+    z: Float[Array, " n_p"],
+    forces: Float[Array, "n_p n_points 3"],
+    readings: Readings,
+) -> Float[Array, "n_p n_e"]:
+    """Compute the change of readings of a fixed state, of which each may see fields."""
+    model, configuration = lin.posed.model, lin.posed.configuration
+
+    def read(z, unbalanced):
+        changed = space.apply(model, configuration, z)
+        return readings(*changed, lin.u, lin.lambda_a, unbalanced).ravel()
+
+    at = z, lin.unbalanced(lin.u, lin.lambda_a)
+    one = lambda d: jax.jvp(read, at, (d[0], -d[1]))[1]
+    return jax.lax.map(one, (jnp.eye(z.shape[0]), forces))
 
 
 def _others(space: ParameterSpace) -> Int[HostArray, " n_other"]:

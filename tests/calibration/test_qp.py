@@ -324,7 +324,9 @@ def test_iteration_starts_at_the_optimum_of_the_active_set(monkeypatch):
     # The first goes to its upper, the second to its lower bound, the others to the row.
     error = jnp.array([-3.0, 3.0, -0.8, -0.9])
     A, b = jnp.array([[0.0, 0.0, 1.0, 1.0]]), jnp.array([1.0])
-    ours = bounded_step(jnp.eye(4), error, -jnp.ones(4), jnp.ones(4), A=A, b=b)
+    # Not compiled, so that numbers are recorded.
+    limits = _qp.QPLimits(-jnp.ones(4), jnp.ones(4), A, b, _qp.DAMPING)
+    ours = _qp.solved_qp(_qp.scaled_qp(jnp.eye(4), error, limits))
     np.testing.assert_allclose(ours.lambda_p, [1.0, -1.0, 0.45, 0.55], atol=ROUNDING)
     ((first, (Q, c), G, (low, high)),) = starts
     (y, z), dual, _ = first

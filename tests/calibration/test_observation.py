@@ -1,0 +1,140 @@
+"""A reading of one's own, beside what the package reads."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from softcal_jax import (
+    Configuration,
+    Markers,
+    NeoHookean,
+    Observation,
+    Parameter,
+    ParameterSpace,
+    Support,
+    beam,
+    build_model,
+    calibrate,
+    identify,
+    lanes,
+    parameter_compliance,
+    set_field,
+    simulated_measurements,
+    solve_equilibrium,
+)
+from softcal_jax.control import with_goals
+from softcal_jax.equilibrium import energy_and_force, linearise, sensitivity
+from softcal_jax.fields import exactly_known
+from softcal_jax.sensitivity import parameter_rows
+
+MESH = beam(0.1, 0.02, 0.02, (3, 1, 1), order=1)
+MODEL = build_model(MESH, NeoHookean(1e5, 0.3), density=1000.0)
+SPACE = ParameterSpace(
+    [Parameter("E", "E", 1e5, 2e4, 1e6), Parameter("rho", "density", 1e3, 500.0, 2e3)]
+)
+Z = SPACE.start()
+TIP = int(np.argmax(MESH.points.sum(axis=1)))
+STD = 1e-4
+
+
+def tip(model, configuration, state):
+    return model.positions(state.displacement)[TIP]
+
+
+def energy(model, configuration, state):
+    return energy_and_force(model, state.displacement)[0]
+
+
+def posed(name, gravity, *effectors, **more):
+    return Configuration(
+        name, [Support("x_min")], (0.0, 0.0, gravity), effectors=effectors, **more
+    )
+
+
+STORED = Observation("stored", energy, "J", std=1e-6)
+
+
+def test_a_reading_that_sees_a_parameter_has_its_whole_derivative():
+    """The energy of a state changes with E, and so does the state."""
+    lane = lanes(MODEL, [posed("hang", -9.81, replace(STORED, measured=1e-3))])[0]
+
+    def stored(z):
+        model, _ = SPACE.apply(MODEL, lane, z)
+        return energy_and_force(model, solve_equilibrium(model, lane).displacement)[0]
+
+    expected = jax.grad(stored)(Z)
+    u = solve_equilibrium(MODEL, lane).displacement
+    for method in ("direct", "adjoint"):
+        W = parameter_compliance(MODEL, lane, u, SPACE, Z, method=method).W_ep
+        np.testing.assert_allclose(W[0], expected, rtol=1e-7)
+
+
+def test_a_point_that_is_observed_is_what_a_marker_is():
+    """Also where only one of two poses has it."""
+    E = Parameter("E", "E", 1e5, 2e4, 1e6)
+    marker = Markers(("tip",), MESH.points[TIP][None], std=STD)
+    by_marker = [posed(n, g, markers=marker) for n, g in (("up", 9.81), ("down", -9.8))]
+    true = set_field(MODEL, "E", 1.3e5)
+    seen = simulated_measurements(true, by_marker, seed=0)
+    observed = [
+        posed(c.name, g, Observation("tip", tip, "m", measured=c.measured[0], std=STD))
+        for c, g in zip(seen, (9.81, -9.8), strict=True)
+    ]
+    options = {"noise": "stated", "uncertain": exactly_known(), "intervals": None}
+    expected = calibrate(MODEL, E, seen, **options)
+    for poses in (observed, [observed[0], seen[1]]):
+        found = calibrate(MODEL, E, poses, **options)
+        assert found.converged
+        assert found.value("E") == pytest.approx(expected.value("E"), rel=1e-8)
+        errors = (r.parameters[0].standard_error for r in (found, expected))
+        assert next(errors) == pytest.approx(next(errors), rel=1e-8)
+    (record,) = found.configurations[0].effectors
+    assert (record.name, record.unit) == ("tip", "m")
+    np.testing.assert_allclose(record.residual, record.simulated - seen[0].measured[0])
+
+
+def test_what_it_tells_is_identified():
+    told = identify(MODEL, SPACE, posed("hang", -9.81, STORED))
+    assert "E" in str(told)
+
+
+def test_it_takes_a_goal():
+    aimed = with_goals(posed("hang", -9.81, STORED), {"stored": 2e-3})
+    assert aimed.effectors[0].measured == 2e-3
+    with pytest.raises(ValueError, match="has 3 numbers, expected 1"):
+        with_goals(aimed, {"stored": (1.0, 2.0, 3.0)})
+
+
+def test_values_that_do_not_fit_are_named():
+    wrong = Observation("tip", tip, "m", measured=0.1, std=STD)
+    lane = lanes(MODEL, [posed("hang", -9.81, wrong)])[0]
+    u = solve_equilibrium(MODEL, lane).displacement
+    with pytest.raises(ValueError, match=r"'tip' returned .* \(3,\), .* has 1"):
+        parameter_compliance(MODEL, lane, u, SPACE, Z)
+    long = Observation("all", energy, "J", measured=np.ones(5))
+    with pytest.raises(ValueError, match=r"hang.*'all' has 5 values"):
+        lanes(MODEL, [posed("hang", -9.81, long)])
+
+
+def test_readings_of_a_loop_of_ones_own():
+    """They have their own derivatives, and never those of the markers by mistake."""
+    marker = Markers(("tip",), MESH.points[TIP][None], std=STD)
+    lane = lanes(MODEL, [posed("hang", -9.81, markers=marker)])[0]
+    solution = solve_equilibrium(MODEL, lane)
+    lin = linearise(MODEL, lane, solution.displacement)
+
+    def depth(model, configuration, u, lambda_a, unbalanced):
+        return model.positions(u)[TIP, 2]
+
+    rows = parameter_rows(lin, SPACE, Z, depth)
+    W = sensitivity(lin, rows, depth).W_ep
+    assert W.shape == (1, 2)
+    whole = parameter_compliance(MODEL, lane, lin.u, SPACE, Z).W_ep
+    np.testing.assert_allclose(W[0], whole[2], rtol=1e-10)
+    for adjoint in (False, True):
+        with pytest.raises(ValueError, match="are for 3 readings, and 1 are asked"):
+            sensitivity(lin, parameter_rows(lin, SPACE, Z), depth, adjoint=adjoint)
+    assert jnp.all(jnp.isfinite(W))
