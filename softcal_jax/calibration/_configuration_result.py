@@ -80,7 +80,15 @@ class ConfigurationResult(Module):
     def __str__(self) -> str:
         """Write how far the markers are off before and after, in one line."""
         before, after = 1e3 * self.rms_before, 1e3 * self.rms_after
-        return f"{self.name} ({self.role}): rms {before:.3f} to {after:.3f} mm"
+        what = f"rms {before:.3f} to {after:.3f} mm"
+        if not self.points:
+            size = lambda e, values: np.linalg.norm(e.error(values))
+            what = ", ".join(
+                f"{e.name} {size(e, e.simulated_before):.3g} to "
+                f"{size(e, e.simulated):.3g} {e.unit} off"
+                for e in self.effectors
+            )
+        return f"{self.name} ({self.role}): {what}"
 
     @property
     def points(self) -> tuple[EffectorRecord, ...]:

@@ -194,7 +194,10 @@ class HistoryEntry(Module):
         """Write the fit and the parameters after the step, in one line."""
         values = ", ".join(f"{name} {value:.5g}" for name, value in self.values.items())
         refused = "" if self.accepted else " (step refused)"
-        return f"step {self.step}: rms {1e3 * self.rms:.3f} mm, {values}{refused}"
+        misfit = f"rms {1e3 * self.rms:.3f} mm"
+        if math.isnan(self.rms):  # no points are measured
+            misfit = f"cost {self.cost:.3g}"
+        return f"step {self.step}: {misfit}, {values}{refused}"
 
 
 class Optimum(Module):
