@@ -77,8 +77,6 @@ CONFIGURATIONS = (
 
 GROUND = sc.Guide((-0.01, 0.01, 0.02), "ground")
 
-_solve = eqx.filter_jit(solve_from_rest)
-
 
 class Posed(eqx.Module):
     """A model with displacements in its configurations.
@@ -174,7 +172,7 @@ def posed(
     """
     model = build_model(mesh, law, density=DENSITY, actuators=tuple(actuators))
     lanes = configuration_arrays(mesh, configurations, model.mechanism)
-    found = _solve(model, lanes, NewtonSettings(rtol=1e-12).as_arrays())
+    found = solve_from_rest(model, lanes, NewtonSettings(rtol=1e-12).as_arrays())
     if not np.all(jax.device_get(found.converged)):
         raise RuntimeError("a configuration has no equilibrium.")
     u = np.asarray(found.displacement)[:, : mesh.n_nodes]

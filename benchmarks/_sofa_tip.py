@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from itertools import permutations
 
-import equinox as eqx
 import numpy as np
 
 from benchmarks import _sofa_tets
@@ -24,8 +23,6 @@ cut into Kuhn's six tets, all alike, by the forces of `TetrahedronFEMForceField`
 the method "polar" [mm]: a reference computed elsewhere, by none of the codes here."""
 
 ROTATIONS = ("edge", "procrustes", "large")
-
-_solve = eqx.filter_jit(solve_from_rest)
 
 
 def run(count: int, say: Callable[[str], None]) -> dict[str, Figure]:
@@ -73,7 +70,7 @@ def by_package(mesh: TetMesh, law: AbstractLaw) -> np.ndarray:
     """
     model = build_model(mesh, law, density=DENSITY)
     lanes = configuration_arrays(mesh, [HANGING])
-    found = _solve(model, lanes, NewtonSettings(rtol=1e-12).as_arrays())
+    found = solve_from_rest(model, lanes, NewtonSettings(rtol=1e-12).as_arrays())
     if not bool(found.converged[0]):
         raise RuntimeError("the hanging beam has no equilibrium.")
     return np.asarray(found.displacement[0])

@@ -5,6 +5,8 @@ one start and a draw of noise per trial. The sweep runs twice with an empty data
 with one worker and nothing compiled before, then with two that find what the first one
 compiled. A rate counts from when every worker has ended its first trial, since that one
 compiles; the wait for it is a figure of its own. Rows must be the same, bit for bit.
+
+Last, how many rows a second are written where the trials take no time.
 """
 
 import os
@@ -17,13 +19,24 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
-from softcal_jax.sweeps import Progress, SweepResult, Trial, load_sweep
+from softcal_jax.sweeps import (
+    Progress,
+    SweepResult,
+    Trial,
+    grid,
+    load_sweep,
+    run_sweep,
+)
 
 TRIALS = 40
 """Trials of each sweep."""
 
+QUICK_TRIALS = 20_000
+"""Trials that take no time."""
+
 GOALS = {
     "two_workers_over_one": Goal("at least", 1.7),
+    "rows_per_second_limit": Goal("at least", 2000),
     "rows_that_differ": Goal("at most", 0),
     "not_converged": Goal("at most", 0),
 }
@@ -164,6 +177,7 @@ def run(options: Options) -> Outcome:
         "bytes_to_a_worker_per_trial": one.bytes_out,
         "bytes_from_a_worker_per_trial": one.bytes_back,
         "database_bytes_per_row": one.bytes_kept / TRIALS,
+        "rows_per_second_limit": rows_per_second(QUICK_TRIALS),
         "compiled_programs_mb": compiled_mb,
     }
     picture = options.folder() / "sweep.png"
@@ -219,6 +233,19 @@ def sweep(folder: Path, workers: int, trials: int = TRIALS) -> Swept:
         len(pickle.dumps(result.rows[0])),
         database.stat().st_size,
     )
+
+
+def rows_per_second(trials: int) -> float:
+    """Rate of a sweep in this process whose trials take no time."""
+    points = grid({"i": range(trials)})
+    with TemporaryDirectory() as folder:
+        begin = time.perf_counter()
+        run_sweep(_nothing, points, Path(folder) / "quick.sqlite", workers=0)
+        return trials / (time.perf_counter() - begin)
+
+
+def _nothing(trial: Trial) -> dict[str, float]:
+    return {"i": float(trial["i"])}
 
 
 def differing(one: SweepResult, other: SweepResult) -> int:

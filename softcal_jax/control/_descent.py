@@ -118,13 +118,10 @@ def _equilibrium(
     return solution, actuator_readings(model, configuration, solution)
 
 
-_compliance = eqx.filter_jit(actuator_compliance)
-
-
 def differentiated(command: Command, there: Reached) -> Arrival:
     """Add the derivatives; with a factorization, so not where a step is refused."""
     lane = with_inputs(command.lane, jnp.asarray(there.value))
-    compliance = _compliance(command.model, lane, there.solution)
+    compliance = actuator_compliance(command.model, lane, there.solution)
     return Arrival(there.value, there.solution, compliance)
 
 

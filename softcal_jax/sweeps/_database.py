@@ -1,18 +1,21 @@
 """The SQLite file of a sweep: what is planned, and a row for each trial that ended.
 
-Only the process that runs the sweep writes to it, one short transaction per row, with
-a rollback journal: unlike SQLite's write-ahead log, that is safe on network file
-systems too, and it survives kill -9.
+Only the process that runs the sweep writes to it, in short transactions with a rollback
+journal: unlike SQLite's write-ahead log, that is safe on network file systems too, and
+it survives kill -9. A transaction waits for the disk, which takes some 20 ms, so rows
+that come faster than one a second share one; a kill loses those of the last second.
 """
 
 import json
+import math
 import os
 import sqlite3
 import sys
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
+from threading import Lock, Timer
 from typing import Any
 
 from pydantic import Json, TypeAdapter, ValidationError
@@ -27,6 +30,9 @@ APPLICATION = 0x50F7CA1
 """SQLite's application_id, by which a database of a sweep is recognised."""
 
 FORMAT = 1
+
+APART_S = 1.0
+"""Time between two transactions with rows, within which a row is on disk [s]."""
 
 WAIT_S = 30.0
 """How long a row waits for another program that has the file locked [s]."""
@@ -57,16 +63,20 @@ def sweep_database(path: Path) -> Iterator["SweepDatabase"]:
     with only_writer(path, "sweep"):
         with _explained(path):
             file = _open(path, WAIT_S)
-        with closing(file):
-            yield SweepDatabase(path, file)
+        with closing(file), closing(SweepDatabase(path, file)) as database:
+            yield database
 
 
-@dataclass(frozen=True)
 class SweepDatabase:
-    """The database of the sweep that runs."""
+    """The database of the sweep that runs; its rows are on disk once it is closed."""
 
-    path: Path
-    file: sqlite3.Connection
+    def __init__(self, path: Path, file: sqlite3.Connection):
+        self.path, self.file = path, file
+        self._waiting: list[TrialRow] = []
+        self._lock = Lock()
+        self._written = -math.inf
+        self._timer: Timer | None = None
+        self._error: Exception | None = None
 
     def begin(
         self,
@@ -94,8 +104,10 @@ class SweepDatabase:
             self._check_definitions(definitions)
             self._write("definitions", list(definitions.items()))
             self._write("sweep", words)
-            self.file.execute("DELETE FROM plan")
-            self._write("plan", plan)
+            same = self.file.execute("SELECT * FROM plan ORDER BY number").fetchall()
+            if same != plan:
+                self.file.execute("DELETE FROM plan")
+                self._write("plan", plan)
             rows = _stored_sweep(self.file, self.path).rows
         return {row.key: row.state for row in rows}
 
@@ -114,10 +126,49 @@ class SweepDatabase:
         self.file.executemany(f"INSERT OR REPLACE INTO {table} VALUES ({marks})", rows)
 
     def add(self, row: TrialRow) -> None:
-        """Write a row, and return once it is on disk."""
-        named = vars(row) | {name: json.dumps(getattr(row, name)) for name in _AS_JSON}
-        with _explained(self.path):
-            self._write("trials", [tuple(named[name] for name in _COLUMNS)])
+        """Write a row: at once, or within `APART_S` together with others."""
+        with self._lock:
+            if self._error is not None:
+                raise self._error
+            self._waiting.append(row)
+            left = self._written + APART_S - time.monotonic()
+            if left <= 0.0:
+                self._write_rows()
+            elif self._timer is None:
+                self._timer = Timer(left, self._in_time)
+                self._timer.daemon = True
+                self._timer.start()
+
+    def close(self) -> None:
+        """Write the rows that wait."""
+        with self._lock:
+            if self._timer is not None:
+                self._timer.cancel()
+            if self._error is not None:
+                raise self._error
+            self._write_rows()
+
+    def _in_time(self) -> None:
+        """Write the rows that wait, in the thread of the timer."""
+        with self._lock:
+            self._timer = None
+            try:
+                self._write_rows()
+            except Exception as error:  # for the thread that runs the sweep
+                self._error = error
+
+    def _write_rows(self) -> None:
+        rows = []
+        for row in self._waiting:
+            texts = {name: json.dumps(getattr(row, name)) for name in _AS_JSON}
+            named = vars(row) | texts
+            rows.append(tuple(named[name] for name in _COLUMNS))
+        if rows:
+            with _explained(self.path), self.file:
+                self.file.execute("BEGIN IMMEDIATE")
+                self._write("trials", rows)
+            self._waiting.clear()
+        self._written = time.monotonic()
 
 
 def read_sweep(database: str | os.PathLike[str]) -> SweepResult:
@@ -198,7 +249,13 @@ def _checked(where: str, kind: TypeAdapter, value: Any) -> Any:
 
 
 def _open(database: str | Path, wait: float, **options: Any) -> sqlite3.Connection:
-    return sqlite3.connect(database, timeout=wait, isolation_level=None, **options)
+    return sqlite3.connect(
+        database,
+        timeout=wait,
+        isolation_level=None,
+        check_same_thread=False,  # a lock keeps the timer of rows apart
+        **options,
+    )
 
 
 def _check_format(file: sqlite3.Connection, path: Path) -> None:

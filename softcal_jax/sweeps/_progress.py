@@ -1,7 +1,7 @@
 """Progress of a sweep: trials ended, rate, and time left."""
 
 import time
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass
 
 from softcal_jax._module import one_line
@@ -59,25 +59,24 @@ class Tally:
     def __init__(self, total: int, states: list[str]):
         """Begin a run, of so many trials, some of which have ended in these states."""
         self._total, self._before = total, len(states)
-        self._states = list(states)
+        self._states = Counter(states)
         self._workers: set[str] = set()
         self._ends: deque[tuple[float, bool]] = deque(maxlen=WINDOW)
 
     def now(self, row: TrialRow | None = None) -> Progress:
         """Count a trial that has just ended, if any, and return the progress."""
         if row is not None:
-            self._states.append(row.state)
+            self._states[row.state] += 1
             # The first trial of a worker compiles for all of its later ones.
             counts = row.worker in self._workers
             self._workers.add(row.worker)
             self._ends.append((time.monotonic(), counts))
-        count = self._states.count
         return Progress(
             total=self._total,
-            ended=len(self._states),
+            ended=self._states.total(),
             before=self._before,
-            not_converged=count("not converged"),
-            failed=count("failed"),
+            not_converged=self._states["not converged"],
+            failed=self._states["failed"],
             rate=self._rate(),
             row=row,
         )

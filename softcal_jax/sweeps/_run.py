@@ -32,12 +32,13 @@ def run_sweep(
     retry_failed: bool = False,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> SweepResult:
-    """Call a function at every point, side by side, and save each result at once.
+    """Call a function at every point, side by side, and save each result.
 
-    Each trial becomes a row of the database as soon as it ends. To resume a sweep that
-    was stopped or killed, run it again with the same arguments: only trials that were
-    under way are lost. A trial that raises becomes a row with the reason. A row depends
-    on its point and the seed alone, not on the order or the number of workers.
+    Each trial becomes a row of the database within a second of its end. To resume a
+    sweep that was stopped or killed, run it again with the same arguments: only trials
+    that were under way are lost, and after a kill those of the last second. A trial
+    that raises becomes a row with the reason. A row depends on its point and the seed
+    alone, not on the order or the number of workers.
 
     Example, in a module that can be imported::
 

@@ -31,14 +31,11 @@ HANGING = (2.0, 0.0, -0.5)
 UNITS = jnp.array([0.1, 0.1, 0.1])
 
 
-compliance = eqx.filter_jit(actuator_compliance)
-
-
 def found(drive):
     configuration = arrays(pose(HANGING, effectors=EFFECTORS, **DRIVES[drive]))
     solution, state = solved(arm(), configuration, configuration.actuation.value)
     assert solution.converged
-    return configuration, state, compliance(arm(), configuration, solution)
+    return configuration, state, actuator_compliance(arm(), configuration, solution)
 
 
 # Of actuators of all kinds, they are in test_compliance_of_all_kinds.py.
@@ -93,7 +90,7 @@ def driven(configuration, state, by_displacement):
     solution, same = solved(arm(), lane, value)
     assert solution.converged
     np.testing.assert_allclose(same.effectors, state.effectors, rtol=1e-6, atol=1e-9)
-    return compliance(arm(), with_inputs(lane, value), solution)
+    return actuator_compliance(arm(), with_inputs(lane, value), solution)
 
 
 def test_W_aa_is_the_same_however_it_is_driven():
@@ -114,7 +111,7 @@ def test_slack_cable_does_not_act():
         pose(REST, top=1.0, bottom=ImposedDisplacement(-0.02), effectors=EFFECTORS)
     )
     solution, _ = solved(arm(), configuration, configuration.actuation.value)
-    response = compliance(arm(), configuration, solution)
+    response = actuator_compliance(arm(), configuration, solution)
     np.testing.assert_array_equal(response.slack, [False, True, False])
     np.testing.assert_array_equal(response.W_ea[:, 1], 0.0)
     np.testing.assert_array_equal(response.W_aa[1], 0.0)
@@ -166,7 +163,7 @@ def test_no_equilibrium_no_derivative():
     lost = eqx.tree_at(
         lambda s: s.displacement, solution, jnp.full_like(solution.displacement, np.nan)
     )
-    response = compliance(arm(), configuration, lost)
+    response = actuator_compliance(arm(), configuration, lost)
     assert np.all(np.isnan(response.W_ea[:9]))
 
 

@@ -1,6 +1,7 @@
 """What a database of a sweep refuses, and what a full disk or an edit does to it."""
 
 import sqlite3
+import time
 
 import cheap
 import pytest
@@ -8,6 +9,8 @@ from rows import substance
 from wording import says
 
 from softcal_jax.sweeps import _database as database_module, grid, read_sweep, run_sweep
+from softcal_jax.sweeps._row import run_trial
+from softcal_jax.sweeps._trial import as_trials
 
 
 def one(path, function=cheap.measure, **more):
@@ -165,3 +168,64 @@ def test_a_database_that_was_edited_names_the_place(tmp_path, statement, message
             continue  # a sweep writes these anew
         with pytest.raises(ValueError, match=rf"s\.sqlite: .*{message}{remedy}"):
             use(path)
+
+
+def rows_of(path):
+    """Rows of a sweep in this process, and the points of them."""
+    points = grid({"E": [1.0], "kind": ["u"], "draw": range(200)})
+    return run_sweep(cheap.measure, points, path, workers=0).rows
+
+
+def test_rows_that_come_fast_share_a_transaction(tmp_path, monkeypatch):
+    written = []
+    write = database_module.SweepDatabase._write
+
+    def seen(self, table, rows):
+        if table == "trials":
+            written.append(len(rows))
+        write(self, table, rows)
+
+    monkeypatch.setattr(database_module.SweepDatabase, "_write", seen)
+    rows = rows_of(tmp_path / "s.sqlite")
+    assert len(rows) == sum(written) == 200
+    assert len(written) < 10
+
+
+def begun(database, n):
+    """A sweep under way, and rows of it that have ended."""
+    points = grid({"E": [1.0], "kind": ["u"], "draw": range(n)})
+    trials = as_trials(points, 0)
+    database.begin(trials, {"name": "s", "repeats": ()}, {"seed": "0"})
+    return [run_trial(cheap.measure, trial) for trial in trials]
+
+
+def test_a_row_is_written_within_a_second_though_no_other_comes(tmp_path):
+    path = tmp_path / "s.sqlite"
+    with database_module.sweep_database(path) as database:
+        for row in begun(database, 3):
+            database.add(row)
+        assert len(read_sweep(path).rows) == 1
+        end = time.monotonic() + 10.0
+        while len(read_sweep(path).rows) < 3 and time.monotonic() < end:
+            time.sleep(0.05)
+        assert len(read_sweep(path).rows) == 3
+
+
+def test_what_goes_wrong_behind_the_back_of_a_sweep_stops_it(tmp_path, monkeypatch):
+    path = tmp_path / "s.sqlite"
+
+    def full(self, table, rows):
+        raise sqlite3.OperationalError("database or disk is full")
+
+    def sweep():
+        with database_module.sweep_database(path) as database:
+            first, second, third = begun(database, 3)
+            database.add(first)
+            monkeypatch.setattr(database_module.SweepDatabase, "_write", full)
+            database.add(second)
+            time.sleep(1.5 * database_module.APART_S)
+            database.add(third)
+
+    with pytest.raises(OSError, match="disk is full"):
+        sweep()
+    assert len(read_sweep(path).rows) == 1
