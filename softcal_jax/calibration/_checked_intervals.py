@@ -251,7 +251,7 @@ def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInte
         # The ends are closer to the fit than the equilibria are exact.
         straight, bent = known, []
     else:
-        stage(f"the intervals of {len(known)} parameters, an evaluation for each end")
+        stage("the intervals of the parameters, an evaluation for each end")
         holds = _first_order_holds(fitted, quantile, known)
         checked = list(zip(known, holds, strict=True))
         straight = [column for column, good in checked if good]
