@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import os
 import time
 import warnings
@@ -25,6 +26,7 @@ from softcal_jax.calibration._notes import CalibrationWarning
 from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
 from softcal_jax.calibration._result import HistoryEntry
 from softcal_jax.calibration._step import CalibrationState
+from softcal_jax.equilibrium import effector_values
 
 T = TypeVar("T")
 
@@ -114,14 +116,20 @@ def fingerprint(
     """Digest everything that a calibration depends on; `search` is what else does.
 
     A sparse solver counts by its name and pattern, since it holds a handle that differs
-    from one process to the next.
+    from one process to the next, and observations by what they read of a sheared robot.
     """
+    effectors, read = problem.configurations.effectors, np.zeros(0)
+    if effectors.observed:
+        points = jnp.asarray(problem.model.mechanism.points)
+        u = 0.01 * points + 0.02 * jnp.roll(points, 1, axis=1)
+        own = eqx.filter_jit(lambda c: effector_values(problem.model, c, u))
+        read = np.stack([np.asarray(own(lane)) for lane in problem.configurations])
     solver = problem.model.solver
     kind = solver.name, solver.sparsity
     problem = eqx.tree_at(lambda p: p.model.solver, problem, kind)
     arrays, static = eqx.partition(problem, eqx.is_array_like)
     text = eqx.tree_pformat((settings, search, static))  # not repr, which shortens
-    return _digest(map(np.asarray, jax.tree.leaves(arrays)), text)
+    return _digest([*map(np.asarray, jax.tree.leaves(arrays)), read], text)
 
 
 def _digest(arrays: Iterable[HostArray], text: str = "") -> str:
@@ -132,7 +140,7 @@ def _digest(arrays: Iterable[HostArray], text: str = "") -> str:
 
 
 def marker_rms(problem: CalibrationProblem, evaluation: Evaluation) -> float:
-    """Compute the root mean square of the marker distances [m].
+    """Compute the root mean square of the marker distances, nan without markers [m].
 
     On the host: on the device, each shape of the data would be more programs.
     """
@@ -142,8 +150,8 @@ def marker_rms(problem: CalibrationProblem, evaluation: Evaluation) -> float:
     delta_e = noise.without_attachments(effectors, np.asarray(evaluation.delta_e))
     seen = np.asarray(effectors.inverse_std)[:, :n_points] > 0.0
     squares = np.sum(np.where(seen, delta_e[:, :n_points], 0.0) ** 2)
-    markers = max(int(np.sum(np.any(seen, axis=-1))), 1)
-    return float(np.sqrt(squares / markers))
+    markers = int(np.sum(np.any(seen, axis=-1)))
+    return float(np.sqrt(squares / markers)) if markers else math.nan
 
 
 class Journal:

@@ -81,12 +81,13 @@ class ConfigurationResult(Module):
         """Write how far the markers are off before and after, in one line."""
         before, after = 1e3 * self.rms_before, 1e3 * self.rms_after
         what = f"rms {before:.3f} to {after:.3f} mm"
-        if not self.points:
+        if not any(e.seen.any() for e in self.points):
             size = lambda e, values: np.linalg.norm(e.error(values))
             what = ", ".join(
                 f"{e.name} {size(e, e.simulated_before):.3g} to "
                 f"{size(e, e.simulated):.3g} {e.unit} off"
                 for e in self.effectors
+                if e.seen.any()
             )
         return f"{self.name} ({self.role}): {what}"
 

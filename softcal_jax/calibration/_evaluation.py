@@ -354,7 +354,8 @@ def held_out_responses(
     found from rest: there the path of the configuration is followed by arc length, and
     its end is where the search begins anew. A configuration without equilibrium is left
     out with a note, as it must neither count as a prediction nor cost the user the fit;
-    so are those that Ctrl-C cuts off. `report` is called as by `equilibria`.
+    so are those that Ctrl-C cuts off. `report` is called as by `equilibria`, with the
+    parameters at the end.
     """
     n = len(configurations)
     last, first = _Chain(*end, {}), _Chain(*start, {})
@@ -364,8 +365,8 @@ def held_out_responses(
     interrupted = False
     try:
         evaluate.workers.side_by_side(
-            partial(_solve_group, evaluate, chain, group, report)
-            for chain in (last, first)
+            partial(_solve_group, evaluate, chain, group, told)
+            for chain, told in ((last, report), (first, lambda *_: None))
             for group in groups
         )
         _follow_paths(evaluate, last, carried)
@@ -425,10 +426,11 @@ def _follow_paths(
         path = solve_equilibrium(
             model, lane_of(lanes, i), settings=evaluate.problem.newton, path=LoadPath()
         )
-        carried[i] = min(float(np.max(path.load)), 1.0)
-        if carried[i] == 1.0:
+        share = min(float(np.max(path.load)), 1.0)
+        if share == 1.0:
             guess = jax.device_put(path.displacement[-1])
             chain.solved[i] = evaluate.response_of(i, chain.z, guess)
+        carried[i] = share
 
 
 def unscoped_notes(

@@ -1,7 +1,8 @@
 """Configurations as arrays: what the solver sees, one lane per configuration."""
 
+import operator
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, SupportsIndex
 
 import equinox as eqx
 import jax
@@ -70,7 +71,8 @@ class EffectorArrays(Module):
         measured: Measured values, or goals, of all rows.
         inverse_std: 1 / standard deviation per coordinate; 0 where not measured.
         base: Offset of the frame of the recording.
-        observed: What the last rows are computed by, the same in all configurations.
+        is_observed: Which of the last rows this configuration has.
+        observed: What they are computed by, the same in all configurations.
     """
 
     nodes: Int[AnyArray, "*batch n_points n_carriers"]
@@ -85,6 +87,7 @@ class EffectorArrays(Module):
     measured: Float[AnyArray, "*batch n_rows 3"]
     inverse_std: Float[AnyArray, "*batch n_rows 3"]
     base: RecordingBase
+    is_observed: Bool[AnyArray, "*batch n_observed"]
     observed: tuple[Observed, ...] = eqx.field(static=True, default=())
 
     @property
@@ -202,10 +205,13 @@ class ConfigurationArrays(Module):
         """Return True, as other records are, also without a length."""
         return True
 
-    def __getitem__(self, index: int | slice) -> "ConfigurationArrays":
+    def __getitem__(self, index: SupportsIndex | slice) -> "ConfigurationArrays":
         """Return one configuration of a batch, or a shorter batch."""
-        if isinstance(index, int) and not -len(self) <= index < len(self):
-            raise IndexError(f"there is no lane {index}: the batch has {len(self)}.")
+        n = len(self)
+        if not isinstance(index, slice):
+            index = operator.index(index)
+            if not -n <= index < n:
+                raise IndexError(f"there is no lane {index}: the batch has {n}.")
         if any(map(is_traced, jax.tree.leaves(self))):
             return jax.tree.map(lambda leaf: leaf[index], self)
         return lane_of(self, index)

@@ -38,8 +38,8 @@ class EffectorRow(NamedTuple):
     Nodes carry a point, with weights [-], or hold a reaction; `about` are indices of
     bodies or of the actuator. An angle has an axis [-] in the frame of the mesh, and
     turns are counted from a reference. An observation has a function and the number of
-    its values. Measured values are NaN where there is none,
-    and `inverse_std` is 0 for a coordinate that does not count.
+    its values. Measured values are NaN where there is none, and `inverse_std` is 0 for
+    a coordinate that does not count.
     """
 
     name: str
@@ -256,6 +256,7 @@ def _stack(
         measured=measured,
         inverse_std=inverse_std,
         base=RecordingBase(np.zeros(3), np.zeros(3)),
+        is_observed=np.isin(np.arange(observations.start, total), indices),
         observed=functions,
     )
     return arrays, indices

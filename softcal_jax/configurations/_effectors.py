@@ -194,12 +194,14 @@ class Observation(AbstractEffector):
     Its derivatives are found by autodiff, so it calls what JAX can differentiate.
 
     Attributes:
-        function: Takes model, configuration and state, of which `displacement` are
-            those of the nodes [m] and `multipliers` the forces of actuators whose
-            displacement is imposed. It returns one number, or a vector of two or three.
+        function: Takes model, configuration (a lane of `lanes`) and state, of which
+            `displacement` are those of the nodes [m] and `multipliers` the forces of
+            actuators whose displacement is imposed. It returns one number, or a vector
+            of two or three.
         unit: Its unit, for tables.
         measured: Measured value, with as many numbers.
-        std: Standard deviation of each, one for all or one for each.
+        std: Standard deviation, one for all or one for each; as many as there are
+            values where nothing is measured.
 
     Example:
         The stored energy of a robot::
@@ -227,6 +229,11 @@ class Observation(AbstractEffector):
             raise ValueError(
                 f"effector {self.name!r} has {n} values; expected one to three. Give a "
                 "longer reading in several observations."
+            )
+        if np.size(self.std) not in (1, n):
+            raise ValueError(
+                f"std of effector {self.name!r} has {np.size(self.std)} values, its "
+                f"measured value {n}: give one for all, or one for each."
             )
         row = EffectorRow(
             self.name, "observation", self.unit, function=self.function, n_values=n

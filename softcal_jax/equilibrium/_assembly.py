@@ -40,13 +40,16 @@ def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, *
     blocks = (model.shape_gradients, model.weights, law, model.active)
     arrays = {name: value for name, value in own.items() if eqx.is_array(value)}
     options = tuple((name, own[name]) for name in own if name not in arrays)
-    how = kernel, options, static
+    # Taken apart, as a module that holds a list has no hash.
+    leaves, tree = jax.tree.flatten(static)
+    how = kernel, options, tuple(leaves), tree
     return _mapped(how, u, arrays, shared, model.nodes, *blocks, *per_tet)
 
 
 @functools.partial(jax.jit, static_argnums=0)
 def _mapped(how, u, arrays, shared, nodes, *of_tets):
-    kernel, options, static = how
+    kernel, options, leaves, tree = how
+    static = jax.tree.unflatten(tree, leaves)
     axes = (-1, -1, -1, 0, -1) + (-1,) * (len(of_tets) - 4)
 
     def one(u, dN, w, law, *others):

@@ -23,7 +23,7 @@ from softcal_jax.equilibrium._sparsity import (
     build_sparsity,
     destinations,
 )
-from softcal_jax.materials import AbstractLaw
+from softcal_jax.materials import AbstractLaw, with_arrays
 from softcal_jax.mesh import TetMesh, check_mesh
 
 # Blocks of tets fit the L1 cache, with the tet index last for vectorisation: the
@@ -75,6 +75,7 @@ def build_model(
     """
     check_process()
     kind = solver_kind(solver)
+    law = with_arrays(law)
     check_fields(law, mesh.n_tets)
     density = _checked_density(density, mesh.n_tets)
     solved = kind is not NoSolver
@@ -99,6 +100,7 @@ def model_for_law(model: Model, law: AbstractLaw) -> Model:
     Raises:
         ValueError: If a per-tet array has the wrong length.
     """
+    law = with_arrays(law)
     check_fields(law, model.n_tets)
     return _prepared(
         model.mesh,

@@ -1,5 +1,6 @@
 """Effector coordinates e of a state, in rows of three (paper Sec. II)."""
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -34,7 +35,16 @@ def effector_values(
     if multipliers is None:
         multipliers = solved_forces(model, configuration, u)
     state = ObservedState(u, multipliers)
-    observed = [_observe(o, model, configuration, state) for o in effectors.observed]
+    observed = [
+        # Not where another configuration has it: it may not exist here.
+        jax.lax.cond(
+            jnp.asarray(effectors.is_observed)[k],
+            partial(_observe, own, model, configuration),
+            lambda _: jnp.zeros((1, 3)),
+            state,
+        )
+        for k, own in enumerate(effectors.observed)
+    ]
     if not effectors.has_forces:
         return jnp.concatenate([*rows, *observed])
     if unbalanced is None:
@@ -78,7 +88,8 @@ def _observe(
     if value.ndim > 1 or value.size != own.n_values:
         raise ValueError(
             f"observation {own.name!r} returned an array of shape {value.shape}, but "
-            f"its measured value or std has {own.n_values}: return that many numbers."
+            f"its measured value has {own.n_values}, or its std where nothing is "
+            "measured: give as many as the function returns."
         )
     none = jnp.zeros(3 - own.n_values)
     return jnp.concatenate([jnp.ravel(value).astype(float), none])[None]

@@ -14,7 +14,7 @@ from softcal_jax.configurations import Mechanism
 from softcal_jax.equilibrium._element import Formulation
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._sparsity import Reduction, Sparsity
-from softcal_jax.materials import AbstractLaw, fields_of_tets, split_law
+from softcal_jax.materials import AbstractLaw, fields_of_tets, split_law, with_arrays
 from softcal_jax.mesh import TetMesh, volumes
 
 Nodal = Float[Array, "n_points 3"]
@@ -120,6 +120,7 @@ class Model(Module):
             ValueError: If a per-tet array has the wrong length, or the law has no
                 potential and the model was built for one that has.
         """
+        law = with_arrays(law)
         check_fields(law, self.n_tets)
         check_law(law, self.conservative, self.formulation)
         return eqx.tree_at(lambda m: m.law, self, law)

@@ -153,8 +153,8 @@ def sensitivity(
 
 
 def _check_readings(rows: InputRows, n_e: int) -> None:
-    """Raise ValueError where rows were made for other readings than are asked for."""
-    if (n := rows.reading.shape[-1]) not in (0, n_e):
+    """Raise ValueError where rows were made for another number of readings."""
+    if (n := rows.reading.shape[-1]) != n_e:
         raise ValueError(
             f"the rows of the inputs are for {n} readings, and {n_e} are asked for: "
             "give `parameter_rows` or `input_rows` the same `readings`."

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from softcal_jax._lanes import traceable
 from softcal_jax._process import check_process
 from softcal_jax._results import RESULTS
-from softcal_jax._typing import Array, Int
+from softcal_jax._typing import Array, Int, is_traced
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -234,6 +234,11 @@ def _one(
 ) -> ConfigurationArrays:
     """Return the arrays of one configuration of this model, or raise ValueError."""
     if isinstance(configuration, Configuration):
+        if any(map(is_traced, jax.tree.leaves(model.mesh))):
+            raise ValueError(
+                f"configuration {configuration.name!r} cannot be put on a mesh that is "
+                "traced: make lanes(model, poses) outside of jit, and solve its lanes."
+            )
         return lanes(model, [configuration])[0]
     if configuration.is_batch:
         raise ValueError(

@@ -29,6 +29,7 @@ from softcal_jax.materials._law import (
     AbstractLaw as AbstractLaw,
     fields_of_tets as fields_of_tets,
     split_law as split_law,
+    with_arrays as with_arrays,
 )
 from softcal_jax.materials._rubber import NeoHookean as NeoHookean
 from softcal_jax.materials._sofa import (

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jax.tree_util import GetAttrKey
 
 from softcal_jax._module import Module
@@ -133,6 +134,15 @@ def split_law(law: AbstractLaw) -> tuple[AbstractLaw, AbstractLaw]:
     """
     own = lambda path, leaf: hasattr(leaf, "ndim") and not _is_shared(law, path)
     return eqx.partition(law, jax.tree_util.tree_map_with_path(own, law))
+
+
+def with_arrays(law: AbstractLaw) -> AbstractLaw:
+    """Return a law with arrays in place of the numbers of Python among its fields."""
+    number = lambda leaf: isinstance(leaf, int | float) and not isinstance(leaf, bool)
+    converted = lambda path, leaf: (
+        jnp.asarray(leaf, float) if number(leaf) and not _is_shared(law, path) else leaf
+    )
+    return jax.tree_util.tree_map_with_path(converted, law)
 
 
 def fields_of_tets(law: AbstractLaw) -> list[tuple[str, Any]]:

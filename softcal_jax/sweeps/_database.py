@@ -13,7 +13,7 @@ import sqlite3
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from threading import Lock, Timer
 from typing import Any
@@ -76,7 +76,6 @@ class SweepDatabase:
         self._lock = Lock()
         self._written = -math.inf
         self._timer: Timer | None = None
-        self._error: Exception | None = None
 
     def begin(
         self,
@@ -128,8 +127,6 @@ class SweepDatabase:
     def add(self, row: TrialRow) -> None:
         """Write a row: at once, or within `APART_S` together with others."""
         with self._lock:
-            if self._error is not None:
-                raise self._error
             self._waiting.append(row)
             left = self._written + APART_S - time.monotonic()
             if left <= 0.0:
@@ -144,18 +141,14 @@ class SweepDatabase:
         with self._lock:
             if self._timer is not None:
                 self._timer.cancel()
-            if self._error is not None:
-                raise self._error
             self._write_rows()
 
     def _in_time(self) -> None:
         """Write the rows that wait, in the thread of the timer."""
-        with self._lock:
+        # Where that fails the rows wait on, and what comes next tries and raises.
+        with self._lock, suppress(OSError, ValueError):
             self._timer = None
-            try:
-                self._write_rows()
-            except Exception as error:  # for the thread that runs the sweep
-                self._error = error
+            self._write_rows()
 
     def _write_rows(self) -> None:
         rows = []

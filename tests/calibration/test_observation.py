@@ -27,6 +27,7 @@ from softcal_jax import (
 )
 from softcal_jax.control import with_goals
 from softcal_jax.equilibrium import energy_and_force, linearise, sensitivity
+from softcal_jax.export import result_dict
 from softcal_jax.fields import exactly_known
 from softcal_jax.sensitivity import parameter_rows
 
@@ -83,22 +84,76 @@ def test_a_point_that_is_observed_is_what_a_marker_is():
         posed(c.name, g, Observation("tip", tip, "m", measured=c.measured[0], std=STD))
         for c, g in zip(seen, (9.81, -9.8), strict=True)
     ]
+    held_out = replace(observed[1], name="held out")
     options = {"noise": "stated", "uncertain": exactly_known(), "intervals": None}
     expected = calibrate(MODEL, E, seen, **options)
     for poses in (observed, [observed[0], seen[1]]):
-        found = calibrate(MODEL, E, poses, **options)
+        found = calibrate(MODEL, E, poses, validation=held_out, **options)
         assert found.converged
         assert found.value("E") == pytest.approx(expected.value("E"), rel=1e-8)
         errors = (r.parameters[0].standard_error for r in (found, expected))
         assert next(errors) == pytest.approx(next(errors), rel=1e-8)
+    predicted = found.configurations[-1]
+    assert predicted.name == "held out"
+    assert np.linalg.norm(predicted.effectors[0].residual) < 5.0 * STD
+    assert result_dict(found)["configurations"]
     (record,) = found.configurations[0].effectors
     assert (record.name, record.unit) == ("tip", "m")
     np.testing.assert_allclose(record.residual, record.simulated - seen[0].measured[0])
 
 
 def test_what_it_tells_is_identified():
-    told = identify(MODEL, SPACE, posed("hang", -9.81, STORED))
-    assert "E" in str(told)
+    E = Parameter("E", "E", 1e5, 2e4, 1e6)
+    blind = replace(STORED, function=lambda model, configuration, state: 1.0)
+    sharp = (replace(own, std=1e-8) for own in (STORED, blind))
+    hanging = [posed("hang", -9.81, own) for own in sharp]
+    told, nothing = (str(identify(MODEL, E, pose)) for pose in hanging)
+    assert nothing.startswith("Not identifiable")
+    assert not told.startswith("Not identifiable")
+
+
+def root(model, configuration, state):
+    """Singular where nothing moves."""
+    return jnp.sqrt(jnp.abs(state.displacement[TIP, 2]))
+
+
+def test_what_another_pose_does_not_have_is_not_computed_there():
+    at_rest = Markers(("tip",), MESH.points[TIP][None], std=STD)
+    still = posed("still", 0.0, markers=at_rest, measured=at_rest.positions)
+    own = Observation("root", root, "m", measured=0.07, std=1e-3)
+    E = Parameter("E", "E", 1e5, 2e4, 1e6)
+    options = {"noise": "stated", "uncertain": exactly_known(), "intervals": None}
+    alone = calibrate(MODEL, E, posed("hang", -9.81, own), **options)
+    beside = calibrate(MODEL, E, [posed("hang", -9.81, own), still], **options)
+    assert beside.converged
+    assert beside.value("E") == pytest.approx(alone.value("E"), rel=1e-6)
+    assert "root" in str(alone.configurations[0])
+    assert "nan" not in str(alone)
+
+
+def test_a_checkpoint_of_another_function_is_refused(tmp_path):
+    """Also where only what it closes over differs."""
+    path, E = tmp_path / "c.npz", Parameter("E", "E", 1e5, 2e4, 1e6)
+
+    def fit(factor):
+        own = lambda model, configuration, state: (
+            factor * energy(model, configuration, state)
+        )
+        seen = replace(STORED, function=own, measured=1e-4)
+        return calibrate(
+            MODEL,
+            E,
+            posed("hang", -9.81, seen),
+            noise="stated",
+            uncertain=exactly_known(),
+            intervals=None,
+            checkpoint=path,
+        )
+
+    first = fit(1.0)
+    assert fit(1.0).value("E") == first.value("E")
+    with pytest.raises(ValueError, match="checkpoint of another calibration"):
+        fit(2.0)
 
 
 def test_it_takes_a_goal():
@@ -114,13 +169,15 @@ def test_values_that_do_not_fit_are_named():
     u = solve_equilibrium(MODEL, lane).displacement
     with pytest.raises(ValueError, match=r"'tip' returned .* \(3,\), .* has 1"):
         parameter_compliance(MODEL, lane, u, SPACE, Z)
+    with pytest.raises(ValueError, match="std of effector 'tip' has 3 values"):
+        lanes(MODEL, [posed("hang", -9.81, replace(wrong, std=np.full(3, STD)))])
     long = Observation("all", energy, "J", measured=np.ones(5))
     with pytest.raises(ValueError, match=r"hang.*'all' has 5 values"):
         lanes(MODEL, [posed("hang", -9.81, long)])
 
 
 def test_readings_of_a_loop_of_ones_own():
-    """They have their own derivatives, and never those of the markers by mistake."""
+    """They have their own derivatives, and their number must be that of the rows."""
     marker = Markers(("tip",), MESH.points[TIP][None], std=STD)
     lane = lanes(MODEL, [posed("hang", -9.81, markers=marker)])[0]
     solution = solve_equilibrium(MODEL, lane)
@@ -137,4 +194,6 @@ def test_readings_of_a_loop_of_ones_own():
     for adjoint in (False, True):
         with pytest.raises(ValueError, match="are for 3 readings, and 1 are asked"):
             sensitivity(lin, parameter_rows(lin, SPACE, Z), depth, adjoint=adjoint)
-    assert jnp.all(jnp.isfinite(W))
+    bare = linearise(MODEL, lanes(MODEL, [posed("hang", -9.81)])[0], lin.u)
+    with pytest.raises(ValueError, match="are for 0 readings, and 1 are asked"):
+        sensitivity(bare, parameter_rows(bare, SPACE, Z), depth)

@@ -1,5 +1,6 @@
 """Configurations as arrays: one, a batch, and what does not fit."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -42,8 +43,11 @@ def test_a_batch_has_a_length_and_its_lanes():
     assert BATCH[0]
     with pytest.raises(IndexError, match="no lane 3: the batch has 3"):
         BATCH[3]
-    with pytest.raises(TypeError, match="one configuration"):
-        len(BATCH[0])
+    with pytest.raises(IndexError, match="no lane 3"):
+        BATCH[np.int64(3)]
+    for use in (len, lambda one: one[0:1], lambda one: one[0]):
+        with pytest.raises(TypeError, match="one configuration"):
+            use(BATCH[0])
     assert "batch of 3" in repr(BATCH)
     assert "one configuration" in repr(BATCH[0])
 
@@ -88,6 +92,11 @@ def test_a_batch_is_not_solved_as_one():
 def test_a_lane_of_another_model_is_named():
     with pytest.raises(ValueError, match="mesh with 12 nodes"):
         solve_equilibrium(model_of((3, 1, 1)), BATCH[0])
+
+
+def test_a_configuration_is_not_put_on_a_mesh_that_is_traced():
+    with pytest.raises(ValueError, match=r"'hang' cannot be put .* outside of jit"):
+        eqx.filter_jit(lambda model: solve_equilibrium(model, POSES[0]))(MODEL)
 
 
 def test_a_field_of_another_length_is_named():

@@ -1,15 +1,30 @@
 """Fields of a law that all tets share, like the weights of a network."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from softcal_jax import Configuration, Support, beam, build_model, solve_equilibrium
+from benchmarks._compilations import Compilations
+from softcal_jax import (
+    Configuration,
+    Markers,
+    Parameter,
+    Support,
+    beam,
+    build_model,
+    calibrate,
+    set_field,
+    simulated_measurements,
+    solve_equilibrium,
+)
 from softcal_jax._typing import Array
 from softcal_jax.elements import determinant
 from softcal_jax.equilibrium import tet_stresses
+from softcal_jax.export import tet_fields
 from softcal_jax.materials import SHARED, AbstractLaw
 
 MESH = beam(0.1, 0.02, 0.02, (2, 1, 1), order=1)
@@ -106,6 +121,46 @@ def test_a_shape_that_happens_to_fit_is_not_guessed():
 def test_a_vector_that_says_nothing_is_named():
     with pytest.raises(ValueError, match=r"law.c has shape \(2,\).*SHARED"):
         model_of(Guessed(C, BULK))
+
+
+def test_numbers_of_python_are_values():
+    """And one program serves all of them."""
+    model = model_of(Separate(1.7e4, 2e3, 1e5))
+    expected = tip(Separate(C[0], C[1], BULK))
+    found = solve_equilibrium(model, HANG).displacement[-1]
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    other = set_field(model, "c1", 2e4)
+    with Compilations() as seen:
+        solve_equilibrium(other, HANG)
+        solve_equilibrium(model.with_law(Separate(1.8e4, 2e3, 1e5)), HANG)
+    assert "jit(_mapped)" not in seen.programs
+
+
+class Layers(eqx.Module):
+    layers: list
+
+    def __call__(self, x):
+        for layer in self.layers:
+            x = jnp.tanh(layer(x))
+        return 2.0 + x
+
+
+def test_what_is_shared_may_hold_a_list():
+    keys = jax.random.split(jax.random.key(1))
+    net = Layers([eqx.nn.Linear(1, 1, key=key) for key in keys])
+    assert solve_equilibrium(model_of(Network(net, BULK)), HANG).converged
+
+
+def test_beside_what_is_shared_a_field_is_calibrated():
+    """With the error of the mesh, and the fields of a file."""
+    bulk = Parameter("bulk", "bulk", 8e4, 1e4, 1e6)
+    markers = Markers(("tip",), MESH.points[-1:], std=1e-4)
+    pose = replace(HANG, markers=markers)
+    (seen,) = simulated_measurements(model_of(Series(C, BULK)), [pose], seed=0)
+    result = calibrate(model_of(Series(C, BULK)), bulk, seen, intervals=None)
+    assert result.converged
+    assert "mesh" in [cause.name for cause in result.budget.causes]
+    assert set(tet_fields(result.model, {})) == {"bulk", "density"}
 
 
 def test_a_network_is_a_law():

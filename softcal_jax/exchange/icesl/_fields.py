@@ -13,7 +13,7 @@ from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.elements import TET_EDGES
 from softcal_jax.equilibrium import Model
 from softcal_jax.fields import ParameterSpace
-from softcal_jax.materials import AbstractLaw
+from softcal_jax.materials import AbstractLaw, split_law
 from softcal_jax.mesh import Grid, TetMesh, fill
 
 N_VOXELS = 64
@@ -141,7 +141,8 @@ def _law_at(
         # On the host, where each number of places compiles no program.
         return jnp.asarray(np.asarray(leaf)[tets]) if jnp.ndim(leaf) else leaf
 
-    law = jax.tree.map(taken, model.law)
+    of_tets, shared = split_law(model.law)
+    law = eqx.combine(jax.tree.map(taken, of_tets), shared)
     sampled = eqx.tree_at(
         lambda m: (m.mesh, m.law, m.density), model, (specks, law, taken(model.density))
     )
@@ -152,7 +153,8 @@ def _law_at(
         values = np.asarray(leaf)
         return jnp.asarray(values[:n] if values.ndim else values)
 
-    return jax.tree.map(by_place, sampled.law)
+    of_tets, shared = split_law(sampled.law)
+    return eqx.combine(jax.tree.map(by_place, of_tets), shared)
 
 
 def _axis_moduli(
