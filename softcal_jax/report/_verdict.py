@@ -41,7 +41,7 @@ def verdict_of(result: CalibrationResult, found: Assessment) -> RunVerdict:
 def end_of(result: CalibrationResult) -> str:
     """Say which criterion ended the fit, see `CalibrationSettings`."""
     if result.interrupted:
-        return "The user interrupted the fit."
+        return "The user interrupted it."
     if len(result.history) < 2:
         return "The fit ended before its first step."
     settings, last = result.settings, result.history[-1]

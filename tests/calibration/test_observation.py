@@ -107,7 +107,9 @@ def test_what_it_tells_is_identified():
     blind = replace(STORED, function=lambda model, configuration, state: 1.0)
     sharp = (replace(own, std=1e-8) for own in (STORED, blind))
     hanging = [posed("hang", -9.81, own) for own in sharp]
-    told, nothing = (str(identify(MODEL, E, pose)) for pose in hanging)
+    told, nothing = (
+        str(identify(MODEL, E, pose, uncertain=exactly_known())) for pose in hanging
+    )
     assert nothing.startswith("Not identifiable")
     assert not told.startswith("Not identifiable")
 
