@@ -318,25 +318,23 @@ class HeldOut(NamedTuple):
 
 
 class _Chain(NamedTuple):
-    """Held-out configurations at some parameters, by index, as they are solved.
+    """Held-out configurations at some parameters: how each responds, once solved.
 
-    `before` is a configuration that was fitted, with the same parameters.
+    `before` is the equilibrium of a configuration that was fitted, with the same
+    parameters [m].
     """
 
     z: Float[Array, " n_p"]
-    before: Response
-    solved: dict[int, Response]
+    before: Float[Array, "n_points 3"]
+    solved: list[Response]
 
-    @property
-    def none(self) -> Response:
-        """A response without an equilibrium."""
-        zeros = jax.tree.map(lambda leaf: np.zeros_like(np.asarray(leaf)), self.before)
+    @classmethod
+    def of(cls, z: Float[Array, " n_p"], fitted: Response, n: int) -> "_Chain":
+        """Begin with `n` that have no equilibrium, beside a fitted one."""
+        zeros = jax.tree.map(lambda leaf: np.zeros_like(np.asarray(leaf)), fitted)
         where = lambda response: response.equilibrium.result
-        return eqx.tree_at(where, zeros, RESULTS.max_steps)
-
-    def all(self, n: int) -> Response:
-        """Stack the first `n`, whether solved or not."""
-        return stacked([self.solved.get(i, self.none) for i in range(n)])
+        none = eqx.tree_at(where, zeros, RESULTS.max_steps)
+        return cls(z, fitted.equilibrium.displacement, [none] * n)
 
 
 def held_out_responses(
@@ -358,7 +356,7 @@ def held_out_responses(
     parameters at the end.
     """
     n = len(configurations)
-    last, first = _Chain(*end, {}), _Chain(*start, {})
+    last, first = _Chain.of(*end, n), _Chain.of(*start, n)
     bodies = evaluate.problem.model.mechanism.bodies.n_bodies > 0
     groups = [range(n)] if bodies else [range(i, i + 1) for i in range(n)]
     carried: dict[int, float] = {}
@@ -372,7 +370,7 @@ def held_out_responses(
         _follow_paths(evaluate, last, carried)
     except KeyboardInterrupt:
         interrupted = True
-    response, before = last.all(n), first.all(n)
+    response, before = stacked(last.solved), stacked(first.solved)
     converged = np.asarray(response.equilibrium.converged)
     notes = []
     for i in np.flatnonzero(~converged).tolist():
@@ -395,8 +393,8 @@ def _solve_group(
 ) -> None:
     """Solve configurations from rest; rigid bodies go on from the one before."""
     model, lanes = evaluate.posed(chain.z)
-    settings, before = evaluate.problem.newton, chain.before.equilibrium.displacement
-    guess = before if model.mechanism.bodies.n_bodies > 0 else jnp.zeros_like(before)
+    bodies, settings = model.mechanism.bodies.n_bodies > 0, evaluate.problem.newton
+    guess = chain.before if bodies else jnp.zeros_like(chain.before)
     for i in group:
         solution = equilibria(
             evaluate.workers,
@@ -409,8 +407,6 @@ def _solve_group(
         if solution.converged[0]:
             guess = solution.displacement[0]
             chain.solved[i] = evaluate.response_of(i, chain.z, guess)
-        else:
-            chain.solved[i] = chain.none
 
 
 def _follow_paths(
@@ -420,9 +416,10 @@ def _follow_paths(
 
     `carried` gets the largest share of its load that each of these carries.
     """
-    lost = [i for i, r in chain.solved.items() if not bool(r.equilibrium.converged)]
     model, lanes = evaluate.posed(chain.z)
-    for i in sorted(lost):
+    for i, response in enumerate(chain.solved):
+        if response.equilibrium.converged:
+            continue
         path = solve_equilibrium(
             model, lane_of(lanes, i), settings=evaluate.problem.newton, path=LoadPath()
         )
