@@ -18,7 +18,9 @@ NOTEBOOKS = [
     pytest.param(path, id=path.stem) for path in sorted(FOLDER.glob("*.ipynb"))
 ]
 
-OF_A_MACHINE = re.compile(r"/tmp/|/home/|/root/|/Users/|site-packages|0x[0-9a-f]{6}")
+OF_A_MACHINE = re.compile(
+    r"PosixPath|/tmp/|/home/|/root/|/Users/|site-packages|0x[0-9a-f]{6}"
+)
 """Paths and addresses, which differ from one run to the next."""
 
 HOW = "run `python notebooks/refresh.py {}` and commit what it writes"

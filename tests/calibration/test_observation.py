@@ -21,6 +21,7 @@ from softcal_jax import (
     identify,
     lanes,
     parameter_compliance,
+    rank_configurations,
     set_field,
     simulated_measurements,
     solve_equilibrium,
@@ -112,6 +113,18 @@ def test_what_it_tells_is_identified():
     )
     assert nothing.startswith("Not identifiable")
     assert not told.startswith("Not identifiable")
+
+
+def test_what_it_would_add_is_ranked():
+    E = Parameter("E", "E", 1e5, 2e4, 1e6)
+    blind = replace(STORED, function=lambda model, configuration, state: 1.0)
+    fitted = posed("fitted", -9.81, replace(STORED, std=1e-3))
+    candidates = [posed("blind", -9.81, blind), posed("telling", -5.0, STORED)]
+    ranking = rank_configurations(
+        MODEL, E, fitted, candidates, uncertain=exactly_known()
+    )
+    text = str(ranking)
+    assert 0 < text.index("telling") < text.index("blind")
 
 
 def root(model, configuration, state):
