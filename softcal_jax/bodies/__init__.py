@@ -20,6 +20,7 @@ from softcal_jax.bodies._body import (
 from softcal_jax.bodies._kinematics import (
     Frames as Frames,
     Mounted as Mounted,
+    angle_about as angle_about,
     blocked as blocked,
     frame_nodes as frame_nodes,
     frames_at as frames_at,

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import one_line
-from softcal_jax._typing import Array, Bool, Float
+from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.bodies._arrays import BodyArrays, BodyStateArrays
 from softcal_jax.bodies._body import KINDS
 
@@ -122,6 +122,20 @@ def frames_at(bodies: BodyArrays, ends: Float[Array, "n_frame_nodes 3"]) -> Fram
     orthogonal = jnp.stack([first, second, jnp.cross(first, second)], axis=1)
     rotation = jnp.sum(orthogonal[:, :, :, None] * bodies.axes[:, :, None, :], axis=1)
     return Frames(ends[:, 0], rotation)
+
+
+def angle_about(
+    R: Float[Array, "3 3"], other: Float[Array, "3 3"], axis: Float[HostArray, "3"]
+) -> Float[Array, ""]:
+    """Compute the angle of the rotation other^T R about an axis fixed on the other."""
+    relative = jnp.sum(other[:, :, None] * R[:, None, :], axis=0)
+    # A direction normal to the axis, from the coordinate axis farthest from it.
+    start = np.eye(3)[np.argmin(np.abs(axis))]
+    across = start - axis * np.sum(axis * start)
+    across = across / np.linalg.norm(across)
+    turned = jnp.sum(relative * across[None, :], axis=1)
+    y = jnp.sum(turned * np.cross(axis, across))
+    return jnp.arctan2(y, jnp.sum(turned * across))
 
 
 def frame_nodes(bodies: BodyArrays, frames: Frames) -> Float[Array, "n_b 4 3"]:

@@ -1,7 +1,7 @@
 """Configurations as arrays: what the solver sees, one lane per configuration."""
 
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, SupportsIndex
 
 import equinox as eqx
@@ -42,7 +42,7 @@ class RecordingBase(Module):
 
 
 class Observed(NamedTuple):
-    """A reading of one's own, see `Observation`: a function, and how many values."""
+    """What is read of a state: a function as of `Observation`, and how many values."""
 
     name: str
     n_values: int
@@ -52,22 +52,18 @@ class Observed(NamedTuple):
 
 
 class EffectorArrays(Module):
-    """Effectors in rows of three coordinates, in the order of `QUANTITIES`.
+    """Effectors in rows of three coordinates: points, turns, then what is observed.
 
-    Points are markers and centroids, turns orientations of rigid bodies, scalars
-    displacements of actuators and angles between bodies. Scalars and forces use the
-    first coordinate. Configurations with fewer rows are padded with weight zero.
+    Points are markers and centroids, turns orientations of rigid bodies: a recording
+    sees both in a frame of its own. All others are functions of the state, and those
+    with fewer than three values use the first coordinates. Configurations with fewer
+    rows are padded with weight zero.
 
     Attributes:
         nodes: Nodes that carry each point.
         weights: Their weights [-]; position = sum of weights times node positions.
         turn_body: Body of each turn.
         turn_reference: Orientation that it is counted from, as a matrix [-].
-        scalar_index: Indices: actuator and -1, or the two bodies of an angle.
-        scalar_axis: Axis of the angle, in the frame of the mesh at rest [-].
-        force_actuator: Actuator of each force.
-        reaction_nodes: Nodes of each reaction.
-        reaction_weights: 1 for each of them, 0 for padding.
         measured: Measured values, or goals, of all rows.
         inverse_std: 1 / standard deviation per coordinate; 0 where not measured.
         base: Offset of the frame of the recording.
@@ -79,26 +75,11 @@ class EffectorArrays(Module):
     weights: Float[AnyArray, "*batch n_points n_carriers"]
     turn_body: Int[AnyArray, "*batch n_turns"]
     turn_reference: Float[AnyArray, "*batch n_turns 3 3"]
-    scalar_index: Int[AnyArray, "*batch n_scalars 2"]
-    scalar_axis: Float[AnyArray, "*batch n_scalars 3"]
-    force_actuator: Int[AnyArray, "*batch n_forces"]
-    reaction_nodes: Int[AnyArray, "*batch n_reactions n_carriers"]
-    reaction_weights: Float[AnyArray, "*batch n_reactions n_carriers"]
     measured: Float[AnyArray, "*batch n_rows 3"]
     inverse_std: Float[AnyArray, "*batch n_rows 3"]
     base: RecordingBase
     is_observed: Bool[AnyArray, "*batch n_observed"]
     observed: tuple[Observed, ...] = eqx.field(static=True, default=())
-
-    @property
-    def has_forces(self) -> bool:
-        """Whether some rows are forces, which depend on more than positions."""
-        return self.force_actuator.shape[-1] + self.reaction_nodes.shape[-2] > 0
-
-    @property
-    def only_points(self) -> bool:
-        """Whether all rows are points, so that they are linear in the positions."""
-        return self.nodes.shape[-2] == self.measured.shape[-2]
 
 
 class ActuationArrays(Module):
@@ -204,6 +185,10 @@ class ConfigurationArrays(Module):
     def __bool__(self) -> bool:
         """Return True, as other records are, also without a length."""
         return True
+
+    def __iter__(self) -> "Iterator[ConfigurationArrays]":
+        """Go through the configurations of a batch."""
+        return (self[i] for i in range(len(self)))
 
     def __getitem__(self, index: SupportsIndex | slice) -> "ConfigurationArrays":
         """Return one configuration of a batch, or a shorter batch."""

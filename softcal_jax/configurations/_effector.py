@@ -7,8 +7,8 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from itertools import accumulate, count
-from typing import Any, Literal, NamedTuple, get_args
+from itertools import count
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -22,10 +22,7 @@ from softcal_jax.configurations._mechanism import Mechanism
 from softcal_jax.mesh import TetMesh
 
 Quantity = Literal["point", "turn", "scalar", "force", "reaction", "observation"]
-"""What a row of three effector coordinates is computed from."""
-
-QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
-"""Rows are stacked in this order."""
+"""What a row of up to three effector coordinates is, for tables and results."""
 
 
 class Unstated(float):
@@ -35,11 +32,10 @@ class Unstated(float):
 class EffectorRow(NamedTuple):
     """Up to three coordinates of an effector, as the solver sees them.
 
-    Nodes carry a point, with weights [-], or hold a reaction; `about` are indices of
-    bodies or of the actuator. An angle has an axis [-] in the frame of the mesh, and
-    turns are counted from a reference. An observation has a function and the number of
-    its values. Measured values are NaN where there is none, and `inverse_std` is 0 for
-    a coordinate that does not count.
+    Nodes carry a point, with weights [-]; a turn is that of a body, by its index, and
+    counted from a reference. All others have a function, as of `Observation`, and the
+    number of its values. Measured values are NaN where there is none, and `inverse_std`
+    is 0 for a coordinate that does not count.
     """
 
     name: str
@@ -49,22 +45,17 @@ class EffectorRow(NamedTuple):
     inverse_std: Float[HostArray, "3"] = np.zeros(3)
     nodes: Int[HostArray, " n"] = np.zeros(0, np.int32)
     weights: Float[HostArray, " n"] = np.zeros(0)
-    about: tuple[int, int] = (0, 0)
-    axis: Float[HostArray, "3"] = np.zeros(3)
+    body: int = 0
     reference: Float[HostArray, "3 3"] = np.eye(3)
     function: Callable[..., Any] | None = None
     n_values: int = 3
 
     @property
-    def width(self) -> int:
-        """Number of coordinates; the others of a scalar or a force are padding."""
-        return 1 if self.quantity in ("scalar", "force") else self.n_values
-
-    @property
-    def observed(self) -> Observed:
-        """What an observation computes, by which its row is found again."""
-        assert self.function is not None
-        return Observed(self.name, self.width, self.function)
+    def observed(self) -> Observed | None:
+        """What is read of the state, by which its row is found again, if it is so."""
+        if self.function is None:
+            return None
+        return Observed(self.name, self.n_values, self.function)
 
     def with_value(
         self,
@@ -74,7 +65,8 @@ class EffectorRow(NamedTuple):
         weight = inverse_std(self.name, "std", std, self.unit)
         if value is None:
             return (self,)
-        n, shape = self.width, () if self.width == 1 else (self.width,)
+        n = self.n_values
+        shape = () if n == 1 else (n,)
         if np.shape(value) != shape or not np.all(np.isfinite(value)):
             words = {2: "two finite numbers", 3: "three finite numbers"}
             count = words.get(n, "a finite number")
@@ -114,6 +106,13 @@ class AbstractScalar(AbstractEffector):
         self, values: Float[HostArray, "k 3"], mechanism: Mechanism
     ) -> "AbstractScalar":
         return replace(self, measured=float(values[0, 0]))  # pyright: ignore
+
+    def _row(
+        self, quantity: Quantity, unit: str, function: Callable[..., Any]
+    ) -> tuple[EffectorRow, ...]:
+        own: Any = self
+        row = EffectorRow(self.name, quantity, unit, function=function, n_values=1)
+        return row.with_value(own.measured, own.std)
 
 
 def inverse_std(
@@ -187,7 +186,7 @@ def effector_record(
     row: EffectorRow, index: int, points: Float[HostArray, "n_points 3"]
 ) -> EffectorRecord:
     """Describe a row with an index in the arrays; `points` are all nodes at rest."""
-    width = row.width
+    width = row.n_values
     weight, nothing = row.inverse_std[:width], np.full(width, np.nan)
     seen, is_point = weight > 0.0, row.quantity == "point"
     return EffectorRecord(
@@ -207,57 +206,47 @@ def effector_record(
 def stack_effectors(lanes: Sequence[Rows]) -> list[tuple[EffectorArrays, list[int]]]:
     """Put rows of each configuration into arrays, and find the index of each row."""
     number = lambda lane, quantity: sum(row.quantity == quantity for row in lane)
-    counts = [max(number(lane, quantity) for lane in lanes) for quantity in QUANTITIES]
-    # A function has the same row in all lanes, as it is part of their program.
+    ends = [0]
+    for quantity in ("point", "turn"):
+        ends.append(ends[-1] + max(number(lane, quantity) for lane in lanes))
     rows = [row for lane in lanes for row in lane]
-    functions = dict.fromkeys(r.observed for r in rows if r.quantity == "observation")
-    counts[-1] = len(functions)
-    ends = list(accumulate(counts, initial=0))
-    places = dict(zip(QUANTITIES, map(slice, ends, ends[1:]), strict=True))
+    # A function has the same row in all lanes, as it is part of their program.
+    observed = tuple(dict.fromkeys(o for o in (r.observed for r in rows) if o))
     widest = max((row.nodes.size for row in rows), default=0)
-    return [_stack(lane, places, widest, tuple(functions)) for lane in lanes]
+    return [_stack(lane, ends, widest, observed) for lane in lanes]
 
 
 def _stack(
-    lane: Rows,
-    places: Mapping[Quantity, slice],
-    widest: int,
-    functions: tuple[Observed, ...],
+    lane: Rows, ends: Sequence[int], widest: int, observed: tuple[Observed, ...]
 ) -> tuple[EffectorArrays, list[int]]:
-    points, turns, scalars, forces, reactions, observations = places.values()
-    following = {quantity: count(place.start) for quantity, place in places.items()}
+    """Fill in rows of points, turns and observations, which begin at the `ends`."""
+    following = {"point": count(ends[0]), "turn": count(ends[1])}
     index = lambda row: (
-        observations.start + functions.index(row.observed)
-        if row.quantity == "observation"
-        else next(following[row.quantity])
+        next(following[row.quantity])
+        if row.observed is None
+        else ends[2] + observed.index(row.observed)
     )
     indices = [index(row) for row in lane]
-    total = observations.stop
-    nodes = np.zeros((total, widest), np.int32)
-    weights = np.zeros((total, widest))
-    about, axis = np.zeros((total, 2), np.int32), np.zeros((total, 3))
-    reference = np.tile(np.eye(3), (total, 1, 1))
+    total = ends[2] + len(observed)
+    nodes, weights = np.zeros((total, widest), np.int32), np.zeros((total, widest))
+    body, reference = np.zeros(total, np.int32), np.tile(np.eye(3), (total, 1, 1))
     measured, inverse_std = np.zeros((2, total, 3))
     for i, row in zip(indices, lane, strict=True):
         nodes[i, : row.nodes.size] = row.nodes
         weights[i, : row.weights.size] = row.weights
-        about[i], axis[i], reference[i] = row.about, row.axis, row.reference
+        body[i], reference[i] = row.body, row.reference
         measured[i], inverse_std[i] = np.nan_to_num(row.measured), row.inverse_std
+    points, turns = slice(ends[1]), slice(*ends[1:])
     arrays = EffectorArrays(
         nodes=nodes[points],
         weights=weights[points],
-        turn_body=about[turns, 0],
+        turn_body=body[turns],
         turn_reference=reference[turns],
-        scalar_index=about[scalars],
-        scalar_axis=axis[scalars],
-        force_actuator=about[forces, 0],
-        reaction_nodes=nodes[reactions],
-        reaction_weights=weights[reactions],
         measured=measured,
         inverse_std=inverse_std,
         base=RecordingBase(np.zeros(3), np.zeros(3)),
-        is_observed=np.isin(np.arange(observations.start, total), indices),
-        observed=functions,
+        is_observed=np.isin(np.arange(ends[2], total), indices),
+        observed=observed,
     )
     return arrays, indices
 

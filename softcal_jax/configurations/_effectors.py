@@ -2,14 +2,22 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import numpy as np
 
 from softcal_jax._names import unknown_name
-from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.bodies import BodyArrays, Pose, as_floats, if_any, unit_vector
+from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax.bodies import (
+    BodyArrays,
+    Pose,
+    angle_about,
+    as_floats,
+    frames_at,
+    if_any,
+    unit_vector,
+)
 from softcal_jax.configurations._effector import (
     AbstractEffector,
     AbstractScalar,
@@ -19,6 +27,35 @@ from softcal_jax.configurations._effector import (
 )
 from softcal_jax.configurations._mechanism import Mechanism
 from softcal_jax.mesh import TetMesh, node_indices
+
+
+class _Reading(NamedTuple):
+    """A reading as of `Observation`; two are the same if what they are of is."""
+
+    function: Callable[..., Any]
+    of: Any
+
+    def __call__(self, model, configuration, state) -> Float[Array, "..."]:
+        return self.function(model, state, self.of)
+
+
+def _reaction(model, state, nodes: tuple[int, ...]) -> Float[Array, "3"]:
+    return state.ground[np.array(nodes)].sum(axis=0)
+
+
+def _angle(model, state, of: tuple[int, int, tuple[float, ...]]) -> Float[Array, ""]:
+    (body, other, axis), n = of, model.mesh.n_nodes
+    frames = frames_at(model.mechanism.bodies, model.positions(state.displacement)[n:])
+    R = frames.rotation
+    return angle_about(R[body], R[other], np.array(axis))
+
+
+def _displacement(model, state, actuator: int) -> Float[Array, ""]:
+    return model.displacements(state.displacement)[actuator]
+
+
+def _force(model, state, actuator: int) -> Float[Array, ""]:
+    return state.forces[actuator]
 
 
 class BodyFrame(AbstractEffector):
@@ -50,7 +87,7 @@ class BodyFrame(AbstractEffector):
         nodes = (mesh.n_nodes + 4 * k + np.arange(4)).astype(np.int32)
         weights = bodies.at(k, point[None])[0]
         row = EffectorRow(self.name, "point", "m", nodes=nodes, weights=weights)
-        turn = EffectorRow(self.name, "turn", "rad", about=(k, 0))
+        turn = EffectorRow(self.name, "turn", "rad", body=k)
         weight_angle = inverse_std(self.name, "std_angle", self.std_angle, "rad")
         if self.measured is None:
             return (*row.with_value(None, self.std), turn)
@@ -115,8 +152,8 @@ class SupportReaction(AbstractEffector):
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         nodes = node_indices(mesh, self.where, f"effector {self.name!r}")
         nodes = _with_bodies(nodes, mesh, mechanism.bodies, self.name)
-        ones = np.ones(nodes.size)
-        row = EffectorRow(self.name, "reaction", "N", nodes=nodes, weights=ones)
+        reading = _Reading(_reaction, tuple(nodes.tolist()))
+        row = EffectorRow(self.name, "reaction", "N", function=reading)
         return row.with_value(self.measured, self.std)
 
 
@@ -143,8 +180,8 @@ class BodyAngle(AbstractScalar):
         body = _index_of(self.body, names, "rigid body", self.name)
         other = _index_of(self.other, names, "rigid body", self.name)
         axis = unit_vector(f"axis of effector {self.name!r}", self.axis)
-        row = EffectorRow(self.name, "scalar", "rad", about=(body, other), axis=axis)
-        return row.with_value(self.measured, self.std)
+        reading = _Reading(_angle, (body, other, tuple(axis.tolist())))
+        return self._row("scalar", "rad", reading)
 
 
 class ActuatorDisplacement(AbstractScalar):
@@ -169,8 +206,7 @@ class ActuatorDisplacement(AbstractScalar):
                 "displacement; use ActuatorForce (in a project file type = "
                 '"actuator-force").'
             )
-        row = EffectorRow(self.name, "scalar", kind.displacement_unit, about=(a, -1))
-        return row.with_value(self.measured, self.std)
+        return self._row("scalar", kind.displacement_unit, _Reading(_displacement, a))
 
 
 class ActuatorForce(AbstractScalar):
@@ -184,8 +220,7 @@ class ActuatorForce(AbstractScalar):
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         a = _index_of(self.actuator, mechanism.actuators.names, "actuator", self.name)
         unit = mechanism.actuators.kinds[a].force_unit
-        row = EffectorRow(self.name, "force", unit, about=(a, 0))
-        return row.with_value(self.measured, self.std)
+        return self._row("force", unit, _Reading(_force, a))
 
 
 class Observation(AbstractEffector):
@@ -195,9 +230,9 @@ class Observation(AbstractEffector):
 
     Attributes:
         function: Takes model, configuration (a lane of `lanes`) and state, of which
-            `displacement` are those of the nodes [m] and `multipliers` the forces of
-            actuators whose displacement is imposed. It returns one number, or a vector
-            of two or three.
+            `displacement` are those of the nodes [m], `forces` those of all actuators
+            in their units, and `ground` the forces of the ground on each node [N]. It
+            returns one number, or a vector of two or three.
         unit: Its unit, for tables.
         measured: Measured value, with as many numbers.
         std: Standard deviation, one for all or one for each; as many as there are

@@ -23,18 +23,15 @@ def effector_values(
     multipliers: Float[Array, " n_a"] | None = None,
     unbalanced: Nodal | None = None,
 ) -> Float[Array, "n_rows 3"]:
-    """Compute all effectors: positions [m], rotations [rad], scalars and forces [N].
+    """Compute all effectors: positions [m], rotations [rad], then what is observed.
 
-    Rows are ordered as in `EffectorArrays`. The `multipliers` are estimated from the
-    balance unless given; `unbalanced` is `residual`, if already known [N].
+    Rows are ordered as in `EffectorArrays`; for other arguments see `observed_state`.
     """
     effectors = configuration.effectors
-    rows = [_positions(model, effectors, u)]
-    if not (effectors.has_forces or effectors.observed):
-        return rows[0]
-    if multipliers is None:
-        multipliers = solved_forces(model, configuration, u)
-    state = ObservedState(u, multipliers)
+    placed = _placed(model, effectors, u)
+    if not effectors.observed:
+        return placed
+    state = observed_state(model, configuration, u, multipliers, unbalanced)
     observed = [
         # Not where another configuration has it: it may not exist here.
         jax.lax.cond(
@@ -45,32 +42,43 @@ def effector_values(
         )
         for k, own in enumerate(effectors.observed)
     ]
-    if not effectors.has_forces:
-        return jnp.concatenate([*rows, *observed])
-    if unbalanced is None:
-        unbalanced = residual(model, configuration, u, multipliers)
-    if effectors.force_actuator.shape[0] > 0:
-        forces = actuator_forces(model, configuration, u, multipliers, unbalanced)
-        rows.append(_in_first_column(forces[effectors.force_actuator]))
-    weights = jnp.asarray(effectors.reaction_weights)
-    # Spring forces are part of the balance, but the ground carries them too.
-    ground = unbalanced - Posed.of(model, configuration).spring_force(u)
-    held = ground[effectors.reaction_nodes]
-    rows.append(jnp.sum(weights[:, :, None] * held, axis=1))
-    return jnp.concatenate([*rows, *observed])
+    return jnp.concatenate([placed, *observed])
 
 
 class ObservedState(NamedTuple):
     """What an `Observation` sees of a robot, beside model and configuration.
 
-    `displacement` are those of the nodes [m], `multipliers` the forces of actuators
-    whose displacement is imposed, 0 for the others.
+    `displacement` are those of the nodes [m], `forces` those of all actuators in their
+    units, and `ground` the forces with which the ground holds the nodes [N].
     """
 
     displacement: Nodal
-    multipliers: Float[Array, " n_a"]
+    forces: Float[Array, " n_a"]
+    ground: Nodal
 
     __repr__ = one_line
+
+
+def observed_state(
+    model: Model,
+    configuration: ConfigurationArrays,
+    u: Nodal,
+    multipliers: Float[Array, " n_a"] | None = None,
+    unbalanced: Nodal | None = None,
+) -> ObservedState:
+    """Compute what is observed of a state.
+
+    The `multipliers` are estimated from the balance unless given; `unbalanced` is
+    `residual`, if already known [N].
+    """
+    if multipliers is None:
+        multipliers = solved_forces(model, configuration, u)
+    if unbalanced is None:
+        unbalanced = residual(model, configuration, u, multipliers)
+    forces = actuator_forces(model, configuration, u, multipliers, unbalanced)
+    # Spring forces are part of the balance, but the ground carries them too.
+    ground = unbalanced - Posed.of(model, configuration).spring_force(u)
+    return ObservedState(u, forces, ground)
 
 
 def _observe(
@@ -95,42 +103,23 @@ def _observe(
     return jnp.concatenate([jnp.ravel(value).astype(float), none])[None]
 
 
-def _in_first_column(value: Float[Array, " n"]) -> Float[Array, "n 3"]:
-    none = jnp.zeros_like(value)
-    return jnp.stack([value, none, none], axis=1)
-
-
-def _positions(
+def _placed(
     model: Model, effectors: EffectorArrays, u: Nodal
-) -> Float[Array, "n_rows_of_positions 3"]:
-    """Compute the rows that depend on positions alone: points, rotations, scalars."""
+) -> Float[Array, "n_points_and_turns 3"]:
+    """Compute the rows that a recording sees: points and turns."""
     x = model.positions(u)
     weights = jnp.asarray(effectors.weights)
     points = jnp.sum(weights[:, :, None] * x[effectors.nodes], axis=1)
     centre = jnp.mean(jnp.asarray(model.mesh.points), axis=0)
-    rows = [effectors.base.point(points, centre)]
-    if effectors.only_points:
-        return rows[0]
-    bodies = model.mechanism.bodies
-    if bodies.n_bodies > 0:
-        rotation = frames_at(bodies, x[model.mesh.n_nodes :]).rotation
-        reference = jnp.asarray(effectors.turn_reference)
-        seen = effectors.base.turn(rotation[effectors.turn_body])
-        # Rotation vectors from the reference orientations, in the frame of the mesh.
-        turns = jnp.sum(seen[:, :, None] * reference[:, None], axis=-1)
-        rows.append(jax.vmap(rotation_vector)(turns))
-    else:
-        rotation = jnp.broadcast_to(jnp.eye(3)[None], (1, 3, 3))
-    if effectors.scalar_index.shape[0] > 0:
-        first, second = effectors.scalar_index[:, 0], effectors.scalar_index[:, 1]
-        axes = jnp.asarray(effectors.scalar_axis)
-        angle = jax.vmap(_angle)(rotation[first], rotation[second], axes)
-        value = angle
-        if model.mechanism.n_actuators > 0:
-            delta_a = model.displacements(u)
-            value = jnp.where(second < 0, delta_a[first], angle)
-        rows.append(_in_first_column(value))
-    return jnp.concatenate(rows)
+    points = effectors.base.point(points, centre)
+    if effectors.turn_body.shape[0] == 0:
+        return points
+    rotation = frames_at(model.mechanism.bodies, x[model.mesh.n_nodes :]).rotation
+    reference = jnp.asarray(effectors.turn_reference)
+    seen = effectors.base.turn(rotation[effectors.turn_body])
+    # Rotation vectors from the reference orientations, in the frame of the mesh.
+    turns = jnp.sum(seen[:, :, None] * reference[:, None], axis=-1)
+    return jnp.concatenate([points, jax.vmap(rotation_vector)(turns)])
 
 
 def marker_positions(
@@ -142,24 +131,7 @@ def marker_positions(
     """
     effectors = configuration.effectors
     n_points = effectors.nodes.shape[0]
-    return _positions(model, effectors, solution.displacement)[:n_points]
-
-
-def _angle(
-    R: Float[Array, "3 3"], other: Float[Array, "3 3"], axis: Float[Array, "3"]
-) -> Float[Array, ""]:
-    """Compute the angle of the rotation other^T R about an axis fixed on the other."""
-    relative = jnp.sum(other[:, :, None] * R[:, None, :], axis=0)
-    # A direction normal to the axis, from the coordinate axis farthest from it.
-    start = jnp.eye(3)[jnp.argmin(jnp.abs(axis))]
-    across = start - axis * jnp.sum(axis * start)
-    size = jnp.sum(across**2)
-    across = across / jnp.sqrt(jnp.where(size > 0.0, size, 1.0))
-    turned = jnp.sum(relative * across[None, :], axis=1)
-    y = jnp.sum(turned * jnp.cross(axis, across))
-    x = jnp.sum(turned * across)
-    # Padding has a zero axis, and atan2(0, 0) has no derivative.
-    return jnp.arctan2(y, jnp.where((x == 0.0) & (y == 0.0), 1.0, x))
+    return _placed(model, effectors, solution.displacement)[:n_points]
 
 
 def actuator_forces(

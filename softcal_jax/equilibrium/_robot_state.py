@@ -1,7 +1,7 @@
 """States of rigid bodies, actuators and supports at equilibrium, for results."""
 
-from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,9 +18,8 @@ from softcal_jax.configurations import (
     SupportReaction,
     configuration_arrays,
 )
-from softcal_jax.equilibrium._effectors import actuator_forces
-from softcal_jax.equilibrium._linearisation import residual
-from softcal_jax.equilibrium._model import Model, Nodal
+from softcal_jax.equilibrium._effectors import ObservedState, observed_state
+from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._solution import EquilibriumSolution
 
@@ -83,8 +82,7 @@ class RobotState(Module):
 
 
 class _Balance(NamedTuple):
-    ground: Nodal
-    forces: Float[Array, " n_a"]
+    state: ObservedState
     displacements: Float[Array, " n_a"]
     rotation: Float[Array, "n_b 3 3"]
     kind: Int[Array | HostArray, " n_b"]
@@ -92,13 +90,10 @@ class _Balance(NamedTuple):
 
 @eqx.filter_jit
 def _balance(model: Model, lane: ConfigurationArrays, u, multipliers) -> _Balance:
-    unbalanced = residual(model, lane, u, multipliers)
     bodies, x = model.mechanism.bodies, model.positions(u)
     posed = Posed.of(model, lane)
     return _Balance(
-        # What springs of the ground hold is balanced already.
-        ground=unbalanced - posed.spring_force(u),
-        forces=actuator_forces(model, lane, u, multipliers, unbalanced),
+        state=observed_state(model, lane, u, multipliers),
         displacements=model.displacements(u),
         rotation=frames_at(bodies, x[model.mesh.n_nodes :]).rotation
         if bodies.n_bodies
@@ -158,10 +153,10 @@ def _state(
         )
         for k, kind in enumerate(kinds)
     )
-    actuators = actuator_states(model, lane, found.forces, found.displacements)
+    actuators = actuator_states(model, lane, found.state.forces, found.displacements)
     reactions = (
-        Reaction(name, np.asarray(found.ground)[nodes].sum(axis=0))
-        for name, nodes in _grounds(model, configuration, kinds).items()
+        Reaction(name, of_nodes(model, lane, found.state))
+        for name, of_nodes in _grounds(model, configuration, kinds).items()
     )
     return RobotState(tuple(places), actuators, tuple(reactions), u)
 
@@ -192,21 +187,20 @@ def actuator_states(
 
 def _grounds(
     model: Model, configuration: Configuration, kinds: list[str]
-) -> dict[str, Int[HostArray, " n"]]:
+) -> dict[str, Callable[..., Any]]:
+    """Return what reads the force of each ground, as an `Observation` does."""
     mesh, mechanism = model.mesh, model.mechanism
     bodies = mechanism.bodies
-    nodes_of = lambda where: (
-        SupportReaction("reaction", where).rows(mesh, mechanism)[0].nodes
-    )
-    grounds: dict[str, Int[HostArray, " n"]] = {}
+    reaction = lambda where: SupportReaction("reaction", where).rows(mesh, mechanism)[0]
+    grounds = {}
     for i, support in enumerate(configuration.supports, start=1):
         named = isinstance(support.where, str)
         name = str(support.where) if named else f"support {i}"
-        grounds[name] = nodes_of(support.where)
+        grounds[name] = reaction(support.where).function
     for k, kind in enumerate(kinds):
         if kind in ("held", "hinged"):
             name = bodies.names[k]
             attached = bodies.attached[bodies.body == k]
             key = f"rigid body {name}" if name in grounds else name
-            grounds[key] = nodes_of(attached)
+            grounds[key] = reaction(attached).function
     return grounds

@@ -10,7 +10,7 @@ from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
-    configuration_arrays,
+    configuration_lanes,
     measured_at_rest,
 )
 from softcal_jax.equilibrium import (
@@ -25,6 +25,8 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.fields import find_field
 from softcal_jax.sensitivity import adjoint_of_tets
+
+_SEES_FORCES = ("force", "reaction", "observation")
 
 
 @eqx.filter_jit
@@ -77,8 +79,8 @@ def tet_sensitivities(
         find_field(model, field)
     mesh, mechanism = model.mesh, model.mechanism
     measured = [measured_at_rest(c, mesh, mechanism) for c in posed]
-    arrays = configuration_arrays(mesh, measured, mechanism)
-    if arrays.effectors.has_forces or arrays.effectors.observed:
+    arrays, records = configuration_lanes(mesh, measured, mechanism)
+    if any(e.quantity in _SEES_FORCES for of_pose in records for e in of_pose):
         raise ValueError(
             "tet_sensitivities takes effectors that follow from positions: leave out "
             "ActuatorForce, SupportReaction and Observation."

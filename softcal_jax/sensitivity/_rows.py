@@ -111,9 +111,8 @@ def _direct_changes(
         changed = space.apply(model, configuration, z)
         return readings(*changed, lin.u, lin.lambda_a, unbalanced).ravel()
 
-    at = z, lin.unbalanced(lin.u, lin.lambda_a)
-    one = lambda d: jax.jvp(read, at, (d[0], -d[1]))[1]
-    return jax.lax.map(one, (jnp.eye(z.shape[0]), forces))
+    _, slope = jax.linearize(read, z, lin.unbalanced(lin.u, lin.lambda_a))
+    return jax.lax.map(lambda d: slope(d[0], -d[1]), (jnp.eye(z.shape[0]), forces))
 
 
 def _others(space: ParameterSpace) -> Int[HostArray, " n_other"]:
@@ -145,7 +144,7 @@ def rows_of_forces(
     """
     effectors = lin.posed.configuration.effectors
     reading = jnp.zeros((len(forces), effectors.measured.size))
-    if effectors.has_forces:
+    if effectors.observed:
         state = (lin.posed.model, lin.posed.configuration, lin.u, lin.lambda_a)
         read = lambda unbalanced: effector_values(*state, unbalanced).ravel()
         unbalanced = lin.unbalanced(lin.u, lin.lambda_a)
