@@ -40,10 +40,9 @@ from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import (
     CalibrationProblem,
     at_rest,
-    effectors_of,
     multi_start,
 )
-from softcal_jax.equilibrium import energy_and_force, solve_equilibrium
+from softcal_jax.equilibrium import effector_values, energy_and_force, solve_equilibrium
 from softcal_jax.fields import random_starts
 from softcal_jax.sensitivity import equilibrium_response, parameter_compliance
 
@@ -153,7 +152,8 @@ def _simulate(problem: CalibrationProblem, z, guess):
     model, lanes = problem.at(z)
     solve = lambda c, u: solve_equilibrium(model, c, guess=u, settings=problem.newton)
     solution = jax.vmap(solve)(lanes, guess)
-    positions = effectors_of(model, lanes, solution)
+    states = solution.displacement, solution.multipliers
+    positions = jax.vmap(partial(effector_values, model))(lanes, *states)
     effectors = problem.configurations.effectors
     error = effectors.inverse_std * (positions - effectors.measured)
     return jnp.ravel(error), solution.displacement

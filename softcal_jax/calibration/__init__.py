@@ -36,13 +36,7 @@ from softcal_jax.calibration._notes import (
 from softcal_jax.calibration._problem import (
     CalibrationProblem as CalibrationProblem,
     CalibrationSettings as CalibrationSettings,
-    EquilibriumProgress as EquilibriumProgress,
-    as_guess as as_guess,
-    effectors_of as effectors_of,
-    effectors_on_all_cores as effectors_on_all_cores,
-    equilibria as equilibria,
     linear_model as linear_model,
-    reports_of as reports_of,
 )
 from softcal_jax.calibration._profile import (
     LowerCostFound as LowerCostFound,

@@ -25,7 +25,6 @@ from softcal_jax.calibration._notes import warn_if_locking, warn_if_too_few_data
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     CalibrationSettings,
-    EquilibriumProgress,
 )
 from softcal_jax.calibration._profile import profile_ends
 from softcal_jax.calibration._result import (
@@ -39,7 +38,12 @@ from softcal_jax.configurations import (
     ConfigurationLanes,
     configuration_lanes,
 )
-from softcal_jax.equilibrium import Model, NewtonSettings, check_converged
+from softcal_jax.equilibrium import (
+    EquilibriumProgress,
+    Model,
+    NewtonSettings,
+    check_converged,
+)
 from softcal_jax.fields import (
     PRECISION,
     Entry,

@@ -1,6 +1,7 @@
 """Checks of a calibration: what there is to learn, and another optimiser."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -8,12 +9,10 @@ import numpy as np
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._evaluation import Evaluation, effector_errors
-from softcal_jax.calibration._problem import (
-    CalibrationProblem,
-    as_guess,
-    effectors_of,
-)
+from softcal_jax.calibration._problem import CalibrationProblem
 from softcal_jax.equilibrium import (
+    as_guess,
+    effector_values,
     solve_equilibrium,
     solve_from_rest,
 )
@@ -121,7 +120,8 @@ def levenberg_marquardt(
         newton = problem.newton
         solve = lambda c, u: solve_equilibrium(model, c, guess=u, settings=newton)
         solution = jax.vmap(solve)(configurations, guess)
-        e = effectors_of(model, configurations, solution)
+        states = solution.displacement, solution.multipliers
+        e = jax.vmap(partial(effector_values, model))(configurations, *states)
         delta_e = effector_errors(problem, e)
         none = jnp.zeros((delta_e.size, z.shape[0]))
         error = problem.rows(z, delta_e, none).error

@@ -25,6 +25,7 @@ from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Model,
     RobotState,
+    compiled_effectors,
     effector_values,
     robot_states,
 )
@@ -311,9 +312,6 @@ def simulation_result(
     return SimulationResult(model, results)
 
 
-_effector_values = eqx.filter_jit(effector_values)
-
-
 def _simulated(
     records: Sequence[EffectorRecord],
     model: Model,
@@ -324,8 +322,7 @@ def _simulated(
     values = None
     if records and solution.converged:
         # Positions are cheap enough to compute without compiling.
-        more = lane.effectors.has_forces or lane.effectors.observed
-        compute = _effector_values if more else effector_values
+        compute = compiled_effectors if lane.effectors.observed else effector_values
         states = solution.displacement, solution.multipliers
         values = np.asarray(compute(model, lane, *states))
     return tuple(

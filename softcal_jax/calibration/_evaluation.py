@@ -18,10 +18,6 @@ from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
-    Report,
-    as_guess,
-    effectors_on_all_cores,
-    equilibria,
     linear_model,
     without_names,
 )
@@ -31,7 +27,11 @@ from softcal_jax.equilibrium import (
     LoadPath,
     Model,
     Program,
+    Report,
     Workers,
+    as_guess,
+    effectors_on_all_cores,
+    equilibria,
     solve_equilibrium,
 )
 from softcal_jax.fields import ParameterSpace, SetupParameter
@@ -180,8 +180,7 @@ class Evaluator:
         where = lambda p: (p.configurations, p.space)
         alone = self.numbered.with_noise(None)
         self.shared = eqx.tree_at(where, alone, (None, space))
-        n_c = problem.configurations.gravity.shape[0]
-        self.lanes = [lane_of(problem.configurations, c) for c in range(n_c)]
+        self.lanes = list(problem.configurations)
         self._program = Program(evaluate_lane, self.shared)
 
     def with_space(self, space: ParameterSpace) -> "Evaluator":

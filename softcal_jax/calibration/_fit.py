@@ -49,8 +49,6 @@ from softcal_jax.calibration._notes import (
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     CalibrationSettings,
-    EquilibriumProgress,
-    reports_of,
 )
 from softcal_jax.calibration._result import (
     CalibrationResult,
@@ -70,7 +68,13 @@ from softcal_jax.calibration._starts import (
 from softcal_jax.calibration._step import CalibrationState, initial_state
 from softcal_jax.calibration._weighing import Weighed, sought_noise, weighed_fit
 from softcal_jax.configurations import Configuration, ConfigurationLanes, EffectorRecord
-from softcal_jax.equilibrium import Model, NewtonSettings, Workers
+from softcal_jax.equilibrium import (
+    EquilibriumProgress,
+    Model,
+    NewtonSettings,
+    Workers,
+    reports_of,
+)
 from softcal_jax.fields import ParameterSpace, Uncertain, unnamed
 from softcal_jax.inference import (
     ErrorBudget,

@@ -1,32 +1,20 @@
-"""A calibration as arrays: its lanes, their equilibria, and its linear model."""
+"""A calibration as arrays: its lanes, and its linear model."""
 
 import math
-import time
-from collections.abc import Callable, Sequence
-from functools import partial
-from typing import Any, NamedTuple
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._lanes import lane_of, stacked
-from softcal_jax._module import Module, one_line
-from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax._lanes import lane_of
+from softcal_jax._module import Module
+from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._noise import CorrelatedNoise, noise_columns
 from softcal_jax.calibration._qp import DAMPING
 from softcal_jax.configurations import Configuration, ConfigurationArrays
-from softcal_jax.equilibrium import (
-    EquilibriumSolution,
-    Model,
-    NewtonSettings,
-    Program,
-    Workers,
-    begin_newton,
-    continue_newton,
-    effector_values,
-)
+from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import ParameterSpace, unnamed
 from softcal_jax.inference import (
     ErrorColumns,
@@ -39,161 +27,6 @@ from softcal_jax.inference import (
 
 MOST_STEPS = 1_000_000
 """Largest `max_steps`: the history of every run has room for so many."""
-
-STEPS_BETWEEN = 2
-"""Newton iterations of a configuration between two reports."""
-
-FORESEEN_S = 5.0
-"""Time after which the share of the load tells how long an equilibrium takes [s]."""
-
-Report = Callable[[int, float, int], None]
-"""Takes the index of a configuration, the share of its load, and its iterations."""
-
-
-class EquilibriumProgress(NamedTuple):
-    """Progress of an equilibrium from rest: Newton iterations and seconds so far.
-
-    `load` is the share of the load that is carried, `stiffer` the factor on the moduli
-    of the start [-].
-    """
-
-    configuration: str
-    load: float
-    steps: int
-    stiffer: float
-    seconds: float
-
-    __repr__ = one_line
-
-    def __str__(self) -> str:
-        """Write it in one line."""
-        text = (
-            f"equilibrium of {self.configuration}: {100.0 * self.load:.0f} % of the "
-            f"load, step {self.steps}"
-        )
-        if self.stiffer > 1.0:
-            text += f", moduli {self.stiffer:g} times the start"
-        if self.seconds > FORESEEN_S and 0.0 < self.load < 1.0:
-            left = self.seconds * (1.0 - self.load) / self.load
-            text += f", about {left:.0f} s left"
-        return text
-
-
-def reports_of(
-    progress: Callable[[EquilibriumProgress], None] | None,
-    names: Sequence[str],
-    factor: float = 1.0,
-) -> Report | None:
-    """Return a report for `equilibria`, which knows configurations by index alone."""
-    if progress is None:
-        return None
-    begun: dict[int, float] = {}
-
-    def report(c: int, load: float, steps: int) -> None:
-        now = time.monotonic()
-        seconds = now - begun.setdefault(c, now)
-        progress(EquilibriumProgress(names[c], load, steps, factor, seconds))
-
-    return report
-
-
-def _lanes_of(batch: ConfigurationArrays) -> list[ConfigurationArrays]:
-    return [lane_of(batch, c) for c in range(len(batch.gravity))]
-
-
-_begin = eqx.filter_jit(begin_newton)
-
-
-@eqx.filter_jit
-def _go_on(
-    model: Model,
-    newton: NewtonSettings,
-    steps: Int[Array, ""],
-    configuration: ConfigurationArrays,
-    state: Any,
-):
-    return continue_newton(model, configuration, state, steps, newton)
-
-
-def equilibria(
-    workers: Workers,
-    model: Model,
-    configurations: ConfigurationArrays,
-    newton: NewtonSettings,
-    *,
-    guess: Float[Array, "n_c n_points 3"] | None = None,
-    report: Report | None = None,
-) -> EquilibriumSolution:
-    """Solve the equilibria of all configurations on all cores.
-
-    The program is compiled once for any number of lanes. `solve_from_rest` solves a
-    batch inside a compiled or differentiated program, and `Evaluator` adds the errors
-    and compliances of a calibration.
-
-    By default each begins at rest, with rigid bodies at the configuration before, as in
-    `solve_from_rest`. `report` is called after every few iterations of one of them.
-    """
-    lanes, settings = _lanes_of(configurations), newton.as_arrays()
-    most = int(newton.max_steps)
-    steps = jnp.asarray(most if report is None else STEPS_BETWEEN)
-    program = Program(_go_on, model, settings, steps)
-    solutions: dict[int, EquilibriumSolution] = {}
-
-    def solve(starts: dict[int, Float[Array, "n_points 3"]]) -> None:
-        states = {
-            c: _begin(model, lanes[c], start, settings) for c, start in starts.items()
-        }
-        while states:
-            under_way = list(states)
-            ends = workers.map(program, [(lanes[c], states[c]) for c in under_way])
-            for c, (state, solution) in zip(under_way, ends, strict=True):
-                if report is not None:
-                    report(c, float(state.load_ok), int(state.step))
-                states[c], solutions[c] = state, solution
-                if bool(state.done) or int(state.step) >= most:
-                    del states[c]
-
-    rest = jnp.zeros((model.n_points, 3))
-    if guess is not None:
-        solve(dict(enumerate(guess)))
-    elif model.mechanism.bodies.n_bodies > 0:
-        start = rest
-        for c in range(len(lanes)):
-            solve({c: start})
-            last = solutions[c]
-            start = jnp.where(last.converged, last.displacement, start)
-    else:
-        solve(dict.fromkeys(range(len(lanes)), rest))
-    return stacked([solutions[c] for c in range(len(lanes))])
-
-
-_effectors_of_lane = eqx.filter_jit(effector_values)
-
-
-def effectors_on_all_cores(
-    workers: Workers,
-    model: Model,
-    configurations: ConfigurationArrays,
-    solution: EquilibriumSolution,
-) -> Float[Array, "n_c n_rows 3"]:
-    """Compute effector coordinates as `effectors_of` does, on all cores."""
-    states = solution.displacement, solution.multipliers
-    lanes = zip(_lanes_of(configurations), *map(np.asarray, states), strict=True)
-    return stacked(workers.map(Program(_effectors_of_lane, model), lanes))
-
-
-def effectors_of(
-    model: Model, configurations: ConfigurationArrays, solution: EquilibriumSolution
-) -> Float[Array, "n_c n_rows 3"]:
-    """Compute the effector coordinates of a batch, inside a compiled program too."""
-    states = solution.displacement, solution.multipliers
-    return jax.vmap(partial(effector_values, model))(configurations, *states)
-
-
-def as_guess(solution: EquilibriumSolution) -> Float[Array, "n_c n_points 3"]:
-    """Return displacements to start from, rest where there was no equilibrium [m]."""
-    converged = solution.converged[:, None, None]
-    return jnp.where(converged, solution.displacement, 0.0)
 
 
 class CalibrationSettings(Module):

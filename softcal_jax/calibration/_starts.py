@@ -18,9 +18,6 @@ from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
     CalibrationSettings,
-    EquilibriumProgress,
-    Report,
-    reports_of,
 )
 from softcal_jax.calibration._result import MultiStartResult, Optimum
 from softcal_jax.calibration._runs import (
@@ -33,7 +30,14 @@ from softcal_jax.calibration._runs import (
     run_start,
 )
 from softcal_jax.calibration._step import CalibrationState
-from softcal_jax.equilibrium import EquilibriumSolution, Workers, no_equilibrium
+from softcal_jax.equilibrium import (
+    EquilibriumProgress,
+    EquilibriumSolution,
+    Report,
+    Workers,
+    no_equilibrium,
+    reports_of,
+)
 from softcal_jax.fields import ParameterSpace, random_starts, unnamed
 
 STIFFER = 2.0

@@ -15,11 +15,8 @@ from softcal_jax.cli._display import Display
 from softcal_jax.cli._shared import BAD_INPUT, INTERRUPTED, Stop, bad_input
 
 if TYPE_CHECKING:
-    from softcal_jax.calibration import (
-        CalibrationResult,
-        EquilibriumProgress,
-        HistoryEntry,
-    )
+    from softcal_jax.calibration import CalibrationResult, HistoryEntry
+    from softcal_jax.equilibrium import EquilibriumProgress
     from softcal_jax.fields import Parameter
     from softcal_jax.project import Project
 

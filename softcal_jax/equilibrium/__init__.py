@@ -13,6 +13,15 @@ from softcal_jax.equilibrium._assembly import (
     tet_states as tet_states,
     tet_stresses as tet_stresses,
 )
+from softcal_jax.equilibrium._batch import (
+    EquilibriumProgress as EquilibriumProgress,
+    Report as Report,
+    as_guess as as_guess,
+    compiled_effectors as compiled_effectors,
+    effectors_on_all_cores as effectors_on_all_cores,
+    equilibria as equilibria,
+    reports_of as reports_of,
+)
 from softcal_jax.equilibrium._build_model import (
     build_model as build_model,
     model_for_law as model_for_law,
@@ -63,8 +72,6 @@ from softcal_jax.equilibrium._solution import (
     no_equilibrium as no_equilibrium,
 )
 from softcal_jax.equilibrium._solve import (
-    begin_newton as begin_newton,
-    continue_newton as continue_newton,
     lanes as lanes,
     solve_equilibrium as solve_equilibrium,
     solve_from_rest as solve_from_rest,

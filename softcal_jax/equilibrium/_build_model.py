@@ -1,5 +1,6 @@
 """Building a model: shape gradients, sparsity, symbolic analysis."""
 
+import warnings
 from collections.abc import Sequence
 from typing import Literal
 
@@ -24,11 +25,14 @@ from softcal_jax.equilibrium._sparsity import (
     destinations,
 )
 from softcal_jax.materials import AbstractLaw, with_arrays
-from softcal_jax.mesh import TetMesh, check_mesh
+from softcal_jax.mesh import MeshWarning, TetMesh, check_mesh
 
 # Blocks of tets fit the L1 cache, with the tet index last for vectorisation: the
 # corotational law takes twice as long with blocks of 32 as with 16.
 BLOCK = 16
+
+LONGEST = 5.0
+"""Extent of a mesh above which it is probably in mm: few robots are so long [m]."""
 
 
 def build_model(
@@ -66,6 +70,9 @@ def build_model(
             (extra `gpu`). "none" prepares none: such a model can be looked at, not
             solved.
 
+    Warns:
+        MeshWarning: If the mesh is so large that its coordinates may be in mm.
+
     Raises:
         ValueError: If JAX is not in float64, mesh or density are not sound, a per-tet
             array has the wrong length, a body or an actuator does not fit the mesh, or
@@ -81,6 +88,14 @@ def build_model(
     solved = kind is not NoSolver
     mechanism = build_mechanism(mesh, bodies, actuators, at_rest=solved)
     check_mesh(mesh, linked=_linked(mechanism))
+    across = float(np.ptp(mesh.points, axis=0).max())
+    if across > LONGEST:
+        warnings.warn(
+            f"the mesh is {across:.4g} m across. If its coordinates are in mm, read it "
+            'by read_mesh(path, length_unit="mm"), or make it of 1e-3 * points.',
+            MeshWarning,
+            stacklevel=2,
+        )
     return _prepared(
         mesh,
         law,

@@ -49,6 +49,7 @@ def as_solution(state: NewtonState, settings: NewtonSettings) -> EquilibriumSolu
     )
 
 
+@eqx.filter_jit
 def begin_newton(
     model: Model,
     configuration: ConfigurationArrays,
@@ -60,12 +61,13 @@ def begin_newton(
     return NewtonLoop(posed, settings).start(guess)
 
 
+@eqx.filter_jit
 def continue_newton(
     model: Model,
+    settings: NewtonSettings,
+    steps: Int[Array, ""],
     configuration: ConfigurationArrays,
     state: NewtonState,
-    steps: Int[Array, ""],
-    settings: NewtonSettings,
 ) -> tuple[NewtonState, EquilibriumSolution]:
     """Do some more iterations, for a caller that reports in between.
 

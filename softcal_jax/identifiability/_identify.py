@@ -14,13 +14,11 @@ from softcal_jax._process import check_process
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration import (
     CalibrationProblem,
-    EquilibriumProgress,
     Evaluator,
     as_sequence,
     check_references,
     correlated_noise,
     linear_model,
-    reports_of,
 )
 from softcal_jax.configurations import (
     Configuration,
@@ -29,11 +27,13 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import (
     RESULTS,
+    EquilibriumProgress,
     EquilibriumSolution,
     Model,
     NewtonSettings,
     Workers,
     check_converged,
+    reports_of,
 )
 from softcal_jax.fields import (
     PRECISION,

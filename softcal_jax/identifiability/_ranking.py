@@ -9,9 +9,9 @@ from softcal_jax._module import Module, Result
 from softcal_jax._text_table import TextTable, text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_unit
-from softcal_jax.calibration import EquilibriumProgress, as_sequence
+from softcal_jax.calibration import as_sequence
 from softcal_jax.configurations import Configuration
-from softcal_jax.equilibrium import Model, NewtonSettings
+from softcal_jax.equilibrium import EquilibriumProgress, Model, NewtonSettings
 from softcal_jax.fields import PRECISION, Uncertain, asked_errors
 from softcal_jax.identifiability._identify import AnyVector, Parameters, Survey, survey
 from softcal_jax.identifiability._result import number

@@ -11,14 +11,11 @@ from softcal_jax._typing import Array, Float
 from softcal_jax.calibration import (
     CalibrationResult,
     CalibrationSettings,
-    EquilibriumProgress,
     HistoryEntry,
     ProjectSource,
     SearchProgress,
     build_problem,
     calibrate,
-    equilibria,
-    reports_of,
 )
 from softcal_jax.configurations import (
     Configuration,
@@ -26,7 +23,15 @@ from softcal_jax.configurations import (
     Traces,
     configuration_arrays,
 )
-from softcal_jax.equilibrium import EquilibriumSolution, Model, NewtonSettings, Workers
+from softcal_jax.equilibrium import (
+    EquilibriumProgress,
+    EquilibriumSolution,
+    Model,
+    NewtonSettings,
+    Workers,
+    equilibria,
+    reports_of,
+)
 from softcal_jax.fields import Parameter, ParameterSpace, Uncertain
 from softcal_jax.identifiability import (
     Identifiability,

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax.calibration import as_guess, effectors_on_all_cores, equilibria
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -14,7 +13,15 @@ from softcal_jax.configurations import (
     measured_as,
     measured_at_rest,
 )
-from softcal_jax.equilibrium import Model, NewtonSettings, Workers, check_converged
+from softcal_jax.equilibrium import (
+    Model,
+    NewtonSettings,
+    Workers,
+    as_guess,
+    check_converged,
+    effectors_on_all_cores,
+    equilibria,
+)
 from softcal_jax.fields import ParameterSpace
 
 

@@ -16,6 +16,7 @@ from softcal_jax import (
     set_field,
     solve_equilibrium,
 )
+from softcal_jax.mesh import MeshWarning
 
 
 def model_of(cells):
@@ -104,3 +105,9 @@ def test_a_field_of_another_length_is_named():
         set_field(MODEL, "E", jnp.ones(7))
     per_tet = jnp.full(MODEL.n_tets, 2e5)
     assert set_field(MODEL, "E", per_tet).law.E.shape == per_tet.shape
+
+
+def test_a_mesh_in_mm_is_suspected_aloud():
+    mesh = beam(100.0, 20.0, 20.0, (1, 1, 1), order=1)
+    with pytest.warns(MeshWarning, match=r'100 m across.*in mm.*length_unit="mm"'):
+        build_model(mesh, NeoHookean(1e5, 0.3), density=1e3)

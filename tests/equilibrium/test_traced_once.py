@@ -11,10 +11,9 @@ from softcal_jax.configurations import Configuration, ImposedDisplacement
 from softcal_jax.equilibrium import (
     NewtonSettings,
     _assembly as assembly,
-    begin_newton,
     build_model,
-    continue_newton,
 )
+from softcal_jax.equilibrium._solve import begin_newton, continue_newton
 from softcal_jax.fields import find_field
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
@@ -81,7 +80,7 @@ def test_a_state_of_newton_keeps_its_types():
     before = jax.eval_shape(
         lambda u: begin_newton(model, lane, u, settings), jnp.zeros((model.n_points, 3))
     )
-    more = lambda state, n: continue_newton(model, lane, state, n, settings)[0]
+    more = lambda state, n: continue_newton(model, settings, n, lane, state)[0]
     after = jax.eval_shape(more, before, jnp.asarray(2))
     types = lambda state: [
         (leaf.shape, leaf.dtype, leaf.weak_type) for leaf in jax.tree.leaves(state)
