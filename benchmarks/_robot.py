@@ -9,19 +9,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax.calibration import CalibrationResult, ConfigurationResult, calibrate
-from softcal_jax.configurations import Configuration
-from softcal_jax.fields import Uncertain
-from softcal_jax.robots import (
-    PRIOR,
-    SETUP,
-    ParallelRobot,
+from benchmarks._parallel_robot import PRIOR, SETUP, ParallelRobot, parallel_robot
+from benchmarks._printed_robot import (
     PrintedRobot,
     PrintingErrors,
-    parallel_robot,
     printed_robot,
     read_poses_of,
 )
+from softcal_jax.calibration import CalibrationResult, ConfigurationResult, calibrate
+from softcal_jax.configurations import Configuration
+from softcal_jax.fields import Uncertain
 
 SIZE = 0.0075
 """Edge length of the calibrated model; the robots are finer [m]."""

@@ -10,17 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks._parallel_robot import ParallelRobot, pose
+from benchmarks._printed_robot import PrintedRobot, printed_robot
 from benchmarks._robot import SIZE, STD, STD_ANGLE, Measured
 from softcal_jax.bodies import Pose
 from softcal_jax.configurations import BodyFrame, Configuration
 from softcal_jax.equilibrium import Model
-from softcal_jax.robots import (
-    ParallelRobot,
-    PrintedRobot,
-    pose,
-    printed_robot,
-    simulated_measurements,
-)
+from softcal_jax.robots import simulated_measurements
 
 
 class Differences(NamedTuple):

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from benchmarks._parallel_robot import ParallelRobot
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from benchmarks._robot import (
     QUANTITIES,
@@ -24,7 +25,6 @@ from benchmarks._robot import (
 from softcal_jax.calibration import CalibrationResult, ConfigurationResult
 from softcal_jax.fields import ControlPointParameters
 from softcal_jax.plotting import plot_fibres
-from softcal_jax.robots import ParallelRobot
 
 ROBOTS = 10
 """Printed robots."""

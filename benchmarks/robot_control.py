@@ -28,6 +28,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks._parallel_robot import ParallelRobot
+from benchmarks._printed_robot import PrintedRobot
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from benchmarks._robot import (
     READ_STD,
@@ -50,7 +52,6 @@ from softcal_jax.calibration import CalibrationResult
 from softcal_jax.configurations import BodyFrame
 from softcal_jax.control import InverseResult, Limits, sample_workspace, solve_inverse
 from softcal_jax.equilibrium import Model
-from softcal_jax.robots import ParallelRobot, PrintedRobot
 
 N_GOALS = 20
 

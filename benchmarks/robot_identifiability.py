@@ -11,6 +11,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from benchmarks._parallel_robot import SETUP, parallel_robot, pose
+from benchmarks._printed_robot import PrintedRobot
 from benchmarks._problem import Figure, Options, Outcome, Table
 from benchmarks._robot import (
     QUANTITIES,
@@ -25,7 +27,6 @@ from benchmarks._robot import (
 from softcal_jax.calibration import CalibrationResult
 from softcal_jax.fields import exactly_known
 from softcal_jax.identifiability import Identifiability, identify
-from softcal_jax.robots import SETUP, PrintedRobot, parallel_robot, pose
 
 TRACKERS = {
     "polhemus": (0.76e-3, float(np.deg2rad(0.15))),

@@ -16,6 +16,8 @@ import jax
 import numpy as np
 
 from benchmarks._memory import peak_bytes
+from benchmarks._parallel_robot import ParallelRobot, parallel_robot, pose as posed
+from benchmarks._printed_robot import printed_robot, read_poses_of
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from benchmarks._timing import run_process
 from softcal_jax._typing import HostArray
@@ -29,13 +31,6 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.control import ControlSettings, solve_inverse
 from softcal_jax.equilibrium import effector_values, solve_equilibrium
-from softcal_jax.robots import (
-    ParallelRobot,
-    parallel_robot,
-    pose as posed,
-    printed_robot,
-    read_poses_of,
-)
 
 SIZE = 0.005
 """Edge length of the tets: 3 348 nodes a sheet [m]."""

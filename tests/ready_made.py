@@ -14,16 +14,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from benchmarks._parallel_robot import parallel_robot
+from benchmarks._printed_robot import printed_robot, read_poses_of
 from softcal_jax.exchange.cad import mesh_cad
 from softcal_jax.mesh import TetMesh, to_linear, write_mesh
 from softcal_jax.project import load_project
-from softcal_jax.robots import (
-    parallel_robot,
-    printed_robot,
-    read_poses_of,
-    ready_made_path,
-    simulated_measurements,
-)
+from softcal_jax.robots import ready_made_path, simulated_measurements
 
 FINGER_E, FINGER_STD, FINGER_ABOVE = 320e3, 0.2e-3, 2.0
 """Modulus [Pa] and noise [m] behind the readings; the cavity lies so high [mm]."""

@@ -27,7 +27,6 @@ from softcal_jax.mesh._reading import (
     read_tet_data as read_tet_data,
 )
 from softcal_jax.mesh._recovery import Recovery as Recovery, recovery as recovery
-from softcal_jax.mesh._refinement import refine as refine
 from softcal_jax.mesh._selection import (
     Annulus as Annulus,
     Box as Box,
@@ -62,6 +61,5 @@ from softcal_jax.mesh._topology import (
     tet_faces as tet_faces,
     volumes as volumes,
 )
-from softcal_jax.mesh._tripod import tripod as tripod
 from softcal_jax.mesh._voxels import Filling as Filling, Grid as Grid, fill as fill
 from softcal_jax.mesh._writing import write_mesh as write_mesh

@@ -8,25 +8,6 @@ from softcal_jax.robots._measurements import (
     simulated_measurements as simulated_measurements,
     synthetic_measurements as synthetic_measurements,
 )
-from softcal_jax.robots._parallel_robot import (
-    CALIBRATION_ANGLES as CALIBRATION_ANGLES,
-    PRIOR as PRIOR,
-    SETUP as SETUP,
-    VALIDATION_ANGLES as VALIDATION_ANGLES,
-    ParallelRobot as ParallelRobot,
-    parallel_robot as parallel_robot,
-    pose as pose,
-)
-from softcal_jax.robots._parallel_robot_geometry import (
-    Arm as Arm,
-    ParallelRobotGeometry as ParallelRobotGeometry,
-)
-from softcal_jax.robots._printed_robot import (
-    PrintedRobot as PrintedRobot,
-    PrintingErrors as PrintingErrors,
-    printed_robot as printed_robot,
-    read_poses_of as read_poses_of,
-)
 from softcal_jax.robots._ready_made import (
     READY_MADE as READY_MADE,
     pneumatic_arm_path as pneumatic_arm_path,

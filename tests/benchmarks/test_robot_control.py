@@ -3,14 +3,11 @@
 import numpy as np
 import pytest
 
+from benchmarks._parallel_robot import parallel_robot
+from benchmarks._printed_robot import printed_robot, read_poses_of
 from benchmarks._robot import READ_STD, READ_STD_ANGLE, READINGS
 from benchmarks._robot_errors import differences
-from softcal_jax.robots import (
-    parallel_robot,
-    printed_robot,
-    read_poses_of,
-    simulated_measurements,
-)
+from softcal_jax.robots import simulated_measurements
 
 
 @pytest.mark.slow  # a printed robot, whose equilibria compile for half a minute

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from refinement import refine
 
 from softcal_jax.mesh import (
     TetMesh,
     beam,
     boundary_faces,
     check_mesh,
-    refine,
     to_quadratic,
     volumes,
 )

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refinement import refine
 
 from softcal_jax.actuators import Cable, Motor
 from softcal_jax.bodies import Pose, RigidBody
@@ -36,7 +37,7 @@ from softcal_jax.materials import (
     NeoHookean,
     TransverseHyperelastic,
 )
-from softcal_jax.mesh import beam, refine, to_quadratic
+from softcal_jax.mesh import beam, to_quadratic
 from softcal_jax.unknowns import MESH, Setting, considered_errors
 
 REFERENCE = 6.7812

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from arms import arm_pose
 
-from softcal_jax.mesh import check_mesh, tripod, volumes
-from softcal_jax.robots._parallel_robot_geometry import ParallelRobotGeometry
+from benchmarks._parallel_robot_geometry import ParallelRobotGeometry
+from benchmarks._tripod import tripod
+from softcal_jax.mesh import check_mesh, volumes
 
 ROBOT = ParallelRobotGeometry()
 ARMS = ROBOT.arms()

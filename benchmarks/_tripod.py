@@ -6,10 +6,14 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
-from softcal_jax.mesh._conversion import check_order, to_quadratic
-from softcal_jax.mesh._generators import kuhn_tets, oriented
-from softcal_jax.mesh._tet_mesh import TetMesh
-from softcal_jax.mesh._topology import boundary_faces
+from softcal_jax.mesh import (
+    TetMesh,
+    boundary_faces,
+    check_order,
+    oriented,
+    to_quadratic,
+)
+from softcal_jax.mesh._generators import kuhn_tets
 
 
 class _Sector(NamedTuple):

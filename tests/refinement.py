@@ -1,4 +1,4 @@
-"""Refinement of a mesh.
+"""Refinement of a mesh, for references on finer ones.
 
 A quadratic tet is split into eight through its mid nodes: four at its corners, and the
 octahedron between them along its shortest diagonal (Bey, Computing 55, 1995).
@@ -10,8 +10,7 @@ import numpy as np
 
 from softcal_jax._typing import HostArray, Int
 from softcal_jax.elements import TET_EDGES, shape_functions
-from softcal_jax.mesh._conversion import to_quadratic
-from softcal_jax.mesh._tet_mesh import TetMesh
+from softcal_jax.mesh import TetMesh, to_quadratic
 
 _AT_CORNERS = ((0, 4, 6, 7), (4, 1, 5, 8), (6, 5, 2, 9), (7, 8, 9, 3))
 

@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 from wording import says
 
-from softcal_jax.mesh import (
-    boundary_faces,
-    check_mesh,
-    to_linear,
-    tripod,
-    volumes,
-)
+from benchmarks._tripod import tripod
+from softcal_jax.mesh import boundary_faces, check_mesh, to_linear, volumes
 
 OTHERS = [
     {},

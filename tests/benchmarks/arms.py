@@ -2,8 +2,8 @@
 
 from scipy.spatial.transform import Rotation
 
+from benchmarks._parallel_robot_geometry import Arm
 from softcal_jax.bodies import Pose
-from softcal_jax.robots import Arm
 
 
 def arm_pose(arm: Arm, angle: float) -> Pose:

@@ -11,6 +11,8 @@ from dataclasses import replace
 import equinox as eqx
 import numpy as np
 
+from benchmarks._parallel_robot import mechanism
+from benchmarks._parallel_robot_geometry import ParallelRobotGeometry
 from softcal_jax._module import Module
 from softcal_jax.configurations import AbstractEffector, BodyFrame, Configuration
 from softcal_jax.equilibrium import Model, build_model
@@ -20,9 +22,7 @@ from softcal_jax.materials import (
     ReducedTransverseIsotropic,
     TransverseHyperelastic,
 )
-from softcal_jax.robots._measurements import simulated_measurements
-from softcal_jax.robots._parallel_robot import mechanism
-from softcal_jax.robots._parallel_robot_geometry import ParallelRobotGeometry
+from softcal_jax.robots import simulated_measurements
 
 
 class PrintingErrors(Module):

@@ -6,11 +6,12 @@ from itertools import product
 
 import numpy as np
 
+from benchmarks._tripod import tripod
 from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import Pose
 from softcal_jax.fields import ControlPoints
-from softcal_jax.mesh import TetMesh, merge, tripod
+from softcal_jax.mesh import TetMesh, merge
 
 SHEETS = {"lower": -1.0, "upper": 1.0}
 """The sheets, and the side of the middle on which they lie along y."""

@@ -8,15 +8,10 @@ import pytest
 from arms import arm_pose
 from problems import lane_of
 
+from benchmarks._parallel_robot import parallel_robot, pose
+from benchmarks._printed_robot import PrintingErrors, printed_robot, read_poses_of
 from softcal_jax.configurations import configuration_arrays
 from softcal_jax.equilibrium import effector_values, solve_equilibrium
-from softcal_jax.robots import (
-    PrintingErrors,
-    parallel_robot,
-    pose,
-    printed_robot,
-    read_poses_of,
-)
 
 
 @cache

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from benchmarks._parallel_robot_geometry import ParallelRobotGeometry
 from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import Motor
@@ -18,7 +19,6 @@ from softcal_jax.fields import (
     mounting,
 )
 from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
-from softcal_jax.robots._parallel_robot_geometry import ParallelRobotGeometry
 
 EFFECTOR = "rod"
 """Name of the rigid rod, and of the 6-D sensor at its middle."""
