@@ -11,7 +11,8 @@ The same starts of the commit `BEFORE`, the last one before error budgets became
 of their own, take turns with these, so that ratios do not depend on the day. The answer
 is there when the line "So far" is printed; before, when the demo has ended.
 
-Last, what the error of the mesh takes beside a fit.
+Then a gradient through an equilibrium that is called eagerly in a process of its own,
+and what second calls compile. Last, what the error of the mesh takes beside a fit.
 """
 
 import json
@@ -41,6 +42,7 @@ GOALS = {
     "tracing_warm_over_before": Goal("at most", 0.25),
     "mesh_error_over_fit": Goal("at most", 0.15),
     "mesh_error_memory_over_fit": Goal("at most", 1.5),
+    "second_eager_call_compiles": Goal("at most", 0),
     "recompilations_after_first_step": Goal("at most", 0),
     "beam_programs_not_kept": Goal("at most", 0),
 }
@@ -103,6 +105,7 @@ def run(options: Options) -> Outcome:
         for name, values in samples.items()
     }
     figures |= over_before(samples, before)
+    figures |= eager_starts()
     figures |= mesh_errors(options)
     seconds = {name: times for name, times in samples.items() if name not in COUNTS}
     return Outcome(figures, seconds, GOALS, [_table(figures)])
@@ -125,7 +128,7 @@ def _table(figures: dict[str, Figure]) -> Table:
 def _import_seconds(module: str) -> float:
     command = [sys.executable, "-c", _TIMED_IMPORT.format(module)]
     with tempfile.TemporaryDirectory() as home:
-        return float(run_process(command, _at_home(home)))
+        return float(run_process(command, at_home(home)))
 
 
 @contextmanager
@@ -165,7 +168,7 @@ def demo_starts(folder: Path = ROOT) -> dict[str, float]:
             results = Path(home) / start
             command = [sys.executable, "-c", _DEMO, "demo", "-o", str(results)]
             said = json.loads(
-                run_process(command, _at_home(home, folder), folder).splitlines()[-1]
+                run_process(command, at_home(home, folder), folder).splitlines()[-1]
             )
             found[f"demo_{start}_s"] = said["total"]
             found[f"answer_{start}_s"] = said["answer"] or said["total"]
@@ -192,7 +195,7 @@ def beam_starts(cells: Cells, folder: Path = ROOT) -> dict[str, float]:
         for start in ("cold", "warm"):
             command = [sys.executable, "-m", "benchmarks._first_result"]
             command += [str(time.time()), *map(str, cells)]
-            told = json.loads(run_process(command, _at_home(home, folder), folder))
+            told = json.loads(run_process(command, at_home(home, folder), folder))
             if not told["converged"]:
                 raise RuntimeError("the calibration of the beam did not converge.")
             for part in ("first_result", "calibration", "compile"):
@@ -202,6 +205,18 @@ def beam_starts(cells: Cells, folder: Path = ROOT) -> dict[str, float]:
     found["beam_programs"] = told["programs"]
     found["beam_programs_not_kept"] = told["programs"] - told["from_disk"]
     return found
+
+
+def eager_starts() -> dict[str, Figure]:
+    """Time to the first gradient, cold and warm [s], and what a second one compiles."""
+    figures: dict[str, Figure] = {}
+    with tempfile.TemporaryDirectory() as home:
+        for start in ("cold", "warm"):
+            command = [sys.executable, "-m", "benchmarks._eager", str(time.time())]
+            told = json.loads(run_process(command, at_home(home)).splitlines()[-1])
+            figures[f"first_gradient_{start}_s"] = told["first_gradient_s"]
+            figures["second_eager_call_compiles"] = told["second_calls"]
+    return figures
 
 
 def mesh_errors(options: Options) -> dict[str, Figure]:
@@ -218,7 +233,7 @@ def mesh_errors(options: Options) -> dict[str, Figure]:
     return figures
 
 
-def _at_home(home: str, folder: Path = ROOT) -> dict[str, str]:
+def at_home(home: str, folder: Path = ROOT) -> dict[str, str]:
     """Environment of a tree, with nothing kept but what is in a folder."""
     return {
         "PYTHONPATH": str(folder),

@@ -6,11 +6,14 @@ with one worker and nothing compiled before, then with two that find what the fi
 compiled. A rate counts from when every worker has ended its first trial, since that one
 compiles; the wait for it is a figure of its own. Rows must be the same, bit for bit.
 
-Last, how many rows a second are written where the trials take no time.
+The same sweep with one worker of the commit `BEFORE` takes turns with this one, so that
+their ratio does not depend on the day. Last, how many rows a second are written where
+the trials take no time: into a database, and in parts of ten million planned trials.
 """
 
 import os
 import pickle
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -19,12 +22,15 @@ from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
+from benchmarks._timing import ROOT, ratio, run_process
+from benchmarks.compile import at_home, tree_before
 from softcal_jax.sweeps import (
     Progress,
     SweepResult,
     Trial,
     grid,
     load_sweep,
+    run_part,
     run_sweep,
 )
 
@@ -34,8 +40,15 @@ TRIALS = 40
 QUICK_TRIALS = 20_000
 """Trials that take no time."""
 
+PLANNED, PARTS_RUN, PART_TRIALS = 10_000_000, 100, 1_000
+"""Trials of a sweep in parts, the parts of it that are run, and the trials of each."""
+
+ROUNDS, ROUND_TRIALS = 2, 20
+"""Rounds of this commit and the one before, and trials of each sweep in them."""
+
 GOALS = {
     "two_workers_over_one": Goal("at least", 1.7),
+    "trials_per_core_hour_over_before": Goal("at least", 1.8),
     "rows_per_second_limit": Goal("at least", 2000),
     "rows_that_differ": Goal("at most", 0),
     "not_converged": Goal("at most", 0),
@@ -165,6 +178,7 @@ def run(options: Options) -> Outcome:
             swept[workers] = sweep(Path(home), workers)
         programs = (Path(home) / "jax").rglob("*-cache")
         compiled_mb = sum(path.stat().st_size for path in programs) / 1e6
+    rates = rates_in_turn(options)
     one, two = swept[1], swept[2]
     figures: dict[str, Figure] = {
         "trials_per_hour_1_worker": one.per_hour,
@@ -177,7 +191,9 @@ def run(options: Options) -> Outcome:
         "bytes_to_a_worker_per_trial": one.bytes_out,
         "bytes_from_a_worker_per_trial": one.bytes_back,
         "database_bytes_per_row": one.bytes_kept / TRIALS,
+        "trials_per_core_hour_over_before": ratio(rates["before"], rates["now"]),
         "rows_per_second_limit": rows_per_second(QUICK_TRIALS),
+        **parts_per_second(),
         "compiled_programs_mb": compiled_mb,
     }
     picture = options.folder() / "sweep.png"
@@ -242,6 +258,47 @@ def rows_per_second(trials: int) -> float:
         begin = time.perf_counter()
         run_sweep(_nothing, points, Path(folder) / "quick.sqlite", workers=0)
         return trials / (time.perf_counter() - begin)
+
+
+def parts_per_second() -> dict[str, Figure]:
+    """Rate of parts whose trials take no time, and the size of a row on the disk."""
+    points = grid({"i": range(PLANNED // PART_TRIALS), "j": range(PART_TRIALS)})
+    of = len(points) // PART_TRIALS
+    with TemporaryDirectory() as folder:
+        begin = time.perf_counter()
+        for k in range(0, of, of // PARTS_RUN):
+            run_part(_nothing, points, folder, part=k, of=of, workers=0)
+        seconds = time.perf_counter() - begin
+        size = sum(file.stat().st_size for file in Path(folder).iterdir())
+    rows = PARTS_RUN * PART_TRIALS
+    return {"part_rows_per_second": rows / seconds, "part_bytes_per_row": size / rows}
+
+
+def rates_in_turn(options: Options) -> dict[str, list[float]]:
+    """Seconds per trial of one worker, of this commit and of `BEFORE`."""
+    seconds: dict[str, list[float]] = {"now": [], "before": []}
+    with tree_before() as tree, TemporaryDirectory() as parent:
+        for i in range(ROUNDS):
+            for name, root in (("now", ROOT), ("before", tree)):
+                options.say(f"one worker, {name}, {i + 1} of {ROUNDS}")
+                folder = Path(parent) / name / str(i)
+                folder.mkdir(parents=True)
+                command = [sys.executable, "-c", _RATE, str(folder), str(ROUND_TRIALS)]
+                environment = at_home(str(folder.parent), root)
+                told = run_process(command, environment, root)
+                seconds[name].append(3600.0 / float(told.splitlines()[-1]))
+    return seconds
+
+
+_RATE = """
+import sys
+from pathlib import Path
+import jax
+jax.config.update("jax_enable_x64", True)
+from benchmarks.sweep import sweep
+if __name__ == "__main__":
+    print(sweep(Path(sys.argv[1]), 1, int(sys.argv[2])).per_hour)
+"""
 
 
 def _nothing(trial: Trial) -> dict[str, float]:

@@ -54,7 +54,10 @@ TETS = Limit("SOFTCAL_MAX_TETS", 2_000_000, "tets")
 """Tets of a mesh; a million quadratic ones take more than 10 GB to solve."""
 
 TRIALS = Limit("SOFTCAL_MAX_TRIALS", 100_000, "trials")
-"""Trials of a sweep, and starts of a calibration."""
+"""Trials of a sweep in one database or part, and starts of a calibration."""
+
+PLANNED = Limit("SOFTCAL_MAX_PLANNED", 10_000_000, "trials")
+"""Trials of a sweep that runs in parts."""
 
 MEGABYTES = Limit("SOFTCAL_MAX_FILE_MB", 100, "MB")
 """Size of a file that is read, and of what is packed in it [MB]."""

@@ -18,7 +18,7 @@ from softcal_jax.cli._shared import (
 )
 
 if TYPE_CHECKING:
-    from softcal_jax.sweeps import Progress, TrialRow
+    from softcal_jax.sweeps import Progress, Sweep, TrialRow
 
 QUIET_S = 30.0
 """Shortest time between lines on the progress of a sweep in a log [s]."""
@@ -67,9 +67,15 @@ def sweep(args: argparse.Namespace, show: Display) -> None:
     show.now(f"reading {args.sweep.name}")
     with bad_input():
         loaded = load_sweep(args.sweep)
+        if (args.part is None) != (args.of is None):
+            raise ValueError("--part and --of go together: --part 17 --of 1000.")
         database = args.output or loaded.database
-        check_sweep_page(database)
+        if args.part is None:
+            check_sweep_page(database)
     show.lap("reading")
+    if args.part is not None:
+        _part(args, show, loaded)
+        return
     try:
         with bad_input():
             result = loaded.run(
@@ -101,6 +107,29 @@ def sweep(args: argparse.Namespace, show: Display) -> None:
     if bad:
         text = f"{bad} of {len(result.rows)} trials failed or did not converge."
         raise Stop(NOT_CONVERGED, text)
+
+
+def _part(args: argparse.Namespace, show: Display, loaded: "Sweep") -> None:
+    """Run one part of a large sweep, without a page."""
+    try:
+        with bad_input():
+            path = loaded.run_part(
+                args.output or loaded.path.with_suffix(""),
+                part=args.part,
+                of=args.of,
+                workers=args.workers,
+                cores_per_worker=args.cores_per_worker,
+                scheduler=args.scheduler,
+                progress=_progress_lines(show),
+            )
+    except KeyboardInterrupt:
+        text = "interrupted: nothing of this part was written; it begins anew."
+        raise Stop(INTERRUPTED, text) from None
+    except RuntimeError as error:
+        raise Stop(BAD_INPUT, f"error: {error}") from error
+    show.lap("trials")
+    show.line(f"Rows in {path}, those of failed trials too.")
+    show.times()
 
 
 def _progress_lines(show: Display) -> "Callable[[Progress], None]":
@@ -171,8 +200,13 @@ def add_sweep(commands: "argparse._SubParsersAction") -> None:
         epilog=_SWEEP,
     )
     add_path(run, "sweep", "SWEEP.toml", "the sweep file")
-    where = "database for the rows (default: SWEEP.sqlite, beside the sweep file)"
+    where = "database for the rows (default: SWEEP.sqlite, beside the sweep file), or "
+    where += "with --part the folder for the parts (default: SWEEP)"
     add_path(run, "--output", "FILE", where)
+    text = "run this one of --of N parts, from 0, and write a Parquet file: more than "
+    text += "100 000 trials, as jobs of a cluster"
+    run.add_argument("--part", metavar="K", type=int, help=text)
+    run.add_argument("--of", metavar="N", type=int, help="number of parts")
     workers = "worker processes (default: all cores)"
     run.add_argument("--workers", metavar="N", type=int, help=workers)
     threads = "threads of each (default: 1, which is fastest unless memory is short)"

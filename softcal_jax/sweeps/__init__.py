@@ -6,6 +6,7 @@
 from softcal_jax.sweeps._calibration import CalibrationTrial as CalibrationTrial
 from softcal_jax.sweeps._database import read_sweep as read_sweep
 from softcal_jax.sweeps._file import Sweep as Sweep, load_sweep as load_sweep
+from softcal_jax.sweeps._parts import run_part as run_part
 from softcal_jax.sweeps._progress import Progress as Progress
 from softcal_jax.sweeps._result import Group as Group, SweepResult as SweepResult
 from softcal_jax.sweeps._row import Outcome as Outcome, TrialRow as TrialRow
@@ -21,6 +22,7 @@ from softcal_jax.sweeps._tables import (
     write_sweep_csv as write_sweep_csv,
 )
 from softcal_jax.sweeps._trial import (
+    Points as Points,
     Range as Range,
     Trial as Trial,
     grid as grid,

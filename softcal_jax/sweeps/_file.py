@@ -32,9 +32,10 @@ from softcal_jax.sweeps._calibration import (
     file_keys,
     truth_in_si,
 )
+from softcal_jax.sweeps._parts import run_part
 from softcal_jax.sweeps._result import SweepResult
 from softcal_jax.sweeps._run import run_sweep
-from softcal_jax.sweeps._trial import Point, Range, grid, sample
+from softcal_jax.sweeps._trial import Points, Range, grid, sample
 
 
 class SweepTable(Table):
@@ -70,7 +71,7 @@ class Sweep:
     name: str
     path: Path
     function: CalibrationTrial
-    points: tuple[Point, ...]
+    points: Points
     seed: int
     definitions: Mapping[str, str]
     file: SourceFile
@@ -97,16 +98,28 @@ class Sweep:
         Raises:
             ValueError, OSError, RuntimeError: See `run_sweep`.
         """
-        return run_sweep(
-            self.function,
-            self.points,
-            self.database if database is None else database,
-            name=self.name,
-            seed=self.seed,
-            repeats=[axis for axis in REPEATS if axis in self.points[0]],
-            definitions=self.definitions,
-            **options,
-        )
+        path = self.database if database is None else database
+        return run_sweep(self.function, self.points, path, **self._about, **options)
+
+    def run_part(
+        self, folder: str | os.PathLike[str], *, part: int, of: int, **options: Any
+    ) -> Path:
+        """Run one of several parts, and write its rows to a folder, see `run_part`.
+
+        Raises:
+            ValueError, ImportError, OSError, RuntimeError: See `run_part`.
+        """
+        about = {**self._about, "part": part, "of": of}
+        return run_part(self.function, self.points, folder, **about, **options)
+
+    @property
+    def _about(self) -> dict[str, Any]:
+        return {
+            "name": self.name,
+            "seed": self.seed,
+            "repeats": [axis for axis in REPEATS if axis in self.points[0]],
+            "definitions": self.definitions,
+        }
 
 
 def load_sweep(path: str | os.PathLike[str]) -> Sweep:
@@ -171,7 +184,7 @@ def load_sweep(path: str | os.PathLike[str]) -> Sweep:
         name=table.name or path.stem,
         path=path,
         function=function,
-        points=tuple(points),
+        points=points,
         seed=seed,
         definitions=definitions,
         file=SourceFile.of(path),

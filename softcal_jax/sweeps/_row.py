@@ -16,7 +16,7 @@ import numpy as np
 from softcal_jax._clock import Clock
 from softcal_jax._compilation_cache import throw_away_damaged
 from softcal_jax._module import one_line
-from softcal_jax.sweeps._trial import Trial
+from softcal_jax.sweeps._trial import Trial, shown
 
 State = Literal["converged", "not converged", "failed"]
 
@@ -43,6 +43,9 @@ class Outcome:
 
     __repr__ = one_line
 
+
+_OF_ROW = ("state", "reason", "seconds", "compile_seconds", "worker", "ended")
+"""Columns of a table of rows between axes and figures."""
 
 TrialFunction = Callable[[Trial], Outcome | Mapping[str, Any]]
 
@@ -152,3 +155,14 @@ def _figure(name: str, value: Any) -> Figure:
         f"figure {name!r} must be a number or a word, got {type(value).__name__}; give "
         "each entry of an array a name of its own."
     )
+
+
+def flat_columns(rows: Sequence[TrialRow]) -> dict[str, list[Any]]:
+    """Return rows as columns: axes, how the trials ended, figures, notes."""
+    axes = dict.fromkeys(axis for row in rows for axis in row.point)
+    figures = dict.fromkeys(name for row in rows for name in row.figures)
+    cell = lambda value: shown(value) if isinstance(value, list) else value
+    columns = {axis: [cell(row.point.get(axis)) for row in rows] for axis in axes}
+    columns |= {name: [getattr(row, name) for row in rows] for name in _OF_ROW}
+    columns |= {name: [row.figures.get(name) for row in rows] for name in figures}
+    return columns | {"notes": [" ".join(row.notes) for row in rows]}

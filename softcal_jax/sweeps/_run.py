@@ -80,18 +80,8 @@ def run_sweep(
         RuntimeError: If workers cannot start.
     """
     trials = as_trials(points, seed)
-    for axis in repeats:
-        if axis not in trials[0].point:
-            raise unknown_name("axis", axis, trials[0].point)
-    what = getattr(function, "__qualname__", type(function).__qualname__)
-    about = {"name": name or what, "repeats": tuple(repeats)}
-    rests_on = {
-        "function": what,
-        "set of axes": ", ".join(sorted(trials[0].point)),
-        "seed": str(seed),
-        **(definitions or {}),
-    }
-    run = _source(function, workers, cores_per_worker, scheduler)
+    about, rests_on = about_sweep(function, trials, name, repeats, seed, definitions)
+    run = rows_of(function, workers, cores_per_worker, scheduler)
     with sweep_database(Path(database)) as file:
         ended = file.begin(trials, about, rests_on)
         if retry_failed:
@@ -107,7 +97,30 @@ def run_sweep(
     return read_sweep(database)
 
 
-def _source(
+def about_sweep(
+    function: TrialFunction,
+    trials: Sequence[Trial],
+    name: str | None,
+    repeats: Sequence[str],
+    seed: int,
+    definitions: Mapping[str, str] | None,
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return name and repetitions of a sweep, and what its rows depend on, by name."""
+    axes = trials[0].point
+    for axis in repeats:
+        if axis not in axes:
+            raise unknown_name("axis", axis, axes)
+    what = getattr(function, "__qualname__", type(function).__qualname__)
+    rests_on = {
+        "function": what,
+        "set of axes": ", ".join(sorted(axes)),
+        "seed": str(seed),
+        **(definitions or {}),
+    }
+    return {"name": name or what, "repeats": tuple(repeats)}, rests_on
+
+
+def rows_of(
     function: TrialFunction,
     workers: int | None,
     cores_per_worker: int,

@@ -13,7 +13,7 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.export import readable_estimate, readable_unit
 from softcal_jax.plotting import plot_trials
 from softcal_jax.sweeps._result import Group, SweepResult, figure_name, figure_values
-from softcal_jax.sweeps._row import TrialRow
+from softcal_jax.sweeps._row import TrialRow, flat_columns
 from softcal_jax.sweeps._trial import is_number, shown
 
 if TYPE_CHECKING:
@@ -183,18 +183,11 @@ def mean_text(values: Float[HostArray, " n"]) -> str:
 
 def write_sweep_csv(result: SweepResult, path: str | Path) -> None:
     """Write one line per trial that has ended, for a spreadsheet, with values in SI."""
-    figures = result.figure_names
-    columns = ["state", "reason", "seconds", "compile_seconds", "worker", "ended"]
+    columns = flat_columns(result.rows)
     with Path(path).open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        head = [*result.axes, *columns, *figures, "notes"]
-        writer.writerow([as_cell(name) for name in head])
-        for row in result.rows:
-            point = (row.point[axis] for axis in result.axes)
-            cells = [shown(v) if isinstance(v, list) else v for v in point]
-            cells += [getattr(row, column) for column in columns]
-            cells += [row.figures.get(figure) for figure in figures]  # None: empty
-            cells.append(" ".join(row.notes))
+        writer.writerow([as_cell(name) for name in columns])
+        for cells in zip(*columns.values(), strict=True):  # None: an empty cell
             writer.writerow([as_cell(c) if isinstance(c, str) else c for c in cells])
 
 

@@ -1,18 +1,18 @@
 """Points of a sweep, and its trials: a point with random numbers of its own."""
 
 import hashlib
-import itertools
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, overload
 
 import numpy as np
 
-from softcal_jax._limits import TRIALS
+from softcal_jax._limits import PLANNED, TRIALS
 from softcal_jax._module import one_line
 from softcal_jax._names import unknown_name
+from softcal_jax._typing import HostArray
 
 Point = dict[str, Any]
 
@@ -59,7 +59,56 @@ class Range:
         return value if self.form is None else self.form.format(value)
 
 
-def grid(axes: Mapping[str, Sequence[Any] | Range]) -> list[Point]:
+@dataclass(frozen=True, eq=False)
+class Points(Sequence[Point]):
+    """Points of a sweep, each made from its index when it is asked for.
+
+    Attributes:
+        axes: Values of each axis, or their range.
+        cells: For each point the index of the value on each axis, or shares of the way
+            along it; None for every combination, the last axis fastest.
+    """
+
+    axes: Mapping[str, Sequence[Any] | Range]
+    cells: HostArray | None = None
+
+    __repr__ = one_line
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        if self.cells is not None:
+            return len(self.cells)
+        return math.prod(map(len, self._lists))
+
+    @overload
+    def __getitem__(self, index: int) -> Point: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[Point]: ...
+
+    def __getitem__(self, index: int | slice) -> Point | list[Point]:
+        """Return a point, or a list of some."""
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        if self.cells is None:
+            sizes = tuple(map(len, self._lists))
+            cell = np.unravel_index(range(len(self))[index], sizes)
+        else:
+            cell = self.cells[index]
+        pairs = zip(self.axes.items(), cell, strict=True)
+        return {axis: _at(values, where.item()) for (axis, values), where in pairs}
+
+    @property
+    def _lists(self) -> list[Sequence[Any]]:
+        """Values of the axes, none of which is a range."""
+        return [own for own in self.axes.values() if not isinstance(own, Range)]
+
+    def __eq__(self, other: object) -> bool:
+        """Compare with other points, or a list of them."""
+        return isinstance(other, Sequence) and list(self) == list(other)
+
+
+def grid(axes: Mapping[str, Sequence[Any] | Range]) -> Points:
     """List every combination of the values of each axis; the last varies fastest.
 
     Raises:
@@ -74,14 +123,13 @@ def grid(axes: Mapping[str, Sequence[Any] | Range]) -> list[Point]:
                 "like sample = 100, or list the values."
             )
     n = math.prod(map(len, lists.values()))
-    TRIALS.check("all combinations of the values (`sample` draws some of them)", n)
-    found = itertools.product(*lists.values())
-    return [dict(zip(lists, values, strict=True)) for values in found]
+    PLANNED.check("all combinations of the values (`sample` draws some of them)", n)
+    return Points(lists)
 
 
 def sample(
     axes: Mapping[str, Sequence[Any] | Range], n: int, *, seed: int = 0
-) -> list[Point]:
+) -> Points:
     """Draw points at random.
 
     With a range among the axes, they are a Latin hypercube (McKay et al., Technometrics
@@ -100,7 +148,7 @@ def sample(
     lists = _lists(axes)
     if n < 1:
         raise ValueError(f"a sample has at least 1 point, got {n}.")
-    TRIALS.check(f"a sample of {n}", n)
+    PLANNED.check(f"a sample of {n}", n)
     random = np.random.default_rng(seed)
     if len(lists) == len(axes):
         sizes = [len(values) for values in lists.values()]
@@ -116,23 +164,19 @@ def sample(
                 "many to number; leave an axis out, or give fewer values."
             )
         chosen = np.sort(random.choice(total, n, replace=False))
-        cells = np.array(np.unravel_index(chosen, sizes)).T.tolist()
-        pick = lambda values, i: values[i]
-    else:
-        from scipy.stats.qmc import LatinHypercube
+        return Points(axes, np.array(np.unravel_index(chosen, sizes)).T)
+    from scipy.stats.qmc import LatinHypercube
 
-        cells = LatinHypercube(len(axes), rng=random).random(n).tolist()
-        pick = _at
-    return [
-        {axis: pick(axes[axis], where) for axis, where in zip(axes, cell, strict=True)}
-        for cell in cells
-    ]
+    return Points(axes, LatinHypercube(len(axes), rng=random).random(n))
 
 
-def _at(values: Sequence[Any] | Range, share: float) -> Any:
+def _at(values: Sequence[Any] | Range, where: float) -> Any:
+    """Return the value at an index, or at a share of the way along an axis."""
     if isinstance(values, Range):
-        return values.at(share)
-    return values[min(int(share * len(values)), len(values) - 1)]
+        return values.at(where)
+    if isinstance(where, int):
+        return values[where]
+    return values[min(int(where * len(values)), len(values) - 1)]
 
 
 def _lists(axes: Mapping[str, Sequence[Any] | Range]) -> dict[str, Sequence[Any]]:
@@ -205,6 +249,9 @@ def as_trials(
     points: Iterable[Mapping[str, Any]], sweep_seed: int
 ) -> tuple[Trial, ...]:
     """Make the trials of a sweep; all must differ, but not in their axes."""
+    if isinstance(points, Sequence):
+        text = "a sweep in one database (--part and --of run larger ones in parts)"
+        TRIALS.check(text, len(points))
     trials = tuple(Trial(point, sweep_seed) for point in points)
     if not trials:
         raise ValueError("the sweep has no trials: give each axis at least one value.")

@@ -196,8 +196,8 @@ BAD = {
         r"axes.noise: count = 1000000000000: 1e\+12 trials, .* 100 000\..* "
         r"SOFTCAL_MAX_TRIALS"
     ),
-    "[axes]\nnoise = { count = 1000 }\nstart = { count = 1000 }": (
-        r"axes: .*`sample`.* 1 000 000 trials, .* limit of 100 000"
+    "[axes]\nnoise = { count = 10_000 }\nstart = { count = 10_000 }": (
+        r"axes: .*`sample`.* 100 000 000 trials, .* limit of 10 000 000"
     ),
     'sample = 1_000_000_000_000\n[axes]\n"material.nu" = { low = 0.1, high = 0.3 }': (
         r"axes: a sample of 1000000000000: 1e\+12 trials, .*limit"
