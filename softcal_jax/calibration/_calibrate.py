@@ -80,7 +80,7 @@ def calibrate(
     progress: Callable[[HistoryEntry], None] | None = None,
     search_progress: Callable[[SearchProgress], None] | None = None,
     equilibrium_progress: Callable[[EquilibriumProgress], None] | None = None,
-    answer: Callable[[CalibrationResult], None] = lambda _: None,
+    answer: Callable[[CalibrationResult], None] | None = None,
     stage: Callable[[str], None] = lambda _: None,
 ) -> CalibrationResult:
     """Find the parameters that make the simulation match the measured configurations.

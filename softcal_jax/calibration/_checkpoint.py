@@ -27,8 +27,12 @@ from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSett
 from softcal_jax.calibration._result import HistoryEntry
 from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.equilibrium import effector_values
+from softcal_jax.fields import unnamed
 
 T = TypeVar("T")
+
+# One row at a time, so that the program does not depend on the number of rows.
+from_scaled = eqx.filter_jit(lambda space, z: space.from_scaled(z))
 
 
 class Saved(NamedTuple):
@@ -185,6 +189,7 @@ class Journal:
         self.interrupted = False
         self.notes: tuple[str, ...] = ()
         self._problem, self._progress = problem, progress
+        self._numbered = unnamed(problem.space)
         self._depends_on = problem, settings, search
         self._path = None if checkpoint is None else Path(checkpoint)
         self._begin = time.perf_counter()
@@ -234,7 +239,7 @@ class Journal:
     def _summary(self, state: CalibrationState, noise: CorrelatedNoise) -> HistoryEntry:
         """Summarise a step for the history."""
         evaluation, space = state.evaluation, self._problem.space
-        p = space.from_scaled(state.z)
+        p = np.asarray(from_scaled(self._numbered, state.z))
         return HistoryEntry(
             step=len(self.history),
             cost=float(evaluation.cost),

@@ -186,7 +186,7 @@ class Evaluator:
     def with_space(self, space: ParameterSpace) -> "Evaluator":
         """Return an evaluator of the same lanes with another order, chart or pin."""
         other = copy(self)
-        other.numbered = eqx.tree_at(lambda p: p.space, self.numbered, space)
+        other.numbered = replace(self.numbered, space=space)
         return other
 
     def with_noise(self, noise: CorrelatedNoise | None) -> "Evaluator":

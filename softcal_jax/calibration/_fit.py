@@ -12,6 +12,7 @@ once with what was found, and are rows without weight in the linear model.
 import os
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from typing import Literal, NamedTuple
 
 import jax
@@ -126,7 +127,7 @@ class Watch(NamedTuple):
     progress: Callable[[HistoryEntry], None] | None = None
     search_progress: Callable[[SearchProgress], None] | None = None
     equilibrium_progress: Callable[[EquilibriumProgress], None] | None = None
-    answer: Callable[[CalibrationResult], None] = lambda _: None
+    answer: Callable[[CalibrationResult], None] | None = None
     stage: Callable[[str], None] = lambda _: None
 
 
@@ -201,21 +202,38 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
         found = _Found(start, place, weighed, predicted, journal, clock)
         poses, arrays = task.configurations, predicted.problem.configurations
         setting = Setting(task.model, task.space, poses, arrays, task.uncertain)
-        result = _result(task, found, nothing_considered(setting))
-        result = replace(result, left_out=(BUDGET,))
-        watch.answer(result)
-        if not (task.quick or journal.interrupted):
-            try:
-                taken = journal.history[-1].seconds
-                watch.stage(f"{BUDGET} (the fit took {taken:.0f} s)")
-                solved, z = predicted.response.equilibrium, weighed.state.z
-                doubts = considered_errors(workers, setting, z=z, equilibrium=solved)
-                result = _result(task, found, doubts)
-            except KeyboardInterrupt:
-                notes = (*result.notes, f"Interrupted before {BUDGET} was known.")
-                result = replace(result, notes=notes, interrupted=True)
+        doubts = nothing_considered(setting)
+        so_far = cache(
+            lambda: replace(_result(task, found, doubts), left_out=(BUDGET,))
+        )
+        if watch.answer is not None:
+            watch.answer(so_far())
+        if task.quick or journal.interrupted:
+            result = so_far()
+        else:
+            result = _with_budget(task, watch, found, setting, workers, so_far)
     problem = batch.fitted.with_noise(weighed.noise)
     return Fitted(result, problem, task.fitted, weighed.state.evaluation)
+
+
+def _with_budget(
+    task: Task,
+    watch: Watch,
+    found: _Found,
+    setting: Setting,
+    workers: Workers,
+    so_far: Callable[[], CalibrationResult],
+) -> CalibrationResult:
+    """Add what errors that are considered do; Ctrl-C leaves the answer so far."""
+    taken = found.journal.history[-1].seconds
+    solved, z = found.predicted.response.equilibrium, found.weighed.state.z
+    try:
+        watch.stage(f"{BUDGET} (the fit took {taken:.0f} s)")
+        doubts = considered_errors(workers, setting, z=z, equilibrium=solved)
+        return _result(task, found, doubts)
+    except KeyboardInterrupt:
+        notes = (*so_far().notes, f"Interrupted before {BUDGET} was known.")
+        return replace(so_far(), notes=notes, interrupted=True)
 
 
 def _result(task: Task, found: _Found, doubts: ConsideredErrors) -> CalibrationResult:

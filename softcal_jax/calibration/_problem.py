@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -132,18 +133,17 @@ class CalibrationProblem(Module):
 
     def _of(self, lanes: slice) -> "CalibrationProblem":
         some = lane_of(self.configurations, lanes)
-        return eqx.tree_at(lambda p: p.configurations, self.with_noise(None), some)
+        return replace(self, configurations=some, noise=None)
 
     def with_noise(self, noise: CorrelatedNoise | None) -> "CalibrationProblem":
         """Return the calibration with another noise."""
-        where = lambda p: p.noise
-        return eqx.tree_at(where, self, noise, is_leaf=lambda leaf: leaf is None)
+        return replace(self, noise=noise)
 
 
 def without_names(problem: CalibrationProblem) -> CalibrationProblem:
     """Return the calibration without names and settings that compile other programs."""
-    without = unnamed(problem.space), problem.newton.as_arrays()
-    return eqx.tree_at(lambda p: (p.space, p.newton), problem, without)
+    space, newton = unnamed(problem.space), problem.newton.as_arrays()
+    return replace(problem, space=space, newton=newton)
 
 
 def n_measured(problem: CalibrationProblem) -> int:

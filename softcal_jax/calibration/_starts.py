@@ -12,7 +12,7 @@ from softcal_jax._module import one_line
 from softcal_jax._names import listed
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax._units import readable
-from softcal_jax.calibration._checkpoint import Journal, marker_rms
+from softcal_jax.calibration._checkpoint import Journal, from_scaled, marker_rms
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._problem import (
@@ -58,8 +58,7 @@ GROUP = 4
 ENOUGH = 0.1
 """Share of further starts that may end elsewhere; five that agree leave as much [-]."""
 
-# One row at a time, so that the programs do not depend on the number of rows.
-_from_scaled = eqx.filter_jit(lambda space, z: space.from_scaled(z))
+# One row at a time, so that the program does not depend on the number of rows.
 _distance = eqx.filter_jit(lambda space, a, b: jnp.abs(space.shorter(a - b)))
 
 
@@ -307,7 +306,7 @@ def _result(
     Where runs came by counts, too: a mirror image may fit nearly as well.
     """
     numbered = unnamed(space)
-    in_si = lambda z: np.array([_from_scaled(numbered, row) for row in np.asarray(z)])
+    in_si = lambda z: np.array([from_scaled(numbered, row) for row in np.asarray(z)])
     best = [run.best for run in runs]
     z = np.stack([run.z for run in best])
     cost = np.array([run.cost for run in best])
@@ -355,7 +354,7 @@ def _optima(
                 break
         else:
             groups.append([i])
-    values = lambda z: map(float, _from_scaled(numbered, z))
+    values = lambda z: map(float, from_scaled(numbered, z))
     return tuple(
         Optimum(
             float(cost[group[0]]),

@@ -35,11 +35,11 @@ class _Reading(NamedTuple):
     function: Callable[..., Any]
     of: Any
 
-    def __call__(self, model, configuration, state) -> Float[Array, "..."]:
+    def __call__(self, model, configuration, state) -> Float[Array | HostArray, "..."]:
         return self.function(model, state, self.of)
 
 
-def _reaction(model, state, nodes: tuple[int, ...]) -> Float[Array, "3"]:
+def _reaction(model, state, nodes: tuple[int, ...]) -> Float[Array | HostArray, "3"]:
     return state.ground[np.array(nodes)].sum(axis=0)
 
 

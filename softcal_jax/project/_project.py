@@ -136,7 +136,7 @@ class Project(Module):
         search_progress: Callable[[SearchProgress], None] | None = None,
         equilibrium_progress: Callable[[EquilibriumProgress], None] | None = None,
         quick: bool = False,
-        answer: Callable[[CalibrationResult], None] = lambda _: None,
+        answer: Callable[[CalibrationResult], None] | None = None,
         stage: Callable[[str], None] = lambda _: None,
     ) -> CalibrationResult:
         """Find the parameters, then predict the validation configurations.

@@ -34,10 +34,20 @@ LOADED = 1e-4
 of an unloaded one is what Newton's method leaves."""
 
 
+_KEPT: list[tuple[Model, Recovery]] = []
+
+
 def stress_patches(model: Model) -> Recovery:
-    """Prepare the recovery of the stress in the tets that deform, once per model."""
+    """Prepare the recovery of the stress in the tets that deform, once per model.
+
+    That of the last model is kept: calibrations of a sweep share theirs.
+    """
+    for other, patches in _KEPT:
+        if other.mesh is model.mesh and other.active is model.active:
+            return patches
     deforming = np.asarray(model.active).ravel()[: model.n_tets] > 0.0
-    return jax.device_put(recovery(model.mesh, deforming))
+    _KEPT[:] = [(model, jax.device_put(recovery(model.mesh, deforming)))]
+    return _KEPT[0][1]
 
 
 @eqx.filter_jit
