@@ -5,12 +5,10 @@ from softcal_jax.calibration._calibrate import (
     as_sequence as as_sequence,
     build_problem as build_problem,
     calibrate as calibrate,
+    levenberg_marquardt as levenberg_marquardt,
     profile_intervals as profile_intervals,
 )
 from softcal_jax.calibration._checked_intervals import LEVEL as LEVEL
-from softcal_jax.calibration._checks import (
-    levenberg_marquardt as levenberg_marquardt,
-)
 from softcal_jax.calibration._configuration_result import (
     ConfigurationResult as ConfigurationResult,
     SimulationResult as SimulationResult,
@@ -21,7 +19,6 @@ from softcal_jax.calibration._evaluation import (
     Evaluator as Evaluator,
     at_rest as at_rest,
     evaluate as evaluate,
-    linearised as linearised,
 )
 from softcal_jax.calibration._noise import (
     CorrelatedNoise as CorrelatedNoise,

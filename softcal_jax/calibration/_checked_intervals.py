@@ -18,7 +18,6 @@ from softcal_jax._units import readable_values
 from softcal_jax.calibration._evaluation import (
     Evaluation,
     Evaluator,
-    linearised,
     weighed,
 )
 from softcal_jax.calibration._problem import CalibrationProblem, without_names
@@ -98,7 +97,7 @@ def _first_order_holds(
     linear = result.linear.of_fit()
 
     def about(z: Float[Array, " n_p"], end: Evaluation) -> LinearModel:
-        return linearised(problem, configurations, z, end).with_scale(linear.scale)
+        return end.linear(problem, configurations, z).with_scale(linear.scale)
 
     sides = [(column, sign) for column in which for sign in (-1, 1)]
     lanes = len(sides) * len(configurations)

@@ -3,18 +3,16 @@
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
-from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._lanes import lane_of, stacked
+from softcal_jax._lanes import stacked
 from softcal_jax._module import Module, one_line
-from softcal_jax._results import RESULTS
-from softcal_jax._typing import Array, Bool, Float, HostArray
+from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._problem import (
     CalibrationProblem,
@@ -24,7 +22,6 @@ from softcal_jax.calibration._problem import (
 from softcal_jax.configurations import Configuration, ConfigurationArrays
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
-    LoadPath,
     Model,
     Program,
     Report,
@@ -32,9 +29,8 @@ from softcal_jax.equilibrium import (
     as_guess,
     effectors_on_all_cores,
     equilibria,
-    solve_equilibrium,
 )
-from softcal_jax.fields import ParameterSpace, SetupParameter
+from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import LinearModel, Whitened
 from softcal_jax.sensitivity import (
     EnergyCompliance,
@@ -78,6 +74,18 @@ class Evaluation(Module):
         Distances from the prior count like errors.
         """
         return _cost(self.ok, self.rows.error)
+
+    def linear(
+        self,
+        problem: CalibrationProblem,
+        configurations: Sequence[Configuration],
+        z: Float[Array, " n_p"],
+        **more: Any,
+    ) -> LinearModel:
+        """Make the linear model there; `more` is handed to `linear_model`."""
+        of_lanes = {"W_ep": self.response.W_ep, "ok": self.response.ok}
+        more |= {**of_lanes, "delta_e": self.delta_e, "rows": self.rows}
+        return linear_model(problem, configurations, z=z, **more)
 
 
 @jax.jit
@@ -284,160 +292,44 @@ def evaluate(
         return evaluator.from_rest(z) if guess is None else evaluator(z, guess)
 
 
-def linearised(
-    problem: CalibrationProblem,
-    configurations: Sequence[Configuration],
-    z: Float[Array, " n_p"],
-    evaluation: Evaluation,
-    **more: Any,
-) -> LinearModel:
-    """Make the linear model of an evaluation; `more` is handed to `linear_model`."""
-    return linear_model(
-        problem,
-        configurations,
-        z=z,
-        W_ep=evaluation.response.W_ep,
-        ok=evaluation.response.ok,
-        delta_e=evaluation.delta_e,
-        rows=evaluation.rows,
-        **more,
+ROUNDING = 1e-12
+"""Change of a coordinate by a unit of lambda_p, over its size, that is rounding [-]."""
+
+
+def check_sensitive(problem: CalibrationProblem, first: Evaluation) -> None:
+    """Raise ValueError unless a measured coordinate depends on some parameter.
+
+    One parameter without effect beside others that have one is no error: the angle of
+    an axis has none where the moduli are equal. `first` is the evaluation at the start.
+    """
+    weight = np.asarray(problem.configurations.effectors.inverse_std)
+    effectors = np.abs(np.asarray(first.effectors))
+    size = np.max(weight * effectors, initial=0.0)
+    W = np.asarray(first.rows.W)[: weight.size]
+    if not np.all(np.isfinite(W)) or np.max(np.abs(W)) > ROUNDING * size:
+        return
+    names = ", ".join(map(repr, problem.space.names))
+    raise ValueError(
+        f"nothing to learn of {names}: no measured coordinate moves with it at the "
+        "start equilibrium. Check that a load, gravity or an actuator deforms the body "
+        "where it is measured, and not only parts that are held, or start from another "
+        "value."
     )
 
 
-class HeldOut(NamedTuple):
-    """Held-out configurations with the calibrated parameters; `before` by the start.
-
-    `before` are effectors, nan without an equilibrium; `notes` say which have none.
-    """
-
-    before: Float[HostArray, "n_c n_rows 3"]
-    response: Response
-    notes: tuple[str, ...]
-    interrupted: bool
-
-
-class _Chain(NamedTuple):
-    """Held-out configurations at some parameters: how each responds, once solved.
-
-    `before` is the equilibrium of a configuration that was fitted, with the same
-    parameters [m].
-    """
-
-    z: Float[Array, " n_p"]
-    before: Float[Array, "n_points 3"]
-    solved: list[Response]
-
-    @classmethod
-    def of(cls, z: Float[Array, " n_p"], fitted: Response, n: int) -> "_Chain":
-        """Begin with `n` that have no equilibrium, beside a fitted one."""
-        zeros = jax.tree.map(lambda leaf: np.zeros_like(np.asarray(leaf)), fitted)
-        where = lambda response: response.equilibrium.result
-        none = eqx.tree_at(where, zeros, RESULTS.max_steps)
-        return cls(z, fitted.equilibrium.displacement, [none] * n)
-
-
-def held_out_responses(
-    evaluate: Evaluator,
-    configurations: Sequence[Configuration],
-    *,
-    start: tuple[Float[Array, " n_p"], Response],
-    end: tuple[Float[Array, " n_p"], Response],
-    report: Report,
-) -> HeldOut:
-    """Solve held-out configurations with the parameters at the end and at the start.
-
-    Both come with the response of a configuration that was fitted, whose equilibrium
-    robots with rigid bodies begin from. Near a limit point an equilibrium need not be
-    found from rest: there the path of the configuration is followed by arc length, and
-    its end is where the search begins anew. A configuration without equilibrium is left
-    out with a note, as it must neither count as a prediction nor cost the user the fit;
-    so are those that Ctrl-C cuts off. `report` is called as by `equilibria`, with the
-    parameters at the end.
-    """
-    n = len(configurations)
-    last, first = _Chain.of(*end, n), _Chain.of(*start, n)
-    bodies = evaluate.problem.model.mechanism.bodies.n_bodies > 0
-    groups = [range(n)] if bodies else [range(i, i + 1) for i in range(n)]
-    carried: dict[int, float] = {}
-    interrupted = False
-    try:
-        evaluate.workers.side_by_side(
-            partial(_solve_group, evaluate, chain, group, told)
-            for chain, told in ((last, report), (first, lambda *_: None))
-            for group in groups
-        )
-        _follow_paths(evaluate, last, carried)
-    except KeyboardInterrupt:
-        interrupted = True
-    response, before = stacked(last.solved), stacked(first.solved)
-    converged = np.asarray(response.equilibrium.converged)
-    notes = []
-    for i in np.flatnonzero(~converged).tolist():
-        why = "with the calibrated parameters it has no equilibrium"
-        if i in carried:
-            share = f"{100.0 * carried[i]:.3g} % of its load"
-            why += f". Along its path (`LoadPath`) it carries at most {share}"
-        elif interrupted:
-            why = "this was interrupted"
-        notes.append(f"{configurations[i].name} is not predicted: {why}.")
-    notes += unscoped_notes(evaluate.problem.space, configurations)
-    # A pose that only the start parameters cannot hold has no "before".
-    held = np.asarray(before.equilibrium.converged)[:, None, None]
-    effectors = np.where(held, np.asarray(before.effectors), np.nan)
-    return HeldOut(effectors, response, tuple(notes), interrupted)
-
-
-def _solve_group(
-    evaluate: Evaluator, chain: _Chain, group: Sequence[int], report: Report
+def check_cost(
+    problem: CalibrationProblem, first: Evaluation, names: Sequence[str]
 ) -> None:
-    """Solve configurations from rest; rigid bodies go on from the one before."""
-    model, lanes = evaluate.posed(chain.z)
-    bodies, settings = model.mechanism.bodies.n_bodies > 0, evaluate.problem.newton
-    guess = chain.before if bodies else jnp.zeros_like(chain.before)
-    for i in group:
-        solution = equilibria(
-            evaluate.workers,
-            model,
-            lane_of(lanes, slice(i, i + 1)),
-            settings,
-            guess=guess[None],
-            report=lambda _, load, steps, i=i: report(i, load, steps),
-        )
-        if solution.converged[0]:
-            guess = solution.displacement[0]
-            chain.solved[i] = evaluate.response_of(i, chain.z, guess)
-
-
-def _follow_paths(
-    evaluate: Evaluator, chain: _Chain, carried: dict[int, float]
-) -> None:
-    """Follow what is not in equilibrium from rest along its load.
-
-    `carried` gets the largest share of its load that each of these carries.
-    """
-    model, lanes = evaluate.posed(chain.z)
-    for i, response in enumerate(chain.solved):
-        if response.equilibrium.converged:
-            continue
-        path = solve_equilibrium(
-            model, lane_of(lanes, i), settings=evaluate.problem.newton, path=LoadPath()
-        )
-        share = min(float(np.max(path.load)), 1.0)
-        if share == 1.0:
-            guess = jax.device_put(path.displacement[-1])
-            chain.solved[i] = evaluate.response_of(i, chain.z, guess)
-        carried[i] = share
-
-
-def unscoped_notes(
-    space: ParameterSpace, held_out: Sequence[Configuration]
-) -> list[str]:
-    """Say which held-out configurations have no unknown of their own."""
-    return [
-        f"{c.name} is predicted without {entry.noun}, which {entry.by}s that were "
-        "fitted have of their own: it counts as stated."
-        for entry in space.entries
-        if isinstance(entry, SetupParameter) and entry.each
-        for c in held_out
-        if entry.member(c) not in entry.each
-    ]
+    """Raise ValueError if a standard deviation is so small that the cost overflows."""
+    error = np.asarray(first.rows.error)
+    with np.errstate(over="ignore", invalid="ignore"):
+        if np.isfinite(error @ error):
+            return
+    weight = np.asarray(problem.configurations.effectors.inverse_std)
+    c = int(np.argmax(np.max(weight, axis=(1, 2))))
+    raise ValueError(
+        "the cost at the start is not finite, since an error is too large beside its "
+        f"standard deviation: the smallest is {1.0 / np.max(weight):.3g} in SI units, "
+        f"in configuration {names[c]!r}. Check the `std` of effectors and priors, and "
+        "their units."
+    )

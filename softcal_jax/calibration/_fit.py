@@ -13,32 +13,24 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._clock import Clock
-from softcal_jax._lanes import lane_of
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checked_intervals import Fitted
 from softcal_jax.calibration._checkpoint import Journal
-from softcal_jax.calibration._checks import check_cost, check_sensitive
-from softcal_jax.calibration._configuration_result import (
-    ConfigurationResult,
-    configuration_results,
-)
 from softcal_jax.calibration._evaluation import (
     Evaluation,
     Evaluator,
+    check_cost,
+    check_sensitive,
     effector_errors,
-    held_out_responses,
-    linearised,
 )
 from softcal_jax.calibration._noise import (
     CorrelatedNoise,
-    attachments,
     independent_recordings,
 )
 from softcal_jax.calibration._notes import (
@@ -47,9 +39,10 @@ from softcal_jax.calibration._notes import (
     residual_checks,
     result_notes,
 )
+from softcal_jax.calibration._prediction import Predicted, predict
 from softcal_jax.calibration._problem import (
-    CalibrationProblem,
-    CalibrationSettings,
+    Batch,
+    Task,
 )
 from softcal_jax.calibration._result import (
     CalibrationResult,
@@ -66,17 +59,14 @@ from softcal_jax.calibration._starts import (
     random_starts,
     search,
 )
-from softcal_jax.calibration._step import CalibrationState, initial_state
+from softcal_jax.calibration._step import initial_state
 from softcal_jax.calibration._weighing import Weighed, sought_noise, weighed_fit
-from softcal_jax.configurations import Configuration, ConfigurationLanes, EffectorRecord
 from softcal_jax.equilibrium import (
     EquilibriumProgress,
-    Model,
-    NewtonSettings,
     Workers,
     reports_of,
 )
-from softcal_jax.fields import ParameterSpace, Uncertain, unnamed
+from softcal_jax.fields import unnamed
 from softcal_jax.inference import (
     ErrorBudget,
     LinearModel,
@@ -85,7 +75,6 @@ from softcal_jax.inference import (
     recording_estimates,
     uncertainty,
 )
-from softcal_jax.sensitivity import Response
 from softcal_jax.unknowns import (
     ConsideredErrors,
     Setting,
@@ -95,29 +84,6 @@ from softcal_jax.unknowns import (
 
 BUDGET = "the error budget"
 """What is left out of the answer so far."""
-
-
-class Task(NamedTuple):
-    """What is to be calibrated, and how; as `calibrate` is told."""
-
-    model: Model
-    space: ParameterSpace
-    fitted: tuple[Configuration, ...]
-    held_out: tuple[Configuration, ...]
-    noise: Literal["estimated", "stated"]
-    uncertain: Uncertain
-    settings: CalibrationSettings
-    newton: NewtonSettings
-    precision: float
-    starts: int
-    seed: int
-    start: Float[Array, " n_p"] | None
-    quick: bool
-
-    @property
-    def configurations(self) -> tuple[Configuration, ...]:
-        """All of them, the fitted ones first."""
-        return (*self.fitted, *self.held_out)
 
 
 class Watch(NamedTuple):
@@ -138,14 +104,6 @@ class Resume(NamedTuple):
     noise: CorrelatedNoise
 
 
-class Batch(NamedTuple):
-    """All configurations as arrays, and the calibration to those that are fitted."""
-
-    everything: CalibrationProblem
-    fitted: CalibrationProblem
-    lanes: ConfigurationLanes
-
-
 class _Place(NamedTuple):
     """Where the steps begin, the noise that weighs them, and the search before."""
 
@@ -155,22 +113,13 @@ class _Place(NamedTuple):
     search: MultiStartResult | None
 
 
-class _Predicted(NamedTuple):
-    """All configurations with the calibrated parameters, and their noise."""
-
-    problem: CalibrationProblem
-    response: Response
-    fits: tuple[ConfigurationResult, ...]
-    notes: tuple[str, ...]
-
-
 class _Found(NamedTuple):
     """All that comes before the judgement."""
 
     start: Start
     place: _Place
     weighed: Weighed
-    predicted: _Predicted
+    predicted: Predicted
     journal: Journal
     clock: Clock
 
@@ -198,7 +147,8 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
         start = _start(task, watch, batch, workers)
         place = _place(task, watch, start, journal, resume)
         weighed = _descended(task, start, place, journal)
-        predicted = _predicted(task, watch, batch, start, weighed, journal)
+        predicted = _predicted(task, watch, batch, start, weighed)
+        journal.interrupted |= predicted.interrupted
         found = _Found(start, place, weighed, predicted, journal, clock)
         poses, arrays = task.configurations, predicted.problem.configurations
         setting = Setting(task.model, task.space, poses, arrays, task.uncertain)
@@ -345,77 +295,18 @@ def _descended(task: Task, start: Start, place: _Place, journal: Journal) -> Wei
 
 
 def _predicted(
-    task: Task,
-    watch: Watch,
-    batch: Batch,
-    start: Start,
-    weighed: Weighed,
-    journal: Journal,
-) -> _Predicted:
-    """Describe all configurations at the optimum; solve those that were held out."""
-    z, n_fitted, everything = weighed.state.z, len(task.fitted), batch.everything
-    before, response = start.evaluation.effectors, weighed.state.evaluation.response
-    notes = ()
-    if task.held_out:
-        names = tuple(c.name for c in task.held_out)
+    task: Task, watch: Watch, batch: Batch, start: Start, weighed: Weighed
+) -> Predicted:
+    """Solve what was held out, and describe all configurations at the optimum."""
+    names = tuple(c.name for c in task.held_out)
+    if names:
         watch.stage(f"predicting {', '.join(names)}")
-        held = held_out_responses(
-            Evaluator(everything.without_first(n_fitted), start.evaluate.workers),
-            task.held_out,
-            start=(start.z, lane_of(start.evaluation.response, -1)),
-            end=(z, lane_of(response, -1)),
-            report=reports_of(watch.equilibrium_progress, names) or (lambda *_: None),
-        )
-        journal.interrupted |= held.interrupted
-        join = lambda *parts: np.concatenate([*map(np.asarray, parts)])
-        before, notes = join(before, held.before), held.notes
-        response = jax.device_put(jax.tree.map(join, response, held.response))
-    assert everything.noise is not None
-    noise = weighed.of_all(everything.noise, task.configurations)
-    fits = configuration_results(
-        task.space.model_at(task.model, z),
-        task.configurations,
-        _calibrated_lanes(task, batch, weighed.state),
-        n_fitted=n_fitted,
-        before=before,
-        response=response,
-        noise=noise,
-    )
-    return _Predicted(everything.with_noise(noise), response, fits, notes)
-
-
-def _calibrated_lanes(
-    task: Task, batch: Batch, state: CalibrationState
-) -> ConfigurationLanes:
-    """Return lanes with the calibrated parameters.
-
-    Measured values are moved by the offsets of effectors whose displacement was fitted:
-    what is left between measured and simulated values are the errors of that.
-    """
-    lanes = batch.lanes._replace(arrays=batch.everything.at(state.z)[1])
-    effectors, noise = batch.fitted.configurations.effectors, batch.fitted.noise
-    n_rows = effectors.measured.shape[1]
-    of_row, axes, keys = attachments(task.configurations, lanes.effectors, n_rows)
-    if not keys:
-        return lanes
-    assert noise is not None
-    offsets = noise.attachment_offsets(effectors, state.evaluation.delta_e)
-
-    def moved(lane: int, e: EffectorRecord) -> EffectorRecord:
-        row = lane, e.index
-        if of_row[row] < 0:
-            return e
-        return replace(e, measured=e.measured + axes[row] @ offsets[of_row[row]])
-
-    records = tuple(
-        tuple(moved(lane, e) for e in of_lane)
-        for lane, of_lane in enumerate(lanes.effectors)
-    )
-    return lanes._replace(effectors=records)
+    report = reports_of(watch.equilibrium_progress, names)
+    return predict(task, batch, start, weighed, report or (lambda *_: None))
 
 
 def _judged(
-    task: Task, weighed: Weighed, predicted: _Predicted, doubts: ConsideredErrors
+    task: Task, weighed: Weighed, predicted: Predicted, doubts: ConsideredErrors
 ) -> _Judged:
     """Judge the values by the linear model at the optimum."""
     z, n_fitted, problem = weighed.state.z, len(task.fitted), predicted.problem
@@ -440,7 +331,7 @@ def _judged(
 
 
 def _linear(
-    task: Task, weighed: Weighed, predicted: _Predicted, doubts: ConsideredErrors
+    task: Task, weighed: Weighed, predicted: Predicted, doubts: ConsideredErrors
 ) -> LinearModel:
     """Make the linear model of all configurations at the optimum."""
     n_fitted, problem = len(task.fitted), predicted.problem
@@ -452,8 +343,8 @@ def _linear(
     )
     considered = doubts.in_std(n_fitted, np.asarray(effectors.inverse_std))
     z, configurations = weighed.state.z, task.configurations
-    return linearised(
-        problem, configurations, z, whole, n_fitted=n_fitted, considered=considered
+    return whole.linear(
+        problem, configurations, z, n_fitted=n_fitted, considered=considered
     )
 
 

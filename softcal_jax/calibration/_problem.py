@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -14,9 +15,20 @@ from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._noise import CorrelatedNoise, noise_columns
 from softcal_jax.calibration._qp import DAMPING
-from softcal_jax.configurations import Configuration, ConfigurationArrays
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationArrays,
+    ConfigurationLanes,
+)
 from softcal_jax.equilibrium import Model, NewtonSettings
-from softcal_jax.fields import ParameterSpace, unnamed
+from softcal_jax.fields import (
+    AbstractFieldEntry,
+    ParameterSpace,
+    Poses,
+    SetupParameter,
+    Uncertain,
+    unnamed,
+)
 from softcal_jax.inference import (
     ErrorColumns,
     LinearModel,
@@ -25,6 +37,7 @@ from softcal_jax.inference import (
     span,
     whitened_rows,
 )
+from softcal_jax.unknowns import held_nodes
 
 MOST_STEPS = 1_000_000
 """Largest `max_steps`: the history of every run has room for so many."""
@@ -203,3 +216,74 @@ def linear_model(
         held=space.at_bound(z),
     )
     return whole.only(measured)
+
+
+def check_effects(problem: CalibrationProblem) -> None:
+    """Raise ValueError unless something is measured that may depend on each parameter.
+
+    What only an equilibrium shows is left to `check_sensitive`.
+    """
+    arrays = jax.tree.map(np.asarray, problem.configurations)
+    if not np.any(arrays.effectors.inverse_std > 0.0):
+        raise ValueError(
+            "no coordinate is measured: every marker has `axes` that leave all of them "
+            "out, or no value. Measure at least one coordinate."
+        )
+    held = held_nodes(problem.model, problem.configurations)
+    for entry in problem.space.entries:
+        missing = _missing(problem, entry, arrays, held)
+        if missing:
+            names = ", ".join(repr(q.name) for q in entry.parameters)
+            raise ValueError(
+                f"nothing to learn of {names}: {missing}. Leave it out, or add a "
+                "configuration that depends on it."
+            )
+
+
+def _missing(problem: CalibrationProblem, entry, arrays, held) -> str:
+    """Say why no configuration depends on an entry; empty if one may."""
+    if isinstance(entry, AbstractFieldEntry):
+        mesh, region = problem.model.mesh, entry.region
+        tets = mesh.tets if region is None else mesh.tets[mesh.tets_of(region)]
+        if held[:, tets].all():
+            where = "the body" if region is None else repr(region)
+            return f"all tets of {where} are held in every pose"
+        if entry.fields == ("density",) and not np.any(arrays.gravity):
+            return "no configuration has gravity"
+    if isinstance(entry, SetupParameter) and entry.quantity.absent:
+        recordings = ("",) * len(arrays.gravity)
+        poses = Poses(problem.model, arrays, recordings)
+        if not any(key is not None for key in entry.quantity.occurs(poses)[entry.of]):
+            return entry.quantity.absent.format(of=entry.of)
+    return ""
+
+
+class Task(NamedTuple):
+    """What is to be calibrated, and how; as `calibrate` is told."""
+
+    model: Model
+    space: ParameterSpace
+    fitted: tuple[Configuration, ...]
+    held_out: tuple[Configuration, ...]
+    noise: Literal["estimated", "stated"]
+    uncertain: Uncertain
+    settings: CalibrationSettings
+    newton: NewtonSettings
+    precision: float
+    starts: int
+    seed: int
+    start: Float[Array, " n_p"] | None
+    quick: bool
+
+    @property
+    def configurations(self) -> tuple[Configuration, ...]:
+        """All of them, the fitted ones first."""
+        return (*self.fitted, *self.held_out)
+
+
+class Batch(NamedTuple):
+    """All configurations as arrays, and the calibration to those that are fitted."""
+
+    everything: CalibrationProblem
+    fitted: CalibrationProblem
+    lanes: ConfigurationLanes

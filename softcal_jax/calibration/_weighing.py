@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
-from softcal_jax.calibration._evaluation import Evaluator, linearised, weighed
+from softcal_jax.calibration._evaluation import Evaluator, weighed
 from softcal_jax.calibration._noise import (
     FIRST_SHARE,
     RECORDINGS,
@@ -156,7 +156,7 @@ def weighed_fit(
         state = until(state, max(unseen, 2.0 * SMALLEST_FALL))
         if not state.converged:
             break
-        linear = linearised(evaluate.problem, configurations, state.z, state.evaluation)
+        linear = state.evaluation.linear(evaluate.problem, configurations, state.z)
         if n == 0:
             sought, notes = _enough(linear, sought, configurations)
         new = _estimated(linear, noise, sought, configurations)

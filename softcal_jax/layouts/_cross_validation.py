@@ -20,7 +20,6 @@ from softcal_jax.calibration import (
     best_of,
     images_of,
     known_optima,
-    linearised,
     run_start,
 )
 from softcal_jax.configurations import Configuration
@@ -167,7 +166,7 @@ def _score(
     seen = None
     if np.all(last.after.equilibrium.converged):
         z = jnp.asarray(last.run.z)
-        linear = linearised(problem, configurations, z, last.after)
+        linear = last.after.linear(problem, configurations, z)
         seen = identifiability(linear.with_scale(1.0), problem.space, last.run.z)
     distance, over_noise = rms(last, failure, whole, every)
     return ModelScore(
