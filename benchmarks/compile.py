@@ -215,7 +215,8 @@ def eager_starts() -> dict[str, Figure]:
             command = [sys.executable, "-m", "benchmarks._eager", str(time.time())]
             told = json.loads(run_process(command, at_home(home)).splitlines()[-1])
             figures[f"first_gradient_{start}_s"] = told["first_gradient_s"]
-            figures["second_eager_call_compiles"] = told["second_calls"]
+            again = "second_eager_call_compiles"
+            figures[again] = max(figures.get(again, 0), told["second_calls"])
     return figures
 
 

@@ -183,6 +183,7 @@ def run(options: Options) -> Outcome:
     figures: dict[str, Figure] = {
         "trials_per_hour_1_worker": one.per_hour,
         "trials_per_hour_2_workers": two.per_hour,
+        "core_hours_of_ten_million": 1e7 / one.per_hour,
         "two_workers_over_one": two.per_hour / one.per_hour,
         "first_row_compiling_s": one.ended[0],
         "first_row_compiled_before_s": two.ended[0],

@@ -33,7 +33,10 @@ def __getattr__(name: str) -> Any:
     """Import a name on first use, as that takes seconds."""
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    raise AttributeError(
+        f"module {__name__!r} has no attribute {name!r}; what a notebook seldom needs "
+        "is in its packages, like softcal_jax.configurations"
+    )
 
 
 def __dir__() -> list[str]:

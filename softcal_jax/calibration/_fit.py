@@ -61,6 +61,7 @@ from softcal_jax.calibration._starts import (
 )
 from softcal_jax.calibration._step import initial_state
 from softcal_jax.calibration._weighing import Weighed, sought_noise, weighed_fit
+from softcal_jax.configurations import check_numbers
 from softcal_jax.equilibrium import (
     EquilibriumProgress,
     Workers,
@@ -230,6 +231,8 @@ def _start(task: Task, watch: Watch, batch: Batch, workers: Workers) -> Start:
     names = tuple(c.name for c in task.fitted)
     evaluate = Evaluator(batch.fitted, workers)
     start = begin(evaluate, first, names, watch.equilibrium_progress)
+    read = start.evaluation.response
+    check_numbers(names, batch.lanes.effectors, read.effectors, read.W_ep)
     check_cost(batch.fitted, start.evaluation, names)
     check_sensitive(batch.fitted, start.evaluation)
     return start

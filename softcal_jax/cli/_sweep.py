@@ -40,7 +40,8 @@ A sweep file names a project file and the axes of the sweep:
 
 Each trial is a row of an SQLite file as soon as it has ended. A sweep that was stopped
 or killed goes on when the same command is given again. Its page is written beside the
-database: sweep_report.html for sweep.sqlite.
+database: sweep_report.html for sweep.sqlite. More than 100 000 trials run in parts, as
+jobs of a cluster: --part 17 --of 1000 writes one Parquet file into a folder.
 
 exit codes: 0 all trials converged, 1 some failed or did not converge, 2 bad input,
 130 interrupted: the rows so far stand
@@ -70,6 +71,11 @@ def sweep(args: argparse.Namespace, show: Display) -> None:
         if (args.part is None) != (args.of is None):
             raise ValueError("--part and --of go together: --part 17 --of 1000.")
         database = args.output or loaded.database
+        if args.part is not None and args.retry_failed:
+            raise ValueError(
+                "--retry-failed is for a database: remove the file of a part, and it "
+                "is run again."
+            )
         if args.part is None:
             check_sweep_page(database)
     show.lap("reading")
@@ -127,9 +133,16 @@ def _part(args: argparse.Namespace, show: Display, loaded: "Sweep") -> None:
         raise Stop(INTERRUPTED, text) from None
     except RuntimeError as error:
         raise Stop(BAD_INPUT, f"error: {error}") from error
+    from pyarrow.parquet import read_table
+
     show.lap("trials")
-    show.line(f"Rows in {path}, those of failed trials too.")
+    show.line(f"Rows in {path}.")
     show.times()
+    states = read_table(path, columns=["state"])["state"].to_pylist()
+    bad = sum(state != "converged" for state in states)
+    if bad:
+        text = f"{bad} of {len(states)} trials failed or did not converge; remove "
+        raise Stop(NOT_CONVERGED, f"{text}{path.name} to run this part again.")
 
 
 def _progress_lines(show: Display) -> "Callable[[Progress], None]":

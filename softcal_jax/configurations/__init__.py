@@ -20,6 +20,7 @@ from softcal_jax.configurations._effector import (
     AbstractScalar as AbstractScalar,
     EffectorRecord as EffectorRecord,
     Unstated as Unstated,
+    check_numbers as check_numbers,
     farthest as farthest,
     motions as motions,
 )

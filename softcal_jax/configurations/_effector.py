@@ -203,6 +203,26 @@ def effector_record(
     )
 
 
+def check_numbers(
+    poses: Sequence[str],
+    records: Sequence[Sequence[EffectorRecord]],
+    values: Float[ArrayLike, "n_c n_rows 3"],
+    W_ep: Float[ArrayLike, "n_c n_e n_p"],
+) -> None:
+    """Raise ValueError if a reading or its derivative is no number somewhere."""
+    values = np.asarray(values)
+    W_ep = np.asarray(W_ep).reshape(*values.shape, -1)
+    for name, of_pose, *lane in zip(poses, records, values, W_ep, strict=False):
+        for e in of_pose:
+            bad = [not np.isfinite(own[e.index, : len(e.std)]).all() for own in lane]
+            if any(bad):
+                what = "value" if bad[0] else "derivative"
+                raise ValueError(
+                    f"effector {e.name!r} has a {what} that is no number in "
+                    f"configuration {name!r}: its function must be smooth there."
+                )
+
+
 def stack_effectors(lanes: Sequence[Rows]) -> list[tuple[EffectorArrays, list[int]]]:
     """Put rows of each configuration into arrays, and find the index of each row."""
     number = lambda lane, quantity: sum(row.quantity == quantity for row in lane)

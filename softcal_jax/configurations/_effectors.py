@@ -14,7 +14,6 @@ from softcal_jax.bodies import (
     Pose,
     angle_about,
     as_floats,
-    frames_at,
     if_any,
     unit_vector,
 )
@@ -40,22 +39,21 @@ class _Reading(NamedTuple):
 
 
 def _reaction(model, state, nodes: tuple[int, ...]) -> Float[Array | HostArray, "3"]:
-    return state.ground[np.array(nodes)].sum(axis=0)
+    return state.ground_forces[np.array(nodes, int)].sum(axis=0)
 
 
 def _angle(model, state, of: tuple[int, int, tuple[float, ...]]) -> Float[Array, ""]:
-    (body, other, axis), n = of, model.mesh.n_nodes
-    frames = frames_at(model.mechanism.bodies, model.positions(state.displacement)[n:])
-    R = frames.rotation
+    body, other, axis = of
+    R = state.body_rotations
     return angle_about(R[body], R[other], np.array(axis))
 
 
 def _displacement(model, state, actuator: int) -> Float[Array, ""]:
-    return model.displacements(state.displacement)[actuator]
+    return state.actuator_displacements[actuator]
 
 
 def _force(model, state, actuator: int) -> Float[Array, ""]:
-    return state.forces[actuator]
+    return state.actuator_forces[actuator]
 
 
 class BodyFrame(AbstractEffector):
@@ -230,13 +228,14 @@ class Observation(AbstractEffector):
 
     Attributes:
         function: Takes model, configuration (a lane of `lanes`) and state, of which
-            `displacement` are those of the nodes [m], `forces` those of all actuators
-            in their units, and `ground` the forces of the ground on each node [N]. It
+            `displacement` are those of the nodes [m], `actuator_forces` and
+            `actuator_displacements` lambda_a and delta_a of all actuators, and
+            `ground_forces` those on each node [N]; `body_rotations` are matrices. It
             returns one number, or a vector of two or three.
         unit: Its unit, for tables.
         measured: Measured value, with as many numbers.
         std: Standard deviation, one for all or one for each; as many as there are
-            values where nothing is measured.
+            values where nothing is measured. It must be given.
 
     Example:
         The stored energy of a robot::
@@ -251,12 +250,24 @@ class Observation(AbstractEffector):
     function: Callable[..., Any] = eqx.field(static=True)
     unit: str
     measured: float | Float[HostArray, " k"] | None = None
-    std: float | Float[HostArray, " k"] = Unstated(1e-3)
+    std: float | Float[HostArray, " k"] | None = None
+
+    def __check_init__(self):
+        if self.std is None:
+            raise ValueError(
+                f"effector {self.name!r} needs a std [{self.unit}]: no size suits all "
+                "units."
+            )
 
     @property
     def n_values(self) -> int:
         """Number of values, by what is measured or else by `std`."""
-        return np.size(self.std if self.measured is None else self.measured)
+        return np.size(self._std if self.measured is None else self.measured)
+
+    @property
+    def _std(self) -> float | Float[HostArray, " k"]:
+        assert self.std is not None
+        return self.std
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         n = self.n_values
@@ -265,15 +276,15 @@ class Observation(AbstractEffector):
                 f"effector {self.name!r} has {n} values; expected one to three. Give a "
                 "longer reading in several observations."
             )
-        if np.size(self.std) not in (1, n):
+        if np.size(self._std) not in (1, n):
             raise ValueError(
-                f"std of effector {self.name!r} has {np.size(self.std)} values, its "
+                f"std of effector {self.name!r} has {np.size(self._std)} values, its "
                 f"measured value {n}: give one for all, or one for each."
             )
         row = EffectorRow(
             self.name, "observation", self.unit, function=self.function, n_values=n
         )
-        return row.with_value(self.measured, self.std)
+        return row.with_value(self.measured, self._std)
 
     def measured_as(
         self, values: Float[HostArray, "k 3"], mechanism: Mechanism

@@ -91,8 +91,8 @@ def build_model(
     across = float(np.ptp(mesh.points, axis=0).max())
     if across > LONGEST:
         warnings.warn(
-            f"the mesh is {across:.4g} m across. If its coordinates are in mm, read it "
-            'by read_mesh(path, length_unit="mm"), or make it of 1e-3 * points.',
+            f"the mesh is {across:.4g} m across. If its coordinates are in mm, say so "
+            'where it is read (length_unit = "mm"), or make it of 1e-3 * points.',
             MeshWarning,
             stacklevel=2,
         )

@@ -9,10 +9,15 @@ import jax.numpy as jnp
 from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Float
 from softcal_jax.bodies import frames_at, rotation_vector
-from softcal_jax.configurations import ConfigurationArrays, EffectorArrays, Observed
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationArrays,
+    EffectorArrays,
+    Observed,
+)
 from softcal_jax.equilibrium._linearisation import residual, solved_forces
 from softcal_jax.equilibrium._model import Model, Nodal
-from softcal_jax.equilibrium._posed import Posed
+from softcal_jax.equilibrium._posed import Posed, one_lane
 from softcal_jax.equilibrium._solution import EquilibriumSolution
 
 
@@ -48,13 +53,19 @@ def effector_values(
 class ObservedState(NamedTuple):
     """What an `Observation` sees of a robot, beside model and configuration.
 
-    `displacement` are those of the nodes [m], `forces` those of all actuators in their
-    units, and `ground` the forces with which the ground holds the nodes [N].
+    Attributes:
+        displacement: Of the nodes [m].
+        actuator_forces: lambda_a of all actuators, in their units.
+        actuator_displacements: delta_a of all actuators, in theirs.
+        body_rotations: Of rigid bodies from rest, as matrices [-].
+        ground_forces: With which the ground holds the nodes [N].
     """
 
     displacement: Nodal
-    forces: Float[Array, " n_a"]
-    ground: Nodal
+    actuator_forces: Float[Array, " n_a"]
+    actuator_displacements: Float[Array, " n_a"]
+    body_rotations: Float[Array, "n_b 3 3"]
+    ground_forces: Nodal
 
     __repr__ = one_line
 
@@ -75,10 +86,23 @@ def observed_state(
         multipliers = solved_forces(model, configuration, u)
     if unbalanced is None:
         unbalanced = residual(model, configuration, u, multipliers)
-    forces = actuator_forces(model, configuration, u, multipliers, unbalanced)
-    # Spring forces are part of the balance, but the ground carries them too.
-    ground = unbalanced - Posed.of(model, configuration).spring_force(u)
-    return ObservedState(u, forces, ground)
+    return ObservedState(
+        displacement=u,
+        actuator_forces=actuator_forces(
+            model, configuration, u, multipliers, unbalanced
+        ),
+        actuator_displacements=model.displacements(u),
+        body_rotations=_rotations(model, u),
+        # Spring forces are part of the balance, but the ground carries them too.
+        ground_forces=unbalanced - Posed.of(model, configuration).spring_force(u),
+    )
+
+
+def _rotations(model: Model, u: Nodal) -> Float[Array, "n_b 3 3"]:
+    bodies, x = model.mechanism.bodies, model.positions(u)
+    if bodies.n_bodies == 0:
+        return jnp.zeros((0, 3, 3))
+    return frames_at(bodies, x[model.mesh.n_nodes :]).rotation
 
 
 def _observe(
@@ -114,7 +138,7 @@ def _placed(
     points = effectors.base.point(points, centre)
     if effectors.turn_body.shape[0] == 0:
         return points
-    rotation = frames_at(model.mechanism.bodies, x[model.mesh.n_nodes :]).rotation
+    rotation = _rotations(model, u)
     reference = jnp.asarray(effectors.turn_reference)
     seen = effectors.base.turn(rotation[effectors.turn_body])
     # Rotation vectors from the reference orientations, in the frame of the mesh.
@@ -123,13 +147,18 @@ def _placed(
 
 
 def marker_positions(
-    model: Model, configuration: ConfigurationArrays, solution: EquilibriumSolution
+    model: Model,
+    configuration: Configuration | ConfigurationArrays,
+    solution: EquilibriumSolution,
 ) -> Float[Array, "n_markers 3"]:
     """Compute the positions of markers, then of points of other effectors [m].
 
     In the frame of the mesh; nan without equilibrium.
+
+    Raises:
+        ValueError: If the configuration is a batch, or of another model.
     """
-    effectors = configuration.effectors
+    effectors = one_lane(model, configuration).effectors
     n_points = effectors.nodes.shape[0]
     return _placed(model, effectors, solution.displacement)[:n_points]
 

@@ -5,14 +5,14 @@ nodes by d, the nodes of a body by the exact rigid motion of its twist, and held
 and bodies to their imposed positions.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Bool, Float
+from softcal_jax._typing import Array, Bool, Float, is_traced
 from softcal_jax.actuators import actuators_moving
 from softcal_jax.bodies import (
     KINDS,
@@ -27,7 +27,11 @@ from softcal_jax.bodies import (
     rotation_matrix,
     winding,
 )
-from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationArrays,
+    configuration_arrays,
+)
 from softcal_jax.equilibrium._assembly import gravity_load
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._sparsity import reduce_values
@@ -332,3 +336,33 @@ class Posed(NamedTuple):
         B = self.mounted.axes / bodies.length
         turned = jnp.einsum("bij,bjk,blk->bil", B, total, B)
         return jnp.zeros((self._n_bodies, 6, 6)).at[:, 3:, 3:].set(turned)
+
+
+def one_lane(model: Model, configuration: Any) -> ConfigurationArrays:
+    """Return the arrays of one configuration of this model, or raise ValueError."""
+    if isinstance(configuration, Configuration):
+        if any(map(is_traced, jax.tree.leaves(model.mesh))):
+            raise ValueError(
+                f"configuration {configuration.name!r} cannot be put on a mesh that is "
+                "traced: make lanes(model, poses) outside of jit, and solve its lanes."
+            )
+        of_mesh = model.mesh, [configuration], model.mechanism
+        return configuration_arrays(*of_mesh)[0]
+    if not isinstance(configuration, ConfigurationArrays):
+        raise ValueError(
+            f"expected one Configuration or a lane of lanes(model, poses), got a "
+            f"{type(configuration).__name__}."
+        )
+    if configuration.is_batch:
+        raise ValueError(
+            f"this is a batch of {len(configuration)} configurations, and one is "
+            "wanted: take one, batch[0], or all of them by "
+            "jax.vmap(lambda lane: ...)(batch)."
+        )
+    if (n := len(configuration.fixed)) != model.n_points:
+        raise ValueError(
+            f"the configuration is of a mesh with {n} nodes, those of the frames of "
+            f"rigid bodies included; the model has {model.n_points}. Make it by "
+            "lanes(model, poses)."
+        )
+    return configuration

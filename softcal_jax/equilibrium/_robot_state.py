@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray, Int
-from softcal_jax.bodies import KINDS, frames_at
+from softcal_jax.bodies import KINDS
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -83,21 +83,14 @@ class RobotState(Module):
 
 class _Balance(NamedTuple):
     state: ObservedState
-    displacements: Float[Array, " n_a"]
-    rotation: Float[Array, "n_b 3 3"]
     kind: Int[Array | HostArray, " n_b"]
 
 
 @eqx.filter_jit
 def _balance(model: Model, lane: ConfigurationArrays, u, multipliers) -> _Balance:
-    bodies, x = model.mechanism.bodies, model.positions(u)
     posed = Posed.of(model, lane)
     return _Balance(
         state=observed_state(model, lane, u, multipliers),
-        displacements=model.displacements(u),
-        rotation=frames_at(bodies, x[model.mesh.n_nodes :]).rotation
-        if bodies.n_bodies
-        else jnp.zeros((0, 3, 3)),
         kind=posed.states.kind if posed.states else jnp.zeros(0, int),
     )
 
@@ -136,7 +129,7 @@ def _state(
 ) -> RobotState:
     u, multipliers = solution.displacement, solution.multipliers
     found = jax.tree.map(np.asarray, _balance(model, lane, u, multipliers))
-    u = np.asarray(u)
+    u, state = np.asarray(u), found.state
     bodies = model.mechanism.bodies
     kinds = [
         KINDS[int(kind)] if owner == k else "tied"
@@ -149,13 +142,14 @@ def _state(
             state=kind,
             position=bodies.origin[k] + moved[k],
             translation=moved[k],
-            rotation_vector=Rotation.from_matrix(found.rotation[k]).as_rotvec(),
+            rotation_vector=Rotation.from_matrix(state.body_rotations[k]).as_rotvec(),
         )
         for k, kind in enumerate(kinds)
     )
-    actuators = actuator_states(model, lane, found.state.forces, found.displacements)
+    of_actuators = state.actuator_forces, state.actuator_displacements
+    actuators = actuator_states(model, lane, *of_actuators)
     reactions = (
-        Reaction(name, of_nodes(model, lane, found.state))
+        Reaction(name, of_nodes(model, lane, state))
         for name, of_nodes in _grounds(model, configuration, kinds).items()
     )
     return RobotState(tuple(places), actuators, tuple(reactions), u)

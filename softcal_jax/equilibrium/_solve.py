@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from softcal_jax._lanes import traceable
 from softcal_jax._process import check_process
 from softcal_jax._results import RESULTS
-from softcal_jax._typing import Array, Int, is_traced
+from softcal_jax._typing import Array, Int
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -25,7 +25,7 @@ from softcal_jax.equilibrium._newton import (
     newton,
 )
 from softcal_jax.equilibrium._path import EquilibriumPath, LoadPath, trace
-from softcal_jax.equilibrium._posed import Posed
+from softcal_jax.equilibrium._posed import Posed, one_lane
 from softcal_jax.equilibrium._sensitivity import input_rows, sensitivity
 from softcal_jax.equilibrium._solution import EquilibriumSolution
 
@@ -150,7 +150,9 @@ def solve_from_rest(
     return jax.lax.scan(follow, rest, configurations)[1]
 
 
-def lanes(model: Model, poses: Sequence[Configuration]) -> ConfigurationArrays:
+def lanes(
+    model: Model, poses: Configuration | Sequence[Configuration]
+) -> ConfigurationArrays:
     """Return configurations as a batch of arrays, to be solved under `vmap`.
 
     `lanes(model, poses)[0]` is the first of them. They share one compiled program.
@@ -159,7 +161,8 @@ def lanes(model: Model, poses: Sequence[Configuration]) -> ConfigurationArrays:
         ValueError: If there is none, names repeat, one is not held, what it names is
             unknown, a body has held nodes, or a marker stands too far from the mesh.
     """
-    return configuration_arrays(model.mesh, poses, model.mechanism)
+    several = [poses] if isinstance(poses, Configuration) else poses
+    return configuration_arrays(model.mesh, several, model.mechanism)
 
 
 @overload
@@ -215,7 +218,7 @@ def solve_equilibrium(
         RuntimeError: If this process was forked from one that had computed.
     """
     check_process()
-    configuration = _one(model, configuration)
+    configuration = one_lane(model, configuration)
     if path is not None:
         if guess is not None:
             raise ValueError("a path begins at rest: leave out `guess`.")
@@ -228,30 +231,6 @@ def solve_equilibrium(
             f"({model.n_points}, 3), a displacement of each node [m]."
         )
     settings = settings or NewtonSettings()
-    return _compiled_equilibrium(model, configuration, u0, settings)
-
-
-def _one(
-    model: Model, configuration: Configuration | ConfigurationArrays
-) -> ConfigurationArrays:
-    """Return the arrays of one configuration of this model, or raise ValueError."""
-    if isinstance(configuration, Configuration):
-        if any(map(is_traced, jax.tree.leaves(model.mesh))):
-            raise ValueError(
-                f"configuration {configuration.name!r} cannot be put on a mesh that is "
-                "traced: make lanes(model, poses) outside of jit, and solve its lanes."
-            )
-        return lanes(model, [configuration])[0]
-    if configuration.is_batch:
-        raise ValueError(
-            f"this is a batch of {len(configuration)} configurations, and one is "
-            "solved at a time: take one, batch[0], or all of them by "
-            "jax.vmap(lambda lane: solve_equilibrium(model, lane))(batch)."
-        )
-    if (n := len(configuration.fixed)) != model.n_points:
-        raise ValueError(
-            f"the configuration is of a mesh with {n} nodes, those of the frames of "
-            f"rigid bodies included; the model has {model.n_points}. Make it by "
-            "lanes(model, poses)."
-        )
-    return configuration
+    # Whatever is read of it later, the program is the same.
+    bare = eqx.tree_at(lambda c: c.effectors, configuration, None)
+    return _compiled_equilibrium(model, bare, u0, settings)

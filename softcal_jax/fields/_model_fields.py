@@ -81,6 +81,11 @@ def find_field(model: Any, field: str):
     named = [path for path in paths if ("." + path).endswith("." + field)]
     if len(named) != 1:
         problem = "is not unique" if named else "does not exist"
+        if hasattr(model.law, field):
+            problem = (
+                "is shared by all tets as it is, so it is changed by eqx.tree_at and "
+                "is no parameter"
+            )
         raise ValueError(
             f"field {field!r} of the model {problem}; it has {', '.join(paths)}."
         )

@@ -22,6 +22,7 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.configurations import (
     Configuration,
+    check_numbers,
     configuration_lanes,
     measured_at_rest,
 )
@@ -270,6 +271,8 @@ def survey(
         compliance = evaluator.energy_compliances(z, solution.displacement)
         setting = Setting(model, space, configurations, arrays, uncertain)
         doubts = considered_errors(workers, setting, z=z, equilibrium=solution)
+    if required:
+        check_numbers(names[:required], lanes.effectors, moved, compliance.W_ep)
     failures = _failures(solution, np.asarray(compliance.ok))
     for name, failure in zip(names[:required], failures, strict=False):
         if failure:

@@ -84,7 +84,8 @@ def _bad_shapes(mesh: TetMesh) -> Iterator[str]:
         (
             inverted,
             "tets are inverted (negative volume)",
-            "Swap two corners of each (and their mid nodes), or remesh",
+            "Swap two corners of each (and their mid nodes; for linear tets it is "
+            "softcal_jax.mesh.oriented(tets, points[tets])), or remesh",
         ),
         (
             folded & ~flat & ~inverted,

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from softcal_jax._lanes import traceable
 from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Bool, Float
-from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.configurations import Configuration, ConfigurationArrays
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
     InputRows,
@@ -20,6 +20,7 @@ from softcal_jax.equilibrium import (
     continue_equilibrium,
     effector_values,
     linearise,
+    one_lane,
     sensitivity,
 )
 from softcal_jax.fields import ParameterSpace
@@ -32,10 +33,9 @@ The next equilibria start from that; a dozen right-hand sides cost one factoriza
 """
 
 
-@eqx.filter_jit
 def parameter_compliance(
     model: Model,
-    configuration: ConfigurationArrays,
+    configuration: Configuration | ConfigurationArrays,
     u: Float[Array, "n_points 3"],
     space: ParameterSpace,
     z: Float[Array, " n_p"],
@@ -47,7 +47,23 @@ def parameter_compliance(
     Effector coordinates are in the order effector, axis. The displacement u is that at
     the equilibrium with the parameters of z [m]. "direct" solves for the n_p columns of
     H_p^T, "adjoint" for the n_e rows of H_e; "auto" chooses the fewer right-hand sides.
+
+    Raises:
+        ValueError: If the configuration is a batch, or of another model.
     """
+    lane = one_lane(model, configuration)
+    return _parameter_compliance(model, lane, u, space, z, method)
+
+
+@eqx.filter_jit
+def _parameter_compliance(
+    model: Model,
+    configuration: ConfigurationArrays,
+    u: Float[Array, "n_points 3"],
+    space: ParameterSpace,
+    z: Float[Array, " n_p"],
+    method: str,
+) -> Sensitivity:
     lin = linearise(*space.apply(model, configuration, z), u)
     rows = parameter_rows(lin, space, z)
     fewer = z.shape[0] > configuration.effectors.measured.size

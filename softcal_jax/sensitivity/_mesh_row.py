@@ -1,5 +1,7 @@
 """Row of the error of the mesh, estimated on the mesh at hand."""
 
+import weakref
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -34,20 +36,21 @@ LOADED = 1e-4
 of an unloaded one is what Newton's method leaves."""
 
 
-_KEPT: list[tuple[Model, Recovery]] = []
+_KEPT: dict[int, Recovery] = {}
 
 
 def stress_patches(model: Model) -> Recovery:
     """Prepare the recovery of the stress in the tets that deform, once per model.
 
-    That of the last model is kept: calibrations of a sweep share theirs.
+    It is kept as long as the model: the calibrations of a sweep share theirs.
     """
-    for other, patches in _KEPT:
-        if other.mesh is model.mesh and other.active is model.active:
-            return patches
-    deforming = np.asarray(model.active).ravel()[: model.n_tets] > 0.0
-    _KEPT[:] = [(model, jax.device_put(recovery(model.mesh, deforming)))]
-    return _KEPT[0][1]
+    key = id(model)
+    patches = _KEPT.get(key)
+    if patches is None:
+        deforming = np.asarray(model.active).ravel()[: model.n_tets] > 0.0
+        patches = _KEPT[key] = jax.device_put(recovery(model.mesh, deforming))
+        weakref.finalize(model, _KEPT.pop, key, None)
+    return patches
 
 
 @eqx.filter_jit

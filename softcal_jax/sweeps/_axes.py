@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from softcal_jax._limits import TRIALS
+from softcal_jax._limits import PLANNED, TRIALS
 from softcal_jax._names import unknown_name
 from softcal_jax.project import Integer, Table, suggestion
 from softcal_jax.sweeps._trial import Range, is_number
@@ -96,8 +96,8 @@ def _check_known(kind: str, names: Sequence[Any], known: Sequence[str]) -> None:
 
 def _values_of_table(table: Table, poses: Sequence[str]) -> Sequence[Any] | Range:
     if isinstance(table, CountTable):
-        TRIALS.check(f"count = {table.count}", table.count)
-        return list(range(1, table.count + 1))
+        PLANNED.check(f"count = {table.count}", table.count)
+        return range(1, table.count + 1)
     if isinstance(table, RangeTable):
         return _range(table)
     assert isinstance(table, ChooseTable)

@@ -1,28 +1,30 @@
 """Parts of a sweep that is too large for one database, each a Parquet file."""
 
+import hashlib
 import json
 import os
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from softcal_jax._places import only_writer, partial_of
+from softcal_jax._places import only_writer
 from softcal_jax.sweeps._progress import Progress, Tally
 from softcal_jax.sweeps._row import TrialFunction, flat_columns
 from softcal_jax.sweeps._run import about_sweep, rows_of
-from softcal_jax.sweeps._trial import Point, as_trials
+from softcal_jax.sweeps._trial import Points, Range, as_trials, is_number, shown
 
 if TYPE_CHECKING:
     import pyarrow
 
 _ABOUT = b"softcal_jax.sweep"
-"""Key of what rows depend on besides their points, in the metadata of a file."""
+"""Key of what rows depend on, in the metadata of a file."""
 
 
 def run_part(
     function: TrialFunction,
-    points: Sequence[Point],
+    points: Points,
     folder: str | os.PathLike[str],
     *,
     part: int,
@@ -40,12 +42,14 @@ def run_part(
 
     Each job of a cluster runs one part, all write into one folder, and none waits for
     another. About 1 000 trials are a good size: a part that is killed begins anew, and
-    one whose file is there is done. A row is that of `run_sweep`, with the columns of
-    its CSV and the `number` of its point; pandas and DuckDB read the folder as a table.
+    one whose file is there is done; remove it to run the part again. Rows are those of
+    `run_sweep` with the columns of its CSV, after the `number` of the point. A column
+    of numbers is one of doubles, any other of texts, and a figure that no trial of a
+    part has is no column there: read all parts by name of their columns.
 
-    The `points` are those of the whole sweep, made from their index as `grid` does it;
-    `part` is the number of this part, from 0, and `of` that of all. All other arguments
-    are as for `run_sweep`. Returns the path of the file in the `folder`.
+    The `points` are those of the whole sweep, from `grid` or `sample`; `part` is the
+    number of this part, from 0, and `of` that of all. All other arguments are as for
+    `run_sweep`. Returns the path of the file in the `folder`.
 
     Raises:
         ValueError: If an argument is wrong, or the folder holds parts of another sweep.
@@ -59,62 +63,91 @@ def run_part(
             f"{len(points)} parts, one for each trial."
         )
     try:
-        import pyarrow
+        import pyarrow as pa
+        import pyarrow.parquet as pq
     except ModuleNotFoundError as error:
         raise ImportError(
             "parts of a sweep are Parquet files: pip install 'softcal-jax[parquet]'."
         ) from error
     first, last = (len(points) * k // of for k in (part, part + 1))
-    trials = as_trials((points[i] for i in range(first, last)), seed)
-    about, rests_on = about_sweep(function, trials, name, repeats, seed, definitions)
-    mark = json.dumps({**about, **rests_on, "trials": len(points), "parts": of})
+    trials = as_trials(points[first:last], seed)
+    _, rests_on = about_sweep(function, trials, name, repeats, seed, definitions)
+    mark = json.dumps({**rests_on, "points": _digest(points), "parts": of}).encode()
     folder = Path(folder)
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(f"{folder} is a file; parts need a folder.")
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"part-{part:0{len(str(of - 1))}d}-of-{of}.parquet"
-    _check_folder(folder, mark)
-    if path.exists():
-        return path
     run = rows_of(function, workers, cores_per_worker, scheduler)
-    tally, rows = Tally(len(trials), []), {}
-    with only_writer(path, "part"):
+    # What is under way is hidden from programs that read the folder.
+    partial = folder / f".{path.name}"
+    with only_writer(partial, f"process with part {part}"):
+        _check_folder(folder, mark)
+        if path.exists():
+            return path
+        tally, rows = Tally(len(trials), []), {}
         progress(tally.now())
         with closing(run(trials)) as ended:
             for row in ended:
                 rows[row.key] = row
                 progress(tally.now(row))
-        table = pyarrow.table(
-            {"number": range(first, last)}
-            | flat_columns([rows[trial.key] for trial in trials])
-        )
-        _write(table.replace_schema_metadata({_ABOUT: mark}), path)
+        axes, *others = flat_columns([*points.axes], [rows[t.key] for t in trials])
+        columns = {"number": pa.array(range(first, last))}
+        for column, values in axes.items():
+            words = not _has_numbers(points.axes[column])
+            columns[column] = _array(values, words=words)
+        for column, values in [item for own in others for item in own.items()]:
+            if any(value is not None for value in values):
+                unique = column + " of the trial" * (column in columns)
+                columns[unique] = _array(values)
+        table = pa.table(columns).replace_schema_metadata({_ABOUT: mark})
+        try:
+            pq.write_table(table, partial)
+            os.replace(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
     return path
 
 
-def _check_folder(folder: Path, mark: str) -> None:
-    """Raise ValueError if the folder holds a part of another sweep."""
-    import pyarrow.parquet
+def _digest(points: Points) -> str:
+    """Digest all points: values of the axes, and which of them are taken."""
+    axes = {k: repr(v) if isinstance(v, Range) else v for k, v in points.axes.items()}
+    text = json.dumps(axes, default=list).encode()
+    cells = b"" if points.cells is None else points.cells.tobytes()
+    return hashlib.sha256(text + cells).hexdigest()
 
-    for other in folder.glob("part-*.parquet"):
-        metadata = pyarrow.parquet.read_schema(other).metadata or {}
-        if metadata.get(_ABOUT) != mark.encode():
-            raise ValueError(
-                f"{other} is a part of another sweep: its project, axes, seed or "
-                "number of parts differ. Give another folder."
-            )
+
+def _check_folder(folder: Path, mark: bytes) -> None:
+    """Raise ValueError if the folder holds something else than parts of this sweep."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    other = next(folder.glob("part-*.parquet"), None)
+    if other is None:
         return
+    try:
+        metadata = pq.read_schema(other).metadata or {}
+    except pa.ArrowException as error:
+        raise ValueError(f"{other} is no part of a sweep ({error}).") from error
+    if metadata.get(_ABOUT) != mark:
+        raise ValueError(
+            f"{other} is a part of another sweep: its project, points, seed or number "
+            "of parts differ. Give another folder."
+        )
 
 
-def _write(table: "pyarrow.Table", path: Path) -> None:
-    """Write a table whole or not at all, with numbers of one type in all parts."""
-    import pyarrow
-    import pyarrow.parquet
+def _has_numbers(axis: Sequence[Any] | Range) -> bool:
+    if isinstance(axis, Range):
+        return axis.form is None
+    return isinstance(axis, range) or all(map(is_number, axis))
 
-    fields = []
-    for field in table.schema:
-        kinds = pyarrow.types.is_integer, pyarrow.types.is_null
-        if field.name != "number" and any(kind(field.type) for kind in kinds):
-            field = field.with_type(pyarrow.float64())
-        fields.append(field)
-    table = table.cast(pyarrow.schema(fields, table.schema.metadata))
-    pyarrow.parquet.write_table(table, partial_of(path))
-    os.replace(partial_of(path), path)
+
+def _array(values: Sequence[Any], *, words: bool = False) -> "pyarrow.Array":
+    """Make a column of doubles, or of texts where something is no number."""
+    import pyarrow as pa
+
+    most = sys.float_info.max
+    fits = (v is None or (is_number(v) and abs(v) <= most) for v in values)
+    if words or not all(fits):
+        return pa.array([None if v is None else shown(v) for v in values], pa.string())
+    return pa.array([None if v is None else float(v) for v in values], pa.float64())

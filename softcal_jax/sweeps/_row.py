@@ -157,12 +157,15 @@ def _figure(name: str, value: Any) -> Figure:
     )
 
 
-def flat_columns(rows: Sequence[TrialRow]) -> dict[str, list[Any]]:
-    """Return rows as columns: axes, how the trials ended, figures, notes."""
-    axes = dict.fromkeys(axis for row in rows for axis in row.point)
+def flat_columns(
+    axes: Sequence[str], rows: Sequence[TrialRow]
+) -> tuple[dict[str, list[Any]], ...]:
+    """Return rows as columns: of the axes, how the trials ended, figures, notes."""
     figures = dict.fromkeys(name for row in rows for name in row.figures)
     cell = lambda value: shown(value) if isinstance(value, list) else value
-    columns = {axis: [cell(row.point.get(axis)) for row in rows] for axis in axes}
-    columns |= {name: [getattr(row, name) for row in rows] for name in _OF_ROW}
-    columns |= {name: [row.figures.get(name) for row in rows] for name in figures}
-    return columns | {"notes": [" ".join(row.notes) for row in rows]}
+    return (
+        {axis: [cell(row.point[axis]) for row in rows] for axis in axes},
+        {name: [getattr(row, name) for row in rows] for name in _OF_ROW},
+        {name: [row.figures.get(name) for row in rows] for name in figures},
+        {"notes": [" ".join(row.notes) for row in rows]},
+    )

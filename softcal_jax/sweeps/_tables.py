@@ -183,11 +183,13 @@ def mean_text(values: Float[HostArray, " n"]) -> str:
 
 def write_sweep_csv(result: SweepResult, path: str | Path) -> None:
     """Write one line per trial that has ended, for a spreadsheet, with values in SI."""
-    columns = flat_columns(result.rows)
+    groups = flat_columns(result.axes, result.rows)
+    columns = [column for group in groups for column in group.items()]
     with Path(path).open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([as_cell(name) for name in columns])
-        for cells in zip(*columns.values(), strict=True):  # None: an empty cell
+        writer.writerow([as_cell(name) for name, _ in columns])
+        # None: an empty cell.
+        for cells in zip(*(values for _, values in columns), strict=True):
             writer.writerow([as_cell(c) if isinstance(c, str) else c for c in cells])
 
 

@@ -164,10 +164,11 @@ def sample(
                 "many to number; leave an axis out, or give fewer values."
             )
         chosen = np.sort(random.choice(total, n, replace=False))
-        return Points(axes, np.array(np.unravel_index(chosen, sizes)).T)
+        return Points(lists, np.array(np.unravel_index(chosen, sizes)).T)
     from scipy.stats.qmc import LatinHypercube
 
-    return Points(axes, LatinHypercube(len(axes), rng=random).random(n))
+    cells = LatinHypercube(len(axes), rng=random).random(n)
+    return Points({axis: lists.get(axis, own) for axis, own in axes.items()}, cells)
 
 
 def _at(values: Sequence[Any] | Range, where: float) -> Any:
@@ -183,7 +184,12 @@ def _lists(axes: Mapping[str, Sequence[Any] | Range]) -> dict[str, Sequence[Any]
     """Check the values of all axes, and return those that are no ranges."""
     if not axes:
         raise ValueError("a sweep needs at least one axis, got none.")
-    lists = {a: values for a, values in axes.items() if not isinstance(values, Range)}
+    # A copy, so that points do not change with a list of the caller's.
+    lists: dict[str, Sequence[Any]] = {
+        axis: values if isinstance(values, range | str) else tuple(values)
+        for axis, values in axes.items()
+        if not isinstance(values, Range)
+    }
     for axis, values in lists.items():
         if isinstance(values, str):
             raise ValueError(
@@ -249,9 +255,9 @@ def as_trials(
     points: Iterable[Mapping[str, Any]], sweep_seed: int
 ) -> tuple[Trial, ...]:
     """Make the trials of a sweep; all must differ, but not in their axes."""
-    if isinstance(points, Sequence):
-        text = "a sweep in one database (--part and --of run larger ones in parts)"
-        TRIALS.check(text, len(points))
+    points = points if isinstance(points, Sequence) else tuple(points)
+    text = "a sweep in one database or part (--part and --of run larger ones in parts)"
+    TRIALS.check(text, len(points))
     trials = tuple(Trial(point, sweep_seed) for point in points)
     if not trials:
         raise ValueError("the sweep has no trials: give each axis at least one value.")

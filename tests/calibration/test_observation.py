@@ -186,9 +186,26 @@ def test_values_that_do_not_fit_are_named():
         parameter_compliance(MODEL, lane, u, SPACE, Z)
     with pytest.raises(ValueError, match="std of effector 'tip' has 3 values"):
         lanes(MODEL, [posed("hang", -9.81, replace(wrong, std=np.full(3, STD)))])
-    long = Observation("all", energy, "J", measured=np.ones(5))
+    long = Observation("all", energy, "J", measured=np.ones(5), std=1.0)
     with pytest.raises(ValueError, match=r"hang.*'all' has 5 values"):
         lanes(MODEL, [posed("hang", -9.81, long)])
+
+
+def test_an_observation_needs_a_std():
+    with pytest.raises(ValueError, match=r"'x' needs a std \[J\]: no size suits"):
+        Observation("x", energy, "J", 0.1)
+
+
+def test_a_reading_without_a_derivative_is_named():
+    """The distance of a node that is held has none; good markers stand beside it."""
+    held = int(np.argmin(MESH.points.sum(axis=1)))
+    size = lambda model, c, state: jnp.linalg.norm(state.displacement[held])
+    seen = Markers(("tip",), MESH.points[TIP][None], std=STD)
+    far = Observation("far", size, "m", measured=0.0, std=STD)
+    more = {"markers": seen, "measured": seen.positions}
+    for use in (identify, calibrate):
+        with pytest.raises(ValueError, match=r"'far' has a derivative that .* 'hang'"):
+            use(MODEL, SPACE, posed("hang", -9.81, far, **more))
 
 
 def test_readings_of_a_loop_of_ones_own():

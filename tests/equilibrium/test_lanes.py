@@ -109,5 +109,5 @@ def test_a_field_of_another_length_is_named():
 
 def test_a_mesh_in_mm_is_suspected_aloud():
     mesh = beam(100.0, 20.0, 20.0, (1, 1, 1), order=1)
-    with pytest.warns(MeshWarning, match=r'100 m across.*in mm.*length_unit="mm"'):
+    with pytest.warns(MeshWarning, match=r'100 m across.*in mm.*length_unit = "mm"'):
         build_model(mesh, NeoHookean(1e5, 0.3), density=1e3)

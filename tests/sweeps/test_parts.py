@@ -9,7 +9,7 @@ import pytest
 from wording import says
 
 from softcal_jax.cli import main
-from softcal_jax.sweeps import grid, run_part, run_sweep
+from softcal_jax.sweeps import Range, grid, run_part, run_sweep, sample
 
 OF = 5
 
@@ -37,18 +37,36 @@ def test_all_parts_have_the_rows_of_one_database(tmp_path):
         assert found["E found [Pa]"][i] == row.figures.get("E found [Pa]")
 
 
-def test_numbers_have_one_type_in_all_parts(tmp_path):
-    """Also in one where no trial has the figure: else no program would join them."""
-    for k in range(len(cheap.POINTS)):
-        part(tmp_path, k, of=len(cheap.POINTS))
-    types = {
-        pyarrow.parquet.read_schema(file).field("draw").type
-        for file in tmp_path.glob("*.parquet")
-    }
-    assert types == {pyarrow.float64()}
-    table = read(tmp_path)
-    assert table.num_rows == len(cheap.POINTS)
-    assert table["E found [Pa]"].null_count == 2
+def odd(trial):
+    """Figures of every kind, and none where all trials of a part fail."""
+    if trial["draw"] == 3:
+        raise ArithmeticError("no value")
+    of_draw = [True, "word", 1.0, None, 2**70, None][trial["draw"]]
+    return {"mixed": of_draw, "state": 1.5, "same": 1.0}
+
+
+def test_columns_are_of_numbers_or_of_texts(tmp_path):
+    points = grid({"E": [0, "1 deg"], "n": [1, 2.5], "b": [True, False], "l": [[1, 2]]})
+    points = grid({**points.axes, "draw": range(6)})
+    for k in range(2):
+        run_part(odd, points, tmp_path, part=k, of=2, workers=0)
+    tables = [pyarrow.parquet.read_table(file) for file in sorted(tmp_path.iterdir())]
+    kinds = [dict(zip(t.column_names, t.schema.types, strict=True)) for t in tables]
+    assert kinds[0] == kinds[1]
+    texts = {name for name, kind in kinds[0].items() if kind == pyarrow.string()}
+    assert {"E", "b", "l", "mixed", "state", "reason"} <= texts
+    assert kinds[0]["n"] == kinds[0]["state of the trial"] == pyarrow.float64()
+    rows = tables[0].to_pydict()
+    assert rows["mixed"][:3] == ["True", "word", "1"]
+    assert rows["l"][0] == "1 + 2"
+
+
+def test_a_figure_that_no_trial_has_is_no_column(tmp_path):
+    points = grid({"E": [1.0], "draw": [3, 0]})
+    run = lambda k: run_part(odd, points, tmp_path, part=k, of=2, workers=0)
+    one, other = run(0), run(1)
+    assert "same" not in pyarrow.parquet.read_schema(one).names
+    assert pyarrow.parquet.read_table(other)["same"].to_pylist() == [1.0]
 
 
 def test_a_part_that_is_there_is_done(tmp_path):
@@ -73,6 +91,31 @@ def test_parts_of_another_sweep_are_refused(tmp_path, other):
     part(tmp_path, 0)
     with pytest.raises(ValueError, match=r"part-0-of-5.* is a part of another sweep"):
         part(tmp_path, 1, **other)
+
+
+def test_parts_of_other_points_are_refused(tmp_path):
+    """Also for a part that is there."""
+    axes = {"a": Range(0.0, 1.0), "b": ["u", "v"]}
+    run = lambda points: run_part(_none, points, tmp_path, part=0, of=2, workers=0)
+    run(sample(axes, 4, seed=1))
+    run(sample(axes, 4, seed=1))
+    others = sample({**axes, "b": ["u", "w"]}, 4, seed=1)
+    for points in (sample(axes, 4, seed=2), others):
+        with pytest.raises(ValueError, match="another sweep: its project, points"):
+            run(points)
+
+
+def _none(trial):
+    return {}
+
+
+def test_a_folder_that_is_none(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(NotADirectoryError, match="file is a file; parts need a folder"):
+        part(tmp_path / "file", 0)
+    (tmp_path / "part-x.parquet").write_text("x")
+    with pytest.raises(ValueError, match=r"part-x\.parquet is no part of a sweep"):
+        part(tmp_path, 0)
 
 
 @pytest.mark.parametrize(("k", "of"), [(5, 5), (-1, 5), (0, 0), (0, 25)])

@@ -193,8 +193,8 @@ BAD = {
     ),
     '[axes]\n"material.nu" = [1979-05-27]': (r"axes.material.nu\[1\]: got 1979-05-27"),
     "[axes]\nnoise = { count = 1_000_000_000_000 }": (
-        r"axes.noise: count = 1000000000000: 1e\+12 trials, .* 100 000\..* "
-        r"SOFTCAL_MAX_TRIALS"
+        r"axes.noise: count = 1000000000000: 1e\+12 trials, .* 10 000 000\..* "
+        r"SOFTCAL_MAX_PLANNED"
     ),
     "[axes]\nnoise = { count = 10_000 }\nstart = { count = 10_000 }": (
         r"axes: .*`sample`.* 100 000 000 trials, .* limit of 10 000 000"
