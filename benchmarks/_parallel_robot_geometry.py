@@ -1,6 +1,7 @@
 """Shape and arms of the parallel robot of Sec. VI: two sheets, a rod, six motors."""
 
 import math
+from collections.abc import Mapping
 from functools import partial
 from itertools import product
 
@@ -11,7 +12,7 @@ from softcal_jax._module import Module
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import Pose
 from softcal_jax.fields import ControlPoints
-from softcal_jax.mesh import TetMesh, merge
+from softcal_jax.mesh import TetMesh
 
 SHEETS = {"lower": -1.0, "upper": 1.0}
 """The sheets, and the side of the middle on which they lie along y."""
@@ -214,3 +215,48 @@ class ParallelRobotGeometry(Module):
             )
             arms.append(arm)
         return tuple(arms)
+
+
+def merge(parts: Mapping[str, TetMesh]) -> TetMesh:
+    """Combine meshes of the same order into one; parts that touch are not joined.
+
+    Nodes and tets come part by part, in the order of the mapping, and keep their order
+    within a part. The tet group "lower" is all of the part "lower", and its groups
+    become "lower/end 1", "lower/top" and so on, so laws can differ between parts.
+    `check_mesh` refuses the result as disconnected: check the parts.
+
+    Raises:
+        ValueError: If no part is given, a name is empty or holds a "/", or the parts
+            are linear and quadratic ones.
+    """
+    if not parts:
+        raise ValueError("merge needs at least one part.")
+    for name in parts:
+        if not name or "/" in name:
+            raise ValueError(
+                f"a part cannot have the name {name!r}: it becomes the first half of "
+                'names like "lower/end 1", so it needs letters and no "/".'
+            )
+    orders = {name: mesh.order for name, mesh in parts.items()}
+    if len(set(orders.values())) > 1:
+        listed = ", ".join(f"{name!r} {order}" for name, order in orders.items())
+        raise ValueError(
+            f"the parts must have the same order, got {listed}; use to_quadratic or "
+            "to_linear."
+        )
+    points, tets, n_nodes, n_tets = [], [], 0, 0
+    nodes, surfaces, whole, regions = {}, {}, {}, {}
+    for part, mesh in parts.items():
+        points.append(mesh.points)
+        tets.append(mesh.tets + n_nodes)
+        whole[part] = n_tets + np.arange(mesh.n_tets)
+        for merged, shift, groups in (
+            (nodes, n_nodes, mesh.node_groups),
+            (surfaces, n_nodes, mesh.surface_groups),
+            (regions, n_tets, mesh.tet_groups),
+        ):
+            merged.update({f"{part}/{k}": group + shift for k, group in groups.items()})
+        n_nodes, n_tets = n_nodes + mesh.n_nodes, n_tets + mesh.n_tets
+    return TetMesh(
+        np.concatenate(points), np.concatenate(tets), nodes, surfaces, whole | regions
+    )

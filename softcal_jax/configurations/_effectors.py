@@ -1,5 +1,6 @@
 """The kinds of effectors: frames, positions, angles, lengths, volumes, forces."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -250,10 +251,10 @@ class Observation(AbstractEffector):
     function: Callable[..., Any] = eqx.field(static=True)
     unit: str
     measured: float | Float[HostArray, " k"] | None = None
-    std: float | Float[HostArray, " k"] | None = None
+    std: float | Float[HostArray, " k"] = Unstated(math.nan)
 
     def __check_init__(self):
-        if self.std is None:
+        if isinstance(self.std, Unstated):
             raise ValueError(
                 f"effector {self.name!r} needs a std [{self.unit}]: no size suits all "
                 "units."
@@ -262,12 +263,7 @@ class Observation(AbstractEffector):
     @property
     def n_values(self) -> int:
         """Number of values, by what is measured or else by `std`."""
-        return np.size(self._std if self.measured is None else self.measured)
-
-    @property
-    def _std(self) -> float | Float[HostArray, " k"]:
-        assert self.std is not None
-        return self.std
+        return np.size(self.std if self.measured is None else self.measured)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         n = self.n_values
@@ -276,15 +272,15 @@ class Observation(AbstractEffector):
                 f"effector {self.name!r} has {n} values; expected one to three. Give a "
                 "longer reading in several observations."
             )
-        if np.size(self._std) not in (1, n):
+        if np.size(self.std) not in (1, n):
             raise ValueError(
-                f"std of effector {self.name!r} has {np.size(self._std)} values, its "
+                f"std of effector {self.name!r} has {np.size(self.std)} values, its "
                 f"measured value {n}: give one for all, or one for each."
             )
         row = EffectorRow(
             self.name, "observation", self.unit, function=self.function, n_values=n
         )
-        return row.with_value(self.measured, self._std)
+        return row.with_value(self.measured, self.std)
 
     def measured_as(
         self, values: Float[HostArray, "k 3"], mechanism: Mechanism

@@ -7,7 +7,6 @@ metres.
 from softcal_jax.mesh._checks import check_mesh as check_mesh
 from softcal_jax.mesh._conversion import (
     check_order as check_order,
-    merge as merge,
     to_linear as to_linear,
     to_quadratic as to_quadratic,
 )

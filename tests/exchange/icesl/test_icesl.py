@@ -12,6 +12,7 @@ from problems import FOAM_OF_THE_ROBOT
 from wording import says
 
 from benchmarks._icesl import RANGES, Slicer
+from benchmarks._parallel_robot_geometry import merge
 from softcal_jax import export_icesl
 from softcal_jax.bodies import RigidBody
 from softcal_jax.equilibrium import build_model
@@ -33,7 +34,7 @@ from softcal_jax.materials import (
     NeoHookean,
     ReducedTransverseIsotropic,
 )
-from softcal_jax.mesh import TetMesh, beam, merge
+from softcal_jax.mesh import TetMesh, beam
 
 SIZE = np.array([0.06, 0.03, 0.01])
 STEP = 1.0 / 255.0

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from softcal_jax.mesh import beam, check_mesh, merge, volumes
+from benchmarks._parallel_robot_geometry import merge
+from softcal_jax.mesh import beam, check_mesh, volumes
 
 BOX = (0.1, 0.02, 0.03)
 
