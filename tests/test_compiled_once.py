@@ -133,3 +133,13 @@ def test_a_second_eager_call_compiles_nothing(name, state):
     with Compilations() as seen:
         call(*state)
     assert seen.programs == []
+
+
+def test_what_is_read_compiles_no_equilibrium():
+    """Another marker or reading is no part of the program that solves."""
+    bare = configuration_arrays(MESH, [Configuration("bare", [Support("x_min")])])
+    lane = jax.tree.map(lambda leaf: leaf[0], bare)
+    jax.block_until_ready(solve_equilibrium(MODEL, LANE))
+    with Compilations() as seen:
+        jax.block_until_ready(solve_equilibrium(MODEL, lane))
+    assert seen.programs == []

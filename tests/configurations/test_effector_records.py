@@ -79,6 +79,9 @@ def test_each_finds_its_row_in_the_arrays(lanes):
             known = np.where(record.seen, record.measured, 0.0)
             stored = record.among(arrays.measured[lane])
             np.testing.assert_array_equal(known, np.where(record.seen, stored, 0.0))
+            if record.quantity not in ("point", "turn"):
+                last = record.index - arrays.measured.shape[1]
+                assert arrays.observed[last].name == record.name
         used = [record.index for record in records]
         assert len(set(used)) == len(used)
         padding = np.delete(np.asarray(arrays.inverse_std[lane]), used, axis=0)
