@@ -111,8 +111,9 @@ def run_part(
 
 def _digest(points: Points) -> str:
     """Digest all points: values of the axes, and which of them are taken."""
-    axes = {k: repr(v) if isinstance(v, Range) else v for k, v in points.axes.items()}
-    text = json.dumps(axes, default=list).encode()
+    plain = lambda v: vars(v) if isinstance(v, Range) else v
+    axes = {axis: plain(values) for axis, values in points.axes.items()}
+    text = json.dumps(axes, default=str).encode()  # of a range its ends
     cells = b"" if points.cells is None else points.cells.tobytes()
     return hashlib.sha256(text + cells).hexdigest()
 

@@ -99,8 +99,9 @@ def test_parts_of_other_points_are_refused(tmp_path):
     run = lambda points: run_part(_none, points, tmp_path, part=0, of=2, workers=0)
     run(sample(axes, 4, seed=1))
     run(sample(axes, 4, seed=1))
-    others = sample({**axes, "b": ["u", "w"]}, 4, seed=1)
-    for points in (sample(axes, 4, seed=2), others):
+    others = [sample({**axes, "b": ["u", "w"]}, 4, seed=1)]
+    others += [sample({**axes, "a": Range(0.0, 1.0 + 1e-12)}, 4, seed=1)]
+    for points in (sample(axes, 4, seed=2), *others):
         with pytest.raises(ValueError, match="another sweep: its project, points"):
             run(points)
 
