@@ -211,7 +211,7 @@ def check_numbers(
 ) -> None:
     """Raise ValueError if a reading or its derivative is no number somewhere."""
     values = np.asarray(values)
-    W_ep = np.asarray(W_ep).reshape(*values.shape, -1)
+    W_ep = np.asarray(W_ep).reshape(*values.shape, np.shape(W_ep)[-1])
     for name, of_pose, *lane in zip(poses, records, values, W_ep, strict=False):
         for e in of_pose:
             bad = [not np.isfinite(own[e.index, : len(e.std)]).all() for own in lane]

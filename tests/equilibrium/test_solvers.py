@@ -296,7 +296,7 @@ def test_with_law_checks_its_fields():
 def test_pardiso_takes_the_order_that_leaves_less_work(cells, order):
     """Minimum degree for a slender beam, nested dissection for a cube."""
     pytest.importorskip(PACKAGES["pardiso"], reason="not installed on this platform")
-    mesh = beam(float(cells[0]), float(cells[1]), float(cells[2]), cells, order=2)
+    mesh = beam(*(0.1 * n for n in cells), cells, order=2)
     law = Corotational(Isotropic(YOUNG, POISSON))
     solver = build_model(mesh, law, density=DENSITY, solver="pardiso").solver
     work = {"nested": _work(solver.sparsity, _NESTED)}
