@@ -127,7 +127,7 @@ def equilibria(
     return stacked([solutions[c] for c in range(len(lanes))])
 
 
-compiled_effectors = eqx.filter_jit(effector_values)
+compiled_effectors = eqx.filter_jit(effector_values)  # one program for all callers
 
 
 def effectors_on_all_cores(

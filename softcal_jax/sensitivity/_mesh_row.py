@@ -36,7 +36,7 @@ LOADED = 1e-4
 of an unloaded one is what Newton's method leaves."""
 
 
-_KEPT: dict[int, Recovery] = {}
+_KEPT: dict[int, Recovery] = {}  # by id of the model, while that lives
 
 
 def stress_patches(model: Model) -> Recovery:
