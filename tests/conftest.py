@@ -30,6 +30,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import jax
 import jaxtyping
 import pytest
+import typechecking
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
@@ -42,7 +43,7 @@ gc.set_threshold(200_000, 20, 100)
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Here, because it must come before the first import of the package.
-jaxtyping.install_import_hook("softcal_jax", "typechecking.typechecked")
+typechecking.install()
 
 
 MOST_MAPS = 20_000
