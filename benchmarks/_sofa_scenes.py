@@ -24,12 +24,7 @@ from softcal_jax.configurations import (
     SurfaceForce,
     configuration_arrays,
 )
-from softcal_jax.equilibrium import (
-    Model,
-    NewtonSettings,
-    build_model,
-    solve_from_rest,
-)
+from softcal_jax.equilibrium import Model, NewtonSettings, build_model, solve_from_rest
 from softcal_jax.exchange.sofa import PluginElasticity
 from softcal_jax.exchange.sofa._component import SCALES, SofaRelease, component_of
 from softcal_jax.exchange.sofa._configurations import (

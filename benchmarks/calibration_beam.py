@@ -37,11 +37,7 @@ from benchmarks._paper import (
 from benchmarks._problem import Better, Figure, Goal, Options, Outcome, Table
 from benchmarks._timing import interleave, median_ms, ratio
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration import (
-    CalibrationProblem,
-    at_rest,
-    multi_start,
-)
+from softcal_jax.calibration import CalibrationProblem, at_rest, multi_start
 from softcal_jax.equilibrium import effector_values, energy_and_force, solve_equilibrium
 from softcal_jax.fields import random_starts
 from softcal_jax.sensitivity import equilibrium_response, parameter_compliance

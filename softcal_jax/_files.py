@@ -1,10 +1,12 @@
-"""Checks of a file before it is opened, and of whether it is still the same."""
+"""Checks of a file before it is opened, and of whether content is still the same."""
 
 import hashlib
 from collections.abc import Iterable, Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from softcal_jax._limits import MEGABYTES
 from softcal_jax._module import Module
@@ -35,6 +37,14 @@ def sha256_of(path: Path) -> str:
     """Compute the SHA-256 of a file, as `sha256sum` writes it."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def digest_of(arrays: Iterable[Any], text: str = "") -> str:
+    """Digest a text, and arrays with their shapes and types."""
+    digest = hashlib.sha256(text.encode())
+    for array in map(np.asarray, arrays):
+        digest.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
+    return digest.hexdigest()
 
 
 def similar_file(path: Path) -> str:

@@ -65,8 +65,8 @@ from softcal_jax.calibration._starts import (
 from softcal_jax.calibration._step import (
     FLAT as FLAT,
     KKT_TOLERANCE as KKT_TOLERANCE,
-    SMALLEST_FALL as SMALLEST_FALL,
     CalibrationState as CalibrationState,
     initial_state as initial_state,
     propose as propose,
 )
+from softcal_jax.calibration._weighing import NOT_TAKEN as NOT_TAKEN

@@ -15,11 +15,7 @@ from scipy.special import ndtri, stdtrit
 from softcal_jax._clock import Clock
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_values
-from softcal_jax.calibration._evaluation import (
-    Evaluation,
-    Evaluator,
-    weighed,
-)
+from softcal_jax.calibration._evaluation import Evaluation, Evaluator, weighed
 from softcal_jax.calibration._problem import CalibrationProblem, without_names
 from softcal_jax.calibration._profile import (
     LOWER,

@@ -1,12 +1,11 @@
 """Time and progress of a calibration, saved so that it can be stopped and resumed."""
 
-import hashlib
 import json
 import math
 import os
 import time
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -17,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._files import digest_of
 from softcal_jax._names import listed
 from softcal_jax._places import cause, only_writer, partial_of
 from softcal_jax._typing import HostArray
@@ -27,7 +27,6 @@ from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSett
 from softcal_jax.calibration._result import HistoryEntry
 from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.equilibrium import effector_values
-from softcal_jax.fields import unnamed
 
 T = TypeVar("T")
 
@@ -53,7 +52,7 @@ def write_checkpoint(path: Path, mark: str, saved: Saved) -> None:
         "mark": np.array(mark),
         "history": np.array(json.dumps([*map(vars, saved.history)])),
     }
-    digests = {name: _digest([array]) for name, array in content.items()}
+    digests = {name: digest_of([array]) for name, array in content.items()}
     partial = partial_of(path)
     try:
         with partial.open("wb") as file:
@@ -77,7 +76,9 @@ def read_checkpoint(path: Path, mark: str) -> Saved:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             content = {name: file[name] for name in file.files}
         digests = dict(json.loads(str(content.pop("digests"))))
-        changed = {n for n, a in content.items() if digests.pop(n, "") != _digest([a])}
+        changed = {
+            n for n, a in content.items() if digests.pop(n, "") != digest_of([a])
+        }
         texts = [str(content.pop(name)) for name in ("version", "mark", "history")]
         written_by, its_mark, history = texts
         entries = tuple(map(_entry, json.loads(history)))
@@ -133,14 +134,7 @@ def fingerprint(
     problem = eqx.tree_at(lambda p: p.model.solver, problem, kind)
     arrays, static = eqx.partition(problem, eqx.is_array_like)
     text = eqx.tree_pformat((settings, search, static))  # not repr, which shortens
-    return _digest([*map(np.asarray, jax.tree.leaves(arrays)), read], text)
-
-
-def _digest(arrays: Iterable[HostArray], text: str = "") -> str:
-    digest = hashlib.sha256(text.encode())
-    for array in arrays:
-        digest.update(f"{array.dtype}{array.shape}".encode() + array.tobytes())
-    return digest.hexdigest()
+    return digest_of([*jax.tree.leaves(arrays), read], text)
 
 
 def marker_rms(problem: CalibrationProblem, evaluation: Evaluation) -> float:
@@ -189,7 +183,7 @@ class Journal:
         self.interrupted = False
         self.notes: tuple[str, ...] = ()
         self._problem, self._progress = problem, progress
-        self._numbered = unnamed(problem.space)
+        self._numbered = problem.space.numbered
         self._depends_on = problem, settings, search
         self._path = None if checkpoint is None else Path(checkpoint)
         self._begin = time.perf_counter()

@@ -1,6 +1,6 @@
 """Equilibria, errors and compliances of a calibration at some parameters."""
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from copy import copy
 from dataclasses import replace
 from typing import Any
@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._files import digest_of
 from softcal_jax._lanes import stacked
 from softcal_jax._module import Module, one_line
 from softcal_jax._typing import Array, Bool, Float
@@ -38,6 +39,12 @@ from softcal_jax.sensitivity import (
     energy_compliance,
     equilibrium_response,
 )
+
+_FROM_REST: dict[Hashable, Response] = {}
+"""Responses from rest of the last starts: fits to other data begin with the same."""
+
+MOST_KEPT = 4
+"""Number of responses that are kept."""
 
 
 class Evaluation(Module):
@@ -110,11 +117,7 @@ def evaluate_lane(
     before: Float[Array, "n_points 3"],
     precise: bool | Bool[Array, ""] = False,
 ) -> Response:
-    """Compute equilibrium, effectors and compliances of one configuration.
-
-    Unless `precise`, which takes one more Newton step, the compliances belong to the
-    state before the last step.
-    """
+    """Compute the `equilibrium_response` of one configuration."""
     return equilibrium_response(
         problem.model,
         configuration,
@@ -144,17 +147,6 @@ def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:
     """Return displacements of zero, as a guess [m]."""
     n_c = problem.configurations.gravity.shape[0]
     return jnp.zeros((n_c, problem.model.n_points, 3))
-
-
-@eqx.filter_jit
-def _energy_compliance_lane(
-    model: Model,
-    space: ParameterSpace,
-    z: Float[Array, " n_p"],
-    configuration: ConfigurationArrays,
-    u: Float[Array, "n_points 3"],
-) -> EnergyCompliance:
-    return energy_compliance(model, configuration, u, space, z)
 
 
 @eqx.filter_jit
@@ -217,7 +209,7 @@ class Evaluator:
             z: Scaled parameters [-].
             guess: Displacements to start from [m].
             before: Equilibria that the guess extrapolates to first order, if any [m].
-            precise: Whether the compliances are exact, see `evaluate_lane`.
+            precise: Whether the compliances are exact, see `equilibrium_response`.
         """
         before = guess if before is None else before
         lanes = zip(self.lanes, guess, before, strict=True)
@@ -260,18 +252,44 @@ class Evaluator:
         return effectors_on_all_cores(self.workers, *self.posed(z), solution)
 
     def from_rest(self, z: Float[Array, " n_p"]) -> Evaluation:
-        """Evaluate without a guess from another evaluation, see `solve_from_rest`."""
-        guess = at_rest(self.problem)
-        if self.problem.model.mechanism.bodies.n_bodies > 0:
-            guess = as_guess(self.equilibria(z))
-        return self(z, guess)
+        """Evaluate without a guess from another evaluation, see `solve_from_rest`.
+
+        What the last starts gave is not computed again where only the data differ.
+        """
+        start = self._without_data(z)
+        response = _FROM_REST.pop(start, None)
+        if response is None:
+            guess = at_rest(self.problem)
+            if self.problem.model.mechanism.bodies.n_bodies > 0:
+                guess = as_guess(self.equilibria(z))
+            response = self.response(z, guess)
+        _FROM_REST[start] = response
+        for oldest in list(_FROM_REST)[:-MOST_KEPT]:
+            _FROM_REST.pop(oldest, None)
+        return weighed(self.numbered, z, response)
+
+    def _without_data(self, z: Float[Array, " n_p"]) -> Hashable:
+        """Identify all that a response depends on; arrays count by their digest."""
+        solver, lanes = self.shared.model.solver, self.problem.configurations
+        if not lanes.effectors.observed:  # functions of users may read the data
+            data = lambda c: (c.effectors.measured, c.effectors.inverse_std)
+            lanes = eqx.tree_at(data, lanes, (None, None))
+        kind = solver.name, solver.sparsity  # without its handle
+        shared = eqx.tree_at(lambda p: p.model.solver, self.shared, kind)
+        arrays, others = eqx.partition((shared, lanes, z), eqx.is_array_like)
+        leaves, tree = jax.tree.flatten(others)
+        return digest_of(jax.tree.leaves(arrays)), tuple(leaves), tree
 
     def energy_compliances(
         self, z: Float[Array, " n_p"], u: Float[Array, "n_c n_points 3"]
     ) -> EnergyCompliance:
         """Compute W_ep and W_pp of all lanes at displacements `u` [m]."""
-        program = Program(_energy_compliance_lane, self.shared.model, self.shared.space)
-        lanes = [(z, *lane) for lane in zip(self.lanes, u, strict=True)]
+        program, space = (
+            Program(energy_compliance, self.shared.model),
+            self.shared.space,
+        )
+        each, space = zip(self.lanes, u, strict=True), self.shared.space
+        lanes = [(*lane, space, z) for lane in each]
         return stacked(self.workers.map(program, lanes))
 
 

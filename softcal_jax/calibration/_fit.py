@@ -29,10 +29,7 @@ from softcal_jax.calibration._evaluation import (
     check_sensitive,
     effector_errors,
 )
-from softcal_jax.calibration._noise import (
-    CorrelatedNoise,
-    independent_recordings,
-)
+from softcal_jax.calibration._noise import CorrelatedNoise, independent_recordings
 from softcal_jax.calibration._notes import (
     ResidualChecks,
     fit_notes,
@@ -40,10 +37,7 @@ from softcal_jax.calibration._notes import (
     result_notes,
 )
 from softcal_jax.calibration._prediction import Predicted, predict
-from softcal_jax.calibration._problem import (
-    Batch,
-    Task,
-)
+from softcal_jax.calibration._problem import Batch, Task
 from softcal_jax.calibration._result import (
     CalibrationResult,
     HistoryEntry,
@@ -62,12 +56,7 @@ from softcal_jax.calibration._starts import (
 from softcal_jax.calibration._step import initial_state
 from softcal_jax.calibration._weighing import Weighed, sought_noise, weighed_fit
 from softcal_jax.configurations import check_numbers
-from softcal_jax.equilibrium import (
-    EquilibriumProgress,
-    Workers,
-    reports_of,
-)
-from softcal_jax.fields import unnamed
+from softcal_jax.equilibrium import EquilibriumProgress, Workers, reports_of
 from softcal_jax.inference import (
     ErrorBudget,
     LinearModel,
@@ -203,7 +192,7 @@ def _result(task: Task, found: _Found, doubts: ConsideredErrors) -> CalibrationR
         configurations=predicted.fits,
         history=tuple(journal.history),
         space=space,
-        model=space.model_at(task.model, state.z),
+        model=predicted.model,
         z=state.z,
         linear=judged.linear,
         settings=task.settings,
@@ -227,7 +216,7 @@ def _start(task: Task, watch: Watch, batch: Batch, workers: Workers) -> Start:
             f"start must have one scaled value for each of the {len(task.space.names)} "
             f"parameters, got shape {z.shape}."
         )
-    first = admissible(unnamed(task.space), z)
+    first = admissible(task.space.numbered, z)
     names = tuple(c.name for c in task.fitted)
     evaluate = Evaluator(batch.fitted, workers)
     start = begin(evaluate, first, names, watch.equilibrium_progress)

@@ -24,14 +24,21 @@ from softcal_jax.calibration._starts import Start
 from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.calibration._weighing import Weighed
 from softcal_jax.configurations import Configuration, ConfigurationLanes, EffectorRecord
-from softcal_jax.equilibrium import LoadPath, Report, equilibria, solve_equilibrium
+from softcal_jax.equilibrium import (
+    LoadPath,
+    Model,
+    Report,
+    equilibria,
+    solve_equilibrium,
+)
 from softcal_jax.fields import ParameterSpace, SetupParameter
 from softcal_jax.sensitivity import Response
 
 
 class Predicted(NamedTuple):
-    """All configurations with the calibrated parameters, and their noise."""
+    """Model and configurations with the calibrated parameters, and their noise."""
 
+    model: Model
     problem: CalibrationProblem
     response: Response
     fits: tuple[ConfigurationResult, ...]
@@ -63,8 +70,9 @@ def predict(
         response = jax.device_put(jax.tree.map(join, response, held.response))
     assert everything.noise is not None
     noise = weighed.of_all(everything.noise, task.configurations)
+    model = task.space.model_at(task.model, z)
     fits = configuration_results(
-        task.space.model_at(task.model, z),
+        model,
         task.configurations,
         _calibrated_lanes(task, batch, weighed.state),
         n_fitted=n_fitted,
@@ -73,7 +81,7 @@ def predict(
         noise=noise,
     )
     problem = everything.with_noise(noise)
-    return Predicted(problem, response, fits, notes, interrupted)
+    return Predicted(model, problem, response, fits, notes, interrupted)
 
 
 def _calibrated_lanes(

@@ -27,7 +27,6 @@ from softcal_jax.fields import (
     Poses,
     SetupParameter,
     Uncertain,
-    unnamed,
 )
 from softcal_jax.inference import (
     ErrorColumns,
@@ -155,7 +154,7 @@ class CalibrationProblem(Module):
 
 def without_names(problem: CalibrationProblem) -> CalibrationProblem:
     """Return the calibration without names and settings that compile other programs."""
-    space, newton = unnamed(problem.space), problem.newton.as_arrays()
+    space, newton = problem.space.numbered, problem.newton.as_arrays()
     return replace(problem, space=space, newton=newton)
 
 

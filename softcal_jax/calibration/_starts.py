@@ -15,10 +15,7 @@ from softcal_jax._units import readable
 from softcal_jax.calibration._checkpoint import Journal, from_scaled, marker_rms
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator
 from softcal_jax.calibration._noise import CorrelatedNoise
-from softcal_jax.calibration._problem import (
-    CalibrationProblem,
-    CalibrationSettings,
-)
+from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
 from softcal_jax.calibration._result import MultiStartResult, Optimum
 from softcal_jax.calibration._runs import (
     Begun,
@@ -38,7 +35,7 @@ from softcal_jax.equilibrium import (
     no_equilibrium,
     reports_of,
 )
-from softcal_jax.fields import ParameterSpace, random_starts, unnamed
+from softcal_jax.fields import ParameterSpace, random_starts
 
 STIFFER = 2.0
 """Factor by which moduli are raised until all configurations have an equilibrium."""
@@ -137,7 +134,7 @@ def _moduli(space: ParameterSpace) -> Bool[HostArray, " n_p"]:
 def _stiffer(space: ParameterSpace, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
     """Raise all moduli by a factor, within bounds and order."""
     more = np.where(_moduli(space), np.log(STIFFER), 0.0)
-    return admissible(unnamed(space), jnp.asarray(np.asarray(z) + more))
+    return admissible(space.numbered, jnp.asarray(np.asarray(z) + more))
 
 
 def _values(space: ParameterSpace, z: Float[Array, " n_p"]) -> str:
@@ -297,15 +294,13 @@ def search(
 
 
 def _result(
-    space: ParameterSpace,
-    starts: Sequence[Float[Array, " n_p"]],
-    runs: Sequence[Begun],
+    space: ParameterSpace, starts: Sequence[Float[Array, " n_p"]], runs: Sequence[Begun]
 ) -> MultiStartResult:
     """List the ends of all runs, and the optima among these and those on their way.
 
     Where runs came by counts, too: a mirror image may fit nearly as well.
     """
-    numbered = unnamed(space)
+    numbered = space.numbered
     in_si = lambda z: np.array([from_scaled(numbered, row) for row in np.asarray(z)])
     best = [run.best for run in runs]
     z = np.stack([run.z for run in best])
@@ -344,7 +339,7 @@ def _optima(
     The first `n_starts` are ends of starts; others were passed.
     """
     groups: list[list[int]] = []
-    numbered = unnamed(space)
+    numbered = space.numbered
     order = np.argsort(cost, kind="stable")
     for i in order[converged[order]].tolist():
         for group in groups:

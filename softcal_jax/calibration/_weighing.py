@@ -40,8 +40,11 @@ from softcal_jax.inference import (
 SETTLED = 0.01
 """Relative change of a standard deviation at which the noise has settled [-]."""
 
-UNSEEN = 1e-2
-"""Standard errors below which a step waits until the noise is settled [-]."""
+UNSEEN, NOT_TAKEN = 1e-2, 1e-3
+"""Standard errors below which a step waits until the noise is settled, or is not taken.
+
+Without noise a step lowers what is left of the cost, and is taken [-].
+"""
 
 MOST_ROUNDS = 10
 """Most estimates of the noise."""
@@ -135,8 +138,9 @@ def weighed_fit(
     effectors = evaluate.problem.configurations.effectors
     n_points = effectors.nodes.shape[-2]
     n_rows = int(np.sum(np.asarray(effectors.inverse_std) > 0.0))
-    # A step of `UNSEEN` standard errors lets the cost fall by this share of it.
-    unseen = UNSEEN**2 / max(n_rows - len(state.z), 1)
+    # A step of so many standard errors lets the cost fall by this share of it.
+    fall = lambda errors: errors**2 / max(n_rows - len(state.z), 1)
+    least = max(fall(NOT_TAKEN), SMALLEST_FALL)
 
     def until(state: CalibrationState, least_fall: float) -> CalibrationState:
         """Take the steps by which the cost falls by this share of it, or more."""
@@ -145,7 +149,7 @@ def weighed_fit(
 
         def noted(new: CalibrationState) -> None:
             # Others that are not taken will be asked for again.
-            if least_fall == SMALLEST_FALL or not new.converged:
+            if least_fall == least or not new.converged:
                 note(new, noise)
 
         falls = jax.device_put((np.array(False), np.array(least_fall)))
@@ -153,7 +157,7 @@ def weighed_fit(
         return settle(evaluate, settings, state, noted)
 
     for n in range(MOST_ROUNDS):
-        state = until(state, max(unseen, 2.0 * SMALLEST_FALL))
+        state = until(state, max(fall(UNSEEN), 2.0 * least))
         if not state.converged:
             break
         linear = state.evaluation.linear(evaluate.problem, configurations, state.z)
@@ -170,22 +174,19 @@ def weighed_fit(
         change = _change(noise, new)
         settled = change <= SETTLED
         if settled or n == MOST_ROUNDS - 1:
-            state = until(state, SMALLEST_FALL)
-            notes += [] if settled else [_unsettled(change)]
+            state = until(state, least)
+            if not settled:
+                notes.append(
+                    "The noise did not settle beside the fit: it still changes by "
+                    f"{100.0 * change:.0f} %. State the `std` of the effectors with "
+                    'noise = "stated", or the offset of recordings.'
+                )
             break
         noise, evaluate = new, evaluate.with_noise(new)
         evaluation = weighed(evaluate.numbered, state.z, state.evaluation.response)
         state = initial_state(settings, state.z, evaluation)
     notes += _noise_notes(noise, sought)
     return Weighed(state, noise, sought, scale, tuple(notes), settled)
-
-
-def _unsettled(change: float) -> str:
-    return (
-        "The noise did not settle beside the fit: it still changes by "
-        f"{100.0 * change:.0f} %. State the `std` of the effectors with noise = "
-        '"stated", or the offset of recordings.'
-    )
 
 
 class _Components(NamedTuple):

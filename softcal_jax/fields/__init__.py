@@ -49,7 +49,6 @@ from softcal_jax.fields._space import (
     Pin as Pin,
     as_space as as_space,
     check_names as check_names,
-    unnamed as unnamed,
 )
 from softcal_jax.fields._spread import ControlPointParameters as ControlPointParameters
 from softcal_jax.fields._starts import (

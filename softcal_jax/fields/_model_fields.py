@@ -15,10 +15,7 @@ from softcal_jax.materials import fields_of_tets
 
 
 def set_field(
-    model: Any,
-    field: str,
-    value: Float[ArrayLike, "..."],
-    region: str | None = None,
+    model: Any, field: str, value: Float[ArrayLike, "..."], region: str | None = None
 ) -> Any:
     """Change one field of a model; traceable and differentiable.
 

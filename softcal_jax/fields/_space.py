@@ -172,6 +172,34 @@ class ParameterSpace(Module):
         S = [self.parameters[i].unit_step for i in angle]
         return AxisChart(small, large, angle, jnp.stack(S))
 
+    @once
+    def numbered(self) -> "ParameterSpace":
+        """The parameters with numbers for names, to compute with; reports need names.
+
+        Names are static in compiled programs, so spaces that only differ in names, like
+        two layouts with equally many control points, would compile twice.
+        """
+        points: dict[str, str] = {}
+        names: dict[str, str] = {}
+        for entry in self.entries:
+            if isinstance(entry, ControlPointParameters):
+                for point in entry.control_points.names:
+                    number = points.setdefault(point, str(len(points) + 1))
+                    names[f"{entry.field} of {point}"] = f"{entry.field} of {number}"
+            else:
+                for parameter in entry.parameters:
+                    names[parameter.name] = f"parameter {len(names) + 1}"
+
+        def rename(groups: Groups) -> Groups:  # an order may name fields as well
+            return tuple(tuple(names.get(name, name) for name in g) for g in groups)
+
+        return replace(
+            self,
+            entries=tuple(entry.renamed(points, names) for entry in self.entries),
+            order=rename(self.order),
+            axes=rename(self.axes),
+        )
+
     def in_plain_steps(self) -> "ParameterSpace":
         """Return the parameters with steps of moduli and angles instead of tensors.
 
@@ -304,31 +332,3 @@ def check_names(entries: tuple[Entry, ...]) -> None:
                 if name not in names:
                     error = unknown_name("parameter", name, names)
                     raise ValueError(f"{entry.field} of {point} is tied to an {error}")
-
-
-def unnamed(space: ParameterSpace) -> ParameterSpace:
-    """Replace the names of parameters by numbers, for computing; reports need them.
-
-    Names are static in compiled programs, so spaces that only differ in names, like two
-    layouts with equally many control points, would compile twice.
-    """
-    points: dict[str, str] = {}
-    names: dict[str, str] = {}
-    for entry in space.entries:
-        if isinstance(entry, ControlPointParameters):
-            for point in entry.control_points.names:
-                number = points.setdefault(point, str(len(points) + 1))
-                names[f"{entry.field} of {point}"] = f"{entry.field} of {number}"
-        else:
-            for parameter in entry.parameters:
-                names[parameter.name] = f"parameter {len(names) + 1}"
-
-    def rename(groups: Groups) -> Groups:  # an order may name fields as well
-        return tuple(tuple(names.get(name, name) for name in group) for group in groups)
-
-    return replace(
-        space,
-        entries=tuple(entry.renamed(points, names) for entry in space.entries),
-        order=rename(space.order),
-        axes=rename(space.axes),
-    )

@@ -6,7 +6,7 @@ import numpy as np
 
 from softcal_jax._limits import TRIALS
 from softcal_jax._typing import Array, Float
-from softcal_jax.fields._space import ParameterSpace, unnamed
+from softcal_jax.fields._space import ParameterSpace
 
 SEVERAL = 6
 """Most starts by default where there may be several optima."""
@@ -60,5 +60,5 @@ def random_starts(
     for small, large in pairs * len(pairs):  # repeated, for chains a <= b <= c
         p[:, [small, large]] = np.sort(p[:, [small, large]], axis=1)
         p = np.clip(p, low, high)
-    numbered = unnamed(space)
+    numbered = space.numbered
     return jax.device_put(np.stack([_to_scaled(numbered, row) for row in p]))

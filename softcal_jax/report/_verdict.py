@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from softcal_jax._module import one_line
 from softcal_jax._text_table import Tone
-from softcal_jax.calibration import FLAT, SMALLEST_FALL, CalibrationResult
+from softcal_jax.calibration import FLAT, NOT_TAKEN, CalibrationResult
 from softcal_jax.identifiability import Assessment
 
 
@@ -58,6 +58,6 @@ def end_of(result: CalibrationResult) -> str:
     else:
         where = (
             f"as one more step, |lambda_p| = {size:.1e}, would lower the cost by less "
-            f"than {SMALLEST_FALL:g} of it"
+            f"than {NOT_TAKEN**2:g} of it"
         )
     return f"The fit ended {where}."

@@ -19,15 +19,10 @@ from softcal_jax.equilibrium import (
     linearise,
     sensitivity,
 )
-from softcal_jax.fields import ParameterSpace, unnamed
+from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import ErrorColumns
 from softcal_jax.mesh import Recovery
-from softcal_jax.sensitivity import (
-    clamp_row,
-    mesh_row,
-    parameter_rows,
-    stress_patches,
-)
+from softcal_jax.sensitivity import clamp_row, mesh_row, parameter_rows, stress_patches
 from softcal_jax.unknowns._unknowns import Setting, Unknown, unknowns
 
 MESH = "mesh"
@@ -92,7 +87,7 @@ def considered_errors(
     errors = tuple(u for u in unknowns(setting) if u.role == "considered")
     if not of_mesh and not any(error.happens for error in errors):
         errors = ()
-    setting = setting._replace(space=unnamed(setting.space))
+    setting = setting._replace(space=setting.space.numbered)
     patches = stress_patches(setting.model) if of_mesh else None
     u = equilibrium.displacement
     columns = _columns(workers, setting, errors, patches, z, u)

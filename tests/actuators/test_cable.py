@@ -13,12 +13,7 @@ from actuator_programs import (
     with_frames,
 )
 
-from softcal_jax.actuators import (
-    Cable,
-    Guide,
-    actuator_arrays,
-    clique_nodes,
-)
+from softcal_jax.actuators import Cable, Guide, actuator_arrays, clique_nodes
 from softcal_jax.mesh import beam, locate
 
 PATH = ((0.0, 0.01, 0.02), (0.03, 0.03, 0.02), (0.1, 0.01, 0.0))

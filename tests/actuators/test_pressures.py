@@ -13,10 +13,7 @@ from actuator_programs import (
 )
 
 from benchmarks._hollow import hollow, hollow_cube
-from softcal_jax.actuators import (
-    Chamber,
-    SurfacePressure,
-)
+from softcal_jax.actuators import Chamber, SurfacePressure
 from softcal_jax.mesh import TetMesh, beam
 
 each_order = pytest.mark.parametrize("order", [1, 2])

@@ -13,6 +13,7 @@ from benchmarks._compilations import Compilations
 from softcal_jax.calibration import (
     CalibrationSettings,
     CalibrationWarning,
+    _weighing as weighing,
     build_problem,
     calibrate,
     evaluate,
@@ -21,7 +22,7 @@ from softcal_jax.calibration import (
     propose,
 )
 from softcal_jax.calibration._notes import fit_notes
-from softcal_jax.calibration._step import SMALLEST_FALL, decide
+from softcal_jax.calibration._step import decide
 from softcal_jax.configurations import (
     Configuration,
     Markers,
@@ -189,6 +190,19 @@ def test_quadratic_tets_do_not():
     assert not any("effective" in note for note in result.notes)
 
 
+def test_steps_that_no_standard_error_could_see_are_not_taken(model, monkeypatch):
+    data = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), noise=3e-3)
+    parameters = [parameter(), Parameter("rho", "density", 800.0, 100.0, 5e3)]
+    fitted = calibrate(model, parameters, data, quick=True)
+    monkeypatch.setattr(weighing, "NOT_TAKEN", 1e-6)
+    settled = calibrate(model, parameters, data, quick=True)
+    assert fitted.converged
+    assert len(fitted.history) < len(settled.history)
+    for few, all_taken in zip(fitted.parameters, settled.parameters, strict=True):
+        apart = abs(few.value - all_taken.value)
+        assert apart <= weighing.UNSEEN * 0.1 * few.standard_error
+
+
 @pytest.mark.slow
 def test_both_optimisers_agree(model):
     data = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), noise=5e-4)
@@ -202,7 +216,7 @@ def test_both_optimisers_agree(model):
     last = ours.history[-1]
     np.testing.assert_allclose(z, ours.z + np.array(last.lambda_p), rtol=0, atol=1e-7)
     to_gain = 0.5 * np.sum((ours.linear.whitened().W @ (z - ours.z)) ** 2)
-    assert to_gain <= SMALLEST_FALL * last.cost
+    assert to_gain <= weighing.NOT_TAKEN**2 * last.cost
 
 
 @pytest.mark.slow  # noise_coverage records it

@@ -5,11 +5,7 @@ import numpy as np
 import pytest
 
 from softcal_jax.actuators import Cable
-from softcal_jax.calibration import (
-    CalibrationSettings,
-    _checkpoint,
-    build_problem,
-)
+from softcal_jax.calibration import CalibrationSettings, _checkpoint, build_problem
 from softcal_jax.calibration._checkpoint import Journal
 from softcal_jax.configurations import Configuration, Markers
 from softcal_jax.equilibrium import build_model

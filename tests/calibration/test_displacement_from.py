@@ -13,11 +13,7 @@ import pytest
 from problems import central_difference
 from scipy.optimize import fminbound
 
-from softcal_jax.calibration import (
-    build_problem,
-    calibrate,
-    evaluate,
-)
+from softcal_jax.calibration import build_problem, calibrate, evaluate
 from softcal_jax.configurations import (
     Configuration,
     Markers,

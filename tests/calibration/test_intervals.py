@@ -22,12 +22,7 @@ from softcal_jax.calibration import (
 from softcal_jax.calibration._calibrate import build_problem
 from softcal_jax.calibration._profile import NotFound, _end, bracket, root
 from softcal_jax.calibration._runs import minimise
-from softcal_jax.fields import (
-    ParameterSpace,
-    Pin,
-    exactly_known,
-    unnamed,
-)
+from softcal_jax.fields import ParameterSpace, Pin, exactly_known
 from softcal_jax.inference import ErrorColumns, Whitened
 from softcal_jax.robots import anisotropic_beam, synthetic_measurements
 
@@ -332,7 +327,7 @@ def test_a_pin_takes_the_place_of_a_prior():
     """In a space without names, too."""
     space = with_prior(ParameterSpace(unknowns()))
     pin = Pin(jnp.asarray(1), jnp.asarray(0.3), jnp.asarray(20.0))
-    held = unnamed(ParameterSpace(space.entries, pin=pin))
+    held = ParameterSpace(space.entries, pin=pin).numbered
     np.testing.assert_allclose(held.prior_weights(), [1e-6, 20.0])
     z = space.start() + jnp.array([2.0, 0.0])
     gap = 20.0 * (float(z[1]) - 0.3)

@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 from light_beam import MODEL, measured, unknowns
 
-from softcal_jax.calibration import (
-    FROM_ANYWHERE,
-    Evaluator,
-    build_problem,
-    calibrate,
-)
+from softcal_jax.calibration import FROM_ANYWHERE, Evaluator, build_problem, calibrate
 from softcal_jax.calibration._runs import minimise
 from softcal_jax.configurations import Configuration, Markers, Support, SurfaceForce
 from softcal_jax.equilibrium import Workers, build_model

@@ -8,11 +8,7 @@ import pytest
 from arm import REST, arm, pose
 
 from benchmarks._compilations import Compilations
-from softcal_jax.configurations import (
-    BodyAngle,
-    Centroid,
-    ImposedDisplacement,
-)
+from softcal_jax.configurations import BodyAngle, Centroid, ImposedDisplacement
 from softcal_jax.control import (
     OUTCOMES,
     ControlSettings,

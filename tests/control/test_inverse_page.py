@@ -9,12 +9,7 @@ from arm import arm, pose
 from test_page import Read, check_page, number
 
 from softcal_jax.configurations import BodyAngle, Centroid
-from softcal_jax.control import (
-    ControlSettings,
-    Limits,
-    TrajectoryResult,
-    solve_inverse,
-)
+from softcal_jax.control import ControlSettings, Limits, TrajectoryResult, solve_inverse
 from softcal_jax.report import _write, notebook_html, write_inverse
 
 EFFECTORS = [Centroid("tip", "x_max"), BodyAngle("bend", "tip", "base", (0, -1, 0))]

@@ -20,11 +20,7 @@ from problems import (
     shear_beam,
 )
 
-from softcal_jax.configurations import (
-    Configuration,
-    SurfaceForce,
-    configuration_arrays,
-)
+from softcal_jax.configurations import Configuration, SurfaceForce, configuration_arrays
 from softcal_jax.equilibrium import RESULTS, build_model, solve_equilibrium
 from softcal_jax.materials import Isotropic, StVenantKirchhoff
 from softcal_jax.mesh import beam

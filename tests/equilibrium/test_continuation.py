@@ -30,11 +30,7 @@ from softcal_jax.equilibrium._continuation import MAX_QUICK_STEPS
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._newton import newton
 from softcal_jax.equilibrium._sparsity import Sparsity
-from softcal_jax.materials import (
-    Corotational,
-    Isotropic,
-    StVenantKirchhoff,
-)
+from softcal_jax.materials import Corotational, Isotropic, StVenantKirchhoff
 from softcal_jax.mesh import TetMesh, beam
 
 MESH = beam(4.0, 1.0, 1.0, (4, 1, 1))

@@ -37,11 +37,7 @@ from softcal_jax.equilibrium import (
     tangent_values,
 )
 from softcal_jax.equilibrium._sparsity import product
-from softcal_jax.materials import (
-    ClassicalCorotational,
-    Corotational,
-    Isotropic,
-)
+from softcal_jax.materials import ClassicalCorotational, Corotational, Isotropic
 
 PACKAGES = {"pardiso": "pardiso_mkl_jax", "klu": "klujax"}
 each_solver = pytest.mark.parametrize(

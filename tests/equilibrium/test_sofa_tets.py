@@ -6,14 +6,7 @@ import pytest
 from bodies import force_jacobian, stiffness
 from problems import nearest_node
 
-from benchmarks._sofa_tip import (
-    NU,
-    SOFA_TIP,
-    E,
-    by_numpy,
-    by_package,
-    kuhn_beam,
-)
+from benchmarks._sofa_tip import NU, SOFA_TIP, E, by_numpy, by_package, kuhn_beam
 from softcal_jax.equilibrium import build_model, model_for_law
 from softcal_jax.materials import Corotational, Isotropic, SofaCorotational
 from softcal_jax.mesh import beam

@@ -37,12 +37,7 @@ from softcal_jax.equilibrium._linear_solver import (
     _work,
 )
 from softcal_jax.equilibrium._sparsity import from_entries, mask_supports
-from softcal_jax.materials import (
-    Corotational,
-    Isotropic,
-    NeoHookean,
-    StVenantKirchhoff,
-)
+from softcal_jax.materials import Corotational, Isotropic, NeoHookean, StVenantKirchhoff
 from softcal_jax.mesh import beam
 
 PACKAGES = {

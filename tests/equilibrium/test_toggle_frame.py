@@ -15,12 +15,7 @@ from mechanisms import NO_GRAVITY, arrays
 from problems import TOGGLE, toggle_loads
 from scipy.optimize import fminbound
 
-from softcal_jax.configurations import (
-    Centroid,
-    Configuration,
-    Support,
-    SurfaceForce,
-)
+from softcal_jax.configurations import Centroid, Configuration, Support, SurfaceForce
 from softcal_jax.equilibrium import RESULTS, LoadPath, build_model, solve_equilibrium
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import TetMesh, beam

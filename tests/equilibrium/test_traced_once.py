@@ -8,11 +8,7 @@ from mechanisms import arrays
 
 from softcal_jax.actuators import Cable, Guide
 from softcal_jax.configurations import Configuration, ImposedDisplacement
-from softcal_jax.equilibrium import (
-    NewtonSettings,
-    _assembly as assembly,
-    build_model,
-)
+from softcal_jax.equilibrium import NewtonSettings, _assembly as assembly, build_model
 from softcal_jax.equilibrium._solve import begin_newton, continue_newton
 from softcal_jax.fields import find_field
 from softcal_jax.materials import NeoHookean

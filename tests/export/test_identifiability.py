@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 from export.handmade import axis_space, make_ranking, make_result, replaced
 
-from softcal_jax.export import (
-    outlook_dict,
-    result_dict,
-)
+from softcal_jax.export import outlook_dict, result_dict
 from softcal_jax.identifiability import assess, identifiability
 from softcal_jax.inference import independent
 

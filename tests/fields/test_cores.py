@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 
 from softcal_jax.equilibrium import build_model
-from softcal_jax.fields import (
-    ControlPointParameters,
-    ControlPoints,
-    ParameterSpace,
-    unnamed,
-)
+from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
 from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
 from softcal_jax.mesh import beam
 
@@ -153,8 +148,8 @@ def test_plain_steps_and_numbers_keep_the_fields(model):
     assert plain.chart is None
     assert len(plain.order_names()) == 3
     np.testing.assert_array_equal(fields(model, plain, z), expected)
-    np.testing.assert_array_equal(fields(model, unnamed(faded), z), expected)
-    assert unnamed(plain).chart is None
+    np.testing.assert_array_equal(fields(model, faded.numbered, z), expected)
+    assert plain.numbered.chart is None
 
 
 @pytest.mark.parametrize(

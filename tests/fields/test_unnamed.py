@@ -12,13 +12,8 @@ from softcal_jax.fields import (
     Parameter,
     ParameterSpace,
     motor_zero,
-    unnamed,
 )
-from softcal_jax.materials import (
-    Corotational,
-    Fibre,
-    ReducedTransverseIsotropic,
-)
+from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
 from softcal_jax.mesh import beam
 
 
@@ -55,7 +50,7 @@ def space(a, b, c, zero, density, *, ordered=False):
 @pytest.mark.parametrize("ordered", [False, True])
 def test_it_is_the_same_space(ordered):
     named = space("left", "2", "1", "motor", "density of all", ordered=ordered)
-    plain = unnamed(named)
+    plain = named.numbered
     assert len(plain.names) == len(named.names) == len(set(plain.names))
     z = named.start() + 0.01
     for method in ("start", "lower", "upper", "max_step", "prior_weights"):
@@ -91,7 +86,7 @@ def test_fields_on_the_mesh_are_the_same():
         ]
     )  # fmt: skip
     z = named.start()
-    ours, theirs = (s.model_at(model, z) for s in (unnamed(named), named))
+    ours, theirs = (s.model_at(model, z) for s in (named.numbered, named))
     for leaf, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
         np.testing.assert_array_equal(leaf, other)
 
@@ -101,19 +96,19 @@ def test_alike_spaces_are_one(ordered):
     """What tells compiled programs apart: the structure, not the arrays."""
     one = space("left", "2", "1", "motor", "rho", ordered=ordered)
     two = space("1", "2", "right", "motor", "E", ordered=ordered)
-    structure = lambda s: jax.tree.structure(unnamed(s))
+    structure = lambda s: jax.tree.structure(s.numbered)
     assert jax.tree.structure(one) != jax.tree.structure(two)
     assert structure(one) == structure(two)
 
 
 def test_another_motor_is_another_program():
     one, two = (space("a", "b", "c", motor, "rho") for motor in ("left", "right"))
-    assert jax.tree.structure(unnamed(one)) != jax.tree.structure(unnamed(two))
+    assert jax.tree.structure(one.numbered) != jax.tree.structure(two.numbered)
 
 
 def test_values_are_not_touched():
     q = Parameter("E", "E", 2e5, 1e5, 1e6, S=3.0, scale="linear", periodic=True)
-    (plain,) = unnamed(ParameterSpace([q])).entries
+    (plain,) = ParameterSpace([q]).numbered.entries
     assert plain.name == "parameter 1"
     for name in ("field", "start", "lower", "upper", "S", "scale", "periodic"):
         assert (

@@ -14,12 +14,7 @@ from softcal_jax.calibration import (
     Optimum,
     calibrate,
 )
-from softcal_jax.configurations import (
-    Configuration,
-    Markers,
-    Support,
-    SurfaceForce,
-)
+from softcal_jax.configurations import Configuration, Markers, Support, SurfaceForce
 from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import Parameter, ParameterSpace, Uncertain, exactly_known
 from softcal_jax.identifiability import assess

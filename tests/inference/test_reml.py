@@ -5,11 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softcal_jax.inference import (
-    freedom_between,
-    independent,
-    restricted_likelihood,
-)
+from softcal_jax.inference import freedom_between, independent, restricted_likelihood
 
 
 def errors(r, W):

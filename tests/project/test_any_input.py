@@ -10,11 +10,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from small_project import MARKERS, PROJECT, write_small_project
 
-from softcal_jax.calibration._checkpoint import (
-    Saved,
-    read_checkpoint,
-    write_checkpoint,
-)
+from softcal_jax.calibration._checkpoint import Saved, read_checkpoint, write_checkpoint
 from softcal_jax.configurations import read_markers
 from softcal_jax.project import ProjectError, load_project
 

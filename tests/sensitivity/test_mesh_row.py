@@ -6,11 +6,7 @@ import jax.random as jr
 import numpy as np
 import pytest
 
-from softcal_jax.configurations import (
-    Configuration,
-    SurfaceForce,
-    configuration_arrays,
-)
+from softcal_jax.configurations import Configuration, SurfaceForce, configuration_arrays
 from softcal_jax.equilibrium import (
     build_model,
     force_of_gradients,

@@ -9,14 +9,7 @@ from test_page import HOSTILE, Read, number
 from wording import says
 
 from softcal_jax.report import check_sweep_page, write_sweep
-from softcal_jax.sweeps import (
-    Outcome,
-    Range,
-    read_sweep,
-    run_sweep,
-    sample,
-    summarise,
-)
+from softcal_jax.sweeps import Outcome, Range, read_sweep, run_sweep, sample, summarise
 
 
 def page_of(result, database, **options):

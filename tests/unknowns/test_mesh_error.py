@@ -8,10 +8,7 @@ from refinement import refine
 
 from softcal_jax.actuators import Cable, Motor
 from softcal_jax.bodies import Pose, RigidBody
-from softcal_jax.calibration import (
-    build_problem,
-    evaluate,
-)
+from softcal_jax.calibration import build_problem, evaluate
 from softcal_jax.configurations import (
     ActuatorForce,
     Configuration,
@@ -23,11 +20,7 @@ from softcal_jax.configurations import (
     SupportReaction,
     SurfaceForce,
 )
-from softcal_jax.equilibrium import (
-    NewtonSettings,
-    Workers,
-    build_model,
-)
+from softcal_jax.equilibrium import NewtonSettings, Workers, build_model
 from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
 from softcal_jax.materials import (
     ClassicalCorotational,

@@ -2,14 +2,7 @@
 
 import pytest
 
-from benchmarks._cad_models import (
-    CAVITY,
-    FINGER,
-    INLET,
-    MIDDLE,
-    modelled,
-    write_finger,
-)
+from benchmarks._cad_models import CAVITY, FINGER, INLET, MIDDLE, modelled, write_finger
 
 try:
     import gmsh  # pyright: ignore[reportMissingImports]

@@ -1,0 +1,74 @@
+"""What fits to other data have in common: the equilibria at the start."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from light_beam import MODEL, measured
+
+from softcal_jax.calibration import _evaluation as evaluation, calibrate
+from softcal_jax.fields import Parameter, exactly_known, set_field
+
+START = Parameter("E", "E", 300e3, 1e3, 1e8, unit="Pa")
+
+
+@pytest.fixture(autouse=True)
+def solved(monkeypatch):
+    """Guesses of all evaluations, with nothing kept from other tests."""
+    guesses, really = [], evaluation.Evaluator.response
+
+    def counted(self, z, guess, *more, **options):
+        guesses.append(np.asarray(guess))
+        return really(self, z, guess, *more, **options)
+
+    monkeypatch.setattr(evaluation.Evaluator, "response", counted)
+    monkeypatch.setattr(evaluation, "_FROM_REST", {})
+    return guesses
+
+
+def fit(poses, model=MODEL, start=START, **options):
+    return calibrate(
+        model, start, poses, intervals=None, uncertain=exactly_known(), **options
+    )
+
+
+def from_rest(guesses):
+    return sum(not np.any(guess) for guess in guesses)
+
+
+def test_other_data_begin_with_the_same_equilibria(solved):
+    fit(measured())
+    assert from_rest(solved) == 1
+    other = fit(measured(noise=-0.7, std=2e-7), noise="stated")
+    assert from_rest(solved) == 1
+    evaluation._FROM_REST.clear()
+    alone = fit(measured(noise=-0.7, std=2e-7), noise="stated")
+    assert from_rest(solved) == 2
+    # Bit for bit, or rows of a sweep would depend on what their worker did before.
+    assert [h.cost for h in other.history] == [h.cost for h in alone.history]
+    np.testing.assert_array_equal(other.z, alone.z)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"poses": [replace(p, gravity=(0.0, 0.0, -9.7)) for p in measured()]},
+        {"model": set_field(MODEL, "nu", 0.31)},
+        {"model": set_field(MODEL, "density", 1.1)},
+        {"start": Parameter("E", "E", 310e3, 1e3, 1e8, unit="Pa")},
+    ],
+    ids=["gravity", "nu", "density", "start"],
+)
+def test_what_is_not_data_is_solved_anew(changed, solved):
+    fit(measured())
+    options = {"poses": measured()} | changed
+    after = fit(**options)
+    assert from_rest(solved) == 2
+    evaluation._FROM_REST.clear()
+    assert after.history[0].cost == fit(**options).history[0].cost
+
+
+def test_few_are_kept(solved):
+    for E in np.linspace(300e3, 310e3, evaluation.MOST_KEPT + 2):
+        fit(measured(), start=replace(START, start=E))
+    assert len(evaluation._FROM_REST) == evaluation.MOST_KEPT
