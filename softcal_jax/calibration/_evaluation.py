@@ -40,11 +40,8 @@ from softcal_jax.sensitivity import (
     equilibrium_response,
 )
 
-_FROM_REST: dict[Hashable, Response] = {}
-"""Responses from rest of the last starts: fits to other data begin with the same."""
-
-MOST_KEPT = 4
-"""Number of responses that are kept."""
+_FROM_REST, MOST_KEPT = dict[Hashable, Response](), 4
+"""Responses of the last starts, and their number: fits to other data begin alike."""
 
 
 class Evaluation(Module):

@@ -47,7 +47,7 @@ class CalibrationSettings(Module):
 
     Attributes:
         tol: Largest entry of lambda_p at which the loop stops, without that step; with
-            `adapt` also where it would lower the cost by less than `SMALLEST_FALL` [-].
+            `adapt` also where no value would move by 1e-3 of its standard error [-].
         max_steps: Steps after which it gives up.
         step_bound: First bound on every entry of lambda_p; 1 is a factor e on a log
             scale and the whole range on a linear one [-].

@@ -41,10 +41,7 @@ SETTLED = 0.01
 """Relative change of a standard deviation at which the noise has settled [-]."""
 
 UNSEEN, NOT_TAKEN = 1e-2, 1e-3
-"""Standard errors below which a step waits until the noise is settled, or is not taken.
-
-Without noise a step lowers what is left of the cost, and is taken [-].
-"""
+"""Standard errors below which a step waits for the noise, or is not taken [-]."""
 
 MOST_ROUNDS = 10
 """Most estimates of the noise."""

@@ -164,8 +164,7 @@ converge, so that nothing was written, 2 bad input
 
 
 def add_export(
-    commands: "argparse._SubParsersAction",
-    exporters: Mapping[str, AbstractExporter],
+    commands: "argparse._SubParsersAction", exporters: Mapping[str, AbstractExporter]
 ) -> None:
     export = commands.add_parser(
         "export",

@@ -75,11 +75,7 @@ def warnings_as_lines(show: Display) -> Iterator[None]:
 
 
 def add_path(
-    parser: argparse._ActionsContainer,
-    name: str,
-    metavar: str,
-    text: str,
-    **more: Any,
+    parser: argparse._ActionsContainer, name: str, metavar: str, text: str, **more: Any
 ) -> None:
     """Add an argument that is a path; `--output` is also `-o`."""
     names = ["-o", name] if name == "--output" else [name]

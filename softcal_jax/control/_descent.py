@@ -134,9 +134,7 @@ def moved(command: Command, here: Arrival, change: Float[HostArray, " n_a"]) -> 
 
 def begin(command: Command, here: Arrival) -> Descent:
     decision = Decision(
-        accepted=True,
-        step_bound=command.settings.step_bound,
-        penalty=1.0,
+        accepted=True, step_bound=command.settings.step_bound, penalty=1.0
     )
     if not here.stands:
         result = here.solution.result

@@ -66,9 +66,7 @@ def _multipliers(slope, A) -> Float[HostArray, " n_rows"]:
 
 
 def _blind(
-    command: Command,
-    W: Float[HostArray, "n_e n_a"],
-    off: Float[HostArray, " n_e"],
+    command: Command, W: Float[HostArray, "n_e n_a"], off: Float[HostArray, " n_e"]
 ) -> BlindDirection | None:
     """Find the share of the errors in directions that W hardly reaches."""
     U, sizes, _ = np.linalg.svd(W, full_matrices=False)

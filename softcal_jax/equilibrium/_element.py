@@ -57,9 +57,7 @@ def _stresses_and_tangents(
 
 
 def mean_dilatation(
-    u: Float[Array, "n_en 3"],
-    dN: Float[Array, "n_qp n_en 3"],
-    w: Float[Array, " n_qp"],
+    u: Float[Array, "n_en 3"], dN: Float[Array, "n_qp n_en 3"], w: Float[Array, " n_qp"]
 ) -> Float[Array, ""]:
     """Compute the volume of a tet relative to its volume at rest, J_bar [-]."""
     J = jax.vmap(determinant)(deformation_gradients(u, dN))

@@ -195,9 +195,7 @@ class Reduction(Module):
 
 
 def build_reduction(
-    full: Sparsity,
-    cliques: Sequence[Int[HostArray, "_ _"]],
-    bodies: BodyArrays,
+    full: Sparsity, cliques: Sequence[Int[HostArray, "_ _"]], bodies: BodyArrays
 ) -> Reduction:
     """Plan the reduction once, on the host; no clique is all within one body."""
     n_nodes, n_bodies = full.n_dof // 3, bodies.n_bodies

@@ -180,8 +180,7 @@ class ChecksEntry(Entry):
     level: Plain = None
     probability: Plain = None
     left_out: Annotated[
-        Any,
-        Keys(LeftOut, "name rms_mm expected_mm motion_mm probability by_scatter"),
+        Any, Keys(LeftOut, "name rms_mm expected_mm motion_mm probability by_scatter")
     ] = None
 
 

@@ -106,9 +106,7 @@ class Fibre(Module):
 
     @classmethod
     def of(
-        cls,
-        vectors: Float[HostArray, "n_tets 3"],
-        theta: Float[ArrayLike, "..."] = 0.0,
+        cls, vectors: Float[HostArray, "n_tets 3"], theta: Float[ArrayLike, "..."] = 0.0
     ) -> "Fibre":
         """Fibres along one vector per tet [-], of any length above zero."""
         return cls(theta, frame=frames_along(vectors))

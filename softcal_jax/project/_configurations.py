@@ -53,9 +53,7 @@ class SupportTable(Maker):
 class LoadTable(Maker):
     by_name = ("name",)
     name: str = Field(
-        UNNAMED_LOADS,
-        min_length=1,
-        description="name, for `load_factor` in [[setup]]",
+        UNNAMED_LOADS, min_length=1, description="name, for `load_factor` in [[setup]]"
     )
 
 

@@ -161,9 +161,7 @@ def _distances(own: ConfigurationResult):
 
 
 def _law_fields(
-    model: Model,
-    surface: Surface,
-    errors: TetValues | None,
+    model: Model, surface: Surface, errors: TetValues | None
 ) -> list[Field]:
     units, found = field_units(model), tet_fields(model, errors or {})
     fields = []

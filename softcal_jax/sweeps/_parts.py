@@ -1,6 +1,5 @@
 """Parts of a sweep that is too large for one database, each a Parquet file."""
 
-import hashlib
 import json
 import os
 import sys
@@ -9,6 +8,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from softcal_jax._files import digest_of
 from softcal_jax._places import only_writer
 from softcal_jax.sweeps._progress import Progress, Tally
 from softcal_jax.sweeps._row import TrialFunction, flat_columns
@@ -57,6 +57,8 @@ def run_part(
         OSError: If the file cannot be written, or another process writes it.
         RuntimeError: If workers cannot start.
     """
+    if not isinstance(points, Points):
+        raise ValueError("points of a part must come from `grid` or `sample`.")
     if not 0 <= part < of <= len(points):
         raise ValueError(
             f"part {part} of {of}: expected a number from 0 to {of - 1}, of at most "
@@ -113,9 +115,8 @@ def _digest(points: Points) -> str:
     """Digest all points: values of the axes, and which of them are taken."""
     plain = lambda v: vars(v) if isinstance(v, Range) else v
     axes = {axis: plain(values) for axis, values in points.axes.items()}
-    text = json.dumps(axes, default=str).encode()  # of a range its ends
-    cells = b"" if points.cells is None else points.cells.tobytes()
-    return hashlib.sha256(text + cells).hexdigest()
+    text = json.dumps(axes, default=str)  # of a range its ends
+    return digest_of([] if points.cells is None else [points.cells], text)
 
 
 def _check_folder(folder: Path, mark: bytes) -> None:

@@ -37,6 +37,11 @@ def test_all_parts_have_the_rows_of_one_database(tmp_path):
         assert found["E found [Pa]"][i] == row.figures.get("E found [Pa]")
 
 
+def test_points_without_an_index_are_refused(tmp_path, unchecked):
+    with pytest.raises(ValueError, match="from `grid` or `sample`"):
+        run_part(cheap.measure, list(cheap.POINTS), tmp_path, part=0, of=2, workers=0)
+
+
 def odd(trial):
     """Figures of every kind, and none where all trials of a part fail."""
     if trial["draw"] == 3:

@@ -201,9 +201,7 @@ def _check_shown(photos: Sequence[Photo], numbers: Sequence[int]) -> None:
 
 
 def _fitted(
-    photos: Sequence[Photo],
-    targets: Sequence[_Target],
-    cameras: Sequence[CameraModel],
+    photos: Sequence[Photo], targets: Sequence[_Target], cameras: Sequence[CameraModel]
 ) -> Adjustment:
     """Fit targets that all photographs show, from the best of some beginnings."""
     shown = [
