@@ -37,6 +37,13 @@ def interleave(
     return seconds
 
 
+def forget_starts() -> None:
+    """Let the next calibration solve its start, as that of a new robot does."""
+    from softcal_jax.calibration._evaluation import _FROM_REST
+
+    _FROM_REST.clear()
+
+
 def median_ms(seconds: Sequence[float]) -> float:
     """Median [ms] of times [s]."""
     return 1e3 * statistics.median(seconds)

@@ -35,7 +35,7 @@ from benchmarks._paper import (
     recovered,
 )
 from benchmarks._problem import Better, Figure, Goal, Options, Outcome, Table
-from benchmarks._timing import interleave, median_ms, ratio
+from benchmarks._timing import forget_starts, interleave, median_ms, ratio
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import CalibrationProblem, at_rest, multi_start
 from softcal_jax.equilibrium import effector_values, energy_and_force, solve_equilibrium
@@ -139,6 +139,7 @@ KINDS = {"by_hand": False, "by_hand_tuned": True}
 
 
 def _ours(problem: CalibrationProblem, start: Float[Array, " n_p"]):
+    forget_starts()
     return multi_start(problem, start[None])
 
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks._memory import peak_bytes
 from benchmarks._problem import Better, Figure, Goal, Options, Outcome, Table
-from benchmarks._timing import run_process
+from benchmarks._timing import forget_starts, run_process
 
 ACROSS = {"solve": (4, 6, 9, 13, 16, 18, 22, 27), "calibration": (4, 6, 10, 14)}
 """Cells across the beam; five times as many along it.
@@ -162,6 +162,7 @@ def prepared_calibration(across: int) -> Prepared:
     problem, space, target = measured.problem, measured.space, measured.target
 
     def steps() -> int:
+        forget_starts()
         found = one_run(problem, CalibrationSettings(), space.start())
         if not recovered(parameter_errors(space, found.z, target)):
             raise RuntimeError(f"{across} cells across: p_target was not recovered.")
