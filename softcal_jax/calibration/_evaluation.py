@@ -281,10 +281,7 @@ class Evaluator:
         self, z: Float[Array, " n_p"], u: Float[Array, "n_c n_points 3"]
     ) -> EnergyCompliance:
         """Compute W_ep and W_pp of all lanes at displacements `u` [m]."""
-        program, space = (
-            Program(energy_compliance, self.shared.model),
-            self.shared.space,
-        )
+        program = Program(energy_compliance, self.shared.model)
         each, space = zip(self.lanes, u, strict=True), self.shared.space
         lanes = [(*lane, space, z) for lane in each]
         return stacked(self.workers.map(program, lanes))

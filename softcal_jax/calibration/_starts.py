@@ -10,6 +10,7 @@ import numpy as np
 
 from softcal_jax._module import one_line
 from softcal_jax._names import listed
+from softcal_jax._process import check_process
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax._units import readable
 from softcal_jax.calibration._checkpoint import Journal, from_scaled, marker_rms
@@ -209,6 +210,7 @@ def multi_start(
         ValueError: If there are no starts, or they do not fit the parameters.
         RuntimeError: If no start has an equilibrium.
     """
+    check_process()
     space = problem.space
     if isinstance(starts, int):
         starts = random_starts(space, starts, seed=seed)
