@@ -56,19 +56,26 @@ SHORT = 1e-3
 Newton's method converges quadratically there, and this tangent is cheaper.
 """
 
+SHARP = 1e-6
+"""Relative residual below which the tangent is as good as that of the equilibrium.
+
+It is off by as much, and what follows from it: far less than any data show.
+"""
+
 
 class _Quick(NamedTuple):
     """State of the quick steps.
 
     `before` is where the last step began, or where it ended if the residual is small
-    (`SHORT`). `factor` belongs to the last Newton step; with `chord` the next step
-    reuses it. `arrived`: converged, at most one more factorization is needed. `robust`:
-    the careful solve comes next.
+    (`SHORT`), and `sharp` tells whether it is below `SHARP`. `factor` belongs to the
+    last Newton step; with `chord` the next step reuses it. `arrived`: converged, at
+    most one more factorization is needed. `robust`: the careful solve comes next.
     """
 
     solution: EquilibriumSolution
     at: Point
     before: Nodal
+    sharp: Bool[Array, ""]
     lambda_a: Float[Array, " n_a"]
     factor: Factor
     chord: Bool[Array, ""]
@@ -94,9 +101,9 @@ def continue_equilibrium(
     stable and no tet is inverted; otherwise the careful method of `solve_equilibrium`
     takes over. The last digits come from steps on the last factor (chord steps). The
     linear system is stated at the equilibrium, but its tangent is that before the last
-    Newton step, so its error is of the order of that step; one more step if `precise`
-    makes it exact. (The rows of the parameters are not taken from there, or a direction
-    without any effect would seem to have one.)
+    Newton step, so its error is of the order of that step; if `precise`, one more step
+    brings it below `SHARP`. (The rows of the parameters are not taken from there, or a
+    direction without any effect would seem to have one.)
 
     `before` is the equilibrium from which the guess was extrapolated to first order; it
     saves slender robots a Newton step [m].
@@ -148,11 +155,12 @@ class _QuickSteps(NamedTuple):
         lambda_a = estimated_forces(posed, at)
         no = jnp.zeros((), bool)
         unsolved = NewtonLoop(posed, self.settings).start_at(at, at.u)
-        before = at.u if before is None else before
+        before, size = at.u if before is None else before, self.residual(at, lambda_a)
         return _Quick(
             solution=as_solution(unsolved, self.settings),
             at=at,
-            before=jnp.where(self.residual(at, lambda_a) <= SHORT, at.u, before),
+            before=jnp.where(size <= SHORT, at.u, before),
+            sharp=size <= SHARP,
             lambda_a=lambda_a,
             # Nothing yet, and not ok.
             factor=zeros_of(lambda: self.newton_step(at, lambda_a, at.u)[1]),
@@ -207,8 +215,9 @@ class _QuickSteps(NamedTuple):
         falls = residual.size <= solution.residual
         n_newton = s.step + (~s.chord).astype(s.step.dtype)
         contracts = s.chord | (sound & falls & (n_newton < MAX_QUICK_STEPS))
-        last = arrived & (s.arrived | ~jnp.asarray(self.precise))
         counted = ~s.chord & ~was_careful
+        exact = s.arrived | (s.sharp & counted) | ~jnp.asarray(self.precise)
+        last = arrived & exact
         quick = EquilibriumSolution(
             displacement=new.u,
             multipliers=new_lambda,
@@ -234,11 +243,12 @@ class _QuickSteps(NamedTuple):
         close = jnp.where(s.chord, to_come.settled(rtol), near)
         pick = lambda a, b: jnp.where(taken, a, b)
         solution = jax.tree.map(pick, quick, solution)
-        short = self.residual(new, new_lambda) <= SHORT
+        size = self.residual(new, new_lambda)
         return _Quick(
             solution=solution,
             at=jax.tree.map(pick, new, at),
-            before=jnp.where(taken & short, new.u, at.u),
+            before=jnp.where(taken & (size <= SHORT), new.u, at.u),
+            sharp=taken & (size <= SHARP),
             lambda_a=pick(new_lambda, lambda_a),
             factor=factor,
             chord=taken & ~arrived & close,

@@ -26,7 +26,7 @@ from softcal_jax.equilibrium import (
     residual,
     tangent_values,
 )
-from softcal_jax.equilibrium._continuation import MAX_QUICK_STEPS
+from softcal_jax.equilibrium._continuation import MAX_QUICK_STEPS, SHARP
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._newton import newton
 from softcal_jax.equilibrium._sparsity import Sparsity
@@ -334,14 +334,14 @@ def test_factors_of_another_program_are_noticed(careful):
     forgetful = Forgetful.analyse(MODEL.solver.sparsity)
     model = eqx.tree_at(lambda m: m.solver, MODEL, forgetful)
     guess = careful.displacement[HANGING]
+    solve = lambda m, precise: continued(m, lane(LANES, HEAVIER), guess, precise)
+    done, expected = (solve(m, False).equilibrium.steps for m in (model, MODEL))
+    assert int(done) > int(expected)
     # Precisely: without the chord steps the last tangent is another one.
-    done, expected = (
-        continued(m, lane(LANES, HEAVIER), guess, True) for m in (model, MODEL)
-    )
+    done, expected = (solve(m, True) for m in (model, MODEL))
     assert bool(done.ok)
-    assert int(done.equilibrium.steps) > int(expected.equilibrium.steps)
     scale = float(jnp.max(jnp.abs(expected.x)))
-    np.testing.assert_allclose(done.x, expected.x, rtol=0, atol=1e-9 * scale)
+    np.testing.assert_allclose(done.x, expected.x, rtol=0, atol=SHARP * scale)
 
 
 def test_the_last_digits_come_from_the_last_factor(careful):
@@ -354,6 +354,10 @@ def test_the_last_digits_come_from_the_last_factor(careful):
     precise = continued(MODEL, lane(LANES, HANGING), 1.0005 * u, True)
     assert int(precise.equilibrium.steps) == 2
     assert_same(precise, HANGING, careful, rtol=1e-6)
+    # From so close that its tangent is that of the equilibrium, one is enough.
+    near = continued(MODEL, lane(LANES, HANGING), (1.0 + 1e-9) * u, True)
+    assert int(near.equilibrium.steps) == 1
+    assert_same(near, HANGING, careful, rtol=1e-6)
 
 
 def test_a_support_that_has_moved_since_the_guess(careful):
