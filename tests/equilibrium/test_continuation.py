@@ -358,6 +358,10 @@ def test_the_last_digits_come_from_the_last_factor(careful):
     near = continued(MODEL, lane(LANES, HANGING), (1.0 + 1e-9) * u, True)
     assert int(near.equilibrium.steps) == 1
     assert_same(near, HANGING, careful, rtol=1e-6)
+    # That a step arrives says nothing of the tangent where it began.
+    loose = replace(TIGHT, rtol=1e-4)
+    rough = continued(MODEL, lane(LANES, HANGING), 1.0005 * u, True, loose)
+    assert int(rough.equilibrium.steps) == 2
 
 
 def test_a_support_that_has_moved_since_the_guess(careful):
