@@ -47,7 +47,8 @@ class CalibrationSettings(Module):
 
     Attributes:
         tol: Largest entry of lambda_p at which the loop stops, without that step; with
-            `adapt` also where no value would move by 1e-3 of its standard error [-].
+            `adapt` also where the cost would fall by less than 1e-8 of it, or than a
+            move of 1e-3 standard errors, by the residuals, lets it fall [-].
         max_steps: Steps after which it gives up.
         step_bound: First bound on every entry of lambda_p; 1 is a factor e on a log
             scale and the whole range on a linear one [-].
