@@ -61,7 +61,7 @@ def jaxtyped(what=None, *, typechecker):
 
 
 def typechecked(function):
-    """Check the annotations of a function, by code that its first call generates.
+    """Check the annotations of a function.
 
     jaxtyping asks for two checks: of the arguments, whose result is `Any`, and of the
     result beside the same arguments, which need no second look.
