@@ -3,6 +3,7 @@
 One arm on a motor, with a plate at its tip, two cables and a force.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -34,7 +35,7 @@ from softcal_jax.configurations import (
     ImposedDisplacement,
     ImposedForce,
 )
-from softcal_jax.equilibrium import build_model
+from softcal_jax.equilibrium import build_model, continue_equilibrium
 from softcal_jax.equilibrium._linearisation import linearise
 from softcal_jax.materials import NeoHookean
 
@@ -120,6 +121,21 @@ def test_displacement_imposed_gives_back_the_force(by_force, names):
         np.testing.assert_allclose(solution.multipliers[k], expected, atol=1e-8)
         np.testing.assert_allclose(read(again)[1][name], FORCES[name].value, rtol=1e-7)
         np.testing.assert_allclose(read(again)[0][name], delta[name], atol=1e-11)
+
+
+def test_a_gap_that_is_still_to_close_leaves_no_exact_tangent(by_force):
+    """The forces at the guess are balanced; the tangent is not that of the end."""
+    solution, values, _ = by_force
+    value, u = float(read(values)[0]["top"]), solution.displacement
+    pose = lambda by: arrays(
+        MODEL, driven(**{**FORCES, "top": ImposedDisplacement(value + by)})
+    )
+    loose = replace(TIGHT, rtol=1e-2)
+    ends = (
+        continue_equilibrium(MODEL, pose(by), u, settings=loose, precise=True)[0]
+        for by in (0.0, 1e-5)
+    )
+    assert [int(end.steps) for end in ends] == [2, 2]
 
 
 def test_torque_that_holds_an_angle_gives_it_back(by_force):
