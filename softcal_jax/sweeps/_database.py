@@ -12,8 +12,9 @@ import os
 import sqlite3
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
+from functools import cache, partial
 from pathlib import Path
 from threading import Lock, Timer
 from typing import Any
@@ -23,7 +24,7 @@ from pydantic import Json, TypeAdapter, ValidationError
 from softcal_jax._places import only_writer
 from softcal_jax._text import shortened
 from softcal_jax.sweeps._result import SweepResult
-from softcal_jax.sweeps._row import TrialRow
+from softcal_jax.sweeps._row import State, TrialRow
 from softcal_jax.sweeps._trial import Point, Trial
 
 APPLICATION = 0x50F7CA1
@@ -49,12 +50,12 @@ CREATE TABLE trials (
 );"""
 
 _COLUMNS = tuple(TrialRow.__dataclass_fields__)
-_AS_JSON = ("point", "figures", "notes")
-"""Columns of the table of trials, and those whose texts are JSON."""
+_AS_JSON, _OF_STATE = ("point", "figures", "notes"), _COLUMNS.index("state")
+"""Columns of the table of trials, those whose texts are JSON, and that of the state."""
 
 _NAME, _NAMES = TypeAdapter(Json[str]), TypeAdapter(Json[tuple[str, ...]])
 _JSON, _POINT = TypeAdapter(Json[Any]), TypeAdapter(Json[Point])
-_ROW = TypeAdapter(TrialRow)
+_ROW, _STATE = TypeAdapter(TrialRow), TypeAdapter(State)
 
 
 @contextmanager
@@ -107,8 +108,9 @@ class SweepDatabase:
             if same != plan:
                 self.file.execute("DELETE FROM plan")
                 self._write("plan", plan)
-            rows = _stored_sweep(self.file, self.path).rows
-        return {row.key: row.state for row in rows}
+            stored = _stored_sweep(self.file, self.path)
+            stored.groups()  # what was edited is refused here, not after the trials
+        return dict(stored.states)
 
     def _check_definitions(self, definitions: Mapping[str, str]) -> None:
         """Raise if what rows depend on has changed; new definitions may be added."""
@@ -165,7 +167,7 @@ class SweepDatabase:
 
 
 def read_sweep(database: str | os.PathLike[str]) -> SweepResult:
-    """Read the rows of a sweep, even while it runs.
+    """Read a sweep, even while it runs; its rows are parsed when they are asked for.
 
     Args:
         database: The SQLite file.
@@ -187,47 +189,85 @@ def read_sweep(database: str | os.PathLike[str]) -> SweepResult:
 
 
 def _stored_sweep(file: sqlite3.Connection, path: Path) -> SweepResult:
-    """Read everything from an open database, checked: it may have been edited."""
+    """Fetch everything from an open database; points and rows are read when asked for.
+
+    What is read is checked, since the file may have been edited.
+    """
     words = dict(file.execute("SELECT what, value FROM sweep"))
-    plan = file.execute("SELECT key, point FROM plan ORDER BY number")
+    plan = dict(file.execute("SELECT key, point FROM plan ORDER BY number"))
     rows = file.execute(
         f"SELECT {', '.join(f'trials.{name}' for name in _COLUMNS)} "
         "FROM trials LEFT JOIN plan ON plan.key = trials.key "
         "ORDER BY plan.number IS NULL, plan.number, trials.ended"
     )
-    about = lambda what, kind: _checked(f"sweep.{what}", kind, words.get(what))
-    try:
-        result = SweepResult(
-            name=about("name", _NAME),
-            axes=about("axes", _NAMES),
+    ended = {row[0]: row for row in rows}
+    with _as_written(path):
+        about = lambda what, kind: _checked(f"sweep.{what}", kind, words.get(what))
+        name, axes = about("name", _NAME), about("axes", _NAMES)
+        state = lambda row: _checked(f"trials.{row[0]}.state", _STATE, row[_OF_STATE])
+        return SweepResult(
+            name=name,
+            axes=axes,
             repeats=about("repeats", _NAMES),
-            planned={k: _checked(f"plan.{k}.point", _POINT, text) for k, text in plan},
-            rows=tuple(_row(dict(zip(_COLUMNS, row, strict=True))) for row in rows),
+            planned=_Read(plan, partial(_point, path, axes)),
+            states={key: state(row) for key, row in ended.items()},
+            ended=_Read(ended, partial(_row, path, axes)),
         )
-        ended = [(row.key, row.point) for row in result.rows]
-        for key, point in [*result.planned.items(), *ended]:
-            if set(point) != set(result.axes) or Trial(point).key != key:
-                raise ValueError(
-                    f"{key}.point is {shortened(repr(point))}, which is not the point "
-                    "of this key"
-                )
+
+
+class _Read(Mapping[str, Any]):
+    """Values of the database by key, each read from its texts at the first use."""
+
+    def __init__(self, stored: Mapping[str, Any], read: Callable[[str, Any], Any]):
+        self._stored, self._read = stored, cache(lambda key: read(key, stored[key]))
+
+    def __getitem__(self, key: str) -> Any:
+        return self._read(key)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._stored)
+
+    def __len__(self) -> int:
+        return len(self._stored)
+
+
+def _point(path: Path, axes: Sequence[str], key: str, text: str) -> Point:
+    with _as_written(path):
+        return _of_key(key, axes, _checked(f"plan.{key}.point", _POINT, text))
+
+
+def _row(path: Path, axes: Sequence[str], key: str, stored: Sequence[Any]) -> TrialRow:
+    named, at = dict(zip(_COLUMNS, stored, strict=True)), f"trials.{key}"
+    with _as_written(path):
+        for name in _AS_JSON:
+            named[name] = _checked(f"{at}.{name}", _JSON, named[name])
+        row = _checked(at, _ROW, named)
+        for name, figure in row.figures.items():
+            if isinstance(figure, int) and abs(figure) > sys.float_info.max:
+                raise ValueError(f"{at}.figures.{name} is a number that is too large")
+        _of_key(key, axes, row.point)
+    return row
+
+
+def _of_key(key: str, axes: Sequence[str], point: Point) -> Point:
+    if set(point) != set(axes) or Trial(point).key != key:
+        raise ValueError(
+            f"{key}.point is {shortened(repr(point))}, which is not the point of this "
+            "key"
+        )
+    return point
+
+
+@contextmanager
+def _as_written(path: Path) -> Iterator[None]:
+    """Say which file holds what no sweep has written."""
+    try:
+        yield
     except ValueError as error:
         raise ValueError(
             f"{path}: {error}. No sweep has written that: take an earlier copy of the "
             "file, or remove it to start anew."
         ) from error
-    return result
-
-
-def _row(named: dict[str, Any]) -> TrialRow:
-    where = f"trials.{named['key']}"
-    for name in _AS_JSON:
-        named[name] = _checked(f"{where}.{name}", _JSON, named[name])
-    row = _checked(where, _ROW, named)
-    for name, figure in row.figures.items():
-        if isinstance(figure, int) and abs(figure) > sys.float_info.max:
-            raise ValueError(f"{where}.figures.{name} is a number that is too large")
-    return row
 
 
 def _checked(where: str, kind: TypeAdapter, value: Any) -> Any:

@@ -1,8 +1,10 @@
 """Rows of a sweep so far, and their groups."""
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, get_args
 
 import numpy as np
@@ -54,27 +56,35 @@ class SweepResult:
         axes: Names of its axes.
         repeats: Axes whose values are mere repetitions, like draws of noise.
         planned: Points that are planned, by key, in their order.
-        rows: Trials that have ended, in the order of the plan; trials of an earlier
-            plan that are not in this one come last.
+        states: How trials ended, by key: in the order of the plan, those of an earlier
+            plan that are not in this one last.
+        ended: Their rows, by key in the same order.
     """
 
     name: str
     axes: tuple[str, ...]
     repeats: tuple[str, ...]
     planned: Mapping[str, Mapping[str, Any]]
-    rows: tuple[TrialRow, ...]
+    states: Mapping[str, State]
+    ended: Mapping[str, TrialRow]
 
     __repr__ = one_line
+
+    @cached_property
+    def rows(self) -> tuple[TrialRow, ...]:
+        """Trials that have ended, in the order of `states`."""
+        return tuple(self.ended.values())
 
     @property
     def missing(self) -> tuple[Mapping[str, Any], ...]:
         """Points of the trials that have not ended."""
-        ended = {row.key for row in self.rows}
-        return tuple(point for key, point in self.planned.items() if key not in ended)
+        return tuple(
+            self.planned[key] for key in self.planned if key not in self.states
+        )
 
     def of_state(self, state: State) -> tuple[TrialRow, ...]:
         """Return the rows that ended in a state."""
-        return tuple(row for row in self.rows if row.state == state)
+        return tuple(self.ended[key] for key, s in self.states.items() if s == state)
 
     @property
     def figure_names(self) -> tuple[str, ...]:
@@ -119,7 +129,6 @@ class SweepResult:
     def groups(self, by: Sequence[str] | None = None) -> tuple[Group, ...]:
         """Group trials by the axes of `grouping`, in the order of the plan."""
         by = self.grouping(by)
-        ended = {row.key: row for row in self.rows}
         points = {**self.planned, **{row.key: row.point for row in self.rows}}
         groups: dict[str, list[str]] = {}
         for key, point in points.items():
@@ -127,8 +136,8 @@ class SweepResult:
         return tuple(
             Group(
                 values={axis: points[keys[0]][axis] for axis in by},
-                rows=tuple(ended[key] for key in keys if key in ended),
-                missing=sum(key not in ended for key in keys),
+                rows=tuple(self.ended[key] for key in keys if key in self.states),
+                missing=sum(key not in self.states for key in keys),
             )
             for keys in groups.values()
         )
@@ -136,10 +145,10 @@ class SweepResult:
     @property
     def headline(self) -> str:
         """How many trials have ended, and how."""
-        n, total = len(self.rows), len(self.rows) + len(self.missing)
-        counts = {state: len(self.of_state(state)) for state in get_args(State)}
-        states = ", ".join(f"{k} {state}" for state, k in counts.items() if k)
-        ended = f": {states}" if states else ""
+        n, total = len(self.states), len({*self.states, *self.planned})
+        counts = Counter(self.states.values())
+        how = (f"{counts[s]} {s}" for s in get_args(State) if counts[s])
+        ended = f": {', '.join(how)}" if n else ""
         return f"{n} of {total} trials have ended{ended}."
 
     @property

@@ -163,11 +163,31 @@ def test_a_database_that_was_edited_names_the_place(tmp_path, statement, message
         file.execute(statement)
     file.close()
     remedy = ".*earlier copy"
-    for use in (one, read_sweep):
+    for use in (one, lambda path: read_sweep(path).groups()):
         if use is one and statement.startswith(("UPDATE plan", "DELETE", "UPDATE sw")):
             continue  # a sweep writes these anew
         with pytest.raises(ValueError, match=rf"s\.sqlite: .*{message}{remedy}"):
             use(path)
+
+
+@pytest.mark.usefixtures("unchecked")  # a check of annotations asks for everything
+def test_what_is_not_asked_for_is_not_parsed(tmp_path):
+    """A row that cannot be read keeps nobody from what the others hold."""
+    path = tmp_path / "s.sqlite"
+    *others, broken = rows_of(path)
+    with sqlite3.connect(path) as file:
+        file.execute("UPDATE trials SET figures = '{' WHERE key = ?", (broken.key,))
+        file.execute("UPDATE plan SET point = '7' WHERE key = ?", (broken.key,))
+    file.close()
+    result = read_sweep(path)
+    assert result.headline.startswith("200 of 200 trials have ended")
+    assert [result.states[row.key] for row in others] == [r.state for r in others]
+    assert not result.missing
+    assert [result.ended[row.key] for row in others] == others
+    assert [result.planned[row.key] for row in others] == [r.point for r in others]
+    for read in (lambda: result.ended[broken.key], lambda: result.rows):
+        with pytest.raises(ValueError, match=rf"{broken.key}\.figures is '\{{'"):
+            read()
 
 
 def rows_of(path):
