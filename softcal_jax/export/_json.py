@@ -106,14 +106,9 @@ def simulation_dict(
 ) -> dict[str, Any]:
     """Convert a forward simulation to the content of `simulation.json`.
 
-    Keys: `format`, `name`, `converged` (whether all did); `source`, `settings` and
-    `versions` (see `made_dict`; without `made`, the first two say nothing);
-    `configurations` (`name`, `converged`, `outcome`, `newton_steps`, `load_steps`,
-    `residual`, `rounding`, `at_rounding`, `min_det_F`, `largest_displacement_mm`,
-    `markers` and other points with `name`, `at_rest_mm`, `simulated_mm`, `effectors`
-    that are not points with `name`, `unit`, `is_turn`, `simulated`, `robot`, see
-    `RobotEntry`); `solver`; `timing_s` [s]. Where there is no equilibrium, positions
-    and displacement are null, and `outcome` says why.
+    Keys of `configurations` are attributes of `ConfigurationResult`, with points as
+    `markers`, other readings as `effectors` and `robot` as `RobotEntry`. Where there is
+    no equilibrium, positions and displacement are null, and `outcome` says why.
     """
     return plain(
         {
@@ -139,12 +134,8 @@ def outlook_dict(
 ) -> dict[str, Any]:
     """Build the content of `identifiability.json`.
 
-    Keys: `format`, `name`; `source`, `settings` and `versions` (see `made_dict`);
-    `identifiability` (as in `result.json`; null without configurations);
-    `ranking` (null without candidates): `blind_before`, `candidates`, the best first
-    (`name`, `d_gain`, `e_gain`, `volume`, `blind_left`, and for the standard error that
-    falls most `parameter`, `before`, `after`, `value`, `unit`), `unranked` (`name`,
-    `reason`); `timing_s` [s].
+    `identifiability` is as in `result.json`, null without configurations; `ranking` has
+    the attributes of `Ranking`, the best candidate first, and is null without any.
     """
     from softcal_jax.export.result_file import IDENTIFIABILITY
 
@@ -211,16 +202,10 @@ def comparison_dict(
 ) -> dict[str, Any]:
     """Build the content of `comparison.json`.
 
-    Keys: `format`, `name`; `sources` and `settings` by model (see `made_dict`),
-    `versions`; `verdict`, `best` (null if no model predicts everything),
-    `undecided`, `level`; `models`, the best first (`name`, `n_parameters`,
-    `held_out_rms_mm`, `held_out_noise_rms`, `score`, `standard_error`, `fit_rms_mm`,
-    `fit_noise_rms`, `fit_failure`, `verdict` of the identifiability, `folds` with
-    `held_out`, `rms_mm`, `noise_rms`, `fit_rms_mm`, `failure`); `differences` from the
-    first (`name`, `difference`, `standard_error`, `half_width`, `n`, `told_apart`);
-    `timing_s` [s]. Scores and differences are squares in units of the noise.
-
-    What the models were computed from, `made`, is in the order that they had.
+    `models`, the best first, their `folds` and the `differences` from the first have
+    attributes of `ModelScore`, `FoldScore` and `PairedDifference`; scores and
+    differences are squares in units of the noise. `best` is null if no model predicts
+    everything. `sources` and `settings` are by model, in the order of `made`.
     """
     by_model = {model: made_dict(of, directory) for model, of in (made or {}).items()}
     best = comparison.best
@@ -267,17 +252,10 @@ def inverse_dict(
 ) -> dict[str, Any]:
     """Build the content of `inverse.json`, in SI and radians.
 
-    Keys: `format`, `name`, `met` (whether all goals are); `source`, `settings` and
-    `versions` (see `made_dict`); `points`, one for each goal of a trajectory, else one:
-    `configuration` (its name), `met`, `outcome` and `message` in words, `tol`, the
-    error at which a goal counts as met, in standard deviations; `goals` (`name`,
-    `unit`, `is_turn`, `met`, `goal`, `reached`, `residual`, `std`,
-    `in_std`: residual over std; null for a coordinate without a goal; turns are counted
-    from the goal); `actuators` (`name`, `kind`, `commanded`, `imposed`, `force`,
-    `force_unit`, `displacement`, `displacement_unit`, null without one);
-    `active_limits` and `held_by` in words; `blind` (null without; `coordinates`,
-    `units`, `direction`, `off`, `gain`); `attempts` (`way`, `outcome`, `error` in
-    standard deviations, `n_steps`); `steps` of the search. Then `timing_s` [s].
+    `points` has one entry for each goal of a trajectory, else one, with the attributes
+    of `InverseResult`. In `goals`, `in_std` is residual over std, a coordinate without
+    a goal has null, and turns are counted from the goal; `actuators` have those of
+    `ActuatorState` and whether they are `commanded`.
     """
     points = [result] if isinstance(result, InverseResult) else result.points
     if made is None and points:

@@ -205,21 +205,25 @@ def _stored_sweep(file: sqlite3.Connection, path: Path) -> SweepResult:
         about = lambda what, kind: _checked(f"sweep.{what}", kind, words.get(what))
         name, axes = about("name", _NAME), about("axes", _NAMES)
         state = lambda row: _checked(f"trials.{row[0]}.state", _STATE, row[_OF_STATE])
+        point = lambda key, text: _of_key(
+            axes, key, _checked(f"plan.{key}.point", _POINT, text)
+        )
         return SweepResult(
             name=name,
             axes=axes,
             repeats=about("repeats", _NAMES),
-            planned=_Read(plan, partial(_point, path, axes)),
+            planned=_Read(plan, point, path),
             states={key: state(row) for key, row in ended.items()},
-            ended=_Read(ended, partial(_row, path, axes)),
+            ended=_Read(ended, partial(_row, axes), path),
         )
 
 
 class _Read(Mapping[str, Any]):
     """Values of the database by key, each read from its texts at the first use."""
 
-    def __init__(self, stored: Mapping[str, Any], read: Callable[[str, Any], Any]):
-        self._stored, self._read = stored, cache(lambda key: read(key, stored[key]))
+    def __init__(self, stored: Mapping[str, Any], read: Callable, path: Path):
+        self._stored = stored
+        self._read = cache(_as_written(path)(lambda key: read(key, stored[key])))
 
     def __getitem__(self, key: str) -> Any:
         return self._read(key)
@@ -231,25 +235,19 @@ class _Read(Mapping[str, Any]):
         return len(self._stored)
 
 
-def _point(path: Path, axes: Sequence[str], key: str, text: str) -> Point:
-    with _as_written(path):
-        return _of_key(key, axes, _checked(f"plan.{key}.point", _POINT, text))
-
-
-def _row(path: Path, axes: Sequence[str], key: str, stored: Sequence[Any]) -> TrialRow:
+def _row(axes: Sequence[str], key: str, stored: Sequence[Any]) -> TrialRow:
     named, at = dict(zip(_COLUMNS, stored, strict=True)), f"trials.{key}"
-    with _as_written(path):
-        for name in _AS_JSON:
-            named[name] = _checked(f"{at}.{name}", _JSON, named[name])
-        row = _checked(at, _ROW, named)
-        for name, figure in row.figures.items():
-            if isinstance(figure, int) and abs(figure) > sys.float_info.max:
-                raise ValueError(f"{at}.figures.{name} is a number that is too large")
-        _of_key(key, axes, row.point)
+    for name in _AS_JSON:
+        named[name] = _checked(f"{at}.{name}", _JSON, named[name])
+    row = _checked(at, _ROW, named)
+    for name, figure in row.figures.items():
+        if isinstance(figure, int) and abs(figure) > sys.float_info.max:
+            raise ValueError(f"{at}.figures.{name} is a number that is too large")
+    _of_key(axes, key, row.point)
     return row
 
 
-def _of_key(key: str, axes: Sequence[str], point: Point) -> Point:
+def _of_key(axes: Sequence[str], key: str, point: Point) -> Point:
     if set(point) != set(axes) or Trial(point).key != key:
         raise ValueError(
             f"{key}.point is {shortened(repr(point))}, which is not the point of this "

@@ -3,6 +3,7 @@
 import time
 from collections import Counter, deque
 from dataclasses import dataclass
+from datetime import timedelta
 
 from softcal_jax._module import one_line
 from softcal_jax.sweeps._row import TrialRow
@@ -49,8 +50,8 @@ class Progress:
         text += f" ({', '.join(bad)})" if bad else ""
         if self.rate is None or self.seconds_left is None:
             return text
-        left = f", {duration(self.seconds_left)} left" if self.seconds_left else ""
-        return f"{text}, {rate_text(self.rate)}{left}"
+        left = timedelta(seconds=round(self.seconds_left))
+        return f"{text}, {3600.0 * self.rate:.1f} per hour, {left} left"
 
 
 class Tally:
@@ -86,22 +87,3 @@ class Tally:
         times, counts = zip(*self._ends, strict=True) if self._ends else ((0.0,), ())
         n, span = sum(counts[1:]), times[-1] - times[0]
         return n / span if n and span else None
-
-
-def rate_text(per_second: float) -> str:
-    """Write a rate per second, minute or hour, whichever makes it at least 1."""
-    for size, name in ((1.0, "second"), (60.0, "minute")):
-        if per_second * size >= 1.0:
-            return f"{per_second * size:.3g} per {name}"
-    return f"{3600.0 * per_second:.3g} per hour"
-
-
-def duration(seconds: float) -> str:
-    """Write a time in the unit that people would use."""
-    if seconds < 90.0:
-        return f"{seconds:.0f} s"
-    if seconds < 5400.0:
-        return f"{seconds / 60.0:.0f} min"
-    if seconds < 172800.0:
-        return f"{seconds / 3600.0:.1f} h"
-    return f"{seconds / 86400.0:.1f} days"
