@@ -35,6 +35,11 @@ def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, *
     be traced at every call and keep its program alive. `per_tet` are further values of
     each tet, in blocks; `own` are arrays or hashable options that all tets share.
     """
+    if u.shape[0] != model.n_points or u.shape[1] % 3:
+        raise ValueError(  # else JAX reads other nodes in place of missing ones
+            f"displacements have the shape {u.shape}; expected ({model.n_points}, 3): "
+            "nodes of the mesh, then those of the rigid bodies' frames."
+        )
     law, shared = model.law_blocks()
     shared, static = eqx.partition(shared, eqx.is_array)
     blocks = (model.shape_gradients, model.weights, law, model.active)

@@ -1,6 +1,6 @@
 """The space of all calibrated parameters: scaling, bounds, order constraints."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -117,13 +117,20 @@ class ParameterSpace(Module):
 
     def to_scaled(self, p: Scaled) -> Scaled:
         """Convert values p to scaled coordinates z."""
-        pairs = zip(self.parameters, p, strict=True)
-        return jnp.stack([q.to_scaled(value) for q, value in pairs])
+        return jnp.stack([q.to_scaled(value) for q, value in self._pairs(p)])
 
     def from_scaled(self, z: Scaled) -> Scaled:
         """Convert scaled coordinates z to values p."""
-        pairs = zip(self.parameters, z, strict=True)
-        return jnp.stack([q.from_scaled(value) for q, value in pairs])
+        return jnp.stack([q.from_scaled(value) for q, value in self._pairs(z)])
+
+    def _pairs(self, values: Iterable[Any]) -> Iterator[tuple[Parameter, Any]]:
+        values = list(values)
+        if len(values) != len(self.parameters):
+            raise ValueError(
+                f"there are {len(values)} values for the {len(self.parameters)} "
+                f"parameters ({', '.join(self.names)}); give one for each."
+            )
+        return zip(self.parameters, values, strict=True)
 
     def slopes(self, z: Float[Array | HostArray, " n_p"]) -> Float[HostArray, " n_p"]:
         """Compute |dp/dz| of each parameter, in its SI unit per unit of z."""
@@ -282,7 +289,7 @@ class ParameterSpace(Module):
         scaled = list(z)
         for column, value in zip(columns, own, strict=True):
             scaled[column] = value
-        pairs = zip(self.parameters, scaled, strict=True)
+        pairs = self._pairs(scaled)
         values = {q.name: q.from_scaled(coordinate) for q, coordinate in pairs}
         return self.with_values(model, configuration, values)
 

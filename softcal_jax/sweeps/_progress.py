@@ -37,20 +37,15 @@ class Progress:
 
     __repr__ = one_line
 
-    @property
-    def seconds_left(self) -> float | None:
-        """Wall time to the end at this rate [s]."""
-        return None if self.rate is None else (self.total - self.ended) / self.rate
-
     def __str__(self) -> str:
         """Write one line for a terminal."""
         counts = {"failed": self.failed, "not converged": self.not_converged}
         bad = [f"{n} {what}" for what, n in counts.items() if n]
         text = f"{self.ended} of {self.total} trials"
         text += f" ({', '.join(bad)})" if bad else ""
-        if self.rate is None or self.seconds_left is None:
+        if self.rate is None:
             return text
-        left = timedelta(seconds=round(self.seconds_left))
+        left = timedelta(seconds=round((self.total - self.ended) / self.rate))
         return f"{text}, {3600.0 * self.rate:.1f} per hour, {left} left"
 
 

@@ -7,7 +7,7 @@ from bodies import energy, energy_gradient, force, force_jacobian, stiffness
 from problems import irregular_cube
 from scipy.spatial.transform import Rotation
 
-from softcal_jax.equilibrium import build_model
+from softcal_jax.equilibrium import build_model, internal_force
 from softcal_jax.materials import Corotational, Isotropic, NeoHookean
 
 CASES = [(1, "displacement"), (2, "displacement"), (2, "mean-dilatation")]
@@ -113,3 +113,11 @@ def test_auto_takes_the_mixed_element_for_nearly_incompressible_quadratic_tets()
     )
     assert picked(2, 0.499) == picked(2, 0.49) == "mean-dilatation"
     assert picked(2, 0.48) == picked(1, 0.499) == "displacement"
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("wrong", [lambda u: u[1:], lambda u: u[:, :2]])
+def test_displacements_of_another_mesh_are_refused(body, u, wrong):
+    """JAX would read the last node in place of one that is missing."""
+    with pytest.raises(ValueError, match=rf"expected \({body.n_points}, 3\)"):
+        internal_force(body, wrong(u))

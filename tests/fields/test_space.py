@@ -267,3 +267,10 @@ def test_bad_axes(unchecked, changes, axes, message):
     parts = {"E_t": modulus("E_t"), "E_l": modulus("E_l"), "theta": angle()} | changes
     with pytest.raises(ValueError, match=message):
         ParameterSpace(list(parts.values()), axes=axes)
+
+
+@pytest.mark.parametrize("convert", ["to_scaled", "from_scaled"])
+def test_each_parameter_needs_one_value(convert):
+    space = as_space([one("E"), one("nu")])
+    with pytest.raises(ValueError, match=r"3 values for the 2 parameters \(E, nu\)"):
+        getattr(space, convert)(jnp.ones(3))
