@@ -9,15 +9,28 @@ from scipy.optimize import lsq_linear, nnls
 
 from softcal_jax.calibration import _qp, bounded_step
 
-step = jax.jit(bounded_step)
-
 ROUNDING = 1e-12
 """What solving equalities in float64 leaves, for data of unit size."""
 
 
+def n_errors(n):
+    return 3 * n + 4
+
+
+def step(W, error, low, high, **more):
+    """`bounded_step` with errors of zero that no parameter changes, up to `n_errors`.
+
+    They cost nothing, and problems with as many parameters and rows share a program.
+    """
+    missing = n_errors(W.shape[1]) - len(error)
+    W, error = np.pad(W, ((0, missing), (0, 0))), np.pad(error, (0, missing))
+    arrays = (jnp.asarray(part, float) for part in (W, error, low, high))
+    return bounded_step(*arrays, **jax.tree.map(jnp.asarray, more))
+
+
 def random_qp(n, condition, seed):
     rng = np.random.default_rng(seed)
-    m = 3 * n + 4
+    m = n_errors(n)
     U, _ = np.linalg.qr(rng.normal(size=(m, n)))
     V, _ = np.linalg.qr(rng.normal(size=(n, n)))
     W = U * np.logspace(0, -np.log10(condition), n) @ V.T
@@ -48,7 +61,8 @@ def test_step_stops_at_an_active_bound():
 
 def test_rank_deficient_compliance_gives_a_finite_bounded_step():
     W = jnp.array([[1.0, 1.0, 0.0], [2.0, 2.0, 0.0]])
-    lambda_p, _ = step(W, jnp.array([-1.0, -2.0]), -jnp.ones(3), jnp.ones(3))
+    one = jnp.ones(3)
+    lambda_p, _ = bounded_step(W, jnp.array([-1.0, -2.0]), -one, one)
     np.testing.assert_allclose(W @ lambda_p, [1.0, 2.0], atol=1e-8)
     assert lambda_p[2] == 0.0  # a parameter without effect does not move
     assert np.all(np.abs(lambda_p) <= 1.0)
@@ -324,11 +338,16 @@ def test_iteration_starts_at_the_optimum_of_the_active_set(monkeypatch):
     # The first goes to its upper, the second to its lower bound, the others to the row.
     error = jnp.array([-3.0, 3.0, -0.8, -0.9])
     A, b = jnp.array([[0.0, 0.0, 1.0, 1.0]]), jnp.array([1.0])
-    # Not compiled, so that numbers are recorded.
     limits = _qp.QPLimits(-jnp.ones(4), jnp.ones(4), A, b, _qp.DAMPING)
-    ours = _qp.solved_qp(_qp.scaled_qp(jnp.eye(4), error, limits))
+
+    @jax.jit
+    def recorded():
+        ours = _qp.solved_qp(_qp.scaled_qp(jnp.eye(4), error, limits))
+        return ours, starts
+
+    ours, recordings = recorded()
     np.testing.assert_allclose(ours.lambda_p, [1.0, -1.0, 0.45, 0.55], atol=ROUNDING)
-    ((first, (Q, c), G, (low, high)),) = starts
+    ((first, (Q, c), G, (low, high)),) = recordings
     (y, z), dual, _ = first
     np.testing.assert_allclose(Q @ y + c + G.T @ dual, 0.0, atol=ROUNDING)
     np.testing.assert_allclose(z, G @ y, atol=ROUNDING)
