@@ -11,13 +11,14 @@ import pytest
 from mechanisms import TIGHT, arrays
 from problems import neo_hookean_sphere
 from scipy.optimize import fminbound
-from test_pressure_sphere import ball, inflated, solved
+from test_pressure_sphere import ball, inflated, solve, solved
 from wording import says
 
 from softcal_jax.configurations import ImposedDisplacement, ImposedForce
 from softcal_jax.equilibrium import (
     RESULTS,
     LoadPath,
+    NewtonSettings,
     check_converged,
     solve_equilibrium,
 )
@@ -102,7 +103,7 @@ def test_an_imposed_volume_reaches_the_full_load():
 
 
 def test_a_limit_point_is_named_as_one(lane):
-    solution = jax.jit(solve_equilibrium)(model(), lane)
+    solution = solve(model(), lane, NewtonSettings())[0]
     assert bool(solution.result == RESULTS.limit_point)
     assert int(solution.n_negative) == 1
     # Newton's iterations are used up before the load steps are the smallest.
