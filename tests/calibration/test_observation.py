@@ -65,10 +65,10 @@ def test_a_reading_that_sees_a_parameter_has_its_whole_derivative():
 
     def stored(z):
         model, _ = SPACE.apply(MODEL, lane, z)
-        return energy_and_force(model, solve_equilibrium(model, lane).displacement)[0]
+        u = solve_equilibrium(model, lane).displacement
+        return energy_and_force(model, u)[0], u
 
-    expected = jax.grad(stored)(Z)
-    u = solve_equilibrium(MODEL, lane).displacement
+    expected, u = jax.grad(stored, has_aux=True)(Z)
     for method in ("direct", "adjoint"):
         W = parameter_compliance(MODEL, lane, u, SPACE, Z, method=method).W_ep
         np.testing.assert_allclose(W[0], expected, rtol=1e-7)
@@ -87,7 +87,7 @@ def test_a_point_that_is_observed_is_what_a_marker_is():
     ]
     held_out = replace(observed[1], name="held out")
     options = {"noise": "stated", "uncertain": exactly_known(), "intervals": None}
-    expected = calibrate(MODEL, E, seen, **options)
+    expected = calibrate(MODEL, E, seen, validation=held_out, **options)
     for poses in (observed, [observed[0], seen[1]]):
         found = calibrate(MODEL, E, poses, validation=held_out, **options)
         assert found.converged
@@ -138,8 +138,9 @@ def test_what_another_pose_does_not_have_is_not_computed_there():
     own = Observation("root", root, "m", measured=0.07, std=1e-3)
     E = Parameter("E", "E", 1e5, 2e4, 1e6)
     options = {"noise": "stated", "uncertain": exactly_known(), "intervals": None}
-    alone = calibrate(MODEL, E, posed("hang", -9.81, own), **options)
-    beside = calibrate(MODEL, E, [posed("hang", -9.81, own), still], **options)
+    hang = posed("hang", -9.81, own)
+    alone = calibrate(MODEL, E, hang, validation=still, **options)
+    beside = calibrate(MODEL, E, [hang, still], **options)
     assert beside.converged
     assert beside.value("E") == pytest.approx(alone.value("E"), rel=1e-6)
     assert "root" in str(alone.configurations[0])
@@ -202,10 +203,10 @@ def test_a_reading_without_a_derivative_is_named():
     size = lambda model, c, state: jnp.linalg.norm(state.displacement[held])
     seen = Markers(("tip",), MESH.points[TIP][None], std=STD)
     far = Observation("far", size, "m", measured=0.0, std=STD)
-    more = {"markers": seen, "measured": seen.positions}
+    pose = posed("hang", -9.81, far, markers=seen, measured=seen.positions)
     for use in (identify, calibrate):
         with pytest.raises(ValueError, match=r"'far' has a derivative that .* 'hang'"):
-            use(MODEL, SPACE, posed("hang", -9.81, far, **more))
+            use(MODEL, SPACE, pose, uncertain=exactly_known())
 
 
 def test_readings_of_a_loop_of_ones_own():
