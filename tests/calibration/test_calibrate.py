@@ -28,17 +28,12 @@ from softcal_jax.configurations import (
     Markers,
     Support,
     SurfaceForce,
-    configuration_arrays,
 )
-from softcal_jax.equilibrium import (
-    NewtonSettings,
-    build_model,
-    marker_positions,
-    solve_equilibrium,
-)
+from softcal_jax.equilibrium import NewtonSettings, build_model
 from softcal_jax.fields import Parameter, exactly_known
 from softcal_jax.materials import Corotational, Isotropic, NeoHookean
 from softcal_jax.mesh import beam
+from softcal_jax.robots import simulated_measurements
 
 E_TRUE, NU_TRUE = 1.6e5, 0.33
 MARKERS = Markers(
@@ -70,29 +65,24 @@ def posed(name, measured=None, mesh_pull=0.0):
     )
 
 
-@jax.jit
-def positions(model, lanes):
-    one = lambda c: marker_positions(model, c, solve_equilibrium(model, c))
-    return jax.vmap(one)(lanes)
-
-
 def measure(mesh, law, names=tuple(LOADS), noise=0.0, seed=0, formulation="auto"):
-    """Configurations with positions simulated on a mesh of their own.
-
-    All are simulated, whichever are asked for, so that one program does.
-    """
+    """Configurations with positions simulated on a mesh of their own."""
     model = build_model(mesh, law, density=1000.0, formulation=formulation)
-    lanes = configuration_arrays(mesh, [posed(name) for name in LOADS])
-    seen = dict(zip(LOADS, np.asarray(positions(model, lanes)), strict=True))
+    seen = simulated_measurements(model, [posed(name) for name in names])
     random = np.random.default_rng(seed)
     errors = noise * random.normal(size=(len(names), *MARKERS.positions.shape))
-    return [posed(n, seen[n] + error) for n, error in zip(names, errors, strict=True)]
+    pairs = zip(seen, errors, strict=True)
+    return [replace(c, measured=c.measured + error) for c, error in pairs]
 
 
 def seen_by_one(measured):
     """The first pose, of which one coordinate of one marker was seen."""
     few = Markers(("a",), MARKERS.positions[:1], axes="z")
     return replace(posed("hang"), markers=few, measured=measured[:1])
+
+
+ALL_MARKERS = posed("push", MARKERS.positions)
+"""Held out beside `seen_by_one`, whose program then is that of all markers."""
 
 
 def parameter(start=1e5, lower=3e4, upper=1e6):
@@ -276,7 +266,9 @@ def test_more_parameters_than_data_warns_and_says_what_is_missing(model, exact):
     data = [seen_by_one(exact[0].measured)]
     nu = Parameter("nu", "nu", 0.2, 0.0, 0.45, scale="linear")
     with pytest.warns(CalibrationWarning, match="2 parameters but only 1 measured"):
-        result = calibrate(model, [parameter(), nu], data, **KNOWN)
+        result = calibrate(
+            model, [parameter(), nu], data, validation=ALL_MARKERS, **KNOWN
+        )
     assert np.all(np.isfinite(result.z))
     assert np.isnan(result.parameters[0].standard_error)
 
@@ -378,10 +370,8 @@ def test_held_out_poses_that_are_not_found_from_rest(model, exact):
 
 def _measured_of(model, pose):
     """Marker positions of a pose at the true modulus, by as many steps as it takes."""
-    law = NeoHookean(E_TRUE, NU_TRUE)
-    same = [replace(pose, name=name) for name in LOADS]  # one program with `measure`
-    lanes = configuration_arrays(model.mesh, same)
-    return np.asarray(positions(model.with_law(law), lanes))[0]
+    true = model.with_law(NeoHookean(E_TRUE, NU_TRUE))
+    return simulated_measurements(true, [pose])[0].measured
 
 
 def test_stated_noise_that_is_too_small_is_flagged(model):
@@ -395,7 +385,7 @@ def test_stated_noise_that_is_too_small_is_flagged(model):
 
 def test_undetermined_parameters_are_named(model):
     data = seen_by_one(MARKERS.positions - [0.0, 0.0, 0.01])
-    result = calibrate(model, parameter(), data, **KNOWN)
+    result = calibrate(model, parameter(), data, validation=ALL_MARKERS, **KNOWN)
     assert result.converged
     assert np.isnan(result.parameters[0].standard_error)
     assert any("No standard error for E" in note for note in result.notes)
@@ -426,6 +416,9 @@ def test_nothing_is_compiled_after_the_first_step(model, exact):
     Another number of poses compiles what stacks them anew, but neither the equilibrium
     nor the QP.
     """
+    law = NeoHookean(E_TRUE, NU_TRUE)
+    longer = beam(0.11, 0.021, 0.02, (5, 2, 2))
+    data = [replace(c, name=f"again {c.name}") for c in measure(longer, law)]
     jax.clear_caches()
     until = []
     with Compilations() as fresh:
@@ -437,10 +430,7 @@ def test_nothing_is_compiled_after_the_first_step(model, exact):
     # The last step, which is not taken, is told after the noise is estimated.
     assert set(until[1:-1]) == {until[1]}
 
-    law = NeoHookean(E_TRUE, NU_TRUE)
-    longer = beam(0.11, 0.021, 0.02, (5, 2, 2))
     other = build_model(longer, NeoHookean(2e5, NU_TRUE), density=1100.0)
-    data = [replace(c, name=f"again {c.name}") for c in measure(longer, law)]
     softer = replace(parameter(8e4, 2e4, 9e5), name="softness")
     finer = NewtonSettings(rtol=1e-9)
     with Compilations() as again:
