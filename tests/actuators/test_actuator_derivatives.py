@@ -80,7 +80,7 @@ def errors_of(function, exact, x, tangent, steps):
 def test_rows_meet_differences_at_second_order(name, order):
     arrays, x, tangent = robot(name, order=order)
     exact = jnp.sum(actuator_rows(arrays, x) * tangent[None], axis=(1, 2))
-    function = eqx.filter_jit(lambda x: actuator_displacements(arrays, x))
+    function = lambda x: actuator_displacements(arrays, x)
     coarse, fine = errors_of(function, exact, x, tangent, (1e-2, 1e-3))
     # Second order: a tenfold smaller step leaves a hundredth of the error.
     np.testing.assert_allclose(coarse / fine, 100.0, rtol=0.02)
@@ -100,7 +100,7 @@ def test_linear_rows_are_exact(name):
 def test_curvature_meets_differences_at_second_order(name, order):
     arrays, x, tangent = robot(name, order=order)
     exact = curvature_times(arrays, x, jnp.array([2.5]), tangent)
-    function = eqx.filter_jit(lambda x: 2.5 * actuator_rows(arrays, x)[0])
+    function = lambda x: 2.5 * actuator_rows(arrays, x)[0]
     coarse, fine = errors_of(function, exact, x, tangent, (1e-2, 1e-3))
     np.testing.assert_allclose(coarse / fine, 100.0, rtol=0.02)
 
