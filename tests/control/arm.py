@@ -6,7 +6,8 @@ positive angle lifts the tip; the cables run above and below it, from base to ti
 
 from functools import cache
 
-import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
 from problems import lane_of
 
 from softcal_jax.actuators import Cable, Guide, Motor
@@ -14,6 +15,7 @@ from softcal_jax.bodies import RigidBody, hinge_axes
 from softcal_jax.configurations import (
     ActuatorDisplacement,
     ActuatorForce,
+    BodyAngle,
     BodyFrame,
     Centroid,
     Configuration,
@@ -21,14 +23,9 @@ from softcal_jax.configurations import (
     ImposedForce,
     configuration_arrays,
 )
-from softcal_jax.control import actuator_readings, with_inputs
-from softcal_jax.equilibrium import (
-    Model,
-    NewtonSettings,
-    build_model,
-    solve_equilibrium,
-)
-from softcal_jax.materials import Corotational, Isotropic
+from softcal_jax.control import _descent, with_inputs
+from softcal_jax.equilibrium import Model, NewtonSettings, build_model
+from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 
 LENGTH, SIDE = 0.1, 0.02
@@ -51,7 +48,7 @@ def arm(young: float = 2e5) -> Model:
     base = RigidBody("base", "x_min", axes=hinge_axes((0.0, -1.0, 0.0)))
     return build_model(
         mesh,
-        Corotational(Isotropic(young, 0.3)),
+        NeoHookean(young, 0.3),
         density=1000.0,
         bodies=[base, RigidBody("tip", "x_max", mass=0.0)],
         actuators=[_cable("top", SIDE), _cable("bottom", 0.0), Motor("motor", "base")],
@@ -79,15 +76,27 @@ def arrays(configuration: Configuration):
 EFFECTORS = [
     Centroid("tip", "x_max"),
     BodyFrame("frame", "tip"),
+    BodyAngle("bend", "tip", "base", (0, -1, 0)),  # upwards is positive
     ActuatorDisplacement("pull", "top"),
     ActuatorForce("tension", "bottom"),
     ActuatorForce("torque", "motor"),
 ]
 
 
-@eqx.filter_jit
 def solved(model, configuration, value):
-    """Equilibrium for one actuation, and what follows from it."""
-    lane = with_inputs(configuration, value)
-    solution = solve_equilibrium(model, lane, settings=TIGHT)
-    return solution, actuator_readings(model, lane, solution)
+    """Equilibrium for one actuation, and what follows from it; the search's program."""
+    lane, rest = with_inputs(configuration, value), jnp.zeros((model.n_points, 3))
+    return _descent._equilibrium(model, lane, rest, TIGHT.as_arrays())
+
+
+def tips(configuration: Configuration, inputs):
+    """Positions of the tip at other inputs, each by a simulation from rest."""
+    lane, names = arrays(configuration), arm().mechanism.actuators.names
+    commanded = [names.index(name) for name in configuration.actuation]
+    value, found = np.array(lane.actuation.value), []
+    for own in inputs:
+        value[commanded] = own
+        solution, state = solved(arm(), lane, jnp.array(value))
+        assert solution.converged
+        found.append(state.effectors[0])
+    return np.stack(found)

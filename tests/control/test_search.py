@@ -2,13 +2,13 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import numpy as np
 import pytest
-from arm import EFFECTORS as OF_THE_ARM, LENGTH, REST, SIDE, arm, arrays, pose, solved
+from arm import EFFECTORS, LENGTH, REST, SIDE, arm, pose, tips
 
 from softcal_jax.actuators import Cable, Guide
 from softcal_jax.configurations import (
-    BodyAngle,
     Centroid,
     Configuration,
     ImposedDisplacement,
@@ -19,27 +19,17 @@ from softcal_jax.control import (
     OUTCOMES,
     ControlSettings,
     Limits,
-    sample_workspace,
     solve_inverse,
 )
-from softcal_jax.equilibrium import build_model
+from softcal_jax.equilibrium import build_model, solve_equilibrium
 from softcal_jax.materials import Corotational, Isotropic
 from softcal_jax.mesh import beam
 
-EFFECTORS = [Centroid("tip", "x_max"), BodyAngle("bend", "tip", "base", (0, -1, 0))]
 DIRECT = ControlSettings(other_starts=0)
 
 
 def robot(gravity=REST, **actuation):
     return pose(gravity, EFFECTORS, **actuation)
-
-
-def tips(inputs):
-    """Tips at tensions and angles, by simulation alone."""
-    full = np.resize(inputs, (5, 2))  # the program of `test_inverse`
-    found = sample_workspace(arm(), robot(top=0.0, motor=0.0), full)
-    assert found.failures == ()
-    return found.effectors["tip"][: len(inputs), 0]
 
 
 def test_a_goal_on_the_other_side_of_a_fold_is_met():
@@ -48,7 +38,7 @@ def test_a_goal_on_the_other_side_of_a_fold_is_met():
     The goal is met at +0.5 alone, behind the angle 0 where the motor does not move x.
     """
     at_end = Markers(["end"], [(LENGTH, SIDE / 2, SIDE / 2)], axes="x")
-    start = replace(pose(REST, [], motor=-0.05), markers=at_end)
+    start = replace(pose(REST, EFFECTORS[1:], motor=-0.05), markers=at_end)
     run = lambda settings: solve_inverse(
         arm(),
         start,
@@ -72,7 +62,8 @@ def test_a_goal_on_the_other_side_of_a_fold_is_met():
 def test_a_direction_that_nothing_moves_is_named():
     """Two inputs move the tip on a surface; a goal beside it is off that way."""
     at, h = np.array([1.0, 0.2]), 1e-3
-    tip, *sides = tips(at + h * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]))
+    steps = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+    tip, *sides = tips(robot(top=0.0, motor=0.0), at + h * steps)
     normal = np.cross(sides[0] - sides[1], sides[2] - sides[3])
     normal /= np.linalg.norm(normal)
     aside = 5e-4
@@ -96,7 +87,7 @@ def test_a_direction_that_nothing_moves_is_named():
 
 def test_the_limit_that_holds_is_named_and_another_is_not():
     """Both are reached; only one pushes back, and lifting it brings the tip nearer."""
-    (goal,), tension = tips([[1.0, 0.4]]), 1.0
+    (goal,), tension = tips(robot(top=0.0, motor=0.0), [[1.0, 0.4]]), 1.0
     limits = {
         "top": Limits(force=(0.0, tension)),
         "motor": Limits(displacement=(-0.1, 0.2)),
@@ -143,7 +134,8 @@ def test_two_actuators_that_impose_one_displacement_are_called_singular():
 
 def test_a_motor_turns_in_one_load_step():
     """Its axis stays, so that there is no screw to follow in small steps."""
-    configuration = arrays(pose(REST, OF_THE_ARM, motor=0.8))
-    solution, _ = solved(arm(), configuration, configuration.actuation.value)
+    corotational = Corotational(Isotropic(2e5, 0.3))
+    model = eqx.tree_at(lambda m: m.law, arm(), corotational)
+    solution = solve_equilibrium(model, pose(REST, motor=0.8))
     assert solution.converged
     assert solution.load_steps == 1
