@@ -5,40 +5,24 @@ from itertools import pairwise
 import equinox as eqx
 import numpy as np
 import pytest
-from arm import REST, arm, pose
+from arm import EFFECTORS, REST, arm, pose, tips
 
 from benchmarks._compilations import Compilations
-from softcal_jax.configurations import BodyAngle, Centroid, ImposedDisplacement
+from softcal_jax.configurations import ImposedDisplacement
 from softcal_jax.control import (
     OUTCOMES,
     ControlSettings,
     Limits,
     _step as step_module,
     follow_trajectory,
-    sample_workspace,
     solve_inverse,
 )
 
 FINE = ControlSettings(tol=1e-6)
-# A bend upwards is positive.
-EFFECTORS = [Centroid("tip", "x_max"), BodyAngle("bend", "tip", "base", (0, -1, 0))]
 
 
 def robot(gravity=REST, **actuation):
     return pose(gravity, EFFECTORS, **actuation)
-
-
-def reached(configuration, values):
-    """Effectors at other inputs, by simulation alone."""
-    tips, bends = [], []
-    values = np.atleast_2d(values)
-    for batch in np.split(values, np.arange(5, len(values), 5)):
-        full = np.resize(batch, (5, values.shape[1]))  # one program for any number
-        workspace = sample_workspace(arm(), configuration, full)
-        assert workspace.failures == ()
-        tips.append(workspace.effectors["tip"][: len(batch), 0])
-        bends.append(workspace.effectors["bend"][: len(batch), 0, 0])
-    return np.concatenate(tips), np.concatenate(bends)
 
 
 def check(result):
@@ -57,7 +41,7 @@ def check(result):
 
 def test_reachable_goal_is_met_and_its_actuation_found():
     """Made by simulation with another actuation; in z and x it is the only one."""
-    (goal,), _ = reached(robot(top=0.0, motor=0.0), [[1.5, 0.4]])
+    (goal,) = tips(robot(top=0.0, motor=0.0), [[1.5, 0.4]])
     result = solve_inverse(
         arm(), robot(top=0.0, motor=0.0), goals={"tip": goal}, settings=FINE
     )
@@ -70,14 +54,14 @@ def test_reachable_goal_is_met_and_its_actuation_found():
     assert result.active_limits == ()
     assert len(result.steps) <= 8
     # The configuration found is one that a user can simulate again.
-    (again,), _ = reached(result.configuration, result.inputs)
+    (again,) = tips(result.configuration, [result.inputs])
     np.testing.assert_allclose(again, goal, rtol=0, atol=1e-9)
 
 
 def test_imposed_shortening_is_found():
     """The same by displacement: two lengths for a bend with little co-contraction."""
     start = robot(top=ImposedDisplacement(0.0), bottom=ImposedDisplacement(0.0))
-    (goal,), _ = reached(robot(top=0.0, bottom=0.0), [[1.5, 0.5]])
+    (goal,) = tips(robot(top=0.0, bottom=0.0), [[1.5, 0.5]])
     result = solve_inverse(arm(), start, goals={"tip": goal}, settings=FINE)
     check(result)
     assert result.met
@@ -113,7 +97,7 @@ def test_unreachable_goal_ends_at_the_nearest_point(goal, limits):
     motor = np.linspace(max(angle[0], -0.7), min(angle[1], 0.7), 10)
     inputs = np.stack(np.meshgrid(top, motor), axis=-1).reshape(-1, 2)
     distance = lambda tip: np.linalg.norm(tip - np.array(goal), axis=-1)
-    off = distance(reached(start, inputs)[0])
+    off = distance(tips(start, inputs))
     found = distance(result.goals[0].reached)
     np.testing.assert_allclose(found, np.linalg.norm(result.goals[0].residual))
     assert 1e-3 < found <= off.min() + 1e-12
@@ -187,8 +171,7 @@ def test_trajectory_starts_where_it_was():
     """Neighbouring goals take few iterations, and inputs keep their steps."""
     start = robot(top=0.0, motor=0.0)
     inputs = np.stack([np.linspace(0.5, 1.0, 3), np.linspace(0.1, 0.2, 3)], axis=1)
-    tips, _ = reached(start, inputs)
-    goals = [{"tip": tip} for tip in tips]
+    goals = [{"tip": tip} for tip in tips(start, inputs)]
     path = follow_trajectory(arm(), start, goals)
     assert path.unmet == ()
     np.testing.assert_allclose(path.inputs, inputs, rtol=0, atol=5e-3)
