@@ -5,14 +5,12 @@ import re
 
 import numpy as np
 import pytest
-from arm import arm, pose
+from arm import EFFECTORS, arm, pose
 from test_page import Read, check_page, number
 
-from softcal_jax.configurations import BodyAngle, Centroid
 from softcal_jax.control import ControlSettings, Limits, TrajectoryResult, solve_inverse
 from softcal_jax.report import _write, notebook_html, write_inverse
 
-EFFECTORS = [Centroid("tip", "x_max"), BodyAngle("bend", "tip", "base", (0, -1, 0))]
 FACTOR = {"N": 1.0, "mN": 1e-3, "mm": 1e-3, "N mm": 1e-3, "N m": 1.0}
 FACTOR |= {"deg": np.pi / 180.0, "m": 1.0}
 
@@ -27,7 +25,9 @@ def no_opengl(monkeypatch):
 
 def in_si(text):
     """The value of a cell like "1.5 N (imposed)" in SI."""
-    value, unit = re.match(r"(\S+) (N mm|N m|\w+)", text).groups()
+    found = re.match(r"(\S+) (N mm|N m|\w+)", text)
+    assert found
+    value, unit = found.groups()
     return float(value) * FACTOR[unit]
 
 
