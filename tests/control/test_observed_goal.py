@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from arm import arm, pose
+from arm import EFFECTORS, arm, pose
 
 from softcal_jax import Observation, solve_inverse
 from softcal_jax.configurations import Centroid
@@ -20,13 +20,14 @@ def test_an_observation_is_brought_to_its_goal():
     usual, own = (
         solve_inverse(
             arm(),
-            pose(effectors=[effector], top=0.1, bottom=0.1, motor=0.0),
+            pose(effectors=effectors, top=0.1, bottom=0.1, motor=0.0),
             goals={"tip": goal},
             throw=False,
         )
-        for effector in (
-            Centroid("tip", "x_max", std=1e-3),
-            Observation("tip", end, "m", std=np.full(3, 1e-3)),
+        for effectors in (
+            # With the others of the arm, it is the program of other tests.
+            [Centroid("tip", "x_max", std=1e-3), *EFFECTORS[1:]],
+            [Observation("tip", end, "m", std=np.full(3, 1e-3))],
         )
     )
     assert own.outcome == usual.outcome
