@@ -4,7 +4,7 @@ The reference is the equilibrium to rounding at other values: differences of it,
 error falls at second order. A kind that `QUANTITIES` has and this file does not fails.
 """
 
-from functools import cache, partial
+from functools import cache
 
 import equinox as eqx
 import jax
@@ -134,15 +134,21 @@ def values(z):
     return effector_values(model, lane, u, found.multipliers).ravel(), u
 
 
-@partial(jax.jit, static_argnames="method")
-def compliance(z, u, method):
-    return parameter_compliance(MODEL, LANE, u, SPACE, z, method=method)
+@jax.jit
+def compliances(z, u):
+    at = (MODEL, LANE, u, SPACE, z)
+    return parameter_compliance(*at, method="direct"), energy_compliance(*at)
 
 
 @cache
-def direct():
+def found():
+    """Direct and energy compliance, in one program."""
     z = point()
-    return compliance(z, values(z)[1], "direct")
+    return compliances(z, values(z)[1])
+
+
+def direct():
+    return found()[0]
 
 
 def test_all_kinds_are_here():
@@ -176,7 +182,8 @@ def test_sensitivities_meet_differences_at_second_order():
 def test_direct_and_adjoint_side_agree():
     """Two ways through one factorization: rounding of the solve."""
     z = point()
-    adjoint = compliance(z, values(z)[1], "adjoint")
+    at = (MODEL, LANE, values(z)[1], SPACE, z)
+    adjoint = eqx.filter_jit(parameter_compliance)(*at, method="adjoint")
     W = np.asarray(direct().W_ep)
     scale = np.abs(W).max(axis=0) + (np.arange(len(z)) == ELSEWHERE)
     assert np.max(np.abs(adjoint.W_ep - W) / scale) < 1e-8
@@ -201,13 +208,11 @@ def test_forward_equals_reverse():
 
 
 def test_energy_compliance_is_symmetric_and_positive():
-    z = point()
-    u = values(z)[1]
-    found = jax.jit(lambda z, u: energy_compliance(MODEL, LANE, u, SPACE, z))(z, u)
-    assert bool(found.ok)
-    np.testing.assert_array_equal(found.W_pp, found.W_pp.T)
-    assert np.linalg.eigvalsh(found.W_pp[:2, :2]).min() > 0.0
-    np.testing.assert_allclose(found.W_ep, direct().W_ep, rtol=1e-8, atol=1e-12)
+    of_direct, of_energy = found()
+    assert bool(of_energy.ok)
+    np.testing.assert_array_equal(of_energy.W_pp, of_energy.W_pp.T)
+    assert np.linalg.eigvalsh(of_energy.W_pp[:2, :2]).min() > 0.0
+    np.testing.assert_allclose(of_energy.W_ep, of_direct.W_ep, rtol=1e-8, atol=1e-12)
 
 
 def test_finite_differences_of_the_paper_show_second_order_for_forces():
@@ -299,7 +304,7 @@ def test_friction_of_one_cable_among_others_of_other_sizes():
     ]
     model = build_model(MESH, NeoHookean(5e5, 0.3), density=1e3, actuators=cables)
     x = jnp.asarray(model.mechanism.points)
-    rows = lambda model: actuator_rows(model.mechanism.actuators, x)
+    rows = eqx.filter_jit(lambda model: actuator_rows(model.mechanism.actuators, x))
     for index, name in enumerate(paths):
         entry = friction(name, 0.2, limit=0.1, **KNOWN)
         changed, _ = entry.apply(model, None, {f"friction of {name}": jnp.array(0.4)})
