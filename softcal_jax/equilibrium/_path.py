@@ -306,10 +306,11 @@ def trace(
     ds = first = path.first * float(state.length)
     full, result = jnp.asarray(True), RESULTS.states_used_up
     while bool(state.ok) and len(states) <= path.states:
-        new = _step(model, configuration, state, jnp.asarray(ds), ~full, settings)
+        length = jnp.asarray(ds, float)  # typed as the first: one program
+        new = _step(model, configuration, state, length, ~full, settings)
         last = bool(new.ok) and float(new.load) >= 1.0
         if last:
-            new = _step(model, configuration, state, jnp.asarray(ds), full, settings)
+            new = _step(model, configuration, state, length, full, settings)
         if not bool(new.ok):
             ds *= 0.5
             if ds < SMALLEST * first:
