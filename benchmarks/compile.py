@@ -31,7 +31,7 @@ from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from benchmarks._timing import ROOT, run_process
 
 BEFORE = "c57df9d"
-IMPORTS, STARTS = 7, 3
+COUNTS = {"imports": 7, "starts": 3, "gradients": 1, "mesh_errors": 1}
 GOALS = {
     "demo_cold_s": Goal("at most", 60.0),
     "demo_cold_over_before": Goal("at most", 0.35),
@@ -80,35 +80,52 @@ write("\\n" + json.dumps(told))
 """A demo that tells when its answer was there, and what tracing, lowering and reading
 compiled programs back took [s]."""
 
-COUNTS = ("recompilations_after_first_step", "beam_programs", "beam_programs_not_kept")
+COUNTED = (
+    "recompilations_after_first_step",
+    "beam_programs",
+    "beam_programs_not_kept",
+    "second_eager_call_compiles",
+)
 """What is counted, not timed: of all runs the worst."""
 
 
 def run(options: Options) -> Outcome:
     """Imports, then starts of demo and beam, cold and warm in turn."""
     samples: dict[str, list[float]] = {}
-    options.say("imports")
-    # JAX comes with the package; what it takes alone is the part that is not ours.
-    for module in ("softcal_jax", "jax"):
-        times = [_import_seconds(module) for _ in range(IMPORTS + 1)]
-        samples["import_s" if module == "softcal_jax" else "import_jax_s"] = times[1:]
     before: dict[str, list[float]] = {}
-    with tree_before() as tree:
-        for i in range(STARTS):
-            options.say(f"softcal demo and the beam, {i + 1} of {STARTS}")
-            for folder, own in ((ROOT, samples), (tree, before)):
-                found = {**demo_starts(folder), **beam_starts(CELLS, folder)}
-                for name, value in found.items():
-                    own.setdefault(name, []).append(value)
+    errors: dict[str, Figure] = {}
+    for part, count in (options.counts or COUNTS).items():
+        options.say(f"{part}, {count} times")
+        if part == "imports":
+            # JAX comes with the package; what it takes alone is the part that is not
+            # ours.
+            for module in ("softcal_jax", "jax"):
+                times = [_import_seconds(module) for _ in range(count + 1)]
+                name = "import_s" if module == "softcal_jax" else "import_jax_s"
+                samples[name] = times[1:]
+        elif part == "starts":
+            with tree_before() as tree:
+                for _ in range(count):
+                    for folder, own in ((ROOT, samples), (tree, before)):
+                        _add(own, demo_starts(folder) | beam_starts(CELLS, folder))
+        elif part == "gradients":
+            for _ in range(count):
+                _add(samples, eager_starts())
+        else:
+            errors = mesh_errors(count, options)
     figures: dict[str, Figure] = {
-        name: int(max(values)) if name in COUNTS else statistics.median(values)
+        name: int(max(values)) if name in COUNTED else statistics.median(values)
         for name, values in samples.items()
     }
-    figures |= over_before(samples, before)
-    figures |= eager_starts()
-    figures |= mesh_errors(options)
-    seconds = {name: times for name, times in samples.items() if name not in COUNTS}
-    return Outcome(figures, seconds, GOALS, [_table(figures)])
+    if before:
+        figures |= over_before(samples, before)
+    seconds = {name: times for name, times in samples.items() if name not in COUNTED}
+    return Outcome(figures | errors, seconds, GOALS, [_table(figures)])
+
+
+def _add(samples: dict[str, list[float]], found: dict[str, float]) -> None:
+    for name, value in found.items():
+        samples.setdefault(name, []).append(value)
 
 
 def _table(figures: dict[str, Figure]) -> Table:
@@ -207,9 +224,9 @@ def beam_starts(cells: Cells, folder: Path = ROOT) -> dict[str, float]:
     return found
 
 
-def eager_starts() -> dict[str, Figure]:
+def eager_starts() -> dict[str, float]:
     """Time to the first gradient, cold and warm [s], and what a second one compiles."""
-    figures: dict[str, Figure] = {}
+    figures: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as home:
         for start in ("cold", "warm"):
             command = [sys.executable, "-m", "benchmarks._eager", str(time.time())]
@@ -220,17 +237,16 @@ def eager_starts() -> dict[str, Figure]:
     return figures
 
 
-def mesh_errors(options: Options) -> dict[str, Figure]:
+def mesh_errors(count: int, options: Options) -> dict[str, Figure]:
     """What the error of the mesh takes over the fit, of each robot and the worst."""
     figures: dict[str, Figure] = {}
-    for robot in ROBOTS:
+    for robot in count * ROBOTS:
         options.say(f"error of the mesh, {robot}")
         command = [sys.executable, "-m", "benchmarks._mesh_error", robot]
         told = json.loads(run_process(command).splitlines()[-1])
         for what, value in told.items():
-            worst, own = f"mesh_error_{what}", f"{robot}_mesh_error_{what}"
-            figures[own] = value
-            figures[worst] = max(figures.get(worst, 0.0), value)
+            for name in (f"mesh_error_{what}", f"{robot}_mesh_error_{what}"):
+                figures[name] = max(figures.get(name, 0.0), value)
     return figures
 
 
