@@ -35,7 +35,7 @@ def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, *
     be traced at every call and keep its program alive. `per_tet` are further values of
     each tet, in blocks; `own` are arrays or hashable options that all tets share.
     """
-    if u.shape[0] != model.n_points or u.shape[1] % 3:
+    if u.shape[0] not in (model.n_points, model.mesh.n_nodes) or u.shape[1] % 3:
         raise ValueError(  # else JAX reads other nodes in place of missing ones
             f"displacements have the shape {u.shape}; expected ({model.n_points}, 3): "
             "nodes of the mesh, then those of the rigid bodies' frames."
