@@ -120,7 +120,9 @@ def run(options: Options) -> Outcome:
     if before:
         figures |= over_before(samples, before)
     seconds = {name: times for name, times in samples.items() if name not in COUNTED}
-    return Outcome(figures | errors, seconds, GOALS, [_table(figures)])
+    figures |= errors
+    goals = {name: goal for name, goal in GOALS.items() if name in figures}
+    return Outcome(figures, seconds, goals, [_table(figures)])
 
 
 def _add(samples: dict[str, list[float]], found: dict[str, float]) -> None:
