@@ -21,7 +21,7 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -89,40 +89,54 @@ COUNTED = (
 """What is counted, not timed: of all runs the worst."""
 
 
+Say = Callable[[str], None]
+Found = tuple[dict[str, list[float]], dict[str, Figure]]
+"""Samples of a part, and figures that are no median of samples."""
+
+
 def run(options: Options) -> Outcome:
     """Imports, then starts of demo and beam, cold and warm in turn."""
     samples: dict[str, list[float]] = {}
-    before: dict[str, list[float]] = {}
-    errors: dict[str, Figure] = {}
+    figures: dict[str, Figure] = {}
     for part, count in (options.counts or COUNTS).items():
-        options.say(f"{part}, {count} times")
-        if part == "imports":
-            # JAX comes with the package; what it takes alone is the part that is not
-            # ours.
-            for module in ("softcal_jax", "jax"):
-                times = [_import_seconds(module) for _ in range(count + 1)]
-                name = "import_s" if module == "softcal_jax" else "import_jax_s"
-                samples[name] = times[1:]
-        elif part == "starts":
-            with tree_before() as tree:
-                for _ in range(count):
-                    for folder, own in ((ROOT, samples), (tree, before)):
-                        _add(own, demo_starts(folder) | beam_starts(CELLS, folder))
-        elif part == "gradients":
-            for _ in range(count):
-                _add(samples, eager_starts())
-        else:
-            errors = mesh_errors(count, options)
-    figures: dict[str, Figure] = {
+        own, more = _PARTS[part](count, options.say)
+        samples |= own
+        figures |= more
+    figures |= {
         name: int(max(values)) if name in COUNTED else statistics.median(values)
         for name, values in samples.items()
     }
-    if before:
-        figures |= over_before(samples, before)
     seconds = {name: times for name, times in samples.items() if name not in COUNTED}
-    figures |= errors
     goals = {name: goal for name, goal in GOALS.items() if name in figures}
     return Outcome(figures, seconds, goals, [_table(figures)])
+
+
+def imports(count: int, say: Say) -> Found:
+    """Seconds of an import; JAX comes with the package, and is the part not ours."""
+    say("imports")
+    times = lambda module: [_import_seconds(module) for _ in range(count + 1)][1:]
+    return {"import_s": times("softcal_jax"), "import_jax_s": times("jax")}, {}
+
+
+def starts(count: int, say: Say) -> Found:
+    """Starts of demo and beam, in turn with those of `BEFORE`."""
+    samples: dict[str, list[float]] = {}
+    before: dict[str, list[float]] = {}
+    with tree_before() as tree:
+        for i in range(count):
+            say(f"softcal demo and the beam, {i + 1} of {count}")
+            for folder, own in ((ROOT, samples), (tree, before)):
+                _add(own, demo_starts(folder) | beam_starts(CELLS, folder))
+    return samples, over_before(samples, before)
+
+
+def gradients(count: int, say: Say) -> Found:
+    """First gradients in processes of their own, and what second calls compile."""
+    samples: dict[str, list[float]] = {}
+    for i in range(count):
+        say(f"first gradient, {i + 1} of {count}")
+        _add(samples, eager_starts())
+    return samples, {}
 
 
 def _add(samples: dict[str, list[float]], found: dict[str, float]) -> None:
@@ -239,17 +253,25 @@ def eager_starts() -> dict[str, float]:
     return figures
 
 
-def mesh_errors(count: int, options: Options) -> dict[str, Figure]:
+def mesh_errors(count: int, say: Say) -> Found:
     """What the error of the mesh takes over the fit, of each robot and the worst."""
     figures: dict[str, Figure] = {}
     for robot in count * ROBOTS:
-        options.say(f"error of the mesh, {robot}")
+        say(f"error of the mesh, {robot}")
         command = [sys.executable, "-m", "benchmarks._mesh_error", robot]
         told = json.loads(run_process(command).splitlines()[-1])
         for what, value in told.items():
             for name in (f"mesh_error_{what}", f"{robot}_mesh_error_{what}"):
                 figures[name] = max(figures.get(name, 0.0), value)
-    return figures
+    return {}, figures
+
+
+_PARTS = {
+    "imports": imports,
+    "starts": starts,
+    "gradients": gradients,
+    "mesh_errors": mesh_errors,
+}
 
 
 def at_home(home: str, folder: Path = ROOT) -> dict[str, str]:

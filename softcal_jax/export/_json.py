@@ -134,8 +134,8 @@ def outlook_dict(
 ) -> dict[str, Any]:
     """Build the content of `identifiability.json`.
 
-    `identifiability` is as in `result.json`, null without configurations; `ranking` has
-    the attributes of `Ranking`, the best candidate first, and is null without any.
+    `identifiability` is as in `result.json`, null without configurations; `ranking` is
+    null without candidates, which have the attributes of `Gain`, the best first.
     """
     from softcal_jax.export.result_file import IDENTIFIABILITY
 
@@ -203,9 +203,9 @@ def comparison_dict(
     """Build the content of `comparison.json`.
 
     `models`, the best first, their `folds` and the `differences` from the first have
-    attributes of `ModelScore`, `FoldScore` and `PairedDifference`; scores and
-    differences are squares in units of the noise. `best` is null if no model predicts
-    everything. `sources` and `settings` are by model, in the order of `made`.
+    attributes of `ModelScore`, `FoldScore` and `PairedDifference`, lengths in mm (_mm);
+    scores and differences are squares in units of the noise. `best` is null if no model
+    predicts everything. `sources` and `settings` are by model, in the order of `made`.
     """
     by_model = {model: made_dict(of, directory) for model, of in (made or {}).items()}
     best = comparison.best

@@ -286,10 +286,10 @@ class ParameterSpace(Module):
         Raises:
             ValueError: If either lacks what a parameter sets.
         """
-        scaled = list(z)
+        scaled = [coordinate for _, coordinate in self._pairs(z)]
         for column, value in zip(columns, own, strict=True):
             scaled[column] = value
-        pairs = self._pairs(scaled)
+        pairs = zip(self.parameters, scaled, strict=True)
         values = {q.name: q.from_scaled(coordinate) for q, coordinate in pairs}
         return self.with_values(model, configuration, values)
 

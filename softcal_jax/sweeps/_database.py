@@ -109,7 +109,7 @@ class SweepDatabase:
                 self.file.execute("DELETE FROM plan")
                 self._write("plan", plan)
             stored = _stored_sweep(self.file, self.path)
-            stored.groups()  # what was edited is refused here, not after the trials
+            _ = stored.rows, [*stored.planned.values()]  # what was edited is refused
         return dict(stored.states)
 
     def _check_definitions(self, definitions: Mapping[str, str]) -> None:

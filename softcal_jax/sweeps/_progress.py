@@ -46,7 +46,8 @@ class Progress:
         if self.rate is None:
             return text
         left = timedelta(seconds=round((self.total - self.ended) / self.rate))
-        return f"{text}, {3600.0 * self.rate:.1f} per hour, {left} left"
+        text += f", {3600.0 * self.rate:.1f} per hour"
+        return f"{text}, {left} left" if left else text
 
 
 class Tally:

@@ -4,6 +4,7 @@ A thick, nearly incompressible neo-Hookean sphere carries at most p = 0.81 mu, a
 inner stretch of 1.9 (`neo_hookean_sphere`).
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +20,7 @@ from softcal_jax.equilibrium import (
     RESULTS,
     LoadPath,
     NewtonSettings,
+    _path,
     check_converged,
     solve_equilibrium,
 )
@@ -88,13 +90,21 @@ def test_a_state_is_that_of_its_volume_imposed(path, state):
     )
 
 
-def test_an_imposed_volume_reaches_the_full_load():
+def test_an_imposed_volume_reaches_the_full_load(monkeypatch):
     """Past the largest pressure, since it is not the pressure that is given."""
+    programs, step = set(), _path._step
+
+    def noted(*inputs):
+        programs.add(str(jax.tree.map(jax.typeof, eqx.filter(inputs, eqx.is_array))))
+        return step(*inputs)
+
+    monkeypatch.setattr(_path, "_step", noted)
     growth = 4.0 / 3.0 * np.pi * (2.5**3 - 1.0)
     lane = arrays(model(), inflated(chamber=ImposedDisplacement(growth)))
     path = solve_equilibrium(model(), lane, path=LoadPath(first=0.5))
     assert bool(path.result == RESULTS.converged)
     assert path.load[-1] == 1.0
+    assert len(programs) == 1, "the first step and the others share one"
     _, pressure, _, _ = solved(model(), chamber=ImposedDisplacement(growth))
     np.testing.assert_allclose(path.multipliers[-1, 0], pressure, rtol=1e-6)
     # The path passes the largest pressure, and the states on both sides are stable.

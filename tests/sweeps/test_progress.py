@@ -39,5 +39,7 @@ def test_workers_that_end_together_are_no_hurry(monkeypatch):
 
 
 def test_words():
+    done = Progress(4, 4, 0, 0, 0, 0.5, None)
+    assert str(done) == "4 of 4 trials, 1800.0 per hour"
     slow = Progress(100, 4, 0, 0, 0, 0.0005, None)
     assert str(slow) == "4 of 100 trials, 1.8 per hour, 2 days, 5:20:00 left"

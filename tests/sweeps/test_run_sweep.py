@@ -66,7 +66,7 @@ def test_resuming_runs_only_what_is_missing(undisturbed, tmp_path):
     assert [row.ended for row in found.rows[:10]] == [row.ended for row in first.rows]
     assert (progress[0].before, progress[0].row) == (10, None)
     assert [now.ended for now in progress] == list(range(10, 25))
-    assert str(progress[-1]).endswith(" 0:00:00 left")
+    assert "left" not in str(progress[-1])
     # A smaller plan keeps the rows that it does not ask for.
     smaller = run_sweep(cheap.measure, cheap.POINTS[:5], path, workers=0)
     assert len(smaller.planned) == 5
