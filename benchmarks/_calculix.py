@@ -21,7 +21,7 @@ from softcal_jax.configurations import (
     Support,
     configuration_arrays,
 )
-from softcal_jax.equilibrium import Model, build_model, solve_from_rest
+from softcal_jax.equilibrium import Model, build_model, solve_equilibrium
 from softcal_jax.exchange.inp import write_inp
 from softcal_jax.materials import (
     AbstractLaw,
@@ -110,10 +110,10 @@ def difference(folder: Path, model: Model, lane: ConfigurationArrays) -> Differe
     """
     write_inp(folder / "job.inp", model, lane)
     theirs = solved_by_calculix(folder, model.mesh.n_nodes)
-    solution = solve_from_rest(model, jax.tree.map(lambda leaf: leaf[None], lane))
-    if not bool(solution.converged[0]):
+    solution = solve_equilibrium(model, lane)
+    if not solution.converged:
         raise RuntimeError("the package finds no equilibrium.")
-    ours = np.asarray(solution.displacement[0])[: model.mesh.n_nodes]
+    ours = np.asarray(solution.displacement)[: model.mesh.n_nodes]
     motion = float(np.linalg.norm(ours, axis=1).max())
     apart = float(np.linalg.norm(theirs - ours, axis=1).max())
     return Difference(apart / motion, motion)

@@ -19,7 +19,6 @@ from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.calibration import (
     CalibrationProblem,
     MultiStartResult,
-    at_rest,
     build_problem,
     multi_start,
 )
@@ -28,7 +27,6 @@ from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Model,
     NewtonSettings,
-    effector_values,
     internal_force,
     solve_equilibrium,
 )
@@ -212,14 +210,12 @@ def _static(problem: CalibrationProblem, lane: ConfigurationArrays, z):
 
 @eqx.filter_jit
 def _gradient(problem: CalibrationProblem, lane: ConfigurationArrays, z):
-    model, rest = problem.space.model_at(problem.model, z), at_rest(problem)[0]
-    response = equilibrium_response(
-        model, lane, rest, problem.space, z, newton=problem.newton, precise=True
-    )
-    found, effectors = response.equilibrium, lane.effectors
-    e = effector_values(model, lane, found.displacement, found.multipliers)
-    weight = jnp.asarray(effectors.inverse_std)
-    error = weight * (e - effectors.measured)
+    model = problem.space.model_at(problem.model, z)
+    solved = solve_equilibrium(model, lane, settings=problem.newton)
+    shared = model, problem.space, problem.newton, z
+    response = equilibrium_response(*shared, lane, solved.displacement)
+    weight = jnp.asarray(lane.effectors.inverse_std)
+    error = weight * (response.effectors - lane.effectors.measured)
     by_parameter = jnp.ravel(weight * error) @ response.W_ep
     return 0.5 * jnp.sum(error**2), by_parameter
 

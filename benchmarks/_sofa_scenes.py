@@ -24,7 +24,12 @@ from softcal_jax.configurations import (
     SurfaceForce,
     configuration_arrays,
 )
-from softcal_jax.equilibrium import Model, NewtonSettings, build_model, solve_from_rest
+from softcal_jax.equilibrium import (
+    Model,
+    NewtonSettings,
+    build_model,
+    solve_equilibrium,
+)
 from softcal_jax.exchange.sofa import PluginElasticity
 from softcal_jax.exchange.sofa._component import SCALES, SofaRelease, component_of
 from softcal_jax.exchange.sofa._configurations import (
@@ -167,7 +172,8 @@ def posed(
     """
     model = build_model(mesh, law, density=DENSITY, actuators=tuple(actuators))
     lanes = configuration_arrays(mesh, configurations, model.mechanism)
-    found = solve_from_rest(model, lanes, NewtonSettings(rtol=1e-12).as_arrays())
+    newton = NewtonSettings(rtol=1e-12)
+    found = jax.vmap(lambda c: solve_equilibrium(model, c, settings=newton))(lanes)
     if not np.all(jax.device_get(found.converged)):
         raise RuntimeError("a configuration has no equilibrium.")
     u = np.asarray(found.displacement)[:, : mesh.n_nodes]

@@ -8,8 +8,8 @@ import numpy as np
 from benchmarks import _sofa_tets
 from benchmarks._cantilever import nearest
 from benchmarks._problem import Figure
-from softcal_jax.configurations import Configuration, configuration_arrays
-from softcal_jax.equilibrium import NewtonSettings, build_model, solve_from_rest
+from softcal_jax.configurations import Configuration
+from softcal_jax.equilibrium import NewtonSettings, build_model, solve_equilibrium
 from softcal_jax.materials import AbstractLaw, Isotropic, SofaCorotational
 from softcal_jax.mesh import TetMesh
 
@@ -69,11 +69,10 @@ def by_package(mesh: TetMesh, law: AbstractLaw) -> np.ndarray:
         RuntimeError: If there is no equilibrium.
     """
     model = build_model(mesh, law, density=DENSITY)
-    lanes = configuration_arrays(mesh, [HANGING])
-    found = solve_from_rest(model, lanes, NewtonSettings(rtol=1e-12).as_arrays())
-    if not bool(found.converged[0]):
+    found = solve_equilibrium(model, HANGING, settings=NewtonSettings(rtol=1e-12))
+    if not found.converged:
         raise RuntimeError("the hanging beam has no equilibrium.")
-    return np.asarray(found.displacement[0])
+    return np.asarray(found.displacement)
 
 
 def by_numpy(mesh: TetMesh, kind: str, E: np.ndarray | float = E) -> np.ndarray:

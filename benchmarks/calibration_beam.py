@@ -37,7 +37,7 @@ from benchmarks._paper import (
 from benchmarks._problem import Better, Figure, Goal, Options, Outcome, Table
 from benchmarks._timing import forget_starts, interleave, median_ms, ratio
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.calibration import CalibrationProblem, at_rest, multi_start
+from softcal_jax.calibration import CalibrationProblem, multi_start
 from softcal_jax.equilibrium import effector_values, energy_and_force, solve_equilibrium
 from softcal_jax.fields import random_starts
 from softcal_jax.sensitivity import equilibrium_response, parameter_compliance
@@ -91,7 +91,7 @@ def run(options: Options) -> Outcome:
     starts = [space.start(), *random_starts(space, STARTS)]
     options.say("compiling")
     _ours(measured.problem, starts[0])
-    _simulate(measured.problem, starts[0], at_rest(measured.problem))
+    _simulate(measured.problem, starts[0], _at_rest(measured.problem))
     rows = []
     for i, start in enumerate(starts):
         options.say(f"start {i + 1} of {len(starts)}")
@@ -110,6 +110,11 @@ def run(options: Options) -> Outcome:
         name: "either" for name in figures if name.startswith("seconds_by_hand")
     }
     return Outcome(figures, samples, goals, [_table(rows)], by_hand)
+
+
+def _at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:
+    n_c = problem.configurations.gravity.shape[0]
+    return jnp.zeros((n_c, problem.model.n_points, 3))
 
 
 def one_start(
@@ -167,7 +172,7 @@ class Residuals:
             warm: Whether equilibria start from the last one; else from rest.
         """
         self.problem, self.warm = problem, warm
-        self.guess = at_rest(problem)
+        self.guess = _at_rest(problem)
         self.count = 0
 
     def solve(self, z: HostArray) -> tuple[HostArray, jax.Array]:
@@ -237,7 +242,7 @@ def parts_of_a_step(measured: MeasuredBeam) -> tuple[dict[str, list[float]], int
     )
     with_newton = eqx.filter_jit(
         lambda model, pose, u, space, z: equilibrium_response(
-            model, pose, u, space, z, newton=problem.newton
+            model, space, problem.newton, z, pose, u
         )
     )
     solution = solve(model, pose)

@@ -134,7 +134,7 @@ def one_size(size: Size) -> tuple[dict[str, Figure], dict[str, list[float]]]:
     u, z = solution.displacement, space.start()
     response = eqx.filter_jit(
         lambda model, lane, u, z: equilibrium_response(
-            model, lane, u, space, z, newton=NewtonSettings()
+            model, space, NewtonSettings(), z, lane, u
         )
     )
     steps = int(response(model, lane, u, z).equilibrium.steps)

@@ -45,7 +45,7 @@ from softcal_jax.calibration import (
     build_problem,
 )
 from softcal_jax.configurations import Configuration, Markers
-from softcal_jax.equilibrium import solve_from_rest
+from softcal_jax.equilibrium import solve_equilibrium
 from softcal_jax.fields import ControlPointParameters, ParameterSpace
 from softcal_jax.identifiability import conditioning
 from softcal_jax.robots import AnisotropicBeam, anisotropic_beam, synthetic_measurements
@@ -159,10 +159,13 @@ def all_markers(
 
 @eqx.filter_jit
 def _compliances(problem: CalibrationProblem, z):
-    solution = solve_from_rest(*problem.at(z), problem.newton)
-    model = problem.model
-    lane = lambda c, u: energy_compliance(model, c, u, problem.space, z)
-    return jax.vmap(lane)(problem.configurations, solution.displacement)
+    model, lanes = problem.at(z)
+
+    def lane(own, posed):
+        u = solve_equilibrium(model, posed, settings=problem.newton).displacement
+        return energy_compliance(problem.model, own, u, problem.space, z)
+
+    return jax.vmap(lane)(problem.configurations, lanes)
 
 
 def condition_numbers(

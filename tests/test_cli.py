@@ -404,7 +404,7 @@ def interrupt(*args, **options):
 def stop_at_the_first_solve(monkeypatch):
     from softcal_jax.calibration import _fit
 
-    monkeypatch.setattr(_fit.Evaluator, "__call__", interrupt)
+    monkeypatch.setattr(_fit.Evaluator, "from_rest", interrupt)
 
 
 def test_demo_writes_its_project(tmp_path, capsys):

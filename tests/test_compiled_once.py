@@ -30,7 +30,6 @@ from softcal_jax.equilibrium import (
     linearise,
     marker_positions,
     sensitivity,
-    solve_from_rest,
 )
 from softcal_jax.fields import set_field
 from softcal_jax.sensitivity import (
@@ -81,7 +80,7 @@ def batch(u, lin):
 
 
 def response(u, lin):
-    return equilibrium_response(MODEL, LANE, u, SPACE, Z, newton=NewtonSettings())
+    return equilibrium_response(MODEL, SPACE, NewtonSettings(), Z, LANE, u)
 
 
 def adjoint(u, lin):
@@ -93,7 +92,6 @@ CALLS = {
     "solve_equilibrium": lambda u, lin: solve_equilibrium(MODEL, LANE),
     "solve_equilibrium, guess": lambda u, lin: solve_equilibrium(MODEL, LANE, guess=u),
     "solve_equilibrium, vmap": batch,
-    "solve_from_rest": lambda u, lin: solve_from_rest(MODEL, LANES),
     "continue_equilibrium": lambda u, lin: continue_equilibrium(
         MODEL, LANE, u, settings=NewtonSettings()
     ),

@@ -17,7 +17,6 @@ from softcal_jax.calibration._configuration_result import (
 from softcal_jax.calibration._evaluation import (
     Evaluation as Evaluation,
     Evaluator as Evaluator,
-    at_rest as at_rest,
     evaluate as evaluate,
 )
 from softcal_jax.calibration._noise import (

@@ -52,7 +52,6 @@ from softcal_jax.equilibrium import (
     check_converged,
     effector_values,
     solve_equilibrium,
-    solve_from_rest,
 )
 from softcal_jax.fields import (
     PRECISION,
@@ -368,7 +367,7 @@ def levenberg_marquardt(
     import optimistix as optx  # here, as it takes a fifth of the package's import time
 
     begin = problem.space.start()
-    guess = as_guess(solve_from_rest(*problem.at(begin), problem.newton))
+    guess = as_guess(evaluate(problem, begin).equilibrium)
 
     def errors(z, problem: CalibrationProblem):
         model, configurations = problem.at(z)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._files import digest_of
-from softcal_jax._lanes import stacked
+from softcal_jax._lanes import lane_of, stacked
 from softcal_jax._module import Module, one_line
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.calibration._noise import CorrelatedNoise
@@ -27,7 +27,6 @@ from softcal_jax.equilibrium import (
     Program,
     Report,
     Workers,
-    as_guess,
     effectors_on_all_cores,
     equilibria,
 )
@@ -106,28 +105,6 @@ def effector_errors(
 
 
 @eqx.filter_jit
-def evaluate_lane(
-    problem: CalibrationProblem,
-    z: Float[Array, " n_p"],
-    configuration: ConfigurationArrays,
-    guess: Float[Array, "n_points 3"],
-    before: Float[Array, "n_points 3"],
-    precise: bool | Bool[Array, ""] = False,
-) -> Response:
-    """Compute the `equilibrium_response` of one configuration."""
-    return equilibrium_response(
-        problem.model,
-        configuration,
-        guess,
-        problem.space,
-        z,
-        newton=problem.newton,
-        before=before,
-        precise=precise,
-    )
-
-
-@eqx.filter_jit
 def weighed(
     problem: CalibrationProblem, z: Float[Array, " n_p"], response: Response
 ) -> Evaluation:
@@ -140,15 +117,17 @@ def weighed(
     return Evaluation(response, delta_e, rows, finite)
 
 
-def at_rest(problem: CalibrationProblem) -> Float[Array, "n_c n_points 3"]:
-    """Return displacements of zero, as a guess [m]."""
-    n_c = problem.configurations.gravity.shape[0]
-    return jnp.zeros((n_c, problem.model.n_points, 3))
-
-
 @eqx.filter_jit
 def _posed(problem: CalibrationProblem, z) -> tuple[Model, ConfigurationArrays]:
     return problem.at(z)
+
+
+def _counted(step: Response, solution: EquilibriumSolution) -> Response:
+    """Return a step that closed an equilibrium, with the iterations that found it."""
+    closed, counts = step.equilibrium, ("steps", "load_steps")
+    own = {name: getattr(solution, name) for name in counts}
+    found = replace(closed, **own) if closed.converged else solution
+    return step._replace(equilibrium=found)
 
 
 class Evaluator:
@@ -178,7 +157,8 @@ class Evaluator:
         alone = self.numbered.with_noise(None)
         self.shared = eqx.tree_at(where, alone, (None, space))
         self.lanes = list(problem.configurations)
-        self._program = Program(evaluate_lane, self.shared)
+        of_all = self.shared.model, space, self.shared.newton
+        self._program = Program(equilibrium_response, *of_all)
 
     def with_space(self, space: ParameterSpace) -> "Evaluator":
         """Return an evaluator of the same lanes with another order, chart or pin."""
@@ -199,19 +179,60 @@ class Evaluator:
         guess: Float[Array, "n_c n_points 3"],
         before: Float[Array, "n_c n_points 3"] | None = None,
         precise: bool | Bool[Array, ""] = False,
+        *,
+        lanes: Sequence[int] | None = None,
     ) -> Response:
-        """Compute equilibria and compliances W_ep (paper Eq. 9) of all lanes.
+        """Compute equilibria and compliances W_ep (paper Eq. 9).
+
+        What is not near its guess is solved as from rest.
 
         Args:
             z: Scaled parameters [-].
             guess: Displacements to start from [m].
             before: Equilibria that the guess extrapolates to first order, if any [m].
             precise: Whether the compliances are exact, see `equilibrium_response`.
+            lanes: Indices of the configurations, by default of all.
         """
-        before = guess if before is None else before
-        lanes = zip(self.lanes, guess, before, strict=True)
-        arguments = [(z, *lane, jnp.asarray(precise)) for lane in lanes]
-        return stacked(self.workers.map(self._program, arguments))
+        lanes = range(len(self.lanes)) if lanes is None else lanes
+        far, found = list(range(len(lanes))), dict[int, Response]()
+        if self.problem.model.solver.counts_negative:
+            steps = self._near(lanes, z, guess, before, precise)
+            found = dict(enumerate(steps))
+            far = [k for k, step in found.items() if not step.equilibrium.converged]
+        if far:
+            which = [lanes[k] for k in far]
+            start = lane_of(guess, np.asarray(far))
+            solution = self.equilibria(z, lanes=which, guess=start)
+            found |= zip(far, self.closed(which, z, solution, precise), strict=True)
+        return stacked([found[k] for k in range(len(lanes))])
+
+    def _near(
+        self,
+        lanes: Sequence[int],
+        z: Float[Array, " n_p"],
+        guess: Float[Array, "n_lanes n_points 3"],
+        before: Float[Array, "n_lanes n_points 3"] | None,
+        precise: bool | Bool[Array, ""],
+    ) -> list[Response]:
+        states = zip(guess, guess if before is None else before, strict=True)
+        each, exact = zip(lanes, states, strict=True), jnp.asarray(precise)
+        arguments = [(z, self.lanes[c], *state, exact) for c, state in each]
+        return self.workers.map(self._program, arguments)
+
+    def closed(
+        self,
+        lanes: Sequence[int],
+        z: Float[Array, " n_p"],
+        solution: EquilibriumSolution,
+        precise: bool | Bool[Array, ""] = False,
+    ) -> list[Response]:
+        """Add the compliances to equilibria that were solved.
+
+        The step on the factor that they need anyway takes the error from `rtol` down to
+        rounding, so that a fit compares costs of equally exact equilibria.
+        """
+        steps = self._near(lanes, z, solution.displacement, None, precise)
+        return [_counted(step, lane_of(solution, k)) for k, step in enumerate(steps)]
 
     def __call__(
         self,
@@ -228,19 +249,26 @@ class Evaluator:
         self, lane: int, z: Float[Array, " n_p"], guess: Float[Array, "n_points 3"]
     ) -> Response:
         """Compute equilibrium and compliances of one lane, not `precise`."""
-        arguments = (z, self.lanes[lane], guess, guess, jnp.asarray(False))
-        return self.workers.map(self._program, [arguments])[0]
+        return lane_of(self.response(z, guess[None], lanes=[lane]), 0)
 
     def posed(self, z: Float[Array, " n_p"]) -> tuple[Model, ConfigurationArrays]:
         """Return model and configurations with scaled parameters set [-]."""
         return _posed(self.numbered.with_noise(None), z)
 
     def equilibria(
-        self, z: Float[Array, " n_p"], report: Report | None = None
+        self,
+        z: Float[Array, " n_p"],
+        report: Report | None = None,
+        *,
+        lanes: Sequence[int] | None = None,
+        guess: Float[Array, "n_lanes n_points 3"] | None = None,
     ) -> EquilibriumSolution:
-        """Solve the equilibria from rest; see the function of this name."""
-        posed, newton = self.posed(z), self.problem.newton
-        return equilibria(self.workers, *posed, newton, report=report)
+        """Solve equilibria, by default from rest: see the function of this name."""
+        (model, configurations), newton = self.posed(z), self.problem.newton
+        if lanes is not None:
+            configurations = lane_of(configurations, np.asarray(lanes))
+        run = self.workers, model, configurations, newton
+        return equilibria(*run, guess=guess, report=report)
 
     def effectors(
         self, z: Float[Array, " n_p"], solution: EquilibriumSolution
@@ -248,18 +276,18 @@ class Evaluator:
         """Compute effector coordinates at these equilibria."""
         return effectors_on_all_cores(self.workers, *self.posed(z), solution)
 
-    def from_rest(self, z: Float[Array, " n_p"]) -> Evaluation:
-        """Evaluate without a guess from another evaluation, see `solve_from_rest`.
+    def from_rest(
+        self, z: Float[Array, " n_p"], report: Report | None = None
+    ) -> Evaluation:
+        """Evaluate without a guess from another evaluation, see `equilibria`.
 
         What the last starts gave is not computed again where only the data differ.
         """
         start = self._without_data(z)
         response = _FROM_REST.pop(start, None)
         if response is None:
-            guess = at_rest(self.problem)
-            if self.problem.model.mechanism.bodies.n_bodies > 0:
-                guess = as_guess(self.equilibria(z))
-            response = self.response(z, guess)
+            every = range(len(self.lanes))
+            response = stacked(self.closed(every, z, self.equilibria(z, report)))
         _FROM_REST[start] = response
         for oldest in list(_FROM_REST)[:-MOST_KEPT]:
             _FROM_REST.pop(oldest, None)

@@ -28,7 +28,6 @@ from softcal_jax.equilibrium import (
     LoadPath,
     Model,
     Report,
-    equilibria,
     solve_equilibrium,
 )
 from softcal_jax.fields import ParameterSpace, SetupParameter
@@ -201,21 +200,14 @@ def _solve_group(
     evaluate: Evaluator, chain: _Chain, group: Sequence[int], report: Report
 ) -> None:
     """Solve configurations from rest; rigid bodies go on from the one before."""
-    model, lanes = evaluate.posed(chain.z)
-    bodies, settings = model.mechanism.bodies.n_bodies > 0, evaluate.problem.newton
-    guess = chain.before if bodies else jnp.zeros_like(chain.before)
+    bodies = evaluate.problem.model.mechanism.bodies.n_bodies > 0
+    guess = (chain.before if bodies else jnp.zeros_like(chain.before))[None]
     for i in group:
-        solution = equilibria(
-            evaluate.workers,
-            model,
-            lane_of(lanes, slice(i, i + 1)),
-            settings,
-            guess=guess[None],
-            report=lambda _, load, steps, i=i: report(i, load, steps),
-        )
+        own = lambda _, load, steps, i=i: report(i, load, steps)
+        solution = evaluate.equilibria(chain.z, own, lanes=[i], guess=guess)
         if solution.converged[0]:
-            guess = solution.displacement[0]
-            chain.solved[i] = evaluate.response_of(i, chain.z, guess)
+            guess = solution.displacement
+            (chain.solved[i],) = evaluate.closed([i], chain.z, solution)
 
 
 def _follow_paths(

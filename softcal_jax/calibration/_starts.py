@@ -31,7 +31,6 @@ from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.equilibrium import (
     EquilibriumProgress,
     EquilibriumSolution,
-    Report,
     Workers,
     no_equilibrium,
     reports_of,
@@ -92,9 +91,10 @@ def begin(
     """
     space, raised, factor = evaluate.problem.space, z, 1.0
     report = partial(reports_of, progress, names)
-    solution, evaluation = _first_equilibria(evaluate, z, report())
-    if evaluation is not None:
-        return Start(evaluate, z, evaluation, ())
+    first = evaluate.from_rest(z, report())
+    solution = first.equilibrium
+    if solution.converged.all():
+        return Start(evaluate, z, first, ())
     without = no_equilibrium(solution, names)
     note = f"No equilibrium at the start values. {_reached(solution, names)}"
     for _ in range(MOST_RAISES):
@@ -102,8 +102,9 @@ def begin(
         if np.array_equal(stiffer, raised):
             break
         raised, factor = stiffer, STIFFER * factor
-        solution, evaluation = _first_equilibria(evaluate, raised, report(factor))
-        if evaluation is not None:
+        evaluation = evaluate.from_rest(raised, report(factor))
+        solution = evaluation.equilibrium
+        if solution.converged.all():
             note += f" The fit began with stiffer moduli: {_values(space, raised)}."
             return Start(evaluate, raised, evaluation, (note,))
     if raised is z:
@@ -113,17 +114,6 @@ def begin(
         f"({_values(space, raised)}).\n{_reached(solution, names)}\nRaise the upper "
         "bounds, or check loads, units and supports."
     )
-
-
-def _first_equilibria(
-    evaluate: Evaluator, z: Float[Array, " n_p"], report: Report | None
-) -> tuple[EquilibriumSolution, Evaluation | None]:
-    """Return the equilibria, and their evaluation if all configurations have one."""
-    evaluation = evaluate.from_rest(z) if report is None else None
-    solution = evaluation.equilibrium if evaluation else evaluate.equilibria(z, report)
-    if not bool(jnp.all(solution.converged)):
-        return solution, None
-    return solution, evaluation or evaluate(z, solution.displacement)
 
 
 def _moduli(space: ParameterSpace) -> Bool[HostArray, " n_p"]:

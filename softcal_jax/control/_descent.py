@@ -8,9 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._results import RESULTS
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import QPStep
-from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.control._compliance import (
     ActuatorCompliance,
     ActuatorReadings,
@@ -37,8 +36,6 @@ from softcal_jax.control._step import (
 )
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
-    Model,
-    NewtonSettings,
     solve_equilibrium,
 )
 
@@ -99,23 +96,16 @@ def reached(
     lower, upper = command.box()
     value = np.clip(value, lower, upper)
     lane = with_inputs(command.lane, jnp.asarray(value))
-    newton = command.settings.newton.as_arrays()
-    solution, state = _equilibrium(command.model, lane, jnp.asarray(guess), newton)
+    start, newton = jnp.asarray(guess), command.settings.newton
+    solution = solve_equilibrium(command.model, lane, guess=start, settings=newton)
+    state = _readings(command.model, lane, solution)
     wound = np.maximum(value, np.minimum(state.displacements, upper))
     cable = command.model.mechanism.actuators.unilateral
     cable = cable & np.asarray(lane.actuation.by_displacement) & (upper > lower)
     return Reached(np.where(cable, wound, value), solution, state)
 
 
-@eqx.filter_jit
-def _equilibrium(
-    model: Model,
-    configuration: ConfigurationArrays,
-    guess: Float[Array, "n_points 3"],
-    newton: NewtonSettings,
-) -> tuple[EquilibriumSolution, ActuatorReadings]:
-    solution = solve_equilibrium(model, configuration, guess=guess, settings=newton)
-    return solution, actuator_readings(model, configuration, solution)
+_readings = eqx.filter_jit(actuator_readings)
 
 
 def differentiated(command: Command, there: Reached) -> Arrival:

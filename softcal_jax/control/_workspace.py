@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,12 +16,14 @@ from softcal_jax.configurations import (
     actuation_arrays,
     configuration_lanes,
 )
-from softcal_jax.control._compliance import actuator_readings, with_inputs
+from softcal_jax.control._compliance import with_inputs
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
     Model,
     NewtonSettings,
-    solve_equilibrium,
+    Workers,
+    effectors_on_all_cores,
+    equilibria,
 )
 
 
@@ -55,7 +56,7 @@ def sample_workspace(
     *,
     settings: NewtonSettings | None = None,
 ) -> Workspace:
-    """Compute the effectors for many actuations, each solved from rest, by one `vmap`.
+    """Compute the effectors for many actuations, each solved from rest, on all cores.
 
     Args:
         model: The model.
@@ -91,8 +92,12 @@ def sample_workspace(
         which = f"{configuration.name}, sample {i}"
         values.append(actuation_arrays(mechanism, asked, which).value)
     lane = jax.tree.map(lambda leaf: leaf[0], lanes.arrays)
-    newton = (settings or NewtonSettings()).as_arrays()
-    solution, found = _sample(model, lane, np.array(values), newton)
+    each = [with_inputs(lane, jnp.asarray(value)) for value in values]
+    rest = jnp.zeros((len(each), model.n_points, 3))
+    with Workers(model, len(each)) as workers:
+        newton = settings or NewtonSettings()
+        solution = equilibria(workers, model, each, newton, guess=rest)
+        found = effectors_on_all_cores(workers, model, each, solution)
     effectors: dict[str, list] = {}
     for record in lanes.effectors[0]:
         own = np.asarray(found)[:, record.index]
@@ -112,14 +117,3 @@ def sample_workspace(
         solution=solution,
         failures=tuple(failures),
     )
-
-
-@eqx.filter_jit
-def _sample(model, configuration, values, newton):
-    def one(value):
-        lane = with_inputs(configuration, value)
-        solution = solve_equilibrium(model, lane, settings=newton)
-        effectors = actuator_readings(model, lane, solution).effectors
-        return solution, jnp.where(solution.converged, effectors, jnp.nan)
-
-    return jax.vmap(one)(values)

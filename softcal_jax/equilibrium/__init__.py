@@ -77,7 +77,6 @@ from softcal_jax.equilibrium._solution import (
 from softcal_jax.equilibrium._solve import (
     lanes as lanes,
     solve_equilibrium as solve_equilibrium,
-    solve_from_rest as solve_from_rest,
 )
 from softcal_jax.equilibrium._workers import (
     Program as Program,

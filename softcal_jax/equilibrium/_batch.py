@@ -1,7 +1,7 @@
 """Equilibria of a batch, on all cores, with their progress."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -16,7 +16,11 @@ from softcal_jax.equilibrium._effectors import effector_values
 from softcal_jax.equilibrium._model import Model
 from softcal_jax.equilibrium._newton import NewtonSettings
 from softcal_jax.equilibrium._solution import EquilibriumSolution
-from softcal_jax.equilibrium._solve import begin_newton, continue_newton
+from softcal_jax.equilibrium._solve import (
+    begin_newton,
+    continue_newton,
+    without_readings,
+)
 from softcal_jax.equilibrium._workers import Program, Workers
 
 STEPS_BETWEEN = 2
@@ -79,7 +83,7 @@ def reports_of(
 def equilibria(
     workers: Workers,
     model: Model,
-    configurations: ConfigurationArrays,
+    configurations: Iterable[ConfigurationArrays],
     newton: NewtonSettings,
     *,
     guess: Float[Array, "n_c n_points 3"] | None = None,
@@ -87,22 +91,25 @@ def equilibria(
 ) -> EquilibriumSolution:
     """Solve the equilibria of all configurations on all cores.
 
-    The program is compiled once for any number of lanes. `solve_from_rest` solves a
-    batch inside a compiled or differentiated program, and `Evaluator` adds the errors
-    and compliances of a calibration.
+    The program is compiled once for any number of lanes. Inside a program a `vmap` of
+    `solve_equilibrium` solves a batch; `Evaluator` adds the errors and compliances of a
+    calibration.
 
-    By default each begins at rest, with rigid bodies at the configuration before, as in
-    `solve_from_rest`. `report` is called after every few iterations of one of them.
+    By default each begins at rest; with rigid bodies, at the configuration before:
+    poses of a robot lie near each other, and far from its parts before they are
+    mounted. `report` is called after every few iterations of one of them.
     """
-    lanes, settings = list(configurations), newton.as_arrays()
+    lanes = list(map(without_readings, configurations))
+    settings = newton.as_arrays()
     most = int(newton.max_steps)
     steps = jnp.asarray(most if report is None else STEPS_BETWEEN)
+    first = Program(begin_newton, model, settings)
     program = Program(continue_newton, model, settings, steps)
     solutions: dict[int, EquilibriumSolution] = {}
 
     def solve(starts: dict[int, Float[Array, "n_points 3"]]) -> None:
-        begin = lambda c, start: begin_newton(model, lanes[c], start, settings)
-        states = {c: begin(c, start) for c, start in starts.items()}
+        begun = workers.map(first, [(lanes[c], u) for c, u in starts.items()])
+        states = dict(zip(starts, begun, strict=True))
         while states:
             under_way = list(states)
             ends = workers.map(program, [(lanes[c], states[c]) for c in under_way])
@@ -133,7 +140,7 @@ compiled_effectors = eqx.filter_jit(effector_values)  # one program for all call
 def effectors_on_all_cores(
     workers: Workers,
     model: Model,
-    configurations: ConfigurationArrays,
+    configurations: Iterable[ConfigurationArrays],
     solution: EquilibriumSolution,
 ) -> Float[Array, "n_c n_rows 3"]:
     """Compute the effector coordinates of a batch, on all cores."""

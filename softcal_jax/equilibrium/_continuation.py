@@ -4,6 +4,7 @@ After a step of the parameters, x + (dx/dp) dp is close to the new equilibrium, 
 or two full Newton steps reach it.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -27,15 +28,14 @@ from softcal_jax.equilibrium._bordered import zeros_of
 from softcal_jax.equilibrium._direction import (
     Factor,
     Step,
-    has_volume_unknowns,
+    dilatation,
     newton_direction,
 )
-from softcal_jax.equilibrium._linearisation import Linearisation, linearise
+from softcal_jax.equilibrium._linearisation import Linearisation
 from softcal_jax.equilibrium._model import Model, Nodal
-from softcal_jax.equilibrium._newton import NewtonLoop, NewtonSettings, newton
+from softcal_jax.equilibrium._newton import NewtonSettings
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._solution import EquilibriumSolution
-from softcal_jax.equilibrium._solve import as_solution
 
 MAX_QUICK_STEPS = 5
 """Full Newton steps after which the guess counts as bad."""
@@ -69,7 +69,7 @@ class _Quick(NamedTuple):
     `before` is where the last step began, or where it ended if the residual is small
     (`SHORT`), and `sharp` tells whether it is below `SHARP`. `factor` belongs to the
     last Newton step; with `chord` the next step reuses it. `arrived`: converged, at
-    most one more factorization is needed. `robust`: the careful solve comes next.
+    most one more factorization is needed.
     """
 
     solution: EquilibriumSolution
@@ -81,7 +81,6 @@ class _Quick(NamedTuple):
     chord: Bool[Array, ""]
     arrived: Bool[Array, ""]
     step: Int[Array, ""]
-    robust: Bool[Array, ""]
     done: Bool[Array, ""]
 
 
@@ -97,30 +96,35 @@ def continue_equilibrium(
 ) -> tuple[EquilibriumSolution, Linearisation]:
     """Find the equilibrium near a guess, and the linear system there.
 
-    Full Newton steps are taken as long as each reduces the residual, the state is
-    stable and no tet is inverted; otherwise the careful method of `solve_equilibrium`
-    takes over. The last digits come from steps on the last factor (chord steps). The
-    linear system is stated at the equilibrium, but its tangent is that before the last
-    Newton step, so its error is of the order of that step; if `precise`, one more step
-    brings it below `SHARP`. (The rows of the parameters are not taken from there, or a
-    direction without any effect would seem to have one.)
+    Full Newton steps are taken, from rest one, as long as each reduces the residual,
+    the state is stable and no tet is inverted. Otherwise the solution is not converged:
+    that of `solve_equilibrium` is a guess from which one step is enough. It is all that
+    is taken where the solver does not count negative eigenvalues, as several could end
+    in an unstable state unnoticed.
+
+    The last digits come from steps on the last factor (chord steps). The linear system
+    is stated at the equilibrium, but its tangent is that before the last Newton step,
+    so its error is of the order of that step; if `precise`, one more step brings it
+    below `SHARP`. (The rows of the parameters are not taken from there, or a direction
+    without any effect would seem to have one.)
 
     `before` is the equilibrium from which the guess was extrapolated to first order; it
     saves slender robots a Newton step [m].
     """
-    if not model.solver.counts_negative or has_volume_unknowns(model):
-        # Without a count of negative eigenvalues a quick step could end in an unstable
-        # state unnoticed; in a nearly incompressible mesh it hardly ever converges.
-        state = newton(model, configuration, guess, settings)
-        solution = as_solution(state, settings)
-        u, lambda_a = solution.displacement, solution.multipliers
-        return solution, linearise(model, configuration, u, lambda_a)
     posed = Posed.of(model, configuration)
-    quick = _QuickSteps(posed.tabulated(), settings, precise)
+    # From rest several could end on another branch.
+    several = model.solver.counts_negative & jnp.any(guess != 0.0)
+    most = jnp.where(several, MAX_QUICK_STEPS, 1)
+    quick = _QuickSteps(posed.tabulated(), settings, precise, most)
     start = quick.start(guess, before)
     state = jax.lax.while_loop(lambda s: ~s.done, quick.step, start)
     u, lambda_a = state.solution.displacement, state.solution.multipliers
-    return state.solution, Linearisation(
+    # Without an equilibrium, no displacement may be mistaken for one.
+    or_nan = lambda a: jnp.where(state.solution.converged, a, jnp.nan)
+    solution = replace(
+        state.solution, displacement=or_nan(u), multipliers=or_nan(lambda_a)
+    )
+    return solution, Linearisation(
         posed=posed,
         at=state.at._replace(u=u),
         lambda_a=lambda_a,
@@ -138,6 +142,7 @@ class _QuickSteps(NamedTuple):
     posed: Posed
     settings: NewtonSettings
     precise: bool | Bool[Array, ""]
+    most: Int[Array, ""]
 
     @property
     def model(self) -> Model:
@@ -149,15 +154,26 @@ class _QuickSteps(NamedTuple):
         held = posed.held_at(rigid)
         at = evaluate(self.model, held)
         usable = at.finite & (at.min_det_F > 0.0)
-        # After a moved support, or from rest, only the careful solve is safe.
+        # After a moved support, only the careful solve is safe.
         usable = usable & ~jnp.any(posed.motion(rigid, held) != 0.0)
-        usable = usable & jnp.any(guess != 0.0)
         lambda_a = estimated_forces(posed, at)
-        no = jnp.zeros((), bool)
-        unsolved = NewtonLoop(posed, self.settings).start_at(at, at.u)
+        no, zero = jnp.zeros((), bool), jnp.zeros(())
+        count = jnp.zeros((), jnp.int32)
         before, size = at.u if before is None else before, self.residual(at, lambda_a)
         return _Quick(
-            solution=as_solution(unsolved, self.settings),
+            solution=EquilibriumSolution(
+                displacement=at.u,
+                multipliers=lambda_a,
+                result=RESULTS.max_steps,
+                steps=count,
+                load_steps=count,
+                load_reached=zero,
+                residual=zero + jnp.inf,
+                rounding=zero,
+                at_rounding=no,
+                min_det_F=at.min_det_F,
+                n_negative=count,
+            ),
             at=at,
             before=jnp.where(size <= SHORT, at.u, before),
             sharp=size <= SHARP,
@@ -166,15 +182,9 @@ class _QuickSteps(NamedTuple):
             factor=zeros_of(lambda: self.newton_step(at, lambda_a, at.u)[1]),
             chord=no,
             arrived=no,
-            step=jnp.zeros((), jnp.int32),
-            robust=~usable,
-            done=no,
+            step=count,
+            done=~usable,
         )
-
-    def careful(self, s: _Quick) -> tuple[EquilibriumSolution, Point, Array]:
-        loop = NewtonLoop(self.posed, self.settings)
-        state = loop.run(loop.start_at(s.at, s.at.u), self.settings.max_steps)
-        return as_solution(state, self.settings), state.at, state.lambda_a
 
     def residual(self, at: Point, lambda_a):
         """Compute the relative out-of-balance force, without gaps of actuators."""
@@ -182,7 +192,14 @@ class _QuickSteps(NamedTuple):
         return relative(self.posed, at, size, jnp.zeros((), at.u.dtype)).size
 
     def newton_step(self, at: Point, lambda_a, before) -> tuple[Step, Factor]:
-        found = newton_direction(self.posed, at, lambda_a, before=before, placed=True)
+        found = newton_direction(
+            self.posed,
+            at,
+            lambda_a,
+            theta=dilatation(self.model, None, before, at.u - before),
+            before=before,
+            placed=True,
+        )
         return found.step, found.factor
 
     def chord_step(self, s: _Quick) -> tuple[Step, Factor]:
@@ -192,40 +209,35 @@ class _QuickSteps(NamedTuple):
         return Step(d, s.lambda_a, jnp.zeros_like(s.lambda_a)), s.factor
 
     def step(self, s: _Quick) -> _Quick:
-        """Take a Newton step, after a careful solve if one is due, or a chord step."""
-        solution, at, lambda_a = jax.lax.cond(
-            s.robust, self.careful, lambda s: (s.solution, s.at, s.lambda_a), s
-        )
-        was_careful, posed, rtol = s.robust, self.posed, self.settings.rtol
-        before = jnp.where(was_careful, at.u, s.before)
-        newton_step = lambda: self.newton_step(at, lambda_a, before)
+        """Take a Newton step, or a chord step."""
+        posed, rtol, solution = self.posed, self.settings.rtol, s.solution
+        newton_step = lambda: self.newton_step(s.at, s.lambda_a, s.before)
         if self.model.with_multiplier.size > 0:
             step, factor = newton_step()
         else:
             step, factor = jax.lax.cond(
-                s.chord & ~was_careful, lambda: self.chord_step(s), newton_step
+                s.chord, lambda: self.chord_step(s), newton_step
             )
-        new = evaluate(self.model, posed.move(at.u, step.d))
+        new = evaluate(self.model, posed.move(s.at.u, step.d))
         new_lambda = step.lambda_a + step.d_lambda
         size = merit(posed, new, new_lambda, factor.gap_stiffness)
         residual = relative(posed, new, size, factor.stiffness)
-        stable = factor.ok & (factor.n_negative == 0) & (new.min_det_F > 0.0)
+        # Where they are not counted, the guess is an equilibrium or the step is wasted.
+        stable = factor.ok & (factor.n_negative <= 0) & (new.min_det_F > 0.0)
         sound = stable & jnp.isfinite(new.energy) & jnp.isfinite(residual.size)
         arrived = sound & residual.settled(rtol)
         falls = residual.size <= solution.residual
         n_newton = s.step + (~s.chord).astype(s.step.dtype)
-        contracts = s.chord | (sound & falls & (n_newton < MAX_QUICK_STEPS))
-        counted = ~s.chord & ~was_careful
+        contracts = s.chord | (sound & falls & (n_newton < self.most))
         # The residual says nothing of gaps that actuators still have to close.
-        sharp = s.sharp & counted & (self.model.with_multiplier.size == 0)
-        exact = s.arrived | sharp | ~jnp.asarray(self.precise)
-        last = arrived & exact
+        sharp = s.sharp & ~s.chord & (self.model.with_multiplier.size == 0)
+        last = arrived & (s.arrived | sharp | ~jnp.asarray(self.precise))
         quick = EquilibriumSolution(
             displacement=new.u,
             multipliers=new_lambda,
-            result=RESULTS.converged,
-            steps=solution.steps + counted.astype(solution.steps.dtype),
-            load_steps=jnp.where(was_careful, solution.load_steps, 1),
+            result=RESULTS.where(arrived, RESULTS.converged, RESULTS.max_steps),
+            steps=n_newton,
+            load_steps=jnp.ones_like(n_newton),
             load_reached=jnp.ones_like(residual.size),
             residual=residual.size,
             rounding=residual.rounding,
@@ -233,29 +245,23 @@ class _QuickSteps(NamedTuple):
             min_det_F=new.min_det_F,
             n_negative=factor.n_negative,
         )
-        # A careful solution is an equilibrium already. The step on the factor that the
-        # sensitivities need anyway takes its error from rtol down to rounding, so that
-        # a fit compares costs of equally exact equilibria.
-        closer = jnp.where(was_careful, solution.converged & falls, falls | ~s.chord)
-        taken = sound & closer
+        taken = sound & (falls | ~s.chord)
         # Extrapolate the fall of the residual: will a few chord steps be enough?
         rate = residual.size / solution.residual
         to_come = residual._replace(size=residual.size * rate**MOST_CHORDS)
         near = residual.size <= CHORDS_FROM
         close = jnp.where(s.chord, to_come.settled(rtol), near)
         pick = lambda a, b: jnp.where(taken, a, b)
-        solution = jax.tree.map(pick, quick, solution)
         size = self.residual(new, new_lambda)
         return _Quick(
-            solution=solution,
-            at=jax.tree.map(pick, new, at),
-            before=jnp.where(taken & (size <= SHORT), new.u, at.u),
+            solution=jax.tree.map(pick, quick, solution),
+            at=jax.tree.map(pick, new, s.at),
+            before=jnp.where(taken & (size <= SHORT), new.u, s.at.u),
             sharp=taken & (size <= SHARP),
-            lambda_a=pick(new_lambda, lambda_a),
+            lambda_a=pick(new_lambda, s.lambda_a),
             factor=factor,
             chord=taken & ~arrived & close,
             arrived=arrived,
             step=n_newton,
-            robust=~was_careful & ~arrived & ~contracts,
-            done=was_careful | last,
+            done=last | ~(arrived | contracts),
         )

@@ -95,9 +95,9 @@ def newton_direction(
 ) -> NewtonDirection:
     """Compute the Newton step at a deformed state.
 
-    The mixed formulation needs the volume ratios `theta`, and whether only steps that
-    lower the potential are taken. `before`: see `tangent_values`. `placed`: what is
-    held is known to be where it is imposed.
+    The mixed formulation needs the volume ratios `theta`; if `strict`, where only steps
+    that lower the potential are taken, those at u count instead. `before`: see
+    `tangent_values`. `placed`: what is held is known to be where it is imposed.
     """
     model, u = posed.model, at.u
     held_step = jnp.zeros_like(u) if placed else posed.imposed(u)
@@ -107,9 +107,10 @@ def newton_direction(
     lambda_a = jnp.where(active, lambda_a, 0.0)
     if has_volume_unknowns(model):
         assert theta is not None
-        assert strict is not None
-        at_u = dilatation(model, theta, u, jnp.zeros_like(u))
-        values, force = mixed_tangent(model, u, jnp.where(strict, at_u, theta))
+        if strict is not None:
+            at_u = dilatation(model, theta, u, jnp.zeros_like(u))
+            theta = jnp.where(strict, at_u, theta)
+        values, force = mixed_tangent(model, u, theta)
     else:
         values, force = tangent_values(model, u, before), at.force
     tangent = assemble(posed, at, lambda_a, mesh=values, active=active)

@@ -113,7 +113,8 @@ class Linearisation(Module):
         if self.differentiable:
             assert not transpose, "autodiff transposes these solutions itself"
             return _solve_linearly(self.posed.model, self.system, force, gap)
-        if not self.factorized:
+        symmetric = self.posed.model.solver.sparsity.symmetric
+        if not self.factorized or (transpose and not symmetric):
             return solve(force, gap)
         ok = self.regular & jnp.all(jnp.isfinite(force)) & jnp.all(jnp.isfinite(gap))
         again = lambda: self._on_last_factors(solve, force, gap)

@@ -288,10 +288,8 @@ class NewtonLoop:
         )
 
     def start(self, u0: Nodal) -> NewtonState:
-        return self.start_at(evaluate(self.model, self.posed.rigid(u0)), u0)
-
-    def start_at(self, guess: Point, u0: Nodal) -> NewtonState:
-        """Begin at a guess `u0`, evaluated with its bodies rigid."""
+        """Begin at a guess `u0`, with its bodies made rigid."""
+        guess = evaluate(self.model, self.posed.rigid(u0))
         zero, one = jnp.zeros((), u0.dtype), jnp.ones((), u0.dtype)
         rest, count = at_rest(self.model), jnp.zeros((), jnp.int32)
         # Rest is a better start than inverted tets or infinite energy.

@@ -100,7 +100,8 @@ class Sensitivity(NamedTuple):
     """Derivatives of an equilibrium by its inputs; zero if the tangent is not `ok`.
 
     W_ep is the change of each reading per unit of each input, in its unit. Changes of
-    displacement, free unknowns [m] and multipliers, by rows, are None if adjoint.
+    displacement, free unknowns [m] and multipliers, by rows, are None if adjoint, and
+    the readings if nothing is read.
     """
 
     W_ep: Float[Array, "*batch n_e n"]
@@ -108,6 +109,7 @@ class Sensitivity(NamedTuple):
     displacement: Float[Array, "*batch n n_points 3"] | None = None
     unknowns: Float[Array, "*batch n n_dof"] | None = None
     multipliers: Float[Array, "*batch n n_a"] | None = None
+    readings: Float[Array, "*batch n_e"] | None = None
 
     __repr__ = one_line
 
@@ -132,11 +134,11 @@ def sensitivity(
         H = adjoint_rows(lin, readings)
         _check_readings(rows, len(H.state))
         W = H.state @ rows.force.T + H.gap @ rows.gap.T + rows.reading.T
-        return Sensitivity(W, H.ok)
+        return Sensitivity(W, H.ok, readings=H.readings)
     solved = lin.solve(rows.force, rows.gap)
     moved = lin.scatter(solved.x)
     changed = lin.posed.model.among_all(solved.lambda_a)
-    W = rows.reading.T
+    W, value = rows.reading.T, None
     if readings is not None:
         at_inputs = _at_fixed_inputs(lin, readings)
         value, slope = jax.linearize(at_inputs, lin.u, lin.lambda_a)
@@ -149,6 +151,7 @@ def sensitivity(
         displacement=rows.held + moved,
         unknowns=solved.x,
         multipliers=changed,
+        readings=value,
     )
 
 
@@ -167,6 +170,7 @@ class AdjointRows(NamedTuple):
     state: Float[Array, "n_e n_dof"]
     gap: Float[Array, "n_e n_m"]
     ok: Bool[Array, ""]
+    readings: Float[Array, " n_e"]
 
 
 @eqx.filter_jit
@@ -177,7 +181,7 @@ def adjoint_rows(linearisation: Linearisation, readings: Readings) -> AdjointRow
     by_u, by_lambda = jax.lax.map(pull_back, jnp.eye(value.size))
     which = lin.posed.model.with_multiplier
     solved = lin.solve(jax.vmap(lin.free)(by_u), -by_lambda[:, which], transpose=True)
-    return AdjointRows(solved.x, -solved.lambda_a, solved.ok)
+    return AdjointRows(solved.x, -solved.lambda_a, solved.ok, value)
 
 
 def _at_fixed_inputs(lin: Linearisation, readings: Readings):

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from softcal_jax._lanes import traceable
 from softcal_jax._process import check_process
 from softcal_jax._results import RESULTS
-from softcal_jax._typing import Array, Int
+from softcal_jax._typing import Array, Int, is_traced
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -52,9 +52,9 @@ def as_solution(state: NewtonState, settings: NewtonSettings) -> EquilibriumSolu
 @eqx.filter_jit
 def begin_newton(
     model: Model,
+    settings: NewtonSettings,
     configuration: ConfigurationArrays,
     guess: Nodal,
-    settings: NewtonSettings,
 ) -> NewtonState:
     """Return the state before the first iteration, for `continue_newton`."""
     posed = Posed.of(model.tabulated(), configuration)
@@ -123,31 +123,8 @@ def _equilibrium_jvp(primals, tangents):
     )
 
 
-# Called eagerly too, an equilibrium is compiled once for each set of shapes.
+# Differentiated eagerly too, an equilibrium is compiled once for each set of shapes.
 _compiled_equilibrium = eqx.filter_jit(_equilibrium)
-
-
-@eqx.filter_jit
-def solve_from_rest(
-    model: Model,
-    configurations: ConfigurationArrays,
-    settings: NewtonSettings | None = None,
-) -> EquilibriumSolution:
-    """Solve a batch of configurations of which no equilibrium is known.
-
-    All start from rest; with rigid bodies, each from the one before: poses of a robot
-    lie near each other, and far from its parts before they are mounted.
-    """
-    solve = lambda c, u: solve_equilibrium(model, c, guess=u, settings=settings)
-    rest = jnp.zeros((model.n_points, 3))
-    if model.mechanism.bodies.n_bodies == 0:
-        return jax.vmap(solve, (0, None))(configurations, rest)
-
-    def follow(u, configuration):
-        found = solve(configuration, u)
-        return jnp.where(found.converged, found.displacement, u), found
-
-    return jax.lax.scan(follow, rest, configurations)[1]
 
 
 def lanes(
@@ -230,7 +207,15 @@ def solve_equilibrium(
             f"the guess is {u0.dtype} of shape {u0.shape}; expected float64 of shape "
             f"({model.n_points}, 3), a displacement of each node [m]."
         )
-    settings = settings or NewtonSettings()
-    # Whatever is read of it later, the program is the same.
-    bare = eqx.tree_at(lambda c: c.effectors, configuration, None)
-    return _compiled_equilibrium(model, bare, u0, settings)
+    settings, bare = settings or NewtonSettings(), without_readings(configuration)
+    inside = jnp.zeros(()), model, bare, u0, settings  # the first in any trace
+    if any(map(is_traced, jax.tree.leaves(inside))):
+        return _compiled_equilibrium(model, bare, u0, settings)
+    numbers, most = settings.as_arrays(), jnp.asarray(settings.max_steps)
+    state = begin_newton(model, numbers, bare, u0)
+    return continue_newton(model, numbers, most, bare, state)[1]
+
+
+def without_readings(configuration: ConfigurationArrays) -> ConfigurationArrays:
+    """Leave out the effectors: whatever is read later, the program is the same."""
+    return eqx.tree_at(lambda c: c.effectors, configuration, None)

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 
 import equinox as eqx
-import jax
 import numpy as np
 
+from softcal_jax._lanes import stacked
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.configurations import (
     Configuration,
@@ -14,14 +14,15 @@ from softcal_jax.configurations import (
     measured_at_rest,
 )
 from softcal_jax.equilibrium import (
-    EquilibriumSolution,
     Model,
     NewtonSettings,
+    Program,
+    Workers,
     adjoint_rows,
     check_converged,
     effector_values,
+    equilibria,
     linearise,
-    solve_equilibrium,
 )
 from softcal_jax.fields import find_field
 from softcal_jax.sensitivity import adjoint_of_tets
@@ -30,23 +31,17 @@ _SEES_FORCES = ("force", "reaction", "observation")
 
 
 @eqx.filter_jit
-def _solve(
+def _rows(
     model: Model,
-    arrays: ConfigurationArrays,
     fields: tuple[str, ...],
-    newton: NewtonSettings,
-) -> tuple[
-    EquilibriumSolution, Float[Array, "n_c n_fields n_e n_tets"], Bool[Array, " n_c"]
-]:
-    """Solve each configuration; return also its rows, and whether they are sound."""
-
-    def lane(c: ConfigurationArrays):
-        solution = solve_equilibrium(model, c, settings=newton)
-        lin = linearise(model, c, solution.displacement, solution.multipliers)
-        adjoint = adjoint_rows(lin, effector_values)
-        return solution, adjoint_of_tets(lin, fields, adjoint.state), adjoint.ok
-
-    return jax.lax.map(lane, arrays)
+    configuration: ConfigurationArrays,
+    u: Float[Array, "n_points 3"],
+    lambda_a: Float[Array, " n_a"],
+) -> tuple[Float[Array, "n_fields n_e n_tets"], Bool[Array, ""]]:
+    """Return the rows of a configuration, and whether they are sound."""
+    lin = linearise(model, configuration, u, lambda_a)
+    adjoint = adjoint_rows(lin, effector_values)
+    return adjoint_of_tets(lin, fields, adjoint.state), adjoint.ok
 
 
 def tet_sensitivities(
@@ -85,9 +80,12 @@ def tet_sensitivities(
             "tet_sensitivities takes effectors that follow from positions: leave out "
             "ActuatorForce, SupportReaction and Observation."
         )
-    newton = (newton or NewtonSettings()).as_arrays()
-    solution, by_lane, sound = _solve(model, arrays, names, newton)
-    check_converged(solution, tuple(c.name for c in posed))
+    with Workers(model, len(posed)) as workers:
+        solution = equilibria(workers, model, arrays, newton or NewtonSettings())
+        check_converged(solution, tuple(c.name for c in posed))
+        states = solution.displacement, solution.multipliers
+        lanes = zip(arrays, *states, strict=True)
+        by_lane, sound = stacked(workers.map(Program(_rows, model, names), lanes))
     for c, ok in zip(posed, np.asarray(sound), strict=True):
         if not ok:
             raise RuntimeError(

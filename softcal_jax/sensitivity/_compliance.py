@@ -157,25 +157,25 @@ class Response(NamedTuple):
 @eqx.filter_jit
 def equilibrium_response(
     model: Model,
+    space: ParameterSpace,
+    newton: NewtonSettings,
+    z: Float[Array, " n_p"],
     configuration: ConfigurationArrays,
     guess: Float[Array, "n_points 3"],
-    space: ParameterSpace,
-    z: Float[Array, " n_p"],
-    *,
-    newton: NewtonSettings,
     before: Float[Array, "n_points 3"] | None = None,
     precise: bool | Bool[Array, ""] = False,
 ) -> Response:
     """Find the equilibrium near a guess, and W_ep = H_e K^-1 H_p^T there; Eq. (9).
 
-    W_ep reuses the factor of the last Newton step, and is exact only if `precise`.
-    `vmap` runs configurations sequentially, each to its own convergence. Arguments as
-    for `continue_equilibrium` and `parameter_compliance`.
+    It is not converged where none is near, see `continue_equilibrium`. W_ep reuses the
+    factor of the last Newton step, and is exact only if `precise`. `vmap` runs
+    configurations sequentially, each to its own convergence. Arguments as for
+    `continue_equilibrium` and `parameter_compliance`.
     """
     model, rest = traceable(model)
 
     @jax.custom_batching.sequential_vmap
-    def lane(model, configuration, guess, before, precise, space, z):
+    def lane(model, space, z, configuration, guess, before, precise):
         model = eqx.combine(model, rest)
         model, configuration = space.apply(model, configuration, z)
         equilibrium, linearisation = continue_equilibrium(
@@ -187,14 +187,15 @@ def equilibrium_response(
         found = sensitivity(linearisation, rows, effector_values, adjoint=adjoint)
         ok = found.ok & equilibrium.converged
         or_zero = lambda a: jnp.where(ok, a, 0.0)
-        u, multipliers = equilibrium.displacement, equilibrium.multipliers
+        assert found.readings is not None
+        e = found.readings.reshape(configuration.effectors.measured.shape)
         return Response(
             equilibrium=equilibrium,
-            effectors=effector_values(model, configuration, u, multipliers),
+            effectors=jnp.where(equilibrium.converged, e, jnp.nan),
             W_ep=or_zero(found.W_ep),
             displacement=jax.tree.map(or_zero, found.displacement),
             ok=ok,
         )
 
     before = guess if before is None else before
-    return lane(model, configuration, guess, before, jnp.asarray(precise), space, z)
+    return lane(model, space, z, configuration, guess, before, jnp.asarray(precise))

@@ -425,7 +425,7 @@ def test_nothing_is_compiled_after_the_first_step(model, exact):
         note = lambda entry: until.append(len(fresh.programs))
         calibrate(model, [parameter()], exact[:2], validation=exact[2:], progress=note)
     assert len(until) > 3
-    assert fresh.programs.count("jit(evaluate_lane)") == 1
+    assert fresh.programs.count("jit(equilibrium_response)") == 1
     assert fresh.programs.count("jit(_solved_each)") == 1
     # The last step, which is not taken, is told after the noise is estimated.
     assert set(until[1:-1]) == {until[1]}
@@ -439,4 +439,4 @@ def test_nothing_is_compiled_after_the_first_step(model, exact):
     with Compilations() as more:
         calibrate(other, [softer], data)
     assert more.programs
-    assert not {"jit(evaluate_lane)", "jit(_solved_each)"} & set(more.programs)
+    assert not {"jit(equilibrium_response)", "jit(_solved_each)"} & set(more.programs)

@@ -24,7 +24,12 @@ from softcal_jax.configurations import (
     configuration_arrays,
 )
 from softcal_jax.control import _descent, with_inputs
-from softcal_jax.equilibrium import Model, NewtonSettings, build_model
+from softcal_jax.equilibrium import (
+    Model,
+    NewtonSettings,
+    build_model,
+    solve_equilibrium,
+)
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 
@@ -84,9 +89,10 @@ EFFECTORS = [
 
 
 def solved(model, configuration, value):
-    """Equilibrium for one actuation, and what follows from it; the search's program."""
-    lane, rest = with_inputs(configuration, value), jnp.zeros((model.n_points, 3))
-    return _descent._equilibrium(model, lane, rest, TIGHT.as_arrays())
+    """Equilibrium for one actuation and what follows, by the programs of the search."""
+    lane = with_inputs(configuration, jnp.asarray(value))
+    solution = solve_equilibrium(model, lane, settings=TIGHT)
+    return solution, _descent._readings(model, lane, solution)
 
 
 def tips(configuration: Configuration, inputs):

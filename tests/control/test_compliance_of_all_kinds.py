@@ -99,11 +99,13 @@ def block():
     )
 
 
-@eqx.filter_jit
 def solved(model, lane, value):
     lane = with_inputs(lane, value)
     solution = solve_equilibrium(model, lane, settings=TIGHT)
-    return solution, actuator_readings(model, lane, solution)
+    return solution, read(model, lane, solution)
+
+
+read = eqx.filter_jit(actuator_readings)
 
 
 def arrays(actuation):

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from problems import lane_of
 
+from softcal_jax._lanes import stacked
 from softcal_jax.configurations import Configuration, Support, configuration_arrays
 from softcal_jax.equilibrium import (
     Model,
@@ -25,26 +26,22 @@ from softcal_jax.mesh import beam
 TIGHT = NewtonSettings(rtol=1e-12)
 
 
-def _solve(model, lanes, settings):
+# Compiled as a user has it: as the other tests are, a batch differs from its members in
+# the last bit.
+@partial(jax.jit, compiler_options={"xla_cpu_use_fusion_emitters": True})
+def _as_users(model, lanes, settings):
     one = partial(solve_equilibrium, settings=settings)
     return jax.vmap(one, in_axes=(None, 0))(model, lanes)
 
 
-_compiled = jax.jit(_solve)
-# Compiled as a user has it: as the other tests are, a batch differs from its members in
-# the last bit.
-_compiled_as_users = jax.jit(
-    _solve, compiler_options={"xla_cpu_use_fusion_emitters": True}
-)
-
-
 def solve(model, lanes, settings=NewtonSettings()):  # noqa: B008 (it is immutable)
-    """All lanes of a batch, by one program for all settings."""
-    return _compiled(model, lanes, settings)
+    """All lanes of a batch, by the program that scripts and calibrations share."""
+    one = partial(solve_equilibrium, model, settings=settings)
+    return stacked([one(lane(lanes, i)) for i in range(len(lanes))])
 
 
 def solve_as_users(model, lanes, settings=NewtonSettings()):  # noqa: B008
-    return _compiled_as_users(model, lanes, settings)
+    return _as_users(model, lanes, settings)
 
 
 def lane(lanes, index: int):

@@ -1,7 +1,6 @@
 """Robots of bodies and actuators that the tests of this folder share."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from problems import lane_of
@@ -11,7 +10,7 @@ from softcal_jax.equilibrium import (
     RESULTS,
     Model,
     NewtonSettings,
-    effector_values,
+    compiled_effectors,
     solve_equilibrium,
 )
 from softcal_jax.mesh import TetMesh, beam
@@ -41,12 +40,11 @@ def arrays(model: Model, configuration: Configuration):
     return lane_of(stacked)
 
 
-@jax.jit
 def solve(model, lane, guess, settings):
     """Equilibrium of one configuration, and its effectors' coordinates."""
     solution = solve_equilibrium(model, lane, guess=guess, settings=settings)
-    values = effector_values(model, lane, solution.displacement, solution.multipliers)
-    return solution, values
+    state = solution.displacement, solution.multipliers
+    return solution, compiled_effectors(model, lane, *state)
 
 
 def solved(

@@ -11,12 +11,11 @@ from bodies import DENSITY, LENGTH, POISSON, SIDE, YOUNG, hanging, lane, stiffne
 
 from softcal_jax.calibration import (
     CalibrationSettings,
-    at_rest,
     build_problem,
     initial_state,
     propose,
 )
-from softcal_jax.calibration._evaluation import evaluate_lane, weighed
+from softcal_jax.calibration._evaluation import weighed
 from softcal_jax.configurations import configuration_arrays
 from softcal_jax.equilibrium import build_model, factor_solve
 from softcal_jax.equilibrium._host_pardiso import HostPardiso
@@ -25,6 +24,7 @@ from softcal_jax.equilibrium._sparsity import Sparsity
 from softcal_jax.materials import ClassicalCorotational, Corotational, Isotropic
 from softcal_jax.mesh import beam
 from softcal_jax.robots import anisotropic_beam, synthetic_measurements
+from softcal_jax.sensitivity import equilibrium_response
 
 pypardiso = pytest.importorskip("pypardiso", reason="not installed on this platform")
 compiled = jax.jit(factor_solve)
@@ -141,13 +141,14 @@ def test_what_is_around_the_solver_lowers_for_cuda(calibration):
     settings = CalibrationSettings()
 
     def step(z, guess):
-        lane = lambda c, u: evaluate_lane(problem, z, c, u, u)
+        of_all = problem.model, problem.space, problem.newton, z
+        lane = lambda c, u: equilibrium_response(*of_all, c, u)
         lanes = jax.vmap(lane)(problem.configurations, guess)
         state = initial_state(settings, z, weighed(problem, z, lanes))
         return propose(problem.space, settings, state).z
 
-    z = problem.space.start()
-    traced = jax.jit(step).trace(z, at_rest(problem))
+    z, n_c = problem.space.start(), len(problem.configurations)
+    traced = jax.jit(step).trace(z, jnp.zeros((n_c, model.n_points, 3)))
     program = traced.lower(lowering_platforms=("cuda",)).as_text()
     assert "lapack" not in program
     assert "pardiso" not in program.lower()

@@ -54,15 +54,16 @@ def inflated(**actuation):
 
 
 @jax.jit
-def solve(model, lane, settings):
-    solution = solve_equilibrium(model, lane, settings=settings)
+def read(model, lane, solution):
     energy = energy_and_force(model, solution.displacement)[0]
-    return solution, actuator_readings(model, lane, solution), energy
+    return actuator_readings(model, lane, solution), energy
 
 
 def solved(model, **actuation):
     """Solution, pressure and volume growth of the chamber, strain energy."""
-    solution, state, energy = solve(model, arrays(model, inflated(**actuation)), TIGHT)
+    lane = arrays(model, inflated(**actuation))
+    solution = solve_equilibrium(model, lane, settings=TIGHT)
+    state, energy = read(model, lane, solution)
     assert bool(solution.converged), RESULTS[solution.result]
     return solution, float(state.forces[0]), float(state.displacements[0]), energy
 

@@ -74,7 +74,7 @@ def test_a_state_of_newton_keeps_its_types():
     lane = arrays(model, Configuration("pulled", "x_min", actuation=pull))
     settings = NewtonSettings()
     before = jax.eval_shape(
-        lambda u: begin_newton(model, lane, u, settings), jnp.zeros((model.n_points, 3))
+        lambda u: begin_newton(model, settings, lane, u), jnp.zeros((model.n_points, 3))
     )
     more = lambda state, n: continue_newton(model, settings, n, lane, state)[0]
     after = jax.eval_shape(more, before, jnp.asarray(2))

@@ -4,8 +4,7 @@ The reference is the equilibrium to rounding, from rest, and the direct complian
 a factorization of its own.
 """
 
-from functools import cache, partial
-from typing import NamedTuple
+from functools import cache
 
 import equinox as eqx
 import jax
@@ -14,17 +13,15 @@ import numpy as np
 import pytest
 from problems import lane_of
 
+from softcal_jax.calibration import CalibrationProblem, build_problem, evaluate
 from softcal_jax.configurations import (
     Configuration,
-    ConfigurationArrays,
     Markers,
     Support,
     SurfaceForce,
-    configuration_arrays,
 )
 from softcal_jax.equilibrium import (
     RESULTS,
-    Model,
     NewtonSettings,
     build_model,
     solve_equilibrium,
@@ -37,7 +34,7 @@ from softcal_jax.materials import (
     ReducedTransverseIsotropic,
 )
 from softcal_jax.mesh import TetMesh, beam
-from softcal_jax.sensitivity import equilibrium_response, parameter_compliance
+from softcal_jax.sensitivity import parameter_compliance
 from softcal_jax.sensitivity._compliance import FEW_PARAMETERS
 
 TIGHT = NewtonSettings(rtol=1e-11)
@@ -60,14 +57,6 @@ def hanging(name, *supports, side=0.0):
 POSES = (hanging("down"), hanging("side", side=0.03), hanging("lifted", LIFTED))
 
 
-class Case(NamedTuple):
-    """A body, its poses and its parameters."""
-
-    model: Model
-    lanes: ConfigurationArrays
-    space: ParameterSpace
-
-
 def parts(mesh, n):
     """Groups of tets along the beam."""
     place = mesh.points[mesh.tets].mean(axis=1)[:, 0]
@@ -79,7 +68,7 @@ def parts(mesh, n):
 
 
 @cache
-def case(name) -> Case:
+def case(name) -> CalibrationProblem:
     order = 2 if name == "mean dilatation" else 1
     n_parts = FEW_PARAMETERS if "many parameters" in name else 2
     classical = name.startswith("no potential")
@@ -101,16 +90,12 @@ def case(name) -> Case:
         formulation="mean-dilatation" if order == 2 else "displacement",
         solver="klu" if name == "KLU" else None,
     )
-    return Case(model, configuration_arrays(mesh, POSES), space)
+    return build_problem(model, space, POSES)
 
 
-@partial(jax.jit, static_argnames="one")
-def respond(case, z, guess, one=False):
-    model = case.model
-    each = lambda c, u: equilibrium_response(
-        model, c, u, case.space, z, newton=NewtonSettings()
-    )
-    return each(case.lanes, guess) if one else jax.vmap(each)(case.lanes, guess)
+def respond(case, z, guess):
+    """As a calibration does: with the careful solve where a guess is not near."""
+    return evaluate(case, z, guess).response
 
 
 @jax.jit
@@ -122,7 +107,7 @@ def reference(case, z):
         done = parameter_compliance(model, c, u, case.space, z, method="direct")
         return u, done.W_ep, done.displacement
 
-    return jax.vmap(lane)(case.lanes)
+    return jax.vmap(lane)(case.configurations)
 
 
 @cache
@@ -190,8 +175,9 @@ def test_both_at_once_are_what_the_two_solves_give(name):
     assert_same(name, at_rest, rtol=1e-6)
     again = respond(case(name), values(name), near(name))
     assert_same(name, again, rtol=1e-5)
-    few = again.equilibrium.steps < at_rest.equilibrium.steps
-    assert bool(jnp.all(few))
+    if case(name).model.solver.counts_negative:
+        few = again.equilibrium.steps < at_rest.equilibrium.steps
+        assert bool(jnp.all(few))
     assert bool(jnp.all(again.equilibrium.residual <= NewtonSettings().rtol))
 
 
@@ -208,7 +194,7 @@ def test_adjoint_side_without_a_potential_needs_the_transposed_tangent():
     """With the tangent itself W_ep is 0.2 % off."""
     c, z = case("no potential"), values("no potential")
     u, W, _ = found("no potential")
-    lane = jax.tree.map(lambda a: a[1], c.lanes)
+    lane = lane_of(c.configurations, 1)
 
     @jax.jit
     def adjoint(z, u):
@@ -225,9 +211,9 @@ def test_a_pose_alone_gives_bit_for_bit_the_same():
     c, guess = case("plain"), near("plain")
     together = respond(c, values("plain"), guess)
     for index in range(3):
-        alone = c._replace(lanes=lane_of(c.lanes, index))
-        one = respond(alone, values("plain"), guess[index], one=True)
-        same = jax.tree.map(lambda a, b, i=index: (a, b[i]), one, together)
+        alone = build_problem(c.model, c.space, POSES[index])
+        one = respond(alone, values("plain"), guess[index][None])
+        same = jax.tree.map(lambda a, b, i=index: (a[0], b[i]), one, together)
         for ours, theirs in jax.tree.leaves(same, is_leaf=lambda x: type(x) is tuple):
             np.testing.assert_array_equal(ours, theirs)
 
@@ -251,8 +237,9 @@ def broken(index, force):
     """The plain case with another force on the tip of one pose."""
     c = case("plain")
     tip = np.argmax(c.model.mesh.points[:, 0])
-    changed = c.lanes.loads.force.at[index, 0, tip].add(jnp.array([force, 0.0, 0.0]))
-    return c._replace(lanes=eqx.tree_at(lambda a: a.loads.force, c.lanes, changed))
+    push = jnp.array([force, 0.0, 0.0])
+    changed = c.configurations.loads.force.at[index, 0, tip].add(push)
+    return eqx.tree_at(lambda c: c.configurations.loads.force, c, changed)
 
 
 @pytest.mark.parametrize("force", [np.nan, -1e6], ids=["not finite", "too large"])
