@@ -84,7 +84,7 @@ def descend(
         tried = state.evaluation
         if not proposal.vanishes:
             before = tried.equilibrium.displacement
-            tried = evaluate(proposal.z, proposal.guess, before, proposal.precise)
+            tried = evaluate(proposal.z, proposal.guess, before)
         state = decide(space, settings, state, proposal, tried)
         note(state)
     return state

@@ -107,7 +107,7 @@ def equilibria(
     program = Program(continue_newton, model, settings, steps)
     solutions: dict[int, EquilibriumSolution] = {}
 
-    def solve(starts: dict[int, Float[Array, "n_points 3"]]) -> None:
+    def solve(starts: dict[int, Float[Array, "n_points 3"] | None]) -> None:
         begun = workers.map(first, [(lanes[c], u) for c, u in starts.items()])
         states = dict(zip(starts, begun, strict=True))
         while states:
@@ -120,17 +120,16 @@ def equilibria(
                 if bool(state.done) or int(state.step) >= most:
                     del states[c]
 
-    rest = jnp.zeros((model.n_points, 3))
     if guess is not None:
         solve(dict(enumerate(guess)))
     elif model.mechanism.bodies.n_bodies > 0:
-        start = rest
+        start = None
         for c in range(len(lanes)):
             solve({c: start})
-            last = solutions[c]
-            start = jnp.where(last.converged, last.displacement, start)
+            if solutions[c].converged:
+                start = solutions[c].displacement
     else:
-        solve(dict.fromkeys(range(len(lanes)), rest))
+        solve(dict.fromkeys(range(len(lanes))))
     return stacked([solutions[c] for c in range(len(lanes))])
 
 

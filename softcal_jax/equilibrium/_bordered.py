@@ -29,7 +29,7 @@ class Bordered(NamedTuple):
     """Steps of unknowns [m] and of actuators' forces, one row per right-hand side.
 
     `n_negative` is the number of negative eigenvalues of the tangent restricted to
-    steps that keep the imposed displacements; -1 if the solver does not count them.
+    steps that keep the imposed displacements; -1 if they are not counted.
     """
 
     x: Float[Array, "n_rhs n_dof"]
@@ -37,15 +37,6 @@ class Bordered(NamedTuple):
     W_aa: Float[Array, "n_m n_m"]
     n_negative: Array
     ok: Bool[Array, ""]
-
-
-def bordered(
-    x: Float[Array, "n_rhs n_dof"], lambda_a: Float[Array, "n_rhs n_m"]
-) -> Bordered:
-    """Return a solution of which no more is known."""
-    n_m = lambda_a.shape[1]
-    unknown, count = jnp.full((n_m, n_m), jnp.nan), jnp.full((), -1, jnp.int32)
-    return Bordered(x, lambda_a, unknown, count, jnp.ones((), bool))
 
 
 class System(NamedTuple):
@@ -71,9 +62,14 @@ class System(NamedTuple):
         gap: Float[Array, "n_rhs n_m"],
         *,
         transpose: bool = False,
+        near: bool = False,
     ) -> Bordered:
-        """Solve for steps, given forces and gaps; `transpose`: with K^T, F_a as H_a."""
-        solve = jax.custom_batching.custom_vmap(partial(_solve, transpose=transpose))
+        """Solve for steps, given forces and gaps; `transpose`: with K^T, F_a as H_a.
+
+        `near`: the matrix is near the last that was factorized, see `solve_near`.
+        """
+        how = partial(_solve, transpose=transpose, near=near)
+        solve = jax.custom_batching.custom_vmap(how)
 
         @solve.def_vmap
         def _rule(axis_size, in_batched, solver, system, force, gap):
@@ -109,18 +105,21 @@ def _solve(
     gap: Float[Array, "n_rhs n_m"],
     *,
     transpose: bool,
+    near: bool,
 ) -> Bordered:
     n_rhs, n_m = gap.shape
+    factor_solve = partial(solver.factor_solve, transpose=transpose)
+    # Without a potential, the transposed matrix is another one.
+    near = near and not (transpose and not solver.sparsity.symmetric)
+    solve = solver.solve_near if near else factor_solve
     if n_m == 0:
-        solved = solver.factor_solve(system.values, force, transpose=transpose)
+        solved = solve(system.values, force)
         none = jnp.zeros((0, 0))
         return Bordered(solved.x, gap, none, solved.n_negative, solved.ok)
     F_a, H_a = system.F_a, system.H_a
     if transpose:
         F_a, H_a = H_a, F_a
-    solved = solver.factor_solve(
-        system.values, jnp.concatenate([force, F_a]), transpose=transpose
-    )
+    solved = solve(system.values, jnp.concatenate([force, F_a]))
     x, by_a = solved.x[:n_rhs], solved.x[n_rhs:]
     product = lambda A, B: jnp.sum(A[:, None] * B[None], axis=-1)
     W_aa = product(H_a, by_a)

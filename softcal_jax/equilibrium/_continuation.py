@@ -40,14 +40,13 @@ from softcal_jax.equilibrium._solution import EquilibriumSolution
 MAX_QUICK_STEPS = 5
 """Full Newton steps after which the guess counts as bad."""
 
-CHORDS_FROM = 1e-4
+CHORDS_FROM = 1e-2
 """Relative residual below which chord steps replace Newton steps.
 
-They cost one evaluation of the forces and one solve. Starting them earlier would leave
-a less accurate tangent to the sensitivities.
+They cost one evaluation of the forces and one solve.
 """
 
-MOST_CHORDS = 3
+MOST_CHORDS = 5
 """Most chord steps to expect at the rate of the last; else take a Newton step."""
 
 SHORT = 1e-3
@@ -59,7 +58,8 @@ Newton's method converges quadratically there, and this tangent is cheaper.
 SHARP = 1e-6
 """Relative residual below which the tangent is as good as that of the equilibrium.
 
-It is off by as much, and what follows from it: far less than any data show.
+It is off by as much, and what follows from it: far less than any data show. From a
+larger one it is assembled once more at the end.
 """
 
 
@@ -68,8 +68,8 @@ class _Quick(NamedTuple):
 
     `before` is where the last step began, or where it ended if the residual is small
     (`SHORT`), and `sharp` tells whether it is below `SHARP`. `factor` belongs to the
-    last Newton step; with `chord` the next step reuses it. `arrived`: converged, at
-    most one more factorization is needed.
+    last Newton step; with `chord` the next step reuses it. `arrived`: converged, but
+    the tangent is not that of the end.
     """
 
     solution: EquilibriumSolution
@@ -92,7 +92,6 @@ def continue_equilibrium(
     *,
     settings: NewtonSettings,
     before: Nodal | None = None,
-    precise: bool | Bool[Array, ""] = False,
 ) -> tuple[EquilibriumSolution, Linearisation]:
     """Find the equilibrium near a guess, and the linear system there.
 
@@ -103,10 +102,8 @@ def continue_equilibrium(
     in an unstable state unnoticed.
 
     The last digits come from steps on the last factor (chord steps). The linear system
-    is stated at the equilibrium, but its tangent is that before the last Newton step,
-    so its error is of the order of that step; if `precise`, one more step brings it
-    below `SHARP`. (The rows of the parameters are not taken from there, or a direction
-    without any effect would seem to have one.)
+    is that of the equilibrium (to `SHARP`), solved by the last factor and refinement:
+    one factorization does for both.
 
     `before` is the equilibrium from which the guess was extrapolated to first order; it
     saves slender robots a Newton step [m].
@@ -115,7 +112,7 @@ def continue_equilibrium(
     # From rest several could end on another branch.
     several = model.solver.counts_negative & jnp.any(guess != 0.0)
     most = jnp.where(several, MAX_QUICK_STEPS, 1)
-    quick = _QuickSteps(posed.tabulated(), settings, precise, most)
+    quick = _QuickSteps(posed.tabulated(), settings, most)
     start = quick.start(guess, before)
     state = jax.lax.while_loop(lambda s: ~s.done, quick.step, start)
     u, lambda_a = state.solution.displacement, state.solution.multipliers
@@ -132,7 +129,7 @@ def continue_equilibrium(
         nodal=nodal_tangent(posed, u, lambda_a, tangent_values(quick.model, u)),
         system=state.factor.system,
         regular=state.factor.ok,
-        factorized=True,
+        near=True,
     )
 
 
@@ -141,7 +138,6 @@ class _QuickSteps(NamedTuple):
 
     posed: Posed
     settings: NewtonSettings
-    precise: bool | Bool[Array, ""]
     most: Int[Array, ""]
 
     @property
@@ -179,7 +175,7 @@ class _QuickSteps(NamedTuple):
             sharp=size <= SHARP,
             lambda_a=lambda_a,
             # Nothing yet, and not ok.
-            factor=zeros_of(lambda: self.newton_step(at, lambda_a, at.u)[1]),
+            factor=zeros_of(lambda: self.newton_step(at, lambda_a, at.u, None)[1]),
             chord=no,
             arrived=no,
             step=count,
@@ -191,7 +187,7 @@ class _QuickSteps(NamedTuple):
         size = merit(self.posed, at, lambda_a, jnp.zeros_like(lambda_a))
         return relative(self.posed, at, size, jnp.zeros((), at.u.dtype)).size
 
-    def newton_step(self, at: Point, lambda_a, before) -> tuple[Step, Factor]:
+    def newton_step(self, at: Point, lambda_a, before, near) -> tuple[Step, Factor]:
         found = newton_direction(
             self.posed,
             at,
@@ -199,6 +195,7 @@ class _QuickSteps(NamedTuple):
             theta=dilatation(self.model, None, before, at.u - before),
             before=before,
             placed=True,
+            near=near,
         )
         return found.step, found.factor
 
@@ -209,15 +206,18 @@ class _QuickSteps(NamedTuple):
         return Step(d, s.lambda_a, jnp.zeros_like(s.lambda_a)), s.factor
 
     def step(self, s: _Quick) -> _Quick:
-        """Take a Newton step, or a chord step."""
+        """Take a Newton step, with a new factor unless `arrived`, or a chord step."""
         posed, rtol, solution = self.posed, self.settings.rtol, s.solution
-        newton_step = lambda: self.newton_step(s.at, s.lambda_a, s.before)
+        newton_step = lambda: self.newton_step(s.at, s.lambda_a, s.before, s.arrived)
         if self.model.with_multiplier.size > 0:
             step, factor = newton_step()
         else:
             step, factor = jax.lax.cond(
                 s.chord, lambda: self.chord_step(s), newton_step
             )
+        # Counted with the factor.
+        counted = jnp.where(s.arrived, s.factor.n_negative, factor.n_negative)
+        factor, anew = factor._replace(n_negative=counted), ~s.chord & ~s.arrived
         new = evaluate(self.model, posed.move(s.at.u, step.d))
         new_lambda = step.lambda_a + step.d_lambda
         size = merit(posed, new, new_lambda, factor.gap_stiffness)
@@ -227,11 +227,11 @@ class _QuickSteps(NamedTuple):
         sound = stable & jnp.isfinite(new.energy) & jnp.isfinite(residual.size)
         arrived = sound & residual.settled(rtol)
         falls = residual.size <= solution.residual
-        n_newton = s.step + (~s.chord).astype(s.step.dtype)
+        n_newton = s.step + anew.astype(s.step.dtype)
         contracts = s.chord | (sound & falls & (n_newton < self.most))
         # The residual says nothing of gaps that actuators still have to close.
-        sharp = s.sharp & ~s.chord & (self.model.with_multiplier.size == 0)
-        last = arrived & (s.arrived | sharp | ~jnp.asarray(self.precise))
+        sharp = s.sharp & anew & (self.model.with_multiplier.size == 0)
+        last = s.arrived | (arrived & sharp)
         quick = EquilibriumSolution(
             displacement=new.u,
             multipliers=new_lambda,
@@ -245,7 +245,7 @@ class _QuickSteps(NamedTuple):
             min_det_F=new.min_det_F,
             n_negative=factor.n_negative,
         )
-        taken = sound & (falls | ~s.chord)
+        taken = sound & (falls | anew)
         # Extrapolate the fall of the residual: will a few chord steps be enough?
         rate = residual.size / solution.residual
         to_come = residual._replace(size=residual.size * rate**MOST_CHORDS)

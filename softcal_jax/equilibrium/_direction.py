@@ -4,6 +4,7 @@ The search is on the potential. The norm of the residual is used where no potent
 exists, or where imposed actuator displacements make the equilibrium a saddle point.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -92,12 +93,14 @@ def newton_direction(
     strict=None,
     before: Nodal | None = None,
     placed: bool = False,
+    near: Bool[Array, ""] | None = None,
 ) -> NewtonDirection:
     """Compute the Newton step at a deformed state.
 
     The mixed formulation needs the volume ratios `theta`; if `strict`, where only steps
     that lower the potential are taken, those at u count instead. `before`: see
-    `tangent_values`. `placed`: what is held is known to be where it is imposed.
+    `tangent_values`. `placed`: what is held is known to be where it is imposed. `near`:
+    the tangent is near the last that was factorized.
     """
     model, u = posed.model, at.u
     held_step = jnp.zeros_like(u) if placed else posed.imposed(u)
@@ -124,8 +127,12 @@ def newton_direction(
     rhs = -posed.on_free(u, g_newton)
     on_held = jnp.sum(tangent.H_a * held_step[None], axis=(1, 2))
     which = model.with_multiplier
-    solved = tangent.system.solve(
-        model.solver, rhs[None], (to_go[which] - on_held)[None]
+    to_close = (to_go[which] - on_held)[None]
+    solve = partial(tangent.system.solve, model.solver, rhs[None], to_close)
+    solved = (
+        solve()
+        if near is None
+        else jax.lax.cond(near, lambda: solve(near=True), lambda: solve())
     )
     d = solved.x[0]
     slope = jnp.sum(posed.on_free(u, tangent.g) * d)

@@ -18,14 +18,11 @@ from softcal_jax.equilibrium._balance import (
     taut,
     unbalanced,
 )
-from softcal_jax.equilibrium._bordered import Bordered, System, bordered, zeros_of
+from softcal_jax.equilibrium._bordered import Bordered, System, zeros_of
 from softcal_jax.equilibrium._linear_solver import LinearSolution
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import product
-
-SAME_MATRIX = 1e-6
-"""Largest relative residual at which a solution belongs to the given matrix [-]."""
 
 
 def residual(
@@ -61,7 +58,7 @@ class Linearisation(Module):
         lambda_a: Forces of actuators whose displacement is imposed.
         nodal: Tangent over all nodes, held ones included [N/m].
         regular: False if a factorization is known to have failed.
-        factorized: Whether the solver may still hold the factors of this matrix.
+        near: Whether the solver may still hold the factors of a matrix near this one.
         differentiable: Whether autodiff can transpose `solve`; where there is no
             solution it then returns nan instead of a flag.
     """
@@ -72,7 +69,7 @@ class Linearisation(Module):
     nodal: Float[Array, " nnz"]
     system: System
     regular: Bool[Array, ""]
-    factorized: bool = eqx.field(static=True, default=False)
+    near: bool = eqx.field(static=True, default=False)
     differentiable: bool = eqx.field(static=True, default=False)
 
     @property
@@ -113,30 +110,11 @@ class Linearisation(Module):
         if self.differentiable:
             assert not transpose, "autodiff transposes these solutions itself"
             return _solve_linearly(self.posed.model, self.system, force, gap)
-        symmetric = self.posed.model.solver.sparsity.symmetric
-        if not self.factorized or (transpose and not symmetric):
+        if not self.near:
             return solve(force, gap)
         ok = self.regular & jnp.all(jnp.isfinite(force)) & jnp.all(jnp.isfinite(gap))
-        again = lambda: self._on_last_factors(solve, force, gap)
+        again = lambda: solve(force, gap, near=True)
         return jax.lax.cond(ok, again, lambda: zeros_of(solve, force, gap))
-
-    def _on_last_factors(self, solve, force, gap) -> Bordered:
-        """Solve with the factors of the last Newton step.
-
-        Another program may have replaced them; one product with a combination of all
-        solutions detects it. The matrix is then factorized again, as it always is where
-        displacements of actuators are imposed.
-        """
-        if gap.shape[1] > 0:
-            return solve(force, gap)
-        solver, values = self.posed.model.solver, self.system.values
-        x = solver.solve_again(values, force)
-        size = jnp.linalg.norm(force, axis=1)
-        mix = jnp.where(size > 0.0, 1.0 / size, 0.0)[:, None]
-        off = product(solver.sparsity, values, jnp.sum(mix * x, axis=0))
-        off = jnp.linalg.norm(off - jnp.sum(mix * force, axis=0))
-        same, anew = lambda: bordered(x, gap), lambda: solve(force, gap)
-        return jax.lax.cond(off <= SAME_MATRIX, same, anew)
 
 
 def _solve_linearly(
@@ -175,7 +153,8 @@ def _solve_linearly(
         transpose_solve=partial(solve, transpose=True),
         symmetric=model.conservative,
     )
-    return bordered(x[:, :n_dof], x[:, n_dof:])
+    unknown, count = jnp.full((n_m, n_m), jnp.nan), jnp.full((), -1, jnp.int32)
+    return Bordered(x[:, :n_dof], x[:, n_dof:], unknown, count, jnp.ones((), bool))
 
 
 def linearise(

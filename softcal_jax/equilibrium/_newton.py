@@ -287,18 +287,20 @@ class NewtonLoop:
             done=give_up,
         )
 
-    def start(self, u0: Nodal) -> NewtonState:
-        """Begin at a guess `u0`, with its bodies made rigid."""
-        guess = evaluate(self.model, self.posed.rigid(u0))
-        zero, one = jnp.zeros((), u0.dtype), jnp.ones((), u0.dtype)
+    def start(self, u0: Nodal | None = None) -> NewtonState:
+        """Begin at rest, or at a guess `u0` with its bodies made rigid."""
         rest, count = at_rest(self.model), jnp.zeros((), jnp.int32)
-        # Rest is a better start than inverted tets or infinite energy.
-        usable = guess.finite & (guess.min_det_F > 0.0)
-        at = _select(usable, guess, rest)
-        # Making bodies rigid leaves rounding: ask the guess itself.
-        warm = usable & jnp.any(u0 != 0.0)
-        load = jnp.where(warm, one, self.longest)
-        lambda_a = jnp.where(warm, estimated_forces(self.posed, at), 0.0)
+        zero, at, load = jnp.zeros(()), rest, self.longest
+        lambda_a = jnp.zeros_like(rest.delta_a)
+        if u0 is not None:
+            guess = evaluate(self.model, self.posed.rigid(u0))
+            # Rest is a better start than inverted tets or infinite energy.
+            usable = guess.finite & (guess.min_det_F > 0.0)
+            at = _select(usable, guess, rest)
+            # Making bodies rigid leaves rounding: ask the guess itself.
+            warm = usable & jnp.any(u0 != 0.0)
+            load = jnp.where(warm, jnp.ones(()), load)
+            lambda_a = jnp.where(warm, estimated_forces(self.posed, at), 0.0)
         state = NewtonState(
             at=at,
             theta=zero,

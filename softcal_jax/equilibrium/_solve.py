@@ -54,9 +54,12 @@ def begin_newton(
     model: Model,
     settings: NewtonSettings,
     configuration: ConfigurationArrays,
-    guess: Nodal,
+    guess: Nodal | None = None,
 ) -> NewtonState:
-    """Return the state before the first iteration, for `continue_newton`."""
+    """Return the state before the first iteration, for `continue_newton`.
+
+    At rest there is nothing to evaluate, and little to compile.
+    """
     posed = Posed.of(model.tabulated(), configuration)
     return NewtonLoop(posed, settings).start(guess)
 
@@ -201,18 +204,19 @@ def solve_equilibrium(
             raise ValueError("a path begins at rest: leave out `guess`.")
         numbers = (settings or NewtonSettings()).as_arrays()
         return trace(model, configuration, path, numbers)
-    u0 = jnp.zeros((model.n_points, 3)) if guess is None else jnp.asarray(guess)
+    rest = jnp.zeros((model.n_points, 3))
+    u0 = rest if guess is None else jnp.asarray(guess)
     if u0.shape != (model.n_points, 3) or u0.dtype != jnp.float64:
         raise ValueError(
             f"the guess is {u0.dtype} of shape {u0.shape}; expected float64 of shape "
             f"({model.n_points}, 3), a displacement of each node [m]."
         )
     settings, bare = settings or NewtonSettings(), without_readings(configuration)
-    inside = jnp.zeros(()), model, bare, u0, settings  # the first in any trace
+    inside = rest, model, bare, u0, settings  # the first in any trace
     if any(map(is_traced, jax.tree.leaves(inside))):
         return _compiled_equilibrium(model, bare, u0, settings)
     numbers, most = settings.as_arrays(), jnp.asarray(settings.max_steps)
-    state = begin_newton(model, numbers, bare, u0)
+    state = begin_newton(model, numbers, bare, None if guess is None else u0)
     return continue_newton(model, numbers, most, bare, state)[1]
 
 

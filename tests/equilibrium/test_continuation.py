@@ -96,15 +96,13 @@ def with_solutions(done, right_hand_sides) -> Continued:
     return Continued(equilibrium, x, solved.ok, lin.stiffness(x[0]))
 
 
-def continued(model, configuration, guess, precise=False, settings=TIGHT):
-    return _continued(model, configuration, guess, precise, settings)
+def continued(model, configuration, guess, settings=TIGHT):
+    return _continued(model, configuration, guess, settings)
 
 
 @jax.jit
-def _continued(model, configuration, guess, precise, settings):
-    done = continue_equilibrium(
-        model, configuration, guess, settings=settings, precise=precise
-    )
+def _continued(model, configuration, guess, settings):
+    done = continue_equilibrium(model, configuration, guess, settings=settings)
     return with_solutions(done, lambda u: forces(model, configuration, u))
 
 
@@ -185,17 +183,14 @@ def test_forces_of_a_motion_are_those_of_the_equilibrium(careful):
     np.testing.assert_allclose(done.pull, pull, rtol=0, atol=1e-11 * scale)
 
 
-def test_one_more_step_makes_the_solutions_exact(careful):
-    """Those of the last Newton step are off by its way."""
+def test_solutions_are_those_of_the_end(careful):
+    """By the factor before the last step, and refinement: alone it is 2 % off."""
     guess, there = careful.displacement[HANGING], lane(LANES, HEAVIER)
-    quick, exact = (continued(MODEL, there, guess, flag) for flag in (False, True))
-    assert int(exact.equilibrium.steps) == int(quick.equilibrium.steps) + 1
-    off = []
-    for done in (quick, exact):
+    for start in (guess, 0.5 * (guess + careful.displacement[HEAVIER])):
+        done = continued(MODEL, there, start)
         expected = further(MODEL, there, done.equilibrium.displacement).x[:2]
         gap = jnp.max(jnp.abs(done.x[:2] - expected))
-        off.append(float(gap / jnp.max(jnp.abs(expected))))
-    assert off[1] < 1e-11 < 1e-8 < off[0]
+        assert float(gap) < 1e-7 * float(jnp.max(jnp.abs(expected)))
 
 
 def test_the_last_digits_come_from_the_factor_that_is_there(careful):
@@ -333,34 +328,26 @@ def test_factors_of_another_program_are_noticed(careful):
     forgetful = Forgetful.analyse(MODEL.solver.sparsity)
     model = eqx.tree_at(lambda m: m.solver, MODEL, forgetful)
     guess = careful.displacement[HANGING]
-    solve = lambda m, precise: continued(m, lane(LANES, HEAVIER), guess, precise)
-    done, expected = (solve(m, False).equilibrium.steps for m in (model, MODEL))
-    assert int(done) > int(expected)
-    # Precisely: without the chord steps the last tangent is another one.
-    done, expected = (solve(m, True) for m in (model, MODEL))
+    done, expected = (continued(m, lane(LANES, HEAVIER), guess) for m in (model, MODEL))
+    assert int(done.equilibrium.steps) > int(expected.equilibrium.steps)
     assert bool(done.ok)
     scale = float(jnp.max(jnp.abs(expected.x)))
     np.testing.assert_allclose(done.x, expected.x, rtol=0, atol=SHARP * scale)
 
 
-def test_the_last_digits_come_from_the_last_factor(careful):
-    """From close enough one factorization does, and its tangent is off by the way."""
+def test_one_factorization_is_enough_from_close_by(careful):
     u = careful.displacement[HANGING]
-    done = continued(MODEL, lane(LANES, HANGING), 1.0005 * u)
-    assert int(done.equilibrium.steps) == 1
-    assert float(done.equilibrium.residual) <= TIGHT.rtol
-    assert_same(done, HANGING, careful, rtol=1e-6)
-    precise = continued(MODEL, lane(LANES, HANGING), 1.0005 * u, True)
-    assert int(precise.equilibrium.steps) == 2
-    assert_same(precise, HANGING, careful, rtol=1e-6)
-    # From so close that its tangent is that of the equilibrium, one is enough.
-    near = continued(MODEL, lane(LANES, HANGING), (1.0 + 1e-9) * u, True)
-    assert int(near.equilibrium.steps) == 1
-    assert_same(near, HANGING, careful, rtol=1e-6)
+    for factor in (1.0005, 1.0 + 1e-9):
+        done = continued(MODEL, lane(LANES, HANGING), factor * u)
+        assert int(done.equilibrium.steps) == 1
+        assert float(done.equilibrium.residual) <= TIGHT.rtol
+        assert_same(done, HANGING, careful, rtol=1e-6)
     # That a step arrives says nothing of the tangent where it began.
-    loose = replace(TIGHT, rtol=1e-4)
-    rough = continued(MODEL, lane(LANES, HANGING), 1.0005 * u, True, loose)
-    assert int(rough.equilibrium.steps) == 2
+    loose = replace(TIGHT, rtol=1e-2)
+    done = continued(MODEL, lane(LANES, HANGING), 1.005 * u, loose)
+    expected = further(MODEL, lane(LANES, HANGING), done.equilibrium.displacement).x[:2]
+    scale = float(jnp.max(jnp.abs(expected)))
+    np.testing.assert_allclose(done.x[:2], expected, rtol=0, atol=1e-4 * scale)
 
 
 def test_a_support_that_has_moved_since_the_guess(careful):

@@ -12,7 +12,7 @@ import pytest
 from mechanisms import TIGHT, arrays
 from problems import neo_hookean_sphere
 from scipy.optimize import fminbound
-from test_pressure_sphere import ball, inflated, solve, solved
+from test_pressure_sphere import ball, inflated, solved
 from wording import says
 
 from softcal_jax.configurations import ImposedDisplacement, ImposedForce
@@ -113,7 +113,7 @@ def test_an_imposed_volume_reaches_the_full_load(monkeypatch):
 
 
 def test_a_limit_point_is_named_as_one(lane):
-    solution = solve(model(), lane, NewtonSettings())[0]
+    solution = solve_equilibrium(model(), lane)
     assert bool(solution.result == RESULTS.limit_point)
     assert int(solution.n_negative) == 1
     # Newton's iterations are used up before the load steps are the smallest.
