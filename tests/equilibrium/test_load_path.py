@@ -19,7 +19,6 @@ from softcal_jax.configurations import ImposedDisplacement, ImposedForce
 from softcal_jax.equilibrium import (
     RESULTS,
     LoadPath,
-    NewtonSettings,
     _path,
     check_converged,
     solve_equilibrium,
