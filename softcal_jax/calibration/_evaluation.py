@@ -178,6 +178,7 @@ class Evaluator:
         z: Float[Array, " n_p"],
         guess: Float[Array, "n_c n_points 3"],
         before: Float[Array, "n_c n_points 3"] | None = None,
+        precise: bool | Bool[Array, ""] = False,
         *,
         lanes: Sequence[int] | None = None,
     ) -> Response:
@@ -189,19 +190,20 @@ class Evaluator:
             z: Scaled parameters [-].
             guess: Displacements to start from [m].
             before: Equilibria that the guess extrapolates to first order, if any [m].
+            precise: Whether the compliances are exact, see `equilibrium_response`.
             lanes: Indices of the configurations, by default of all.
         """
         lanes = range(len(self.lanes)) if lanes is None else lanes
         far, found = list(range(len(lanes))), dict[int, Response]()
         if self.problem.model.solver.counts_negative:
-            steps = self._near(lanes, z, guess, before)
+            steps = self._near(lanes, z, guess, before, precise)
             found = dict(enumerate(steps))
             far = [k for k, step in found.items() if not step.equilibrium.converged]
         if far:
             which = [lanes[k] for k in far]
             start = lane_of(guess, np.asarray(far))
             solution = self.equilibria(z, lanes=which, guess=start)
-            found |= zip(far, self.closed(which, z, solution), strict=True)
+            found |= zip(far, self.closed(which, z, solution, precise), strict=True)
         return stacked([found[k] for k in range(len(lanes))])
 
     def _near(
@@ -209,11 +211,12 @@ class Evaluator:
         lanes: Sequence[int],
         z: Float[Array, " n_p"],
         guess: Float[Array, "n_lanes n_points 3"],
-        before: Float[Array, "n_lanes n_points 3"] | None = None,
+        before: Float[Array, "n_lanes n_points 3"] | None,
+        precise: bool | Bool[Array, ""],
     ) -> list[Response]:
         states = zip(guess, guess if before is None else before, strict=True)
-        each = zip(lanes, states, strict=True)
-        arguments = [(z, self.lanes[c], *state) for c, state in each]
+        each, exact = zip(lanes, states, strict=True), jnp.asarray(precise)
+        arguments = [(z, self.lanes[c], *state, exact) for c, state in each]
         return self.workers.map(self._program, arguments)
 
     def closed(
@@ -221,13 +224,14 @@ class Evaluator:
         lanes: Sequence[int],
         z: Float[Array, " n_p"],
         solution: EquilibriumSolution,
+        precise: bool | Bool[Array, ""] = False,
     ) -> list[Response]:
         """Add the compliances to equilibria that were solved.
 
         The step on the factor that they need anyway takes the error from `rtol` down to
         rounding, so that a fit compares costs of equally exact equilibria.
         """
-        steps = self._near(lanes, z, solution.displacement)
+        steps = self._near(lanes, z, solution.displacement, None, precise)
         return [_counted(step, lane_of(solution, k)) for k, step in enumerate(steps)]
 
     def __call__(
@@ -235,15 +239,16 @@ class Evaluator:
         z: Float[Array, " n_p"],
         guess: Float[Array, "n_c n_points 3"],
         before: Float[Array, "n_c n_points 3"] | None = None,
+        precise: bool | Bool[Array, ""] = False,
     ) -> Evaluation:
         """Weigh the errors and compliances of `response` (paper Eqs. 9, 10)."""
-        response = self.response(z, guess, before)
+        response = self.response(z, guess, before, precise)
         return weighed(self.numbered, z, response)
 
     def response_of(
         self, lane: int, z: Float[Array, " n_p"], guess: Float[Array, "n_points 3"]
     ) -> Response:
-        """Compute equilibrium and compliances of one lane."""
+        """Compute equilibrium and compliances of one lane, not `precise`."""
         return lane_of(self.response(z, guess[None], lanes=[lane]), 0)
 
     def posed(self, z: Float[Array, " n_p"]) -> tuple[Model, ConfigurationArrays]:

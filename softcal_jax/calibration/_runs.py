@@ -84,7 +84,7 @@ def descend(
         tried = state.evaluation
         if not proposal.vanishes:
             before = tried.equilibrium.displacement
-            tried = evaluate(proposal.z, proposal.guess, before)
+            tried = evaluate(proposal.z, proposal.guess, before, proposal.precise)
         state = decide(space, settings, state, proposal, tried)
         note(state)
     return state

@@ -48,6 +48,12 @@ Where the fit leaves an error, Gauss-Newton converges linearly, and many small s
 would follow that hardly change the fit.
 """
 
+SLOW = 1e-2
+"""Predicted relative fall of the cost below which gradients must be exact [-].
+
+The errors nearly cancel in the gradient there, and errors of W_ep do not.
+"""
+
 FLAT = 1e-3
 """Largest relative slope of the cost at which a refused step means a minimum [-]."""
 
@@ -157,8 +163,8 @@ class Proposal(Module):
     """A step that the QP proposes: parameters after it, and a guess of the equilibria.
 
     `cost` is that by the model that the QP used, `costs` by the linear model of the
-    errors, and with curvature. A step that `vanishes` is too small to be worth an
-    evaluation: nothing moves any more.
+    errors, and with curvature. `precise` asks for exact compliances after it. A step
+    that `vanishes` is too small to be worth an evaluation: nothing moves any more.
     """
 
     qp: QPStep
@@ -166,6 +172,7 @@ class Proposal(Module):
     guess: Float[Array, "n_c n_nodes 3"]
     cost: Float[Array, ""]
     costs: Float[Array, "2"]
+    precise: Bool[Array, ""]
     vanishes: Bool[Array, ""]
 
 
@@ -261,6 +268,7 @@ def _proposal(
         guess=stay(guess, before),
         cost=cost,
         costs=predicted,
+        precise=now.cost - cost <= SLOW * now.cost,
         vanishes=vanishes,
     )
 

@@ -40,13 +40,14 @@ from softcal_jax.equilibrium._solution import EquilibriumSolution
 MAX_QUICK_STEPS = 5
 """Full Newton steps after which the guess counts as bad."""
 
-CHORDS_FROM = 1e-2
+CHORDS_FROM = 1e-3
 """Relative residual below which chord steps replace Newton steps.
 
-They cost one evaluation of the forces and one solve.
+They cost one evaluation of the forces and one solve. Starting them earlier would leave
+a less accurate tangent to the sensitivities.
 """
 
-MOST_CHORDS = 5
+MOST_CHORDS = 3
 """Most chord steps to expect at the rate of the last; else take a Newton step."""
 
 SHORT = 1e-3
@@ -92,6 +93,7 @@ def continue_equilibrium(
     *,
     settings: NewtonSettings,
     before: Nodal | None = None,
+    precise: bool | Bool[Array, ""] = False,
 ) -> tuple[EquilibriumSolution, Linearisation]:
     """Find the equilibrium near a guess, and the linear system there.
 
@@ -102,8 +104,11 @@ def continue_equilibrium(
     in an unstable state unnoticed.
 
     The last digits come from steps on the last factor (chord steps). The linear system
-    is that of the equilibrium (to `SHARP`), solved by the last factor and refinement:
-    one factorization does for both.
+    is stated at the equilibrium, but its tangent is that before the last Newton step,
+    so its error is of the order of that step. If `precise`, it is assembled once more,
+    and solved by the last factor and refinement: no second factorization. (The rows of
+    the parameters are not taken from there, or a direction without any effect would
+    seem to have one.)
 
     `before` is the equilibrium from which the guess was extrapolated to first order; it
     saves slender robots a Newton step [m].
@@ -112,7 +117,7 @@ def continue_equilibrium(
     # From rest several could end on another branch.
     several = model.solver.counts_negative & jnp.any(guess != 0.0)
     most = jnp.where(several, MAX_QUICK_STEPS, 1)
-    quick = _QuickSteps(posed.tabulated(), settings, most)
+    quick = _QuickSteps(posed.tabulated(), settings, most, precise)
     start = quick.start(guess, before)
     state = jax.lax.while_loop(lambda s: ~s.done, quick.step, start)
     u, lambda_a = state.solution.displacement, state.solution.multipliers
@@ -139,6 +144,7 @@ class _QuickSteps(NamedTuple):
     posed: Posed
     settings: NewtonSettings
     most: Int[Array, ""]
+    precise: bool | Bool[Array, ""]
 
     @property
     def model(self) -> Model:
@@ -231,7 +237,8 @@ class _QuickSteps(NamedTuple):
         contracts = s.chord | (sound & falls & (n_newton < self.most))
         # The residual says nothing of gaps that actuators still have to close.
         sharp = s.sharp & anew & (self.model.with_multiplier.size == 0)
-        last = s.arrived | (arrived & sharp)
+        exact = s.arrived | sharp | ~jnp.asarray(self.precise)
+        last = s.arrived | (arrived & exact)
         quick = EquilibriumSolution(
             displacement=new.u,
             multipliers=new_lambda,

@@ -34,7 +34,7 @@ class LinearSolution(NamedTuple):
 MOST_REFINEMENTS = 5
 """Refinements of a solution by the factors of another matrix; else factorize anew."""
 
-REFINED = 1e-7
+REFINED = 1e-6
 """Relative residual at which a solution belongs to its matrix [-]."""
 
 

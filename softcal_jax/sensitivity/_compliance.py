@@ -163,21 +163,23 @@ def equilibrium_response(
     configuration: ConfigurationArrays,
     guess: Float[Array, "n_points 3"],
     before: Float[Array, "n_points 3"] | None = None,
+    precise: bool | Bool[Array, ""] = False,
 ) -> Response:
     """Find the equilibrium near a guess, and W_ep = H_e K^-1 H_p^T there; Eq. (9).
 
-    It is not converged where none is near, see `continue_equilibrium`. W_ep takes no
-    factorization of its own. `vmap` runs configurations sequentially, each to its own
-    convergence. Arguments as for `continue_equilibrium` and `parameter_compliance`.
+    It is not converged where none is near, see `continue_equilibrium`. W_ep reuses the
+    factor of the last Newton step, and is exact only if `precise`. `vmap` runs
+    configurations sequentially, each to its own convergence. Arguments as for
+    `continue_equilibrium` and `parameter_compliance`.
     """
     model, rest = traceable(model)
 
     @jax.custom_batching.sequential_vmap
-    def lane(model, space, z, configuration, guess, before):
+    def lane(model, space, z, configuration, guess, before, precise):
         model = eqx.combine(model, rest)
         model, configuration = space.apply(model, configuration, z)
         equilibrium, linearisation = continue_equilibrium(
-            model, configuration, guess, settings=newton, before=before
+            model, configuration, guess, settings=newton, before=before, precise=precise
         )
         rows = parameter_rows(linearisation, space, z)
         most = max(configuration.effectors.measured.size, FEW_PARAMETERS)
@@ -196,4 +198,4 @@ def equilibrium_response(
         )
 
     before = guess if before is None else before
-    return lane(model, space, z, configuration, guess, before)
+    return lane(model, space, z, configuration, guess, before, jnp.asarray(precise))

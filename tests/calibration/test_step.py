@@ -411,6 +411,8 @@ def test_a_fit_that_leaves_an_error_converges_by_its_curvature(problem):
                 state = eqx.tree_at(where, state, jnp.zeros((), bool))
             proposal = propose(noisy.space, settings, state)
             now = evaluate(noisy, proposal.z, proposal.guess)
+            if proposal.precise:
+                now = evaluate(noisy, proposal.z, now.equilibrium.displacement)
             state = decide(noisy.space, settings, state, proposal, now)
         ends.append(state)
     curved, linear = ends
