@@ -48,7 +48,6 @@ from softcal_jax.equilibrium import (
     EquilibriumProgress,
     Model,
     NewtonSettings,
-    as_guess,
     check_converged,
     effector_values,
     solve_equilibrium,
@@ -367,7 +366,7 @@ def levenberg_marquardt(
     import optimistix as optx  # here, as it takes a fifth of the package's import time
 
     begin = problem.space.start()
-    guess = as_guess(evaluate(problem, begin).equilibrium)
+    guess = evaluate(problem, begin).equilibrium.displacement
 
     def errors(z, problem: CalibrationProblem):
         model, configurations = problem.at(z)

@@ -124,10 +124,9 @@ def _posed(problem: CalibrationProblem, z) -> tuple[Model, ConfigurationArrays]:
 
 def _counted(step: Response, solution: EquilibriumSolution) -> Response:
     """Return a step that closed an equilibrium, with the iterations that found it."""
-    closed, counts = step.equilibrium, ("steps", "load_steps")
-    own = {name: getattr(solution, name) for name in counts}
-    found = replace(closed, **own) if closed.converged else solution
-    return step._replace(equilibrium=found)
+    counts = {name: getattr(solution, name) for name in ("steps", "load_steps")}
+    closed = replace(step.equilibrium, **counts)
+    return step._replace(equilibrium=closed if closed.converged else solution)
 
 
 class Evaluator:
@@ -179,32 +178,27 @@ class Evaluator:
         guess: Float[Array, "n_c n_points 3"],
         before: Float[Array, "n_c n_points 3"] | None = None,
         precise: bool | Bool[Array, ""] = False,
-        *,
-        lanes: Sequence[int] | None = None,
     ) -> Response:
-        """Compute equilibria and compliances W_ep (paper Eq. 9).
+        """Compute equilibria and compliances W_ep (paper Eq. 9) of all lanes.
 
-        What is not near its guess is solved as from rest.
+        What is not near its guess is solved with care from there.
 
         Args:
             z: Scaled parameters [-].
             guess: Displacements to start from [m].
             before: Equilibria that the guess extrapolates to first order, if any [m].
             precise: Whether the compliances are exact, see `equilibrium_response`.
-            lanes: Indices of the configurations, by default of all.
         """
-        lanes = range(len(self.lanes)) if lanes is None else lanes
-        far, found = list(range(len(lanes))), dict[int, Response]()
+        every, far = range(len(self.lanes)), list(range(len(self.lanes)))
+        found: dict[int, Response] = {}
         if self.problem.model.solver.counts_negative:
-            steps = self._near(lanes, z, guess, before, precise)
-            found = dict(enumerate(steps))
-            far = [k for k, step in found.items() if not step.equilibrium.converged]
+            found = dict(enumerate(self._near(every, z, guess, before, precise)))
+            far = [c for c in every if not found[c].equilibrium.converged]
         if far:
-            which = [lanes[k] for k in far]
             start = lane_of(guess, np.asarray(far))
-            solution = self.equilibria(z, lanes=which, guess=start)
-            found |= zip(far, self.closed(which, z, solution, precise), strict=True)
-        return stacked([found[k] for k in range(len(lanes))])
+            solution = self.equilibria(z, lanes=far, guess=start)
+            found |= zip(far, self.closed(far, z, solution, precise), strict=True)
+        return stacked([found[c] for c in every])
 
     def _near(
         self,
@@ -244,12 +238,6 @@ class Evaluator:
         """Weigh the errors and compliances of `response` (paper Eqs. 9, 10)."""
         response = self.response(z, guess, before, precise)
         return weighed(self.numbered, z, response)
-
-    def response_of(
-        self, lane: int, z: Float[Array, " n_p"], guess: Float[Array, "n_points 3"]
-    ) -> Response:
-        """Compute equilibrium and compliances of one lane, not `precise`."""
-        return lane_of(self.response(z, guess[None], lanes=[lane]), 0)
 
     def posed(self, z: Float[Array, " n_p"]) -> tuple[Model, ConfigurationArrays]:
         """Return model and configurations with scaled parameters set [-]."""

@@ -226,8 +226,9 @@ def _follow_paths(
         )
         share = min(float(np.max(path.load)), 1.0)
         if share == 1.0:
-            guess = jax.device_put(path.displacement[-1])
-            chain.solved[i] = evaluate.response_of(i, chain.z, guess)
+            guess = jax.device_put(path.displacement[-1:])
+            solution = evaluate.equilibria(chain.z, lanes=[i], guess=guess)
+            (chain.solved[i],) = evaluate.closed([i], chain.z, solution)
         carried[i] = share
 
 

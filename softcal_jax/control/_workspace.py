@@ -95,8 +95,8 @@ def sample_workspace(
     each = [with_inputs(lane, jnp.asarray(value)) for value in values]
     rest = jnp.zeros((len(each), model.n_points, 3))
     with Workers(model, len(each)) as workers:
-        newton = settings or NewtonSettings()
-        solution = equilibria(workers, model, each, newton, guess=rest)
+        run = workers, model, each, settings or NewtonSettings()
+        solution = equilibria(*run, guess=rest)
         found = effectors_on_all_cores(workers, model, each, solution)
     effectors: dict[str, list] = {}
     for record in lanes.effectors[0]:

@@ -16,7 +16,6 @@ from softcal_jax.equilibrium._assembly import (
 from softcal_jax.equilibrium._batch import (
     EquilibriumProgress as EquilibriumProgress,
     Report as Report,
-    as_guess as as_guess,
     compiled_effectors as compiled_effectors,
     effectors_on_all_cores as effectors_on_all_cores,
     equilibria as equilibria,

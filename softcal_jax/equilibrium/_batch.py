@@ -97,11 +97,11 @@ def equilibria(
 
     By default each begins at rest; with rigid bodies, at the configuration before:
     poses of a robot lie near each other, and far from its parts before they are
-    mounted. `report` is called after every few iterations of one of them.
+    mounted. A guess that is not finite counts as rest. `report` is called after every
+    few iterations of one of them.
     """
     lanes = list(map(without_readings, configurations))
-    settings = newton.as_arrays()
-    most = int(newton.max_steps)
+    settings, most = newton.as_arrays(), int(newton.max_steps)
     steps = jnp.asarray(most if report is None else STEPS_BETWEEN)
     first = Program(begin_newton, model, settings)
     program = Program(continue_newton, model, settings, steps)
@@ -146,9 +146,3 @@ def effectors_on_all_cores(
     states = solution.displacement, solution.multipliers
     lanes = zip(configurations, *map(np.asarray, states), strict=True)
     return stacked(workers.map(Program(compiled_effectors, model), lanes))
-
-
-def as_guess(solution: EquilibriumSolution) -> Float[Array, "n_c n_points 3"]:
-    """Return displacements to start from, rest where there was no equilibrium [m]."""
-    converged = solution.converged[:, None, None]
-    return jnp.where(converged, solution.displacement, 0.0)

@@ -81,7 +81,6 @@ class _Quick(NamedTuple):
     factor: Factor
     chord: Bool[Array, ""]
     arrived: Bool[Array, ""]
-    step: Int[Array, ""]
     done: Bool[Array, ""]
 
 
@@ -184,7 +183,6 @@ class _QuickSteps(NamedTuple):
             factor=zeros_of(lambda: self.newton_step(at, lambda_a, at.u, None)[1]),
             chord=no,
             arrived=no,
-            step=count,
             done=~usable,
         )
 
@@ -233,18 +231,17 @@ class _QuickSteps(NamedTuple):
         sound = stable & jnp.isfinite(new.energy) & jnp.isfinite(residual.size)
         arrived = sound & residual.settled(rtol)
         falls = residual.size <= solution.residual
-        n_newton = s.step + anew.astype(s.step.dtype)
-        contracts = s.chord | (sound & falls & (n_newton < self.most))
+        steps = solution.steps + anew.astype(solution.steps.dtype)
+        contracts = s.chord | (sound & falls & (steps < self.most))
         # The residual says nothing of gaps that actuators still have to close.
         sharp = s.sharp & anew & (self.model.with_multiplier.size == 0)
-        exact = s.arrived | sharp | ~jnp.asarray(self.precise)
-        last = s.arrived | (arrived & exact)
+        last = s.arrived | (arrived & (sharp | ~jnp.asarray(self.precise)))
         quick = EquilibriumSolution(
             displacement=new.u,
             multipliers=new_lambda,
             result=RESULTS.where(arrived, RESULTS.converged, RESULTS.max_steps),
-            steps=n_newton,
-            load_steps=jnp.ones_like(n_newton),
+            steps=steps,
+            load_steps=jnp.ones_like(steps),
             load_reached=jnp.ones_like(residual.size),
             residual=residual.size,
             rounding=residual.rounding,
@@ -256,8 +253,7 @@ class _QuickSteps(NamedTuple):
         # Extrapolate the fall of the residual: will a few chord steps be enough?
         rate = residual.size / solution.residual
         to_come = residual._replace(size=residual.size * rate**MOST_CHORDS)
-        near = residual.size <= CHORDS_FROM
-        close = jnp.where(s.chord, to_come.settled(rtol), near)
+        close = jnp.where(s.chord, to_come.settled(rtol), residual.size <= CHORDS_FROM)
         pick = lambda a, b: jnp.where(taken, a, b)
         size = self.residual(new, new_lambda)
         return _Quick(
@@ -269,6 +265,5 @@ class _QuickSteps(NamedTuple):
             factor=factor,
             chord=taken & ~arrived & close,
             arrived=arrived,
-            step=n_newton,
             done=last | ~(arrived | contracts),
         )

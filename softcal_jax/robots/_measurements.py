@@ -17,7 +17,6 @@ from softcal_jax.equilibrium import (
     Model,
     NewtonSettings,
     Workers,
-    as_guess,
     check_converged,
     effectors_on_all_cores,
     equilibria,
@@ -97,7 +96,7 @@ def simulated_measurements(
     guess = None
     if first is not None:
         with Workers(first, len(configurations)) as workers:
-            guess = as_guess(equilibria(workers, first, arrays, newton))
+            guess = equilibria(workers, first, arrays, newton).displacement
     with Workers(model, len(configurations)) as workers:
         solution = equilibria(workers, model, arrays, newton, guess=guess)
         effectors = effectors_on_all_cores(workers, model, arrays, solution)
