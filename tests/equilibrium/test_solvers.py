@@ -36,7 +36,7 @@ from softcal_jax.equilibrium._linear_solver import (
     Pardiso,
     _work,
 )
-from softcal_jax.equilibrium._sparsity import from_entries, mask_supports
+from softcal_jax.equilibrium._sparsity import from_entries, mask_supports, product
 from softcal_jax.materials import Corotational, Isotropic, NeoHookean, StVenantKirchhoff
 from softcal_jax.mesh import beam
 
@@ -345,3 +345,22 @@ def test_a_zero_pivot_of_minimum_degree_is_no_singular_matrix():
     assert not bool(
         eqx.tree_at(lambda s: s.spare, solver, None).factor_solve(K, x.x).ok
     )
+
+
+def test_a_matrix_near_the_last_is_solved_by_its_factors():
+    """By refinement; one that is far is factorized, and its eigenvalues counted."""
+    pytest.importorskip(PACKAGES["pardiso"], reason="not installed on this platform")
+    solver = small_model("pardiso").solver
+    random, sparsity = np.random.default_rng(0), solver.sparsity
+    values = 0.01 * random.normal(size=sparsity.nnz)
+    values[sparsity.diagonal] = 1.0
+    rhs = jnp.asarray(random.normal(size=(2, sparsity.n_dof)))
+    change = random.normal(size=sparsity.nnz)
+    for size, factorized in ((1e-4, False), (0.3, True)):
+        assert bool(solver.factor_solve(jnp.asarray(values), rhs).ok)
+        other = jnp.asarray(values + size * change)
+        x = solver.solve_near(other, rhs)
+        assert bool(x.ok)
+        assert (int(x.n_negative) >= 0) == factorized
+        left = jnp.stack([product(sparsity, other, row) for row in x.x]) - rhs
+        assert float(jnp.max(jnp.abs(left))) < 1e-6
