@@ -357,6 +357,13 @@ def test_one_factorization_is_enough_from_close_by(careful):
     np.testing.assert_allclose(done.x[:2], expected, rtol=0, atol=1e-4 * scale)
 
 
+def test_from_rest_one_step_is_all():
+    """Several could end on another branch."""
+    found = continued(MODEL, lane(LANES, HANGING), jnp.zeros(SHAPE)).equilibrium
+    assert not bool(found.converged)
+    assert int(found.steps) == 1
+
+
 def test_a_support_that_has_moved_since_the_guess(careful):
     """Full steps are not trusted with a jump of what is held."""
     there = lane(LANES, MOVED)
