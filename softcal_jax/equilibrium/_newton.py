@@ -294,11 +294,11 @@ class NewtonLoop:
         lambda_a = jnp.zeros_like(rest.delta_a)
         if u0 is not None:
             guess = evaluate(self.model, self.posed.rigid(u0))
-            # Rest is a better start than inverted tets or infinite energy.
+            # Rest is a better start than inverted tets or infinite energy, and making
+            # bodies rigid leaves rounding: ask the guess itself whether it is rest.
             usable = guess.finite & (guess.min_det_F > 0.0)
-            at = _select(usable, guess, rest)
-            # Making bodies rigid leaves rounding: ask the guess itself.
             warm = usable & jnp.any(u0 != 0.0)
+            at = _select(warm, guess, rest)
             load = jnp.where(warm, jnp.ones(()), load)
             lambda_a = jnp.where(warm, estimated_forces(self.posed, at), 0.0)
         state = NewtonState(

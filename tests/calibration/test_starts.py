@@ -150,10 +150,7 @@ def test_order_of_the_starts_changes_no_optimum(measured, mirrored):
     starts = jnp.stack([measured.starts[2], lost, measured.starts[0]])
     again = multi_start(measured.problem, starts)
     for ours, theirs in ((0, 2), (2, 0)):
-        # Each ends where its next step is below `tol`, on its own side.
-        np.testing.assert_allclose(
-            again.z[ours], mirrored.z[theirs], rtol=0, atol=FROM_ANYWHERE.tol
-        )
+        np.testing.assert_allclose(again.z[ours], mirrored.z[theirs], atol=1e-7)
     assert again.converged.tolist() == [True, False, True]
     assert again.cost[1] == np.inf
     assert again.steps[1] == 1

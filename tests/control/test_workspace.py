@@ -28,9 +28,8 @@ def test_batch_equals_its_members_and_names_the_one_that_failed():
         solution, state = solved(
             arm(), configuration, jax.numpy.array([top, 0.0, motor])
         )
-        # To rounding: a guess of zero is made rigid, rest is so.
-        np.testing.assert_allclose(
-            workspace.solution.displacement[i], solution.displacement, atol=1e-15
+        np.testing.assert_array_equal(
+            workspace.solution.displacement[i], solution.displacement
         )
         # Points first, then turns.
         tip = workspace.effectors["tip"][i, 0]

@@ -34,7 +34,7 @@ from softcal_jax.materials import (
     ReducedTransverseIsotropic,
 )
 from softcal_jax.mesh import TetMesh, beam
-from softcal_jax.sensitivity import parameter_compliance
+from softcal_jax.sensitivity import equilibrium_response, parameter_compliance
 from softcal_jax.sensitivity._compliance import FEW_PARAMETERS
 
 TIGHT = NewtonSettings(rtol=1e-11)
@@ -216,6 +216,14 @@ def test_a_pose_alone_gives_bit_for_bit_the_same():
         same = jax.tree.map(lambda a, b, i=index: (a[0], b[i]), one, together)
         for ours, theirs in jax.tree.leaves(same, is_leaf=lambda x: type(x) is tuple):
             np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_vmap_gives_what_a_calibration_does():
+    c, z, guess = case("plain"), values("plain"), near("plain")
+    one = lambda lane, u: equilibrium_response(
+        c.model, c.space, NewtonSettings(), z, lane, u
+    )
+    assert_same("plain", jax.jit(jax.vmap(one))(c.configurations, guess), rtol=1e-5)
 
 
 def test_supports_that_moved_take_their_nodes_along():
