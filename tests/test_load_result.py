@@ -13,6 +13,7 @@ from wording import says
 
 import softcal_jax as sc
 from softcal_jax.cli import main
+from softcal_jax.exchange.icesl import _fields, _report, _settings
 from softcal_jax.fields import ParameterSpace, load_factor
 from softcal_jax.mesh import mesh_files
 from softcal_jax.project import load_project
@@ -274,6 +275,14 @@ def test_export_of_what_has_changed(folder, capsys):
     assert not job.exists()
 
 
+@pytest.fixture
+def coarse(monkeypatch):
+    """Fewer voxels of foam than the slicer takes."""
+    for module in (_fields, _report, _settings):
+        monkeypatch.setattr(module, "N_VOXELS", 8)
+
+
+@pytest.mark.usefixtures("coarse")
 def test_a_loaded_modulus_as_foam(folder, calibrated, capsys, monkeypatch):
     """Isotropic: the density whose published modulus is the calibrated one."""
     monkeypatch.chdir(folder)
@@ -292,6 +301,7 @@ def test_a_loaded_modulus_as_foam(folder, calibrated, capsys, monkeypatch):
     assert "the folder print is not empty" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("coarse")
 def test_a_project_file_as_foam(folder, capsys, monkeypatch):
     """Its start values are a design: 200 kPa is softer than any foam of the table."""
     monkeypatch.chdir(folder)

@@ -1,7 +1,5 @@
 import io
 import json
-import subprocess
-import sys
 import warnings
 
 import numpy as np
@@ -62,10 +60,14 @@ def no_opengl(monkeypatch):
 
 
 @needs_opengl
-def test_a_calibration_as_a_folder(tmp_path):
-    written = write_results(
-        make_result(), tmp_path / "out", name="beam", timing_s={"import": 2.0}
-    )
+def test_a_calibration_as_a_folder(tmp_path, capfd):
+    """Nothing is written to the terminal."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        written = write_results(
+            make_result(), tmp_path / "out", name="beam", timing_s={"import": 2.0}
+        )
+    assert capfd.readouterr() == ("", "")
     assert written == tmp_path / "out"
     assert names(tmp_path) == ["out"]
     data = json.loads((written / "result.json").read_text())
@@ -411,26 +413,6 @@ def test_simulation_table():
     assert rows[0] == ["lane 0", f"{np.hypot(20, 4):.2f} mm", "4", "converged"]
     assert rows[1][:3] == ["lane 1", "-", "5"]
     assert rows[1][3].startswith("some tets are inverted")
-
-
-def test_importing_the_report_loads_no_graphics():
-    """`import softcal_jax` must stay quick: VTK alone takes half a second."""
-    code = (
-        "import sys, softcal_jax.report; "
-        "print({'pyvista', 'vtkmodules', 'matplotlib'} & set(sys.modules))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "set()"
-
-
-@needs_opengl
-def test_nothing_is_written_to_the_terminal(tmp_path, capfd):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        write_results(make_result(), tmp_path / "out")
-    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.filterwarnings("ignore::softcal_jax.report.PictureWarning")

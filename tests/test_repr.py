@@ -45,10 +45,6 @@ def public_classes():
 PUBLIC = public_classes()
 
 
-def identity(own):
-    return f"{own.__module__}.{own.__name__}"
-
-
 def keys_of(own):
     if dataclasses.is_dataclass(own):
         return [field.name for field in dataclasses.fields(own)]
@@ -125,12 +121,11 @@ def test_whatever_the_fields_hold(content):
         assert_one_line(repr(record), own)
 
 
-@pytest.mark.parametrize("own", PUBLIC, ids=identity)
-def test_half_built(own):
-    """As a traceback out of `__init__` shows it."""
-    if issubclass(own, tuple):
-        pytest.skip("tuples are built at once")
-    assert_one_line(repr(object.__new__(own)), own)
+def test_half_built():
+    """As a traceback out of `__init__` shows it; tuples are built at once."""
+    for own in PUBLIC:
+        if not issubclass(own, tuple):
+            assert_one_line(repr(object.__new__(own)), own)
 
 
 def cable_finger():

@@ -1,6 +1,5 @@
 import jax
 import jax.numpy as jnp
-import jax.random as jr
 import numpy as np
 import pytest
 import scipy.linalg
@@ -17,8 +16,9 @@ from softcal_jax.elements import (
     symmetric,
 )
 
-A, B = jr.normal(jr.key(0), (2, 3, 3))
-a, b = jr.normal(jr.key(1), (2, 3))
+RANDOM = np.random.default_rng(0)
+A, B = map(jnp.asarray, RANDOM.normal(size=(2, 3, 3)))
+a, b = map(jnp.asarray, RANDOM.normal(size=(2, 3)))
 
 
 def test_algebra_is_that_of_numpy():

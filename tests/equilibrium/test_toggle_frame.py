@@ -32,8 +32,10 @@ def turning(sign, between):
     return np.asarray(fminbound(load, *between, xtol=1e-8)).item()
 
 
-LIMITS = np.array([turning(1.0, (0.004, 0.008)), turning(-1.0, (0.008, 0.012))])
-"""Deflections of the crown at the largest load and at the smallest after it [m]."""
+@pytest.fixture(scope="module")
+def limits():
+    """Deflections of the crown at the largest load and at the smallest after it [m]."""
+    return np.array([turning(1.0, (0.004, 0.008)), turning(-1.0, (0.008, 0.012))])
 
 
 @pytest.fixture(scope="module")
@@ -63,19 +65,19 @@ def deflections(path):
     return height[0] - height
 
 
-def test_the_path_snaps_through_and_stiffens_again(path):
+def test_the_path_snaps_through_and_stiffens_again(path, limits):
     assert bool(path.result == RESULTS.converged), RESULTS[path.result]
     found = deflections(path)
     # Several states before the limit, between the limits and after them.
-    between = np.sum((found > LIMITS[0]) & (found < LIMITS[1]))
+    between = np.sum((found > limits[0]) & (found < limits[1]))
     assert between >= 3
-    assert np.sum(found > LIMITS[1]) >= 3
+    assert np.sum(found > limits[1]) >= 3
     expected = toggle_loads(found)
     np.testing.assert_allclose(FULL * path.load, expected, rtol=MESH_ERROR, atol=1e-9)
 
 
-def test_both_limits_are_where_the_beam_has_them(path):
-    loads = toggle_loads(LIMITS)
+def test_both_limits_are_where_the_beam_has_them(path, limits):
+    loads = toggle_loads(limits)
     assert round(loads[0] / TOGGLE.pound) == 34
     # The parabola through states that are 0.9 mm apart is flat where the load turns.
     turns = np.flatnonzero(np.diff(np.sign(np.diff(path.load)))) + 1
@@ -84,12 +86,12 @@ def test_both_limits_are_where_the_beam_has_them(path):
         [np.polyfit(deflections(path)[k], path.load[k], 2) for k in about.T]
     )
     flat = -curves[:, 1] / (2.0 * curves[:, 0])
-    np.testing.assert_allclose(flat, LIMITS, rtol=0.02)
-    limits = curves[:, 2] - curves[:, 1] ** 2 / (4.0 * curves[:, 0])
-    np.testing.assert_allclose(FULL * limits, loads, rtol=MESH_ERROR)
+    np.testing.assert_allclose(flat, limits, rtol=0.02)
+    turning_loads = curves[:, 2] - curves[:, 1] ** 2 / (4.0 * curves[:, 0])
+    np.testing.assert_allclose(FULL * turning_loads, loads, rtol=MESH_ERROR)
 
 
-def test_it_is_unstable_between_the_limits_alone(path):
+def test_it_is_unstable_between_the_limits_alone(path, limits):
     found = deflections(path)
-    between = (found > LIMITS[0]) & (found < LIMITS[1])
+    between = (found > limits[0]) & (found < limits[1])
     np.testing.assert_array_equal(path.n_negative, between.astype(int))

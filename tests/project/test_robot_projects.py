@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import equinox as eqx
+import jax
 import meshio
 import numpy as np
 import pytest
@@ -130,6 +131,8 @@ def by_hand():
 
 def assert_same(found, wanted):
     """Equal up to the rounding of units."""
+    host = lambda leaf: np.asarray(leaf) if eqx.is_array(leaf) else leaf
+    found, wanted = (jax.tree.map(host, tree) for tree in (found, wanted))
     assert eqx.tree_equal(found, wanted, rtol=1e-12, atol=1e-15), (found, wanted)
 
 

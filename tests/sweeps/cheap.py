@@ -70,8 +70,9 @@ def where(trial):
 
 
 def compiled(trial):
-    """The sum of squares, by a program of its own for each length."""
-    return {"sum": float(_squares(np.arange(float(trial["length"]))))}
+    """Where, and the sum of squares, by a program of its own for each length."""
+    squares = _squares(np.arange(float(trial["length"])))
+    return {"sum": float(squares)} | where(trial)
 
 
 def _squares(values):

@@ -173,28 +173,22 @@ def test_a_trial_that_kills_its_worker_fails_alone(undisturbed, tmp_path):
 
 
 def test_workers_compute_as_this_process_does(tmp_path):
-    """float64 as here, and one thread each however many there are."""
-    found = run_sweep(
-        cheap.where, grid({"a": [1, 2, 3]}), tmp_path / "s.sqlite", workers=1
-    )
+    """float64 as here, and one thread each; a program serves all trials of a shape."""
+    points = grid({"length": [5, 6], "draw": [1, 2, 3]})
+    found = run_sweep(cheap.compiled, points, tmp_path / "s.sqlite", workers=1)
     assert set(found.numbers("float64")) == {1.0}
     assert set(found.numbers("cores")) == {1.0}
     assert len(set(found.numbers("process"))) == 1
     assert "OMP_NUM_THREADS" not in os.environ
+    assert [*found.numbers("sum")] == [30.0] * 3 + [55.0] * 3
+    compiled = [row.compile_seconds > 0.0 for row in found.rows]
+    assert compiled == [True, False, False] * 2
 
 
 def test_workers_of_another_version_are_refused():
     setup = WorkerSetup(x64=True, version="0.0.1")
     with pytest.raises(RuntimeError, match=r"the sweep 0.0.1: rows would not belong"):
         setup.apply()
-
-
-def test_one_program_serves_trials_of_one_shape(tmp_path):
-    """What is compiled in a worker serves its later trials."""
-    points = grid({"length": [5, 6], "draw": [1, 2, 3]})
-    rows = run_sweep(cheap.compiled, points, tmp_path / "s.sqlite", workers=1).rows
-    assert [row.figures["sum"] for row in rows] == [30.0] * 3 + [55.0] * 3
-    assert [row.compile_seconds > 0.0 for row in rows] == [True, False, False] * 2
 
 
 def test_functions_that_cannot_be_sent(tmp_path):

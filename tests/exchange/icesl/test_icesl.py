@@ -11,6 +11,7 @@ import pytest
 from problems import FOAM_OF_THE_ROBOT
 from wording import says
 
+from benchmarks import _icesl
 from benchmarks._icesl import RANGES, Slicer
 from benchmarks._parallel_robot_geometry import merge
 from softcal_jax import export_icesl
@@ -50,6 +51,7 @@ COARSE = 16
 @pytest.fixture
 def coarse(monkeypatch):
     """Fewer voxels than the slicer takes, where they are not what is tested."""
+    monkeypatch.setattr(_icesl, "N", COARSE)
     for module in (_fields, _report, _settings):
         monkeypatch.setattr(module, "N_VOXELS", COARSE)
 
@@ -144,13 +146,15 @@ def test_textures_read_back_give_the_field(graded, wanted):
     assert axis_apart(read, theta).max() < 360.0 * half
 
 
-def test_the_same_steps_where_textures_are_cut_off(graded):
+@pytest.mark.usefixtures("coarse")
+def test_the_same_steps_where_textures_are_cut_off(tmp_path):
     """Whether the slicer keeps the nearest step or the next lower one."""
-    written, slicer = graded
-    cut = Slicer(written.directory / "robot.lua", stores="cut")
-    assert set(cut.textures) == set(slicer.textures)
+    written = write_start(tmp_path / "print", foam_model(), two_points())
+    script = written.directory / "robot.lua"
+    rounded, cut = Slicer(script), Slicer(script, stores="cut")
+    assert set(cut.textures) == set(rounded.textures)
     assert len(cut.textures) == 3
-    for name, texture in slicer.textures.items():
+    for name, texture in rounded.textures.items():
         np.testing.assert_array_equal(cut.textures[name].values, texture.values)
 
 
@@ -479,7 +483,7 @@ def test_bad_table_files(tmp_path, text, message):
         read_foam_table(path, "Polyfoam")
 
 
-@pytest.mark.usefixtures("unchecked")
+@pytest.mark.usefixtures("unchecked", "coarse")
 def test_wrong_calls(tmp_path):
     model = foam_model()
     for options, message in (
