@@ -99,7 +99,7 @@ CONTENTS = {
     "an array": np.linspace(0.0, 1.0, 12).reshape(4, 3),
     "many numbers": jnp.arange(1000.0),
     "no array": np.zeros((0, 3)),
-    "words": tuple(f"marker {k}" for k in range(100)),
+    "words": tuple(f"marker {k}" for k in range(20)),
     "records": (sc.NeoHookean(1e5, 0.3), sc.NeoHookean(2e5, 0.3)),
     "a key": jax.random.key(0),
     "a function": np.linalg.norm,

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from contextlib import contextmanager
 
 import jax.numpy as jnp
 import lupa.lua51
@@ -45,15 +46,28 @@ ROOT, TIP = (1200.0, 300.0, 20.0), (700.0, 150.0, -25.0)
 PLACES = np.array([(0.0, 0.015, 0.005), (0.06, 0.0, 0.005)])
 
 
-COARSE = 16
+FINE, COARSE = 32, 16
+
+
+@contextmanager
+def voxels(n):
+    """Fewer voxels than the slicer takes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_icesl, "N", n)
+        for module in (_fields, _report, _settings):
+            patch.setattr(module, "N_VOXELS", n)
+        yield
 
 
 @pytest.fixture
-def coarse(monkeypatch):
-    """Fewer voxels than the slicer takes, where they are not what is tested."""
-    monkeypatch.setattr(_icesl, "N", COARSE)
-    for module in (_fields, _report, _settings):
-        monkeypatch.setattr(module, "N_VOXELS", COARSE)
+def coarse():
+    """Where voxels are not what is tested."""
+    with voxels(COARSE):
+        yield
+
+
+def test_there_are_as_many_voxels_as_the_slicer_takes():
+    assert {_icesl.N, *(m.N_VOXELS for m in (_fields, _report, _settings))} == {64}
 
 
 def foam_model(
@@ -118,18 +132,19 @@ def axis_apart(angle, other):
 def graded(tmp_path_factory):
     """A field of two control points as Polyfoam, and what the slicer makes of it."""
     folder = tmp_path_factory.mktemp("graded") / "print"
-    written = write_start(folder, foam_model(), two_points())
-    return written, Slicer(folder / "robot.lua")
+    with voxels(FINE):
+        written = write_start(folder, foam_model(), two_points())
+        return written, Slicer(folder / "robot.lua")
 
 
 @pytest.fixture(scope="module")
 def wanted():
     """Settings by voxel of the field in closed form."""
-    places = np.stack(np.meshgrid(*(centres(64),) * 3, indexing="ij"), axis=-1) * SIZE
+    places = np.stack(np.meshgrid(*(centres(FINE),) * 3, indexing="ij"), axis=-1) * SIZE
     E_t, E_l, theta = closed_form(places)
     found = published_foam().find(1e3 * E_l.ravel(), 1e3 * E_t.ravel())
     assert found.error.max() < 1e-9
-    shape = (64, 64, 64)
+    shape = (FINE, FINE, FINE)
     return found.density.reshape(shape), found.anisotropy.reshape(shape), theta
 
 
@@ -194,7 +209,7 @@ def test_what_was_written_is_told(graded):
     written, slicer = graded
     about = json.loads((written.directory / "icesl.json").read_text())
     assert about["voxels"] == {
-        "n": 64, "filled": 64**3, "beyond": 0, "tilted": 0, "across": 0
+        "n": FINE, "filled": FINE**3, "beyond": 0, "tilted": 0, "across": 0
     }  # fmt: skip
     assert about["files"] == ["robot.lua", "robot.stl", "foam.csv"]
     shown = {own["name"]: own for own in about["settings"]}
