@@ -1,5 +1,7 @@
 """What a user may get wrong about bodies and actuators, and what is answered."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -23,20 +25,24 @@ ACTUATORS = (
     Motor("motor", "root"),
     SurfacePressure("pressure", "z_max"),
 )
-MECHANISM = build_mechanism(MESH, (ROOT, TIP, FLAP), ACTUATORS)
+
+
+@functools.cache
+def mechanism():
+    return build_mechanism(MESH, (ROOT, TIP, FLAP), ACTUATORS)
 
 
 def refused(message, *, supports=(), **asked):
     configuration = Configuration("one", supports, **asked)
     with pytest.raises(ValueError, match=message):
-        configuration_arrays(MESH, [configuration], MECHANISM)
+        configuration_arrays(MESH, [configuration], mechanism())
 
 
 def test_good_input():
     configuration = Configuration(
         "one", actuation={"cable": ImposedForce(1.0)}, bodies={"tip": "held"}
     )
-    arrays = configuration_arrays(MESH, [configuration], MECHANISM)
+    arrays = configuration_arrays(MESH, [configuration], mechanism())
     # Of the motor nothing is asked: it stands at zero.
     np.testing.assert_array_equal(arrays.actuation.by_displacement, [[0, 1, 0]])
     np.testing.assert_array_equal(arrays.actuation.value, [[1.0, 0.0, 0.0]])

@@ -8,10 +8,11 @@ from arm import EFFECTORS, arm, pose
 from softcal_jax import Observation, solve_inverse
 from softcal_jax.configurations import Centroid
 
+END = arm().mesh.node_groups["x_max"]
+
 
 def end(model, configuration, state):
-    nodes = np.asarray(model.mesh.node_groups["x_max"])
-    return jnp.mean(model.positions(state.displacement)[nodes], axis=0)
+    return jnp.mean(model.positions(state.displacement)[np.asarray(END)], axis=0)
 
 
 def test_an_observation_is_brought_to_its_goal():

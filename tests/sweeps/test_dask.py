@@ -5,7 +5,6 @@ import signal
 
 import cheap
 import pytest
-from distributed import Client, LocalCluster
 from killable import kill, started, wait_for
 from rows import substance
 
@@ -14,6 +13,8 @@ from softcal_jax.sweeps import grid, read_sweep, run_sweep
 
 @pytest.fixture
 def cluster():
+    from distributed import LocalCluster
+
     with LocalCluster(
         n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50
     ) as made:
@@ -22,6 +23,8 @@ def cluster():
 
 def processes(address):
     """Process of each worker of a cluster."""
+    from distributed import Client
+
     with Client(address, set_as_default=False) as client:
         return list(client.run(os.getpid).values())
 
