@@ -186,7 +186,7 @@ def stands(errors, checkpoint):
 
 def test_simulate(tmp_path, out, capsys):
     path = write_small_project(tmp_path)
-    assert main(["simulate", str(path), "-o", str(out)]) == 0
+    assert main(["simulate", str(path), "-o", str(out), "--no-pictures"]) == 0
     text, errors = capsys.readouterr()
     assert errors == ""
     assert "equilibrium of weight, pulled ..." in text
@@ -216,7 +216,7 @@ CRUSHED = (
 
 def test_simulate_writes_what_has_an_equilibrium(tmp_path, out, capsys):
     path = write_small_project(tmp_path, *CRUSHED)
-    assert main(["simulate", str(path), "-o", str(out)]) == 1
+    assert main(["simulate", str(path), "-o", str(out), "--no-pictures"]) == 1
     text, errors = capsys.readouterr()
     assert says(errors, "error: no equilibrium ... configuration 'pulled'")
     assert "'weight'" not in errors
