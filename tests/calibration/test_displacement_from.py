@@ -34,9 +34,9 @@ from softcal_jax.mesh import beam
 MESH = beam(0.1, 0.02, 0.02, (3, 1, 1), order=1)
 E_TRUE = 400e3
 MODEL = build_model(MESH, NeoHookean(E_TRUE, 0.3), density=1000.0)
-TIP, MIDDLE = (0.1, 0.01, 0.01), (0.05, 0.02, 0.01)
+TIP, MIDDLE, SIDE = (0.1, 0.01, 0.01), (0.05, 0.02, 0.01), (0.07, 0.0, 0.01)
 STD = 1e-4
-MARKERS = Markers(["tip", "middle"], [TIP, MIDDLE], STD)
+MARKERS = Markers(["tip", "middle", "side"], [TIP, MIDDLE, SIDE], STD)
 TIGHT = NewtonSettings(rtol=1e-12)
 E = Parameter("E", "E", 300e3, 100e3, 1e6, unit="Pa")
 NAMES = "rest", "up", "side", "down"
@@ -61,7 +61,7 @@ LANES = configuration_arrays(MESH, poses())
 
 
 def positions(value):
-    """Positions of the markers at a modulus, one row of six per pose."""
+    """Positions of the markers at a modulus, one row of nine per pose."""
     model = set_field(MODEL, "E", value)
 
     def one(c):
@@ -74,14 +74,14 @@ def positions(value):
 @pytest.fixture(scope="module")
 def data():
     """Measured positions with glue and noise."""
-    random = np.random.default_rng(5)
-    glue = 1e-3 * np.array([0.5, -1.0, 2.0, 1.0, 0.5, -1.0])
-    return np.asarray(positions(E_TRUE)) + glue + STD * random.normal(size=(4, 6))
+    random = np.random.default_rng(9)
+    glue = 1e-3 * np.array([0.5, -1.0, 2.0, 1.0, 0.5, -1.0, -0.5, 0.0, 1.0])
+    return np.asarray(positions(E_TRUE)) + glue + STD * random.normal(size=(4, 9))
 
 
 def measured(data, reference="rest"):
     return [
-        replace(c, measured=own.reshape(2, 3))
+        replace(c, measured=own.reshape(3, 3))
         for c, own in zip(poses(reference), data, strict=True)
     ]
 
@@ -145,7 +145,7 @@ def test_results_compare_displacements(result):
         assert not fit.misfit("stated", 1.0)
     assert result.history[-1].rms < 3.0 * STD
     assert result.configurations[3].name == "down"
-    assert result.uncertainty.degrees_of_freedom == 12 - 1
+    assert result.uncertainty.degrees_of_freedom == 18 - 1
     assert not result.checks.recordings
 
 
@@ -173,8 +173,8 @@ def test_what_it_would_tell_is_known_before(result):
 
 def test_the_noise_is_estimated_from_displacements(data):
     result = fitted(measured(data), noise="estimated")
-    # Of 24 coordinates 6 find the offsets, 1 the modulus: 17 are left.
-    assert result.uncertainty.degrees_of_freedom == 17
+    # Of 36 coordinates 9 find the offsets, 1 the modulus: 26 are left.
+    assert result.uncertainty.degrees_of_freedom == 26
     np.testing.assert_allclose(result.uncertainty.level, 1.0, rtol=0.5)
 
 
@@ -184,9 +184,9 @@ def test_rows_are_the_differences_of_both_compliances(data):
     problem = build_problem(MODEL, E, two, newton=TIGHT, uncertain=exactly_known())
     z = problem.space.start()
     at = evaluate(problem, z)
-    W = np.asarray(at.response.W_ep).reshape(2, 6)
+    W = np.asarray(at.response.W_ep).reshape(2, 9)
     W_white = np.asarray(at.rows.W)[:-1]
-    whitened = W_white.reshape(2, 6)
+    whitened = W_white.reshape(2, 9)
     # (I + A A^T)^-1/2 with A far above one takes out the mean of both,
     # to the share std / GLUED of it.
     close = {"rtol": 0, "atol": 2e-4 * np.abs(W).max() / STD}
@@ -210,7 +210,7 @@ def test_rows_are_the_differences_of_both_compliances(data):
         ({"displacement_from": "up"}, "has a reference"),
         ({"displacement_from": "side"}, "has a reference"),
         (
-            {"markers": Markers(["tip", "end"], [TIP, TIP], STD)},
+            {"markers": Markers(["tip", "end", "side"], [TIP, TIP, SIDE], STD)},
             "'end'.*not measured",
         ),
     ],
@@ -226,7 +226,7 @@ def test_held_out_poses_are_scored_without_glue(data):
     """Where a marker is glued is known from the poses of the fit alone."""
     laws = {
         "right": (MODEL, E),
-        "stiff": (MODEL, Parameter("E", "E", 700e3, 600e3, 1e6)),
+        "stiff": (MODEL, Parameter("E", "E", 900e3, 800e3, 1e6)),
     }
     found = compare_laws(laws, measured(data)[:3], newton=TIGHT)
     right, stiff = found.models
@@ -243,5 +243,5 @@ def test_held_out_poses_are_scored_without_glue(data):
     left = error[1] - 0.5 * (error[0] + error[2])
     up, other = right.folds[1], stiff.folds[1]
     np.testing.assert_allclose(up.noise_rms, np.sqrt(np.mean(left**2)) / STD, rtol=1e-2)
-    np.testing.assert_allclose(up.rms, np.sqrt(np.sum(left**2) / 2), rtol=1e-2)
+    np.testing.assert_allclose(up.rms, np.sqrt(np.sum(left**2) / 3), rtol=1e-2)
     assert other.noise_rms > 2.0 * up.noise_rms
