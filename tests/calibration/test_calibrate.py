@@ -266,9 +266,7 @@ def test_more_parameters_than_data_warns_and_says_what_is_missing(model, exact):
     data = [seen_by_one(exact[0].measured)]
     nu = Parameter("nu", "nu", 0.2, 0.0, 0.45, scale="linear")
     with pytest.warns(CalibrationWarning, match="2 parameters but only 1 measured"):
-        result = calibrate(
-            model, [parameter(), nu], data, validation=ALL_MARKERS
-        )
+        result = calibrate(model, [parameter(), nu], data, validation=ALL_MARKERS)
     assert np.all(np.isfinite(result.z))
     assert np.isnan(result.parameters[0].standard_error)
 
