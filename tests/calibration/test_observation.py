@@ -47,7 +47,7 @@ Z = SPACE.start()
 TIP = int(np.argmax(MESH.points.sum(axis=1)))
 STD = 1e-4
 TIGHT = NewtonSettings(rtol=1e-12)
-E = Parameter("E", "E", 1e5, 2e4, 1e6)
+E = Parameter("E", "E", 1e5, 2e4, 1e6, unit="Pa")
 NO_LOAD = SurfaceForce("x_max", (0.0, 0.0, 0.0))
 """Equilibria are then those of one program, that of loaded poses of other tests."""
 
