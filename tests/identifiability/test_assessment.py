@@ -252,8 +252,7 @@ def test_data_without_any_residual(model):
 
 def test_what_is_held_fixed_counts_in_the_verdict(model, good, data):
     """The data are as good as before, but they are not all that there is to know."""
-    on_this_mesh = replace(Uncertain(), mesh=0.0)
-    result = fit(model, space(), data, noise="stated", uncertain=on_this_mesh)
+    result = fit(model, space(), data, noise="stated", uncertain=Uncertain())
     verdict = assess(result)
     for own, alone, estimate in zip(
         verdict.identifiability.parameters,

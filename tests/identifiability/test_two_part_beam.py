@@ -11,6 +11,7 @@ import pytest
 from problems import lane_of
 from two_part_beam import (
     HANG,
+    OTHER_END,
     PULL,
     ROOT,
     SPACE,
@@ -256,7 +257,8 @@ def test_weight_and_moduli_are_in_proportion():
 
 
 def test_by_default_not_everything_is_known():
-    found = identify_with(two_part_beam(), SPACE, [HANG, SWAP])
-    alone = identify(two_part_beam(), SPACE, [HANG, SWAP])
+    poses = pose("a", ROOT + TIP), pose("b", OTHER_END + ROOT, clamp="x_max")
+    found = identify_with(two_part_beam(), SPACE, poses)
+    alone = identify(two_part_beam(), SPACE, poses)
     for own, exact in zip(found.parameters, alone.parameters, strict=True):
         assert own.relative > 1.5 * exact.relative
