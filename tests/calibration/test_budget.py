@@ -134,6 +134,7 @@ def refitted(model=None, configurations=None, measured=None):
         noise="stated",
         newton=EXACT,
         uncertain=replace(exactly_known(), recordings=STD.recordings),  # same weights
+        quick=True,
     )
     return float(result.z[0])
 
@@ -226,7 +227,8 @@ CANTILEVER = build_model(BEAM, NeoHookean(2e5, 0.0), density=1000.0)
 """Without a Poisson's ratio, so that the clamp does not hold its width."""
 
 WIDE = Parameter("E", "E", 2e5, 3e4, 1e6, unit="Pa")
-HANGING = Configuration("hang", Support("x_min"), markers=END)
+NONE = SurfaceForce("x_max", (0.0, 0.0, 0.0))
+HANGING = Configuration("hang", Support("x_min"), loads=NONE, markers=END)
 PULLED = Configuration(
     "pull",
     Support("x_min"),
@@ -431,8 +433,6 @@ def test_linear_tets_know_how_far_off_they_are():
     assert off > 1.0  # a modulus of less than half
     assert 0.5 * off < abs(mesh_error.deviations[0, 0]) < 2.0 * off
     assert str(result.budget).endswith(": use quadratic tets")
-    known = calibrate(linear, WIDE, measured, noise="stated", uncertain=SAME_MESH)
-    assert "mesh" not in {cause.name for cause in known.budget.causes}
 
 
 def test_the_budget_is_that_of_the_fit_whatever_is_held_out():

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from printed_beam import BEAM
 from wording import says
 
 from softcal_jax.calibration import (
@@ -23,7 +24,6 @@ from softcal_jax.calibration import (
 from softcal_jax.fields import exactly_known
 from softcal_jax.robots import anisotropic_beam, synthetic_measurements
 
-BEAM = {"cells": (4, 1, 1), "order": 1, "poses": (1, 5), "n_effectors": 4}
 SHORT = CalibrationSettings(max_steps=4)
 
 

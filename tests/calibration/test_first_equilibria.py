@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from light_beam import MODEL, measured
+from light_beam import MODEL, measured, unknowns
 
 from softcal_jax.calibration import _evaluation as evaluation, calibrate
-from softcal_jax.fields import Parameter, exactly_known, set_field
+from softcal_jax.fields import exactly_known, set_field
 
-START = Parameter("E", "E", 300e3, 1e3, 1e8, unit="Pa")
+E, DENSITY = START = unknowns()
 
 
 @pytest.fixture(autouse=True)
@@ -50,8 +50,8 @@ def test_other_data_begin_with_the_same_equilibria(solved):
     [
         lambda: {"poses": [replace(p, gravity=(0.0, 0.0, -9.7)) for p in measured()]},
         lambda: {"model": set_field(MODEL, "nu", 0.31)},
-        lambda: {"model": set_field(MODEL, "density", 1.1)},
-        lambda: {"start": Parameter("E", "E", 310e3, 1e3, 1e8, unit="Pa")},
+        lambda: {"start": [E, replace(DENSITY, start=1.1)]},
+        lambda: {"start": [replace(E, start=310e3), DENSITY]},
     ],
     ids=["gravity", "nu", "density", "start"],
 )
@@ -65,6 +65,6 @@ def test_what_is_not_data_is_solved_anew(changed, solved):
 
 
 def test_few_are_kept(solved):
-    for E in np.linspace(300e3, 310e3, evaluation.MOST_KEPT + 2):
-        fit(measured(), start=replace(START, start=E))
+    for value in np.linspace(300e3, 310e3, evaluation.MOST_KEPT + 2):
+        fit(measured(), start=[replace(E, start=value), DENSITY])
     assert len(evaluation._FROM_REST) == evaluation.MOST_KEPT

@@ -205,6 +205,7 @@ class Valleys:
         return value
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     ("end", "other"), [(2.3, 1.0), (1.2, 1.3), (2.3, 2.0), (6.0, 1.0)]
 )
@@ -214,6 +215,7 @@ def test_a_fit_in_another_valley_is_repeated_from_inside(end, other):
     np.testing.assert_allclose(found.distance, end, rtol=1e-3)
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_a_profile_that_jumps_ends_there():
     """Beyond 1 the cost is far too high, from wherever a fit begins."""
     jumps = Valleys(20.0, 1.0)

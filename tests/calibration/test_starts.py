@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from printed_beam import BEAM
 from wording import says
 
 from benchmarks._compilations import Compilations
@@ -64,7 +65,7 @@ class Measured(NamedTuple):
 @pytest.fixture(scope="module")
 def measured():
     """Two poses across the print plane and out of it; of the beam itself."""
-    beam = anisotropic_beam(cells=(4, 1, 1), order=1, poses=(1, 5), n_effectors=4)
+    beam = anisotropic_beam(**BEAM)
     data = synthetic_measurements(
         beam.model, beam.space, beam.configurations, beam.target
     )

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from printed_beam import BEAM
 
 from softcal_jax.calibration import (
     CalibrationSettings,
@@ -21,7 +22,6 @@ from softcal_jax.calibration._step import MEMORY, decide
 from softcal_jax.fields import exactly_known
 from softcal_jax.robots import anisotropic_beam, synthetic_measurements
 
-CELLS = (2, 1, 1)
 # Columns: E_t, E_l and theta, at both control points each.
 E_T, E_L, THETA = slice(0, 2), slice(2, 4), slice(4, 6)
 PAPER = {"scaling": "paper", "interpolation": "linear", "tensor_steps": False}
@@ -30,7 +30,7 @@ PAPER = {"scaling": "paper", "interpolation": "linear", "tensor_steps": False}
 @pytest.fixture(scope="module")
 def tensor():
     """Steps as tensors, as by default."""
-    return anisotropic_beam(cells=CELLS)
+    return anisotropic_beam(**BEAM)
 
 
 @pytest.fixture(scope="module")
@@ -140,18 +140,19 @@ def test_tensor_steps_find_the_way_out_of_the_trap(tensor, measured):
         assert result.value(name) == pytest.approx(value, rel=1e-4)
 
 
-def test_a_fit_ends_where_a_body_is_isotropic(tensor):
+def test_a_fit_ends_where_a_body_is_isotropic():
     """Noise puts the optimum where both moduli of CP 2 meet; tensors do not end there.
 
     Neither another angle nor a little contrast, either way, lowers the cost there.
     """
-    target = {**tensor.target, "E_l of CP 2": 150e3}
+    tensor = anisotropic_beam(**{**BEAM, "poses": (1, 3, 4, 6)})
+    target = {**tensor.target, "E_l of CP 2": 590e3}
     target |= {"E_t of CP 1": 600e3, "E_l of CP 1": 599.94e3, "E_t of CP 2": 600e3}
     poses = synthetic_measurements(
         tensor.model, tensor.space, tensor.configurations, target
     )
-    random = np.random.default_rng(4)
-    noisy = lambda c: c.measured + 1e-3 * random.standard_normal(c.measured.shape)
+    random = np.random.default_rng(22)
+    noisy = lambda c: c.measured + 3e-5 * random.standard_normal(c.measured.shape)
     poses = [replace(c, measured=noisy(c)) for c in poses]
     result = calibrate(
         tensor.model,
@@ -174,7 +175,7 @@ def test_a_fit_ends_where_a_body_is_isotropic(tensor):
 @pytest.mark.slow  # it compiles a calibration of its own
 def test_without_them_the_same_start_stays_isotropic(measured):
     """The trap: E_l = E_t hides the angle, and the order keeps it so."""
-    plain = anisotropic_beam(cells=CELLS, tensor_steps=False, ordered=True)
+    plain = anisotropic_beam(**BEAM, tensor_steps=False, ordered=True)
     result = trapped(plain, measured)
     for point in ("CP 1", "CP 2"):
         ratio = result.value(f"E_l of {point}") / result.value(f"E_t of {point}")
@@ -190,7 +191,7 @@ def untangled(evaluation):
 
 def test_paper_mode_limits_every_step(measured, evaluation):
     """1 % of S = 1 MPa and 0.005 rad, whatever the QP would like."""
-    beam = anisotropic_beam(cells=CELLS, **PAPER)
+    beam = anisotropic_beam(**BEAM, **PAPER)
     paper = build_problem(beam.model, beam.space, measured)
     settings = CalibrationSettings(adapt=False)
     limits = np.array([1e4, 1e4, 1e4, 1e4, 0.005, 0.005])
@@ -347,9 +348,9 @@ def test_a_failed_equilibrium_is_refused_whatever_its_cost(problem, evaluation):
 
 
 def test_rank_deficient_fit_ends_in_finite_bounded_steps(problem, evaluation):
-    """One pose, three numbers, six unknowns: the fit is exact and far from unique."""
-    inverse_std = np.array(problem.configurations.effectors.inverse_std)
-    inverse_std[1:] = 0.0  # only the first pose is seen
+    """One marker, three numbers, six unknowns: the fit is exact and far from unique."""
+    inverse_std = np.zeros_like(problem.configurations.effectors.inverse_std)
+    inverse_std[0, 0] = 1e4  # only the first marker of the first pose is seen
     where = lambda p: p.configurations.effectors.inverse_std
     problem = eqx.tree_at(where, problem, inverse_std)
     with pytest.warns(CalibrationWarning, match="6 parameters but only 3 measured"):
@@ -374,7 +375,7 @@ def test_rank_deficient_fit_ends_in_finite_bounded_steps(problem, evaluation):
 
 def test_order_holds_along_the_way_without_tensors(measured, evaluation):
     """As rows of the QP: from E_l <= E_t every step ends there."""
-    beam = anisotropic_beam(cells=CELLS, tensor_steps=False)
+    beam = anisotropic_beam(**BEAM, tensor_steps=False)
     plain = build_problem(beam.model, beam.space, measured)
     active = 0
     for seed in range(40):

@@ -6,6 +6,7 @@ from functools import partial
 import equinox as eqx
 import numpy as np
 import pytest
+from two_part_beam import SPACE, two_part_beam
 from wording import says
 
 from softcal_jax.calibration import (
@@ -15,12 +16,9 @@ from softcal_jax.calibration import (
     calibrate,
 )
 from softcal_jax.configurations import Configuration, Markers, Support, SurfaceForce
-from softcal_jax.equilibrium import build_model
-from softcal_jax.fields import Parameter, ParameterSpace, Uncertain, exactly_known
+from softcal_jax.fields import ParameterSpace, Uncertain, exactly_known
 from softcal_jax.identifiability import assess
 from softcal_jax.inference import UNLIKELY, Cause
-from softcal_jax.materials import NeoHookean
-from softcal_jax.mesh import TetMesh, beam
 from softcal_jax.robots import synthetic_measurements
 from softcal_jax.unknowns import MESH
 
@@ -33,13 +31,8 @@ fit = partial(calibrate, uncertain=exactly_known(), intervals=None)
 
 
 def space(root_upper=1e6):
-    upper = {"E of root": root_upper, "E of tip": 1e6}
-    return ParameterSpace(
-        tuple(
-            Parameter(name, "E", 1e5, 3e4, upper[name], region=name[5:], unit="Pa")
-            for name in TARGET
-        )
-    )
+    root, tip = SPACE.entries
+    return ParameterSpace((replace(root, upper=root_upper), tip))
 
 
 def poses(std=STD):
@@ -57,12 +50,7 @@ def poses(std=STD):
 
 @pytest.fixture(scope="module")
 def model():
-    box = beam(0.1, 0.02, 0.02, (4, 1, 1))
-    tip = box.points[box.tets].mean(axis=1)[:, 0] > 0.05
-    groups = {"root": np.flatnonzero(~tip), "tip": np.flatnonzero(tip)}
-    mesh = TetMesh(box.points, box.tets, box.node_groups, box.surface_groups, groups)
-    law = NeoHookean(np.full(mesh.n_tets, 1e5), 0.3)
-    return build_model(mesh, law, density=1000.0)
+    return two_part_beam()
 
 
 @pytest.fixture(scope="module")
@@ -264,8 +252,7 @@ def test_data_without_any_residual(model):
 
 def test_what_is_held_fixed_counts_in_the_verdict(model, good, data):
     """The data are as good as before, but they are not all that there is to know."""
-    on_this_mesh = replace(Uncertain(), mesh=0.0)
-    result = fit(model, space(), data, noise="stated", uncertain=on_this_mesh)
+    result = fit(model, space(), data, noise="stated", uncertain=Uncertain())
     verdict = assess(result)
     for own, alone, estimate in zip(
         verdict.identifiability.parameters,
