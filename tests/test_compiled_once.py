@@ -57,9 +57,11 @@ HANG = Configuration(
 )
 LANES = configuration_arrays(MESH, [HANG])
 LANE = lane_of(LANES)
-MODULUS = Parameter("E", "E", 1e5, 1e4, 1e6)
 SPACE = ParameterSpace(
-    [MODULUS, Parameter("density", "density", 1e3, 1e2, 1e4, prior_std=1e-2)]
+    [
+        Parameter("E", "E", 1e5, 1e4, 1e6),
+        Parameter("density", "density", 1e3, 1e2, 1e4),
+    ]
 ).numbered
 Z = SPACE.start()
 
