@@ -30,7 +30,7 @@ FIELDS = tuple(SIZES)
 """Asked for together, so that one program serves all tests of this law."""
 
 
-def with_each(field="E", values=1e5):
+def with_each(field="E", values: float | np.ndarray = 1e5):
     """The bar with a value of its own in every tet, of both fields."""
     model = set_field(bar((2, 1, 1)), "density", np.full(12, 1e3))
     return set_field(model, field, np.broadcast_to(values, 12).copy())
