@@ -32,6 +32,16 @@ std = "1 mN"
 [settings]
 intervals = 0
 
+[uncertain]
+nu = 0.0
+density = 0
+gravity = 0
+loads = 0
+actuators = 0
+clamp = 0
+recordings = 0
+mesh = 0
+
 [markers]
 std = "0.1 mm"
 """

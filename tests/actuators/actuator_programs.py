@@ -1,6 +1,7 @@
 """Frames of rigid bodies, motions, and compiled programs of actuators."""
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -14,6 +15,17 @@ AXIS_LENGTH = 0.3
 actuator_displacements = eqx.filter_jit(actuators.actuator_displacements)
 actuator_rows = eqx.filter_jit(actuators.actuator_rows)
 curvature_entries = eqx.filter_jit(actuators.curvature_entries)
+
+
+def curvature_times(arrays, x, lambda_a, tangent):
+    """The assembled d(H_a^T lambda_a)/dx times a direction, summed by NumPy."""
+    out = np.zeros(x.shape)
+    entries = curvature_entries(arrays, jnp.asarray(x), jnp.asarray(lambda_a))
+    for nodes, K in zip(actuators.clique_nodes(arrays), entries, strict=True):
+        along = tangent[np.asarray(nodes)].reshape(len(nodes), -1)
+        local = np.einsum("cpq,cq->cp", np.asarray(K), along)
+        np.add.at(out, np.asarray(nodes), local.reshape(*nodes.shape, 3))
+    return out
 
 
 def with_frames(mesh, *frames):

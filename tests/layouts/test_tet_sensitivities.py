@@ -13,7 +13,7 @@ from softcal_jax.equilibrium import (
     marker_positions,
     solve_equilibrium,
 )
-from softcal_jax.fields import Parameter, ParameterSpace, find_field, set_field
+from softcal_jax.fields import Parameter, ParameterSpace, set_field
 from softcal_jax.layouts import tet_sensitivities
 from softcal_jax.materials import (
     ClassicalCorotational,
@@ -25,32 +25,36 @@ from softcal_jax.sensitivity import parameter_compliance
 # Equilibria to rounding, so that differences show their own error.
 TIGHT = NewtonSettings(rtol=1e-12)
 POSES = (pose("bent", (MID, TIP)), stretched(MID, TIP))
-FIELDS = ("E", "density")
+SIZES = {"E": 1e5, "density": 1e3}
+FIELDS = tuple(SIZES)
 """Asked for together, so that one program serves all tests of this law."""
+
+
+def with_each(field="E", values: float | np.ndarray = 1e5):
+    """The bar with a value of its own in every tet, of both fields."""
+    model = set_field(bar((2, 1, 1)), "density", np.full(12, 1e3))
+    return set_field(model, field, np.broadcast_to(values, 12).copy())
 
 
 @pytest.fixture(scope="module")
 def sensitivities():
-    return tet_sensitivities(bar((2, 1, 1)), POSES, FIELDS, newton=TIGHT)
+    return tet_sensitivities(with_each(), POSES, FIELDS, newton=TIGHT)
 
 
-@eqx.filter_jit
-def solved(model, arrays):
-    solution = solve_equilibrium(model, arrays, settings=TIGHT)
-    return marker_positions(model, arrays, solution)
+markers_at = eqx.filter_jit(marker_positions)
 
 
 def moved(field, tet, step, c):
     """All coordinates with the field of one tet raised, in units of the noise."""
-    model = bar((2, 1, 1))
-    values = np.array(np.broadcast_to(find_field(model, field)(model), 12))
+    values = np.full(12, SIZES[field])
     values[tet] += step
-    batch = configuration_arrays(model.mesh, [c])
-    arrays = lane_of(batch)
-    return np.asarray(solved(set_field(model, field, values), arrays)).ravel() / STD
+    model = with_each(field, values)
+    arrays = lane_of(configuration_arrays(model.mesh, [c]))
+    solution = solve_equilibrium(model, arrays, settings=TIGHT)
+    return np.asarray(markers_at(model, arrays, solution)).ravel() / STD
 
 
-@pytest.mark.parametrize(("field", "size"), [("E", 1e5), ("density", 1e3)])
+@pytest.mark.parametrize(("field", "size"), SIZES.items())
 @pytest.mark.parametrize("tet", [0, 7])
 def test_against_central_differences(sensitivities, field, size, tet):
     exact = sensitivities[field][:6, tet]
@@ -76,7 +80,7 @@ def test_rows_follow_configuration_and_marker(sensitivities):
 def test_only_measured_axes_have_rows(sensitivities):
     bent, other = POSES
     upright = eqx.tree_at(lambda c: c.markers.axes, bent, "z")
-    found = tet_sensitivities(bar((2, 1, 1)), (upright, other), FIELDS, newton=TIGHT)
+    found = tet_sensitivities(with_each(), (upright, other), FIELDS, newton=TIGHT)
     rows = [2, 5, *range(6, 12)]
     np.testing.assert_allclose(found["E"], sensitivities["E"][rows], rtol=1e-9)
 
@@ -118,4 +122,4 @@ def test_a_pose_without_markers_is_named():
 def test_a_pose_without_equilibrium_is_named():
     crushed = pose("crushed", (MID, TIP), force=(-1e4, 0.0, 0.0))
     with pytest.raises(RuntimeError, match="'crushed'"):
-        tet_sensitivities(bar((2, 1, 1)), (POSES[0], crushed), FIELDS, newton=TIGHT)
+        tet_sensitivities(with_each(), (POSES[0], crushed), FIELDS, newton=TIGHT)
