@@ -224,9 +224,9 @@ SPACE = ParameterSpace(
 )
 
 
-# Of a robot of all kinds of parameters, they are in test_every_kind.py.
-@pytest.mark.slow
-@pytest.mark.parametrize("drive", ["forces", "displacements"])
+@pytest.mark.parametrize(
+    "drive", ["forces", pytest.param("displacements", marks=pytest.mark.slow)]
+)
 def test_parameters_move_all_effectors_as_W_ep_says(drive):
     """With pressures imposed, and with volumes; by differences of second order."""
     lane, solution, state, _ = found(drive)
