@@ -84,8 +84,8 @@ ANISOTROPIC = {
     ),
     "transverse-hyperelastic": (TRANSVERSE, SMALL_STRAIN),
     "transverse-hyperelastic stiff": (
-        TransverseHyperelastic(0.3, 1.0, 0.2, 0.4, Fibre(-1.0)),
-        TransverseIsotropic(0.3, 1.0, 0.2, 0.2, 0.4, Fibre(-1.0)),
+        TransverseHyperelastic(0.3, 1.0, 0.2, 0.4, Fibre(-1.0, 0.1, "xy")),
+        TransverseIsotropic(0.3, 1.0, 0.2, 0.2, 0.4, Fibre(-1.0, 0.1, "xy")),
     ),
 }
 

@@ -22,11 +22,23 @@ from problems import central_difference
 from scipy.spatial.transform import Rotation
 
 each_law = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
-OWN_FORMS = overriding("stress", "tangent")
-each_with_own_forms = pytest.mark.parametrize("law", OWN_FORMS.values(), ids=OWN_FORMS)
-SHARED = overriding("energy_and_stress", "stress_and_tangent", "tabulated")
-each_with_shared_work = pytest.mark.parametrize("law", SHARED.values(), ids=SHARED)
 each_isotropic_law = pytest.mark.parametrize("law", ISOTROPIC.values(), ids=ISOTROPIC)
+
+
+def each_overriding(*methods):
+    """Large programs: on the reduced set they are those of the same laws."""
+    slow = {"marks": pytest.mark.slow}
+    cases = [
+        pytest.param(law, id=name, **slow if "reduced" in name else {})
+        for name, law in overriding(*methods).items()
+    ]
+    return pytest.mark.parametrize("law", cases)
+
+
+each_with_own_forms = each_overriding("stress", "tangent")
+each_with_shared_work = each_overriding(
+    "energy_and_stress", "stress_and_tangent", "tabulated"
+)
 
 
 def test_the_states_are_far_from_rest_and_not_inverted():
@@ -175,7 +187,7 @@ def test_tangents_of_large_deformations(law):
         assert np.max(np.abs(A - H)) < tolerance * np.max(np.abs(H))
 
 
-@each_law
+@each_with_own_forms
 def test_forward_equals_reverse(law):
     F, dF, cotangent = GRADIENTS[2], noise(3), noise(4)
     both = derived(law, F, dF, cotangent)
