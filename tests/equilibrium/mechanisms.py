@@ -58,7 +58,6 @@ def solved(
 ):
     """Converged equilibrium, effectors' coordinates, and the arrays of it."""
     lane = arrays(model, configuration)
-    guess = jnp.zeros((model.n_points, 3)) if guess is None else guess
     solution, values = solve(model, lane, guess, settings)
     assert bool(solution.converged), RESULTS[solution.result]
     return solution, np.array(values), lane

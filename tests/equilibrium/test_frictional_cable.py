@@ -105,7 +105,7 @@ def test_friction_makes_a_model_without_a_potential():
 def test_no_coefficient_is_no_friction(pulled):
     """The unsymmetric system at mu = 0 has the state of the symmetric one."""
     (plain, values, lane), _, _ = pulled
-    smooth, found = solve(rubbed(0.0), lane, jnp.zeros_like(plain.displacement), TIGHT)
+    smooth, found = solve(rubbed(0.0), lane, None, TIGHT)
     # Both solved to 1e-12 of the forces; the softest mode is 1e3 times softer.
     np.testing.assert_allclose(
         smooth.displacement, plain.displacement, rtol=0, atol=1e-9 * LENGTH
@@ -174,8 +174,8 @@ def test_a_cable_that_is_let_out_goes_slack():
 
 
 @both_ways_at
-def readings(mu, lane, guess):
-    return solve(rubbed(mu), lane, guess, TIGHT)[1]
+def readings(mu, lane):
+    return solve(rubbed(mu), lane, None, TIGHT)[1]
 
 
 @pytest.mark.parametrize(
@@ -184,19 +184,18 @@ def readings(mu, lane, guess):
 def test_derivatives_by_the_coefficient_of_friction(pulled, by):
     """Forward = reverse, and differences of second order; tip, shortening and pull."""
     solution, values, lane = pulled[1]
-    guess = solution.displacement
     if by == "displacement":
         lane = arrays(ROUGH, driven(ImposedDisplacement(values[SHORTENING, 0])))
-        solution, _ = solve(ROUGH, lane, guess, TIGHT)
+        solution, _ = solve(ROUGH, lane, None, TIGHT)
     mu, one = np.asarray(MU), np.ones(())
     cotangent = np.random.default_rng(1).normal(size=values.shape)
-    both = readings(solution, mu, one, cotangent, lane, guess)
+    both = readings(solution, mu, one, cotangent, lane)
     exact, reverse = map(np.asarray, both)
     assert np.abs(exact[TIP]).max() > 1e-3 * LENGTH
     by_force = by == "force"
     assert (exact[SHORTENING, 0] != 0.0) | (not by_force)
     assert (abs(exact[PULL, 0]) > 0.01) | by_force
-    alone = lambda mu: np.asarray(solve(rubbed(jnp.asarray(mu)), lane, guess, TIGHT)[1])
+    alone = lambda mu: np.asarray(solve(rubbed(jnp.asarray(mu)), lane, None, TIGHT)[1])
     coarse, fine = (
         np.max(np.abs(central_difference(alone, mu, one, h) - exact))
         for h in (0.1, 0.05)

@@ -325,8 +325,7 @@ def _inputs(both):
 
 
 def frames(inputs, both):
-    rest = jnp.zeros((both[0].n_points, 3))
-    return values_of(*both, rest, _inputs, inputs)
+    return values_of(*both, None, _inputs, inputs)
 
 
 forward_and_reverse = both_ways_at(frames)
@@ -340,9 +339,8 @@ def start(request):
         "held": Pose((1e-3, 0.0, -2e-3), (0.1, -0.1, 0.2)),
     }
     lane = arrays(MODEL, posed(tip=states[request.param]))
-    rest = jnp.zeros((MODEL.n_points, 3))
     inputs = jax.tree.map(np.asarray, _inputs((MODEL, lane)))
-    return (MODEL, lane), inputs, solve(MODEL, lane, rest, TIGHT)[0]
+    return (MODEL, lane), inputs, solve(MODEL, lane, None, TIGHT)[0]
 
 
 def direction(inputs, name):
