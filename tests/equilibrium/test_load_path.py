@@ -78,7 +78,7 @@ def test_stability_is_lost_at_the_limit_point(path):
     np.testing.assert_array_equal(path.n_negative[top + 1 :], 1)
 
 
-@pytest.mark.parametrize("state", [3, -1])
+@pytest.mark.parametrize("state", [pytest.param(3, marks=pytest.mark.slow), -1])
 def test_a_state_is_that_of_its_volume_imposed(path, state):
     volume = float(path.readings[state, 0, 0])
     chamber = ImposedDisplacement(volume)

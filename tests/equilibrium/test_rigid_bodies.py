@@ -180,6 +180,7 @@ def test_held_body_carries_all_weight_and_its_moment():
     within(free, 0.0, atol=1e-9 * size)
 
 
+@pytest.mark.slow
 def test_rigid_body_is_the_limit_of_stiff_tets():
     """The difference falls with the first power of the stiffness of the tets."""
     configuration = posed()
