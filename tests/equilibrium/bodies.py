@@ -58,10 +58,18 @@ def imposed_on(mesh, nodes, u) -> object:
 
 
 force = jax.jit(internal_force)
-energy = jax.jit(lambda model, u: energy_and_force(model, u)[0])
-energy_gradient = jax.jit(jax.grad(energy, argnums=1))
+_energy = lambda model, u: energy_and_force(model, u)[0]
+_energy_and_gradient = jax.jit(jax.value_and_grad(_energy, argnums=1))
 force_jacobian = jax.jit(jax.jacfwd(internal_force, argnums=1))
 _values = jax.jit(tangent_values)
+
+
+def energy(model: Model, u):
+    return _energy_and_gradient(model, u)[0]
+
+
+def energy_gradient(model: Model, u):
+    return _energy_and_gradient(model, u)[1]
 
 
 def stiffness(model: Model, u) -> np.ndarray:

@@ -1,8 +1,10 @@
 """Robots of bodies and actuators that the tests of this folder share."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from problems import lane_of
 
 from softcal_jax.configurations import Configuration, configuration_arrays
@@ -10,6 +12,7 @@ from softcal_jax.equilibrium import (
     RESULTS,
     Model,
     NewtonSettings,
+    _solve,
     compiled_effectors,
     solve_equilibrium,
 )
@@ -55,7 +58,6 @@ def solved(
 ):
     """Converged equilibrium, effectors' coordinates, and the arrays of it."""
     lane = arrays(model, configuration)
-    guess = jnp.zeros((model.n_points, 3)) if guess is None else guess
     solution, values = solve(model, lane, guess, settings)
     assert bool(solution.converged), RESULTS[solution.result]
     return solution, np.array(values), lane
@@ -63,8 +65,36 @@ def solved(
 
 def values_of(model, lane, guess, where, new):
     """Effectors' coordinates as a function of one part of (model, lane)."""
-    model, lane = eqx.tree_at(where, (model, lane), new)
+    model, lane = eqx.tree_at(where, (model, lane), jax.tree.map(jnp.asarray, new))
     return solve(model, lane, guess, TIGHT)[1]
+
+
+def both_ways_at(function):
+    """Make one program of a function's derivatives, forward and reverse.
+
+    Its equilibrium is known: half of such a program would be Newton's loop, which is
+    not differentiated.
+
+    Args:
+        function: Takes `x` and any other arrays, which are held.
+
+    Returns:
+        A compiled function of (solution, x, tangent, cotangent, *others): slope along
+        the tangent, and pull-back.
+    """
+
+    @jax.jit
+    def of(solution, x, tangent, cotangent, *others):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(_solve, "newton", lambda *_: None)
+            patch.setattr(_solve, "as_solution", lambda *_: solution)
+            # What is traced here must not be kept for others.
+            patch.setattr(_solve, "_compiled_equilibrium", _solve._equilibrium)
+            _, along = jax.linearize(lambda x: function(x, *others), x)
+        (reverse,) = jax.linear_transpose(along, x)(cotangent)
+        return along(tangent), reverse
+
+    return of
 
 
 def positions(model: Model, solution) -> np.ndarray:

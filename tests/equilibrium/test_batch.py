@@ -9,12 +9,12 @@ from bodies import (
     CLAMP,
     DENSITY,
     LENGTH,
+    POISSON,
     SIDE,
+    YOUNG,
     force,
     hanging,
     lane,
-    small_lanes,
-    small_model,
     solve,
     solve_as_users,
 )
@@ -47,14 +47,19 @@ CONFIGURATIONS = [
 ]
 
 
+MESH = beam(LENGTH, SIDE, SIDE, (10, 2, 2))
+LAW = StVenantKirchhoff(Isotropic(YOUNG, POISSON))
+MODEL = build_model(MESH, LAW, density=DENSITY)
+
+
 @pytest.fixture(scope="module")
 def batch():
-    return small_lanes(*CONFIGURATIONS)
+    return configuration_arrays(MESH, CONFIGURATIONS)
 
 
 @pytest.fixture(scope="module")
 def together(batch):
-    return solve_as_users(small_model(), batch)
+    return solve_as_users(MODEL, batch)
 
 
 def assert_same(one, other):
@@ -67,7 +72,7 @@ def assert_same(one, other):
 
 @pytest.mark.parametrize("index", range(len(CONFIGURATIONS)))
 def test_a_member_alone_gives_bit_for_bit_the_same(batch, together, index):
-    alone = solve_as_users(small_model(), lane(batch, np.array([index])))
+    alone = solve_as_users(MODEL, lane(batch, np.array([index])))
     assert_same(lane(alone, 0), lane(together, index))
 
 
@@ -92,9 +97,7 @@ def test_reactions_carry_the_load(batch, together):
     weight = DENSITY * LENGTH * SIDE**2 * 9.81 * np.array([1.0, 1.0, 0.3])
     for index, extra in enumerate([np.zeros(3), np.array(PULL.force)]):
         one = lane(batch, index)
-        out = force(small_model(), together.displacement[index]) - load_on_nodes(
-            small_model(), one
-        )
+        out = force(MODEL, together.displacement[index]) - load_on_nodes(MODEL, one)
         reaction = np.where(one.fixed, out, 0.0).sum(axis=0)
         load = np.array([0.0, 0.0, -weight[index]]) + extra
         # What Newton leaves on some hundred free nodes, 1e-8 of the norm of all forces.
@@ -105,7 +108,7 @@ def test_a_failing_lane_does_not_disturb_the_others(batch, together):
     """A NaN force is flagged; the process lives and the other lanes do not change."""
     force = batch.loads.force.at[1, 0, 7, 2].set(jnp.nan)
     broken = eqx.tree_at(lambda c: c.loads.force, batch, force)
-    solution = solve_as_users(small_model(), broken)
+    solution = solve_as_users(MODEL, broken)
     assert not bool(lane(solution, 1).converged)
     assert bool(jnp.all(jnp.isnan(solution.displacement[1])))
     for index in (0, 2, 3):
@@ -119,7 +122,7 @@ def test_a_failing_lane_does_not_disturb_the_others(batch, together):
 def test_a_nan_in_the_law_is_flagged(batch):
     """Also where a traced parameter went wrong, past all checks at construction."""
     model = eqx.tree_at(
-        lambda m: m.law.elasticity.E, small_model(), jnp.asarray(jnp.nan, float)
+        lambda m: m.law.elasticity.E, MODEL, jnp.asarray(jnp.nan, float)
     )
     solution = solve_as_users(model, batch)
     assert not bool(jnp.any(solution.converged))

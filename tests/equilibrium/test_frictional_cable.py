@@ -4,14 +4,26 @@ The cable runs in line along the top of the finger, so that at rest it turns now
 at the clamp, and friction grows as the finger bends.
 """
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
-from mechanisms import LENGTH, NO_GRAVITY, SIDE, TIGHT, arrays, solve, solved, strip
-from problems import both_ways, central_difference
+from mechanisms import (
+    LENGTH,
+    NO_GRAVITY,
+    SIDE,
+    TIGHT,
+    arrays,
+    both_ways_at,
+    solve,
+    solved,
+    strip,
+)
+from problems import central_difference
 
 from softcal_jax.actuators import Cable, Guide
 from softcal_jax.configurations import (
@@ -22,7 +34,14 @@ from softcal_jax.configurations import (
     ImposedDisplacement,
     ImposedForce,
 )
-from softcal_jax.equilibrium import Model, build_model, factor_solve, residual
+from softcal_jax.equilibrium import (
+    Model,
+    build_model,
+    continue_equilibrium,
+    factor_solve,
+    residual,
+)
+from softcal_jax.equilibrium._linearisation import linearise
 from softcal_jax.materials import NeoHookean
 
 MESH = strip(6)
@@ -86,7 +105,7 @@ def test_friction_makes_a_model_without_a_potential():
 def test_no_coefficient_is_no_friction(pulled):
     """The unsymmetric system at mu = 0 has the state of the symmetric one."""
     (plain, values, lane), _, _ = pulled
-    smooth, found = solve(rubbed(0.0), lane, jnp.zeros_like(plain.displacement), TIGHT)
+    smooth, found = solve(rubbed(0.0), lane, None, TIGHT)
     # Both solved to 1e-12 of the forces; the softest mode is 1e3 times softer.
     np.testing.assert_allclose(
         smooth.displacement, plain.displacement, rtol=0, atol=1e-9 * LENGTH
@@ -121,6 +140,9 @@ def test_balance_of_the_whole_finger(pulled):
         np.testing.assert_allclose(values[PULL, 0], TENSION, rtol=1e-14)
 
 
+tangent = jax.jit(lambda *state: linearise(*state).system.values)
+
+
 @jax.jit
 def solved_both_ways(model, lane, u, one, two):
     """K^-1 one and K^-T two."""
@@ -151,9 +173,9 @@ def test_a_cable_that_is_let_out_goes_slack():
     assert values[PULL, 0] == 0.0
 
 
-@both_ways
-def readings(mu, lane, guess):
-    return solve(rubbed(mu), lane, guess, TIGHT)[1]
+@both_ways_at
+def readings(mu, lane):
+    return solve(rubbed(mu), lane, None, TIGHT)[1]
 
 
 @pytest.mark.parametrize(
@@ -164,21 +186,40 @@ def test_derivatives_by_the_coefficient_of_friction(pulled, by):
     solution, values, lane = pulled[1]
     if by == "displacement":
         lane = arrays(ROUGH, driven(ImposedDisplacement(values[SHORTENING, 0])))
-    guess = solution.displacement
-    mu, one = jnp.asarray(MU), jnp.ones(())
-    cotangent = jr.normal(jr.key(1), values.shape)
-    _, exact, reverse = readings(mu, one, cotangent, lane, guess)
+        solution, _ = solve(ROUGH, lane, None, TIGHT)
+    mu, one = np.asarray(MU), np.ones(())
+    cotangent = np.random.default_rng(1).normal(size=values.shape)
+    both = readings(solution, mu, one, cotangent, lane)
+    exact, reverse = map(np.asarray, both)
     assert np.abs(exact[TIP]).max() > 1e-3 * LENGTH
     by_force = by == "force"
     assert (exact[SHORTENING, 0] != 0.0) | (not by_force)
     assert (abs(exact[PULL, 0]) > 0.01) | by_force
-    alone = lambda mu: solve(rubbed(mu), lane, guess, TIGHT)[1]
+    alone = lambda mu: np.asarray(solve(rubbed(jnp.asarray(mu)), lane, None, TIGHT)[1])
     coarse, fine = (
-        jnp.max(jnp.abs(central_difference(alone, mu, one, h) - exact))
+        np.max(np.abs(central_difference(alone, mu, one, h) - exact))
         for h in (0.1, 0.05)
     )
     np.testing.assert_allclose(coarse / fine, 4.0, rtol=0.1)
-    np.testing.assert_allclose(reverse, jnp.vdot(cotangent, exact), rtol=1e-8)
+    np.testing.assert_allclose(reverse, np.vdot(cotangent, exact), rtol=1e-8)
+
+
+def test_the_tangent_is_that_of_the_end_where_a_gap_was_to_close(pulled):
+    """The forces at the guides are balanced already."""
+    reference, values, _ = pulled[0]
+    loose = replace(TIGHT, rtol=1e-2)
+
+    def end(by):
+        lane = arrays(PLAIN, driven(ImposedDisplacement(values[SHORTENING, 0] + by)))
+        found, lin = continue_equilibrium(
+            PLAIN, lane, reference.displacement, settings=loose, precise=True
+        )
+        exact = tangent(PLAIN, lane, found.displacement, found.multipliers)
+        assert int(found.steps) == 1
+        off = np.max(np.abs(np.asarray(lin.system.values) - exact))
+        return off / np.max(np.abs(exact))
+
+    assert max(map(end, (0.0, 1e-5))) < 1e-6
 
 
 def test_releasing_needs_friction():

@@ -60,8 +60,7 @@ def from_rest(
     model=None,
 ):
     model = robot() if model is None else model
-    rest = jnp.zeros((model.n_points, 3))
-    return solve(model, bent(turn, model), rest, settings)[0]
+    return solve(model, bent(turn, model), None, settings)[0]
 
 
 @jax.jit

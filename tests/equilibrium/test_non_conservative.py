@@ -191,7 +191,10 @@ def test_the_tangent_at_equilibrium_is_not_symmetric():
     np.testing.assert_allclose(ours, [9.8e-4, 4.5e-3], rtol=0.02)
 
 
-@pytest.mark.parametrize("law", [ClassicalCorotational, Corotational])
+@pytest.mark.parametrize(
+    "law",
+    [ClassicalCorotational, pytest.param(Corotational, marks=pytest.mark.slow)],
+)
 def test_newton_steps_converge_quadratically(law):
     """From a nearby shape; with the symmetric part alone they converge linearly."""
     model, c = body(law), lane(LANES, TWENTY_G)

@@ -1,9 +1,11 @@
 """The laws under test, one of each, and states to test them in."""
 
-import equinox as eqx
+from typing import Any, NamedTuple
+
 import jax
 import jax.numpy as jnp
 import jax.random as jr
+import numpy as np
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import determinant
@@ -82,8 +84,8 @@ ANISOTROPIC = {
     ),
     "transverse-hyperelastic": (TRANSVERSE, SMALL_STRAIN),
     "transverse-hyperelastic stiff": (
-        TransverseHyperelastic(0.3, 1.0, 0.2, 0.4, Fibre(-1.0)),
-        TransverseIsotropic(0.3, 1.0, 0.2, 0.2, 0.4, Fibre(-1.0)),
+        TransverseHyperelastic(0.3, 1.0, 0.2, 0.4, Fibre(-1.0, 0.1, "xy")),
+        TransverseIsotropic(0.3, 1.0, 0.2, 0.2, 0.4, Fibre(-1.0, 0.1, "xy")),
     ),
 }
 
@@ -105,26 +107,96 @@ CLASSICAL = {
 }
 
 # Deformation gradients with det F > 0, up to stretches of 1.7 and 0.4.
-GRADIENTS = jnp.eye(3)[None] + 0.25 * jr.normal(jr.key(0), (6, 3, 3))
-
-# Compiled once per law and shared by all tests.
-energy = eqx.filter_jit(lambda law, F: law.energy_density(F))
-stress = eqx.filter_jit(lambda law, F: law.stress(F))
-tangent = eqx.filter_jit(lambda law, F: law.tangent(F))
+GRADIENTS = np.asarray(jnp.eye(3)[None] + 0.25 * jr.normal(jr.key(0), (6, 3, 3)))
 
 
-@eqx.filter_jit
-def derived(law, F):
-    """Stress and tangent by automatic differentiation, whatever the law overrides."""
+class At(NamedTuple):
+    """What a law says of one deformation gradient."""
+
+    energy: Any
+    stress: Any
+    tangent: Any
+
+
+class Derived(NamedTuple):
+    """By automatic differentiation of the energy, whatever a law overrides.
+
+    And the stress along a dF and pulled back.
+    """
+
+    stress: Any
+    tangent: Any
+    along: Any
+    pulled_back: Any
+
+
+class Together(NamedTuple):
+    """Both pairs that a law may compute at once, and what its table says."""
+
+    energy_and_stress: Any
+    stress_and_tangent: Any
+    table: At
+
+
+# One program of each for a law, which all tests share.
+@jax.jit
+def _at(law, F):
+    return At(law.energy_density(F), law.stress(F), law.tangent(F))
+
+
+@jax.jit
+def _derived(law, F, dF, cotangent):
     stress_twice = lambda F: (AbstractLaw.stress(law, F),) * 2
     hessian, stress = jax.jacfwd(stress_twice, has_aux=True)(F)
-    return stress, hessian
+    _, along = jax.linearize(law.stress, F)
+    (pulled_back,) = jax.linear_transpose(along, F)(cotangent)
+    return Derived(stress, hessian, along(dF), pulled_back)
 
 
-@eqx.filter_jit
+@jax.jit
+def _together(law, F):
+    pairs = law.energy_and_stress(F), law.stress_and_tangent(F)
+    return Together(*pairs, _at(law.tabulated(), F))
+
+
+def at(law, F) -> At:
+    """NumPy arrays, as of the others below: tests calculate with them on the host."""
+    return jax.tree.map(np.asarray, _at(law, F))
+
+
+def derived(law, F, dF=GRADIENTS[0], cotangent=GRADIENTS[0]) -> Derived:
+    return jax.tree.map(np.asarray, _derived(law, F, dF, cotangent))
+
+
+def together(law, F) -> Together:
+    return jax.tree.map(np.asarray, _together(law, F))
+
+
+def overriding(*methods: str):
+    """Laws with an own form of one of these methods of `AbstractLaw`."""
+    own = lambda law, name: getattr(type(law), name) is not getattr(AbstractLaw, name)
+    return {k: law for k, law in LAWS.items() if any(own(law, m) for m in methods)}
+
+
+def energy(law, F):
+    return at(law, F).energy
+
+
+def stress(law, F):
+    return at(law, F).stress
+
+
+def tangent(law, F):
+    return at(law, F).tangent
+
+
+@jax.jit
+def _stiffness(elasticity):
+    unit = jnp.eye(9).reshape(9, 3, 3)
+    return jax.vmap(lambda e: elasticity.stress(0.5 * (e + e.T)))(unit)
+
+
 def stiffness(elasticity):
     """Tensor C_iJkL of an elasticity, column by column."""
-    unit = jnp.eye(9).reshape(3, 3, 3, 3)
-    return jnp.stack(
-        [jnp.stack([elasticity.stress(0.5 * (e + e.T)) for e in row]) for row in unit]
-    ).transpose(2, 3, 0, 1)
+    columns = np.asarray(_stiffness(elasticity)).reshape(3, 3, 3, 3)
+    return columns.transpose(2, 3, 0, 1)

@@ -38,23 +38,23 @@ def test_bar_along_the_fibres(s):
     """The nominal stress is that of the matrix and E_f (s - 1)."""
     b, P = free_bar(s)
     expected = np.diag([P + E_F * (s - 1.0), 0.0, 0.0])
-    F = jnp.diag(jnp.asarray([s, b, b]))
+    F = np.diag([s, b, b])
     np.testing.assert_allclose(stress(STIFF, F), expected, rtol=1e-12, atol=1e-13)
 
 
 @pytest.mark.parametrize("s", [0.7, 1.3])
 def test_bar_across_inextensible_fibres(s):
     """At F = diag(1, s, b) the fibres add nothing: plane strain of the matrix."""
-    F = jnp.diag(jnp.asarray([1.0, s, 1.0 / s]))
+    F = np.diag([1.0, s, 1.0 / s])
     np.testing.assert_allclose(stress(STIFF, F), stress(MATRIX, F), rtol=0, atol=1e-14)
 
 
 def test_threads_are_slack_when_shortened():
     """Pulled they are fibres; shortened, nothing is left but 1e-4 of E_f."""
-    F = jnp.diag(jnp.asarray([1.2, 0.9, 1.0]))
+    F = np.diag([1.2, 0.9, 1.0])
     np.testing.assert_allclose(stress(THREADS, F), stress(STIFF, F), rtol=0, atol=1e-14)
     for s in (0.6, 0.99):
-        F = jnp.diag(jnp.asarray([s, 1.0, 1.0]))
+        F = np.diag([s, 1.0, 1.0])
         left = stress(THREADS, F) - stress(MATRIX, F)
         np.testing.assert_allclose(left, np.diag([-1e-4 * E_F, 0, 0]), atol=1e-14)
         # What is left turns with the fibre, and resists no further push.
@@ -65,13 +65,13 @@ def test_threads_are_slack_when_shortened():
 
 def test_the_tangent_of_threads_is_continuous_and_exact():
     """At rest, where fibres begin to give way, stress and tangent have no step."""
-    F = lambda e: jnp.diag(jnp.asarray([1.0 + e, 1.0, 1.0]))
+    F = lambda e: np.diag([1.0 + e, 1.0, 1.0])
     for method in (stress, tangent):
         gap = method(THREADS, F(1e-12)) - method(THREADS, F(-1e-12))
         # Slopes are below E_f / 1e-4, over a distance of 2e-12.
-        assert jnp.max(jnp.abs(gap)) < 2e-12 * (E_F / 1e-4 + 10.0) + 1e-12
+        assert np.max(np.abs(gap)) < 2e-12 * (E_F / 1e-4 + 10.0) + 1e-12
     for e in (-2e-4, -1e-5, 0.0, 3e-5):
-        _, exact = derived(THREADS, F(e))
+        exact = derived(THREADS, F(e)).tangent
         np.testing.assert_allclose(tangent(THREADS, F(e)), exact, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(tangent(THREADS, F(0.0)), tangent(STIFF, F(0.0)))
 
@@ -92,7 +92,7 @@ def test_small_strain_limit():
     np.testing.assert_allclose([v[2] for v in found], [v[2] for v in u], rtol=1e-14)
     np.testing.assert_allclose(found[0] @ found[1], u[0] @ u[1], rtol=1e-14)
     expected = sum(E_F * np.einsum("i,j,k,l->ijkl", v, v, v, v) for v in found)
-    got = tangent(TWO, jnp.eye(3)) - tangent(MATRIX, jnp.eye(3))
+    got = tangent(TWO, np.eye(3)) - tangent(MATRIX, np.eye(3))
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12)
 
 
@@ -104,14 +104,14 @@ def test_turning_the_fibres_turns_the_law():
     turned = jax.tree.map(lambda leaf: leaf.reshape(()), turned)
     for F in GRADIENTS:
         np.testing.assert_allclose(
-            energy(turned, F @ jnp.asarray(Q.T)), energy(STIFF, F), rtol=1e-12
+            energy(turned, F @ Q.T), energy(STIFF, F), rtol=1e-12
         )
 
 
 def test_nearly_incompressible_silicone_with_thread():
     """What soft arms are wound of is a law, in either order of stiffness."""
     law = FibreReinforced(NeoHookean(264e3, 0.499), 20e6, Fibre(0.0))
-    A = tangent(law, jnp.eye(3)).reshape(9, 9)
+    A = tangent(law, np.eye(3)).reshape(9, 9)
     symmetric = np.asarray([0, 4, 8])
     assert np.linalg.eigvalsh(A[np.ix_(symmetric, symmetric)]).min() > 0
 

@@ -2,10 +2,9 @@
 
 import jax
 import jax.numpy as jnp
-import jax.random as jr
 import numpy as np
 import pytest
-from laws import derived, energy, stress, tangent
+from laws import at, derived, energy, stress, tangent
 from problems import central_difference
 from scipy.spatial.transform import Rotation
 
@@ -58,7 +57,7 @@ def test_principal_stresses(name, kind, s):
     The pressure is what a volume change would add to all of them.
     """
     stretches = STATES[kind](s)
-    sigma = stress(LAWS[name], jnp.diag(jnp.asarray(stretches))) @ np.diag(stretches)
+    sigma = stress(LAWS[name], np.diag(stretches)) @ np.diag(stretches)
     found, expected = np.diag(sigma), slopes(name, stretches)
     np.testing.assert_allclose(sigma, np.diag(found), rtol=0, atol=1e-14)
     np.testing.assert_allclose(
@@ -79,7 +78,7 @@ def test_simple_shear(name, gamma):
     F[0, 1] = gamma
     s = gamma / 2 + np.hypot(1.0, gamma / 2)
     own = slopes(name, [s, 1.0 / s, 1.0])
-    sigma = stress(LAWS[name], jnp.asarray(F)) @ F.T
+    sigma = stress(LAWS[name], F) @ F.T
     expected = gamma * (own[0] - own[1]) / (s**2 - s**-2)
     np.testing.assert_allclose(sigma[0, 1], expected, rtol=1e-12)
     # Universal relation of Rivlin, whatever the law.
@@ -97,7 +96,7 @@ def test_small_strain_limit(name):
         np.einsum("ik,jl->ijkl", d, d) + np.einsum("il,jk->ijkl", d, d)
     )
     np.testing.assert_allclose(law.shear_modulus(), MU, rtol=1e-15)
-    np.testing.assert_allclose(tangent(law, jnp.eye(3)), hooke, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(tangent(law, np.eye(3)), hooke, rtol=0, atol=1e-12)
 
 
 @each_law
@@ -105,13 +104,14 @@ def test_volume(name):
     """F = s I costs K/4 (J^2 - 1 - 2 ln J) alone, with the pressure K/2 (J - 1/J)."""
     bulk, s = 2 * MU * 1.499 / (3 * 0.002), 1.02
     J = s**3
-    F = s * jnp.eye(3)
+    F = s * np.eye(3)
     expected = bulk / 4 * (J**2 - 1 - 2 * np.log(J))
-    np.testing.assert_allclose(energy(LAWS[name], F), expected, rtol=1e-11)
+    here, inverted = at(LAWS[name], F), at(LAWS[name], -F)
+    np.testing.assert_allclose(here.energy, expected, rtol=1e-11)
     pressure = bulk / 2 * (J - 1 / J) * J / s
-    np.testing.assert_allclose(stress(LAWS[name], F), pressure * np.eye(3), rtol=1e-11)
-    assert np.isnan(energy(LAWS[name], -F))
-    assert np.isnan(stress(LAWS[name], -F)).any()
+    np.testing.assert_allclose(here.stress, pressure * np.eye(3), rtol=1e-11)
+    assert np.isnan(inverted.energy)
+    assert np.isnan(inverted.stress).any()
 
 
 COINCIDING = {
@@ -126,24 +126,22 @@ COINCIDING = {
 @pytest.mark.parametrize("state", COINCIDING)
 def test_ogden_where_stretches_coincide(state):
     """Second order of differences, forward = reverse, and the Hessian: all finite."""
-    law = LAWS["ogden 3"]
+    law = LAWS["ogden 2"]
     Q, R = (Rotation.random(rng=seed).as_matrix() for seed in (1, 2))
-    F = jnp.asarray(Q @ np.diag(COINCIDING[state]) @ R)
-    dF, cotangent = jr.normal(jr.key(0), (2, 3, 3))
+    F = Q @ np.diag(COINCIDING[state]) @ R
+    dF, cotangent = np.random.default_rng(0).normal(size=(2, 3, 3))
     A = tangent(law, F)
     P = lambda F: stress(law, F)
-    error = lambda h: jnp.max(
-        jnp.abs(central_difference(P, F, dF, h) - jnp.tensordot(A, dF, 2))
+    error = lambda h: np.max(
+        np.abs(central_difference(P, F, dF, h) - np.tensordot(A, dF, 2))
     )
     # Second order: a tenfold smaller step leaves a hundredth of the error.
     np.testing.assert_allclose(error(1e-2) / error(1e-3), 100.0, rtol=0.05)
-    _, hessian = derived(law, F)
-    np.testing.assert_allclose(A, hessian, rtol=0, atol=1e-10)
+    both = derived(law, F, dF, cotangent)
+    np.testing.assert_allclose(A, both.tangent, rtol=0, atol=1e-10)
     np.testing.assert_allclose(A, A.transpose(2, 3, 0, 1), rtol=0, atol=1e-11)
-    _, jvp = jax.jvp(P, (F,), (dF,))
-    _, vjp = jax.vjp(P, F)
     np.testing.assert_allclose(
-        jnp.vdot(cotangent, jvp), jnp.vdot(vjp(cotangent)[0], dF), rtol=1e-12
+        np.vdot(cotangent, both.along), np.vdot(both.pulled_back, dF), rtol=1e-12
     )
 
 
@@ -151,17 +149,22 @@ def test_ogden_in_its_exponents():
     """Calibrated exponents: stress and energy by alpha, at second order."""
     F = jnp.diag(jnp.asarray([1.4, 1.4, 0.55]))
     law = lambda alpha: Ogden(0.3, alpha, 0.05, 2.0)
-    P_by_alpha = jax.jit(jax.jacfwd(lambda a: stress(law(a), F)))(jnp.asarray(1.7))
-    psi_by_alpha = jax.jit(jax.grad(lambda a: energy(law(a), F)))(jnp.asarray(1.7))
-    for of, slope in ((energy, psi_by_alpha), (stress, P_by_alpha)):
-        at = lambda a, of=of: np.asarray(of(law(a), F))
-        error = lambda h, at=at, slope=slope: np.max(
-            np.abs((at(1.7 + h) - at(1.7 - h)) / (2 * h) - slope)
-        )
-        np.testing.assert_allclose(error(1e-1) / error(1e-2), 100.0, rtol=0.05)
     # The derivative of the energy by F and alpha, in either order.
     psi = lambda F, a: law(a).energy_density(F)
-    mixed = jax.jit(jax.jacfwd(jax.grad(psi), argnums=1))(F, jnp.asarray(1.7))
+
+    @jax.jit
+    def slopes(a):
+        P_by_alpha = jax.jacfwd(lambda a: law(a).stress(F))(a)
+        mixed = jax.jacfwd(jax.grad(psi), argnums=1)(F, a)
+        return jax.grad(psi, argnums=1)(F, a), P_by_alpha, mixed
+
+    psi_by_alpha, P_by_alpha, mixed = slopes(jnp.asarray(1.7))
+    for of, slope in ((energy, psi_by_alpha), (stress, P_by_alpha)):
+        value = lambda a, of=of: of(law(a), F)
+        error = lambda h, value=value, slope=slope: np.max(
+            np.abs((value(1.7 + h) - value(1.7 - h)) / (2 * h) - slope)
+        )
+        np.testing.assert_allclose(error(1e-1) / error(1e-2), 100.0, rtol=0.05)
     np.testing.assert_allclose(mixed, P_by_alpha, atol=1e-13)
 
 
@@ -169,21 +172,21 @@ def test_a_third_derivative_of_ogden_is_refused():
     with pytest.raises(
         NotImplementedError, match="derivatives of its energy up to the"
     ):
-        jax.eval_shape(jax.jacfwd(LAWS["ogden 1"].tangent), jnp.eye(3))
+        jax.eval_shape(jax.jacfwd(LAWS["ogden 1"].tangent), np.eye(3))
 
 
 def test_two_terms_are_mooney_rivlin():
     """alpha = 2 and -2 with mu_p = 2 c10 and -2 c01 (Ogden 1972)."""
     ogden = Ogden(2 * 0.14, 2.0, -2 * 0.06, -2.0)
     for seed in range(3):
-        F = jnp.eye(3) + 0.2 * jr.normal(jr.key(seed), (3, 3))
+        F = np.eye(3) + 0.2 * np.random.default_rng(seed).normal(size=(3, 3))
         expected = stress(LAWS["mooney-rivlin"], F)
         np.testing.assert_allclose(stress(ogden, F), expected, rtol=0, atol=1e-11)
 
 
 def test_gent_far_from_its_limit_is_neo_hookean():
     """J_m -> infinity: W -> mu/2 (i1 - 3), Mooney-Rivlin with c01 = 0."""
-    F = jnp.eye(3) + 0.2 * jr.normal(jr.key(3), (3, 3))
+    F = np.eye(3) + 0.2 * np.random.default_rng(3).normal(size=(3, 3))
     expected = tangent(MooneyRivlin(MU / 2, 0.0), F)
     np.testing.assert_allclose(tangent(Gent(MU, 1e12), F), expected, rtol=0, atol=1e-9)
 
@@ -192,18 +195,16 @@ def test_gent_locks():
     """P grows beyond bound up to i1 = 3 + J_m; from there on nothing is a number."""
     law = Gent(MU, 10.0)
     limit = np.max(np.roots([1.0, 0.0, -13.0, 2.0]).real)  # s^3 - 13 s + 2 = 0
-    at = lambda s: jnp.diag(jnp.asarray([s, s**-0.5, s**-0.5]))
-    assert stress(law, at(limit - 1e-6))[0, 0] > 1e4 * MU
+    pulled = lambda s: at(law, np.diag([s, s**-0.5, s**-0.5]))
+    assert pulled(limit - 1e-6).stress[0, 0] > 1e4 * MU
     for s in (limit + 1e-6, 2.0 * limit):
-        assert np.isnan(energy(law, at(s)))
-        assert np.isnan(stress(law, at(s))).any()
-        assert np.isnan(tangent(law, at(s))).any()
+        assert all(np.isnan(value).any() for value in pulled(s))
 
 
 def nominal(law, kind, stretch):
     """Nominal stress of a test in which the rubber keeps its volume."""
     stretches = np.asarray(STATES[kind](stretch))
-    P = np.diag(stress(law, jnp.diag(jnp.asarray(stretches))))
+    P = np.diag(stress(law, np.diag(stretches)))
     # The free face has no stress: take its pressure off.
     return P[0] - P[2] * stretches[2] / stretches[0]
 

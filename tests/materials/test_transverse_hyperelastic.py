@@ -1,6 +1,5 @@
 """The large-strain law with a fibre, mode by mode."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from laws import energy, stress
@@ -34,13 +33,13 @@ def test_simple_shear_along_and_across_the_fibre(gamma, plane):
         ratio = 1.0 / np.sqrt(1 + gamma**2)
         expected += (C33 / 2 - C13 + C_w / 2) * a**2
         expected += MU_T * ((ratio**2 + 1.0) / (2.0 * ratio) - 1.0)
-    np.testing.assert_allclose(energy(LAW, jnp.asarray(F)), expected, rtol=1e-12)
+    np.testing.assert_allclose(energy(LAW, F), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("stretch", [0.5, 1.3, 2.5])
 def test_pure_shear_across_the_fibre(stretch):
     """F = diag(1, s, 1/s) costs mu_t (s^2 + s^-2 - 2) / 2, the neo-Hookean energy."""
-    F = jnp.asarray(np.diag([1.0, stretch, 1.0 / stretch]))
+    F = np.diag([1.0, stretch, 1.0 / stretch])
     expected = MU_T * (stretch**2 + stretch**-2 - 2.0) / 2.0
     np.testing.assert_allclose(energy(LAW, F), expected, rtol=1e-12)
 
@@ -49,7 +48,7 @@ def test_pure_shear_across_the_fibre(stretch):
 def test_bar_along_the_fibre(stretch):
     """Free sides: P = E_l ln(s) / s and a section of ln(area) = -2 nu_lt ln(s)."""
     lateral = stretch ** (-NU * E_L / E_T)
-    P = stress(LAW, jnp.asarray(np.diag([stretch, lateral, lateral])))
+    P = stress(LAW, np.diag([stretch, lateral, lateral]))
     expected = np.diag([E_L * np.log(stretch) / stretch, 0.0, 0.0])
     np.testing.assert_allclose(P, expected, rtol=1e-12, atol=1e-13)
 
@@ -60,7 +59,7 @@ def test_every_deformation_costs_energy():
     rng = np.random.default_rng(0)
     F = np.eye(3) + 2.0 * rng.normal(size=(200, 3, 3))
     for one in F[np.linalg.det(F) > 1e-3]:
-        assert energy(foam, jnp.asarray(one)) > 0
+        assert energy(foam, one) > 0
 
 
 def bonet_burton(s, b, E_t, E_l, nu, mu_l):
@@ -106,8 +105,8 @@ def test_why_not_the_law_of_bonet_and_burton():
 
 def test_inverted_state_is_not_a_number():
     for F in (np.diag([-0.5, 1.0, 1.0]), np.diag([1.0, -0.5, 1.0])):
-        assert np.isnan(energy(LAW, jnp.asarray(F)))
-        assert np.isnan(stress(LAW, jnp.asarray(F))).any()
+        assert np.isnan(energy(LAW, F))
+        assert np.isnan(stress(LAW, F)).any()
 
 
 @pytest.mark.parametrize("ratio", [0.07, 1.0, 4.0])
