@@ -21,10 +21,7 @@ def cube(order, formulation):
     )
 
 
-@pytest.mark.parametrize(
-    ("order", "formulation"),
-    [*CASES[:2], pytest.param(*CASES[2], marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize(("order", "formulation"), CASES)
 def test_linear_displacement_is_reproduced(order, formulation):
     """Irregular mesh, large stretch, shear and turn imposed on the boundary."""
     model = cube(order, formulation)
