@@ -136,8 +136,8 @@ CALLS = {
 }
 
 
-SLOW = ("gradient", "forward")
-"""Steps of the Hessian, which is the forward derivative of the gradient."""
+SLOW = ("forward", "Hessian")
+"""More programs of the kind of the gradient's."""
 
 
 @pytest.mark.parametrize(

@@ -82,6 +82,7 @@ def test_the_fields_are_those_of_the_law(job):
     np.testing.assert_allclose(fields, [[700e3, 400e3, 0.0]] * len(fields), atol=1e-9)
 
 
+@pytest.mark.slow  # programs of a peer's job that no other test needs
 def test_poses_are_plain_arrays(job):
     for pose, free in zip(job.poses, [0.150, 0.150, 0.150, 0.0], strict=True):
         np.testing.assert_allclose(job.points[pose.held, 0], 0.150 - free, atol=1e-12)

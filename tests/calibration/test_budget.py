@@ -249,12 +249,9 @@ def relative(result):
     return {name: float(std[0]) / 2e5 for name, std in result.budget.by_cause().items()}
 
 
+@pytest.mark.slow  # the clamp among all causes is not
 @pytest.mark.parametrize(
-    ("name", "powers", "shear"),
-    [
-        ("pull", (3, 1), 0.6),
-        pytest.param("hang", (4, 2), 0.8, marks=pytest.mark.slow),
-    ],
+    ("name", "powers", "shear"), [("pull", (3, 1), 0.6), ("hang", (4, 2), 0.8)]
 )
 def test_free_length_of_a_cantilever(name, powers, shear):
     """E ~ F L^3 / f or w L^4 / f, and less by the share that shears.
@@ -419,6 +416,7 @@ def test_a_standard_deviation_is_not_negative(value):
         Uncertain(nu=value)
 
 
+@pytest.mark.slow  # test_mesh_error is not
 def test_linear_tets_know_how_far_off_they_are():
     """Fitted to quadratic tets of the same mesh: ln E is off by ln(e_linear / e).
 

@@ -259,11 +259,14 @@ class Start(NamedTuple):
         )
 
 
-OTHERS = [pytest.param(n, marks=pytest.mark.slow) for n in ("displacements", "torque")]
-"""More programs of the same kind."""
+# The compliances of control/test_actuator_compliance.py are not slow.
+STARTS = [
+    pytest.param(name, marks=pytest.mark.slow)
+    for name in ("forces", "displacements", "torque")
+]
 
 
-@pytest.fixture(scope="module", params=["forces", *OTHERS])
+@pytest.fixture(scope="module", params=STARTS)
 def start(request, by_force):
     delta, lambda_a = read(by_force[1])
     asked = (

@@ -172,7 +172,7 @@ def halves(axis):
 @pytest.mark.parametrize(
     ("order", "formulation"),
     [
-        (1, "displacement"),
+        pytest.param(1, "displacement", marks=pytest.mark.slow),
         (2, "displacement"),
         pytest.param(2, "mean-dilatation", marks=pytest.mark.slow),
     ],
@@ -190,6 +190,7 @@ def test_an_even_stretch_has_no_error(order, formulation):
     np.testing.assert_allclose(of_mesh, 0.0, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_jump_of_the_material_is_no_error():
     """Two halves in parallel, each with an even stress, if the mesh names them."""
     named, left = halves(1)
@@ -201,6 +202,7 @@ def test_a_jump_of_the_material_is_no_error():
     assert np.max(np.abs(smeared)) > 1e-4
 
 
+@pytest.mark.slow
 def test_a_robot_without_a_tet_that_deforms_has_no_error():
     """All of it is one body, which hangs from a motor without torque."""
     mesh = beam(0.1, 0.02, 0.02, (3, 1, 1), order=1)
