@@ -249,7 +249,6 @@ def relative(result):
     return {name: float(std[0]) / 2e5 for name, std in result.budget.by_cause().items()}
 
 
-@pytest.mark.slow  # the clamp among all causes is not
 @pytest.mark.parametrize(
     ("name", "powers", "shear"), [("pull", (3, 1), 0.6), ("hang", (4, 2), 0.8)]
 )

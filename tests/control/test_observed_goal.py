@@ -15,6 +15,7 @@ def end(model, configuration, state):
     return jnp.mean(model.positions(state.displacement)[np.asarray(END)], axis=0)
 
 
+@pytest.mark.slow  # calibration/test_observation.py is not
 def test_an_observation_is_brought_to_its_goal():
     goal = (0.098, 0.01, 0.016)
     usual, own = (
