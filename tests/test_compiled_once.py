@@ -136,8 +136,8 @@ CALLS = {
 }
 
 
-SLOW = ("forward", "Hessian")
-"""More programs of the kind of the gradient's."""
+SLOW = ("forward", "Hessian", "solve_equilibrium, vmap", "continue_equilibrium")
+"""More programs of the kinds of the others."""
 
 
 @pytest.mark.parametrize(

@@ -134,6 +134,7 @@ def test_the_law_of_the_peers_is_ours():
             np.testing.assert_allclose(found, of_stress, rtol=1e-9, atol=1e-9 * 9e5)
 
 
+@pytest.mark.slow
 def test_adjoint_and_differences_give_one_gradient(job):
     by_adjoint = peer_gradient(Adjoint(job), 2, job.start, STD)
     by_differences = peer_gradient(Differenced(job), 2, job.start, STD)
@@ -145,6 +146,7 @@ def test_adjoint_and_differences_give_one_gradient(job):
     )
 
 
+@pytest.mark.slow
 def test_residuals_and_their_jacobian(job):
     by_adjoint = Residuals(Adjoint(job), by_adjoint=True)
     by_differences = Residuals(Differenced(job), by_adjoint=False)

@@ -39,6 +39,9 @@ from softcal_jax.equilibrium import (
 from softcal_jax.equilibrium._sparsity import product
 from softcal_jax.materials import ClassicalCorotational, Corotational, Isotropic
 
+# The law in materials/ and the tangent of test_frictional_cable.py are not.
+pytestmark = pytest.mark.slow
+
 PACKAGES = {"pardiso": "pardiso_mkl_jax", "klu": "klujax"}
 each_solver = pytest.mark.parametrize(
     "solver", ["pardiso", pytest.param("klu", marks=pytest.mark.slow)]

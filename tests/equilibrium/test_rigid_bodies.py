@@ -332,7 +332,11 @@ def frames(inputs, both):
 forward_and_reverse = both_ways_at(frames)
 
 
-@pytest.fixture(scope="module", params=["free", "hinged", "held"])
+# Derivatives of the potential, of all three, are not slow.
+STARTS = [pytest.param(n, marks=pytest.mark.slow) for n in ("free", "hinged", "held")]
+
+
+@pytest.fixture(scope="module", params=STARTS)
 def start(request):
     states = {
         "free": "free",
