@@ -114,18 +114,14 @@ def test_a_vector_that_is_shared_is_what_its_entries_are():
     np.testing.assert_allclose(tip_by(series)(C), expected, rtol=1e-9)
 
 
-@both_ways_at
-def along_one(c):
-    return tip_by(series)(c)
-
-
 def test_its_derivative_is_that_of_its_entries():
     """By differences of the law that has them apart, of second order."""
     solution = solve_equilibrium(model_of(series(C)), HANG, settings=TIGHT)
+    along = both_ways_at(tip_by(series))
     apart, error = lambda c: np.asarray(tip_by(separate)(jnp.asarray(c))), []
     for k in range(2):
         step, back = 0.1 * np.asarray(C) * np.eye(2)[k], np.eye(3)[2]
-        slope, reverse = map(np.asarray, along_one(solution, C, step, back))
+        slope, reverse = map(np.asarray, along(solution, C, step, back))
         np.testing.assert_allclose(reverse @ step, slope[2], rtol=1e-9)
         error.append(
             [
