@@ -157,6 +157,7 @@ def test_residuals_and_their_jacobian(job):
     np.testing.assert_allclose(rows, change, rtol=0, atol=1e-4 * np.abs(rows).max())
 
 
+@pytest.mark.slow
 def test_equilibria_start_from_the_last_ones(job):
     peer = Differenced(job)
     residuals = Residuals(peer, by_adjoint=False)
@@ -166,6 +167,7 @@ def test_equilibria_start_from_the_last_ones(job):
     assert all(guess is not None for guess in peer.guesses[4:])
 
 
+@pytest.mark.slow
 def test_a_pose_without_equilibrium_is_very_bad(job):
     peer = Differenced(job)
     residuals = Residuals(peer, by_adjoint=False)
