@@ -6,12 +6,11 @@ from ready_made import FINGER_E, ordered_robot
 from recordings import motion, write_recording
 from wording import says
 
-from benchmarks._sofa_scenes import hollow_beam
 from softcal_jax.cli import main
 from softcal_jax.exchange.proposal import propose_project
 from softcal_jax.mesh import beam, node_indices, write_mesh
 from softcal_jax.project import ProjectWarning, guesses_left, load_project
-from softcal_jax.robots import READY_MADE, simulated_measurements
+from softcal_jax.robots import READY_MADE, ready_made_path, simulated_measurements
 
 PLACES = {"tip": (60.0, 10.0, 10.0), "top": (60.0, 10.0, 21.0), "foot": (5.0, 0.0, 5.0)}
 """Where markers are on the beam [mm]; one stands on a post of 1 mm."""
@@ -180,13 +179,11 @@ def test_a_mesh_alone_can_be_judged_and_not_calibrated(tmp_path, body, capsys):
 
 def test_groups_are_known_by_their_names(tmp_path):
     """A clamp, and a chamber that is the wall of a cavity."""
-    mesh = hollow_beam()
-    mesh = mesh.with_node_group("clamp", mesh.node_groups["x_min"])
-    write_mesh(mesh, tmp_path / "arm.msh", length_unit="mm")
+    arm = ready_made_path("pneumatic-arm").with_name("arm.msh")
     table = write_rows(tmp_path / "poses.csv", poses=("0 kPa", "12 kPa"))
-    found = propose_project(tmp_path / "arm.msh", tmp_path / "mine", recordings=[table])
+    found = propose_project(arm, tmp_path / "mine", recordings=[table])
     assert found.held.group == "clamp"
-    assert found.chambers == {"cavity": False}
+    assert found.chambers == {"chamber": False}
     project = loaded(tmp_path / "mine")
     (support,) = project.calibration[0].supports
     assert support.where == "clamp"

@@ -430,6 +430,8 @@ def test_linear_tets_know_how_far_off_they_are():
     assert off > 1.0  # a modulus of less than half
     assert 0.5 * off < abs(mesh_error.deviations[0, 0]) < 2.0 * off
     assert str(result.budget).endswith(": use quadratic tets")
+    known = calibrate(linear, WIDE, measured, noise="stated", uncertain=SAME_MESH)
+    assert "mesh" not in {cause.name for cause in known.budget.causes}
 
 
 def test_the_budget_is_that_of_the_fit_whatever_is_held_out():

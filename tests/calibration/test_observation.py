@@ -93,24 +93,25 @@ def test_a_reading_that_sees_a_parameter_has_its_whole_derivative():
 
 
 def test_a_point_that_is_observed_is_what_a_marker_is():
-    """Also beside a pose that has it among its markers."""
-    places = np.stack([MESH.points[TIP], *MESH.points[:2]])
-    three = Markers(("tip", "other", "third"), places, std=STD)
-    one = Markers(("tip",), places[:1], std=STD)
+    """Also where only one of two poses has it."""
+    E = Parameter("E", "E", 1e5, 2e4, 1e6)
+    marker = Markers(("tip",), MESH.points[TIP][None], std=STD)
+    by_marker = [posed(n, g, markers=marker) for n, g in (("up", 9.81), ("down", -9.8))]
     true = set_field(MODEL, "E", 1.3e5)
-    by_marker = [posed("up", 9.81, markers=one), posed("down", -9.8, markers=three)]
     seen = simulated_measurements(true, by_marker, seed=0)
-    own = Observation("tip", tip, "m", measured=seen[0].measured[0], std=STD)
-    observed = posed("up", 9.81, own)
-    also = replace(own, measured=seen[1].measured[0])
-    held_out = posed("held out", -9.8, also)
+    observed = [
+        posed(c.name, g, Observation("tip", tip, "m", measured=c.measured[0], std=STD))
+        for c, g in zip(seen, (9.81, -9.8), strict=True)
+    ]
+    held_out = replace(observed[1], name="held out")
     options = {"noise": "stated", "uncertain": exactly_known(), "intervals": None}
-    expected = calibrate(MODEL, E, seen, **options)
-    found = calibrate(MODEL, E, [observed, seen[1]], validation=held_out, **options)
-    assert found.converged
-    assert found.value("E") == pytest.approx(expected.value("E"), rel=1e-8)
-    errors = (r.parameters[0].standard_error for r in (found, expected))
-    assert next(errors) == pytest.approx(next(errors), rel=1e-8)
+    expected = calibrate(MODEL, E, seen, validation=held_out, **options)
+    for poses in (observed, [observed[0], seen[1]]):
+        found = calibrate(MODEL, E, poses, validation=held_out, **options)
+        assert found.converged
+        assert found.value("E") == pytest.approx(expected.value("E"), rel=1e-8)
+        errors = (r.parameters[0].standard_error for r in (found, expected))
+        assert next(errors) == pytest.approx(next(errors), rel=1e-8)
     predicted = found.configurations[-1]
     assert predicted.name == "held out"
     assert np.linalg.norm(predicted.effectors[0].residual) < 5.0 * STD

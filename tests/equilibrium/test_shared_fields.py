@@ -82,7 +82,7 @@ class Network(AbstractLaw):
         return 1e4 * stiff * I1 + 0.5 * self.bulk * (determinant(F) - 1.0) ** 2
 
 
-C, BULK = jnp.array([1.7e4, 2e3]), jnp.asarray(1e5)
+C, BULK = jnp.array([1.7e4, 2e3]), jnp.full(MESH.n_tets, 1e5)
 
 
 def model_of(law):

@@ -126,7 +126,7 @@ COINCIDING = {
 @pytest.mark.parametrize("state", COINCIDING)
 def test_ogden_where_stretches_coincide(state):
     """Second order of differences, forward = reverse, and the Hessian: all finite."""
-    law = LAWS["ogden 2"]
+    law = LAWS["ogden 3"]
     Q, R = (Rotation.random(rng=seed).as_matrix() for seed in (1, 2))
     F = Q @ np.diag(COINCIDING[state]) @ R
     dF, cotangent = np.random.default_rng(0).normal(size=(2, 3, 3))

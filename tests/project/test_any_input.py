@@ -105,7 +105,7 @@ def _has(table, key):
     return isinstance(table, list) and isinstance(key, int) and key < len(table)
 
 
-@number_of_examples(30, 3000)
+@number_of_examples(60, 3000)
 @pytest.mark.usefixtures("unchecked")
 def test_any_value_in_a_project_file(tmp_path, n):
     path = write_small_project(tmp_path)

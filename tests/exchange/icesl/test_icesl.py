@@ -46,7 +46,7 @@ ROOT, TIP = (1200.0, 300.0, 20.0), (700.0, 150.0, -25.0)
 PLACES = np.array([(0.0, 0.015, 0.005), (0.06, 0.0, 0.005)])
 
 
-FINE, COARSE = 32, 16
+FINE, COARSE = 64, 16
 
 
 @contextmanager

@@ -59,7 +59,7 @@ def assert_same_equilibrium(own, folder, release, units):
 
 @pytest.mark.parametrize(
     ("release", "units"),
-    [("v25.12", "mm-kg-s"), ("v26.06", "SI")],
+    [("v25.12", "mm-kg-s"), ("v26.06", "mm-kg-s"), ("v26.06", "SI")],
 )
 def test_what_sofa_is_given_is_the_model(bent_beam, release, units, tmp_path):
     """Moduli per tet, loads, clamps, sliding, moved and elastic supports, gravity."""
