@@ -68,6 +68,7 @@ from softcal_jax.inference import (
 from softcal_jax.unknowns import (
     ConsideredErrors,
     Setting,
+    compile_considered,
     considered_errors,
     nothing_considered,
 )
@@ -137,11 +138,14 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
         start = _start(task, watch, batch, workers)
         place = _place(task, watch, start, journal, resume)
         weighed = _descended(task, start, place, journal)
+        poses, arrays = task.configurations, batch.everything.configurations
+        setting = Setting(task.model, task.space, poses, arrays, task.uncertain)
+        if not (task.quick or journal.interrupted):
+            compile_considered(workers, setting, weighed.state.z)
         predicted = _predicted(task, watch, batch, start, weighed)
         journal.interrupted |= predicted.interrupted
         found = _Found(start, place, weighed, predicted, journal, clock)
-        poses, arrays = task.configurations, predicted.problem.configurations
-        setting = Setting(task.model, task.space, poses, arrays, task.uncertain)
+        setting = setting._replace(arrays=predicted.problem.configurations)
         doubts = nothing_considered(setting)
         so_far = cache(
             lambda: replace(_result(task, found, doubts), left_out=(BUDGET,))

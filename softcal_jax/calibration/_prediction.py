@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._lanes import lane_of, stacked
@@ -201,12 +200,12 @@ def _solve_group(
 ) -> None:
     """Solve configurations from rest; rigid bodies go on from the one before."""
     bodies = evaluate.problem.model.mechanism.bodies.n_bodies > 0
-    guess = (chain.before if bodies else jnp.zeros_like(chain.before))[None]
+    guess = chain.before[None] if bodies else None
     for i in group:
         own = lambda _, load, steps, i=i: report(i, load, steps)
         solution = evaluate.equilibria(chain.z, own, lanes=[i], guess=guess)
         if solution.converged[0]:
-            guess = solution.displacement
+            guess = solution.displacement if bodies else None
             (chain.solved[i],) = evaluate.closed([i], chain.z, solution)
 
 

@@ -62,15 +62,30 @@ class Program:
         self._on: dict[int, tuple[AbstractLinearSolver, Any]] = {}
 
     def run(self, solver: AbstractLinearSolver, lane: Sequence[Any]) -> Any:
+        with self._first(lane) as first:
+            if first:
+                return self._result(solver, lane)
+        return self._result(solver, lane)
+
+    def compile(self, lane: Sequence[Any]) -> None:
+        """Compile it for lanes like this one, unless it is."""
+        with self._first(lane) as first:
+            if first:
+                self._function.lower(*self._shared, *lane).compile()
+
+    @contextmanager
+    def _first(self, lane: Sequence[Any]) -> Iterator[bool]:
+        """Wait for a thread that compiles it, and tell whether this one has to."""
         if self._key is None:
             self._key = _key(self._function, self._shared, lane)
-        if self._key not in _COMPILED:
-            with _COMPILING.setdefault(self._key, Lock()):
-                if self._key not in _COMPILED:
-                    result = self._result(solver, lane)
-                    _COMPILED.add(self._key)
-                    return result
-        return self._result(solver, lane)
+        if self._key in _COMPILED:
+            yield False
+            return
+        with _COMPILING.setdefault(self._key, Lock()):
+            first = self._key not in _COMPILED
+            yield first
+            if first:
+                _COMPILED.add(self._key)
 
     def _result(self, solver: AbstractLinearSolver, lane: Sequence[Any]) -> Any:
         # The solver is kept beside, so that its id is not given to another one.
@@ -195,13 +210,15 @@ class Workers:
         self._free: SimpleQueue[AbstractLinearSolver] = SimpleQueue()
 
     def __enter__(self) -> "Workers":
+        _forget_as_jax()
         with ExitStack() as opened:
             if not _THREAD.shares_turn:
                 opened.enter_context(_TURN)
+            self._ahead = ThreadPoolExecutor(1)
+            opened.callback(self._ahead.shutdown, wait=False, cancel_futures=True)
             if self.n == 1:
                 self._free.put(self._solver)
             else:
-                _forget_as_jax()
                 pool = ThreadPoolExecutor(self.n, initializer=_begin_thread)
                 self._pool = opened.enter_context(pool)
                 with self._solver.on_one_core():
@@ -212,6 +229,20 @@ class Workers:
 
     def __exit__(self, *error) -> None:
         self._opened.close()
+
+    def ahead(self, program: Callable[[], tuple[Program, Sequence[Any]]]) -> None:
+        """Compile a program for lanes like the first, beside what runs until it is due.
+
+        Where that fails, it fails again when it is due.
+        """
+
+        def compile_first() -> None:
+            due, lanes = program()
+            for lane in lanes[:1]:
+                due.compile(lane)
+
+        if usable_cores() > 1:
+            self._ahead.submit(compile_first)
 
     def map(self, program: Program, lanes: Iterable[Sequence[Any]]) -> list[Any]:
         """Run all lanes of a program and return their results in order."""

@@ -57,7 +57,7 @@ from softcal_jax.identifiability._spread import (
     verdict,
 )
 from softcal_jax.inference import LinearModel, independent
-from softcal_jax.unknowns import Setting, considered_errors
+from softcal_jax.unknowns import Setting, compile_considered, considered_errors
 
 Parameters = ParameterSpace | Entry | Sequence[Entry]
 AnyVector = Array | HostArray
@@ -262,14 +262,15 @@ def survey(
     check_parameters(model, space, lane_of(arrays, 0))
     problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
     required = len(names) if required is None else required
+    setting = Setting(model, space, configurations, arrays, uncertain)
     with Workers(model, len(names)) as workers:
+        compile_considered(workers, setting, z)
         evaluator = Evaluator(problem, workers)
         solution = evaluator.equilibria(z, reports_of(progress, names))
         moved = evaluator.effectors(z, solution)
         if required:
             check_converged(lane_of(solution, slice(required)), names)
         compliance = evaluator.energy_compliances(z, solution.displacement)
-        setting = Setting(model, space, configurations, arrays, uncertain)
         doubts = considered_errors(workers, setting, z=z, equilibrium=solution)
     if required:
         check_numbers(names[:required], lanes.effectors, moved, compliance.W_ep)

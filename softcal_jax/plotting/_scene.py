@@ -25,7 +25,9 @@ from softcal_jax.plotting._view import View
 if TYPE_CHECKING:
     import pyvista
 
-_SUPERSAMPLING = 2
+_SUPERSAMPLING = 4
+"""Samples of a pixel in each direction, as VTK averages them."""
+
 _GHOST = "#ececec"
 """Colour of the body at rest."""
 
@@ -142,14 +144,13 @@ def body_image(
     deformed = lambda chosen: _surface(tessellation, points, displacement, chosen)
     fine = _SUPERSAMPLING
     with offscreen():
-        plotter = pyvista.Plotter(
-            off_screen=True, window_size=[fine * width, fine * height]
-        )
-        plotter.disable_anti_aliasing()  # the finer grid smooths already
+        plotter = pyvista.Plotter(off_screen=True, window_size=[width, height])
+        plotter.set_background("white")
+        plotter.enable_anti_aliasing("ssaa")
         try:
             ghost = [
                 plotter.add_mesh(rest, color=_GHOST, lighting=False),
-                plotter.add_mesh(_edges(rest), color=OUTLINE, line_width=1.6 * fine),
+                plotter.add_mesh(_edges(rest), color=OUTLINE, line_width=1.1 * fine),
             ]
             body = [
                 plotter.add_mesh(
@@ -168,7 +169,7 @@ def body_image(
                     _edges(deformed(whole)),
                     color="black",
                     opacity=0.55,
-                    line_width=1.2 * fine,
+                    line_width=0.9 * fine,
                 ),
             ]
             if rigid.any():
@@ -203,10 +204,7 @@ def _layer(plotter: "pyvista.Plotter", shown: list, actors: list):
     rgba = plotter.screenshot(None, transparent_background=True, return_img=True)
     rgba = np.asarray(rgba, np.float32)
     cover = rgba[..., 3:] / 255.0
-    # Average the samples of each pixel.
-    n = _SUPERSAMPLING
-    mean = lambda a: sum(a[i::n, j::n] for i in range(n) for j in range(n)) / n**2
-    return mean(rgba[..., :3] * cover), mean(cover)
+    return rgba[..., :3] - 255.0 * (1.0 - cover), cover
 
 
 def _surface(

@@ -3,6 +3,7 @@
 from softcal_jax.unknowns._considered import (
     MESH as MESH,
     ConsideredErrors as ConsideredErrors,
+    compile_considered as compile_considered,
     considered_errors as considered_errors,
     nothing_considered as nothing_considered,
 )

@@ -1,6 +1,5 @@
 """What errors that are considered do to the rows of a calibration."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -82,38 +81,51 @@ def considered_errors(
     equilibrium: EquilibriumSolution,
 ) -> ConsideredErrors:
     """Compute W_c: change of the effectors per standard deviation of each error."""
+    work = _work(setting, z, equilibrium.displacement)
+    n_c, n_rows = len(setting.configurations), len(work.errors) + work.of_mesh
+    columns = np.zeros((n_rows, n_c, setting.arrays.effectors.measured.size // n_c))
+    for c, of_pose in enumerate(workers.map(work.program, work.lanes)):
+        columns[:, c] = np.asarray(of_pose).T
+    if not work.of_mesh:
+        return ConsideredErrors(work.errors, columns, None)
+    columns[-1] *= setting.uncertain.mesh
+    name = "locking" if setting.model.mesh.order == 1 else "refinement"
+    return ConsideredErrors(work.errors, columns, name)
+
+
+def compile_considered(
+    workers: Workers, setting: Setting, z: Float[Array, " n_p"]
+) -> None:
+    """Compile what `considered_errors` runs, beside what runs before it."""
+
+    def program() -> tuple[Program, list[tuple]]:
+        n_c, n_points = len(setting.configurations), setting.model.n_points
+        work = _work(setting, z, jnp.zeros((n_c, n_points, 3)))
+        return work.program, work.lanes
+
+    workers.ahead(program)
+
+
+class _Work(NamedTuple):
+    """What is computed of each configuration, as if it had each error."""
+
+    errors: tuple[Unknown, ...]
+    of_mesh: bool
+    program: Program
+    lanes: list[tuple]
+
+
+def _work(setting: Setting, z, displacement) -> _Work:
     # Nothing is wrong with a mesh of which no tet deforms.
     of_mesh = setting.uncertain.mesh > 0 and bool(np.any(setting.model.active))
     errors = tuple(u for u in unknowns(setting) if u.role == "considered")
     if not of_mesh and not any(error.happens for error in errors):
         errors = ()
-    setting = setting._replace(space=setting.space.numbered)
     patches = stress_patches(setting.model) if of_mesh else None
-    u = equilibrium.displacement
-    columns = _columns(workers, setting, errors, patches, z, u)
-    if not of_mesh:
-        return ConsideredErrors(errors, columns, None)
-    columns[-1] *= setting.uncertain.mesh
-    name = "locking" if setting.model.mesh.order == 1 else "refinement"
-    return ConsideredErrors(errors, columns, name)
-
-
-def _columns(
-    workers: Workers,
-    setting: Setting,
-    errors: Sequence[Unknown],
-    patches: Recovery | None,
-    z,
-    displacement,
-) -> Float[HostArray, "n_rows n_c n_e"]:
-    """Compute W_c as if each configuration had each error, see `_of_pose`."""
-    n_c, n_rows = len(displacement), len(errors) + (patches is not None)
-    n_e = setting.arrays.effectors.measured.size // n_c
-    if n_e * n_rows == 0:
-        return np.zeros((n_rows, n_c, n_e))
     entries = tuple(error.entry for error in errors if error.entry is not None)
     space = ParameterSpace(entries) if entries else None
     motions = [error.motions for error in errors if error.entry is None]
+    some = (errors or of_mesh) and setting.arrays.effectors.measured.size
     lanes = [
         (
             tuple(jax.device_put(of_pose[c]) for of_pose in motions),
@@ -121,11 +133,10 @@ def _columns(
             lane_of(setting.arrays, c),
             lane_of(displacement, c),
         )
-        for c in range(n_c)
+        for c in range(len(displacement) if some else 0)
     ]
-    program = Program(_of_pose, setting.model, setting.space, space, patches)
-    of_lanes = workers.map(program, lanes)
-    return np.stack([np.asarray(own).T for own in of_lanes], axis=1)
+    shared = setting.model, setting.space.numbered, space, patches
+    return _Work(errors, of_mesh, Program(_of_pose, *shared), lanes)
 
 
 @eqx.filter_jit

@@ -11,8 +11,15 @@ import numpy as np
 import pytest
 from problems import lane_of
 
+from softcal_jax._clock import Clock
 from softcal_jax.configurations import Configuration, Support, configuration_arrays
-from softcal_jax.equilibrium import Program, Workers, build_model, solve_equilibrium
+from softcal_jax.equilibrium import (
+    Program,
+    Workers,
+    _workers,
+    build_model,
+    solve_equilibrium,
+)
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 
@@ -92,6 +99,31 @@ def test_the_first_lane_of_a_new_program_goes_ahead_alone(cantilever):
         impatient = Barrier(2, timeout=0.2)
         with pytest.raises(BrokenBarrierError):
             workers.map(Program(lambda lane: impatient.wait()), lanes(0, 1))
+
+
+def test_what_is_compiled_ahead_is_not_compiled_when_it_is_due(cantilever, monkeypatch):
+    monkeypatch.setattr(_workers, "usable_cores", lambda: 2)
+
+    @eqx.filter_jit
+    def fails_above(most, lane):
+        if lane.size > most:
+            raise ValueError(f"{lane.size} values")
+        return jnp.sum(lane**3)
+
+    program = Program(fails_above, 5)
+    due, too_large = lanes(jnp.arange(4.0), jnp.ones(4)), lanes(jnp.ones(6))
+    with Workers(cantilever[0], 8, 2) as workers:
+        begun = Event()
+        workers.ahead(lambda: (Program(fails_above, 5), too_large))
+        workers.ahead(lambda: (program, due))
+        # One after the other: this comes when that is compiled.
+        workers.ahead(lambda: (program, [begun.set()][:0]))
+        assert begun.wait(20.0)
+        with Clock() as clock:
+            assert list(map(float, workers.map(program, due))) == [36.0, 4.0]
+        assert clock.seconds["compile"] == 0.0
+        with pytest.raises(ValueError, match="6 values"):
+            workers.map(Program(fails_above, 5), too_large)
 
 
 def counting(workers, first, n_maps, seen):
