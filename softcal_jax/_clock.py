@@ -4,8 +4,6 @@ import time
 
 import jax
 
-from softcal_jax._module import one_line
-
 
 class Clock:
     """Context whose `seconds` are its wall time, "compile" by JAX and "solve" [s].
@@ -13,8 +11,6 @@ class Clock:
     JAX reports the duration of each trace, lowering and compilation when it ends;
     nested ones are counted once.
     """
-
-    __repr__ = one_line
 
     def __init__(self):
         self._compiling: list[tuple[float, float]] = []

@@ -144,10 +144,7 @@ def _reach_of_others(folder: Path) -> str | None:
 
 
 def _remove_least_recently_used(folder: Path) -> None:
-    """Remove the programs that were used longest ago from a folder that is too large.
-
-    Systems note when a file was read about once a day, or only when it was written.
-    """
+    """Remove programs that were used longest ago from a folder that is too large."""
     limit = jax.config.values[_MAX_SIZE]
     if limit == -1:
         limit = int(os.environ.get(_MAX_SIZE.upper(), LARGEST))

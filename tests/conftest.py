@@ -68,11 +68,11 @@ def _forget_compiled_programs():
 
 @pytest.fixture(scope="session", autouse=True)
 def one_sample_per_pixel():
-    """Bodies are drawn four times as fast; with four, where a test asks for it."""
+    """Bodies are drawn faster; with all samples, where a test asks for it."""
     from softcal_jax.plotting import _scene
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_scene, "_SUPERSAMPLING", 1)
+        patch.setattr(_scene, "_SMOOTHING", "msaa")
         yield
 
 

@@ -23,8 +23,11 @@ from softcal_jax.mesh import Box
 from softcal_jax.project import load_project
 from softcal_jax.sweeps import Range
 
-NO_RECORDS = {"OUTCOMES", "RESULTS", "ExportProgress", "Unstated"}
-"""Lists of outcomes, three functions, and a float."""
+NO_RECORDS = {
+    *("OUTCOMES", "RESULTS", "ExportProgress", "Unstated"),
+    *("Evaluator", "Program", "Workers"),
+}
+"""Lists of outcomes, three functions, a float, and what runs compiled programs."""
 
 
 def public_classes():

@@ -12,7 +12,7 @@ import numpy as np
 
 from softcal_jax._files import digest_of
 from softcal_jax._lanes import lane_of, stacked
-from softcal_jax._module import Module, one_line
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._problem import (
@@ -142,8 +142,6 @@ class Evaluator:
         shared: What all lanes share, without configurations.
         lanes: The configurations.
     """
-
-    __repr__ = one_line
 
     def __init__(self, problem: CalibrationProblem, workers: Workers):
         """Split the calibration into what all lanes share, and the lanes."""

@@ -205,7 +205,7 @@ def _solve_group(
         own = lambda _, load, steps, i=i: report(i, load, steps)
         solution = evaluate.equilibria(chain.z, own, lanes=[i], guess=guess)
         if solution.converged[0]:
-            guess = solution.displacement if bodies else None
+            guess = solution.displacement
             (chain.solved[i],) = evaluate.closed([i], chain.z, solution)
 
 

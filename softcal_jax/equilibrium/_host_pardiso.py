@@ -4,7 +4,6 @@ On a CPU, as many such programs at a time as JAX has threads would deadlock.
 """
 
 import os
-from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from threading import Lock
@@ -15,13 +14,14 @@ import numpy as np
 from scipy import sparse
 
 from softcal_jax._machine import available_cores
-from softcal_jax._typing import HostArray
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver, fix_threads
 from softcal_jax.equilibrium._sparsity import Sparsity
 
-_ANALYSE, _FACTORIZE, _SOLVE = 11, 22, 33
 _SYMMETRIC_INDEFINITE, _STRUCTURALLY_SYMMETRIC, _ZERO_PIVOT = -2, 1, -4
-"""PARDISO's codes of phases, matrix types and an error."""
+"""PARDISO's codes of matrix types and an error."""
+
+_IN_USE = Lock()
+"""Held while factors are made and used."""
 
 # As in `_linear_solver`, but indices count from 1 as in oneMKL: no default settings,
 # nested dissection, no iterative refinement, no scaling or matching, 1x1 pivots,
@@ -70,38 +70,9 @@ class HostPardiso(AbstractLinearSolver):
         )
 
 
-@dataclass
-class _Slot:
-    """The factors kept by one PARDISO instance, and their matrix."""
-
-    pardiso: Any
-    lock: Lock
-    analysed: bool = False
-    kept: sparse.csr_array | None = None
-
-    def prepare(self, matrix: sparse.csr_array) -> None:
-        """Factorize a matrix unless its factors are already stored."""
-        kept, self.kept = self.kept, None  # forget the factors if this fails
-        nothing = np.zeros((matrix.indptr.size - 1, 1))
-        if kept is None or not (
-            np.array_equal(kept.indptr, matrix.indptr)
-            and np.array_equal(kept.indices, matrix.indices)
-        ):
-            if self.analysed:
-                self.pardiso.free_memory(everything=True)
-            self.analysed, kept = True, None
-            self.call(_ANALYSE, matrix, nothing)
-        if kept is None or not np.array_equal(kept.data, matrix.data):
-            self.call(_FACTORIZE, matrix, nothing)
-        self.kept = matrix
-
-    def call(self, phase: int, matrix: sparse.csr_array, b: HostArray) -> HostArray:
-        self.pardiso.set_phase(phase)
-        return self.pardiso._call_pardiso(matrix, np.asfortranarray(b))
-
-
 @cache
-def _slot(symmetric: bool) -> _Slot:
+def _pardiso(symmetric: bool) -> Any:
+    """Make the instance that keeps the factors of all matrices of one kind."""
     # Do not let idle threads spin: the assembly needs their cores.
     os.environ.setdefault("KMP_BLOCKTIME", "1")
     from pypardiso import PyPardisoSolver
@@ -112,7 +83,7 @@ def _slot(symmetric: bool) -> _Slot:
     for entry, value in _OPTIONS.items():
         pardiso.set_iparm(entry, value)
     pardiso.set_iparm(_PERTURBATION, 8 if symmetric else 13)
-    return _Slot(pardiso, Lock())
+    return pardiso
 
 
 def _on_host(symmetric, indptr, indices, values, rhs):
@@ -122,15 +93,17 @@ def _on_host(symmetric, indptr, indices, values, rhs):
     indptr, indices, values, rhs = map(np.array, (indptr, indices, values, rhs))
     n, symmetric = indptr.size - 1, bool(symmetric)
     matrix = sparse.csr_array((values, indices, indptr), shape=(n, n))
-    slot = _slot(symmetric)
-    with slot.lock:
+    with _IN_USE:
+        pardiso = _pardiso(symmetric)
         try:
-            slot.prepare(matrix)
-            x = slot.call(_SOLVE, matrix, rhs.T).T
+            if not pardiso._is_already_factorized(matrix):
+                pardiso.factorize(matrix)
+            x = pardiso.solve(matrix, rhs.T).T
         except PyPardisoError as error:
+            pardiso.remove_stored_factorization()
             if error.value != _ZERO_PIVOT:
                 raise
             return np.zeros_like(rhs), np.int32(0), np.bool_(False)
-        regular = slot.pardiso.get_iparm(_PERTURBED) == 0
-        n_negative = slot.pardiso.get_iparm(_NEGATIVE) if symmetric else -1
+        regular = pardiso.get_iparm(_PERTURBED) == 0
+        n_negative = pardiso.get_iparm(_NEGATIVE) if symmetric else -1
     return np.ascontiguousarray(x), np.int32(n_negative), np.bool_(regular)

@@ -18,7 +18,6 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 
 from softcal_jax._machine import available_cores
-from softcal_jax._module import one_line
 from softcal_jax._process import check_process
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._model import Model
@@ -54,9 +53,7 @@ class Program:
     replaced by that of the thread.
     """
 
-    __repr__ = one_line
-
-    def __init__(self, function: Callable[..., Any], *shared: Any):
+    def __init__(self, function: Any, *shared: Any):
         self._function, self._shared = function, shared
         self._key: Hashable = None
         self._on: dict[int, tuple[AbstractLinearSolver, Any]] = {}
@@ -182,17 +179,11 @@ class Workers:
     depend on the thread. Where several threads of a program open such a context, each
     waits for its turn.
 
-    Two others were as fast on the beam of `benchmarks.batch`: a batching rule that
-    calls back to host threads, which can deadlock, and `shard_map` over CPU devices,
-    which confines PARDISO to one core even for a single lane.
-
     Attributes:
         n: Number of threads. With one, everything runs in the caller's thread and the
             sparse solver keeps all cores; always one if the solver does not run in
             threads.
     """
-
-    __repr__ = one_line
 
     def __init__(self, model: Model, lanes: int, n: int | None = None):
         """Prepare `n` threads, by default that of usable cores, and at most `lanes`.

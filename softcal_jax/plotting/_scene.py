@@ -25,9 +25,7 @@ from softcal_jax.plotting._view import View
 if TYPE_CHECKING:
     import pyvista
 
-_SUPERSAMPLING = 4
-"""Samples of a pixel in each direction, as VTK averages them."""
-
+_SMOOTHING = "ssaa"  # VTK averages 4 x 4 samples of each pixel
 _GHOST = "#ececec"
 """Colour of the body at rest."""
 
@@ -142,15 +140,14 @@ def body_image(
     whole = np.ones_like(rigid)
     rest = _surface(tessellation, points, np.zeros_like(displacement), whole)
     deformed = lambda chosen: _surface(tessellation, points, displacement, chosen)
-    fine = _SUPERSAMPLING
     with offscreen():
         plotter = pyvista.Plotter(off_screen=True, window_size=[width, height])
-        plotter.set_background("white")
-        plotter.enable_anti_aliasing("ssaa")
+        plotter.background_color = "white"
+        plotter.enable_anti_aliasing(_SMOOTHING)
         try:
             ghost = [
                 plotter.add_mesh(rest, color=_GHOST, lighting=False),
-                plotter.add_mesh(_edges(rest), color=OUTLINE, line_width=1.1 * fine),
+                plotter.add_mesh(_edges(rest), color=OUTLINE, line_width=4.4),
             ]
             body = [
                 plotter.add_mesh(
@@ -169,7 +166,7 @@ def body_image(
                     _edges(deformed(whole)),
                     color="black",
                     opacity=0.55,
-                    line_width=0.9 * fine,
+                    line_width=3.6,
                 ),
             ]
             if rigid.any():

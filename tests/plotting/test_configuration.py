@@ -29,7 +29,7 @@ def pixels_of(path, colour):
 @pytest.fixture
 def as_users_see_it(monkeypatch):
     """With the samples per pixel that users get."""
-    monkeypatch.setattr(_scene, "_SUPERSAMPLING", 2)
+    monkeypatch.setattr(_scene, "_SMOOTHING", "ssaa")
 
 
 @pytest.fixture
