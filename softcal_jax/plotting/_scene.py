@@ -142,7 +142,7 @@ def body_image(
     deformed = lambda chosen: _surface(tessellation, points, displacement, chosen)
     with offscreen():
         plotter = pyvista.Plotter(off_screen=True, window_size=[width, height])
-        plotter.background_color = "white"
+        plotter.background_color = "white"  # pyright: ignore
         plotter.enable_anti_aliasing(_SMOOTHING)
         try:
             ghost = [
