@@ -18,8 +18,7 @@ from softcal_jax.mesh._meshio import MeshWarning, RawGroups, raw_groups, read_ra
 from softcal_jax.mesh._tet_mesh import TetMesh
 from softcal_jax.mesh._topology import tet_faces, volumes
 
-# A size outside this range [m] suggests a wrong unit.
-_SMALL, _LARGE = 5e-4, 20.0
+_SMALL = 5e-4  # a mesh below this size [m] may have a wrong unit
 
 _TETS = ("tetra", "tetra10")
 _TRIANGLES = ("triangle", "triangle6")
@@ -79,7 +78,7 @@ def read_mesh(
         check_mesh(mesh, linked=together)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    if mesh.size > _LARGE or (mesh.size < _SMALL and length_unit != "um"):
+    if mesh.size < _SMALL and length_unit != "um":
         notes.append(f"it is {mesh.size:.3g} m across; is it in {length_unit!r}?")
     for note in notes:
         warnings.warn(f"{path}: {note}", MeshWarning, stacklevel=2)
