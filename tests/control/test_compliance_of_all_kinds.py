@@ -41,9 +41,6 @@ from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import TetMesh, beam, boundary_faces
 from softcal_jax.sensitivity import parameter_compliance
 
-# Those of test_actuator_compliance.py and test_pressure_sphere.py are not.
-pytestmark = pytest.mark.slow
-
 # As tight as the rounding of the chamber's volume allows: it grows by 3 % of itself.
 TIGHT = NewtonSettings(rtol=1e-10)
 LENGTH, SIDE = 0.05, 0.03

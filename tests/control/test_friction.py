@@ -10,7 +10,6 @@ from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 
 
-@pytest.mark.slow  # equilibrium/test_frictional_cable.py is not
 def test_a_cable_that_is_let_go_stays_so():
     """Which way it last moved sets the sign of its friction, in every command."""
     guides = [(0.0, 0.01, 0.02), (0.05, 0.01, 0.0), (0.1, 0.01, 0.02)]
