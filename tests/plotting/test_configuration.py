@@ -74,6 +74,21 @@ def test_the_body_is_drawn_in_colours(model, tmp_path):
 
 
 @pytest.mark.usefixtures("as_users_see_it")
+def test_layers_cover_white_and_each_other():
+    """Each pixel is a mean of samples; where all are of the body at rest, its grey."""
+    model = small_model()
+    u = sag(model.mesh)
+    view = choose_view(model.mesh.points, u, np.zeros((0, 3)))
+    look = {"size": (600, 400), "scale": 300.0 / view.width, "largest_mm": 30.0}
+    image = _scene.body_image(model, u, view, **look)
+    assert image.min() >= 0
+    assert image.max() == 255
+    np.testing.assert_array_equal(image[0], 255)
+    grey = int(_scene._GHOST[1:3], 16)
+    assert (np.abs(image - grey) <= 1).all(axis=2).mean() > 0.01
+
+
+@pytest.mark.usefixtures("as_users_see_it")
 def test_body_and_markers_are_drawn_to_the_same_scale(tmp_path):
     """VTK draws the one, Matplotlib the other: the body must lie in the view."""
     model = small_model()
