@@ -8,8 +8,8 @@ import jax
 class Clock:
     """Context whose `seconds` are its wall time, "compile" by JAX and "solve" [s].
 
-    JAX reports the duration of each trace, lowering and compilation when it ends;
-    nested ones are counted once.
+    JAX reports the duration of each trace, lowering and compilation when it ends; those
+    at the same time are counted once, and as "compile" also beside a solve.
     """
 
     def __init__(self):

@@ -7,7 +7,8 @@ import pytest
 from light_beam import MODEL, measured, unknowns
 from wording import says
 
-from softcal_jax.calibration import calibrate
+from softcal_jax.calibration import _evaluation, calibrate
+from softcal_jax.equilibrium import Program, Workers, _workers
 from softcal_jax.fields import exactly_known
 from softcal_jax.identifiability import assess
 
@@ -60,6 +61,28 @@ def test_the_answer_is_by_the_noise_alone(told):
     np.testing.assert_allclose(scaled, by_noise, rtol=1e-6)
     whole = np.array([p.standard_error / p.value for p in result.parameters])
     assert np.all(whole > 1.05 * scaled)
+
+
+def test_what_is_compiled_ahead_is_what_is_run(monkeypatch):
+    """With other shapes or types it would be compiled for nothing, and then again."""
+    key = lambda program, lane: _workers._key(program._function, program._shared, lane)
+    ahead, ran, run = [], [], Program.run
+
+    def compiled(workers, program):
+        due, lanes = program()
+        ahead.append(key(due, lanes[0]))
+
+    def noted(program, solver, lane):
+        ran.append(key(program, lane))
+        return run(program, solver, lane)
+
+    monkeypatch.setattr(_evaluation, "_FROM_REST", {})
+    monkeypatch.setattr(Workers, "ahead", compiled)
+    monkeypatch.setattr(Program, "run", noted)
+    fixed = {"noise": "stated", "uncertain": SCALES_UNKNOWN}
+    calibrate(MODEL, unknowns(), measured(), **fixed)
+    assert {name for _, name, *_ in ahead} == {"equilibrium_response", "_of_pose"}
+    assert set(ahead) <= set(ran)
 
 
 def test_quick_stops_there_and_the_verdict_says_so(told, quick):
