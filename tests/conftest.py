@@ -1,5 +1,6 @@
 """Strict numerics for every test: float64, no promotion, checked annotations."""
 
+import atexit
 import gc
 import os
 import signal
@@ -38,6 +39,8 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 # And some of it into a search for garbage among what has been traced.
 gc.set_threshold(200_000, 20, 100)
+# What is left at the end goes with the process.
+atexit.register(gc.freeze)
 
 # A process that a script starts in the background ignores Ctrl-C, which tests raise.
 signal.signal(signal.SIGINT, signal.default_int_handler)

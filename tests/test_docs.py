@@ -394,7 +394,7 @@ def test_the_first_command_asks_for_root_only_where_it_must(tmp_path, fails, ask
     called = calls.read_text().splitlines()
     assert [call for call in called if call.startswith("apt-get")] == asked
     assert [call.partition(" -q")[0] for call in called[-3:]] == [
-        "python3 -m venv .venv",
+        "python3 -m venv --upgrade-deps .venv",
         "pip install",
         "softcal demo -o demo_results",
     ]

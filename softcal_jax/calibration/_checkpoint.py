@@ -304,4 +304,4 @@ def _alike(leaf, array: HostArray):
     """Convert a saved array to the type of the leaf that it replaces."""
     if isinstance(leaf, np.ndarray):
         return array
-    return jnp.asarray(array) if isinstance(leaf, jax.Array) else type(leaf)(array)
+    return jax.device_put(array) if isinstance(leaf, jax.Array) else type(leaf)(array)

@@ -275,7 +275,8 @@ class CorrelatedNoise(Module):
         """Return that of the first few configurations of the batch."""
         per_lane = ("recording", "offset", "motion", "share")
         per_lane += ("attachment", "attachment_axes")
-        return replace(self, **{name: getattr(self, name)[:n] for name in per_lane})
+        first = {name: np.asarray(getattr(self, name))[:n] for name in per_lane}
+        return replace(self, **jax.device_put(first))
 
     def scaled(
         self, *, jitter: float, offset: float, share: float, of: Bool[HostArray, " n_c"]
