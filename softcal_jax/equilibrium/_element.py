@@ -237,10 +237,6 @@ def _pull(
     return jnp.einsum("qaikL,qbL->aibk", half, dN)
 
 
-def _outer(a: Float[Array, "*q m 3"], b: Float[Array, "*q n 3"]):
-    return a[..., :, :, None, None] * b[..., None, None, :, :]
-
-
 def mixed_newton(
     u: Float[Array, "n_en 3"],
     theta: Float[Array, ""],
@@ -259,38 +255,35 @@ def mixed_newton(
 
     At theta = J_bar(u) they are Hessian and gradient of the strain energy.
     """
-    # With eta = d ln theta and G = F^-T, dF_bar = s (dF + (eta - G : dF) / 3 F).
+    # With eta = d ln theta and G = F^-T, dF_bar = s (dF + (eta - G : dF) / 3 F). All
+    # but A is pushed to the nodes first: that takes half the time that it takes to add
+    # products of 3x3 tensors to A.
     F = deformation_gradients(u, dN)
     J, s, G = _scaled_to(theta, F)
     share = w * J / (theta * jnp.sum(w))
     gap = jnp.sum(share) - 1.0  # J_bar / theta - 1
     matrix, rest = law.parts()
     P_bar, A = _stresses_and_tangents(matrix, _each(s) * F)
-    P_bar, A = _each(s) * P_bar, (s**2)[:, None, None, None, None] * A
-    A_F = jnp.sum(A * F[:, None, None], axis=(3, 4))
-    Q = A_F + P_bar
+    P_bar = _each(s) * P_bar
+    Q = _each(s**2) * jnp.einsum("qiJkL,qkL->qiJ", A, F) + P_bar
     mean_stress = jnp.sum(P_bar * F, axis=(1, 2)) / 3.0
     both = jnp.sum(Q * F, axis=(1, 2)) / 9.0
     pressure = jnp.sum(w * mean_stress)
     curvature = jnp.sum(w * both) - pressure
+    G, P_bar, Q = jax.lax.optimization_barrier((G, P_bar, Q))
 
-    swapped = jnp.swapaxes(_outer(G, G), 2, 4)  # G_iL G_kJ
-    wide = lambda a: a[:, None, None, None, None]
-    A_eff = (
-        wide(w) * A
-        - _outer(_each(w / 3.0) * G, Q)
-        - _outer(Q, _each(w / 3.0) * G)
-        + wide(w * both + pressure * share) * _outer(G, G)
-        + wide(w * mean_stress - pressure * share) * swapped
-    )
-    P_eff = _each(w) * P_bar + _each(pressure * share - w * mean_stress) * G
+    turn = _each(w * mean_stress - pressure * share) * G
+    slope = _each(w / 3.0) * Q - _each(w * both) * G
+    Y = _each(0.5 * (pressure * share - w * both)) * G - slope
+    P, A = _each(w) * P_bar - turn, (w * s**2)[:, None, None, None, None] * A
     if rest is not None:
         P_rest, A_rest = _stresses_and_tangents(rest, F)
-        P_eff, A_eff = P_eff + _each(w) * P_rest, A_eff + wide(w) * A_rest
-    force = _push(P_eff, dN)
-    g = _push(_each(share) * G, dN)
-    h = _push(_each(w / 3.0) * Q - _each(w * both) * G, dN)
-    # As in `_pull`: else they are computed again for each entry.
-    g, h = jax.lax.optimization_barrier((g, h))
-    K = _pull(A_eff, dN) + _outer(g, h) + _outer(h, g) + curvature * _outer(g, g)
+        P, A = P + _each(w) * P_rest, A + w[:, None, None, None, None] * A_rest
+    y, G_a, turn_a = jnp.einsum("cqiJ,qaJ->cqai", jnp.stack([Y, G, turn]), dN)
+    sums = jnp.stack([P, _each(share) * G, slope])
+    force, g, h = jnp.einsum("cqiJ,qaJ->cai", sums, dN)
+    left, right = [y, g[None]], [G_a, (h + 0.5 * curvature * g)[None]]
+    rows, columns = map(jnp.concatenate, (left + right, right + left))
+    K = _pull(A, dN) + jnp.einsum("cai,cbk->aibk", rows, columns)
+    K = K + jnp.einsum("qak,qbi->aibk", turn_a, G_a)
     return K, force + (h + curvature * g) * gap
