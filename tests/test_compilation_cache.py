@@ -25,7 +25,7 @@ from softcal_jax._compilation_cache import (
     use_compilation_cache,
 )
 from softcal_jax.cli import main
-from softcal_jax.cli._shared import Display, warnings_as_lines
+from softcal_jax.cli._shared import Display, start_computing, warnings_as_lines
 
 KEYS = (
     "jax_compilation_cache_max_size",
@@ -318,6 +318,29 @@ def test_commands_throw_a_torn_entry_away(config, tmp_path, capsys):
     assert says(
         capsys.readouterr().out, "warning: ... jit_decide ... damaged ... again"
     )
+
+
+EMITTERS = "--xla_cpu_use_fusion_emitters"
+
+
+@pytest.mark.parametrize(
+    ("stated", "expected"),
+    [
+        ("", f"{EMITTERS}=false"),
+        ("--xla_dump_to=/tmp/x", f"--xla_dump_to=/tmp/x {EMITTERS}=false"),
+        (f"{EMITTERS}=true", f"{EMITTERS}=true"),
+    ],
+)
+def test_commands_compile_quickly_unless_told_otherwise(
+    config, tmp_path, monkeypatch, stated, expected
+):
+    monkeypatch.setenv("XLA_FLAGS", stated)
+    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
+    display = Display(0.0)
+    for _ in range(2):  # as in a shell that runs commands
+        start_computing(display)
+    display.compiling.stop()
+    assert os.environ["XLA_FLAGS"] == expected
 
 
 def constants(text):
