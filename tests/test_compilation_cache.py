@@ -25,7 +25,7 @@ from softcal_jax._compilation_cache import (
     use_compilation_cache,
 )
 from softcal_jax.cli import main
-from softcal_jax.cli._shared import Display, start_computing, warnings_as_lines
+from softcal_jax.cli._shared import Display, warnings_as_lines
 
 KEYS = (
     "jax_compilation_cache_max_size",
@@ -331,15 +331,12 @@ EMITTERS = "--xla_cpu_use_fusion_emitters"
         (f"{EMITTERS}=true", f"{EMITTERS}=true"),
     ],
 )
-def test_commands_compile_quickly_unless_told_otherwise(
+def test_programs_compile_quickly_unless_told_otherwise(
     config, tmp_path, monkeypatch, stated, expected
 ):
     monkeypatch.setenv("XLA_FLAGS", stated)
-    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path))
-    display = Display(0.0)
     for _ in range(2):  # as in a shell that runs commands
-        start_computing(display)
-    display.compiling.stop()
+        use_compilation_cache(tmp_path)
     assert os.environ["XLA_FLAGS"] == expected
 
 

@@ -1,7 +1,6 @@
 """What all commands share: exit codes, output, loading a project, ending a command."""
 
 import argparse
-import os
 import signal
 import sys
 import threading
@@ -133,15 +132,10 @@ def check_suffix(path: Path, *allowed: str) -> None:
 
 
 def start_computing(show: Display) -> None:
-    """Choose the precision, how XLA compiles, and the folder of compiled programs.
+    """Choose the precision, and the folder of compiled programs.
 
     Only a program may do this; a library must leave them to its user.
     """
-    # XLA's older code for fused loops compiles in two thirds of the time and runs as
-    # fast: tangents take longer, energies and forces less.
-    name, flags = "--xla_cpu_use_fusion_emitters", os.environ.get("XLA_FLAGS", "")
-    if name not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} {name}=false".strip()
     import jax
 
     from softcal_jax._compilation_cache import use_compilation_cache
