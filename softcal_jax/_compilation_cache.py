@@ -41,8 +41,9 @@ def use_compilation_cache(folder: Path | None = None) -> Path | None:
     `LARGEST`, or JAX_COMPILATION_CACHE_MAX_SIZE [bytes, -1 for no limit]. JAX itself
     would go through all entries whenever it writes one, and needs the package filelock.
 
-    Unless XLA_FLAGS says otherwise, XLA's older code for fused loops compiles on a CPU,
-    in two thirds of the time. It runs as fast: tangents take longer, energies less.
+    Unless XLA_FLAGS says otherwise, XLA compiles fused loops on a CPU by older code of
+    it, which takes less time and runs as fast. A batch of `vmap` may then differ from
+    its members in the last bit.
 
     Args:
         folder: Cache folder; by default JAX_COMPILATION_CACHE_DIR, else a folder in the

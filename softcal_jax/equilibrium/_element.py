@@ -256,8 +256,8 @@ def mixed_newton(
     At theta = J_bar(u) they are Hessian and gradient of the strain energy.
     """
     # With eta = d ln theta and G = F^-T, dF_bar = s (dF + (eta - G : dF) / 3 F). All
-    # but A is pushed to the nodes first: that takes half the time that it takes to add
-    # products of 3x3 tensors to A.
+    # but A is pushed to the nodes first: products of 3x3 tensors would take longer to
+    # add to A than A and its pull take.
     F = deformation_gradients(u, dN)
     J, s, G = _scaled_to(theta, F)
     share = w * J / (theta * jnp.sum(w))

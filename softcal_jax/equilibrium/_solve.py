@@ -85,7 +85,7 @@ def continue_newton(
 @eqx.filter_custom_jvp
 def _equilibrium(model, configuration, u0, settings):
     # A `vmap` of the loop would run every lane until the slowest has ended. So a batch
-    # also gives bit for bit the results of its members, and copies nothing they share.
+    # also gives the results of its members but for rounding, and copies nothing shared.
     model, rest = traceable(model)
 
     @jax.custom_batching.sequential_vmap

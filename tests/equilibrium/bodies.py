@@ -26,8 +26,8 @@ from softcal_jax.mesh import beam
 TIGHT = NewtonSettings(rtol=1e-12)
 
 
-# Compiled as a user has it: as the other tests are, a batch differs from its members in
-# the last bit.
+# Compiled as a user has it who has not called `use_compilation_cache`: as by it, and as
+# in other tests, a batch differs from its members in the last bit.
 @partial(jax.jit, compiler_options={"xla_cpu_use_fusion_emitters": True})
 def _as_users(model, lanes, settings):
     one = partial(solve_equilibrium, settings=settings)
