@@ -55,7 +55,7 @@ def use_compilation_cache(folder: Path | None = None) -> Path | None:
         with one `CompilationCacheWarning`, if the folder is refused.
     """
     flag, flags = "--xla_cpu_use_fusion_emitters", os.environ.get("XLA_FLAGS", "")
-    if flag not in flags:
+    if flag not in flags and flags.strip()[:1] in ("", "-"):  # else it names a file
         os.environ["XLA_FLAGS"] = f"{flags} {flag}=false".strip()
     if not jax.config.values["jax_enable_compilation_cache"]:
         return None

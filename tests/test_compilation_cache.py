@@ -329,6 +329,10 @@ EMITTERS = "--xla_cpu_use_fusion_emitters"
         ("", f"{EMITTERS}=false"),
         ("--xla_dump_to=/tmp/x", f"--xla_dump_to=/tmp/x {EMITTERS}=false"),
         (f"{EMITTERS}=true", f"{EMITTERS}=true"),
+        (
+            "/etc/flags_of_xla",
+            "/etc/flags_of_xla",
+        ),  # a file, to which none can be added
     ],
 )
 def test_programs_compile_quickly_unless_told_otherwise(

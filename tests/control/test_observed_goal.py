@@ -2,11 +2,14 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
+from arm import EFFECTORS, arm, pose
 from problems import lane_of
 
 from softcal_jax import Observation, solve_inverse
 from softcal_jax.actuators import Cable
 from softcal_jax.configurations import (
+    Centroid,
     Configuration,
     ImposedForce,
     configuration_arrays,
@@ -44,8 +47,8 @@ def test_an_observation_is_brought_to_its_goal():
         )
         for tension in (0.1, TENSION)
     )
-    pose = lane_of(configuration_arrays(MODEL.mesh, [bent], MODEL.mechanism))
-    goal = np.asarray(end(MODEL, pose, solve_equilibrium(MODEL, pose)))
+    lane = lane_of(configuration_arrays(MODEL.mesh, [bent], MODEL.mechanism))
+    goal = np.asarray(end(MODEL, lane, solve_equilibrium(MODEL, lane)))
     assert LENGTH / 50 < abs(goal[2] - SIDE / 2)
     result = solve_inverse(
         MODEL,
@@ -57,3 +60,37 @@ def test_an_observation_is_brought_to_its_goal():
     np.testing.assert_allclose(result.inputs, [TENSION], rtol=1e-5)
     (fit,) = result.goals
     np.testing.assert_allclose(fit.reached, goal, rtol=0, atol=1e-8)
+
+
+def tip(model, configuration, state):
+    nodes = np.asarray(arm().mesh.node_groups["x_max"])
+    return jnp.mean(model.positions(state.displacement)[nodes], axis=0)
+
+
+@pytest.mark.slow
+def test_it_is_brought_where_the_same_effector_is():
+    goal = (0.098, 0.01, 0.016)
+    usual, own = (
+        solve_inverse(
+            arm(),
+            pose(effectors=effectors, top=0.1, bottom=0.1, motor=0.0),
+            goals={"tip": goal},
+            throw=False,
+        )
+        for effectors in (
+            # With the others of the arm, it is the program of other tests.
+            [Centroid("tip", "x_max", std=1e-3), *EFFECTORS[1:]],
+            [Observation("tip", tip, "m", std=np.full(3, 1e-3))],
+        )
+    )
+    assert own.outcome == usual.outcome
+    found, expected = (
+        {name: a.value for name, a in result.configuration.actuation.items()}
+        for result in (own, usual)
+    )
+    assert found.keys() == expected.keys()
+    for name, value in expected.items():
+        assert found[name] == pytest.approx(value, rel=1e-5, abs=1e-7)
+    assert max(map(abs, expected.values())) > 0.01
+    u = own.solution.displacement
+    np.testing.assert_allclose(u, usual.solution.displacement, atol=1e-8)
