@@ -136,17 +136,7 @@ CALLS = {
 }
 
 
-SLOW = ("forward", "Hessian", "solve_equilibrium, vmap", "continue_equilibrium")
-"""More programs of the kinds of the others."""
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.slow if name in SLOW else ())
-        for name in CALLS
-    ],
-)
+@pytest.mark.parametrize("name", CALLS)
 def test_a_second_eager_call_compiles_nothing(name, state):
     call = CALLS[name]
     jax.block_until_ready(jax.tree.leaves(call(*state)))

@@ -25,7 +25,6 @@ def test_every_part_has_a_count_and_every_goal_a_part():
     assert {name.partition("_")[0] for name in exchange.GOALS} == starts
 
 
-@pytest.mark.slow  # exchange/sofa/test_scene.py is not
 def test_scenes_for_sofa(tmp_path):
     """Of a robot with cables and a chamber, four configurations, releases and units."""
     figures, said = run(tmp_path, sofa_scenes=1)

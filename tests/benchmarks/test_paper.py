@@ -20,7 +20,6 @@ def test_steps_until_an_error_stays_small():
     assert _paper.steps_until(curve, 2.0) == 0
 
 
-@pytest.mark.slow
 def test_errors_are_relative_for_moduli_and_modulo_half_a_turn_for_angles(measured):
     space, target = measured.space, measured.target
     p = np.array(space.from_scaled(target))
@@ -32,7 +31,6 @@ def test_errors_are_relative_for_moduli_and_modulo_half_a_turn_for_angles(measur
     assert recovered(np.full(6, CLOSE))
 
 
-@pytest.mark.slow
 def test_a_subset_keeps_the_shapes_and_drops_the_weights(measured):
     problem = measured.problem
     kept = _paper.subset(problem, [2, 3])

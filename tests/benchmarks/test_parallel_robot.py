@@ -33,7 +33,6 @@ def working_point():
     return one, solution
 
 
-@pytest.mark.slow
 def test_the_rod_holds_both_centres(working_point):
     """They are a rod's length apart, as the geometry has it, exactly."""
     _, solution = working_point
@@ -46,7 +45,6 @@ def test_the_rod_holds_both_centres(working_point):
     np.testing.assert_allclose(np.linalg.norm(upper - lower), length, rtol=1e-12)
 
 
-@pytest.mark.slow
 def test_the_symmetric_robot_stays_in_the_middle(working_point):
     """A third of a turn about y maps robot and field to themselves.
 
@@ -60,7 +58,6 @@ def test_the_symmetric_robot_stays_in_the_middle(working_point):
     np.testing.assert_allclose(turn[[0, 2]], 0.0, atol=1e-6)
 
 
-@pytest.mark.slow
 def test_arms_are_where_the_motors_have_them(working_point):
     _, solution = working_point
     mesh = robot().model.mesh

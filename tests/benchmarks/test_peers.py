@@ -82,7 +82,6 @@ def test_the_fields_are_those_of_the_law(job):
     np.testing.assert_allclose(fields, [[700e3, 400e3, 0.0]] * len(fields), atol=1e-9)
 
 
-@pytest.mark.slow  # programs of a peer's job that no other test needs
 def test_poses_are_plain_arrays(job):
     for pose, free in zip(job.poses, [0.150, 0.150, 0.150, 0.0], strict=True):
         np.testing.assert_allclose(job.points[pose.held, 0], 0.150 - free, atol=1e-12)
@@ -134,7 +133,6 @@ def test_the_law_of_the_peers_is_ours():
             np.testing.assert_allclose(found, of_stress, rtol=1e-9, atol=1e-9 * 9e5)
 
 
-@pytest.mark.slow
 def test_adjoint_and_differences_give_one_gradient(job):
     by_adjoint = peer_gradient(Adjoint(job), 2, job.start, STD)
     by_differences = peer_gradient(Differenced(job), 2, job.start, STD)
@@ -146,7 +144,6 @@ def test_adjoint_and_differences_give_one_gradient(job):
     )
 
 
-@pytest.mark.slow
 def test_residuals_and_their_jacobian(job):
     by_adjoint = Residuals(Adjoint(job), by_adjoint=True)
     by_differences = Residuals(Differenced(job), by_adjoint=False)
@@ -157,7 +154,6 @@ def test_residuals_and_their_jacobian(job):
     np.testing.assert_allclose(rows, change, rtol=0, atol=1e-4 * np.abs(rows).max())
 
 
-@pytest.mark.slow
 def test_equilibria_start_from_the_last_ones(job):
     peer = Differenced(job)
     residuals = Residuals(peer, by_adjoint=False)
@@ -167,7 +163,6 @@ def test_equilibria_start_from_the_last_ones(job):
     assert all(guess is not None for guess in peer.guesses[4:])
 
 
-@pytest.mark.slow
 def test_a_pose_without_equilibrium_is_very_bad(job):
     peer = Differenced(job)
     residuals = Residuals(peer, by_adjoint=False)

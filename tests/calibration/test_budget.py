@@ -415,7 +415,6 @@ def test_a_standard_deviation_is_not_negative(value):
         Uncertain(nu=value)
 
 
-@pytest.mark.slow  # test_mesh_error is not
 def test_linear_tets_know_how_far_off_they_are():
     """Fitted to quadratic tets of the same mesh: ln E is off by ln(e_linear / e).
 

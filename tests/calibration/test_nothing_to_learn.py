@@ -49,7 +49,6 @@ def test_all_markers_on_the_clamp(model):
     refused(model, E, pose(CLAMPED), "nothing to learn of 'E'.*parts that are held")
 
 
-@pytest.mark.slow  # test_motion_of_frames is not
 def test_a_marker_on_the_clamp_tells_where_the_recording_is(model):
     offset = recording_offset(limit=0.01, prior_std=None)
     result = calibrate(model, offset, pose(CLAMPED), **KNOWN)

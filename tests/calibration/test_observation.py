@@ -151,7 +151,6 @@ def root(model, configuration, state):
     return jnp.sqrt(jnp.abs(state.displacement[TIP, 2]))
 
 
-@pytest.mark.slow
 def test_what_another_pose_does_not_have_is_not_computed_there():
     at_rest = Markers(("tip",), MESH.points[TIP][None], std=STD)
     still = posed("still", 0.0, markers=at_rest, measured=at_rest.positions)
@@ -166,7 +165,6 @@ def test_what_another_pose_does_not_have_is_not_computed_there():
     assert "nan" not in str(alone)
 
 
-@pytest.mark.slow  # test_checkpoint_file is not
 def test_a_checkpoint_of_another_function_is_refused(tmp_path):
     """Also where only what it closes over differs."""
     path = tmp_path / "c.npz"

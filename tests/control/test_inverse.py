@@ -81,10 +81,7 @@ def test_imposed_shortening_is_found():
             *((0.08, 0.01, 0.06), {"top": Limits(force=(0.0, 1.0))}),
             marks=pytest.mark.slow,
         ),
-        pytest.param(
-            *((0.09, 0.01, -0.03), {"motor": Limits(displacement=(-0.1, 0.5))}),
-            marks=pytest.mark.slow,
-        ),
+        ((0.09, 0.01, -0.03), {"motor": Limits(displacement=(-0.1, 0.5))}),
     ],
 )
 def test_unreachable_goal_ends_at_the_nearest_point(goal, limits):

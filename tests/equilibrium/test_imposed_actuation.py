@@ -259,14 +259,11 @@ class Start(NamedTuple):
         )
 
 
-# The compliances of control/test_actuator_compliance.py are not slow.
-STARTS = [
-    pytest.param(name, marks=pytest.mark.slow)
-    for name in ("forces", "displacements", "torque")
-]
+OTHERS = [pytest.param(n, marks=pytest.mark.slow) for n in ("displacements", "torque")]
+"""More programs of the same kind."""
 
 
-@pytest.fixture(scope="module", params=STARTS)
+@pytest.fixture(scope="module", params=["forces", *OTHERS])
 def start(request, by_force):
     delta, lambda_a = read(by_force[1])
     asked = (

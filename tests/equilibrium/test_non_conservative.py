@@ -39,9 +39,6 @@ from softcal_jax.equilibrium import (
 from softcal_jax.equilibrium._sparsity import product
 from softcal_jax.materials import ClassicalCorotational, Corotational, Isotropic
 
-# The law in materials/ and the tangent of test_frictional_cable.py are not.
-pytestmark = pytest.mark.slow
-
 PACKAGES = {"pardiso": "pardiso_mkl_jax", "klu": "klujax"}
 each_solver = pytest.mark.parametrize(
     "solver", ["pardiso", pytest.param("klu", marks=pytest.mark.slow)]
@@ -194,10 +191,7 @@ def test_the_tangent_at_equilibrium_is_not_symmetric():
     np.testing.assert_allclose(ours, [9.8e-4, 4.5e-3], rtol=0.02)
 
 
-@pytest.mark.parametrize(
-    "law",
-    [ClassicalCorotational, pytest.param(Corotational, marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize("law", [ClassicalCorotational, Corotational])
 def test_newton_steps_converge_quadratically(law):
     """From a nearby shape; with the symmetric part alone they converge linearly."""
     model, c = body(law), lane(LANES, TWENTY_G)

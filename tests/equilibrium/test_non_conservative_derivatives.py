@@ -27,9 +27,6 @@ from softcal_jax.fields import Parameter, ParameterSpace
 from softcal_jax.materials import ClassicalCorotational
 from softcal_jax.sensitivity import parameter_compliance
 
-# Those of test_frictional_cable.py, whose tangent is not symmetric, are not.
-pytestmark = pytest.mark.slow
-
 
 class Inputs(NamedTuple):
     """What is varied: parameters, and loads of one lane."""

@@ -112,7 +112,6 @@ def test_pressure_inside_and_outside_scales_the_body():
         np.testing.assert_allclose(volume, (s**3 - 1.0) * rest, rtol=1e-9)
 
 
-@pytest.mark.slow
 def test_following_pressure_on_the_closed_wall_is_a_chamber():
     """At a large inflation, by the full tangent and by the symmetric one."""
     by_chamber, _, volume, _ = solved(ball(2, ALL), chamber=ImposedForce(P))

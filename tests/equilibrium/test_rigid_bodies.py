@@ -180,7 +180,6 @@ def test_held_body_carries_all_weight_and_its_moment():
     within(free, 0.0, atol=1e-9 * size)
 
 
-@pytest.mark.slow
 def test_rigid_body_is_the_limit_of_stiff_tets():
     """The difference falls with the first power of the stiffness of the tets."""
     configuration = posed()
@@ -332,11 +331,7 @@ def frames(inputs, both):
 forward_and_reverse = both_ways_at(frames)
 
 
-# Derivatives of the potential, of all three, are not slow.
-STARTS = [pytest.param(n, marks=pytest.mark.slow) for n in ("free", "hinged", "held")]
-
-
-@pytest.fixture(scope="module", params=STARTS)
+@pytest.fixture(scope="module", params=["free", "hinged", "held"])
 def start(request):
     states = {
         "free": "free",

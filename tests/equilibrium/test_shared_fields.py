@@ -173,7 +173,6 @@ def test_numbers_of_python_are_values():
     assert "jit(_mapped)" not in seen.programs
 
 
-@pytest.mark.slow
 def test_beside_what_is_shared_a_field_is_calibrated():
     """With the error of the mesh, and the fields of a file."""
     bulk = Parameter("bulk", "bulk", 8e4, 1e4, 1e6)
@@ -195,7 +194,6 @@ class Layers(eqx.Module):
         return x
 
 
-@pytest.mark.slow  # a series with shared coefficients is not
 def test_a_network_is_a_law():
     """Also one that holds a list."""
     key = jax.random.key(0)

@@ -187,10 +187,7 @@ def test_no_singular_matrix_of_whole_numbers_makes_klu_raise():
         assert not bool(jnp.any(found.ok))
 
 
-@pytest.mark.parametrize(
-    "solver",
-    ["pardiso", "klu", pytest.param("pardiso-host", marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize("solver", ["pardiso", "klu", "pardiso-host"])
 def test_the_same_equilibrium(solver):
     """Solved to rounding, since the two walk different paths; KLU's is strict."""
     pytest.importorskip(PACKAGES[solver], reason="not installed on this platform")

@@ -26,13 +26,8 @@ each_isotropic_law = pytest.mark.parametrize("law", ISOTROPIC.values(), ids=ISOT
 
 
 def each_overriding(*methods):
-    """Large programs: on the reduced set they are those of the same laws."""
-    slow = {"marks": pytest.mark.slow}
-    cases = [
-        pytest.param(law, id=name, **slow if "reduced" in name else {})
-        for name, law in overriding(*methods).items()
-    ]
-    return pytest.mark.parametrize("law", cases)
+    laws = overriding(*methods)
+    return pytest.mark.parametrize("law", laws.values(), ids=laws)
 
 
 each_with_own_forms = each_overriding("stress", "tangent")

@@ -29,10 +29,7 @@ def test_a_usual_project_says_nothing(tmp_path):
 
 
 # Warnings are errors in tests/robots/test_pneumatic_arm.py, which loads it, too.
-@pytest.mark.parametrize(
-    "robot",
-    [silicone_beam_path, pytest.param(pneumatic_arm_path, marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize("robot", [silicone_beam_path, pneumatic_arm_path])
 def test_nor_do_the_demos(robot):
     pytest.importorskip("ezc3d")
     with warnings.catch_warnings():

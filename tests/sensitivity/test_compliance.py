@@ -132,7 +132,6 @@ def test_compliance_meets_differences_of_the_solution_at_second_order(
 
 
 # equilibrium/test_derivatives.py differentiates the solver both ways.
-@pytest.mark.slow
 def test_compliance_is_the_implicit_derivative_of_the_solver(body, at_start):
     dz, cotangent, forward, reverse = ways(*body)
     expected = at_start[1] @ np.asarray(dz)

@@ -130,7 +130,6 @@ def test_direct_and_adjoint_sides_agree(body, space, at_start):
 forces = jax.jit(parameter_forces, static_argnames="step")
 
 
-@pytest.mark.slow
 def test_forces_by_autodiff_and_by_differences_agree(body, space, at_start):
     model, lane = body
     z, u, _ = at_start

@@ -223,7 +223,6 @@ def test_a_pose_alone_gives_bit_for_bit_the_same():
             np.testing.assert_array_equal(ours, theirs)
 
 
-@pytest.mark.slow
 def test_a_vmap_gives_what_a_calibration_does():
     c, z, guess = case("plain"), values("plain"), near("plain")
     one = lambda lane, u: equilibrium_response(

@@ -159,7 +159,7 @@ def stretched(mesh, law, formulation="auto", pull=0.2):
     ("order", "formulation"),
     [
         (1, "displacement"),
-        pytest.param(2, "displacement", marks=pytest.mark.slow),
+        (2, "displacement"),
         pytest.param(2, "mean-dilatation", marks=pytest.mark.slow),
     ],
 )
@@ -184,7 +184,6 @@ def test_a_jump_of_the_material_is_no_error():
     assert np.max(np.abs(smeared)) > 1e-4
 
 
-@pytest.mark.slow
 def test_a_robot_without_a_tet_that_deforms_has_no_error():
     """All of it is one body, which hangs from a motor without torque."""
     mesh = beam(0.1, 0.02, 0.02, (3, 1, 1), order=1)
