@@ -155,8 +155,7 @@ def prepared_calibration(across: int) -> Prepared:
         RuntimeError: If a run does not end at p_target.
     """
     from benchmarks._paper import measured_beam, one_run, parameter_errors, recovered
-    from softcal_jax.calibration import CalibrationSettings, Evaluator
-    from softcal_jax.equilibrium import Workers
+    from softcal_jax.calibration import CalibrationSettings
 
     measured = measured_beam((5 * across, across, across), plane="xy")
     problem, space, target = measured.problem, measured.space, measured.target
@@ -168,9 +167,8 @@ def prepared_calibration(across: int) -> Prepared:
             raise RuntimeError(f"{across} cells across: p_target was not recovered.")
         return found.steps
 
-    # One evaluation compiles what a run consists of.
-    with Workers(problem.model, len(problem.configurations.gravity)) as workers:
-        Evaluator(problem, workers).from_rest(target)
+    # A run that begins where it ends compiles what others consist of.
+    one_run(problem, CalibrationSettings(), target)
     return Prepared(problem.model.mesh.n_nodes, steps)
 
 

@@ -86,8 +86,8 @@ class AbstractLinearSolver(Module):
         del number
         return self
 
-    def on_one_core(self) -> AbstractContextManager[None]:
-        """Enter a context in which new solvers, and only those, use one core each."""
+    def side_by_side(self) -> AbstractContextManager[None]:
+        """Enter a context for solvers of other threads, and only those."""
         return nullcontext()
 
     def solve_again(
@@ -144,6 +144,12 @@ _MINIMUM_DEGREE: _Options = (*_COMMON, (1, 0))  # for slender bodies and sheets
 _MFLOP = 18
 """Index into iparm of the work of a factorization, which the analysis reports."""
 
+_BY_ALL_CORES = 4_000
+"""Work above which all cores share a factorization of a lane [million operations].
+
+pardiso-mkl-jax does one at a time. Threads of small ones would mostly wait.
+"""
+
 _MKL_DOMAIN_PARDISO = 4
 """Code of PARDISO among the domains of oneMKL (mkl_types.h)."""
 
@@ -192,11 +198,6 @@ def _analyse(sparsity: Sparsity, options: _Options, number: int):
     )
 
 
-def _work(sparsity: Sparsity, options: _Options) -> int:
-    """Return the work of a factorization in this ordering [million operations]."""
-    return int(_analyse(sparsity, options, 0)[1][_MFLOP])
-
-
 class Pardiso(AbstractLinearSolver):
     """Intel oneMKL PARDISO through pardiso-mkl-jax.
 
@@ -205,27 +206,28 @@ class Pardiso(AbstractLinearSolver):
     Other matrices use the structurally symmetric type, because the general one scales
     and matches by values, which are unknown when the pattern is analysed.
 
-    `token` is the analysis. `spare` uses nested dissection, because minimum degree can
-    meet a zero pivot in a regular, indefinite matrix; None if this solver uses it.
+    `token` is the analysis, `work` what a factorization takes [million operations].
+    `spare` uses nested dissection, because minimum degree can meet a zero pivot in a
+    regular, indefinite matrix; None if this solver uses it.
     """
 
     sparsity: Sparsity
     token: Any
     options: _Options = eqx.field(static=True)
+    work: int = eqx.field(static=True)
     spare: "Pardiso | None" = None
     name: ClassVar[str] = "PARDISO (pardiso-mkl-jax)"
 
     @classmethod
     def analyse(cls, sparsity):
-        # The ordering that needs less work.
-        orders = (_MINIMUM_DEGREE, _NESTED)
-        return cls._of(sparsity, min(orders, key=lambda o: _work(sparsity, o)), 0)
+        both = [cls._of(sparsity, o, 0) for o in (_MINIMUM_DEGREE, _NESTED)]
+        return min(both, key=lambda solver: solver.work)
 
     @classmethod
     def _of(cls, sparsity: Sparsity, options: _Options, number: int) -> "Pardiso":
-        token, _ = _analyse(sparsity, options, number)
+        token, report = _analyse(sparsity, options, number)
         spare = None if options == _NESTED else cls._of(sparsity, _NESTED, number)
-        return cls(sparsity, token, options, spare)
+        return cls(sparsity, token, options, int(report[_MFLOP]), spare)
 
     def _factor_solve(self, values, rhs):
         found = self._factor_solve_once(values, rhs)
@@ -246,7 +248,10 @@ class Pardiso(AbstractLinearSolver):
         return self._of(self.sparsity, self.options, number)
 
     @contextmanager
-    def on_one_core(self):
+    def side_by_side(self):
+        if self.work > _BY_ALL_CORES:
+            yield
+            return
         # PARDISO plans for a number of threads, and fails if it differs later.
         mkl = _mkl()
         before = mkl.MKL_Domain_Get_Max_Threads(_MKL_DOMAIN_PARDISO)

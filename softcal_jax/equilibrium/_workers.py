@@ -174,10 +174,9 @@ def _join(futures: Sequence[Future]) -> None:
 class Workers:
     """Context whose threads run lanes of compiled programs side by side.
 
-    Each thread runs whole lanes on one core, with a sparse solver of its own, because
-    threads that share one would overwrite its factors. The result of a lane does not
-    depend on the thread. Where several threads of a program open such a context, each
-    waits for its turn.
+    Each thread runs whole lanes, with a sparse solver of its own, because threads that
+    share one would overwrite its factors. The result of a lane does not depend on the
+    thread. Threads of a program that open such a context wait for their turn.
 
     Attributes:
         n: Number of threads. With one, everything runs in the caller's thread and the
@@ -212,7 +211,7 @@ class Workers:
             else:
                 pool = ThreadPoolExecutor(self.n, initializer=_begin_thread)
                 self._pool = opened.enter_context(pool)
-                with self._solver.on_one_core():
+                with self._solver.side_by_side():
                     for k in range(1, self.n + 1):
                         self._free.put(jax.block_until_ready(self._solver.another(k)))
             self._opened = opened.pop_all()
@@ -252,7 +251,7 @@ class Workers:
         if self.n == 1:
             return list(map(one, lanes))
         futures: list[Future] = []
-        with self._solver.on_one_core(), _lets_others_think():
+        with self._solver.side_by_side(), _lets_others_think():
             try:
                 for lane in lanes:
                     futures.append(self._pool.submit(one, lane))
@@ -297,7 +296,7 @@ class Workers:
         pool = ThreadPoolExecutor(
             self.n + 1, initializer=_begin_thread, initargs=(run,)
         )
-        with self._solver.on_one_core(), _lets_others_think(), pool:
+        with self._solver.side_by_side(), _lets_others_think(), pool:
             try:
                 for call in runs:
                     futures.append(pool.submit(one, call))

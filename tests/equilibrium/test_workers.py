@@ -2,6 +2,7 @@
 
 import signal
 import time
+from dataclasses import replace
 from functools import partial
 from threading import Barrier, BrokenBarrierError, Event, Thread
 
@@ -19,6 +20,11 @@ from softcal_jax.equilibrium import (
     _workers,
     build_model,
     solve_equilibrium,
+)
+from softcal_jax.equilibrium._linear_solver import (
+    _MKL_DOMAIN_PARDISO,
+    Pardiso,
+    _mkl,
 )
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
@@ -67,6 +73,27 @@ def same(lane):
 
 def lanes(*values):
     return [(value,) for value in values]
+
+
+def test_all_cores_share_large_factorizations(cantilever, monkeypatch):
+    """One after the other; small ones, of several lanes, have a core each."""
+    solver = cantilever[0].solver
+    if not isinstance(solver, Pardiso):
+        pytest.skip("another solver on this platform")
+    threads = lambda: _mkl().MKL_Domain_Get_Max_Threads(_MKL_DOMAIN_PARDISO)
+    cores = threads()
+    with solver.side_by_side():
+        assert threads() == 1
+    with replace(solver, work=10_000).side_by_side():
+        assert threads() == cores
+    program = Program(_solve, *cantilever)
+    serial = program.run(solver, (MODULI[0],))
+    monkeypatch.setattr("softcal_jax.equilibrium._linear_solver._BY_ALL_CORES", 0)
+    with Workers(cantilever[0], 4, 2) as workers:
+        for found in workers.map(program, 4 * [(MODULI[0],)]):
+            np.testing.assert_allclose(
+                found.displacement, serial.displacement, rtol=0, atol=1e-13
+            )
 
 
 def test_an_error_in_a_lane_is_raised_and_no_solver_is_lost(cantilever):
