@@ -5,7 +5,8 @@ that of the run before, with the compiled programs and fonts that it left there.
 import is timed inside the process, after one that is not counted, so the files come
 from memory. The parts of the demo are those that its `result.json` reports. The beam is
 that of Sec. V, 525 nodes, four poses: from the start of its process to its first
-result, the equilibria of the poses, and to the end of its calibration.
+result, the equilibria of the poses, and to the end of its calibration. So the trunk,
+with two cables, a rigid cap and six poses.
 
 The same starts of the commit `BEFORE`, the last one before error budgets became a solve
 of their own, take turns with these, so that ratios do not depend on the day. The answer
@@ -39,6 +40,7 @@ GOALS = {
     "answer_cold_over_before": Goal("at most", 0.25),
     "answer_warm_over_before": Goal("at most", 0.12),
     "beam_cold_over_before": Goal("at most", 0.5),
+    "trunk_cold_over_before": Goal("at most", 0.4),
     "tracing_warm_over_before": Goal("at most", 0.25),
     "mesh_error_over_fit": Goal("at most", 0.15),
     "mesh_error_memory_over_fit": Goal("at most", 1.5),
@@ -123,14 +125,15 @@ def imports(count: int, say: Say) -> Found:
 
 
 def starts(count: int, say: Say) -> Found:
-    """Starts of demo and beam, in turn with those of `BEFORE`."""
+    """Starts of demo, beam and trunk, in turn with those of `BEFORE`."""
     samples: dict[str, list[float]] = {}
     before: dict[str, list[float]] = {}
     with tree_before() as tree:
         for i in range(count):
-            say(f"softcal demo and the beam, {i + 1} of {count}")
+            say(f"softcal demo, the beam and the trunk, {i + 1} of {count}")
             for folder, own in ((ROOT, samples), (tree, before)):
                 _add(own, demo_starts(folder) | beam_starts(CELLS, folder))
+                _add(own, trunk_starts(folder))
     return samples, over_before(samples, before)
 
 
@@ -191,9 +194,12 @@ def over_before(
         for what in ("demo", "answer")
         for start in ("cold", "warm")
     }
-    calibration, tracing = "beam_cold_calibration_s", "tracing_warm_s"
-    figures["beam_cold_over_before"] = ratio(calibration, calibration)
-    figures["tracing_warm_over_before"] = ratio(tracing, tracing)
+    for name, what in (
+        ("beam_cold", "beam_cold_calibration_s"),
+        ("trunk_cold", "trunk_cold_calibration_s"),
+        ("tracing_warm", "tracing_warm_s"),
+    ):
+        figures[f"{name}_over_before"] = ratio(what, what)
     return figures
 
 
@@ -241,6 +247,24 @@ def beam_starts(cells: Cells, folder: Path = ROOT) -> dict[str, float]:
             found[again] = max(found.get(again, 0), told[again])
     found["beam_programs"] = told["programs"]
     found["beam_programs_not_kept"] = told["programs"] - told["from_disk"]
+    return found
+
+
+def trunk_starts(folder: Path = ROOT) -> dict[str, float]:
+    """Times of a calibration of the trunk, cold and then warm [s].
+
+    Raises:
+        RuntimeError: If it does not converge to the modulus of its measurements.
+    """
+    found: dict[str, float] = {}
+    with tempfile.TemporaryDirectory() as home:
+        for start in ("cold", "warm"):
+            command = [sys.executable, str(ROOT / "benchmarks" / "_trunk.py")]
+            command.append(str(time.time()))
+            told = json.loads(run_process(command, at_home(home, folder), folder))
+            if not (told["converged"] and told["recovered"]):
+                raise RuntimeError("the calibration of the trunk did not converge.")
+            found[f"trunk_{start}_calibration_s"] = told["calibration_s"]
     return found
 
 

@@ -16,6 +16,12 @@ def test_a_warm_start_takes_every_program_from_the_disk():
     assert found["beam_warm_first_result_s"] < found["beam_cold_first_result_s"]
 
 
+@pytest.mark.slow  # compiles the calibration of a robot with cables and a body
+def test_the_trunk_starts_cold_and_warm():
+    found = starts.trunk_starts()
+    assert found["trunk_warm_calibration_s"] < found["trunk_cold_calibration_s"]
+
+
 def test_the_table_has_cold_beside_warm():
     figures = {"import_s": 0.5, "demo_cold_s": 20.0, "demo_warm_s": 9.0}
     figures["beam_cold_over_before"] = 0.5  # a ratio is not a time
