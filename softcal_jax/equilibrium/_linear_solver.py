@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._typing import Array, Bool, Float, Int
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.equilibrium._sparsity import Sparsity, product
 
 
@@ -214,7 +214,7 @@ class Pardiso(AbstractLinearSolver):
     sparsity: Sparsity
     token: Any
     options: _Options = eqx.field(static=True)
-    work: int = eqx.field(static=True)
+    work: Int[Array | HostArray, ""]  # differs by thread, while programs must not
     spare: "Pardiso | None" = None
     name: ClassVar[str] = "PARDISO (pardiso-mkl-jax)"
 
@@ -227,7 +227,7 @@ class Pardiso(AbstractLinearSolver):
     def _of(cls, sparsity: Sparsity, options: _Options, number: int) -> "Pardiso":
         token, report = _analyse(sparsity, options, number)
         spare = None if options == _NESTED else cls._of(sparsity, _NESTED, number)
-        return cls(sparsity, token, options, int(report[_MFLOP]), spare)
+        return cls(sparsity, token, options, np.asarray(report[_MFLOP]), spare)
 
     def _factor_solve(self, values, rhs):
         found = self._factor_solve_once(values, rhs)

@@ -84,7 +84,7 @@ def test_all_cores_share_large_factorizations(cantilever, monkeypatch):
     cores = threads()
     with solver.side_by_side():
         assert threads() == 1
-    with replace(solver, work=10_000).side_by_side():
+    with replace(solver, work=np.asarray(10_000)).side_by_side():
         assert threads() == cores
     program = Program(_solve, *cantilever)
     serial = program.run(solver, (MODULI[0],))
