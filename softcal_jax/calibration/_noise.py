@@ -5,8 +5,8 @@ The covariance of the stacked measured coordinates is
     V = s^2 diag(std^2) + U Sigma U^T
 
 with jitter of each coordinate, and few known columns U: a rigid offset of the points of
-each recording along each axis, for each configuration a share of its motion, and of
-points and frames whose displacement from a reference counts the offset of each. In
+each recording along each axis; a share of the motion of each configuration; and an
+offset of each point or frame whose displacement from a reference is what counts. In
 units of the jitter this is I + A A^T with A = diag(std)^-1 U Sigma^1/2 / s, and the
 errors and compliances of a fit are multiplied by (I + A A^T)^-1/2, after which they are
 independent with the variance s^2 in units of `std` (generalised least squares; Seber

@@ -248,8 +248,8 @@ def better(best: Run, new: Run) -> Run:
 class Known(NamedTuple):
     """An optimum that a run has reached, and the best end of that run.
 
-    None for one that says nothing of others that lead there: the run's own, or that of
-    an image of its start.
+    `best` is None where the optimum cannot end other runs early: it is the run's own,
+    or that of an image of its start.
     """
 
     z: Float[HostArray, " n_p"]

@@ -13,7 +13,7 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable, readable_values
 from softcal_jax.exchange.icesl._fields import N_VOXELS, PrintedPart, Samples
 from softcal_jax.exchange.icesl._foam import FoamTable
-from softcal_jax.exchange.icesl._settings import RTOL, Chosen, Convention, Setting
+from softcal_jax.exchange.icesl._settings import RTOL, Chosen, Convention, SlicerSetting
 from softcal_jax.export import plain
 
 TABLE, UNREACHABLE = "foam.csv", "unreachable.csv"
@@ -39,7 +39,7 @@ class IceslResult(Module):
 
     directory: Path
     infill: str
-    settings: tuple[Setting, ...]
+    settings: tuple[SlicerSetting, ...]
     n_voxels: int
     n_beyond: int
     n_tilted: int
@@ -171,7 +171,7 @@ def icesl_dict(
     )
 
 
-def _setting_dict(setting: Setting) -> dict[str, Any]:
+def _setting_dict(setting: SlicerSetting) -> dict[str, Any]:
     if setting.texture is None:
         return {"name": setting.name, "constant": setting.constant}
     step, texture = setting.full / 255.0, setting.texture

@@ -29,11 +29,8 @@ class Convention(NamedTuple):
     clockwise: bool = False
 
 
-class Setting(NamedTuple):
-    """One setting of the slicer: a constant in its unit, or a texture by voxel.
-
-    A texture has steps of 1/255 of `full`.
-    """
+class SlicerSetting(NamedTuple):
+    """A constant in its unit, or a texture by voxel in steps of 1/255 of `full`."""
 
     name: str
     full: float
@@ -58,7 +55,7 @@ class Chosen(NamedTuple):
     does not: IceSL interpolates there the wrong way round.
     """
 
-    settings: tuple[Setting, ...]
+    settings: tuple[SlicerSetting, ...]
     foam: FoundFoam
     beyond: Bool[HostArray, " n"]
     tilted: Bool[HostArray, " n"]
@@ -117,7 +114,7 @@ def _rounding(
     samples: Samples,
     table: FoamTable,
     foam: FoundFoam,
-    settings: list[Setting],
+    settings: list[SlicerSetting],
     reached: Bool[HostArray, " n"],
 ) -> float:
     """Find the largest relative error of the moduli that the textures stand for."""
@@ -152,17 +149,19 @@ class _Textures:
 
     def __call__(
         self, name: str, full: float, values: Float[HostArray, " n"]
-    ) -> Setting:
+    ) -> SlicerSetting:
         """Make a setting of values in [0, 1]: a constant if they are all the same."""
         if np.ptp(values) < _CONSTANT:
             middle = 0.5 * (values.min() + values.max())
-            return Setting(name, full, constant=float(full * middle))
+            return SlicerSetting(name, full, constant=float(full * middle))
         steps = np.rint(_STEPS * np.clip(values, 0.0, 1.0)).astype(np.int64)
         texture = np.zeros((N_VOXELS,) * 3, np.int64)
         texture[tuple(self.voxels.T)] = steps
-        return Setting(name, full, texture=texture[tuple(self.nearest)])
+        return SlicerSetting(name, full, texture=texture[tuple(self.nearest)])
 
-    def director(self, name: str, angle: Float[HostArray, " n"]) -> tuple[Setting, int]:
+    def director(
+        self, name: str, angle: Float[HostArray, " n"]
+    ) -> tuple[SlicerSetting, int]:
         """Make the setting of an axis, which is the same again after half a turn.
 
         Of the angles of an axis those in [cut, cut + 180 degrees) are taken, with the

@@ -60,7 +60,7 @@ def write_inp(
             "The tets of the model have one mean change of volume each, those of the "
             "file one at each of four points: C3D10 is stiffer where Poisson's ratio "
             "is nearly 0.5. In Abaqus, write C3D10H for C3D10; for CalculiX, calibrate "
-            'with formulation = "displacement" in [material], which has what it has.'
+            'with formulation = "displacement" in [material], the same element.'
         )
     wrapped = (line for note in notes for line in textwrap.wrap(note, 97))
     lines = [

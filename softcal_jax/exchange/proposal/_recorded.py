@@ -77,7 +77,7 @@ class Recorded(NamedTuple):
         return self.positions[far >= 0.5 * far.max()] if far.any() else None
 
     def stillest(self, n: int) -> list[str]:
-        """Return the labels of so many markers that move least, in their order."""
+        """Return the labels of the `n` markers that move least, in their order."""
         chosen = np.sort(np.argsort(self._motions, kind="stable")[:n])
         return [self.labels[i] for i in chosen]
 

@@ -41,8 +41,8 @@ HYPERELASTIC = "Sofa.Component.SolidMechanics.FEM.HyperElastic"
 class Scale(NamedTuple):
     """Factors from SI to the units of a scene, whose mass and time are kg and s.
 
-    So that of a force, kg m/s2, is that of a length, and of a pressure, kg/(m s2), its
-    inverse. `words` are the units by quantity.
+    A force is in kg m/s2, so its factor is that of a length; a pressure is in
+    kg/(m s2), so its factor is the inverse. `words` are the units by quantity.
     """
 
     length: float

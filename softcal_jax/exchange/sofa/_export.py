@@ -250,8 +250,8 @@ def _notes(refitted: CalibrationResult, scene: Scene) -> tuple[str, ...]:
 def _table(export: SofaExport) -> list[str]:
     """Tabulate what the models predict of each configuration, as rms of distances.
 
-    Beside how far the points move: errors of the calibrated model, of that of SOFA with
-    the same values, and with values of its own.
+    Columns: how far the points move, then the errors of the calibrated model, of SOFA's
+    model with the same values, and of SOFA's model calibrated itself.
     """
     mm = lambda value: f"{1e3 * value:.3g} mm" if isfinite(value) else "-"
     rows = []
