@@ -13,7 +13,7 @@ import numpy as np
 
 import softcal_jax as sc
 from softcal_jax.identifiability import Identifiability
-from softcal_jax.plotting._colours import COLOUR_OF, FAINT, SERIES, TEXT
+from softcal_jax.plotting._colours import BAD, FAINT, GOOD, SERIES, TEXT
 from softcal_jax.plotting._save import DPI, save
 from softcal_jax.report._charts import budget_chart, course_charts
 from softcal_jax.report._html import fragment
@@ -39,7 +39,7 @@ E_TRUE, STD = 300e3, 5e-4
 BOUNDS = (75e3, 1.2e6)
 """Bounds of both moduli, and of the axes [Pa]."""
 
-TONES = {"identifiable": "good", "not identifiable": "bad"}
+COLOURS = {"identifiable": GOOD, "not identifiable": BAD}
 
 
 def draw(folder: Path) -> None:
@@ -89,7 +89,7 @@ def draw_regions(outlooks: dict[str, Identifiability], path: Path) -> None:
     panels = figure.subplots(1, len(outlooks), sharex=True, sharey=True)
     for axes, (title, found) in zip(panels, outlooks.items(), strict=True):
         _draw_region(axes, found)
-        colour = COLOUR_OF[TONES[found.verdict]]
+        colour = COLOURS[found.verdict]
         r = found.correlation[0, 1]
         text = f"{title}\n{found.verdict}, correlation {r:.3f}"
         axes.set_title(text, fontsize=14, color=colour, weight="bold")
