@@ -1,6 +1,7 @@
 """The answer comes before the error budget and the intervals, or alone."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from wording import says
 from softcal_jax.calibration import _evaluation, calibrate
 from softcal_jax.equilibrium import Program, Workers, _workers
 from softcal_jax.fields import exactly_known
-from softcal_jax.identifiability import assess
+from softcal_jax.identifiability import assess, identify
 
 SCALES_UNKNOWN = replace(exactly_known(), loads=0.1)
 
@@ -63,7 +64,15 @@ def test_the_answer_is_by_the_noise_alone(told):
     assert np.all(whole > 1.05 * scaled)
 
 
-def test_what_is_compiled_ahead_is_what_is_run(monkeypatch):
+@pytest.mark.parametrize(
+    ("task", "programs"),
+    [
+        (partial(calibrate, noise="stated"), {"equilibrium_response", "_of_pose"}),
+        (identify, {"_of_pose"}),
+    ],
+    ids=["calibrate", "identify"],
+)
+def test_what_is_compiled_ahead_is_what_is_run(monkeypatch, task, programs):
     """With other shapes or types it would be compiled for nothing, and then again."""
     key = lambda program, lane: _workers._key(program._function, program._shared, lane)
     ahead, ran, run = [], [], Program.run
@@ -79,9 +88,8 @@ def test_what_is_compiled_ahead_is_what_is_run(monkeypatch):
     monkeypatch.setattr(_evaluation, "_FROM_REST", {})
     monkeypatch.setattr(Workers, "ahead", compiled)
     monkeypatch.setattr(Program, "run", noted)
-    fixed = {"noise": "stated", "uncertain": SCALES_UNKNOWN}
-    calibrate(MODEL, unknowns(), measured(), **fixed)
-    assert {name for _, name, *_ in ahead} == {"equilibrium_response", "_of_pose"}
+    task(MODEL, unknowns(), measured(), uncertain=SCALES_UNKNOWN)
+    assert {name for _, name, *_ in ahead} == programs
     assert set(ahead) <= set(ran)
 
 
