@@ -21,6 +21,9 @@ from softcal_jax._warnings import SoftcalWarning
 LARGEST = 2_000_000_000
 """Size of the folder above which the least recently used programs go [bytes]."""
 
+_EMITTERS = "--xla_cpu_use_fusion_emitters"
+_QUICKLY = f"{_EMITTERS}=0"  # unlike "=false", which users write
+
 _MAX_SIZE = "jax_compilation_cache_max_size"
 """JAX's setting for this, -1 for any size."""
 
@@ -29,7 +32,9 @@ class CompilationCacheWarning(SoftcalWarning):
     """Compiled programs are not kept."""
 
 
-def use_compilation_cache(folder: Path | None = None) -> Path | None:
+def use_compilation_cache(
+    folder: Path | None = None, *, quickly: bool = True
+) -> Path | None:
     """Compile quickly, keep what this process compiles, reuse what was kept before.
 
     It acts on the whole process, so programs call it, before anything is compiled, and
@@ -41,22 +46,23 @@ def use_compilation_cache(folder: Path | None = None) -> Path | None:
     `LARGEST`, or JAX_COMPILATION_CACHE_MAX_SIZE [bytes, -1 for no limit]. JAX itself
     would go through all entries whenever it writes one, and needs the package filelock.
 
-    Unless XLA_FLAGS says otherwise, XLA compiles fused loops on a CPU by older code of
-    it, which takes less time and runs as fast. A batch of `vmap` may then differ from
-    its members in the last bit.
-
     Args:
         folder: Cache folder; by default JAX_COMPILATION_CACHE_DIR, else a folder in the
             user's cache.
+        quickly: Whether XLA compiles fused loops on a CPU by older code, unless
+            XLA_FLAGS says otherwise. That takes two thirds of the time, but sweeps run
+            a sixth slower, so their workers do not. A batch of `vmap` may then differ
+            from its members in the last bit.
 
     Returns:
         The absolute path of the folder. None if JAX_ENABLE_COMPILATION_CACHE=0 switched
         the cache off, if JAX_COMPILATION_CACHE_DIR is an address like "gs://...", or,
         with one `CompilationCacheWarning`, if the folder is refused.
     """
-    flag, flags = "--xla_cpu_use_fusion_emitters", os.environ.get("XLA_FLAGS", "")
-    if flag not in flags and flags.strip()[:1] in ("", "-"):  # else it names a file
-        os.environ["XLA_FLAGS"] = f"{flags} {flag}=false".strip()
+    flags = os.environ.get("XLA_FLAGS", "").replace(_QUICKLY, "").strip()
+    if quickly and _EMITTERS not in flags and flags[:1] in ("", "-"):  # no file
+        flags = f"{flags} {_QUICKLY}".strip()
+    os.environ["XLA_FLAGS"] = flags
     if not jax.config.values["jax_enable_compilation_cache"]:
         return None
     chosen = str(folder or jax.config.values["jax_compilation_cache_dir"] or "")

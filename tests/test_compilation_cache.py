@@ -326,13 +326,11 @@ EMITTERS = "--xla_cpu_use_fusion_emitters"
 @pytest.mark.parametrize(
     ("stated", "expected"),
     [
-        ("", f"{EMITTERS}=false"),
-        ("--xla_dump_to=/tmp/x", f"--xla_dump_to=/tmp/x {EMITTERS}=false"),
+        ("", f"{EMITTERS}=0"),
+        ("--xla_dump_to=/tmp/x", f"--xla_dump_to=/tmp/x {EMITTERS}=0"),
         (f"{EMITTERS}=true", f"{EMITTERS}=true"),
-        (
-            "/etc/flags_of_xla",
-            "/etc/flags_of_xla",
-        ),  # a file, to which none can be added
+        # A file, to which none can be added.
+        ("/etc/flags_of_xla", "/etc/flags_of_xla"),
     ],
 )
 def test_programs_compile_quickly_unless_told_otherwise(
@@ -342,6 +340,9 @@ def test_programs_compile_quickly_unless_told_otherwise(
     for _ in range(2):  # as in a shell that runs commands
         use_compilation_cache(tmp_path)
     assert os.environ["XLA_FLAGS"] == expected
+    # Workers of sweeps inherit it, and take back what nobody has stated.
+    use_compilation_cache(tmp_path, quickly=False)
+    assert os.environ["XLA_FLAGS"] == stated
 
 
 def constants(text):

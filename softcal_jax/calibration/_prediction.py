@@ -23,12 +23,7 @@ from softcal_jax.calibration._starts import Start
 from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.calibration._weighing import Weighed
 from softcal_jax.configurations import Configuration, ConfigurationLanes, EffectorRecord
-from softcal_jax.equilibrium import (
-    LoadPath,
-    Model,
-    Report,
-    solve_equilibrium,
-)
+from softcal_jax.equilibrium import LoadPath, Model, Report, solve_equilibrium
 from softcal_jax.fields import ParameterSpace, SetupParameter
 from softcal_jax.sensitivity import Response
 

@@ -34,10 +34,7 @@ from softcal_jax.control._step import (
     decide,
     limited_step,
 )
-from softcal_jax.equilibrium import (
-    EquilibriumSolution,
-    solve_equilibrium,
-)
+from softcal_jax.equilibrium import EquilibriumSolution, solve_equilibrium
 
 PATIENCE = 3
 """Steps in a row of an exploring descent of which some must come closer."""

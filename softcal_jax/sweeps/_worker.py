@@ -56,7 +56,7 @@ class WorkerSetup:
                 "would not belong together. Install the same version on both."
             )
         jax.config.update("jax_enable_x64", self.x64)
-        use_compilation_cache()
+        use_compilation_cache(quickly=False)
 
 
 @contextmanager
