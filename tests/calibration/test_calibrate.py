@@ -408,7 +408,6 @@ def test_result_and_history_print_for_a_person(recovered):
 
 
 # At the end, since what was traced before is forgotten.
-@pytest.mark.slow
 def test_nothing_is_compiled_after_the_first_step(model, exact):
     """Nor for another shape of the body, start, bounds, names, data and tolerance.
 

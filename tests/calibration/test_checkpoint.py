@@ -329,7 +329,6 @@ def test_a_stopped_search_ends_as_if_nothing_had_stopped_it(
     assert before.n + after.n <= searched.n + most
 
 
-@pytest.mark.slow
 def test_a_search_that_has_ended_is_not_forgotten(tmp_path, fit, searched, monkeypatch):
     """Stopped after a step of the fit; another number of starts is another search."""
     path = interrupted(fit, tmp_path / "fit.npz", 0, starts=STARTS)
@@ -342,7 +341,6 @@ def test_a_search_that_has_ended_is_not_forgotten(tmp_path, fit, searched, monke
     np.testing.assert_array_equal(resumed.z, searched.result.z)
 
 
-@pytest.mark.slow
 def test_an_interrupted_search_goes_on_as_if_nothing_had_stopped_it(
     tmp_path, fit, searched
 ):

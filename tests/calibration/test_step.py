@@ -398,7 +398,6 @@ def test_order_holds_along_the_way_without_tensors(measured, evaluation):
     assert active > 3
 
 
-@pytest.mark.slow
 def test_a_fit_that_leaves_an_error_converges_by_its_curvature(quadratic):
     """Noise of 1 mm, which Gauss-Newton steps alone do not come to an end with."""
     problem = build_problem(quadratic.model, quadratic.space, of_target(quadratic))

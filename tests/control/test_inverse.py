@@ -77,10 +77,7 @@ def test_imposed_shortening_is_found():
     ("goal", "limits"),
     [
         ((0.11, 0.01, 0.04), {}),  # farther than the arm is long
-        pytest.param(
-            *((0.08, 0.01, 0.06), {"top": Limits(force=(0.0, 1.0))}),
-            marks=pytest.mark.slow,
-        ),
+        ((0.08, 0.01, 0.06), {"top": Limits(force=(0.0, 1.0))}),
         ((0.09, 0.01, -0.03), {"motor": Limits(displacement=(-0.1, 0.5))}),
     ],
 )

@@ -54,7 +54,6 @@ def test_the_rotation_of_the_law_without_edges_is_another():
     np.testing.assert_allclose(off / SOFA_TIP, [0.0141, -0.0701, 0.0073], atol=1e-4)
 
 
-@pytest.mark.slow
 def test_the_assembled_tangent_is_the_jacobian_of_the_force():
     law = SofaCorotational.of_mesh(SMALL, Isotropic(E, NU), "edge")
     made_for_another = build_model(SMALL, Corotational(Isotropic(E, NU)), density=1.0)

@@ -172,7 +172,6 @@ def test_right_predictions_are_flagged_as_seldom_as_stated():
         assert np.mean(np.array(found) < level) < level + 3.0 * np.sqrt(level / 800)
 
 
-@pytest.mark.slow
 def test_a_right_std_is_flagged_as_seldom_as_stated():
     """Two markers in three poses, with offsets of five times the jitter.
 

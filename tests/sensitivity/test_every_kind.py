@@ -167,7 +167,6 @@ def test_sensitivities_meet_differences_at_second_order():
             assert 8.0 < errors[0][i] / errors[1][i] < 10.0, name
 
 
-@pytest.mark.slow
 def test_direct_and_adjoint_side_agree():
     """Two ways through one factorization: rounding of the solve."""
     z = point()

@@ -94,7 +94,6 @@ def test_noise_is_found_and_what_was_known_of_the_camera_improves():
     assert rms == pytest.approx(NOISE * np.sqrt(2.0 * free), rel=0.1)
 
 
-@pytest.mark.slow
 def test_covariance_is_that_of_the_errors():
     """Their squares over it add up to a chi-squared number, in 99.9 % of all draws."""
     n = 12
