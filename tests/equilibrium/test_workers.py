@@ -81,13 +81,17 @@ def test_all_cores_share_large_factorizations(cantilever, monkeypatch):
     solver = cantilever[0].solver
     if not isinstance(solver, Pardiso):
         pytest.skip("another solver on this platform")
-    threads = lambda: _mkl().MKL_Domain_Get_Max_Threads(_MKL_DOMAIN_PARDISO)
-    cores = threads()
-    with solver.side_by_side():
-        assert threads() == 1
     large = replace(solver, work=np.asarray(10_000))
-    with large.side_by_side():
-        assert threads() == cores
+    threads = lambda: _mkl().MKL_Domain_Get_Max_Threads(_MKL_DOMAIN_PARDISO)
+    cores = threads()  # of a test, one
+    _mkl().MKL_Domain_Set_Num_Threads(2, _MKL_DOMAIN_PARDISO)
+    try:
+        with solver.side_by_side():
+            assert threads() == 1
+        with large.side_by_side():
+            assert threads() == 2
+    finally:
+        _mkl().MKL_Domain_Set_Num_Threads(cores, _MKL_DOMAIN_PARDISO)
     # What PARDISO reports differs by thread; a program serves all of them.
     assert jax.tree.structure(large) == jax.tree.structure(solver)
     program = Program(_solve, *cantilever)
