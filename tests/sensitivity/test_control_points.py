@@ -116,6 +116,7 @@ def test_forces_by_autodiff_meet_differences_at_second_order(body, space, at_sta
     assert np.all(check.errors[-1] < 1e-4)
 
 
+@pytest.mark.slow  # a program of its own; every kind's in test_every_kind
 def test_direct_and_adjoint_sides_agree(body, space, at_start):
     model, lane = body
     z, u, direct = at_start
