@@ -22,7 +22,7 @@ LARGEST = 2_000_000_000
 """Size of the folder above which the least recently used programs go [bytes]."""
 
 _EMITTERS = "--xla_cpu_use_fusion_emitters"
-_QUICKLY = f"{_EMITTERS}=0"  # unlike "=false", which users write
+_QUICKLY = f"{_EMITTERS}=0"  # "=false" is that of a user, and stays
 
 _MAX_SIZE = "jax_compilation_cache_max_size"
 """JAX's setting for this, -1 for any size."""
@@ -50,9 +50,9 @@ def use_compilation_cache(
         folder: Cache folder; by default JAX_COMPILATION_CACHE_DIR, else a folder in the
             user's cache.
         quickly: Whether XLA compiles fused loops on a CPU by older code, unless
-            XLA_FLAGS says otherwise. That takes two thirds of the time, but sweeps run
-            a sixth slower, so their workers do not. A batch of `vmap` may then differ
-            from its members in the last bit.
+            XLA_FLAGS says otherwise. That takes less time, but programs run slower, so
+            workers of sweeps do not. A batch of `vmap` may then differ from its members
+            in the last bit.
 
     Returns:
         The absolute path of the folder. None if JAX_ENABLE_COMPILATION_CACHE=0 switched

@@ -87,7 +87,7 @@ class AbstractLinearSolver(Module):
         return self
 
     def side_by_side(self) -> AbstractContextManager[None]:
-        """Enter a context for solvers of other threads, and only those."""
+        """Enter a context for solvers that threads make and use, and only those."""
         return nullcontext()
 
     def solve_again(
@@ -214,14 +214,15 @@ class Pardiso(AbstractLinearSolver):
     sparsity: Sparsity
     token: Any
     options: _Options = eqx.field(static=True)
-    work: Int[Array | HostArray, ""]  # differs by thread, while programs must not
+    work: Int[Array | HostArray, ""]  # static, it would compile anew where it differs
     spare: "Pardiso | None" = None
     name: ClassVar[str] = "PARDISO (pardiso-mkl-jax)"
 
     @classmethod
     def analyse(cls, sparsity):
-        both = [cls._of(sparsity, o, 0) for o in (_MINIMUM_DEGREE, _NESTED)]
-        return min(both, key=lambda solver: solver.work)
+        degree = cls._of(sparsity, _MINIMUM_DEGREE, 0)
+        assert degree.spare is not None
+        return min((degree, degree.spare), key=lambda solver: solver.work)
 
     @classmethod
     def _of(cls, sparsity: Sparsity, options: _Options, number: int) -> "Pardiso":

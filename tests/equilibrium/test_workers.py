@@ -83,6 +83,10 @@ def test_all_cores_share_large_factorizations(cantilever, monkeypatch):
         pytest.skip("another solver on this platform")
     large = replace(solver, work=np.asarray(10_000))
     threads = lambda: _mkl().MKL_Domain_Get_Max_Threads(_MKL_DOMAIN_PARDISO)
+    # What PARDISO reports differs by thread; a program serves all of them.
+    assert jax.tree.structure(large) == jax.tree.structure(solver)
+    program = Program(_solve, *cantilever)
+    serial = program.run(solver, (MODULI[0],))
     cores = threads()  # of a test, one
     _mkl().MKL_Domain_Set_Num_Threads(2, _MKL_DOMAIN_PARDISO)
     try:
@@ -90,18 +94,15 @@ def test_all_cores_share_large_factorizations(cantilever, monkeypatch):
             assert threads() == 1
         with large.side_by_side():
             assert threads() == 2
+        monkeypatch.setattr("softcal_jax.equilibrium._linear_solver._BY_ALL_CORES", 0)
+        with Workers(cantilever[0], 4, 2) as workers:
+            solutions = workers.map(program, 4 * [(MODULI[0],)])
     finally:
         _mkl().MKL_Domain_Set_Num_Threads(cores, _MKL_DOMAIN_PARDISO)
-    # What PARDISO reports differs by thread; a program serves all of them.
-    assert jax.tree.structure(large) == jax.tree.structure(solver)
-    program = Program(_solve, *cantilever)
-    serial = program.run(solver, (MODULI[0],))
-    monkeypatch.setattr("softcal_jax.equilibrium._linear_solver._BY_ALL_CORES", 0)
-    with Workers(cantilever[0], 4, 2) as workers:
-        for found in workers.map(program, 4 * [(MODULI[0],)]):
-            np.testing.assert_allclose(
-                found.displacement, serial.displacement, rtol=0, atol=1e-13
-            )
+    for found in solutions:
+        np.testing.assert_allclose(
+            found.displacement, serial.displacement, rtol=0, atol=1e-13
+        )
 
 
 def test_an_error_in_a_lane_is_raised_and_no_solver_is_lost(cantilever):
