@@ -247,14 +247,14 @@ class Evaluator:
         report: Report | None = None,
         *,
         lanes: Sequence[int] | None = None,
-        guess: Float[Array, "n_lanes n_points 3"] | None = None,
+        **more: Any,
     ) -> EquilibriumSolution:
         """Solve equilibria, by default from rest: see the function of this name."""
         (model, configurations), newton = self.posed(z), self.problem.newton
         if lanes is not None:
             configurations = lane_of(configurations, np.asarray(lanes))
         run = self.workers, model, configurations, newton
-        return equilibria(*run, guess=guess, report=report)
+        return equilibria(*run, report=report, **more)
 
     def effectors(
         self, z: Float[Array, " n_p"], solution: EquilibriumSolution

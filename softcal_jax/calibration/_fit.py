@@ -298,7 +298,7 @@ def _predicted(
     if names:
         watch.stage(f"predicting {', '.join(names)}")
     report = reports_of(watch.equilibrium_progress, names)
-    return predict(task, batch, start, weighed, report or (lambda *_: None))
+    return predict(task, batch, start, weighed, report)
 
 
 def _judged(

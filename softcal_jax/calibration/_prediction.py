@@ -11,7 +11,7 @@ import numpy as np
 
 from softcal_jax._lanes import lane_of, stacked
 from softcal_jax._results import RESULTS
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._configuration_result import (
     ConfigurationResult,
     configuration_results,
@@ -23,7 +23,13 @@ from softcal_jax.calibration._starts import Start
 from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.calibration._weighing import Weighed
 from softcal_jax.configurations import Configuration, ConfigurationLanes, EffectorRecord
-from softcal_jax.equilibrium import LoadPath, Model, Report, solve_equilibrium
+from softcal_jax.equilibrium import (
+    EquilibriumSolution,
+    LoadPath,
+    Model,
+    Report,
+    solve_equilibrium,
+)
 from softcal_jax.fields import ParameterSpace, SetupParameter
 from softcal_jax.sensitivity import Response
 
@@ -40,27 +46,20 @@ class Predicted(NamedTuple):
 
 
 def predict(
-    task: Task, batch: Batch, start: Start, weighed: Weighed, report: Report
+    task: Task, batch: Batch, start: Start, weighed: Weighed, report: Report | None
 ) -> Predicted:
     """Describe all configurations at the optimum; solve those that were held out.
 
     `report` is called as by `equilibria`, with the parameters at the end.
     """
-    z, n_fitted, everything = weighed.state.z, len(task.fitted), batch.everything
-    before, response = start.evaluation.effectors, weighed.state.evaluation.response
-    notes, interrupted = (), False
-    if task.held_out:
-        held = _held_out(
-            Evaluator(everything.without_first(n_fitted), start.evaluate.workers),
-            task.held_out,
-            start=(start.z, lane_of(start.evaluation.response, -1)),
-            end=(z, lane_of(response, -1)),
-            report=report,
-        )
-        join = lambda *parts: np.concatenate([*map(np.asarray, parts)])
-        before = join(before, held.before)
-        notes, interrupted = held.notes, held.interrupted
-        response = jax.device_put(jax.tree.map(join, response, held.response))
+    z, everything = weighed.state.z, batch.everything
+    evaluate = Evaluator(everything, start.evaluate.workers)
+    first = _AllLanes(evaluate, start.z, start.evaluation.response, {}, {})
+    last = _AllLanes(evaluate, z, weighed.state.evaluation.response, {}, {})
+    notes, interrupted = _solve_held_out(task, first, last, report)
+    # A pose that only the start parameters cannot hold has no "before".
+    begun, response = first.response(), last.response()
+    held = np.asarray(begun.equilibrium.converged)[:, None, None]
     assert everything.noise is not None
     noise = weighed.of_all(everything.noise, task.configurations)
     model = task.space.model_at(task.model, z)
@@ -68,13 +67,13 @@ def predict(
         model,
         task.configurations,
         _calibrated_lanes(task, batch, weighed.state),
-        n_fitted=n_fitted,
-        before=before,
+        n_fitted=len(task.fitted),
+        before=np.where(held, np.asarray(begun.effectors), np.nan),
         response=response,
         noise=noise,
     )
     problem = everything.with_noise(noise)
-    return Predicted(model, problem, response, fits, notes, interrupted)
+    return Predicted(model, problem, response, fits, tuple(notes), interrupted)
 
 
 def _calibrated_lanes(
@@ -107,123 +106,105 @@ def _calibrated_lanes(
     return lanes._replace(effectors=records)
 
 
-class _HeldOut(NamedTuple):
-    """Held-out configurations with the calibrated parameters; `before` by the start.
+class _AllLanes(NamedTuple):
+    """All configurations at some z: those fitted, and equilibria of those held out.
 
-    `before` are effectors, nan without an equilibrium; `notes` say which have none.
+    `solved` has the latter by their lane, `closed` those with compliances.
     """
 
-    before: Float[HostArray, "n_c n_rows 3"]
-    response: Response
-    notes: tuple[str, ...]
-    interrupted: bool
-
-
-class _Chain(NamedTuple):
-    """Held-out configurations at some parameters: how each responds, once solved.
-
-    `before` is the equilibrium of a configuration that was fitted, with the same
-    parameters [m].
-    """
-
+    evaluate: Evaluator
     z: Float[Array, " n_p"]
-    before: Float[Array, "n_points 3"]
-    solved: list[Response]
+    fitted: Response
+    solved: dict[int, EquilibriumSolution]
+    closed: dict[int, Response]
 
-    @classmethod
-    def of(cls, z: Float[Array, " n_p"], fitted: Response, n: int) -> "_Chain":
-        """Begin with `n` that have no equilibrium, beside a fitted one."""
-        zeros = jax.tree.map(lambda leaf: np.zeros_like(np.asarray(leaf)), fitted)
-        where = lambda response: response.equilibrium.result
-        none = eqx.tree_at(where, zeros, RESULTS.max_steps)
-        return cls(z, fitted.equilibrium.displacement, [none] * n)
+    def solve(self, lanes: Sequence[int], report: Report | None) -> None:
+        """Solve lanes from rest; with rigid bodies, from one that was fitted."""
+        self.evaluate.equilibria(
+            self.z,
+            report,
+            lanes=lanes,
+            start=lane_of(self.fitted.equilibrium.displacement, -1),
+            ended=lambda k, solution: self.solved.update({lanes[k]: solution}),
+        )
+
+    def close(self) -> None:
+        """Add the compliances of what is solved and lacks them."""
+        new = [c for c in self.solved if c not in self.closed]
+        new = [c for c in new if self.solved[c].converged]
+        if new:
+            solutions = stacked([self.solved[c] for c in new])
+            responses = self.evaluate.closed(new, self.z, solutions)
+            self.closed.update(zip(new, responses, strict=True))
+
+    def response(self) -> Response:
+        """Return all lanes; those without an equilibrium are at rest."""
+        self.close()
+        held_out = range(len(self.fitted.ok), len(self.evaluate.lanes))
+        if not held_out:
+            return self.fitted
+        rest = jax.tree.map(np.zeros_like, lane_of(self.fitted, -1))
+        rest = eqx.tree_at(lambda r: r.equilibrium.result, rest, RESULTS.max_steps)
+        others = stacked([self.closed.get(c, rest) for c in held_out])
+        join = lambda *parts: np.concatenate([*map(np.asarray, parts)])
+        return jax.device_put(jax.tree.map(join, self.fitted, others))
 
 
-def _held_out(
-    evaluate: Evaluator,
-    configurations: Sequence[Configuration],
-    *,
-    start: tuple[Float[Array, " n_p"], Response],
-    end: tuple[Float[Array, " n_p"], Response],
-    report: Report,
-) -> _HeldOut:
+def _solve_held_out(
+    task: Task, first: _AllLanes, last: _AllLanes, report: Report | None
+) -> tuple[list[str], bool]:
     """Solve held-out configurations with the parameters at the end and at the start.
 
-    Both come with the response of a configuration that was fitted, whose equilibrium
-    robots with rigid bodies begin from. Near a limit point an equilibrium need not be
-    found from rest: there the path of the configuration is followed by arc length, and
-    its end is where the search begins anew. A configuration without equilibrium is left
-    out with a note, as it must neither count as a prediction nor cost the user the fit;
-    so are those that Ctrl-C cuts off. `report` is called as by `equilibria`, with the
-    parameters at the end.
+    Near a limit point an equilibrium need not be found from rest: there the path of the
+    configuration is followed by arc length, and its end is where the search begins
+    anew. A configuration without equilibrium is left out with a note, as it must
+    neither count as a prediction nor cost the user the fit; so are those that Ctrl-C
+    cuts off. Returns the notes, and whether Ctrl-C ended it.
     """
-    n = len(configurations)
-    last, first = _Chain.of(*end, n), _Chain.of(*start, n)
-    bodies = evaluate.problem.model.mechanism.bodies.n_bodies > 0
-    groups = [range(n)] if bodies else [range(i, i + 1) for i in range(n)]
     carried: dict[int, float] = {}
     interrupted = False
+    lanes = range(len(task.fitted), len(task.configurations))
+    if not lanes:
+        return [], False
     try:
-        evaluate.workers.side_by_side(
-            partial(_solve_group, evaluate, chain, group, told)
-            for chain, told in ((last, report), (first, lambda *_: None))
-            for group in groups
-        )
-        _follow_paths(evaluate, last, carried)
+        solve = partial(last.solve, lanes, report), partial(first.solve, lanes, None)
+        last.evaluate.workers.side_by_side(solve)
+        _follow_paths(last, carried)
+        last.close()
+        first.close()
     except KeyboardInterrupt:
         interrupted = True
-    response, before = stacked(last.solved), stacked(first.solved)
-    converged = np.asarray(response.equilibrium.converged)
     notes = []
-    for i in np.flatnonzero(~converged).tolist():
+    for lane, pose in zip(lanes, task.held_out, strict=True):
+        if lane in last.solved and last.solved[lane].converged:
+            continue
         why = "with the calibrated parameters it has no equilibrium"
-        if i in carried:
-            share = f"{100.0 * carried[i]:.3g} % of its load"
+        if lane in carried:
+            share = f"{100.0 * carried[lane]:.3g} % of its load"
             why += f". Along its path (`LoadPath`) it carries at most {share}"
         elif interrupted:
             why = "this was interrupted"
-        notes.append(f"{configurations[i].name} is not predicted: {why}.")
-    notes += unscoped_notes(evaluate.problem.space, configurations)
-    # A pose that only the start parameters cannot hold has no "before".
-    held = np.asarray(before.equilibrium.converged)[:, None, None]
-    effectors = np.where(held, np.asarray(before.effectors), np.nan)
-    return _HeldOut(effectors, response, tuple(notes), interrupted)
+        notes.append(f"{pose.name} is not predicted: {why}.")
+    return notes + unscoped_notes(task.space, task.held_out), interrupted
 
 
-def _solve_group(
-    evaluate: Evaluator, chain: _Chain, group: Sequence[int], report: Report
-) -> None:
-    """Solve configurations from rest; rigid bodies go on from the one before."""
-    bodies = evaluate.problem.model.mechanism.bodies.n_bodies > 0
-    guess = chain.before[None] if bodies else None
-    for i in group:
-        own = lambda _, load, steps, i=i: report(i, load, steps)
-        solution = evaluate.equilibria(chain.z, own, lanes=[i], guess=guess)
-        if solution.converged[0]:
-            guess = solution.displacement
-            (chain.solved[i],) = evaluate.closed([i], chain.z, solution)
-
-
-def _follow_paths(
-    evaluate: Evaluator, chain: _Chain, carried: dict[int, float]
-) -> None:
+def _follow_paths(last: _AllLanes, carried: dict[int, float]) -> None:
     """Follow what is not in equilibrium from rest along its load.
 
     `carried` gets the largest share of its load that each of these carries.
     """
-    model, lanes = evaluate.posed(chain.z)
-    for i, response in enumerate(chain.solved):
-        if response.equilibrium.converged:
+    evaluate, newton = last.evaluate, last.evaluate.problem.newton
+    model, arrays = evaluate.posed(last.z)
+    for lane, solution in last.solved.items():
+        if solution.converged:
             continue
-        path = solve_equilibrium(
-            model, lane_of(lanes, i), settings=evaluate.problem.newton, path=LoadPath()
-        )
-        share = min(float(np.max(path.load)), 1.0)
-        if share == 1.0:
+        pose = lane_of(arrays, lane)
+        path = solve_equilibrium(model, pose, settings=newton, path=LoadPath())
+        carried[lane] = min(float(np.max(path.load)), 1.0)
+        if carried[lane] == 1.0:
             guess = jax.device_put(path.displacement[-1:])
-            solution = evaluate.equilibria(chain.z, lanes=[i], guess=guess)
-            (chain.solved[i],) = evaluate.closed([i], chain.z, solution)
-        carried[i] = share
+            again = evaluate.equilibria(last.z, lanes=[lane], guess=guess)
+            last.solved[lane] = lane_of(again, 0)
 
 
 def unscoped_notes(

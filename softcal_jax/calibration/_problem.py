@@ -138,15 +138,8 @@ class CalibrationProblem(Module):
 
     def of_first(self, n: int) -> "CalibrationProblem":
         """Return the calibration to the first few configurations."""
-        return self._of(slice(n)).with_noise(self.noise and self.noise.of_first(n))
-
-    def without_first(self, n: int) -> "CalibrationProblem":
-        """Return the calibration to the others, without a noise."""
-        return self._of(slice(n, None))
-
-    def _of(self, lanes: slice) -> "CalibrationProblem":
-        some = lane_of(self.configurations, lanes)
-        return replace(self, configurations=some, noise=None)
+        noise, some = self.noise, lane_of(self.configurations, slice(n))
+        return replace(self, configurations=some, noise=noise and noise.of_first(n))
 
     def with_noise(self, noise: CorrelatedNoise | None) -> "CalibrationProblem":
         """Return the calibration with another noise."""

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import equinox as eqx
@@ -87,7 +88,9 @@ def equilibria(
     newton: NewtonSettings,
     *,
     guess: Float[Array, "n_c n_points 3"] | None = None,
+    start: Float[Array, "n_points 3"] | None = None,
     report: Report | None = None,
+    ended: Callable[[int, EquilibriumSolution], None] = lambda *_: None,
 ) -> EquilibriumSolution:
     """Solve the equilibria of all configurations on all cores.
 
@@ -95,42 +98,39 @@ def equilibria(
     `solve_equilibrium` solves a batch; `Evaluator` adds the errors and compliances of a
     calibration.
 
-    By default each begins at rest; with rigid bodies, at the configuration before:
-    poses of a robot lie near each other, and far from its parts before they are
-    mounted. A guess that is not finite counts as rest. `report` is called after every
-    few iterations of one of them.
+    By default each begins at rest; with rigid bodies, at the configuration before, the
+    first at `start`: poses of a robot lie near each other, and far from its parts
+    before they are mounted. A guess that is not finite counts as rest. `report` is
+    called after every few iterations of one of them, in one of the threads; `ended`
+    with index and solution, in this order.
     """
     lanes = list(map(without_readings, configurations))
     settings, most = newton.as_arrays(), int(newton.max_steps)
     steps = jnp.asarray(most if report is None else STEPS_BETWEEN)
     first = Program(begin_newton, model, settings)
     program = Program(continue_newton, model, settings, steps)
-    solutions: dict[int, EquilibriumSolution] = {}
 
-    def solve(starts: dict[int, Float[Array, "n_points 3"] | None]) -> None:
-        begun = workers.map(first, [(lanes[c], u) for c, u in starts.items()])
-        states = dict(zip(starts, begun, strict=True))
-        while states:
-            under_way = list(states)
-            ends = workers.map(program, [(lanes[c], states[c]) for c in under_way])
-            for c, (state, solution) in zip(under_way, ends, strict=True):
-                if report is not None:
-                    report(c, float(state.load_ok), int(state.step))
-                states[c], solutions[c] = state, solution
-                if bool(state.done) or int(state.step) >= most:
-                    del states[c]
+    def solve(c: int, u: Float[Array, "n_points 3"] | None) -> EquilibriumSolution:
+        (state,) = workers.map(first, [(lanes[c], u)])
+        while True:
+            ((state, solution),) = workers.map(program, [(lanes[c], state)])
+            if report is not None:
+                report(c, float(state.load_ok), int(state.step))
+            if bool(state.done) or int(state.step) >= most:
+                return solution
 
-    if guess is not None:
-        solve(dict(enumerate(guess)))
-    elif model.mechanism.bodies.n_bodies > 0:
-        start = None
+    if guess is None and model.mechanism.bodies.n_bodies > 0:
+        solutions: list[EquilibriumSolution] = []
         for c in range(len(lanes)):
-            solve({c: start})
+            solutions.append(solve(c, start))
+            ended(c, solutions[c])
             if solutions[c].converged:
                 start = solutions[c].displacement
     else:
-        solve(dict.fromkeys(range(len(lanes))))
-    return stacked([solutions[c] for c in range(len(lanes))])
+        rest = [None] * len(lanes)
+        each = enumerate(rest if guess is None else guess)
+        solutions = workers.side_by_side((partial(solve, c, u) for c, u in each), ended)
+    return stacked(solutions)
 
 
 compiled_effectors = eqx.filter_jit(effector_values)  # one program for all callers
