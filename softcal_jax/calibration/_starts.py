@@ -237,32 +237,19 @@ def search(
     a time, and must not solve anything itself, since other runs occupy all cores.
     """
     space, images = evaluate.problem.space, images_of(evaluate.problem.space, mirror)
-    rows = list(map(jnp.asarray, np.asarray(starts)))
-    none = [not_begun(settings, start, len(images)) for start in rows]
-    begun = [journal.kept(f"run{i}", own) or own for i, own in enumerate(none)]
-    found = lambda: any(np.isfinite(own.best.cost) for own in begun)
-    n = 0
+    rows, n = list(map(jnp.asarray, np.asarray(starts))), 0
+    begun = [not_begun(settings, start, len(images)) for start in rows]
+    begun = [journal.kept(f"run{i}", run) or run for i, run in enumerate(begun)]
 
     def keep(i: int, now: Begun) -> None:
         begun[i] = now
         journal.keep(f"run{i}", now)
 
-    def tell(i: int, image: int, state: CalibrationState) -> None:
-        if progress is not None:
-            rms = marker_rms(evaluate.problem, state.evaluation)
-            progress(SearchProgress(i, len(rows), image, int(state.step), rms))
-
     def run_from(known: Sequence[Known], i: int) -> Begun:
-        return run_start(
-            evaluate,
-            settings,
-            rows[i],
-            images=images,
-            begun=begun[i],
-            known=known,
-            note=partial(keep, i),
-            note_step=partial(tell, i),
-        )
+        note_step = partial(_report, progress, evaluate.problem, (i, len(rows)))
+        notes = {"note": partial(keep, i), "note_step": note_step}
+        run = evaluate, settings, rows[i]
+        return run_start(*run, images=images, begun=begun[i], known=known, **notes)
 
     try:
         while n < len(rows):
@@ -273,25 +260,47 @@ def search(
             if _result(space, rows[:n], begun[:n]).missed <= enough:
                 break
     except KeyboardInterrupt:
-        if not found():
+        if not _has_end(begun):
             raise
         journal.interrupted = True
-    if not found():
+    return _with_an_end(_result(space, rows, begun))
+
+
+def _has_end(runs: Sequence[Begun]) -> bool:
+    return any(np.isfinite(run.best.cost) for run in runs)
+
+
+def _with_an_end(result: MultiStartResult) -> MultiStartResult:
+    if not np.isfinite(result.cost).any():
         raise RuntimeError(
-            f"none of {len(starts)} starts has an equilibrium in every configuration: "
-            "check loads, units and bounds, or `softcal simulate`."
+            f"none of {len(result.cost)} starts has an equilibrium in every "
+            "configuration: check loads, units and bounds, or `softcal simulate`."
         )
-    some = [i for i, own in enumerate(begun) if own.best.steps]
-    return _result(space, [rows[i] for i in some], [begun[i] for i in some])
+    return result
+
+
+def _report(
+    progress: Callable[[SearchProgress], None] | None,
+    problem: CalibrationProblem,
+    start: tuple[int, int],
+    image: int,
+    state: CalibrationState,
+) -> None:
+    """Report a step from a start: its index, and the number of all."""
+    if progress is not None:
+        rms = marker_rms(problem, state.evaluation)
+        progress(SearchProgress(*start, image, int(state.step), rms))
 
 
 def _result(
     space: ParameterSpace, starts: Sequence[Float[Array, " n_p"]], runs: Sequence[Begun]
 ) -> MultiStartResult:
-    """List the ends of all runs, and the optima among these and those on their way.
+    """List the ends of all runs that began, and the optima that they passed.
 
     Where runs came by counts, too: a mirror image may fit nearly as well.
     """
+    begun = [i for i, run in enumerate(runs) if run.best.steps]
+    starts, runs = [starts[i] for i in begun], [runs[i] for i in begun]
     numbered = space.numbered
     in_si = lambda z: np.array([from_scaled(numbered, row) for row in np.asarray(z)])
     best = [run.best for run in runs]

@@ -131,30 +131,9 @@ def weighed_fit(
     """
     assert evaluate.problem.noise is not None
     noise: CorrelatedNoise = evaluate.problem.noise
-    scale, notes, settled = None, [], True
-    effectors = evaluate.problem.configurations.effectors
-    n_points = effectors.nodes.shape[-2]
-    n_rows = int(np.sum(np.asarray(effectors.inverse_std) > 0.0))
-    # A step of so many standard errors lets the cost fall by this share of it.
-    fall = lambda errors: errors**2 / max(n_rows - len(state.z), 1)
-    least = max(fall(NOT_TAKEN), SMALLEST_FALL)
-
-    def until(state: CalibrationState, least_fall: float) -> CalibrationState:
-        """Take the steps by which the cost falls by this share of it, or more."""
-        if state.converged and float(state.least_fall) <= least_fall:
-            return state  # of a checkpoint
-
-        def noted(new: CalibrationState) -> None:
-            # Others that are not taken will be asked for again.
-            if least_fall == least or not new.converged:
-                note(new, noise)
-
-        falls = jax.device_put((np.array(False), np.array(least_fall)))
-        state = replace(state, converged=falls[0], least_fall=falls[1])
-        return settle(evaluate, settings, state, noted)
-
+    scale, notes, settled, change = None, [], True, 0.0
     for n in range(MOST_ROUNDS):
-        state = until(state, max(fall(UNSEEN), 2.0 * least))
+        state = _until(UNSEEN, evaluate, settings, state, note)
         if not state.converged:
             break
         linear = state.evaluation.linear(evaluate.problem, configurations, state.z)
@@ -163,27 +142,57 @@ def weighed_fit(
         new = _estimated(linear, noise, sought, configurations)
         known = new is not None and sought.jitter
         scale = float(noise.jitter) if known else None
-        # Shares of the measured motion favour a robot that does not move: a share of
-        # minus one then explains all of the data.
-        simulated = motion.copy()
-        simulated[:, :n_points] += np.asarray(state.evaluation.delta_e)[:, :n_points]
-        new = (new or noise).moving(simulated)
+        new = (new or noise).moving(motion + _errors_of_points(evaluate, state))
         change = _change(noise, new)
         settled = change <= SETTLED
         if settled or n == MOST_ROUNDS - 1:
-            state = until(state, least)
-            if not settled:
-                notes.append(
-                    "The noise did not settle beside the fit: it still changes by "
-                    f"{100.0 * change:.0f} %. State the `std` of the effectors with "
-                    'noise = "stated", or the offset of recordings.'
-                )
+            state = _until(NOT_TAKEN, evaluate, settings, state, note)
             break
         noise, evaluate = new, evaluate.with_noise(new)
         evaluation = weighed(evaluate.numbered, state.z, state.evaluation.response)
         state = initial_state(settings, state.z, evaluation)
-    notes += _noise_notes(noise, sought)
+    notes += _noise_notes(noise, sought, None if settled else change)
     return Weighed(state, noise, sought, scale, tuple(notes), settled)
+
+
+def _errors_of_points(
+    evaluate: Evaluator, state: CalibrationState
+) -> Float[HostArray, "n_c n_rows 3"]:
+    """Return Delta_e of the points, 0 for other rows: simulated minus measured [m].
+
+    The share of creep is one of the simulated motion: of the measured one it would
+    favour a robot that does not move, as a share of minus one explains all data.
+    """
+    n_points = evaluate.problem.configurations.effectors.nodes.shape[-2]
+    delta_e = np.array(state.evaluation.delta_e)
+    delta_e[:, n_points:] = 0.0
+    return delta_e
+
+
+def _until(
+    errors: float,
+    evaluate: Evaluator,
+    settings: CalibrationSettings,
+    state: CalibrationState,
+    note: Callable[[CalibrationState, CorrelatedNoise], None],
+) -> CalibrationState:
+    """Take the steps that are longer than so many standard errors."""
+    weight = np.asarray(evaluate.problem.configurations.effectors.inverse_std)
+    # Such a step lets the cost fall by this share of it.
+    fall = errors**2 / max(int(np.sum(weight > 0.0)) - len(state.z), 1)
+    last, noise = errors == NOT_TAKEN, evaluate.problem.noise
+    fall = max(fall, SMALLEST_FALL if last else 2.0 * SMALLEST_FALL)
+    if state.converged and float(state.least_fall) <= fall:
+        return state  # of a checkpoint
+
+    def noted(new: CalibrationState) -> None:
+        # A step that is not taken will be asked for again.
+        if noise is not None and (last or not new.converged):
+            note(new, noise)
+
+    falls = jax.device_put((np.array(False), np.array(fall)))
+    state = replace(state, converged=falls[0], least_fall=falls[1])
+    return settle(evaluate, settings, state, noted)
 
 
 class _Components(NamedTuple):
@@ -271,9 +280,17 @@ def _estimated(
     return noise.scaled(jitter=jitter, offset=offset, share=share, of=sought.share)
 
 
-def _noise_notes(noise: CorrelatedNoise, sought: SoughtNoise) -> list[str]:
-    """Say what was estimated of offsets and shares of the motion."""
+def _noise_notes(
+    noise: CorrelatedNoise, sought: SoughtNoise, change: float | None
+) -> list[str]:
+    """Say what was estimated of offsets and shares, and a change that did not end."""
     notes = []
+    if change is not None:
+        notes.append(
+            "The noise did not settle beside the fit: it still changes by "
+            f"{100.0 * change:.0f} %. State the `std` of the effectors with "
+            'noise = "stated", or the offset of recordings.'
+        )
     if sought.offset:
         size = 1e3 * float(np.max(noise.offset, initial=0.0))
         notes.append(f"The residuals show recordings to be off by {size:.2g} mm.")
