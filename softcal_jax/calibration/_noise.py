@@ -41,13 +41,17 @@ from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.configurations import Configuration, EffectorArrays, EffectorRecord
+from softcal_jax.fields import QUANTITIES
 from softcal_jax.inference import ATTACHMENTS, RANK, ErrorColumns, no_errors
 from softcal_jax.unknowns import Setting, recording_names, unknowns
 
 FAR_BEYOND: Mapping[str, float] = {"point": 1.0, "turn": 100.0}
 """Standard deviation of the offset of an effector, far beyond that of any [m, rad]."""
 
-RECORDINGS = "recordings"
+((OFFSETS, _OFFSET),) = ((k, q) for k, q in QUANTITIES.items() if q.role == "noise")
+"""The kind of unknown that is part of the noise: an offset of each recording."""
+
+RECORDINGS = _OFFSET.uncertain
 """Name of the offsets of recordings in the budget."""
 
 CREEP = "creep"
@@ -55,8 +59,6 @@ CREEP = "creep"
 
 FIRST_SHARE = 0.02
 """Share of the motion to begin with, where it is to be estimated [-]."""
-
-AXES = "xyz"
 
 AnyArray = Array | HostArray
 
@@ -350,9 +352,9 @@ def noise_columns(
     recordings = recording_names(configurations)
     several = len(set(recordings)) > 1
     labels = [
-        (RECORDINGS, f"recording_offset {axis}" + f" in {name}" * several)
+        (RECORDINGS, f"{OFFSETS} {axis}" + f" in {name}" * several)
         for name in recordings
-        for axis in AXES
+        for axis in _OFFSET.components
     ]
     labels += [(CREEP, creep_of(c)) for c in configurations]
     labels += [(ATTACHMENTS, "")] * (A.shape[1] - len(labels))

@@ -19,7 +19,7 @@ from softcal_jax.calibration._problem import (
 from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.configurations import Configuration, EffectorArrays
 from softcal_jax.equilibrium import Model
-from softcal_jax.fields import ParameterSpace
+from softcal_jax.fields import ParameterSpace, kind_of
 from softcal_jax.inference import (
     UNLIKELY,
     LackOfFit,
@@ -337,12 +337,15 @@ def warn_if_locking(model: Model, space: ParameterSpace) -> None:
     """Warn if a Poisson's ratio may be calibrated into the range where tets lock."""
     if model.mesh.order == 1 or model.formulation == "mean-dilatation":
         return
-    for parameter in space.parameters:
-        if parameter.field.split(".")[-1] == "nu" and float(parameter.upper) >= 0.49:
+    for is_field, parameter in zip(space.sets_fields, space.parameters, strict=True):
+        if not is_field:
+            continue
+        name, locks = parameter.field, kind_of(model, parameter.field).locks
+        if float(parameter.upper) >= locks:
             warnings.warn(
-                f"parameter {parameter.name!r} may reach nu = {parameter.upper:g}, "
+                f"parameter {parameter.name!r} may reach {name} = {parameter.upper:g}, "
                 'where the formulation "displacement" locks: build the model with '
-                'formulation="mean-dilatation", or lower the bound below 0.49.',
+                f'formulation="mean-dilatation", or lower the bound below {locks:g}.',
                 CalibrationWarning,
                 stacklevel=5,
             )

@@ -27,6 +27,7 @@ from softcal_jax.fields import (
     Poses,
     SetupParameter,
     Uncertain,
+    kind_of,
 )
 from softcal_jax.inference import (
     ErrorColumns,
@@ -241,8 +242,10 @@ def _missing(problem: CalibrationProblem, entry, arrays, held) -> str:
         if held[:, tets].all():
             where = "the body" if region is None else repr(region)
             return f"all tets of {where} are held in every pose"
-        if entry.fields == ("density",) and not np.any(arrays.gravity):
-            return "no configuration has gravity"
+        kinds = [kind_of(problem.model, field) for field in entry.fields]
+        for by in {kind.acts_by for kind in kinds} - {""}:
+            if not np.any(getattr(arrays, by)):
+                return f"no configuration has {by}"
     if isinstance(entry, SetupParameter) and entry.quantity.absent:
         recordings = ("",) * len(arrays.gravity)
         poses = Poses(problem.model, arrays, recordings)

@@ -35,7 +35,7 @@ from softcal_jax.equilibrium import (
     no_equilibrium,
     reports_of,
 )
-from softcal_jax.fields import ParameterSpace, random_starts
+from softcal_jax.fields import ParameterSpace, kind_of, random_starts
 
 STIFFER = 2.0
 """Factor by which moduli are raised until all configurations have an equilibrium."""
@@ -89,7 +89,7 @@ def begin(
         RuntimeError: If a configuration has no equilibrium within the bounds; the text
             names it, the load that it reached, and why.
     """
-    space, raised, factor = evaluate.problem.space, z, 1.0
+    problem, raised, factor = evaluate.problem, z, 1.0
     report = partial(reports_of, progress, names)
     first = evaluate.from_rest(z, report())
     solution = first.equilibrium
@@ -98,41 +98,45 @@ def begin(
     without = no_equilibrium(solution, names)
     note = f"No equilibrium at the start values. {_reached(solution, names)}"
     for _ in range(MOST_RAISES):
-        stiffer = _stiffer(space, raised)
+        stiffer = _stiffer(problem, raised)
         if np.array_equal(stiffer, raised):
             break
         raised, factor = stiffer, STIFFER * factor
         evaluation = evaluate.from_rest(raised, report(factor))
         solution = evaluation.equilibrium
         if solution.converged.all():
-            note += f" The fit began with stiffer moduli: {_values(space, raised)}."
+            note += f" The fit began with stiffer moduli: {_values(problem, raised)}."
             return Start(evaluate, raised, evaluation, (note,))
     if raised is z:
         raise RuntimeError(without)
     raise RuntimeError(
         f"{without}\nNor is there one with stiffer moduli up to their bounds "
-        f"({_values(space, raised)}).\n{_reached(solution, names)}\nRaise the upper "
+        f"({_values(problem, raised)}).\n{_reached(solution, names)}\nRaise the upper "
         "bounds, or check loads, units and supports."
     )
 
 
-def _moduli(space: ParameterSpace) -> Bool[HostArray, " n_p"]:
-    """Flag the moduli: fields of the law on a log scale, without the density."""
-    modulus = lambda q: q.scale == "log" and q.field.rpartition(".")[2] != "density"
-    return np.asarray(space.sets_fields) & [modulus(q) for q in space.parameters]
+def _moduli(problem: CalibrationProblem) -> Bool[HostArray, " n_p"]:
+    """Flag the moduli: fields on a log scale that need no load to have an effect."""
+    acts_alone = lambda q: not kind_of(problem.model, q.field).acts_by
+    each = zip(problem.space.sets_fields, problem.space.parameters, strict=True)
+    return np.array([sets and q.scale == "log" and acts_alone(q) for sets, q in each])
 
 
-def _stiffer(space: ParameterSpace, z: Float[Array, " n_p"]) -> Float[Array, " n_p"]:
+def _stiffer(
+    problem: CalibrationProblem, z: Float[Array, " n_p"]
+) -> Float[Array, " n_p"]:
     """Raise all moduli by a factor, within bounds and order."""
-    more = np.where(_moduli(space), np.log(STIFFER), 0.0)
-    return admissible(space.numbered, jnp.asarray(np.asarray(z) + more))
+    more = np.where(_moduli(problem), np.log(STIFFER), 0.0)
+    return admissible(problem.space.numbered, jnp.asarray(np.asarray(z) + more))
 
 
-def _values(space: ParameterSpace, z: Float[Array, " n_p"]) -> str:
+def _values(problem: CalibrationProblem, z: Float[Array, " n_p"]) -> str:
     """Write the moduli, with their units."""
-    values = zip(space.parameters, space.from_scaled(z), _moduli(space), strict=True)
-    moduli = [(q, float(value)) for q, value, is_modulus in values if is_modulus]
-    return listed([f"{q.name} = {readable(value, q.unit)}" for q, value in moduli])
+    space, moduli = problem.space, _moduli(problem)
+    values = zip(space.parameters, space.from_scaled(z), moduli, strict=True)
+    stated = [(q, float(value)) for q, value, is_modulus in values if is_modulus]
+    return listed([f"{q.name} = {readable(value, q.unit)}" for q, value in stated])
 
 
 def _reached(solution: EquilibriumSolution, names: tuple[str, ...]) -> str:
@@ -246,10 +250,9 @@ def search(
         journal.keep(f"run{i}", now)
 
     def run_from(known: Sequence[Known], i: int) -> Begun:
-        note_step = partial(_report, progress, evaluate.problem, (i, len(rows)))
-        notes = {"note": partial(keep, i), "note_step": note_step}
-        run = evaluate, settings, rows[i]
-        return run_start(*run, images=images, begun=begun[i], known=known, **notes)
+        report = partial(_report, progress, evaluate.problem, (i, len(rows)))
+        run = partial(run_start, evaluate, settings, rows[i], images=images)
+        return run(begun=begun[i], known=known, note=partial(keep, i), note_step=report)
 
     try:
         while n < len(rows):

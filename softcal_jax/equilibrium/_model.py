@@ -14,7 +14,13 @@ from softcal_jax.configurations import Mechanism
 from softcal_jax.equilibrium._element import Formulation
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._sparsity import Reduction, Sparsity
-from softcal_jax.materials import AbstractLaw, fields_of_tets, split_law, with_arrays
+from softcal_jax.materials import (
+    DENSITY,
+    AbstractLaw,
+    fields_of_tets,
+    split_law,
+    with_arrays,
+)
 from softcal_jax.mesh import TetMesh, volumes
 
 Nodal = Float[Array, "n_points 3"]
@@ -39,7 +45,7 @@ class Model(Module):
 
     mesh: TetMesh
     law: AbstractLaw
-    density: Float[Array, "..."]
+    density: Float[Array, "..."] = eqx.field(metadata=DENSITY)
     mechanism: Mechanism
     shape_gradients: Float[Array, "n_blocks n_qp n_en 3 block"]
     weights: Float[Array, "n_blocks n_qp block"]

@@ -219,7 +219,7 @@ def tet_fields(
 
 def field_units(model: Model) -> dict[str, str]:
     """Return the SI units of `tet_fields` by name, where the law declares one."""
-    units = {"density": "kg/m3"}
+    units = {}
     for name, path, _ in _named(model):
         owner, _, own = path.rpartition(".")
         module = operator.attrgetter(owner)(model) if owner else model

@@ -9,7 +9,9 @@ from softcal_jax.fields._field_errors import (
     field_standard_errors as field_standard_errors,
 )
 from softcal_jax.fields._model_fields import (
+    constants_of as constants_of,
     find_field as find_field,
+    kind_of as kind_of,
     set_field as set_field,
 )
 from softcal_jax.fields._parameters import (

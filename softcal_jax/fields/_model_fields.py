@@ -1,7 +1,8 @@
 """The fields of a model by name: constants of its law, and its density."""
 
 import operator
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
 from typing import Any
 
 import equinox as eqx
@@ -11,7 +12,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._typing import Float, HostArray, is_traced
-from softcal_jax.materials import fields_of_tets
+from softcal_jax.materials import UNREMARKABLE, ConstantKind, fields_of_tets
 
 
 def set_field(
@@ -72,9 +73,7 @@ def find_field(model: Any, field: str):
     Raises:
         ValueError: If no field has that name, or more than one.
     """
-    paths = ["density"] + ["law" + path for path, _ in fields_of_tets(model.law)]
-    # Entries of a tuple, like the local axes of a fibre, are no fields.
-    paths = [path for path in paths if "[" not in path]
+    paths = [path for path, _ in constants_of(model)]
     named = [path for path in paths if ("." + path).endswith("." + field)]
     if len(named) != 1:
         problem = "is not unique" if named else "does not exist"
@@ -87,6 +86,23 @@ def find_field(model: Any, field: str):
             f"field {field!r} of the model {problem}; it has {', '.join(paths)}."
         )
     return _Accessor(named[0])
+
+
+def constants_of(model: Any) -> Iterator[tuple[str, ConstantKind]]:
+    """List paths and kinds of the constants of a model: of its law, and its density."""
+    of_law = ["law" + path for path, _ in fields_of_tets(model.law)]
+    for path in [*of_law, "density"]:
+        if "[" in path:  # of a tuple, like the local axes of a fibre
+            continue
+        owner, _, name = ("." + path).rpartition(".")
+        owner = operator.attrgetter(owner[1:])(model) if owner else model
+        metadata = {f.name: f.metadata for f in fields(owner)}[name]
+        yield path, metadata.get("kind", UNREMARKABLE)
+
+
+def kind_of(model: Any, field: str) -> ConstantKind:
+    """Return the kind of a field that `find_field` finds."""
+    return dict(constants_of(model))[find_field(model, field).path]
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,12 @@
 """Constitutive laws: energy densities, their stresses and tangents."""
 
-from softcal_jax.materials._constants import constant as constant
+from softcal_jax.materials._constants import (
+    DENSITY as DENSITY,
+    POISSON as POISSON,
+    UNREMARKABLE as UNREMARKABLE,
+    ConstantKind as ConstantKind,
+    constant as constant,
+)
 from softcal_jax.materials._corotational import (
     ClassicalCorotational as ClassicalCorotational,
     Corotational as Corotational,

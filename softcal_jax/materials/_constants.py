@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -37,12 +37,35 @@ def as_matrix(components: tuple[Float[Array, "..."], ...]) -> Float[Array, "3 3 
     return jnp.stack([jnp.stack(components[3 * i : 3 * i + 3]) for i in range(3)])
 
 
+class ConstantKind(NamedTuple):
+    """What is known of constants of a kind before anything is measured.
+
+    Attributes:
+        uncertain: Field of `Uncertain` with the standard deviation of one that no
+            parameter sets; empty if its error is not considered.
+        relative: Whether that is relative to the value.
+        most: What it cannot exceed; its error is at most half of what is left to it.
+        locks: Value from which on tets of the displacement formulation lock.
+        acts_by: Array of a configuration without which it has no effect.
+    """
+
+    uncertain: str = ""
+    relative: bool = False
+    most: float = math.inf
+    locks: float = math.inf
+    acts_by: str = ""
+
+
+UNREMARKABLE = ConstantKind()
+
+
 def constant(
     unit: str,
     words: str,
     *,
     within: tuple[float, float] | None = None,
     may_vanish: bool = False,
+    kind: ConstantKind = UNREMARKABLE,
 ) -> dict[str, Any]:
     """Build the metadata by which project files offer a field of a law as a constant.
 
@@ -52,10 +75,24 @@ def constant(
         within: Open interval that the bounds of a parameter must lie in; by default
             what is positive for a modulus, and anything for a number or an angle.
         may_vanish: Whether 0 is allowed too, as for a body without fibres.
+        kind: What is known of it: `POISSON` for a Poisson's ratio.
     """
     if within is None:
         within = (-math.inf if unit in ("", "rad") else 0.0, math.inf)
-    return {"unit": unit, "words": words, "within": within, "may_vanish": may_vanish}
+    allowed = {"within": within, "may_vanish": may_vanish}
+    return {"unit": unit, "words": words, "kind": kind, **allowed}
+
+
+POISSON = ConstantKind("nu", most=0.5, locks=0.49)
+CONTRACTION = ConstantKind("nu", most=0.5)
+"""A ratio of an anisotropic law, which does not make it incompressible by itself."""
+
+DENSITY = constant(
+    "kg/m3",
+    'mass density: "1070 kg/m^3"',
+    may_vanish=True,
+    kind=ConstantKind("density", relative=True, acts_by="gravity"),
+)
 
 
 MODULUS = constant("Pa", 'Young\'s modulus: "200 kPa"')
@@ -64,9 +101,12 @@ ALONG = constant("Pa", 'Young\'s modulus along the fibre: "400 kPa"')
 FIBRES = constant("Pa", 'modulus that fibres add along them: "20 MPa"', may_vanish=True)
 SHEAR = constant("Pa", 'shear modulus along the fibre: "200 kPa"')
 PLANE_RATIO = constant(
-    "", "Poisson's ratio in the plane across the fibre: 0.3", within=(-1.0, 1.0)
+    "",
+    "Poisson's ratio in the plane across the fibre: 0.3",
+    within=(-1.0, 1.0),
+    kind=CONTRACTION,
 )
-RATIO = constant("", "Poisson's ratio: 0.499", within=(-1.0, 0.5))
+RATIO = constant("", "Poisson's ratio: 0.499", within=(-1.0, 0.5), kind=POISSON)
 
 
 def _concrete(values: Any) -> np.ndarray | None:

@@ -73,8 +73,9 @@ class AbstractLaw(Module):
                     return (self.c1 * (I1 - 3) + self.c2 * (I1 - 3) ** 2
                             + self.bulk / 2 * (J - 1) ** 2)
 
-    The metadata are for project files, which name a law of an installed package by its
-    entry point in the group "softcal_jax.laws"; without them a law serves Python only.
+    Project files read the metadata, and name a law of an installed package by its entry
+    point in the group "softcal_jax.laws"; without them a law serves Python only. A
+    Poisson's ratio has `kind=POISSON`: its error is considered where it is not fitted.
 
     Attributes:
         conservative: Whether `stress` is the gradient of `energy_density`, so that a

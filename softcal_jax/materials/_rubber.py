@@ -11,6 +11,7 @@ from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax.elements import cofactor, determinant, matmul
 from softcal_jax.materials._constants import (
     MODULUS,
+    POISSON,
     RATIO,
     Constant,
     as_field,
@@ -59,7 +60,9 @@ class NeoHookean(AbstractLaw):
         return mu * paired(jnp.eye(3), jnp.eye(3)) + lam * outer(G, G) + across
 
 
-RUBBER_RATIO = constant("", "Poisson's ratio at small strain: 0.499", within=(0.0, 0.5))
+RUBBER_RATIO = constant(
+    "", "Poisson's ratio at small strain: 0.499", within=(0.0, 0.5), kind=POISSON
+)
 INCOMPRESSIBLE = 0.499
 """Default of Poisson's ratio: 500 times as stiff against volume change as in shear."""
 

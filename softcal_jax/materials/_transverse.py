@@ -9,6 +9,7 @@ from softcal_jax._typing import Array, Float
 from softcal_jax.materials._constants import (
     ACROSS,
     ALONG,
+    CONTRACTION,
     PLANE_RATIO,
     RATIO,
     SHEAR,
@@ -104,7 +105,11 @@ class TransverseIsotropic(AbstractElasticity):
     nu_t: Constant = eqx.field(converter=as_field, metadata=PLANE_RATIO)
     nu_tl: Constant = eqx.field(
         converter=as_field,
-        metadata=constant("", "contraction along the fibre for stress across it: 0.3"),
+        metadata=constant(
+            "",
+            "contraction along the fibre for stress across it: 0.3",
+            kind=CONTRACTION,
+        ),
     )
     mu_l: Constant = eqx.field(converter=as_field, metadata=SHEAR)
     fibre: Fibre

@@ -11,6 +11,7 @@ from softcal_jax.elements import cofactor, determinant, matmul
 from softcal_jax.materials._constants import (
     ACROSS,
     ALONG,
+    POISSON,
     SHEAR,
     Constant,
     as_field,
@@ -110,7 +111,8 @@ class TransverseHyperelastic(AbstractLaw):
     E_t: Constant = eqx.field(converter=as_field, metadata=ACROSS)
     E_l: Constant = eqx.field(converter=as_field, metadata=ALONG)
     nu: Constant = eqx.field(
-        converter=as_field, metadata=constant("", "Poisson's ratio: 0.499")
+        converter=as_field,
+        metadata=constant("", "Poisson's ratio: 0.499", kind=POISSON),
     )
     mu_l: Constant = eqx.field(converter=as_field, metadata=SHEAR)
     fibre: Fibre

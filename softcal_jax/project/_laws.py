@@ -17,13 +17,13 @@ from pydantic import BeforeValidator, Field, create_model
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.materials import (
+    DENSITY,
     ELASTICITIES,
     LAWS,
     AbstractElasticity,
     AbstractLaw,
     Fibre,
     Isotropic,
-    constant,
 )
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project._directions import AnyDirections, TetData
@@ -82,7 +82,8 @@ class Constant(NamedTuple):
         return Annotated[float, BeforeValidator(scalar(dimension_of(self.unit), size))]
 
 
-DENSITY = Constant(**constant("kg/m3", 'mass density: "1070 kg/m^3"', may_vanish=True))
+def _constant(metadata: Mapping[str, Any]) -> Constant:
+    return Constant(*(metadata[key] for key in Constant._fields))
 
 
 class _OfLaw(Table):
@@ -103,7 +104,7 @@ class Material(_OfLaw):
     constants: ClassVar[Mapping[str, Constant]]
 
     law: str
-    density: Density = Field(description=DENSITY.words)
+    density: Density = Field(description=DENSITY["words"])
     formulation: Literal["auto", "displacement", "mean-dilatation"] = "auto"
     regions: dict[str, Any] = Field(default_factory=dict)
 
@@ -207,12 +208,12 @@ def _table(law: type[AbstractLaw], choice: str, aimed: bool) -> type[Material]:
     for key, (field, kind) in recipe.keys.items():
         default = ... if field.default is dataclasses.MISSING else field.default
         if "unit" in field.metadata:
-            constants[key] = Constant(*(field.metadata[k] for k in Constant._fields))
+            constants[key] = _constant(field.metadata)
             kind = constants[key].type
         if key == "theta" and aimed:
             default = 0.0
         own[key] = (kind, Field(default, description=field.metadata.get("words")))
-    constants["density"] = DENSITY
+    constants["density"] = _constant(DENSITY)
     others: dict[str, Any] = {k: (c.type, None) for k, c in constants.items()}
     if _FRAME in recipe.keys:
         others[_FRAME] = (AnyDirections, None)

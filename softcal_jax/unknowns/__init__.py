@@ -1,13 +1,13 @@
 """Every unknown of a calibration, and what those do that are only considered."""
 
 from softcal_jax.unknowns._considered import (
-    MESH as MESH,
     ConsideredErrors as ConsideredErrors,
     compile_considered as compile_considered,
     considered_errors as considered_errors,
     nothing_considered as nothing_considered,
 )
 from softcal_jax.unknowns._unknowns import (
+    MESH as MESH,
     Setting as Setting,
     held_nodes as held_nodes,
     recording_names as recording_names,

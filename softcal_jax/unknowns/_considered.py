@@ -1,6 +1,7 @@
 """What errors that are considered do to the rows of a calibration."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,6 +13,8 @@ from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
+    InputRows,
+    Linearisation,
     Program,
     Workers,
     effector_values,
@@ -20,12 +23,8 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import ErrorColumns
-from softcal_jax.mesh import Recovery
-from softcal_jax.sensitivity import clamp_row, mesh_row, parameter_rows, stress_patches
+from softcal_jax.sensitivity import parameter_rows
 from softcal_jax.unknowns._unknowns import Setting, Unknown, unknowns
-
-MESH = "mesh"
-"""Name of the error of the mesh, see `mesh_row`."""
 
 
 class ConsideredErrors(NamedTuple):
@@ -34,13 +33,11 @@ class ConsideredErrors(NamedTuple):
     Attributes:
         errors: The errors, and which configurations share each.
         columns: Change of the effectors per standard deviation of each, as if each
-            configuration had it; last that by the mesh, if this may be wrong.
-        mesh: Name of the error of the mesh, see `REMEDIES`; None if this is right.
+            configuration had it.
     """
 
     errors: tuple[Unknown, ...]
     columns: Float[HostArray, "n_columns n_c n_e"]
-    mesh: str | None
 
     __repr__ = one_line
 
@@ -53,13 +50,10 @@ class ConsideredErrors(NamedTuple):
         first.
         """
         parts: list[tuple[str, str, HostArray]] = []
-        of_errors = self.columns[: len(self.errors)]
-        for error, column in zip(self.errors, of_errors, strict=True):
+        for error, column in zip(self.errors, self.columns, strict=True):
             for name, sharing in error.groups(n_fitted):
                 shared = np.where(sharing[:, None], column, 0.0)
                 parts.append((error.cause, name, shared))
-        if self.mesh is not None:
-            parts.append((MESH, self.mesh, self.columns[-1]))
         changes = [np.ravel(weight) * np.ravel(change) for *_, change in parts]
         values = np.stack([np.zeros(weight.size), *changes], axis=1)[:, 1:]
         causes = tuple(cause for cause, *_ in parts)
@@ -70,7 +64,7 @@ def nothing_considered(setting: Setting) -> ConsideredErrors:
     """Count everything that is held fixed as right."""
     n_c = len(setting.configurations)
     n_e = setting.arrays.effectors.measured.size // n_c
-    return ConsideredErrors((), np.zeros((0, n_c, n_e)), None)
+    return ConsideredErrors((), np.zeros((0, n_c, n_e)))
 
 
 def considered_errors(
@@ -82,15 +76,14 @@ def considered_errors(
 ) -> ConsideredErrors:
     """Compute W_c: change of the effectors per standard deviation of each error."""
     work = _work(setting, z, equilibrium.displacement)
-    n_c, n_rows = len(setting.configurations), len(work.errors) + work.of_mesh
-    columns = np.zeros((n_rows, n_c, setting.arrays.effectors.measured.size // n_c))
+    n_c = len(setting.configurations)
+    n_e = setting.arrays.effectors.measured.size // n_c
+    columns = np.zeros((len(work.errors), n_c, n_e))
     for c, of_pose in enumerate(workers.map(work.program, work.lanes)):
         columns[:, c] = np.asarray(of_pose).T
-    if not work.of_mesh:
-        return ConsideredErrors(work.errors, columns, None)
-    columns[-1] *= setting.uncertain.mesh
-    name = "locking" if setting.model.mesh.order == 1 else "refinement"
-    return ConsideredErrors(work.errors, columns, name)
+    for column, error in zip(columns, work.errors, strict=True):
+        column *= 1.0 if error.row is None else error.prior
+    return ConsideredErrors(work.errors, columns)
 
 
 def compile_considered(
@@ -110,33 +103,31 @@ class _Work(NamedTuple):
     """What is computed of each configuration, as if it had each error."""
 
     errors: tuple[Unknown, ...]
-    of_mesh: bool
     program: Program
     lanes: list[tuple]
 
 
 def _work(setting: Setting, z, displacement) -> _Work:
-    # Nothing is wrong with a mesh of which no tet deforms.
-    of_mesh = setting.uncertain.mesh > 0 and bool(np.any(setting.model.active))
-    errors = tuple(u for u in unknowns(setting) if u.role == "considered")
-    if not of_mesh and not any(error.happens for error in errors):
+    considered = [u for u in unknowns(setting) if u.role == "considered"]
+    errors = tuple(u for u in considered if u.happens or u.row is None)
+    if not any(error.happens for error in errors):
         errors = ()
-    patches = stress_patches(setting.model) if of_mesh else None
     entries = tuple(error.entry for error in errors if error.entry is not None)
     space = ParameterSpace(entries) if entries else None
-    motions = [error.motions for error in errors if error.entry is None]
-    some = (errors or of_mesh) and setting.arrays.effectors.measured.size
+    rows = tuple(error.row for error in errors if error.row is not None)
+    data = [error.data() for error in errors if error.row is not None]
+    some = errors and setting.arrays.effectors.measured.size
     lanes = [
         (
-            tuple(jax.device_put(of_pose[c]) for of_pose in motions),
+            tuple(jax.device_put(of_pose[c]) for of_pose in data),
             z,
             lane_of(setting.arrays, c),
             lane_of(displacement, c),
         )
         for c in range(len(displacement) if some else 0)
     ]
-    shared = setting.model, setting.space.numbered, space, patches
-    return _Work(errors, of_mesh, Program(_of_pose, *shared), lanes)
+    shared = setting.model, setting.space.numbered, space, rows
+    return _Work(errors, Program(_of_pose, *shared), lanes)
 
 
 @eqx.filter_jit
@@ -144,18 +135,17 @@ def _of_pose(
     model,
     space: ParameterSpace,
     errors: ParameterSpace | None,
-    patches: Recovery | None,
-    motions: tuple[Float[Array, "n_nodes 3"], ...],
+    rows: tuple[Callable[[Linearisation, Any], InputRows], ...],
+    data: tuple[Any, ...],
     z,
     c,
     u,
 ) -> Float[Array, "n_e n_rows"]:
     """Compute W_c of one configuration, in the units of its effectors; Eq. (9)."""
     lin = linearise(*space.apply(model, c, z), u)
-    rows = [] if errors is None else [parameter_rows(lin, errors, errors.start())]
-    rows += [clamp_row(lin, motion) for motion in motions]
-    rows += [mesh_row(lin, patches)] if patches is not None else []
-    stacked = jax.tree.map(lambda *own: jnp.concatenate(own), *rows)
+    of_all = [] if errors is None else [parameter_rows(lin, errors, errors.start())]
+    of_all += [row(lin, of_pose) for row, of_pose in zip(rows, data, strict=True)]
+    stacked = jax.tree.map(lambda *parts: jnp.concatenate(parts), *of_all)
     fewer = len(stacked.force) > c.effectors.measured.size
-    found = sensitivity(lin, stacked, effector_values, adjoint=fewer)
-    return jnp.where(found.ok, found.W_ep, jnp.nan)
+    response = sensitivity(lin, stacked, effector_values, adjoint=fewer)
+    return jnp.where(response.ok, response.W_ep, jnp.nan)

@@ -8,8 +8,8 @@ marginalise what differs from one recording to the next, so that poses that disa
 it do not pull at the values.
 """
 
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -18,7 +18,7 @@ from softcal_jax._module import one_line
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.configurations import Configuration, ConfigurationArrays
 from softcal_jax.elements import TET_EDGES
-from softcal_jax.equilibrium import Model
+from softcal_jax.equilibrium import InputRows, Linearisation, Model
 from softcal_jax.fields import (
     OFFSET,
     QUANTITIES,
@@ -31,13 +31,15 @@ from softcal_jax.fields import (
     SetupError,
     SetupParameter,
     Uncertain,
+    constants_of,
+    find_field,
     grounded_bodies,
 )
-from softcal_jax.materials import fields_of_tets
 from softcal_jax.mesh import TetMesh, boundary_faces
+from softcal_jax.sensitivity import clamp_row, mesh_row, stress_patches
 
-INCOMPRESSIBLE = 0.5
-"""Largest Poisson's ratio [-]."""
+MESH = "mesh"
+"""Name of the error of the mesh, see `mesh_row`."""
 
 
 class Unknown(NamedTuple):
@@ -46,12 +48,14 @@ class Unknown(NamedTuple):
     Attributes:
         cause: What it is called in the budget.
         name: Its name among those of the same cause.
-        entry: What it sets; None for the depth of clamps.
-        prior: Its standard deviation, in SI units or relative; nan where it is fitted.
+        entry: What it sets, if that is an array of the model or of a configuration.
+        prior: Its standard deviation, in SI units or relative; nan where it is fitted,
+            as each of its parameters has a prior of its own.
         role: Whether it is fitted, considered or part of the noise.
         scope: For each configuration, a key that those with the same error have in
             common; None where it cannot occur, or another role has it.
-        motions: For clamps, motion of the points in each configuration [m].
+        row: Makes the row of a unit of it where no entry sets it, see `clamp_row`: of
+            the linearised equilibrium, and of what `data` makes for each configuration.
     """
 
     cause: str
@@ -60,7 +64,8 @@ class Unknown(NamedTuple):
     prior: float
     role: Role
     scope: Scope
-    motions: tuple[HostArray, ...] = ()
+    row: Callable[[Linearisation, Any], InputRows] | None = None
+    data: Callable[[], tuple[Any, ...]] = tuple
 
     @property
     def happens(self) -> bool:
@@ -111,6 +116,7 @@ def unknowns(setting: Setting) -> tuple[Unknown, ...]:
         *_of_fields(setting),
         *_of_setup(setting, poses),
         _of_clamps(setting),
+        _of_mesh(setting),
     )
 
 
@@ -120,12 +126,13 @@ def recording_names(configurations: Sequence[Configuration]) -> list[str]:
 
 
 def _fitted(setting: Setting, poses: Poses) -> Iterator[Unknown]:
-    """List what is fitted of the setup, the loads and the recordings, and where."""
-    everywhere = ("",) * len(setting.configurations)
+    """List what is fitted, and where it occurs."""
+    everywhere: Scope = ("",) * len(setting.configurations)
     for entry in setting.space.entries:
+        scope = everywhere
         if isinstance(entry, SetupParameter):
             scope = entry.quantity.occurs(poses).get(entry.of, everywhere)
-            yield Unknown(entry.label, entry.label, entry, np.nan, "fitted", scope)
+        yield Unknown(entry.label, entry.label, entry, np.nan, "fitted", scope)
 
 
 def _of_setup(setting: Setting, poses: Poses) -> Iterator[Unknown]:
@@ -162,32 +169,25 @@ def _where(scope: Scope, flags: Bool[HostArray, " n_c"]) -> Scope:
 
 
 def _of_fields(setting: Setting) -> Iterator[Unknown]:
-    """List errors of Poisson's ratios, and of the density where there is gravity."""
-    model, uncertain = setting.model, setting.uncertain
-    everywhere: Scope = ("",) * len(setting.configurations)
-    for field, value in _ratios(model):
-        name = field.rpartition(".")[2]
+    """List errors of constants that have one, see `ConstantKind`."""
+    model, arrays = setting.model, setting.arrays
+    for path, kind in constants_of(model):
+        if not kind.uncertain:
+            continue
+        name, value = (
+            path.rpartition(".")[2],
+            np.asarray(find_field(model, path)(model)),
+        )
         share = _share_not_fitted(setting, name)
-        room = 0.5 * (INCOMPRESSIBLE - float(np.max(value)))
-        std = min(uncertain.nu, room)
-        entry = FieldError(name, std, field, jax.device_put(share))
-        counts = np.full(len(everywhere), np.any(share) and std > 0.0)
-        scope = _where(everywhere, counts)
+        room = 0.5 * (kind.most - float(np.max(value)))
+        std = min(getattr(setting.uncertain, kind.uncertain), room)
+        entry = FieldError(name, std, path, jax.device_put(share), kind.relative)
+        matters = np.any(share * value if kind.relative else share) and std > 0.0
+        acts = np.full(len(setting.configurations), matters)
+        if kind.acts_by:
+            acts &= np.any(np.asarray(getattr(arrays, kind.acts_by)), axis=1)
+        scope = _where(("",) * len(acts), acts)
         yield Unknown(name, name, entry, std, "considered", scope)
-    share, std = _share_not_fitted(setting, "density"), uncertain.density
-    heavy = np.any(share * np.asarray(model.density) > 0.0) and std > 0.0
-    entry = FieldError("density", std, "density", jax.device_put(share), relative=True)
-    falls = np.any(np.asarray(setting.arrays.gravity), axis=1) & heavy
-    scope = _where(everywhere, falls)
-    yield Unknown("density", "density", entry, std, "considered", scope)
-
-
-def _ratios(model: Model) -> Iterator[tuple[str, HostArray]]:
-    """List the Poisson's ratios of the law: path and values."""
-    for path, leaf in fields_of_tets(model.law):
-        field = "law" + path
-        if (field.rpartition(".")[2] + "_").startswith("nu_"):
-            yield field, np.asarray(leaf)
 
 
 def _share_not_fitted(setting: Setting, field: str) -> HostArray:
@@ -206,11 +206,23 @@ def _of_clamps(setting: Setting) -> Unknown:
     model, std = setting.model, setting.uncertain.clamp
     held = held_nodes(model, setting.arrays)
     keys = tuple(nodes.tobytes() for nodes in held)
-    each = dict(zip(keys, held, strict=True))
-    motion_of = {k: std * outward_motion(model.mesh, own) for k, own in each.items()}
-    motions = tuple(motion_of[key] for key in keys)
-    scope = _where(keys, np.any(motions, axis=(1, 2)))
-    return Unknown("clamp", "clamp", None, std, "considered", scope, motions)
+    groups = dict(zip(keys, held, strict=True))
+    motion = {key: outward_motion(model.mesh, nodes) for key, nodes in groups.items()}
+    motions = tuple(motion[key] for key in keys)
+    scope = _where(keys, np.any(motions, axis=(1, 2)) & (std > 0.0))
+    error = "clamp", "clamp", None, std, "considered", scope
+    return Unknown(*error, clamp_row, lambda: motions)
+
+
+def _of_mesh(setting: Setting) -> Unknown:
+    """Return the error of the mesh; a mesh of which no tet deforms has none."""
+    model, std = setting.model, setting.uncertain.mesh
+    n, name = len(setting.configurations), "refinement"
+    if model.mesh.order == 1:
+        name = "locking"
+    scope = _where(("",) * n, np.full(n, std > 0.0 and np.any(model.active)))
+    error = MESH, name, None, std, "considered", scope
+    return Unknown(*error, mesh_row, lambda: (stress_patches(model),) * n)
 
 
 def held_nodes(

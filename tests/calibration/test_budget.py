@@ -349,11 +349,11 @@ def test_without_any_cause_the_noise_remains():
 def all_errors(*parameters):
     """Names of what a calibration of E and others counts as uncertain."""
     measured = simulated_measurements(PLAIN, [ON_PLAIN])
-    problem = build_problem(PLAIN, (WIDE, *parameters), measured, uncertain=STD)
+    problem = build_problem(PLAIN, (WIDE, *parameters), measured, uncertain=SAME_MESH)
     effectors = problem.configurations.effectors
     of_noise = noise_columns(problem.noise, effectors, measured).names
     setting = Setting(
-        problem.model, problem.space, measured, problem.configurations, STD
+        problem.model, problem.space, measured, problem.configurations, SAME_MESH
     )
     every = unknowns(setting)
     held = [own.groups(1) for own in every if own.role == "considered"]
@@ -437,9 +437,10 @@ def test_the_budget_is_that_of_the_fit_whatever_is_held_out():
     """Another clamp there gives no group here."""
     scope = (b"left", b"right")
     clamps = Unknown("clamp", "clamp", None, 1e-3, "considered", scope)
+    mesh = Unknown("mesh", "refinement", None, 1.0, "considered", ("", ""))
     three = lambda *values: np.repeat(np.array(values)[:, None], 3, axis=1)
     columns = np.stack([three(1.0, 2.0), three(3.0, 4.0)])
-    errors = ConsideredErrors((clamps,), columns, "refinement")
+    errors = ConsideredErrors((clamps, mesh), columns)
     both = errors.in_std(1, np.ones((2, 1, 3)))
     first = both.only(np.arange(6) < 3)
     assert dict(zip(first.causes, first.names, strict=True)) == {
