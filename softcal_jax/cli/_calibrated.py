@@ -35,7 +35,7 @@ examples:
 
 RESULTS is the folder of softcal calibrate; project file, mesh and measurements must be
 where and what they were. The configuration says what holds and loads the robot, and
-which actuators are commanded: those in its `actuation`, from there on. A goal is a
+which actuators are commanded: those in its `actuation`, as a start. A goal is a
 value of a marker or of an effector, in the words of the project file, and counts as met
 within a hundredth of its `std`; what was measured is no goal. A pose of a frame is an
 inline table, --goal sensor='{ position = "(100, 10, 12) mm", azimuth = "10 deg" }'.
@@ -72,19 +72,19 @@ def inverse(args: argparse.Namespace, show: Display) -> None:
     show.now("searching for the actuation")
     settings = ControlSettings(newton=project.newton)
     with bad_input():
-        found = solve_inverse(
+        result = solve_inverse(
             loaded.model, posed, limits=limits, settings=settings, throw=False
         )
     show.lap("search")
     show.line()
-    show.line(report.inverse_table(found))
+    show.line(report.inverse_table(result))
     options = ["--configuration", posed.name]
     for flag in ("goal", "start", "limit"):
         for text in getattr(args, flag):
             options += [f"--{flag}", text]
     write = partial(
         report.write_inverse,
-        found,
+        result,
         name=project.name,
         made=Made(loaded.model, {"control": settings}, project.source),
         calibration=loaded.path,
@@ -93,8 +93,8 @@ def inverse(args: argparse.Namespace, show: Display) -> None:
         **pictures_with_a_bar(args, show),
     )
     write_results(write, args, show, index="inverse.json")
-    if not found.met:
-        raise Stop(NOT_CONVERGED, found.message)
+    if not result.met:
+        raise Stop(NOT_CONVERGED, result.message)
 
 
 def _pairs(option: str, texts: Sequence[str], example: str) -> list[tuple[str, str]]:
@@ -111,14 +111,14 @@ def _pairs(option: str, texts: Sequence[str], example: str) -> list[tuple[str, s
 
 
 def _check_parameters(space: "ParameterSpace") -> None:
-    """Raise if a calibrated value belongs to a configuration, which is solved anew."""
+    """Raise if a calibrated value belongs to a configuration and not to the robot."""
     from softcal_jax.fields import SetupParameter
 
     for entry in space.entries:
         if isinstance(entry, SetupParameter) and entry.quantity.of_configuration:
             raise ValueError(
                 f"the calibrated {entry.noun} belongs to the configurations and not to "
-                "the robot, and a command to a goal cannot say which it has then. "
+                "the robot, so that its value is not known in the pose that is sought. "
                 "Calibrate without it, or use softcal_jax.control in Python."
             )
 

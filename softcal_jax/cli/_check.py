@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from softcal_jax.project import Project
 
 _MARK = "softcal check"
-"""Kept in the picture: an earlier one is replaced, a picture of anyone else is not."""
+"""Mark in a picture that this command drew: the next run may replace the picture."""
 
 _CHECK = """\
 examples:

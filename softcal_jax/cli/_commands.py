@@ -104,7 +104,7 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> None:
 def simulate(args: argparse.Namespace, show: Display) -> None:
     """Solve all configurations of a project at the start values.
 
-    Those without an equilibrium are named at the end, after the others are written.
+    Configurations without an equilibrium are named once the results are written.
     """
     check_folder(args)
     from softcal_jax import report
@@ -138,11 +138,11 @@ def identify(args: argparse.Namespace, show: Display) -> None:
     project = load(args.project, show)
     with bad_input():
         project.check_identify()
-    found = ranking = None
+    outlook = ranking = None
     with bad_input(), no_equilibrium("Nothing was written."):
         if project.calibration:
             show.now(f"what {_names(project.calibration)} would tell")
-            found = project.identify(progress=equilibrium_lines(show))
+            outlook = project.identify(progress=equilibrium_lines(show))
         if project.candidates:
             show.now(f"what {_names(project.candidates)} would add")
             ranking = project.rank_candidates(progress=equilibrium_lines(show))
@@ -152,7 +152,7 @@ def identify(args: argparse.Namespace, show: Display) -> None:
     if blind:
         show.line(f"No markers or effectors, so nothing to learn, in: {_names(blind)}.")
     show.line("At the start values, with the stated noise of what is measured:")
-    for part in filter(None, (found, ranking)):
+    for part in filter(None, (outlook, ranking)):
         show.line(f"{part}\n")
     if ranking is None:
         show.line(
@@ -161,15 +161,15 @@ def identify(args: argparse.Namespace, show: Display) -> None:
         )
     more = {"name": project.name, "made": _made(project, precision=project.precision)}
     if args.output is None:
-        show.document(outlook_dict(found, ranking, timing_s=show.laps, **more))
+        show.document(outlook_dict(outlook, ranking, timing_s=show.laps, **more))
         show.times()
     else:
-        write = partial(report.write_identifiability, found, ranking, **more)
+        write = partial(report.write_identifiability, outlook, ranking, **more)
         write_results(write, args, show, index="identifiability.json")
 
 
 def _made(project: "Project", **settings: Any) -> "Made":
-    """Say what a project was solved with, and with which more of its settings."""
+    """Collect what a project was solved with: model, `settings`, and its file."""
     from softcal_jax.export import Made
 
     return Made(project.model, {**settings, "newton": project.newton}, project.source)

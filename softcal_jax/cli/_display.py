@@ -22,9 +22,9 @@ from rich.text import Text
 from softcal_jax._text import escaped
 
 FIRST_S, LONGEST_S = 2.0, 30.0
-"""Silence after which a log says what is under way, first and at most [s].
+"""Silences, the first and the longest, after which a log says what is under way [s].
 
-It doubles from one such line to the next.
+The silence doubles from one such line to the next.
 """
 
 
@@ -33,7 +33,7 @@ _BACKEND = f"{_COMPILE}backend_compile_duration"
 _FROM_DISK = "/jax/compilation_cache/cache_hits"
 
 NOTICED_S = 0.5
-"""Time after which a program that is being made is worth a word [s]."""
+"""Time of compiling after which it is mentioned [s]."""
 
 
 class PlainConsole(Console):
@@ -42,7 +42,7 @@ class PlainConsole(Console):
     def render(
         self, renderable: RenderableType, options: ConsoleOptions | None = None
     ) -> Iterable[Segment]:
-        """Render as `Console` does; its own control codes are segments of their own."""
+        """Render as `Console` does, with the control characters of texts escaped."""
         for segment in super().render(renderable, options):
             if segment.control:
                 yield segment
@@ -75,8 +75,8 @@ class PlainParser(argparse.ArgumentParser):
 def escape_what_cannot_be_encoded() -> None:
     """Let standard output and error show characters that their encoding lacks.
 
-    That of the locale C, or of a pipe on Windows, may have no "±" or "ö": a command
-    would end in a traceback once its work is done.
+    The encoding of the locale C, or of a pipe on Windows, may have no "±" or "ö": a
+    command would then end in a traceback once its work is done.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -86,7 +86,7 @@ def escape_what_cannot_be_encoded() -> None:
 class Compiling:
     """Listener of JAX: what is being compiled, from its beginning on.
 
-    JAX tells the beginning of each trace, lowering and compilation as a scalar, and the
+    JAX reports the start of each trace, lowering and compilation as a scalar, and the
     end as a duration. Programs are compiled by several threads at once.
     """
 
@@ -123,7 +123,7 @@ class Compiling:
     def words(self) -> str:
         """Say what is being compiled, and the time of all compiling so far.
 
-        Empty where nothing is, or not for long yet.
+        Empty where nothing is being compiled, or not for long yet.
         """
         now = time.time()
         with self._lock:
@@ -143,7 +143,7 @@ class Compiling:
                 self._open[threading.get_ident(), event] += 1
 
     def _ends(self, event: str, *_: float, **__: Any) -> None:
-        """End what has begun, or a compilation whose program is read from disk."""
+        """Record an end; reading a program from disk ends its compilation, too."""
         key = threading.get_ident(), _BACKEND if event == _FROM_DISK else event
         with self._lock:
             if key not in self._open:
@@ -206,7 +206,7 @@ class Display:
     ) -> None:
         """Say what begins; in a log at once if `log` is set, else after some silence.
 
-        `count` is how many parts of it are done, of how many, for a bar.
+        `count` is how many parts are done and how many there are, for a bar.
         """
         done, total = count or (0, None)
         self._what = f"{what} ({done} of {total})" if count else what
@@ -233,21 +233,21 @@ class Display:
         self.line(f"warning: {text}")
 
     def document(self, content: Mapping[str, Any], *, indent: int | None = 2) -> None:
-        """Print a result, or a part in one line, as JSON, if that is asked for."""
+        """Print a result as JSON if that is asked for, in one line without `indent`."""
         if self.as_json:
             self._printed = True
             text = json.dumps(content, allow_nan=False, indent=indent)
             print(text, file=self._out, flush=True)
 
     def failure(self, text: str, code: int) -> None:
-        """Say in JSON why there is no result, unless some of it is there."""
+        """Say in JSON why there is no result, unless a part of it was printed."""
         if not self._printed:
             self.document({"error": text, "exit_code": code})
 
     def lap(self, name: str, *, compiling: float | None = None) -> None:
         """End a part of the run, and record its wall time.
 
-        The time that it was compiling is recorded as a part of its own, before it [s].
+        The time `compiling` within it is recorded apart, as "compile" [s].
         """
         now = time.time()
         if compiling is not None:
@@ -260,7 +260,7 @@ class Display:
         self.note(f"Time: {parts}; {time.time() - self.begin:.1f} s in all.")
 
     def _beat(self) -> None:
-        """Say what is under way where nothing was said for long."""
+        """Say what is under way after a long silence."""
         silence = FIRST_S
         while not self._over.wait(0.2):
             if self._what and time.monotonic() - self._said >= silence:

@@ -73,7 +73,7 @@ exit codes: 0 judged, whatever the verdict, 1 no equilibrium, 2 bad input
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command, by default that of the process, and return its exit code."""
+    """Run a command, by default that of `sys.argv`, and return its exit code."""
     # The start of the process will not do: a shell may have run in it before.
     begin = time.time() - (time.process_time() if argv is None else 0.0)
     if argv is None:

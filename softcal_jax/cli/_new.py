@@ -48,7 +48,7 @@ def new(args: argparse.Namespace, show: Display) -> None:
 
 
 def _ready_made(args: argparse.Namespace, show: Display) -> bool:
-    """Copy a ready-made robot, and say what it is; its readings are there."""
+    """Copy a ready-made robot, say what it is, and return True: all have readings."""
     from softcal_jax.exchange.proposal import write_ready_made
 
     for option in ("markers", "size", "length_unit"):
@@ -80,7 +80,7 @@ def _proposed(args: argparse.Namespace, show: Display) -> bool:
     )
     files = sorted(path.name for path in args.folder.iterdir())
     show.line(f"Wrote {', '.join(files)} to {args.folder}.")
-    for line in _found(findings):
+    for line in _finding_lines(findings):
         show.line(line)
     many = len(guesses_left(args.folder / "project.toml"))
     show.line(
@@ -90,18 +90,18 @@ def _proposed(args: argparse.Namespace, show: Display) -> bool:
     return findings.recorded is not None and not findings.own_frame
 
 
-def _found(found: "Findings") -> Iterator[str]:
+def _finding_lines(findings: "Findings") -> Iterator[str]:
     import numpy as np
 
     from softcal_jax.export import readable_values
 
-    body, recorded = found.body, found.recorded
+    body, recorded = findings.body, findings.recorded
     sides = " x ".join(f"{1e3 * x:.4g}" for x in np.ptp(body.mesh.points, axis=0))
     unit = f", if its unit is {body.unit}" if body.unit_guessed else ""
     yield f"Body: {sides} mm{unit}; {body.mesh.n_tets} tets."
-    held = "an end of the body" if found.held.definition else "by its name"
-    yield f"Held: {found.held.group}, {held}."
-    for group, is_open in found.chambers.items():
+    held = "an end of the body" if findings.held.definition else "by its name"
+    yield f"Held: {findings.held.group}, {held}."
+    for group, is_open in findings.chambers.items():
         rim = ", sealed at its rim" if is_open else ""
         yield f"Chamber: {group}, by its name{rim}."
     if recorded is None:
@@ -113,11 +113,11 @@ def _found(found: "Findings") -> Iterator[str]:
     others = ", ".join(pose.name for pose in recorded.others) or "no other"
     yield f"Poses: {recorded.rest.name}, as the one at rest, and {others}."
     yield "Markers at rest, and how far from the mesh they were recorded:"
-    width = max(len(marker.name) for marker in found.markers)
-    for marker in found.markers:
+    width = max(len(marker.name) for marker in findings.markers)
+    for marker in findings.markers:
         off = readable_values([marker.distance], "m", digits=3)
         yield f"  {marker.name:<{width}}  {off if marker.distance else 'in it'}"
-    if found.own_frame:
+    if findings.own_frame:
         yield (
             "That is too far: the recording has a frame of its own. Follow the remarks "
             "at [markers] and [shared.measured]; `softcal calibrate` runs then."

@@ -36,7 +36,7 @@ class Stop(Exception):
 def sigterm_as_ctrl_c() -> Iterator[None]:
     """Let SIGTERM, by which schedulers end a job, end the command as Ctrl-C does."""
     if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread may choose
+        yield  # only the main thread can set a handler
         return
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
@@ -46,7 +46,7 @@ def sigterm_as_ctrl_c() -> Iterator[None]:
 
 
 def with_care(doubts: Sequence[str]) -> list[str]:
-    """Say what a calibration doubts of its values, before another program uses them."""
+    """Write the doubts about calibrated values as notes for whoever uses the values."""
     return [f"take the values with care: {reason}" for reason in doubts]
 
 
@@ -54,7 +54,7 @@ def with_care(doubts: Sequence[str]) -> list[str]:
 def warnings_as_lines(show: Display) -> Iterator[None]:
     """Show the package's own warnings as lines, without file and line of code.
 
-    Those of other packages are for developers: they are shown only where Python was
+    Warnings of other packages are for developers: they are shown only where Python was
     asked for warnings, with -W or PYTHONWARNINGS.
     """
     from softcal_jax._compilation_cache import throw_away_damaged
@@ -87,7 +87,7 @@ def add_path(
 def add_output(
     command: argparse.ArgumentParser, *, force: str = "", pictures: bool = False
 ) -> None:
-    """Add the options on what is written over and shown, and on `pictures`."""
+    """Add the options on replacing files, on what is printed, and on `pictures`."""
     if force:
         command.add_argument("--force", action="store_true", help=force)
     text = "no progress: only the result, warnings and errors"
@@ -114,12 +114,12 @@ def check_folder(args: argparse.Namespace) -> None:
 
 def check_new(*paths: Path, force: bool) -> None:
     """End the command if there are such files already, unless they may be replaced."""
-    there = [str(path) for path in paths if path.exists()]
-    if there and not force:
-        verb, them = ("exists", "it") if len(there) == 1 else ("exist", "them")
+    existing = [str(path) for path in paths if path.exists()]
+    if existing and not force:
+        verb, them = ("exists", "it") if len(existing) == 1 else ("exist", "them")
         raise Stop(
             BAD_INPUT,
-            f"error: {' and '.join(there)} {verb} already. Choose another name, or "
+            f"error: {' and '.join(existing)} {verb} already. Choose another name, or "
             f"replace {them} with --force.",
         )
 
@@ -178,7 +178,7 @@ def no_equilibrium(written: str) -> Iterator[None]:
 
 @contextmanager
 def bad_input() -> Iterator[None]:
-    """End the command if its input is wrong, or needs a package that is not here."""
+    """End the command if its input is wrong, or a package that it needs is missing."""
     try:
         yield
     except (ValueError, OSError, ImportError) as error:

@@ -1,6 +1,6 @@
-"""Lines for the steps of a calibration, and writing what it found.
+"""Lines for the steps of a calibration, and writing its results.
 
-Neither an interruption nor a full disk loses it.
+Neither an interruption nor a full disk loses the results.
 """
 
 import argparse
@@ -27,11 +27,11 @@ MOST_IN_FIELD = 4
 def write_results(
     write: Callable[..., Path], args: argparse.Namespace, show: Display, *, index: str
 ) -> None:
-    """Write what is printed already, and say where it is, or print its `index`.
+    """Write results that are printed already, and say where; as JSON, print `index`.
 
     `write` is a function of `report` that takes a folder, `force` and `timing_s`. Where
-    the folder cannot be written any more, as on a full disk, it goes to a temporary
-    one, and the command ends with a message.
+    the folder cannot be written any more, as on a full disk, the results go to a
+    temporary one, and the command ends with a message.
     """
     show.now("writing results")
     with bad_input():
@@ -50,12 +50,12 @@ def write_results(
 
 
 def pictures_with_a_bar(args: argparse.Namespace, show: Display) -> dict[str, Any]:
-    """Return what results are written with: which pictures, and how they are told."""
-    told = lambda done, total: show.now(
+    """Return the format of the pictures, and a callback that shows their progress."""
+    progress = lambda done, total: show.now(
         "drawing pictures", log=False, count=(done, total)
     )
     none = args.no_pictures or getattr(args, "quick", False)
-    return {"pictures": None if none else args.pictures, "told": told}
+    return {"pictures": None if none else args.pictures, "told": progress}
 
 
 def _elsewhere(write: Callable[..., Path], show: Display) -> str:
@@ -133,9 +133,9 @@ def so_far(result: "CalibrationResult", show: Display) -> None:
 
 
 def equilibrium_lines(show: Display) -> "Callable[[EquilibriumProgress], None]":
-    """Return a callback that shows how far equilibria from rest are.
+    """Return a callback that shows the progress of equilibria that start from rest.
 
-    A line stays where the moduli of the start are raised.
+    A line that stays says when the moduli are raised above their start values.
     """
     raised = 1.0
 
@@ -162,12 +162,12 @@ def _values(parameters: "Sequence[Parameter]", values: Mapping[str, float]) -> s
     texts = []
     for field, members in fields.items():
         name = field if len(members) > 1 else members[0].name
-        own = [values[q.name] for q in members]
-        factor, unit = readable_unit(own, members[0].unit)
+        numbers = [values[q.name] for q in members]
+        factor, unit = readable_unit(numbers, members[0].unit)
         digits = ".2f" if unit else ".5g"
-        text = ", ".join(f"{factor * value:{digits}}" for value in own)
-        if len(own) > MOST_IN_FIELD:
-            low, high = factor * min(own), factor * max(own)
+        text = ", ".join(f"{factor * value:{digits}}" for value in numbers)
+        if len(numbers) > MOST_IN_FIELD:
+            low, high = factor * min(numbers), factor * max(numbers)
             text = f"{low:{digits}} to {high:{digits}}"
         texts.append(f"{name} = {text} {unit}".rstrip())
     return "; ".join(texts)

@@ -94,7 +94,7 @@ def sweep(args: argparse.Namespace, show: Display) -> None:
             )
     except KeyboardInterrupt:
         text = f"interrupted: the same command goes on from what is in {database}."
-        with suppress(OSError, ValueError):  # of a disk that is full, or no database
+        with suppress(OSError, ValueError):  # as on a full disk, or without a database
             result = read_sweep(database)
             page = write_sweep(result, database, sweep=loaded, timing_s=show.laps)
             text += f" {len(result.rows)} of {len(loaded.points)} trials are in {page}."
@@ -174,7 +174,7 @@ def _row_dict(row: "TrialRow") -> dict[str, Any]:
 
 
 def _row_line(row: "TrialRow") -> str:
-    """Write how a trial ended: where it is, what it found, or why it found nothing."""
+    """Write how a trial ended: its point, then its figures or why it failed."""
     point = ", ".join(f"{axis} = {value}" for axis, value in row.point.items())
     if row.state == "failed":
         return f"failed: {point}: {row.reason.splitlines()[0]}"

@@ -71,13 +71,13 @@ def _robot_rows(robot: RobotState):
         for what, unit in units.items():
             for axis, value in zip("xyz", getattr(body, what), strict=True):
                 yield *head, f"{what}_{axis}", value, unit
-    for own in robot.actuators:
-        head = ("actuator", own.name, own.kind)
+    for actuator in robot.actuators:
+        head = ("actuator", actuator.name, actuator.kind)
         for what in ("force", "displacement"):
-            value = getattr(own, what)
+            value = getattr(actuator, what)
             if value is not None:
-                imposed = " (imposed)" if own.imposed == what else ""
-                yield *head, f"{what}{imposed}", value, getattr(own, f"{what}_unit")
+                suffix = " (imposed)" if actuator.imposed == what else ""
+                yield *head, f"{what}{suffix}", value, getattr(actuator, f"{what}_unit")
     for reaction in robot.reactions:
         head = ("reaction", reaction.name, "force of the ground")
         for axis, value in zip("xyz", reaction.force, strict=True):

@@ -32,8 +32,8 @@ def file_stems(names: Sequence[str]) -> list[str]:
     """Make one file name per configuration, without extension, safe on every system.
 
     Anything but letters, digits, ".", "-" and "_" is replaced. A number is added where
-    two would be the same file on a system that ignores case, or where that of the
-    actuators ("_robot") or of the markers over time ("_recording") would be another's.
+    a name is taken, alone or with "_robot" (actuators) or "_recording" (markers over
+    time) at its end. Upper and lower case count as equal, as on some systems.
     """
     taken = {"inverse", "markers", "report", "result", "simulation"}  # other files
     endings = ("", "_robot", "_recording")
@@ -55,8 +55,8 @@ def check_results_folder(directory: str | Path, *, force: bool = False) -> None:
     """Raise unless results can be written to a folder; call it before a long run.
 
     Raises:
-        FileExistsError: If it is a file, or is not empty and `force` is off or it is
-            not a results folder; nothing but earlier results is ever replaced.
+        FileExistsError: If it is a file; or if it is not empty, and `force` is off or
+            it is not a results folder. Nothing but earlier results is ever replaced.
         OSError: If nothing can be written there; the text says why.
     """
     directory = Path(directory)
@@ -112,9 +112,9 @@ def results_folder(directory: str | Path, *, force: bool = False) -> Iterator[Pa
 
 @contextmanager
 def _partial_folder(directory: Path) -> Iterator[Path]:
-    """Make a folder beside a path for the time being, and its missing parents.
+    """Make a temporary folder beside a path, and the missing parents of the path.
 
-    These stay if something was put there.
+    At the end, new parents that are still empty are removed, too.
     """
     made = []
     try:
@@ -122,7 +122,7 @@ def _partial_folder(directory: Path) -> Iterator[Path]:
             if not parent.exists():
                 parent.mkdir()
                 made.append(parent)
-        # A name of its own: that of the folder may be as long as any can be.
+        # Not named after the folder, whose name may be as long as a name can be.
         partial = Path(tempfile.mkdtemp(prefix=".softcal.", dir=directory.parent))
         try:
             yield partial

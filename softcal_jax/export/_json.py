@@ -39,10 +39,10 @@ def result_dict(
     Its assessment is made if it is not given; `timing_s` are wall times of further
     parts [s], and paths of files are relative to `directory`.
     """
-    # Here, since pydantic takes a third of a second, which a calibration does not need.
+    # Imported here, as pydantic takes a third of a second to load, often for nothing.
     from softcal_jax.export.result_file import ResultFile
 
-    found = assessment or assess(result)
+    assessment = assessment or assess(result)
     content = {
         "format": RESULT_FORMAT,
         "name": name,
@@ -57,8 +57,8 @@ def result_dict(
         },
         **pick(result, "uncertainty noise checks starts notes"),
         "budget": budget_dict(result.budget),
-        "assessment": found,
-        "identifiability": found.identifiability,
+        "assessment": assessment,
+        "identifiability": assessment.identifiability,
         "versions": versions(result.model),
         "timing_s": {**result.timing_s, **(timing_s or {})},
     }
@@ -135,7 +135,7 @@ def outlook_dict(
     """Build the content of `identifiability.json`.
 
     `identifiability` is as in `result.json`, null without configurations; `ranking` is
-    null without candidates, which have the attributes of `Gain`, the best first.
+    null without candidates. Candidates have the attributes of `Gain`, the best first.
     """
     from softcal_jax.export.result_file import IDENTIFIABILITY
 
@@ -254,8 +254,8 @@ def inverse_dict(
 
     `points` has one entry for each goal of a trajectory, else one, with the attributes
     of `InverseResult`. In `goals`, `in_std` is residual over std, a coordinate without
-    a goal has null, and turns are counted from the goal; `actuators` have those of
-    `ActuatorState` and whether they are `commanded`.
+    a goal has null, and turns are counted from the goal; `actuators` have the
+    attributes of `ActuatorState` and whether they are `commanded`.
     """
     points = [result] if isinstance(result, InverseResult) else result.points
     if made is None and points:

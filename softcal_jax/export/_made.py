@@ -61,7 +61,7 @@ def write_json(path: Path, data: Mapping[str, Any]) -> None:
 def versions(model: Model) -> dict[str, str]:
     """List versions of Python and the numerical packages, and the machine.
 
-    The sparse solver of the model names its package.
+    The package of the model's sparse solver is one of them.
     """
     packages = [*_PACKAGES, *re.findall(r"\((.+)\)", model.solver.name)]
     return {
@@ -78,8 +78,8 @@ class Made(Module):
     """What a result was computed from and with.
 
     Attributes:
-        model: The model, whose solver names its package.
-        settings: Settings by name; those of settings may nest.
+        model: The model; the name of its solver contains that of a package.
+        settings: Settings by name, which may be nested.
         source: The project file, and what it names; None for a model made in Python.
     """
 

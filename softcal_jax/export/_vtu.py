@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import pyvista
 
 STANDARD_ERROR = "_standard_error"
-"""What follows the name of a field in that of its standard error."""
+"""End of the name of a standard error; the name of its field stands before it."""
 
 _SYMMETRIC = {"XX": (0, 0), "YY": (1, 1), "ZZ": (2, 2)}
 _SYMMETRIC |= {"XY": (0, 1), "YZ": (1, 2), "XZ": (0, 2)}
@@ -37,11 +37,11 @@ def write_vtu(
     *,
     standard_errors: Mapping[str, Float[HostArray, " n_tets"]] | None = None,
 ) -> None:
-    """Write a body, moved by `displacement` [m], for ParaView; quadratic tets stay so.
+    """Write a body, moved by `displacement` [m], for ParaView; tets keep their order.
 
     Points are at rest [m]; "Warp By Vector" with `displacement` shows the deformed
-    shape. Per tet: `cauchy_stress`, the mean over the tet, in the order XX, YY, ZZ, XY,
-    YZ, XZ, of a law whose moments do not balance its symmetric part [Pa];
+    shape. Per tet: `cauchy_stress`, the symmetric part of its mean over the tet, in the
+    order XX, YY, ZZ, XY, YZ, XZ [Pa];
     `principal_stretches`, the largest first, mean over the quadrature points [-];
     `strain_energy_density` [J/m3], `density` [kg/m3] and every field of the law under
     its own name, in SI; `fibre_direction` at rest, and `fibre_direction_2` of a second
@@ -129,12 +129,12 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
         (CellType.LINE, n_v + np.arange(2 * n_l).reshape(-1, 2), after.segment_owner),
         (kind, faces, after.face_owner),
     )
-    there = [block for block in blocks if len(block[1])]
-    owner = 1 + np.concatenate([own for *_, own in there])
+    blocks = [block for block in blocks if len(block[1])]
+    owner = 1 + np.concatenate([owners for *_, owners in blocks])
     # Entry 0 is for cells that no actuator owns.
     forces = np.array([0.0, *(a.force for a in state.actuators)])
     moves = np.array([0.0, *(a.displacement or 0.0 for a in state.actuators)])
-    grid = pyvista.UnstructuredGrid({kind: cells for kind, cells, _ in there}, at_rest)
+    grid = pyvista.UnstructuredGrid({kind: cells for kind, cells, _ in blocks}, at_rest)
     grid.point_data["displacement"] = points(moved, after) - at_rest
     for name, values in vectors.items():  # zero at all points but the vertices
         grid.point_data[name] = np.pad(values, ((0, n - len(values)), (0, 0)))
@@ -221,9 +221,9 @@ def field_units(model: Model) -> dict[str, str]:
     """Return the SI units of `tet_fields` by name, where the law declares one."""
     units = {}
     for name, path, _ in _named(model):
-        owner, _, own = path.rpartition(".")
+        owner, _, attribute = path.rpartition(".")
         module = operator.attrgetter(owner)(model) if owner else model
-        metadata = {f.name: f.metadata for f in dataclasses.fields(module)}[own]
+        metadata = {f.name: f.metadata for f in dataclasses.fields(module)}[attribute]
         if "unit" in metadata:
             units[name] = metadata["unit"]
     return units
@@ -248,7 +248,7 @@ def principal_stretches(states: TetStates) -> Float[HostArray, "n_tets 3"]:
 
 
 def symmetric_part(stress: Float[HostArray, "n_tets 3 3"]) -> HostArray:
-    """Return the symmetric part of a stress, of a law whose moments do not balance."""
+    """Return the symmetric part of a stress, which not every law keeps symmetric."""
     return 0.5 * (stress + np.swapaxes(stress, 1, 2))
 
 
@@ -256,7 +256,7 @@ def von_mises_stress(states: TetStates) -> Float[HostArray, " n_tets"]:
     """Compute the von Mises stress of the mean Cauchy stress of each tet [Pa].
 
     It is sqrt(3/2 s : s) with the deviatoric part s, so without the pressure, which
-    tets of a nearly incompressible law bear unevenly.
+    is uneven over the tets of a nearly incompressible law.
     """
     cauchy = symmetric_part(states.cauchy)
     s = cauchy - np.trace(cauchy, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 3.0

@@ -1,6 +1,6 @@
 """The content of `result.json`: what is written, in SI, mm or %, and what is read.
 
-Read, keys are taken as they stand; those without a default are needed to load a result.
+Values that are read are not converted; a file needs the keys without a default.
 """
 
 import dataclasses
@@ -27,12 +27,12 @@ from softcal_jax.inference import LackOfFit, RecordingEstimate, Uncertainty
 
 
 class Keys:
-    """Mark of a key whose entries have attributes of the class `of`, see `pick`."""
+    """Annotation of a key whose entries are attributes of a class, see `pick`."""
 
     def __init__(self, of: type, names: str = ""):
         """Take all attributes of a dataclass, or those with these names."""
         self.of = of
-        self.names = names.split() or [own.name for own in dataclasses.fields(of)]
+        self.names = names.split() or [field.name for field in dataclasses.fields(of)]
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         """Take the keys before anything else is checked."""
@@ -53,7 +53,7 @@ class Keys:
 
 
 def _converted(factor: float) -> BeforeValidator:
-    """Multiply values that are taken from results, not those of a file."""
+    """Multiply values that are taken from results, but not those read from a file."""
     return BeforeValidator(
         lambda value, info: value if info.mode == "json" else plain(factor * value)
     )
@@ -68,7 +68,7 @@ class Entry(BaseModel):
     """What all entries have in common; missing numbers are null.
 
     Attributes:
-        of: Class whose attributes the keys are, as far as it has them.
+        of: Class that has an attribute for each key, or for most of them.
     """
 
     model_config = ConfigDict(
@@ -81,7 +81,7 @@ class FileEntry(Entry):
     """A file, and its SHA-256."""
 
     file: str
-    """Its path: of the project file, relative to the results; of others, to that."""
+    """Path of the project file from the results, of another from the project file."""
     sha256: str
 
 
@@ -164,9 +164,9 @@ class BudgetEntry(Entry):
     parameters: Plain = None
     """`name`, `unit`, `standard_error` by all causes, `by_cause`, and a `sentence`."""
     errors: Plain = None
-    """What is uncertain: `cause`, `name`, `deviations`: change of each parameter."""
+    """What is uncertain: `cause`, `name` and `deviations`, changes of parameters."""
     covariance: list[list[float | None]]
-    """Of the scaled parameters by all causes."""
+    """Covariance of the scaled parameters, by all causes."""
 
 
 class ChecksEntry(Entry):
@@ -199,7 +199,7 @@ IDENTIFIABILITY = Keys(
     "verdict n_data precision parameters informed directions covariance correlation "
     "conditioning",
 )
-"""Keys of what the data tell; null stands for infinite, too."""
+"""Keys of what the data tell; null stands for infinite values, too."""
 
 
 class ResultFile(Entry):
@@ -224,7 +224,7 @@ class ResultFile(Entry):
     solver: dict[str, str | int | None]
     """The sparse solver, law, formulation and size of the mesh."""
     settings: Plain = None
-    """Of calibration, Newton's method and noise."""
+    """Settings of the calibration, of Newton's method and of the noise."""
     uncertainty: Annotated[
         Any,
         Keys(
@@ -246,6 +246,6 @@ class ResultFile(Entry):
     ] = None
     notes: Plain = None
     versions: dict[str, str]
-    """Of Python and its packages, and the machine."""
+    """Versions of Python and its packages, and the machine."""
     timing_s: Plain = None
     """Wall time per part."""

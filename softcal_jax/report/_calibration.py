@@ -30,14 +30,14 @@ MOST_CORRELATED = 12
 """Most parameters whose correlations are shown as a matrix."""
 
 MOST_PAIRS = 20
-"""Most pairs of parameters that are listed where there are more."""
+"""Most pairs of parameters listed where there are too many for a matrix."""
 
 TONES: dict[str, Tone] = {
     "identifiable": "good",
     "weakly identifiable": "doubtful",
     "not identifiable": "bad",
 }
-"""How the verdicts on what data tell are meant."""
+"""Tone of each verdict on what the data tell about a parameter."""
 
 
 def model_words(model: Model) -> str:
@@ -49,9 +49,9 @@ def model_words(model: Model) -> str:
     return f"{model.mesh.words}, {' of '.join(named)} ({model.formulation})"
 
 
-def parameter_table(result: CalibrationResult, found: Identifiability) -> TextTable:
+def parameter_table(result: CalibrationResult, outlook: Identifiability) -> TextTable:
     """Tabulate values, standard errors, starts and bounds."""
-    blind = {p.name for p in found.parameters if p.verdict == "not identifiable"}
+    blind = {p.name for p in outlook.parameters if p.verdict == "not identifiable"}
     title = "Parameters" + ("" if result.intervals else ", ± not checked")
     rows = []
     for q in result.parameters:
@@ -82,10 +82,10 @@ def interval_tables(result: CalibrationResult) -> list[TextTable]:
     """Tabulate the intervals of the parameters, and how each was found."""
     if not result.intervals:
         return []
-    rows = [
-        (own.name, Cell(str(own), "bad" if own.kind == "none" else "plain"), own.kind)
-        for own in result.intervals
-    ]
+    rows = []
+    for interval in result.intervals:
+        tone = "bad" if interval.kind == "none" else "plain"
+        rows.append((interval.name, Cell(str(interval), tone), interval.kind))
     level = f"{100.0 * result.intervals[0].level:g} % interval"
     return [text_table("Intervals", ("parameter", level, "kind"), rows)]
 
@@ -95,8 +95,8 @@ def error_tables(
 ) -> list[TextTable]:
     """Tabulate the errors of points and of orientations.
 
-    With three or more fitted configurations, points as the others predict them have a
-    table of their own: beside the errors it would not fit in 80 columns.
+    With three or more fitted configurations, a further table has the error of each when
+    it is left out of the fit: in one table, this would not fit in 80 columns.
     """
     columns = ("configuration", "role", "before", "after", "moved", "after/moved")
     points, turns = [], []
@@ -113,7 +113,7 @@ def error_tables(
     if any(fit.points for fit in fits):
         shown.append(text_table("Rms distance of the markers", columns, points))
     left_out = [] if checks is None else checks.left_out
-    rows = [(own.name, distance(own.rms), distance(own.expected)) for own in left_out]
+    rows = [(c.name, distance(c.rms), distance(c.expected)) for c in left_out]
     if rows:
         heads = ("configuration", "off by", "errors explain")
         title = "Rms distance of a configuration left out"
@@ -126,7 +126,7 @@ def error_tables(
 def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
     """Say how far off held-out configurations are predicted, as far as it is known."""
     lines = []
-    for fit in (own for own in fits if own.role == "validation"):
+    for fit in (f for f in fits if f.role == "validation"):
         texts = []
         if fit.points:
             texts.append(f"{1e3 * fit.rms_after:.2f} mm rms over {_points(fit)}")
@@ -141,7 +141,7 @@ def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
 
 
 def _points(fit: ConfigurationResult) -> str:
-    """Count what was seen to move: markers, and apart from them 6-D sensors."""
+    """Count the markers and the 6-D sensors of a configuration, in words."""
     turning = {turn.name for turn in fit.turns}
     sensors = sum(point.name in turning for point in fit.points)
     counts = {"marker": len(fit.points) - sensors, "6-D sensor": sensors}
@@ -159,30 +159,30 @@ def outlook_table(assessment: Assessment) -> TextTable:
 
 
 def outlook_tone(verdict: str, assessment: Assessment) -> Tone:
-    """Return how a verdict is meant: none is good for a model that data contradict."""
+    """Return the tone of a verdict, at best doubtful if the assessment has doubts."""
     doubtful = verdict == "identifiable" and not assessment.identified
     return "doubtful" if doubtful else TONES[verdict]
 
 
-def outlook_legend(found: Identifiability) -> str:
+def outlook_legend(outlook: Identifiability) -> str:
     """Say what the verdicts mean, and give the condition numbers."""
-    words = [found.scale]
-    if found.has_prior:
-        shares = f"{found.informed} of {found.n_parameters} directions"
+    words = [outlook.scale]
+    if outlook.has_prior:
+        shares = f"{outlook.informed} of {outlook.n_parameters} directions"
         words.append(f"The data tell more than the prior along {shares}.")
-    if found.n_data:
-        words.append(str(found.conditioning).splitlines()[0])
+    if outlook.n_data:
+        words.append(str(outlook.conditioning).splitlines()[0])
     return " ".join(words)
 
 
-def blindness(found: Identifiability) -> list[str]:
-    """Say how many directions the data hardly see, then one a line, the worst first."""
-    blind = found.blind[::-1]
+def blindness(outlook: Identifiability) -> list[str]:
+    """Say how many directions the data hardly see, then list them, the worst first."""
+    blind = outlook.blind[::-1]
     if not blind:
         return ["No combination of the parameters is hidden from the data."]
-    by = "the prior and the start" if found.has_prior else "the start"
+    by = "the prior and the start" if outlook.has_prior else "the start"
     lines = [
-        f"The data hardly see {len(blind)} of {found.n_parameters} directions of the "
+        f"The data hardly see {len(blind)} of {outlook.n_parameters} directions of the "
         f"parameters; these are decided by {by}. The worst first (standard error over "
         "the asked one):"
     ]
@@ -192,16 +192,16 @@ def blindness(found: Identifiability) -> list[str]:
     return lines
 
 
-def inner_tables(found: Identifiability) -> list[TextTable]:
+def inner_tables(outlook: Identifiability) -> list[TextTable]:
     """Tabulate the correlation of the parameters and the singular values of W_ep."""
-    tables = [_correlation_table(found)] if found.n_parameters > 1 else []
-    return [*tables, _singular_value_table(found)] if found.n_data else tables
+    tables = [_correlation_table(outlook)] if outlook.n_parameters > 1 else []
+    return [*tables, _singular_value_table(outlook)] if outlook.n_data else tables
 
 
-def _correlation_table(found: Identifiability) -> TextTable:
-    """Tabulate the correlation of the parameters; of many, the strongest pairs."""
-    names = [p.name for p in found.parameters]
-    C = found.correlation
+def _correlation_table(outlook: Identifiability) -> TextTable:
+    """Tabulate the correlation of all parameters, or the strongest pairs of many."""
+    names = [p.name for p in outlook.parameters]
+    C = outlook.correlation
     if len(names) <= MOST_CORRELATED:
         named = zip(names, C, strict=True)
         rows = [(name, *map(_correlation, row)) for name, row in named]
@@ -219,9 +219,9 @@ def _correlation(value: float) -> str:
     return f"{value:.2f}" if math.isfinite(value) else "-"
 
 
-def _singular_value_table(found: Identifiability) -> TextTable:
+def _singular_value_table(outlook: Identifiability) -> TextTable:
     """Tabulate the singular values of W_ep in units of the noise."""
-    values = enumerate(found.conditioning.singular_values, 1)
+    values = enumerate(outlook.conditioning.singular_values, 1)
     rows = [(str(k), f"{value:.3g}") for k, value in values]
     title = "Singular values of W_ep in units of the noise"
     return text_table(title, ("number", "singular value"), rows)
@@ -230,11 +230,11 @@ def _singular_value_table(found: Identifiability) -> TextTable:
 def history_table(result: CalibrationResult) -> TextTable:
     """Tabulate the steps of the fit."""
     rows = []
-    for own in result.history:
-        rms = "-" if math.isnan(own.rms) else f"{1e3 * own.rms:.4g} mm"
-        size = f"{max(map(abs, own.lambda_p)):.2g}" if own.step else "-"
-        outcome = "taken" if own.accepted else Cell("refused", "doubtful")
-        rows.append((str(own.step), f"{own.cost:.4g}", rms, size, outcome))
+    for entry in result.history:
+        rms = "-" if math.isnan(entry.rms) else f"{1e3 * entry.rms:.4g} mm"
+        size = f"{max(map(abs, entry.lambda_p)):.2g}" if entry.step else "-"
+        outcome = "taken" if entry.accepted else Cell("refused", "doubtful")
+        rows.append((str(entry.step), f"{entry.cost:.4g}", rms, size, outcome))
     columns = "step", "cost", "rms marker distance", "largest lambda_p", "outcome"
     return text_table("Steps of the fit", columns, rows)
 
@@ -246,30 +246,30 @@ def _angle(radians: float) -> str:
 def summary_table(
     result: CalibrationResult, assessment: Assessment | None = None
 ) -> "rich.console.Group":
-    """Tabulate a calibration for the terminal, with its assessment, if known already.
+    """Tabulate a calibration for the terminal; without `assessment`, it is assessed.
 
     Parameters come first, then configurations, identifiability, verdict and notes.
     """
     from rich.console import Group
     from rich.text import Text
 
-    own = assessment or assess(result)
-    found, verdict = own.identifiability, verdict_of(result, own)
+    assessment = assessment or assess(result)
+    outlook, verdict = assessment.identifiability, verdict_of(result, assessment)
     shown = result.configurations
-    style = STYLES[outlook_tone(found.verdict, own)]
+    style = STYLES[outlook_tone(outlook.verdict, assessment)]
     tables = [
-        parameter_table(result, found),
+        parameter_table(result, outlook),
         budget_table(result),
         *interval_tables(result),
         *error_tables(shown, result.checks),
         *robot_tables(shown),
-        outlook_table(own),
+        outlook_table(assessment),
     ]
     return Group(
         *map(TextTable.drawn, tables),
-        Text(outlook_legend(found)),
-        Text("\n  ".join(blindness(found)), style=style),
-        *([Text(own.prediction)] if own.prediction else []),
+        Text(outlook_legend(outlook)),
+        Text("\n  ".join(blindness(outlook)), style=style),
+        *([Text(assessment.prediction)] if assessment.prediction else []),
         Text("\n  ".join([verdict.sentence, *verdict.reasons]), HEADS[verdict.tone]),
         *([] if result.starts is None else [Text(str(result.starts))]),
         *(Text(line) for line in (result.checks.agreement if result.checks else ())),

@@ -1,4 +1,4 @@
-"""Charts of a page; what colours tell apart, shapes or words tell too.
+"""Charts of a page; shapes or words repeat what colours distinguish.
 
 They are SVG whose text keeps its size, however wide the page is: places along the width
 are percentages, and those along the height pixels.
@@ -35,11 +35,11 @@ MOST_BARS = 24
 """Most rows of a chart."""
 
 LEAST_NAMED = 0.01
-"""Share of a variance from which on a cause is named beside the bar [-]."""
+"""Smallest share of a variance of which the cause is named beside the bar [-]."""
 
 # Darker and lighter in turn, so that neighbours differ in grey as well.
 _FILLS = ("#8c8c8c", "#0b4f8a", "#f0b27a", "#1b7a5a", "#d9cdf0", "#5b4310", "#ffffff")
-"""Colours of the causes, from the first again where they are used up."""
+"""Colours of the causes; where there are more causes, the colours repeat."""
 
 
 def error_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
@@ -92,7 +92,7 @@ def budget_chart(result: CalibrationResult) -> list[Html]:
         _bar(parameter, {cause: float(share[i]) for cause, share in shares.items()})
         for i, parameter in known[:MOST_BARS]
     ]
-    # Colours repeat, so what is too thin to be seen is left out.
+    # Colours repeat, so the legend leaves out causes that are too thin to be seen.
     entries = []
     for k, (cause, share) in enumerate(shares.items()):
         if max(share) >= LEAST_NAMED:
@@ -112,7 +112,7 @@ def budget_chart(result: CalibrationResult) -> list[Html]:
 def _budget_shares(budget: ErrorBudget) -> dict[str, Float[HostArray, " n_p"]]:
     """Compute the share of each cause in the variance of each parameter [-].
 
-    That of the noise is first; all are zero without a standard error.
+    The noise is first; the shares of a parameter without a standard error are zero.
     """
     squares = {cause: std**2 for cause, std in budget.by_cause().items()}
     total = sum(squares.values())
@@ -140,7 +140,7 @@ def _filled(k: int, **place: str) -> Html:
 
 
 def _row(title: str, parts: Sequence[Html], words: str, *, height: int = 28) -> Html:
-    """Put a chart of one row between its title and the same in words."""
+    """Put a chart of one row between its title and its numbers in words."""
     drawn = node("svg", *parts, height=str(height), aria_hidden="true")
     head = node("p", node("strong", title))
     return node("div", head, drawn, node("p", words), class_="row")
@@ -160,9 +160,9 @@ def _text(words: str, x: str, y: float, **look: str) -> Html:
 
 
 class _Curve(NamedTuple):
-    """A number that changes with the steps: its value at each, with the title's unit.
+    """A number that changes with the steps: its value after each, in the title's unit.
 
-    `ticks` are the grid; `level` is a value to be reached, with its name.
+    `ticks` are grid lines, `level` is a value to be reached, each with its label.
     """
 
     title: str
@@ -198,7 +198,7 @@ def _fit(result: CalibrationResult) -> _Curve:
 
 
 def _step_size(result: CalibrationResult) -> _Curve:
-    """Draw the largest lambda_p over the tolerance, on a logarithmic scale."""
+    """Return the curve of log10 of the largest lambda_p; its level is the tolerance."""
     # A step of exactly zero has no logarithm; it is drawn at the level of rounding.
     steps = [max(*map(abs, entry.lambda_p), 1e-16) for entry in result.history]
     values, tol = [math.log10(step) for step in steps], result.settings.tol
@@ -236,7 +236,7 @@ def _drawn(curve: _Curve, result: CalibrationResult) -> Html:
     for value, label in curve.level.items():
         look = {"stroke": INK, "stroke_dasharray": "6 4", "stroke_width": "1.5"}
         parts.append(_line("0", y(value), "100%", y(value), **look))
-        # On the left: there a curve that falls to the level is still far from it.
+        # On the left, where a curve that falls to the level is still far from it.
         parts.append(_text(label, "12%", y(value) - 4))
     for step in _noise_changes(result):
         look = {"stroke": INK, "stroke_dasharray": "2 4"}
@@ -256,7 +256,7 @@ def _drawn(curve: _Curve, result: CalibrationResult) -> Html:
 
 
 def _noise_changes(result: CalibrationResult) -> list[float]:
-    """Return where the data are weighed anew, between steps: the fit goes on there."""
+    """Return the places between steps at which the noise was estimated anew."""
     return [
         0.5 * (before.step + entry.step)
         for before, entry in itertools.pairwise(result.history)

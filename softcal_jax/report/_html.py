@@ -17,7 +17,7 @@ from softcal_jax._text_table import TextTable, text_table
 from softcal_jax.report._verdict import RunVerdict
 
 MOST_PICTURES = 3_400_000
-"""Most bytes of pictures in one page, which, as text by a third more, is below 5 MB."""
+"""Most bytes of pictures in a page: base64 adds a third, which is still below 5 MB."""
 
 REPEATED = "repeated"
 """Folder that the command to repeat a run writes to."""
@@ -38,12 +38,12 @@ _VOID = {"br", "img", "input", "meta"}
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 """What a page may load: its own styles and pictures, and nothing by network.
 
-Of scripts it runs none but the one of its view, which it knows by its hash.
+The only script that it runs is that of its view, which it knows by the hash.
 """
 
 
 class Html(str):
-    """A text that is HTML already; any other is escaped where it enters a page."""
+    """A text that is HTML already; any other text is escaped where it enters a page."""
 
     __slots__ = ()
 
@@ -59,8 +59,8 @@ class Section(NamedTuple):
 def node(name: str, *content: str, **attributes: str) -> Html:
     """Make an element.
 
-    Content that is a `str` and no `Html` is text of a user. Names of attributes have
-    "_" for "-" and behind a Python keyword.
+    Content that is a `str` and no `Html` is escaped. Names of attributes have "_" for
+    "-"; one at the end, as in `class_`, is dropped.
     """
     texts = (
         f' {key.rstrip("_").replace("_", "-")}="{_safe(value)}"'
@@ -69,8 +69,8 @@ def node(name: str, *content: str, **attributes: str) -> Html:
     start = f"<{name}{''.join(texts)}>"
     if name in _VOID:
         return Html(start)
-    inner = "".join(own if isinstance(own, Html) else _safe(own) for own in content)
-    return Html(f"{start}{inner}</{name}>")
+    body = "".join(part if isinstance(part, Html) else _safe(part) for part in content)
+    return Html(f"{start}{body}</{name}>")
 
 
 def _safe(text: str) -> str:
@@ -83,7 +83,7 @@ def joined(parts: Iterable[Html]) -> Html:
 
 
 def bullets(lines: Iterable[str]) -> Html:
-    """Make a list of sentences; nothing of none."""
+    """Make a list of sentences, or nothing if there are none."""
     items = [node("li", line) for line in lines]
     return node("ul", *items) if items else Html("")
 
@@ -116,7 +116,7 @@ def table_html(table: TextTable) -> Html:
 
 
 def facts_html(title: str, facts: Mapping[str, str]) -> Html:
-    """Write names and what they stand for as a table without heads of columns."""
+    """Write names and their values as a table without column headings."""
     return table_html(text_table(title, ("", ""), facts.items(), words=[""]))
 
 
@@ -128,7 +128,7 @@ def picture(path: Path, alt: str) -> Html:
 
 
 def figure(content: Html, caption: str, *, title: str = "") -> Html:
-    """Make a figure with what it shows in words below it, and a title above."""
+    """Make a figure with a caption below it and, if given, a title above it."""
     head = [node("p", node("strong", title))] if title else []
     return node("figure", *head, content, node("figcaption", caption))
 
@@ -146,17 +146,17 @@ def page(
     """Write a whole page.
 
     `kind` is what was done, like "Calibration". Sections without content are left out.
-    `index` is the file with the same numbers in `units`. With `script`, the text of the
-    only script, the page runs that one and no other.
+    `index` is the file with the same numbers in `units`. `script` is the text of the
+    only script that the page may run.
     """
     policy = _POLICY
     if script:
         digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
         policy += f"; script-src 'sha256-{digest}'"
-    shown = [own for own in sections if any(own.content)]
+    shown = [part for part in sections if any(part.content)]
     parts = (
-        node("section", node("h2", own.title), joined(own.content), id=own.id)
-        for own in shown
+        node("section", node("h2", part.title), joined(part.content), id=part.id)
+        for part in shown
     )
     head = node(
         "head",
@@ -166,7 +166,7 @@ def page(
         node("title", f"{name}: {kind.lower()}"),
         node("style", _style()),
     )
-    links = (node("li", node("a", own.title, href=f"#{own.id}")) for own in shown)
+    links = (node("li", node("a", part.title, href=f"#{part.id}")) for part in shown)
     when = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
     body = node(
         "body",
@@ -190,12 +190,12 @@ def page(
 
 
 def output(verdict: RunVerdict, content: Iterable[Html]) -> Html:
-    """Write what a cell of a notebook shows: a verdict and what follows from it."""
+    """Write what a cell of a notebook shows: a verdict, then the content."""
     return fragment([_verdict(verdict), *content])
 
 
 def fragment(content: Iterable[Html]) -> Html:
-    """Write a part of another page that looks as in ours, whatever style that has."""
+    """Write a part of another page in the style of ours, whatever its own style is."""
     style = Html(f"@scope (.softcal) {{\n{_style()}}}")
     plain = "background: #fff; color: #1a1a1a; padding: .5rem 1rem; max-width: 62rem"
     return node("div", node("style", style), *content, class_="softcal", style=plain)
@@ -220,10 +220,10 @@ def closing(
     options: Sequence[str] = (),
     out: str = REPEATED,
 ) -> list[Section]:
-    """Say how a run can be repeated, what it read, and what it was made with.
+    """Write the last sections: the command that repeats a run, its files and settings.
 
-    The command reads the project files `sources`, as `source_dict` converts them, None
-    where a model was made in Python; or `files`, which lead to them. It writes `out`.
+    `sources` are the project files, as `source_dict` converts them; None is a model
+    made in Python. The command reads them or, if given, `files`, and writes `out`.
     """
     every = list(sources)
     known = [source for source in every if source is not None]
@@ -233,7 +233,7 @@ def closing(
     made_in_python = "This was made in Python, so there is no command that repeats it."
     content = [node("p", made_in_python)]
     if named:
-        words = ["softcal", command, *(own["file"] for own in named), *options]
+        words = ["softcal", command, *(file["file"] for file in named), *options]
         code = node("code", shlex.join([*words, "-o", out]))
         content = [node("p", "In the folder of this page:"), node("pre", code)]
     for source in known if files is None else ():
@@ -247,9 +247,9 @@ def closing(
             )
             changes = text_table(f"Changes{of}", columns, rows)
             content += [node("p", text), table_html(changes)]
-    read = [*(files or ()), *(own for source in known for own in _files_of(source))]
+    read = [*(files or ()), *(file for source in known for file in _files_of(source))]
     if read:
-        rows = dict.fromkeys((own["file"], own["sha256"]) for own in read)
+        rows = dict.fromkeys((file["file"], file["sha256"]) for file in read)
         table = text_table("Files that were read", ("file", "SHA-256"), rows)
         content.append(table_html(table))
     return [
@@ -259,14 +259,14 @@ def closing(
 
 
 def _files_of(source: Mapping[str, Any]) -> list[Mapping[str, str]]:
-    """List a project file and those that it names, relative to the results."""
+    """List a project file and the files that it names, relative to the results."""
     project = source["project"]
     files = [project]
-    for own in source["files"]:
+    for file in source["files"]:
         path = os.path.normpath(
-            os.path.join(os.path.dirname(project["file"]), own["file"])
+            os.path.join(os.path.dirname(project["file"]), file["file"])
         )
-        files.append({**own, "file": Path(path).as_posix()})
+        files.append({**file, "file": Path(path).as_posix()})
     return files
 
 

@@ -56,7 +56,7 @@ def inverse_verdict(result: InverseResult | TrajectoryResult) -> RunVerdict:
 
 
 def inverse_html(result: InverseResult | TrajectoryResult) -> list[Html]:
-    """Show how close the goals are, and what the actuators do there."""
+    """Show how closely the goals are met, and what the actuators do for it."""
     if isinstance(result, InverseResult):
         tables = map(table_html, (goal_table(result.goals), actuator_table(result)))
         limits = "Limits that are reached:" if result.active_limits else ""
@@ -93,8 +93,8 @@ def goal_table(goals: Sequence[GoalFit]) -> TextTable:
 
 def _coordinates(fit: GoalFit, values: Float[HostArray, " k"]) -> str:
     """Write the coordinates that have a goal, with their axes if some have none."""
-    own, seen = fit.effector, np.asarray(fit.effector.seen)
-    text = readable_values(values[seen].tolist(), own.unit).rstrip()
+    effector, seen = fit.effector, np.asarray(fit.effector.seen)
+    text = readable_values(values[seen].tolist(), effector.unit).rstrip()
     if len(seen) == 1 or seen.all():
         return text
     return f"{', '.join(compress('xyz', seen))} = {text}"
@@ -104,19 +104,19 @@ def actuator_table(result: InverseResult) -> TextTable:
     """Tabulate what the actuators do, each in its own units."""
     columns = "actuator", "kind", "force", "displacement"
     rows = []
-    for own in result.actuators:
-        commanded = own.name in result.configuration.actuation
-        kind = own.kind if commanded else f"{own.kind}, not commanded"
-        rows.append((own.name, kind, *actuator_row(own)))
+    for actuator in result.actuators:
+        commanded = actuator.name in result.configuration.actuation
+        kind = actuator.kind if commanded else f"{actuator.kind}, not commanded"
+        rows.append((actuator.name, kind, *actuator_row(actuator)))
     return text_table("Actuators", columns, rows)
 
 
 def _inputs(result: InverseResult) -> str:
-    """Write what is commanded."""
+    """Write the commanded forces and displacements of the actuators."""
     return ", ".join(
-        f"{own.name} = {actuator_values(own)[own.imposed]}"
-        for own in result.actuators
-        if own.name in result.configuration.actuation
+        f"{actuator.name} = {actuator_values(actuator)[actuator.imposed]}"
+        for actuator in result.actuators
+        if actuator.name in result.configuration.actuation
     )
 
 
@@ -140,9 +140,9 @@ def write_inverse(
     goal that has an equilibrium a .vtu for ParaView and a picture, with circles where
     the goals are. `configurations.pvd` opens all .vtu at once. With `calibration`, the
     `result.json` that the model was loaded from, the page gives the command that
-    repeats it; `options` are further words of that, like "--goal" and its value, and
-    `notes` are what there is to doubt. Other arguments, errors and what is returned are
-    those of `write_results`.
+    repeats the run; `options` are further words of it, like "--goal" and its value, and
+    `notes` are doubts about the result. Other arguments, errors and what is returned
+    are those of `write_results`.
 
     Raises:
         ValueError: If a trajectory has no points.
@@ -158,8 +158,8 @@ def write_inverse(
     solved = [bool(point.solution.converged) for point in points]
     problem = picture_problem(list(compress(stems, solved)), pictures)
     data["notes"] = [*notes, *([problem] if problem else [])]
-    own = None if calibration is None else SourceFile.of(Path(calibration))
-    data["calibration"] = own and file_dict(own, directory)
+    loaded = None if calibration is None else SourceFile.of(Path(calibration))
+    data["calibration"] = loaded and file_dict(loaded, directory)
     suffix = None if problem else pictures
     seen = "the body at the commands found, coloured by displacement, with the goals "
     seen += "(circles) and what is reached (crosses)"
@@ -239,7 +239,7 @@ def _page(
         rows = [(a.way, str(a.n_steps), f"{a.error:.3g}") for a in result.attempts]
         columns = "begun from", "steps", "largest error, in standard deviations"
         search = [table_html(text_table("Descents", columns, rows))]
-    loaded = [own for own in [data["calibration"]] if own is not None]
+    loaded = [file for file in [data["calibration"]] if file is not None]
     sections = [
         Section("notes", "Notes", [bullets(data["notes"])]),
         Section("goals", "Goals and commands", inverse_html(result)),

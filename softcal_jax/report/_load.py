@@ -51,10 +51,10 @@ class LoadedResult(Module):
         space: The parameters, with start and bounds.
         values: The calibrated values by name, in SI units.
         z: The same, scaled [-].
-        covariance: Covariance of z by all causes, see `ErrorBudget`; nan for what has
-            no standard error [-].
+        covariance: Covariance of z by all causes, see `ErrorBudget`; nan for parameters
+            without a standard error [-].
         errors: Root mean square of the distances of markers and other points from
-            where they were measured, by configuration; nan without any [m].
+            where they were measured, by configuration; nan without points [m].
         converged: Whether the calibration converged; if not, do not use the values.
         doubts: Why the values are to be taken with care, see `assess`.
     """
@@ -72,8 +72,8 @@ class LoadedResult(Module):
 
     def _words(self) -> str:
         values = (
-            f"{own.name} = {readable(self.values[own.name], own.unit)}"
-            for own in self.space.parameters
+            f"{q.name} = {readable(self.values[q.name], q.unit)}"
+            for q in self.space.parameters
         )
         end = "converged" if self.converged else "NOT CONVERGED"
         return ", ".join([self.project.name, end, *values])
@@ -87,14 +87,14 @@ class LoadedResult(Module):
             name: Its name; may be left out where there is one configuration.
 
         Raises:
-            ValueError: If there is no such configuration, or no name and several.
+            ValueError: If there is none of this name, or several and no name is given.
         """
         posed = {c.name: c for c in self.project.configurations}
         if name is None:
             if len(posed) > 1:
                 raise ValueError(
                     f"the project {self.project.name!r} has the configurations "
-                    f"{listed([repr(own) for own in posed])}; name one of them."
+                    f"{listed([*map(repr, posed)])}; name one of them."
                 )
             name = next(iter(posed))
         if name not in posed:
@@ -112,7 +112,7 @@ def load_result(
     """Load a calibration of a project file, and set its values in the model.
 
     `result.json` names the project file and the files of mesh and measurements with
-    their SHA-256. The model is built of them again, so they must be what they were.
+    their SHA-256. The model is built from them again, so they must not have changed.
 
     Args:
         path: `result.json`, or the results folder.
@@ -135,10 +135,10 @@ def load_result(
     if project is None:
         project = os.path.normpath(path.parent.resolve() / source.project.file)
     _check_unchanged(path, Path(project), source)
-    # Given, so that what `load_project` warns of is not said again.
+    # With `changes`, even empty ones, `load_project` does not warn a second time.
     loaded = load_project(project, changes=source.changes)
     space = _checked_space(path, loaded, data)
-    values = {own.name: own.value for own in data.parameters}
+    values = {entry.name: entry.value for entry in data.parameters}
     z = space.to_scaled(jnp.asarray([values[name] for name in space.names]))
     if not data.converged:
         warnings.warn(
@@ -156,8 +156,8 @@ def load_result(
         z=z,
         covariance=np.array(data.budget.covariance, float),
         errors={
-            own.name: np.nan if own.rms_after_mm is None else 1e-3 * own.rms_after_mm
-            for own in data.configurations
+            fit.name: np.nan if fit.rms_after_mm is None else 1e-3 * fit.rms_after_mm
+            for fit in data.configurations
         },
         converged=data.converged,
         doubts=tuple(data.assessment.reasons),
@@ -201,8 +201,8 @@ def _check_unchanged(path: Path, project: Path, source: SourceEntry) -> None:
     """Raise unless project, mesh and measurements are what they were."""
     files = [(project, source.project.sha256)]
     moved = "; if the project was moved, say where it is: load_result(..., project=)"
-    if project.is_file():  # else there is no place to look for the others
-        files += [(project.parent / own.file, own.sha256) for own in source.files]
+    if project.is_file():  # the files that it names are looked for beside it
+        files += [(project.parent / f.file, f.sha256) for f in source.files]
         moved = ""
     problems = ""
     for file, digest in files:
@@ -222,7 +222,7 @@ def _check_unchanged(path: Path, project: Path, source: SourceEntry) -> None:
 
 def _checked_space(path: Path, project: Project, data: ResultFile) -> ParameterSpace:
     """Return the parameters, if they and the model are those of the result."""
-    names = [own.name for own in data.parameters]
+    names = [entry.name for entry in data.parameters]
     space, mesh = project.space, project.model.mesh
     model = {
         "law": type(project.model.law).__name__,

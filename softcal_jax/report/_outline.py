@@ -34,7 +34,7 @@ _MOST_ALIKE = 4
 """Most quantities of one table and unit, like positions, that are listed one by one."""
 
 _QUANTITIES = {"point": "position", "turn": "orientation", "scalar": "value"}
-"""What coordinates are, where another word than their own says it better."""
+"""Words for the quantities of effectors that are not shown by their own name."""
 
 Rows = Iterable[Sequence[str]]
 
@@ -50,7 +50,7 @@ def roles_of(project: Project) -> dict[str, str]:
 
 
 def control_point_sets(project: Project) -> dict[str, ControlPoints]:
-    """Return the sets of control points of the parameters, by fields they carry."""
+    """Return the sets of control points, by the names of the fields that use them."""
     sets: dict[tuple, tuple[ControlPoints, list[str]]] = {}
     for entry in () if project.space is None else project.space.entries:
         if isinstance(entry, ControlPointParameters):
@@ -70,13 +70,13 @@ def outline(
         quantities: Its quantities as they were typed.
 
     Yields:
-        Lines of text, in sections: from the guesses of `softcal new` that are left to
-        the commands that the project suffices for.
+        Lines of text, in sections: first the guesses of `softcal new` that nobody has
+        confirmed, last the commands for which the project is complete.
     """
     model, mesh = project.model, project.model.mesh
     posed = (*project.configurations, *project.candidates)
     guesses = guesses_left(project.path)
-    rows = [(f"line {own.line}", own.text, own.remark) for own in guesses]
+    rows = [(f"line {guess.line}", guess.text, guess.remark) for guess in guesses]
     yield from _section("Guesses, to be changed or confirmed", (), rows)
     lanes = configuration_lanes(mesh, posed, model.mechanism)
     yield from _section("Model", (), _model(model))
@@ -96,7 +96,7 @@ def outline(
     yield from _section("Configurations", head, rows)
     head = ("configuration", "what", "value", "standard deviation")
     yield from _section("Measured", head, _measured(posed, lanes))
-    rows = [(k, f"{1e3 * own.rms:.2f} mm") for k, own in project.registrations.items()]
+    rows = [(k, f"{1e3 * r.rms:.2f} mm") for k, r in project.registrations.items()]
     head = ("configuration", "rms left at the markers")
     yield from _section("Camera frames, registered to the mesh", head, rows)
     head = ("name", "start", "lower", "upper", "scale", "prior")
@@ -147,9 +147,9 @@ def _actuators(model: Model) -> Iterator[tuple[str, ...]]:
     volumes_of = enclosed_volumes(actuators.groups, x)
     kinds = zip(actuators.names, actuators.kinds, strict=True)
     for a, (name, kind) in enumerate(kinds):
-        size, own = "", lengths[geometry.segment_owner == a]
-        if own.size:
-            size = f"{_read(float(own.sum()), 'm')} long"
+        size, segments = "", lengths[geometry.segment_owner == a]
+        if segments.size:
+            size = f"{_read(float(segments.sum()), 'm')} long"
         elif a in volumes_of:
             size = _read(volumes_of[a], "m3")
         yield name, kind.noun, size
@@ -158,7 +158,7 @@ def _actuators(model: Model) -> Iterator[tuple[str, ...]]:
 def _placed(
     mesh: TetMesh, names: Sequence[str], positions: Float[Array | HostArray, "n 3"]
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield names and places, and how far each stands off the mesh."""
+    """Yield the name, the place and the distance from the mesh of each point."""
     places = np.asarray(positions)
     off = locate(mesh, places, max_distance=math.inf).distance
     for name, place, distance in zip(names, places, off, strict=True):
@@ -169,7 +169,7 @@ def _placed(
 def _markers(
     mesh: TetMesh, posed: Sequence[Configuration]
 ) -> Iterable[tuple[str, ...]]:
-    """List markers, each place once."""
+    """List the markers of all configurations, equal ones once."""
     rows = []
     for markers in [c.markers for c in posed if c.markers is not None]:
         axes = "" if markers.axes == "xyz" else f"only {markers.axes}"
@@ -235,20 +235,20 @@ def _states(c: Configuration) -> Iterator[str]:
 def _measured(
     posed: Sequence[Configuration], lanes: ConfigurationLanes
 ) -> list[tuple[str, ...]]:
-    """List what is measured in each configuration: markers together, others alone."""
+    """List what is measured: for each configuration its markers, then each effector."""
     records = dict(zip([c.name for c in posed], lanes.effectors, strict=True))
     rows: list[tuple[str, ...]] = []
     for c in posed:
         before = {r.name: r for r in records.get(c.displacement_from or "", ())}
         effectors = {e.name: e for e in c.effectors}
         n = 0 if c.markers is None else len(c.markers.names)
-        own = []
+        lines = []
         if c.markers is not None:
             noise = _noise(c.markers.std, "m") + _share(c)
             what = f"{n} marker{'s' if n > 1 else ''}"
             if c.markers.axes != "xyz":
                 what += f" along {c.markers.axes}"
-            own.append((what, _motion(records[c.name][:n], before), noise))
+            lines.append((what, _motion(records[c.name][:n], before), noise))
         for record in records[c.name][n:]:
             effector: Any = effectors[record.name]
             std = effector.std_angle if record.is_turn else effector.std
@@ -257,22 +257,22 @@ def _measured(
                 noise += _share(c)
             quantity = _QUANTITIES.get(record.quantity, record.quantity)
             what = f"{record.name}, {quantity}"
-            own.append((what, _value_seen(record, before), noise))
-        own = own or [("nothing", "", "")]
+            lines.append((what, _value_seen(record, before), noise))
+        lines = lines or [("nothing", "", "")]
         # The name stands once, on the first of its lines.
-        rows += [("" if i else c.name, *row) for i, row in enumerate(own)]
+        rows += [("" if i else c.name, *row) for i, row in enumerate(lines)]
     return rows
 
 
 def _noise(std: Any, unit: str) -> str:
-    """Write standard deviations, of several the least and the largest."""
+    """Write a standard deviation, or the smallest and the largest of several."""
     ends = dict.fromkeys([float(np.min(std)), float(np.max(std))])
     size = " to ".join(readable_values([end], unit) for end in ends)
     return f"not stated: {size} as a weight" if isinstance(std, Unstated) else size
 
 
 def _share(c: Configuration) -> str:
-    """Say what belongs to the noise beside a standard deviation."""
+    """Write the part of the noise that is a share of the motion, if there is one."""
     if c.relative_std == "estimated":
         return " and an estimated share of the motion"
     return f" and {100 * c.relative_std:.3g} % of the motion" if c.relative_std else ""
@@ -281,7 +281,7 @@ def _share(c: Configuration) -> str:
 def _motion(
     markers: Sequence[EffectorRecord], before: Mapping[str, EffectorRecord]
 ) -> str:
-    """Say how far markers were measured from where they are at rest, or were before."""
+    """Say how far markers moved since `before`, or from rest without it."""
     moved = []
     for record in (m for m in markers if m.seen.any()):
         earlier = before.get(record.name)
@@ -317,16 +317,16 @@ def _as_read(quantities: Sequence[QuantityAsRead]) -> Iterator[tuple[str, ...]]:
     """List quantities, those of a long table in one line."""
     alike = lambda q: (q.table, q.typed.split()[-1], len(q.values))
     for (table, unit, _), group in groupby(quantities, alike):
-        own = list(group)
-        if len(own) > _MOST_ALIKE:
-            text = f'{len(own)} texts in {unit}, like "{own[0].typed}"'
-            yield table, text, own[0].read
+        members = list(group)
+        if len(members) > _MOST_ALIKE:
+            text = f'{len(members)} texts in {unit}, like "{members[0].typed}"'
+            yield table, text, members[0].read
         else:
-            yield from ((q.key, f'"{q.typed}"', q.read) for q in own)
+            yield from ((q.key, f'"{q.typed}"', q.read) for q in members)
 
 
 def _commands(project: Project) -> Rows:
-    """Say which commands the project suffices for."""
+    """Say for which commands the project has all that is needed."""
     rows = []
     for command, check in (
         ("simulate", project.check_simulation),
@@ -339,7 +339,7 @@ def _commands(project: Project) -> Rows:
         except ProjectError as error:
             text = str(error).removeprefix(f"{project.path}: ")
             first, *others = [line.strip() for line in text.splitlines()]
-            # Several problems stand below their number.
+            # Where there are several, the first line only counts them.
             rows.append((f"softcal {command}", f"would refuse: {first}"))
             rows += [("", other) for other in others]
     bodies = project.model.mechanism.bodies.names
@@ -350,7 +350,7 @@ def _commands(project: Project) -> Rows:
 
 
 def mesh_lines(mesh: TetMesh) -> list[str]:
-    """Describe a mesh in one line, and each group in one, surfaces with a point on it.
+    """Describe a mesh and its groups, a line each; surfaces have a point on them.
 
     Points are written as a project file has them.
     """

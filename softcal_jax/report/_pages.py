@@ -52,31 +52,31 @@ _MARKED = "A triangle marks values that should not be used as they are."
 
 def calibration_page(
     result: CalibrationResult,
-    found: Assessment,
+    assessment: Assessment,
     data: Mapping[str, Any],
     folder: Path,
     view: PageView | None = None,
 ) -> str:
     """Write the page of a calibration from its index and the pictures in a folder."""
-    fits, own = result.configurations, found.identifiability
+    fits, outlook = result.configurations, assessment.identifiability
     agreement = result.checks.agreement if result.checks else ()
     course = [*course_charts(result), table_html(history_table(result))]
     sections = [
         Section("notes", "Notes", [bullets(data["notes"])]),
-        Section("subject", "What was calibrated", [_subject(result, found)]),
-        Section("errors", "Before and after", _errors(result, found)),
-        Section("parameters", "Parameters", _parameters(result, found)),
+        Section("subject", "What was calibrated", [_subject(result, assessment)]),
+        Section("errors", "Before and after", _errors(result, assessment)),
+        Section("parameters", "Parameters", _parameters(result, assessment)),
         Section("agreement", "Do the recordings agree?", [bullets(agreement)]),
-        Section("data", "What the data tell", _outlook(found)),
-        Section("next", "What to measure next", sentences(own.advice)),
+        Section("data", "What the data tell", _outlook(assessment)),
+        Section("next", "What to measure next", sentences(outlook.advice)),
         Section("pictures", "Pictures", _pictures(data, folder, view)),
         Section("robot", "Robot", [*map(table_html, robot_tables(fits))]),
         Section("fit", "Course of the fit", course),
-        _inner(own),
+        _inner(outlook),
         *closing("calibrate", data, [data["source"]]),
     ]
     about = {"index": "result.json", "script": view.script if view else ""}
-    verdict = verdict_of(result, found)
+    verdict = verdict_of(result, assessment)
     return page(data["name"], "Calibration", verdict, sections, **about)
 
 
@@ -103,7 +103,7 @@ def _simulation_verdict(result: SimulationResult) -> RunVerdict:
     return RunVerdict(result.headline, "good" if result.converged else "bad")
 
 
-def _subject(result: CalibrationResult, found: Assessment) -> Html:
+def _subject(result: CalibrationResult, assessment: Assessment) -> Html:
     """Tabulate what was calibrated, and from what."""
     of_role = lambda role: [f.name for f in result.configurations if f.role == role]
     spread = result.uncertainty
@@ -117,23 +117,23 @@ def _subject(result: CalibrationResult, found: Assessment) -> Html:
         "parameters": ", ".join(q.name for q in result.parameters),
         "fitted configurations": ", ".join(of_role("calibration")),
         "held-out configurations": ", ".join(of_role("validation")) or "none",
-        "measured coordinates": str(found.identifiability.n_data),
+        "measured coordinates": str(assessment.identifiability.n_data),
         "noise": noise,
         "solver": result.model.solver.name,
     }
     return facts_html("Calibration", rows)
 
 
-def _errors(result: CalibrationResult, found: Assessment) -> list[Html]:
+def _errors(result: CalibrationResult, assessment: Assessment) -> list[Html]:
     """Show how far the model is off, before and after."""
     fits = result.configurations
-    lines = [*held_out_sentences(fits), found.prediction or ""]
+    lines = [*held_out_sentences(fits), assessment.prediction or ""]
     tables = map(table_html, error_tables(fits, result.checks))
     return [*sentences(lines), *error_chart(fits), *tables]
 
 
-def _parameters(result: CalibrationResult, found: Assessment) -> list[Html]:
-    values = parameter_table(result, found.identifiability)
+def _parameters(result: CalibrationResult, assessment: Assessment) -> list[Html]:
+    values = parameter_table(result, assessment.identifiability)
     marked = any(cell.tone == "bad" for row in values.rows for cell in row)
     tables = [values, *interval_tables(result), budget_table(result)]
     starts = [] if result.starts is None else [node("pre", str(result.starts))]
@@ -141,34 +141,34 @@ def _parameters(result: CalibrationResult, found: Assessment) -> list[Html]:
     return [*legend, *map(table_html, tables), *budget_chart(result), *starts]
 
 
-def _outlook(found: Assessment) -> list[Html]:
+def _outlook(assessment: Assessment) -> list[Html]:
     """Say what the data see, and what they are blind to."""
-    own = found.identifiability
-    legend = node("p", outlook_legend(own))
-    return [*_blindness(own), table_html(outlook_table(found)), legend]
+    outlook = assessment.identifiability
+    legend = node("p", outlook_legend(outlook))
+    return [*_blindness(outlook), table_html(outlook_table(assessment)), legend]
 
 
-def _blindness(found: Identifiability) -> list[Html]:
-    first, *directions = blindness(found)
+def _blindness(outlook: Identifiability) -> list[Html]:
+    first, *directions = blindness(outlook)
     return [node("p", first), bullets(directions)]
 
 
-def _inner(found: Identifiability) -> Section:
-    tables = [*map(table_html, inner_tables(found))]
+def _inner(outlook: Identifiability) -> Section:
+    tables = [*map(table_html, inner_tables(outlook))]
     return Section("inner", "Correlation and singular values", tables)
 
 
 def _pictures(
     data: Mapping[str, Any], folder: Path, view: PageView | None
 ) -> list[Html]:
-    """Show the body to be turned, and the pictures of the configurations.
+    """Show a view of the body that can be turned, and pictures of the configurations.
 
-    A picture of what the view shows stands for it where there is none, as in print.
+    The view hides the pictures of what it shows, except in print or without scripts.
     """
     captions, viewed = {}, []
-    for own in data["configurations"]:
-        posed, role = own["name"], ROLES.get(own.get("role", ""), "simulated")
-        for name in own["files"]:
+    for entry in data["configurations"]:
+        posed, role = entry["name"], ROLES.get(entry.get("role", ""), "simulated")
+        for name in entry["files"]:
             captions[name] = f"{posed}: the recording of the markers over time"
             if Path(name).stem.endswith("_recording"):
                 continue
@@ -178,7 +178,7 @@ def _pictures(
                 viewed.append(name)
     if view is None:
         return shown_pictures(captions, folder)
-    taken = 3 * view.size // 4  # pictures grow by a third as text
+    taken = 3 * view.size // 4  # base64 makes pictures a third larger
     return [view.content, *shown_pictures(captions, folder, taken, viewed)]
 
 
@@ -188,9 +188,9 @@ def shown_pictures(
     taken: int = 0,
     viewed: Collection[str] = (),
 ) -> list[Html]:
-    """Show the pictures among some files with captions, as many as a page should hold.
+    """Show the pictures among files with captions, as many as a page should hold.
 
-    It shows `taken` bytes beside them. Those in `viewed` are hidden where a view is.
+    `taken` bytes are used already. Pictures in `viewed` are hidden where the view runs.
     """
     shown, left = [], MOST_PICTURES - taken
     for name, caption in captions.items():
@@ -211,18 +211,18 @@ def shown_pictures(
 
 
 def identifiability_page(
-    found: Identifiability | None, ranking: Ranking | None, data: Mapping[str, Any]
+    outlook: Identifiability | None, ranking: Ranking | None, data: Mapping[str, Any]
 ) -> str:
-    """Write the page of what data would tell, from the content of its index."""
+    """Write the page on what data would tell, from the content of its index."""
     verdict = RunVerdict("There is nothing to judge.", "plain")
-    sections = [Section("next", "What to measure next", _next_html(found, ranking))]
-    if found is not None:
-        verdict = _outlook_verdict(found)
-        known, blind = _outlook_html(found)
+    sections = [Section("next", "What to measure next", _next_html(outlook, ranking))]
+    if outlook is not None:
+        verdict = _outlook_verdict(outlook)
+        known, blind = _outlook_html(outlook)
         sections += [
             Section("parameters", "Parameters", known),
             Section("directions", "What the data are blind to", blind),
-            _inner(found),
+            _inner(outlook),
         ]
     elif ranking is not None:
         verdict = RunVerdict(ranking.headline, "plain")
@@ -231,24 +231,24 @@ def identifiability_page(
     return page(data["name"], "Identifiability", verdict, sections, index=index)
 
 
-def _outlook_verdict(found: Identifiability) -> RunVerdict:
-    return RunVerdict(found.headline, TONES[found.verdict])
+def _outlook_verdict(outlook: Identifiability) -> RunVerdict:
+    return RunVerdict(outlook.headline, TONES[outlook.verdict])
 
 
-def _next_html(found: Identifiability | None, ranking: Ranking | None) -> list[Html]:
+def _next_html(outlook: Identifiability | None, ranking: Ranking | None) -> list[Html]:
     """Show which candidate to measure, or what else to do."""
     if ranking is None:
-        return sentences(found.advice if found else ())
+        return sentences(outlook.advice if outlook else ())
     content = [node("p", ranking.headline)]
     if ranking.gains:
         content += [table_html(ranking.tabulated), node("p", ranking.legend)]
     return [*content, bullets(map(str, ranking.unranked))]
 
 
-def _outlook_html(found: Identifiability) -> tuple[list[Html], list[Html]]:
+def _outlook_html(outlook: Identifiability) -> tuple[list[Html], list[Html]]:
     """Show what the data would tell of the parameters, and what they are blind to."""
-    legend = sentences([outlook_legend(found)])
-    return [table_html(found.tabulated), *legend], _blindness(found)
+    legend = sentences([outlook_legend(outlook)])
+    return [table_html(outlook.tabulated), *legend], _blindness(outlook)
 
 
 def comparison_page(comparison: ModelComparison, data: Mapping[str, Any]) -> str:
@@ -283,7 +283,7 @@ def _comparison_verdict(comparison: ModelComparison) -> RunVerdict:
 def notebook_html(result: object) -> Html:
     """Write a result as the output of a cell: verdict, tables and a picture.
 
-    It is HTML that needs nothing else; `write_results` writes the whole page.
+    It is HTML that needs no other file; `write_results` writes the whole page.
 
     Raises:
         TypeError: If there is no output for such a result.
@@ -293,39 +293,39 @@ def notebook_html(result: object) -> Html:
 
 @notebook_html.register
 def _calibration_cell(result: CalibrationResult) -> Html:
-    found = assess(result)
+    assessment = assess(result)
     content = [
-        table_html(parameter_table(result, found.identifiability)),
-        *_errors(result, found),
+        table_html(parameter_table(result, assessment.identifiability)),
+        *_errors(result, assessment),
         *budget_chart(result),
         bullets(result.notes),
     ]
-    return output(verdict_of(result, found), content)
+    return output(verdict_of(result, assessment), content)
 
 
 @notebook_html.register
-def _assessment_cell(found: Assessment) -> Html:
-    tone: Tone = "good" if found.identified else "doubtful"
-    own = found.identifiability
-    content = [*sentences([own.headline]), *_known(own)]
-    content += sentences([found.prediction or ""])
-    return output(RunVerdict(found.headline, tone, found.reasons), content)
+def _assessment_cell(assessment: Assessment) -> Html:
+    tone: Tone = "good" if assessment.identified else "doubtful"
+    outlook = assessment.identifiability
+    content = [*sentences([outlook.headline]), *_known(outlook)]
+    content += sentences([assessment.prediction or ""])
+    return output(RunVerdict(assessment.headline, tone, assessment.reasons), content)
 
 
 @notebook_html.register
-def _identifiability_cell(found: Identifiability) -> Html:
-    return output(_outlook_verdict(found), _known(found))
+def _identifiability_cell(outlook: Identifiability) -> Html:
+    return output(_outlook_verdict(outlook), _known(outlook))
 
 
-def _known(found: Identifiability) -> list[Html]:
+def _known(outlook: Identifiability) -> list[Html]:
     """Show what is known of the parameters, what is not, and what to do."""
-    known, blind = _outlook_html(found)
-    return [*known, *blind, *_next_html(found, None)]
+    known, blind = _outlook_html(outlook)
+    return [*known, *blind, *_next_html(outlook, None)]
 
 
 @notebook_html.register
 def _ranking_cell(ranking: Ranking) -> Html:
-    _, *content = _next_html(None, ranking)  # the first says what the verdict says
+    _, *content = _next_html(None, ranking)  # the first repeats the verdict
     return output(RunVerdict(ranking.headline, "plain"), content)
 
 
