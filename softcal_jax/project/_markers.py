@@ -231,7 +231,7 @@ class MeasuredTable(DialectTable):
     def build(
         self, folder: Path, nominal: MarkersTable, markers: Markers
     ) -> MeasuredMarkers:
-        """Read positions of `markers` [m] in the mesh's frame; `nominal` has all markers.
+        """Read positions of `markers` [m] in the mesh's frame; `nominal` lists all.
 
         With a selection as `displacement_from` they are the nominal positions plus the
         motion between the two states, so that it does not matter exactly where a marker
