@@ -42,7 +42,7 @@ class RecordingBase(Module):
 
 
 class Observed(NamedTuple):
-    """What is read of a state: a function as of `Observation`, and how many values."""
+    """A function of a state, like that of `Observation`, and its number of values."""
 
     name: str
     n_values: int
@@ -52,23 +52,23 @@ class Observed(NamedTuple):
 
 
 class EffectorArrays(Module):
-    """Effectors in rows of three coordinates: points, turns, then what is observed.
+    """Effectors in rows of three coordinates: points, turns, then observations.
 
     Points are markers and centroids, turns orientations of rigid bodies: a recording
-    sees both in a frame of its own. All others are functions of the state, and those
-    with fewer than three values use the first coordinates. Configurations with fewer
-    rows are padded with weight zero.
+    sees both in a frame of its own. Observations are functions of the state; one with
+    fewer than three values uses the first coordinates. Configurations with fewer rows
+    are padded with weight zero.
 
     Attributes:
         nodes: Nodes that carry each point.
         weights: Their weights [-]; position = sum of weights times node positions.
         turn_body: Body of each turn.
-        turn_reference: Orientation that it is counted from, as a matrix [-].
+        turn_reference: Orientation from which each turn is counted, as a matrix [-].
         measured: Measured values, or goals, of all rows.
         inverse_std: 1 / standard deviation per coordinate; 0 where not measured.
         base: Offset of the frame of the recording.
-        is_observed: Which of the last rows this configuration has.
-        observed: What they are computed by, the same in all configurations.
+        is_observed: Which of the observations this configuration has.
+        observed: Functions of the observations, the same in all configurations.
     """
 
     nodes: Int[AnyArray, "*batch n_points n_carriers"]
@@ -139,7 +139,7 @@ class DeadLoads(Module):
 class ConfigurationArrays(Module):
     """Supports, loads and effectors of one configuration, or of a batch.
 
-    A batch has a length, and `batch[0]` is its first configuration; so has a slice. The
+    A batch has a length; `batch[0]` is its first configuration, a slice a batch. The
     nodes are those of the mesh, then those of the frames of the rigid bodies.
 
     Attributes:
@@ -183,7 +183,7 @@ class ConfigurationArrays(Module):
         return len(self.gravity)
 
     def __bool__(self) -> bool:
-        """Return True, as other records are, also without a length."""
+        """Return True, also for one configuration, which has no length."""
         return True
 
     def __iter__(self) -> "Iterator[ConfigurationArrays]":

@@ -73,11 +73,11 @@ class Configuration(Module):
         effectors: What else is measured or followed: frames of rigid bodies, lengths,
             volumes, angles, forces. Each has its own measured value.
         bodies: States of rigid bodies, by name: a `Pose` where they are held, "held",
-            "hinged", or a `BodyState`; the others are free.
+            "hinged", or a `BodyState`; bodies not named are free.
         actuation: What is imposed on actuators, by name: `ImposedForce` or
-            `ImposedDisplacement`. The others have no force, or stay at zero if motors.
+            `ImposedDisplacement`. Others have no force; other motors stay at zero.
         recording: Name of the recording that its measured values are from, by default
-            one of its own. What is off in it, like its frame, is off in all of it.
+            one of its own. Its configurations share errors, like that of its frame.
         relative_std: Standard deviation of a share of the measured motion of its
             points, common to all of them: creep, or hysteresis [-]. "estimated" finds
             one share for all configurations that say so.
@@ -280,7 +280,7 @@ def _springs(mesh: TetMesh, c: Configuration, names: tuple[str, ...], rest) -> S
 def _effector_rows(
     mesh: TetMesh, c: Configuration, mechanism: Mechanism
 ) -> list[EffectorRow]:
-    """List rows of effector coordinates: those of markers, then the others."""
+    """List rows of effector coordinates: markers first, then other effectors."""
     rows: list[EffectorRow] = []
     try:
         if c.markers is not None:
@@ -302,7 +302,7 @@ def measured_as(
     mesh: TetMesh,
     mechanism: Mechanism,
 ) -> Configuration:
-    """Replace the measured values of its effectors, in their order, turns from rest."""
+    """Replace the measured values of all effectors, in order; turns count from rest."""
     n_markers = 0 if c.markers is None else len(c.markers.names)
     used, effectors = n_markers, []
     for effector in c.effectors:

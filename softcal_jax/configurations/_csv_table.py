@@ -17,7 +17,7 @@ from softcal_jax._text import check_characters, from_cell
 from softcal_jax._typing import Float, HostArray
 
 _DELIMITERS = (",", ";", "\t", "|")
-"""What may stand between columns; the header has most of it."""
+"""Known delimiters of columns; the most frequent one in the header is taken."""
 
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 
@@ -38,7 +38,7 @@ class CsvTable(NamedTuple):
     """Selected rows of a file, as cells by column, and their lines from 1.
 
     `key` is the column that names what a row is about: "marker" or "sensor", and
-    `point` what stands before the decimals of a number.
+    `point` is the decimal point or comma.
     """
 
     path: Path
@@ -69,7 +69,7 @@ class CsvTable(NamedTuple):
     def check_columns(self, columns: Iterable[str]) -> None:
         """Raise ValueError for a column that is not in the header."""
         columns = list(columns)
-        # One that is asked for as well is no misspelt other.
+        # A column that is asked for itself is not suggested for another.
         others = [c for c in self.header if c not in columns]
         for column in columns:
             if column not in self.header:
@@ -155,7 +155,7 @@ def read_cells(
 
 
 def parse_number(cell: str, point: str, what: str = "a cell") -> float:
-    """Read a number with a decimal point or comma; `what` it is opens the message."""
+    """Read a number with a decimal point or comma; `what` names it in messages."""
     if point == "," and "." in cell:
         raise ValueError(
             f"{what} is {cell!r}, with a point in a file that has decimal commas: "

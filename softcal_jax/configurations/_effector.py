@@ -1,6 +1,6 @@
 """Effectors: their rows for the solver (paper Sec. II), arrays, and records of them.
 
-Each is a sensor where it has a measured value; control brings the others to goals.
+Each is a sensor where it has a measured value; for control this value is its goal.
 """
 
 import math
@@ -26,16 +26,16 @@ Quantity = Literal["point", "turn", "scalar", "force", "reaction", "observation"
 
 
 class Unstated(float):
-    """A default standard deviation, which weighs data but states nothing of them."""
+    """A default standard deviation: it weighs data, but does not state their noise."""
 
 
 class EffectorRow(NamedTuple):
     """Up to three coordinates of an effector, as the solver sees them.
 
-    Nodes carry a point, with weights [-]; a turn is that of a body, by its index, and
-    counted from a reference. All others have a function, as of `Observation`, and the
-    number of its values. Measured values are NaN where there is none, and `inverse_std`
-    is 0 for a coordinate that does not count.
+    A point is carried by nodes with weights [-]; a turn has the index of its body and
+    the reference from which it is counted. Other quantities have a function, like that
+    of `Observation`, and the number of its values. Measured values are NaN where there
+    is none, and `inverse_std` is 0 for a coordinate that does not count.
     """
 
     name: str
@@ -52,7 +52,7 @@ class EffectorRow(NamedTuple):
 
     @property
     def observed(self) -> Observed | None:
-        """What is read of the state, by which its row is found again, if it is so."""
+        """The function that identifies the row; None for points and turns."""
         if self.function is None:
             return None
         return Observed(self.name, self.n_values, self.function)
@@ -95,7 +95,7 @@ class AbstractEffector(Module):
     def measured_as(
         self, values: Float[HostArray, "k 3"], mechanism: Mechanism
     ) -> "AbstractEffector":
-        """Return it with other measured values: a row for each of `rows`, from rest."""
+        """Return the effector with other measured values, one per row and from rest."""
         return replace(self, measured=values[0])  # pyright: ignore
 
 
@@ -110,9 +110,9 @@ class AbstractScalar(AbstractEffector):
     def _row(
         self, quantity: Quantity, unit: str, function: Callable[..., Any]
     ) -> tuple[EffectorRow, ...]:
-        own: Any = self
+        scalar: Any = self
         row = EffectorRow(self.name, quantity, unit, function=function, n_values=1)
-        return row.with_value(own.measured, own.std)
+        return row.with_value(scalar.measured, scalar.std)
 
 
 def inverse_std(
@@ -142,7 +142,7 @@ class EffectorRecord(Module):
             A turn is counted from the measured one.
         std: Their standard deviation; infinite for a coordinate that was not measured.
         reference: Of a turn, the orientation that it is counted from, as a matrix [-].
-        at_rest: Of a point, its position on the undeformed robot [m]; of others NaN.
+        at_rest: Of a point, its position on the undeformed robot [m]; otherwise NaN.
         simulated_before: Simulated values with the start parameters; NaN without
             an equilibrium, and where nothing was calibrated.
         simulated: Simulated values of the result; NaN without an equilibrium.
@@ -174,7 +174,7 @@ class EffectorRecord(Module):
         return self.simulated - self.measured
 
     def error(self, values: Float[HostArray, " k"]) -> Float[HostArray, " k"]:
-        """Subtract the measured values from others; 0 where not measured."""
+        """Subtract the measured from the given values; 0 where not measured."""
         return np.where(self.seen, values - self.measured, 0.0)
 
     def among(self, rows: Float[ArrayLike, "n_rows 3"]) -> Float[HostArray, " k"]:
@@ -214,7 +214,7 @@ def check_numbers(
     W_ep = np.asarray(W_ep).reshape(*values.shape, np.shape(W_ep)[-1])
     for name, of_pose, *lane in zip(poses, records, values, W_ep, strict=False):
         for e in of_pose:
-            bad = [not np.isfinite(own[e.index, : len(e.std)]).all() for own in lane]
+            bad = [not np.isfinite(rows[e.index, : len(e.std)]).all() for rows in lane]
             if any(bad):
                 what = "value" if bad[0] else "derivative"
                 raise ValueError(
@@ -272,7 +272,7 @@ def _stack(
 
 
 FAR = 3.0
-"""Distance over the size of the robot from which a point is hardly meant so [-]."""
+"""Distance, in sizes of the robot, beyond which a point is probably a mistake [-]."""
 
 
 def motions(records: Iterable[EffectorRecord]) -> dict[str, Float[HostArray, " k"]]:

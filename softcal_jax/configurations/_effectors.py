@@ -30,7 +30,7 @@ from softcal_jax.mesh import TetMesh, node_indices
 
 
 class _Reading(NamedTuple):
-    """A reading as of `Observation`; two are the same if what they are of is."""
+    """A function like that of `Observation`; equal if `function` and `of` are equal."""
 
     function: Callable[..., Any]
     of: Any
@@ -225,14 +225,14 @@ class ActuatorForce(AbstractScalar):
 class Observation(AbstractEffector):
     """A reading of one's own: any function of the robot in equilibrium.
 
-    Its derivatives are found by autodiff, so it calls what JAX can differentiate.
+    Its derivatives are found by autodiff, so JAX must be able to differentiate it.
 
     Attributes:
-        function: Takes model, configuration (a lane of `lanes`) and state, of which
-            `displacement` are those of the nodes [m], `actuator_forces` and
-            `actuator_displacements` lambda_a and delta_a of all actuators, and
-            `ground_forces` those on each node [N]; `body_rotations` are matrices. It
-            returns one number, or a vector of two or three.
+        function: Takes model, configuration (a lane of `lanes`) and state; returns one
+            number, or a vector of two or three. The state has the `displacement` of the
+            nodes [m], `actuator_forces` lambda_a and `actuator_displacements` delta_a
+            of all actuators, `ground_forces` on the nodes [N], and `body_rotations` as
+            matrices.
         unit: Its unit, for tables.
         measured: Measured value, with as many numbers.
         std: Standard deviation, one for all or one for each; as many as there are
@@ -262,7 +262,7 @@ class Observation(AbstractEffector):
 
     @property
     def n_values(self) -> int:
-        """Number of values, by what is measured or else by `std`."""
+        """Number of values: as many as are measured, or else as `std` has."""
         return np.size(self.std if self.measured is None else self.measured)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
@@ -285,8 +285,8 @@ class Observation(AbstractEffector):
     def measured_as(
         self, values: Float[HostArray, "k 3"], mechanism: Mechanism
     ) -> "Observation":
-        own = values[0, : self.n_values]
-        return replace(self, measured=own if own.size > 1 else float(own[0]))
+        value = values[0, : self.n_values]
+        return replace(self, measured=value if value.size > 1 else float(value[0]))
 
 
 def _index_of(wanted: str, names: Sequence[str], kind: str, owner: str) -> int:

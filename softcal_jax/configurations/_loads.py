@@ -51,8 +51,8 @@ class PointForce(AbstractLoad):
         point = three_numbers("point", "m", self.point)
         force = three_numbers("force", "N", self.force)
         near, names = 1e-3 * mesh.size, ["the point of the force"]
-        at = locate(mesh, point[None], max_distance=near, names=names)
-        return _added(mesh, at.nodes[0], at.weights[0][:, None] * force)
+        place = locate(mesh, point[None], max_distance=near, names=names)
+        return _added(mesh, place.nodes[0], place.weights[0][:, None] * force)
 
 
 class NodalForces(AbstractLoad):

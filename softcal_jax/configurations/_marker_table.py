@@ -100,7 +100,7 @@ class MarkerTable(Module):
         positions: Their positions; nan where the file says so or is blank [m].
         places: Where in the source each was, for messages, like "line 7".
         source: What was read, for messages.
-        covariances: How single frames of a window of a recording scatter around their
+        covariances: Covariance of the frames of a window of a recording about their
             mean; nan where fewer than two of them saw a marker [m2].
         window: First and last time of that window in the recording [s].
     """
@@ -125,8 +125,8 @@ class MarkerTable(Module):
         """Return the scatter of single frames of some markers [m2].
 
         Raises:
-            ValueError: If a marker is not there, they are no means over a window, or
-                fewer than two frames of it saw a marker.
+            ValueError: If a marker is missing, the positions are not means over a
+                window, or fewer than two frames of the window saw a marker.
         """
         if self.covariances is None:
             raise ValueError(
@@ -148,7 +148,7 @@ class MarkerTable(Module):
 
 
 def index_of(name: str, names: Sequence[str], source: str) -> int:
-    """Return the index of a marker of what was read."""
+    """Return the index of a marker among the names that a source has."""
     if name not in names:
         raise ValueError(
             f"{source} has no marker {name!r}.{suggestion(name, names)} It has "
@@ -178,9 +178,9 @@ def read_markers(
         length_unit: Unit of the coordinates: "m", "cm", "mm", "um" or "inch"; not
             needed where the columns carry it.
         select: Values by column; only the rows that have them all are taken.
-        delimiter: What stands between columns: ",", ";", a tab or "|"; by default what
-            the header has most of.
-        decimal: "." or ","; by default told from the numbers.
+        delimiter: What stands between columns: ",", ";", a tab or "|"; by default the
+            most frequent one in the header.
+        decimal: "." or ","; by default whichever the numbers have.
 
     Raises:
         FileNotFoundError: If there is no such file.

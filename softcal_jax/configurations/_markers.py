@@ -120,20 +120,20 @@ def marker_rows(
 def _carriers(
     mesh: TetMesh, markers: Markers
 ) -> list[tuple[Int[HostArray, " n"], Float[HostArray, " n"]]]:
-    """Find nodes whose positions, summed with weights, are those of each marker."""
-    at = locate(
+    """Find the nodes that carry each marker, and their weights [-]."""
+    places = locate(
         mesh,
         markers.positions,
         max_distance=markers.max_distance,
         names=[f"marker {name!r}" for name in markers.names],
     )
     if markers.base_radius == 0.0:
-        return list(zip(at.nodes, at.weights, strict=True))
+        return list(zip(places.nodes, places.weights, strict=True))
     # The volume of each tet is shared evenly among its nodes: integrals of quadratic
     # shape functions would give corners a negative share.
     volume = np.zeros(mesh.n_nodes)
     np.add.at(volume, mesh.tets, volumes(mesh)[:, None] / mesh.tets.shape[1])
-    feet = zip(at.foot, markers.positions, markers.names, strict=True)
+    feet = zip(places.foot, markers.positions, markers.names, strict=True)
     return [_patch(mesh, volume, *foot, radius=markers.base_radius) for foot in feet]
 
 

@@ -30,7 +30,7 @@ from softcal_jax.mesh import TetMesh
 class Mechanism(Module):
     """Rigid bodies and actuators of a model; either may be missing.
 
-    Node indices run on from those of the mesh to four for each body's frame.
+    The nodes of the mesh are followed by four nodes for the frame of each body.
 
     Attributes:
         points: All nodes at rest, the frame nodes of the bodies last [m].
@@ -136,7 +136,7 @@ BodyStates = Mapping[str, BodyState | Pose | str]
 def actuation_arrays(
     mechanism: Mechanism, actuation: Actuation, configuration: str
 ) -> ActuationArrays:
-    """Stack what is imposed on each actuator in the configuration of a name.
+    """Stack what is imposed on each actuator; messages name the `configuration`.
 
     A cable or chamber that is not named has no force, a motor stays at its zero.
 
@@ -154,12 +154,12 @@ def actuation_arrays(
             raise unknown_name(f"actuator of {what}", name, actuators.names)
         a = actuators.names.index(name)
         kind = actuators.kinds[a]
-        own = f"{what}: {kind.noun} {name!r}"
+        label = f"{what}: {kind.noun} {name!r}"
         imposed = isinstance(asked, ImposedDisplacement)
         unit = kind.displacement_unit if imposed else kind.force_unit
         if unit is None:
             raise ValueError(
-                f"{own} has no displacement that could be imposed; give "
+                f"{label} has no displacement that could be imposed; give "
                 f"ImposedForce(...) [{kind.force_unit}]."
             )
         turns, pulls = motor[a] and imposed, kind.unilateral and not imposed
@@ -167,14 +167,14 @@ def actuation_arrays(
         high = np.pi if turns else np.inf
         if not (np.isfinite(asked.value) and low <= asked.value <= high):
             raise ValueError(
-                f"{own} has the value {asked.value:g} {unit}; expected a finite one, "
+                f"{label} has the value {asked.value:g} {unit}; expected a finite one, "
                 "not negative where it only pulls, and from -pi to pi for an angle "
                 "(np.deg2rad turns degrees into radians)."
             )
         if asked.releasing and not actuators.has_friction[a]:
             raise ValueError(
-                f"{own} is said to be releasing, but has no friction: leave it out, or "
-                f"give the {kind.noun} friction."
+                f"{label} is said to be releasing, but has no friction: leave it out, "
+                f"or give the {kind.noun} friction."
             )
         by_displacement[a], value[a] = imposed, asked.value
         releasing[a] = asked.releasing

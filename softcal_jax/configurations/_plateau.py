@@ -11,7 +11,7 @@ STILL = 0.02
 """Share of the largest motion by which markers may wander on a plateau [-]."""
 
 NOISE = 4.0
-"""Standard deviations of the noise that this may be exceeded by [-]."""
+"""Standard deviations of the noise by which `STILL` may be exceeded [-]."""
 
 FEWEST = 5
 """Fewest frames of a plateau: fewer hardly have a trend."""
@@ -31,22 +31,22 @@ def find_plateau(
 
     A marker has moved in a frame in which it is farther from where it was first seen
     than half of its largest distance from there; where no marker moves by more than
-    its noise, all frames count. Of the stretches of `length` in such frames, the one
-    over which the marker that scatters most does so least is the core. The plateau is
+    its noise, all frames count. Of the stretches of `length` in such frames, the core
+    is the one with the least scatter of its most scattered marker. The plateau is
     all frames around it, without a break, in which no marker, averaged over five
     frames, is farther from its mean over the core than 2 % of the largest
     motion and four standard deviations of the noise.
 
-    It is looked for in the frames with `times` and `positions`, nan where a marker was
-    occluded; motion and noise are those of the `whole` recording [s, m]. Returned are
-    the first of its frames, and the one after its last.
+    Only frames with `times` and `positions` are searched, nan where a marker was
+    occluded; motion and noise are those of the `whole` recording [s, m]. The first
+    frame of the plateau is returned, and the frame after its last.
     """
     if not length > 0.0:
         raise ValueError(f"a plateau has a positive length [s], got {length:g}.")
     away = np.linalg.norm(positions - _first_seen(whole), axis=2)
     moved = np.linalg.norm(whole - _first_seen(whole), axis=2)
     motion = np.max(moved, axis=0, initial=0.0, where=np.isfinite(moved))
-    # Of the distance, which has three coordinates.
+    # Noise of a distance, which has three coordinates.
     noise = NOISE * np.sqrt(3.0) * _noise(whole)
     moving = motion > 2.0 * noise + 1e-12  # the first frame has noise as well
     allowed = STILL * np.max(motion[moving], initial=0.0) + noise
@@ -57,13 +57,13 @@ def find_plateau(
     held = (total >= HELD * n_seen) & (n_seen > 0) | ~moving.any()
     first, stop = _stretches(times, held, length)
     mean = _means(positions)
-    # About where they were seen first, so that no digits are lost.
+    # Relative to where they were first seen, so that no digits are lost.
     near = np.nan_to_num(_first_seen(positions))
     square = _means(np.square(positions - near))(first, stop)
     scatter = np.sum(square - np.square(mean(first, stop) - near), axis=2)
     scatter = np.where(np.isfinite(scatter), scatter, -np.inf)
     spread = scatter.max(axis=1, initial=-np.inf)
-    spread = np.where(spread > -np.inf, spread, np.inf)  # of one that sees no marker
+    spread = np.where(spread > -np.inf, spread, np.inf)  # if no marker is seen
     if not np.any(np.isfinite(spread)):
         raise ValueError(
             f"the markers are held for less than {length:g} s away from where they "
@@ -71,7 +71,7 @@ def find_plateau(
         )
     k = int(np.argmin(spread))
     best = int(first[k]), int(stop[k])
-    # Over some frames, so that a single one that is off ends nothing.
+    # Averaged over some frames, so that one outlier does not end the plateau.
     around = np.clip(np.arange(len(times)) - FEWEST // 2, 0, len(times) - FEWEST)
     smooth = mean(around, around + FEWEST)
     off = np.linalg.norm(smooth - mean(first[k], stop[k]), axis=2)
@@ -92,7 +92,7 @@ def find_plateau(
 
 
 def _stretches(times, held, length):
-    """Return first frames of stretches of held frames, and those after their ends."""
+    """Return first frames of stretches of held frames, and the frames after them."""
     # Times are multiples of the frame's length, up to rounding.
     stop = np.searchsorted(times, times + length * (1.0 - 1e-9)) + 1
     first = np.arange(len(times))
@@ -105,7 +105,7 @@ def _stretches(times, held, length):
 
 
 def _means(positions):
-    """Return a function for means over stretches, of the frames that see a marker."""
+    """Return a function that averages, over stretches, frames that see a marker."""
     seen = np.isfinite(positions).all(axis=2, keepdims=True)
     # From a point nearby, so that sums of many frames lose no digits.
     near = np.nan_to_num(_first_seen(positions))

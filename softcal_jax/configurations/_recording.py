@@ -22,8 +22,8 @@ class Recording(Module):
     """Positions of markers over time, in the frame of the cameras.
 
     A pose is the mean over a window of time. Times count from the first frame, or from
-    an event: the step of a marker, or one that was named when it was recorded; negative
-    ones are then before it.
+    an event: the step of a marker, or an event that was named when it was recorded;
+    negative times are before the event.
 
     Attributes:
         names: Labels of the markers.
@@ -142,9 +142,9 @@ class Recording(Module):
     ) -> MarkerTable:
         """Return mean positions while the markers stand still after they have moved.
 
-        See `find_plateau` for what that is. It has at least a `length` [s], and lies
+        `find_plateau` defines a plateau. It lasts at least a `length` [s], and lies
         after the step or event, see `between`; where nothing moves, the whole recording
-        is one.
+        is a plateau.
 
         Raises:
             ValueError: If there is none of that length, or no such step or event.
@@ -165,7 +165,7 @@ class Recording(Module):
         return self._mean(inside, window)
 
     def renamed(self, labels: Mapping[str, str]) -> "Recording":
-        """Return it with other names of markers, whose labels are given by these names.
+        """Return it with new names of markers; `labels` are the old names by the new.
 
         Raises:
             ValueError: If a label is not there, or two markers would share a name.
@@ -184,7 +184,7 @@ class Recording(Module):
     def _zero(
         self, after_step_of: str | None, after_event: str | None
     ) -> tuple[float, str]:
-        """Return the time that others are counted from [s], and the words for it."""
+        """Return the time from which times count [s], and words for it in messages."""
         if None not in (after_step_of, after_event):
             raise ValueError(
                 f"times count from the step of {after_step_of!r} or from the event "
@@ -219,8 +219,8 @@ class Recording(Module):
 class Traces(Module):
     """A recording, and which parts of it were used, to be looked at.
 
-    `windows` are first and last time of what was averaged, by what it is for [s];
-    `names` are labels of the markers that count.
+    `windows` are the first and last time of each averaged window, by its purpose [s];
+    `names` are labels of the markers that were used.
     """
 
     recording: Recording

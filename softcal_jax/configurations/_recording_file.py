@@ -32,7 +32,7 @@ def read_recording(
     Options are for tables only.
 
     Raises:
-        ValueError: As those, or if something is given that .c3d files state.
+        ValueError: As these functions, or if an option is given for a .c3d file.
     """
     dialect = {"length_unit": length_unit, "delimiter": delimiter, "decimal": decimal}
     if Path(path).suffix.lower() != C3D:

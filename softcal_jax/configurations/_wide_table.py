@@ -30,7 +30,7 @@ from softcal_jax.configurations._csv_table import (
 from softcal_jax.configurations._recording import Recording
 
 _GAPS = {"", "nan", "null"}
-"""What stands for a coordinate of a marker that was not seen, in small letters."""
+"""What stands for a coordinate of a marker that was not seen, in lower case."""
 
 _WORDS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm", "Inches": "inch"}
 _STATED_METRES = METRES | {word: METRES[unit] for word, unit in _WORDS.items()}
@@ -42,8 +42,8 @@ _CELL = "a cell (blank, nan or NULL where a marker was not seen)"
 class _Layout(NamedTuple):
     """What the lines above the numbers say.
 
-    Each label has the first of its three columns, and events have times [s]. What is in
-    the `time_column`, or else the number of the row, is divided by `rate` for a time in
+    Each label has the first of its three columns, and events have times [s]. The number
+    in the `time_column`, or else the number of the row, over `rate` is the time in
     seconds. `zero_is_gap` where a marker at exactly (0, 0, 0) was not seen.
     """
 
@@ -67,8 +67,8 @@ def read_wide_table(
 
     Labels and unit are those of the header, and blank cells are occlusions; in a file
     of QTM, which may write zeros instead, so are markers at exactly (0, 0, 0). Of
-    Motive's columns those of type "Marker" are read, which were seen, and not the
-    solved ones of rigid bodies.
+    Motive's columns only the measured ones, of type "Marker", are read, and not those
+    that it computes from rigid bodies.
 
     The `length_unit` is for a file that states none, like those of QTM (which are in
     mm); `delimiter` and `decimal` are as for `read_markers`.
@@ -120,7 +120,7 @@ def is_wide_table(path: Path) -> bool:
 
 
 def _rows_of(path: Path, delimiter: str | None) -> tuple[NumberedCells, str]:
-    """Split a file into cells, and tell the delimiter from the header, if any."""
+    """Split a file into cells, by a given delimiter or else that of the header."""
     lines = read_lines(path, "recording")
     delimiter = delimiter or delimiter_of(text for _, text in lines[:12])
     rows = read_cells(path, lines, delimiter)
@@ -190,7 +190,7 @@ def _starts(rows: NumberedCells) -> list[str]:
 def _motive(rows: NumberedCells) -> _Layout:
     """Read the header of Motive: types, names, IDs, what each column is, and axes."""
     about, header = rows[0][1], _starts(rows).index("Frame")
-    # Between are types, names, in most versions IDs and parents, and what it is.
+    # Rows between: types, names, in most versions IDs and parents, quantities.
     (_, types), (_, names), *_, (_, whats) = rows[1:header]
     axes = rows[header][1]
     labels = [
@@ -260,7 +260,7 @@ def _qualisys(rows: NumberedCells) -> _Layout:
 
 
 class _Program(NamedTuple):
-    """A program: how it lays out a table, and what of it to export."""
+    """A program: how it lays out a table, and what to export from it."""
 
     name: str
     layout: Callable[[NumberedCells], _Layout]

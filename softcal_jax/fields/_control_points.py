@@ -130,8 +130,8 @@ class ControlPoints(Module):
         to d_ij^-power, with d_ij the distance from point i [m] to control point j. Rows
         sum to one; a point on a control point takes that control point alone.
         """
-        at = [jnp.asarray(x, float) for x in (points, self.positions)]
-        return _weights(*at, self.power, tuple(self.columns), self.nearest)
+        x, c = (jnp.asarray(p, float) for p in (points, self.positions))
+        return _weights(x, c, self.power, tuple(self.columns), self.nearest)
 
 
 @partial(jax.jit, static_argnums=(3, 4))

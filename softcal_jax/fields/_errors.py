@@ -22,7 +22,7 @@ from softcal_jax.fields._setup import AbstractSetupEntry
 
 
 class AbstractError(AbstractEntry):
-    """One unknown about zero, counted in its standard deviation.
+    """One unknown about zero, in units of its standard deviation.
 
     Attributes:
         name: Its name.
@@ -75,9 +75,9 @@ class FieldError(AbstractError):
 
 
 class SetupError(AbstractError, AbstractSetupEntry):
-    """An error of the setup, the loads or a recording, beside its present value.
+    """An error of the setup, the loads or a recording, added to its present value.
 
-    That of a factor is relative; for `kind`, `of` and `axis` see `SetupParameter`.
+    The error of a factor is relative; for `kind`, `of` and `axis` see `SetupParameter`.
     """
 
     kind: str = eqx.field(static=True)

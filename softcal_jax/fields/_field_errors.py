@@ -22,8 +22,8 @@ def field_standard_errors(
 
     To first order, the square root of the diagonal of J Sigma J^T, where J = df/dz is
     the derivative of the field by the scaled parameters. Where a parameter without a
-    standard error acts, nan in the covariance Sigma of z, the result is nan too. It is
-    in the unit of the field, by its name in the space.
+    standard error acts, with nan in the covariance Sigma of z, the error is nan too.
+    Errors are in the unit of their field, by its name in the space.
     """
     known = np.isfinite(np.diag(covariance))
     size, directions = np.linalg.eigh(covariance[np.ix_(known, known)])

@@ -219,7 +219,7 @@ class FadingAxis(NamedTuple):
     def apply(self, model: Any, values: Values) -> Any:
         """Reduce the contrast of the moduli in the cores; their geometric mean stays.
 
-        The model has the three fields as without a core.
+        `model` has the three fields as they would be without a core.
         """
         low = jnp.log(self.small.evaluate(model.mesh, values))
         high = jnp.log(self.large.evaluate(model.mesh, values))
@@ -232,7 +232,7 @@ class FadingAxis(NamedTuple):
 def fading_axes(entries: Entries, axes: Groups) -> list[FadingAxis]:
     """Return the axes whose angle has a core."""
     fields = [e for e in entries if isinstance(e, ControlPointParameters)]
-    found = []
+    fading = []
     for angle in fields:
         if angle.core == 0.0:
             continue
@@ -250,5 +250,5 @@ def fading_axes(entries: Entries, axes: Groups) -> list[FadingAxis]:
                     f"{angle.field} has a core, and {field} is not set where it is: "
                     f"give both region={angle.region!r}, or leave core out."
                 )
-        found.append(FadingAxis(*(beside[field] for field in axis)))
-    return found
+        fading.append(FadingAxis(*(beside[field] for field in axis)))
+    return fading

@@ -20,10 +20,10 @@ Value = TypeVar("Value")
 
 
 class once(cached_property[Value]):
-    """Property whose first value is kept, for what loops on the host ask for often.
+    """Property whose first value is kept, for values that loops on the host use often.
 
-    Unlike that of its base, a traced value is never kept: it is of no use outside its
-    trace, and another thread would take it.
+    Unlike in `cached_property`, a traced value is never kept: it is of no use outside
+    its trace, and another thread would take it.
     """
 
     if not TYPE_CHECKING:  # its type is that of the base

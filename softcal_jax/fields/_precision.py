@@ -10,8 +10,8 @@ For a precision p, 0.1 by default, the asked standard error is
     zeros of motors, mountings, tilts of gravity,
     offsets and turns of a recording                 10 p times the default `Uncertain`
 
-so that an error of the setup counts as found once it is known as well as careful work
-leaves it. Bounds do not enter: they are typed, not measured.
+so that an error of the setup counts as known once its standard error is as small as
+after careful work. Bounds do not enter: they are typed, not measured.
 """
 
 import jax
@@ -27,7 +27,7 @@ PRECISION = 0.1
 """Standard error that is asked for by default, relative to the value [-]."""
 
 _LEAST = 1e-9
-"""Smallest scaled standard error that is asked for: a value of zero has none [-]."""
+"""Smallest scaled standard error that is asked for: a value of zero would ask for 0."""
 
 
 def asked_errors(

@@ -45,7 +45,7 @@ class Poses(Module):
 def each_of(
     names: Sequence[str], present: Bool[HostArray, "n_c n"]
 ) -> dict[str, Scope]:
-    """Return one error for each name, of the configurations that have what it names."""
+    """Return a scope for each name: one error for all configurations that have it."""
     return {
         name: tuple("" if has_it else None for has_it in flags)
         for name, flags in zip(names, present.T, strict=True)
@@ -66,22 +66,22 @@ class Quantity(NamedTuple):
 
     Attributes:
         title: Name of an unknown, with {of} and {axis} filled in.
-        put: Changes an entry: of (owner, index, function of the old value). The owner
-            is the model or a configuration.
+        put: Function that changes an entry, of (owner, index, function of the old
+            value). The owner is the model or a configuration.
         noun: What its first axis enumerates, like "motor"; empty if nothing.
         names: Names along the first axis, from the owner.
         components: Names along the last axis; empty for one number.
-        relative: Whether errors are relative to the value, as those of factors are; a
-            parameter of it has a log scale.
+        relative: Whether errors are relative to the value, as those of factors are; its
+            parameter then has a log scale.
         unit: SI unit, for tables.
         least: Smallest value that it can have at all, in SI units.
-        of_configuration: Whether each configuration has such an array, or the model.
-        uncertain: Field of `Uncertain` that says how far off it usually is, if any.
+        of_configuration: Whether each configuration has the array, and not the model.
+        uncertain: Field of `Uncertain` with its usual standard deviation, if any.
         role: What an error of it is where it is not fitted: "considered", part of the
             "noise" that weighs the data, or "none".
         occurs: Where such an error can occur, by the name of what it belongs to, like
             the motor; empty for everywhere.
-        absent: What is said where it can occur nowhere, with {of} filled in.
+        absent: Message if it can occur nowhere, with {of} filled in.
     """
 
     title: str
@@ -121,7 +121,7 @@ def entry_of(path: str) -> Put:
 def actuators_where(
     which: Callable[[Any], Sequence[bool]],
 ) -> Callable[[Any], list[str]]:
-    """Make the function that names all actuators, those not of a kind empty."""
+    """Make the function that names all actuators, but "" for those not of a kind."""
 
     def names(model: Any) -> list[str]:
         actuators = model.mechanism.actuators
@@ -147,7 +147,7 @@ class AbstractSetupEntry(AbstractEntry):
 
     @property
     def quantity(self) -> Quantity:
-        """What it sets."""
+        """The quantity of which it sets an entry."""
         return QUANTITIES[self.kind]
 
     def check(self, model: Any) -> None:
@@ -156,7 +156,7 @@ class AbstractSetupEntry(AbstractEntry):
             self._index(model)
 
     def _index(self, owner: Any) -> tuple[int, ...]:
-        """Find what it sets in the array of its quantity."""
+        """Find the index of its entry in the array of its quantity."""
         quantity, index = self.quantity, ()
         if quantity.noun:
             names = list(quantity.names(owner))

@@ -2,7 +2,7 @@
 
 To add a kind, declare here what it sets and where it can occur, and write the function
 that makes parameters of it, which `fields` exports and `project._setup` gives a table.
-One that counts where it is not fitted has a standard deviation in `Uncertain`.
+A kind that counts even if it is not fitted has a standard deviation in `Uncertain`.
 """
 
 from collections.abc import Sequence
@@ -48,11 +48,11 @@ class Uncertain(Module):
     """Standard deviations of what a calibration holds fixed; zero switches one off.
 
     The defaults are those of careful work on a bench. They count where the robot has
-    such a thing and nobody calibrates it; see `ErrorBudget`. The fields are the keys of
-    [uncertain] in a project file.
+    such a quantity and it is not calibrated; see `ErrorBudget`. The fields are the keys
+    of [uncertain] in a project file.
 
     Attributes:
-        nu: Poisson's ratios of the law [-]; at most half of what is left up to 1/2.
+        nu: Poisson's ratios of the law [-]; at most half of the gap to 1/2.
         density: Density of the body, relative [-]. One error for the whole body.
         gravity: Direction of gravity in the frame of the mesh, about each of two axes
             [rad]. One error for all configurations that state the same gravity.
@@ -60,12 +60,12 @@ class Uncertain(Module):
             configurations, since they are weighed on the same scale: such an error is
             not averaged away.
         actuators: Imposed forces, relative [-]. One error for each actuator.
-        clamp: Depth at which what holds the body really grips it, along the normal of
-            its faces [m]. One error for all configurations that are held alike.
+        clamp: Depth at which a clamp really grips the body, along the normal of its
+            faces [m]. One error for all configurations that are held alike.
         supports: Stiffness of elastic supports, relative [-]. One error for each.
         recordings: Offset of the points of a recording, along each axis [m]. Unlike the
-            others it belongs to the noise: a fit weighs its data by it. "estimated"
-            finds it from how far recordings differ, where there are enough of them.
+            other fields it belongs to the noise, by which a fit weighs its data.
+            "estimated" takes it from how far recordings differ, where there are enough.
         zeros: Zero error of each motor [rad].
         mountings: Place of each held rigid body, along each axis [m].
         mesh: Error of the mesh, in units of its estimate [-]. One error for all
@@ -87,7 +87,7 @@ class Uncertain(Module):
 
     @property
     def estimated(self) -> tuple[str, ...]:
-        """Names of what is not stated, but found beside the fit."""
+        """Names of the fields that are not stated, but estimated beside the fit."""
         of_noise = {q.uncertain for q in QUANTITIES.values() if q.role == "noise"}
         return tuple(n for n in sorted(of_noise) if getattr(self, n) == "estimated")
 
@@ -101,7 +101,7 @@ class Uncertain(Module):
 
 
 def exactly_known() -> Uncertain:
-    """Return what leaves the noise as the only source of error."""
+    """Return an `Uncertain` that leaves the noise as the only source of error."""
     return Uncertain(**{field.name: 0.0 for field in fields(Uncertain)})
 
 
@@ -156,7 +156,7 @@ def mounting(
 
 
 def _put_friction(model: Any, index: tuple[int, ...], change: Change) -> Any:
-    # One for all configurations, so that the old one is not asked for.
+    # One coefficient for all configurations: the old one is not needed.
     actuators = model.mechanism.actuators.with_friction(*index, change(None))
     return eqx.tree_at(lambda m: m.mechanism.actuators, model, actuators)
 

@@ -275,19 +275,19 @@ class ParameterSpace(Module):
         configuration: Any,
         z: Scaled,
         columns: Int[HostArray, " n"] | Sequence[int] = (),
-        own: Float[Array, " n"] | Sequence[float] = (),
+        coordinates: Float[Array, " n"] | Sequence[float] = (),
     ) -> tuple[Any, Any]:
         """Set the values of scaled coordinates in a model and a configuration.
 
         Setting them again changes nothing. The configuration is None where only the
-        model is wanted. For derivatives by some coordinates, `own` has their values in
-        place of those in `z`, and `columns` their indices [-].
+        model is wanted. For derivatives by some coordinates, `coordinates` has their
+        values in place of those in `z`, and `columns` their indices [-].
 
         Raises:
             ValueError: If either lacks what a parameter sets.
         """
         scaled = [coordinate for _, coordinate in self._pairs(z)]
-        for column, value in zip(columns, own, strict=True):
+        for column, value in zip(columns, coordinates, strict=True):
             scaled[column] = value
         pairs = zip(self.parameters, scaled, strict=True)
         values = {q.name: q.from_scaled(coordinate) for q, coordinate in pairs}
@@ -315,7 +315,7 @@ class ParameterSpace(Module):
 
     @property
     def sets_fields(self) -> tuple[bool, ...]:
-        """Whether each parameter sets such fields and nothing else."""
+        """Whether each parameter sets some of `field_names` and nothing else."""
         return tuple(bool(e.fields) for e in self.entries for _ in e.parameters)
 
 

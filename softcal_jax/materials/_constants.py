@@ -73,7 +73,7 @@ def constant(
         unit: SI unit, like "Pa"; "" for a plain number, "rad" for the angle of an axis.
         words: What it is, with an example: 'bulk modulus: "2 MPa"'.
         within: Open interval that the bounds of a parameter must lie in; by default
-            what is positive for a modulus, and anything for a number or an angle.
+            all positive values of a modulus, and all values of a number or an angle.
         may_vanish: Whether 0 is allowed too, as for a body without fibres.
         kind: What is known of it: `POISSON` for a Poisson's ratio.
     """
@@ -119,7 +119,7 @@ def _concrete(values: Any) -> np.ndarray | None:
 def check_constants(module: eqx.Module) -> None:
     """Raise ValueError unless every constant lies where its field says.
 
-    A plain number without an interval is left to checks together with others.
+    A plain number without an interval is checked elsewhere, together with others.
     """
     for field in dataclasses.fields(module):
         low, high = field.metadata.get("within", (-math.inf, math.inf))

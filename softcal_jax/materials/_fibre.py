@@ -86,7 +86,7 @@ class Fibre(Module):
     ) -> "Fibre":
         """Fibres around an axis through a point, turned by theta towards the axis.
 
-        `TetMesh.centroids` are where the directions are taken [m].
+        Directions are taken at `centroids`, usually `TetMesh.centroids` [m].
 
         Raises:
             ValueError: If a centroid lies on the axis.
@@ -131,7 +131,7 @@ class Fibre(Module):
 
 
 def frames_along(vectors: Float[HostArray, "n 3"]) -> Float[HostArray, "n 3 3"]:
-    """Build local axes whose first one is along a vector; the others are any.
+    """Build local axes, the first along a vector and the others arbitrary.
 
     Raises:
         ValueError: If a vector is zero or not finite; the text names its index.

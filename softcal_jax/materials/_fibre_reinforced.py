@@ -58,7 +58,7 @@ class FibreReinforced(AbstractLaw):
         w' = E_f e  for e >= 0,     w' = -E_f c (1 - exp(e / c))  below,  c = 1e-4.
 
     So the tangent is continuous, as Newton's method needs, and at rest that of the
-    pulled fibre; what is left of a push is 1e-4 of E_f. (With nothing at all left, the
+    pulled fibre; the stress of a push stays below 1e-4 E_f. (Without any stress, the
     tangent would rise from zero where the thread is drawn straight; inflating a wound
     tube from rest then took four times as many iterations.)
 
@@ -118,7 +118,7 @@ class FibreReinforced(AbstractLaw):
         return self.matrix.energy_density(F) + self.E_f * pulled
 
     def stress(self, F: Matrix) -> Matrix:
-        """First Piola-Kirchhoff stress: that of the matrix, and w' n u^T each [Pa]."""
+        """First Piola-Kirchhoff stress: matrix, and w' n u^T of each family [Pa]."""
         pulled = sum_of(fibre.pull * fibre.n for fibre in self._fibres(F))
         return self.matrix.stress(F) + self.E_f * pulled
 
@@ -126,7 +126,7 @@ class FibreReinforced(AbstractLaw):
         return self.matrix.tangent(F) + self._fibre_tangent(F)
 
     def _fibre_tangent(self, F: Matrix) -> Tensor:
-        """Add (w'/l delta_ik + (w'' - w'/l) n_i n_k) u_J u_L, n = F u / l, of each."""
+        """Sum (w'/l delta_ik + (w'' - w'/l) n_i n_k) u_J u_L of fibres, n = F u / l."""
 
         def of(fibre: _Fibre) -> Tensor:
             turning = fibre.pull / fibre.stretch

@@ -235,6 +235,6 @@ class Ogden(AbstractRubber):
         for mu, alpha in self.terms():
             M = power(C, 0.5 * alpha - 1.0)
             trace = jnp.sum(M * C)  # tr C^(alpha/2)
-            own = matmul(F, M) - trace / 3.0 * G
-            stress += mu * jnp.exp(-alpha / 3.0 * log_J) * own
+            term = matmul(F, M) - trace / 3.0 * G
+            stress += mu * jnp.exp(-alpha / 3.0 * log_J) * term
         return stress

@@ -131,10 +131,10 @@ class AbstractLaw(Module):
 def split_law(law: AbstractLaw) -> tuple[AbstractLaw, AbstractLaw]:
     """Split into the fields that tets have values of, and what they share.
 
-    Each has None for what belongs to the other; `equinox.combine` joins them again.
+    Each part has None for the fields of the other; `equinox.combine` joins them again.
     """
-    own = lambda path, leaf: hasattr(leaf, "ndim") and not _is_shared(law, path)
-    return eqx.partition(law, jax.tree_util.tree_map_with_path(own, law))
+    of_tets = lambda path, leaf: hasattr(leaf, "ndim") and not _is_shared(law, path)
+    return eqx.partition(law, jax.tree_util.tree_map_with_path(of_tets, law))
 
 
 def with_arrays(law: AbstractLaw) -> AbstractLaw:

@@ -36,7 +36,7 @@ def eigensystem(
         gap, off = A[q, q] - A[p, p], A[p, q]
         steep = jnp.abs(gap) + jnp.hypot(gap, 2.0 * off)
         sign = jnp.where(gap < 0.0, -2.0, 2.0)
-        # Equal diagonal entries without one beside them need no rotation.
+        # Equal diagonal entries with a zero beside them need no rotation.
         t = jnp.where(steep > 0.0, sign * off / jnp.where(steep > 0.0, steep, 1.0), 0.0)
         c = 1.0 / jnp.sqrt(1.0 + t * t)
         s = t * c

@@ -69,7 +69,7 @@ class _Coefficients(NamedTuple):
 def _stress(
     strain: Float[Array, "3 3"], u: Float[Array, "3"], k: _Coefficients
 ) -> Float[Array, "3 3"]:
-    """Compute the gradient of that psi for a symmetric strain [Pa]."""
+    """Compute the gradient of psi of `_Coefficients` for a symmetric strain [Pa]."""
     v = jnp.sum(strain * u[None, :], axis=1)
     e = jnp.sum(u * v)
     trace = strain[0, 0] + strain[1, 1] + strain[2, 2]

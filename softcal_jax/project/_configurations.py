@@ -127,7 +127,7 @@ class ConfigurationTable(CandidateTable):
     @field_validator("measured", mode="before")
     @classmethod
     def _not_yet(cls, value: Any) -> Any:
-        """Read false as none: what [shared] says of readings is not of this pose."""
+        """Read false as None: the readings in [shared] are not of this pose."""
         if value is True:
             raise ValueError(
                 "got true; expected a table, or false if not measured yet."
@@ -160,8 +160,8 @@ def build_configuration(
         with under(f"loads[{i}]"):
             loads.append(load.build())
             loads[-1].nodal_forces(mesh)  # raises if there is no such place
-    own = getattr(table, "measured", None)
-    seen = _markers_of(folder, table, own, project.markers)
+    measured = getattr(table, "measured", None)
+    seen = _markers_of(folder, table, measured, project.markers)
     with under("effectors"):
         chosen = effectors if table.effectors is None else table.effectors
         for name in chosen:
@@ -173,12 +173,12 @@ def build_configuration(
     with under("bodies"):
         states = build_states(table.bodies, mechanism)
     followed = {name: effectors[name] for name in chosen}
-    for name, value in ({} if own is None else own.effectors).items():
+    for name, value in ({} if measured is None else measured.effectors).items():
         with under(f"measured.effectors.{name}"):
             known_name("effector", name, followed, "[effectors]")
             read = project.effectors[name].measured
             followed[name] = read(followed[name], value, folder, model)
-    reference = None if own is None else own.displacement_from
+    reference = None if measured is None else measured.displacement_from
     if not isinstance(reference, str) or reference == table.name:
         reference = None
     configuration = Configuration(
@@ -201,11 +201,11 @@ def build_configuration(
 def _markers_of(
     folder: Path,
     table: CandidateTable,
-    own: MeasuredTable | None,
+    source: MeasuredTable | None,
     every: MarkersTable | None,
 ) -> MeasuredMarkers:
     """Build the markers of a pose, and read where they were measured."""
-    reads = own is not None and own.file is not None
+    reads = source is not None and source.file is not None
     if every is None:
         if reads or table.markers is not None:
             none = "the project has no markers; add a table [markers]."
@@ -213,13 +213,13 @@ def _markers_of(
         return MeasuredMarkers()
     with under("markers"):
         markers = every.build(table.markers)
-    if own is None or not reads:
+    if source is None or not reads:
         return MeasuredMarkers(markers)
     with under("measured"):
         try:
-            return own.build(folder, every, markers)
+            return source.build(folder, every, markers)
         except ValueError as error:
-            if own.select or own.recording or isinstance(error, WrongKeyError):
+            if source.select or source.recording or isinstance(error, WrongKeyError):
                 raise
             raise ValueError(
                 f"{error} If this pose is not measured yet, give it `measured = false`."

@@ -40,7 +40,7 @@ class _AroundTable(Table):
 
 
 class HelixTable(_AroundTable):
-    """Around an axis, at the angle `theta` from it."""
+    """Fibres around an axis, at the angle `theta` from it."""
 
     type: Literal["helix"]
 
@@ -53,7 +53,7 @@ class HoopTable(_AroundTable):
 
 
 class CellsTable(Table):
-    """From an array of the mesh file, with a vector for each tet."""
+    """Fibres from an array of the mesh file, with a vector for each tet."""
 
     type: Literal["cells"]
     array: str = Field(description='name of a cell array of the mesh file: "fibre"')

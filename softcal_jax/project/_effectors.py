@@ -77,9 +77,9 @@ Group = Annotated[
 
 
 class EffectorTable(Table):
-    """Something that is measured beside markers; other keys are arguments of its class.
+    """Something measured beside markers; `std` defaults to that of its class.
 
-    `std` is by default that of the class that it `makes`.
+    Keys except `type` and `std` are arguments of the class that it `makes`.
     """
 
     makes: ClassVar[type[AbstractEffector]]
@@ -129,7 +129,7 @@ class BodyFrameTable(EffectorTable):
     ) -> BodyFrame:
         """Return the frame with the motion of its body.
 
-        Where the measurement says how certain it is, that adds to what is stated.
+        Where the measurement has a covariance, it adds to the stated deviations.
         """
         if not isinstance(value, MotionSource):
             raise ValueError(
@@ -144,19 +144,19 @@ class BodyFrameTable(EffectorTable):
         pose, covariance = value.motion(folder, self.base, self.orientation, rest)
         if covariance is None:
             return replace(effector, measured=pose)
-        own = np.sqrt(np.diag(covariance))
+        std = np.sqrt(np.diag(covariance))
         return replace(
             effector,
             measured=pose,
-            std=_with_stated(effector.std, own[:3]),
-            std_angle=_with_stated(effector.std_angle, own[3:]),
+            std=_with_stated(effector.std, std[:3]),
+            std_angle=_with_stated(effector.std_angle, std[3:]),
         )
 
 
 def _with_stated(
-    stated: float | Float[HostArray, "3"], own: Float[HostArray, "3"]
+    stated: float | Float[HostArray, "3"], std: Float[HostArray, "3"]
 ) -> Float[HostArray, "3"]:
-    return own if isinstance(stated, Unstated) else np.hypot(stated, own)
+    return std if isinstance(stated, Unstated) else np.hypot(stated, std)
 
 
 class CentroidTable(EffectorTable):
@@ -213,8 +213,8 @@ def build_effectors(
     tables: Mapping[str, EffectorTable], mesh: TetMesh, mechanism: Mechanism
 ) -> Effectors:
     """Build all effectors of a project by name, without measured values."""
-    found: Effectors = {}
+    effectors: Effectors = {}
     for name, table in tables.items():
         with under(name):
-            found[name] = table.build(name, mesh, mechanism)
-    return found
+            effectors[name] = table.build(name, mesh, mechanism)
+    return effectors

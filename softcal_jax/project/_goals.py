@@ -95,7 +95,7 @@ def _with_goals(
 
 
 def _limited(actuator: ActuatorTable, text: str) -> dict[str, tuple[float, float]]:
-    """Parse limits, and tell by their unit what of an actuator they limit."""
+    """Parse limits; their unit says whether they are of force or displacement."""
     ends = re.split(r"\s+to\s+", text.strip())
     if len(ends) != 2:
         raise ValueError(

@@ -110,16 +110,16 @@ class Material(_OfLaw):
 
     def constant(self, key: str, region: str | None = None) -> float:
         """Return a constant of the body, or of a region that may have its own [SI]."""
-        own = getattr(self.regions.get(region or ""), key, None)
-        return getattr(self, key) if own is None else own
+        regional = getattr(self.regions.get(region or ""), key, None)
+        return getattr(self, key) if regional is None else regional
 
     def values(self, key: str, mesh: TetMesh) -> Float[HostArray, "..."] | None:
         """Return a constant, as one value per tet where regions differ [SI].
 
-        None for one that the law need not have and that the file leaves out.
+        None for an optional constant that the file leaves out.
         """
-        regions = {name: getattr(own, key) for name, own in self.regions.items()}
-        stated = {name: own for name, own in regions.items() if own is not None}
+        regions = {name: getattr(region, key) for name, region in self.regions.items()}
+        stated = {name: value for name, value in regions.items() if value is not None}
         if getattr(self, key) is None:
             for name in stated:
                 raise ValueError(
@@ -128,9 +128,9 @@ class Material(_OfLaw):
                 )
             return None
         base = np.asarray(getattr(self, key), float)
-        for name, own in stated.items():
+        for name, value in stated.items():
             base = np.broadcast_to(base, (mesh.n_tets,)).copy()
-            base[mesh.tets_of(name)] = own
+            base[mesh.tets_of(name)] = value
         return base
 
     def build(self, mesh: TetMesh, data: TetData) -> AbstractLaw:
@@ -146,17 +146,17 @@ class Material(_OfLaw):
     def _frames(
         self, mesh: TetMesh, data: TetData
     ) -> Float[HostArray, "n_tets 3 3"] | None:
-        """Compute the local axes of the fibres; None where they are the mesh's."""
+        """Compute the local axes of the fibres; None for the axes of the mesh."""
         base = getattr(self, _FRAME)
-        owners = {n: own for n, own in self.regions.items() if getattr(own, _FRAME)}
+        owners = {n: r for n, r in self.regions.items() if getattr(r, _FRAME)}
         if base is None and not owners:
             return None
         frames = np.broadcast_to(np.eye(3), (mesh.n_tets, 3, 3)).copy()
         others = np.arange(mesh.n_tets)
-        for name, own in owners.items():
+        for name, region in owners.items():
             tets = np.asarray(mesh.tets_of(name))
             with under(f"regions.{name}.{_FRAME}"):
-                frames[tets] = getattr(own, _FRAME).frames(mesh, tets, data)
+                frames[tets] = getattr(region, _FRAME).frames(mesh, tets, data)
             others = np.setdiff1d(others, tets)
         if base is not None and others.size:
             with under(_FRAME):
@@ -187,11 +187,11 @@ def material_table(raw: Any) -> type[Material]:
 
 
 def _is_aimed(named: dict[str, Any]) -> bool:
-    """Return whether fibres have directions that need no angle, as a helix does."""
+    """Return whether fibres have directions, and no helix, which needs `theta`."""
     regions = named.get("regions")
     tables = [named, *(regions.values() if isinstance(regions, dict) else ())]
-    given = [own.get(_FRAME) for own in tables if isinstance(own, dict)]
-    kinds = [own.get("type") for own in given if isinstance(own, dict)]
+    given = [table.get(_FRAME) for table in tables if isinstance(table, dict)]
+    kinds = [frame.get("type") for frame in given if isinstance(frame, dict)]
     return bool(kinds) and "helix" not in kinds
 
 
@@ -199,11 +199,11 @@ def _is_aimed(named: dict[str, Any]) -> bool:
 def _table(law: type[AbstractLaw], choice: str, aimed: bool) -> type[Material]:
     """Build the schema of a law, with the choice of its part, and of its regions.
 
-    `aimed` fibres have a direction without an angle, which is 0 by default.
+    Where fibres are `aimed`, they have directions without `theta`, which defaults to 0.
     """
     part = _part_of(law)
     recipe = _recipe(law, None if part is None else part.known[choice])
-    own: dict[str, Any] = {} if part is None else {part.key: (str, choice)}
+    keys: dict[str, Any] = {} if part is None else {part.key: (str, choice)}
     constants: dict[str, Constant] = {}
     for key, (field, kind) in recipe.keys.items():
         default = ... if field.default is dataclasses.MISSING else field.default
@@ -212,20 +212,20 @@ def _table(law: type[AbstractLaw], choice: str, aimed: bool) -> type[Material]:
             kind = constants[key].type
         if key == "theta" and aimed:
             default = 0.0
-        own[key] = (kind, Field(default, description=field.metadata.get("words")))
+        keys[key] = (kind, Field(default, description=field.metadata.get("words")))
     constants["density"] = _constant(DENSITY)
     others: dict[str, Any] = {k: (c.type, None) for k, c in constants.items()}
     if _FRAME in recipe.keys:
         others[_FRAME] = (AnyDirections, None)
     region = create_model("Region", __base__=_OfLaw, **others)
-    own["regions"] = (dict[str, region], Field(default_factory=dict))
-    table = create_model("Material", __base__=Material, **own)
+    keys["regions"] = (dict[str, region], Field(default_factory=dict))
+    table = create_model("Material", __base__=Material, **keys)
     table.makes, table.constants = recipe.make, constants
     return table
 
 
 class _Part(NamedTuple):
-    """A part of a law that a file chooses: its key, its default and what is known."""
+    """A part of a law that a file chooses: its key, default and known classes."""
 
     key: str
     default: str
@@ -299,7 +299,7 @@ def _recipe(kind: type[eqx.Module], chosen: type[eqx.Module] | None) -> _Recipe:
 
 
 def _owners(key: str) -> list[str]:
-    """List what has a key, as a file chooses it; empty for keys that all have."""
+    """List the laws and elasticities with a key, each as a file chooses it."""
     owners = []
     for name, kind in ELASTICITIES.items():
         if key in _recipe(kind, None).keys:
@@ -311,15 +311,15 @@ def _owners(key: str) -> list[str]:
     return owners
 
 
-def _plug_in(name: str, found: EntryPoints) -> type[AbstractLaw]:
-    packages = [entry.dist.name if entry.dist else entry.value for entry in found]
+def _plug_in(name: str, plug_ins: EntryPoints) -> type[AbstractLaw]:
+    packages = [entry.dist.name if entry.dist else entry.value for entry in plug_ins]
     if len(packages) > 1:
         raise wrong_key(
             "law",
             f'the packages {" and ".join(packages)} both have a law "{name}"; '
             "uninstall one of them.",
         )
-    (entry,) = found
+    (entry,) = plug_ins
     try:
         law = entry.load()
         if not (isinstance(law, type) and issubclass(law, AbstractLaw)):

@@ -48,7 +48,7 @@ def load_project(
 
     Args:
         path: A TOML file.
-        changes: Values that replace those of the file, written as there, by key:
+        changes: Values that replace those of the file, written as in it, by key:
             {"material.E": "200 kPa"}. An entry of a list goes by its name,
             "parameters.E.lower"; None removes a key.
         solve: Whether a solver is prepared. Without, a project is read faster, can be
@@ -70,7 +70,7 @@ def load_project(
     table = read_tables(path, changes)
     with in_file(path):
         project = _built(path, table, changes, solve=solve)
-    if changes is None:  # else it was said of the file, and a sweep has many
+    if changes is None:  # a sweep would repeat it for each of its changes
         _warn(project)
     return project
 
@@ -117,10 +117,10 @@ def _built(
             model, _ = space.with_values(model, None, start)
     posed, candidates = _configurations(path.parent, table, model)
     with_role = list(zip(posed, table.configurations, strict=True))
-    of_role = lambda role: tuple(c for (c, _), own in with_role if own.role == role)
-    own = {"noise", "starts", "seed", "precision"}
+    of_role = lambda role: tuple(c for (c, _), row in with_role if row.role == role)
+    of_project = {"noise", "starts", "seed", "precision"}
     with under("settings"):
-        others = own | {"intervals"}
+        others = of_project | {"intervals"}
         given = table.settings.model_dump(exclude=others, exclude_none=True)
         settings = CalibrationSettings(**given)
     with under("newton"):
@@ -134,7 +134,7 @@ def _built(
         calibration=of_role("calibration"),
         validation=of_role("validation"),
         candidates=tuple(c for c, _ in candidates),
-        **table.settings.model_dump(include=own),
+        **table.settings.model_dump(include=of_project),
         intervals=table.settings.intervals or None,
         uncertain=Uncertain(**table.uncertain.model_dump()),
         settings=settings,
@@ -203,31 +203,31 @@ def _configurations(
         effectors = build_effectors(table.effectors, model.mesh, model.mechanism)
     posed: dict[str, list[Posed]] = {"configurations": [], "candidates": []}
     for key, built in posed.items():
-        for own in getattr(table, key):
-            with under(f"{key}.{own.name}"):
-                built.append(build_configuration(folder, own, table, model, effectors))
+        for pose in getattr(table, key):
+            with under(f"{key}.{pose.name}"):
+                built.append(build_configuration(folder, pose, table, model, effectors))
         with under(key):
             if built:
                 every = [configuration for configuration, _ in built]
                 configuration_arrays(model.mesh, every, model.mechanism)
-    names = {own.name for own in table.configurations}
-    for own in table.candidates:
-        if own.name in names:
+    names = {c.name for c in table.configurations}
+    for candidate in table.candidates:
+        if candidate.name in names:
             with under("candidates"):
                 raise ValueError(
-                    f"{own.name!r} is a configuration already; give the candidate a "
-                    "name of its own."
+                    f"{candidate.name!r} is a configuration already; give the "
+                    "candidate a name of its own."
                 )
     return posed["configurations"], posed["candidates"]
 
 
 def _files(path: Path, table: ProjectTable) -> list[Path]:
     measured = [c.measured for c in table.configurations if c.measured is not None]
-    readings = [own for m in measured for own in (m, *m.effectors.values())]
-    files = dict.fromkeys(getattr(own, "file", None) for own in readings)
-    photos = [own for own in readings if isinstance(own, PhotosTable)]
+    readings = [reading for m in measured for reading in (m, *m.effectors.values())]
+    files = dict.fromkeys(getattr(reading, "file", None) for reading in readings)
+    tags = [reading for reading in readings if isinstance(reading, PhotosTable)]
     return [
         *table.mesh.files(path.parent),
         *(path.parent / name for name in files if name is not None),
-        *dict.fromkeys(file for own in photos for file in own.files(path.parent)),
+        *dict.fromkeys(file for tag in tags for file in tag.files(path.parent)),
     ]

@@ -43,9 +43,9 @@ _KINDS = ("between", "at", "plateau")
 class WindowTable(Table):
     """A window of time of a recording, over which positions are averaged.
 
-    It is `between` two times, of a `width` around the time `at`, or a `plateau` of that
-    least length, which is looked for. Times count from the step of a marker or from an
-    event of the file, if one is named.
+    It lies `between` two times, has a `width` around the time `at`, or is a `plateau`
+    of at least that length, which is searched for. Times count from the step of a
+    marker or from an event of the file, if one is named.
     """
 
     between: tuple[Time, Time] | None = None
@@ -81,7 +81,7 @@ class WindowTable(Table):
 
 
 def _which(value: Any, kinds: Sequence[Any]) -> Any:
-    """Tell a window from values of columns: one may be named like a key of it."""
+    """Choose a window, or values of columns, which may be named like its keys."""
     if isinstance(value, dict) and {*_KINDS} & {*value}:
         others = {*value} - {*WindowTable.model_fields}
         if not others or isinstance(value.get("between"), list):
@@ -120,7 +120,7 @@ class MarkersTable(Table):
             raise ValueError("the list of markers is empty; leave it out to use all.")
         positions = self.positions_of(names)
         entries = [self.positions[name] for name in names]
-        stds = [getattr(own, "std", None) or self.std or STD for own in entries]
+        stds = [getattr(entry, "std", None) or self.std or STD for entry in entries]
         stated = {} if all(std is STD for std in stds) else {"std": np.array(stds)}
         return Markers(
             names=names,
@@ -134,9 +134,7 @@ class MarkersTable(Table):
         for name in names:
             known_name("marker", name, self.positions, "[markers.positions]")
         entries = [self.positions[name] for name in names]
-        places = [
-            own.position if isinstance(own, MarkerEntry) else own for own in entries
-        ]
+        places = [e.position if isinstance(e, MarkerEntry) else e for e in entries]
         return np.array(places, float).reshape(-1, 3)
 
 
@@ -151,10 +149,10 @@ class MeasuredMarkers(NamedTuple):
     """The markers of a configuration, and what was measured of them.
 
     Attributes:
-        markers: The markers; their deviations hold the scatter of a recording if asked.
+        markers: The markers; `std` includes the scatter of a recording if asked.
         positions: Positions in the frame of the mesh [m].
         registration: Registration of the frame of the cameras, if there is one.
-        traces: The recording and its windows, if it is one.
+        traces: The recording and its windows, if they come from one.
     """
 
     markers: Markers | None = None
@@ -166,10 +164,10 @@ class MeasuredMarkers(NamedTuple):
 class MeasuredTable(DialectTable):
     """Where to read measured positions, and how to bring them into the mesh's frame.
 
-    `effectors` holds measured values of other effectors. `displacement_from` is the
-    name of a configuration, or what is taken of the same file as before the motion.
-    `labels` are labels of the file by names of the project. With `scatter`, how frames
-    of a recording scatter over its windows adds to the standard deviations.
+    `effectors` holds measured values beside markers. `displacement_from` is the name of
+    a configuration, or selects the state before the motion in the same file. `labels`
+    are labels of the file by names of the project. With `scatter`, the scatter of a
+    recording over its windows is added to the standard deviations.
     """
 
     file: str | None = None
@@ -185,7 +183,7 @@ class MeasuredTable(DialectTable):
     def _check(self) -> "MeasuredTable":
         others = {"file", "effectors"}
         if isinstance(self.displacement_from, str):
-            others |= {"displacement_from"}  # of all that has points or a frame
+            others |= {"displacement_from"}  # a name is for effectors too
         given = sorted(self.model_fields_set - others)
         if self.file is None and (given or not self.effectors):
             which = f"{given[0]} is for the file of the markers; " if given else ""
@@ -201,11 +199,11 @@ class MeasuredTable(DialectTable):
         return self
 
     def _which(self) -> dict[str, WindowTable | Selection]:
-        """Return by key what is taken of the file."""
+        """Return the windows and selections of the file, by key."""
         every = {"select": self.select, "displacement_from": self.displacement_from}
         if self.registration is not None:
             every["registration.select"] = self.registration.select
-        # The name of a configuration is something else.
+        # `displacement_from` may also name a configuration, which is left out here.
         return {k: w for k, w in every.items() if isinstance(w, WindowTable | dict)}
 
     def _read_rows(self, path: Path, key: str, select: Any) -> MarkerTable:
@@ -233,12 +231,12 @@ class MeasuredTable(DialectTable):
     def build(
         self, folder: Path, nominal: MarkersTable, markers: Markers
     ) -> MeasuredMarkers:
-        """Read positions of `markers` in the frame of the mesh; `nominal` are all [m].
+        """Read positions of `markers` [m] in the mesh's frame; `nominal` lists all.
 
         With a selection as `displacement_from` they are the nominal positions plus the
         motion between the two states, so that it does not matter exactly where a marker
         was glued. With the name of a configuration they are as read: the calibration
-        compares displacements from that one.
+        compares displacements from that configuration.
         """
         for name in self.labels:
             with under("labels"):
@@ -258,9 +256,9 @@ class MeasuredTable(DialectTable):
         if "displacement_from" in windows:
             start = self._positions(windows["displacement_from"], names)
         if self.registration is not None:
-            own = self.registration.markers
-            seen = self._positions(windows["registration.select"], own)
-            registration = register(seen, nominal.positions_of(own))
+            fitted = self.registration.markers
+            seen = self._positions(windows["registration.select"], fitted)
+            registration = register(seen, nominal.positions_of(fitted))
             loaded, R = registration.apply(loaded), registration.rotation
             start = None if start is None else registration.apply(start)
         if start is not None:
@@ -272,14 +270,16 @@ class MeasuredTable(DialectTable):
             std = _with_scatter(markers, R @ np.sum(seen, axis=0) @ R.T)
             markers = replace(markers, std=std)
         if recording is not None:
-            times = {key: own.window for key, own in windows.items() if own.window}
+            times = {
+                key: table.window for key, table in windows.items() if table.window
+            }
             traces = Traces(recording, times, names)
         return MeasuredMarkers(markers, loaded, registration, traces)
 
     def _positions(
         self, table: MarkerTable, names: Sequence[str]
     ) -> Float[HostArray, "n_wanted 3"]:
-        """Return positions by names of the project, which a recording has already."""
+        """Return positions by names of the project; a recording already uses these."""
         if table.window is not None:
             return table.positions_of(names)
         return table.positions_of([self.labels.get(name, name) for name in names])
@@ -288,7 +288,7 @@ class MeasuredTable(DialectTable):
 def _with_scatter(
     markers: Markers, covariances: Float[HostArray, "n_markers 3 3"]
 ) -> Float[HostArray, "n_markers 3"]:
-    """Add scatter, in the frame of the mesh, to standard deviations that are stated."""
+    """Add scatter, in the frame of the mesh, to the stated standard deviations."""
     scatter = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     if isinstance(markers.std, Unstated):
         still = [n for n, s in zip(markers.names, scatter, strict=True) if not s.all()]

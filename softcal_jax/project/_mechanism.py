@@ -101,11 +101,11 @@ def build_states(
     table: Mapping[str, Any], mechanism: Mechanism
 ) -> dict[str, BodyState | Pose | str]:
     states: dict[str, BodyState | Pose | str] = {}
-    for body, own in table.items():
+    for body, state in table.items():
         with under(body):
             known_name("rigid body", body, mechanism.bodies.names, "[bodies]")
-            word = isinstance(own, str)
-            states[body] = own if word else BodyState(own.state, own.pose)
+            word = isinstance(state, str)
+            states[body] = state if word else BodyState(state.state, state.pose)
     return states
 
 

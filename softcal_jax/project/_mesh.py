@@ -126,7 +126,7 @@ class BeamMeshTable(_MeshTable):
 
 
 def _mesh_kind(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
-    """Choose a table of a mesh; a CAD model is told by the extension of its file."""
+    """Choose a table of a mesh; a CAD model is known by its file extension."""
     file = value.get("file") if isinstance(value, dict) else None
     if file is None:
         return by_keys(value, kinds)
@@ -171,11 +171,11 @@ class AnnulusTable(Maker):
 
 
 class _SurfaceTable(Table):
-    """Faces that are found from points."""
+    """Faces that are selected by points."""
 
     @abstractmethod
     def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
-        """Find them; raise if there are none."""
+        """Find the faces; raise if there are none."""
 
 
 class FaceTable(_SurfaceTable):
@@ -184,8 +184,8 @@ class FaceTable(_SurfaceTable):
     )
 
     def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
-        found = [select_face(mesh, np.array(point)) for point in self.points]
-        return np.unique(np.concatenate(found), axis=0)
+        faces = [select_face(mesh, np.array(point)) for point in self.points]
+        return np.unique(np.concatenate(faces), axis=0)
 
 
 class ReachableTable(_SurfaceTable):
@@ -208,7 +208,7 @@ class InsideTable(_SurfaceTable):
 
 
 class GroupTable(Table):
-    """A named part of the mesh: a shape and what `of` lies in it, or a surface."""
+    """A named part of the mesh: nodes, faces or tets in a shape, or a surface."""
 
     box: BoxTable | None = None
     plane: PlaneTable | None = None
@@ -239,7 +239,7 @@ class GroupTable(Table):
 
     def add(self, mesh: TetMesh, name: str) -> TetMesh:
         """Add the group to the mesh; raise if nothing is there or the name is taken."""
-        (place,) = (own for _, own in self if isinstance(own, Maker | _SurfaceTable))
+        (place,) = (part for _, part in self if isinstance(part, Maker | _SurfaceTable))
         if isinstance(place, _SurfaceTable):
             return mesh.with_surface_group(name, place.faces(mesh))
         # A millionth of the mesh: far below a cell, far above the rounding of a file.

@@ -63,8 +63,8 @@ class ControlPointsTable(Table):
 class ParameterTable(Table):
     """One unknown constant of the material, or one per control point.
 
-    The validation context is the schema of the material, which has its constants, or
-    None if there is no such law.
+    The validation context is the schema of the material, which lists its constants, or
+    None if the law is unknown.
     """
 
     field: str = Field(description='a constant of the material, like "E" or "density"')
@@ -88,8 +88,8 @@ class ParameterTable(Table):
 
     @property
     def label(self) -> str:
-        own = self.field if self.region is None else f"{self.field}_{self.region}"
-        return self.name or own
+        default = self.field if self.region is None else f"{self.field}_{self.region}"
+        return self.name or default
 
     @field_validator("field")
     @classmethod
@@ -116,15 +116,15 @@ class ParameterTable(Table):
     def _parse(cls, value: Any, info: Any) -> Any:
         # `field` is validated first, so it is known here unless it is wrong itself.
         constant = _constant(info)
-        parsed = lambda own: (
-            0.0 if constant is None else parse_in_si(own, constant.unit)
+        parsed = lambda quantity: (
+            0.0 if constant is None else parse_in_si(quantity, constant.unit)
         )
         if not isinstance(value, dict):
             return value if info.field_name == "fixed" else parsed(value)
         values = {}
-        for name, own in value.items():
+        for name, quantity in value.items():
             with under(name):
-                values[name] = parsed(own)
+                values[name] = parsed(quantity)
         return values
 
     @field_validator("prior_std", mode="before")
@@ -210,12 +210,12 @@ def build_space(table: WholeFile) -> ParameterSpace | None:
         with under(f"control_points.{name}"):
             points.build()
     entries: list[Entry] = []
-    for own in table.parameters:
-        with under(f"parameters.{own.label}"):
-            entries.append(own.build(table))
-    for i, own in enumerate(table.setup, start=1):
-        with under(f"setup[{i}].{own.label}"):
-            entries += own.build(table)
+    for parameter in table.parameters:
+        with under(f"parameters.{parameter.label}"):
+            entries.append(parameter.build(table))
+    for i, error in enumerate(table.setup, start=1):
+        with under(f"setup[{i}].{error.label}"):
+            entries += error.build(table)
     if not entries:
         return None
     with under("parameters"):

@@ -31,7 +31,7 @@ GRAVITIES = 1.0, 30.0
 """From the Moon's to Jupiter's [m/s2]."""
 
 WEIGHTS = 200.0
-"""Dead load over the weight of the robot from which a soft one would be flat [-]."""
+"""Dead load over the weight of the robot that would crush a soft one flat [-]."""
 
 
 class ProjectWarning(SoftcalWarning):
@@ -39,9 +39,9 @@ class ProjectWarning(SoftcalWarning):
 
 
 def implausible(model: Model, posed: Mapping[str, Configuration]) -> Iterator[str]:
-    """Describe the first of each kind that is hard to believe, in a line each.
+    """Yield a line on the first value of each kind that is hard to believe.
 
-    Configurations go by their keys, like "configurations.weight".
+    `posed` holds configurations by their keys, like "configurations.weight".
     """
     density = np.atleast_1d(np.asarray(model.density))
     low, high = DENSITIES
@@ -84,24 +84,24 @@ def _loads(model: Model, posed: Mapping[str, Configuration]) -> Iterator[str]:
 def _places(model: Model, posed: Mapping[str, Configuration]) -> Iterator[str]:
     """Check where points were measured, or how far from the reference pose.
 
-    The frame of a reference is its own: only differences from it count.
+    A reference may have a frame of its own, so only differences from it are checked.
     """
     lanes = configuration_lanes(model.mesh, [*posed.values()], model.mechanism)
     moved = dict(zip(posed, map(motions, lanes.effectors), strict=True))
     named = {c.name: moved[key] for key, c in posed.items()}
     references = {c.displacement_from for c in posed.values()}
     for key, c in posed.items():
-        own = {} if c.name in references else moved[key]
+        motion = {} if c.name in references else moved[key]
         if c.displacement_from is not None:
             before = named.get(c.displacement_from, {})
-            own = {name: own[name] - before[name] for name in own if name in before}
-        far = farthest(own, model.mesh.size)
+            motion = {n: motion[n] - before[n] for n in motion if n in before}
+        far = farthest(motion, model.mesh.size)
         if far is not None:
             yield f"{key}.measured: {far}"
 
 
 CHANGE = "# CHANGE: "
-"""How the remark begins at the end of a line, or before one, that holds a guess."""
+"""How the remark on a guess begins, at the end of its line or on the line before."""
 
 _GUESS = re.compile(rf"(?P<text>.*?)\s*{CHANGE}(?P<remark>.+)")
 

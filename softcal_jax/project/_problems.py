@@ -29,7 +29,7 @@ _EXPECTED = {
 }
 
 MOST_PROBLEMS = 30
-"""Problems of a file that are listed; a file with more is not meant as one of ours."""
+"""Most problems that are listed; a file with more is hardly a project file."""
 
 
 class ProjectError(ValueError):
@@ -133,7 +133,7 @@ def known_here(name: str, known: Iterable[str], words: str = "Known") -> str:
 
 
 def known_name(kind: str, name: str, known: Iterable[str], section: str) -> None:
-    """Raise ValueError unless a name is known; `section` says where they stand."""
+    """Raise ValueError unless a name is known; `section` is where these stand."""
     known = list(known)
     if name not in known:
         none = f" The project has none: add one to {section}."
@@ -147,22 +147,22 @@ def key_path(keys: tuple[str | int, ...], raw: dict[str, Any]) -> str:
     if posed and len(keys) > 2 and functools.reduce(_step, keys, raw) is None:
         shared = ("shared", *keys[2:])
         keys = keys if functools.reduce(_step, shared, raw) is None else shared
-    out, here = "", raw
+    out, value = "", raw
     for key in keys:
-        here = _step(here, key)
+        value = _step(value, key)
         if isinstance(key, str):
             out += f".{key}" if out else key
         else:
-            table = here if isinstance(here, dict) else {}
+            table = value if isinstance(value, dict) else {}
             name = table.get("name") or table.get("field")
             out += f".{name}" if isinstance(name, str) else f"[{key + 1}]"
     return out
 
 
-def _step(here: Any, key: str | int) -> Any:
+def _step(value: Any, key: str | int) -> Any:
     """Return what a table or a list has at a key; None if nothing."""
-    if isinstance(here, dict):
-        return here.get(key)
-    if isinstance(here, list) and isinstance(key, int) and key < len(here):
-        return here[key]
+    if isinstance(value, dict):
+        return value.get(key)
+    if isinstance(value, list) and isinstance(key, int) and key < len(value):
+        return value[key]
     return None

@@ -51,7 +51,7 @@ class Project(Module):
     Attributes:
         name: Name of the project.
         path: The project file.
-        source: That file and those that it names, as they were when they were read.
+        source: The project file and the files that it names, as they were when read.
         model: The model, with the start values of the parameters.
         space: The parameters; None for a file without parameters.
         calibration: Configurations that are fitted.
@@ -143,8 +143,8 @@ class Project(Module):
 
         `converged` of the result says whether lambda_p vanished, and its notes how well
         the camera frames were registered. `start` are scaled parameters to start from
-        instead of those of the file [-]; `checkpoint` and what is called meanwhile are
-        as for `softcal_jax.calibrate`.
+        instead of those of the file [-]; `checkpoint` and the callbacks are those of
+        `softcal_jax.calibrate`.
 
         Raises:
             ProjectError: If there is nothing to calibrate.
@@ -189,7 +189,7 @@ class Project(Module):
         return dataclasses.replace(result, notes=(*result.notes, note))
 
     def check_identify(self) -> None:
-        """Raise ProjectError if nothing can be judged; nothing need be measured."""
+        """Raise ProjectError if nothing can be judged; no measured value is needed."""
         problems = [] if self.space else [_NO_PARAMETERS]
         posed = (*self.calibration, *self.candidates)
         if not posed:
@@ -207,7 +207,7 @@ class Project(Module):
     def identify(
         self, *, progress: Callable[[EquilibriumProgress], None] = lambda _: None
     ) -> Identifiability:
-        """Judge what the calibration configurations would tell, measured or not.
+        """Judge what the calibration configurations can identify, measured or not.
 
         The verdict is at the start values, with the stated noise of all effectors.
 
@@ -303,10 +303,10 @@ def compare_projects(
     first, names = projects[0], [c.name for c in projects[0].calibration]
     for project in projects:
         project.check_calibration()
-        found = [c.name for c in project.calibration]
-        if sorted(found) != sorted(names):
+        given = [c.name for c in project.calibration]
+        if sorted(given) != sorted(names):
             raise ProjectError(
-                f"{project.path}: its configurations are {', '.join(found)}, but those "
+                f"{project.path}: its configurations are {', '.join(given)}, but those "
                 f"of {first.path} are {', '.join(names)}; a comparison needs the same."
             )
     problems = {}
@@ -317,7 +317,7 @@ def compare_projects(
             problems[name] = build_problem(
                 project.model,
                 project.space,
-                [posed[own] for own in names],
+                [posed[key] for key in names],
                 project.newton,
                 uncertain=project.uncertain,
             )
@@ -333,8 +333,8 @@ def compare_projects(
 def projects_by_name(projects: Sequence[Project]) -> Mapping[str, Project]:
     """Name projects by their names; where these repeat, by their files."""
     for name_of in (lambda p: p.name, lambda p: p.path.stem, lambda p: str(p.path)):
-        found = {name_of(project): project for project in projects}
-        if len(found) == len(projects):
-            return found
+        named = {name_of(project): project for project in projects}
+        if len(named) == len(projects):
+            return named
     files = ", ".join(str(project.path) for project in projects)
     raise ProjectError(f"a project file is given twice: {files}.")

@@ -51,9 +51,9 @@ OF_UNIT = {
 
 
 def dimension_of(unit: str) -> Dimension:
-    """Return the dimension of an SI unit; unlisted units make one of their own."""
-    own = Dimension(f"a quantity in {unit}", _spelt(unit), f"1 {unit}")
-    return OF_UNIT.get(unit, own)
+    """Return the dimension of an SI unit; an unlisted unit makes its own."""
+    unlisted = Dimension(f"a quantity in {unit}", _spelt(unit), f"1 {unit}")
+    return OF_UNIT.get(unit, unlisted)
 
 
 _COMMON: dict[str, dict[str, float]] = {
@@ -98,7 +98,7 @@ def _spelt(unit: str) -> str:
 
 
 def _factor(unit: str, dimension: Dimension, value: str) -> float:
-    """Compute one `unit` in SI; `value` is what it is part of, for messages."""
+    """Return one `unit` in SI; messages quote `value`, the text that it stands in."""
     expected = f'expected {dimension.name}, like "{dimension.example}"'
     if not _UNIT.fullmatch(unit):
         raise ValueError(f'"{value}": cannot read the unit "{unit}"; {expected}.')

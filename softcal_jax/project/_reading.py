@@ -50,7 +50,7 @@ T = TypeVar("T", bound=BaseModel)
 class SettingsTable(Table):
     """Settings of the calibration; missing ones keep their defaults.
 
-    Without `starts` see `default_starts`, and 0 `intervals` are none.
+    Without `starts`, `default_starts` chooses; `intervals = 0` computes no intervals.
     """
 
     noise: Literal["estimated", "stated"] = "estimated"
@@ -83,7 +83,7 @@ class NewtonTable(Table):
 
 
 def _keys_of(kind: type[Table], but: Set[str]) -> Any:
-    """Return fields for the other keys of a table, whatever their values."""
+    """Return fields that take any value, for all keys of a table `but` some."""
     return {key: (Any, None) for key in kind.model_fields if key not in but}
 
 
@@ -137,7 +137,7 @@ class ProjectTable(Table):
 class MeshTables(
     create_model("Mesh", __base__=Table, **_keys_of(ProjectTable, {"mesh", "groups"}))
 ):
-    """The tables of a project file that make its mesh; the others are not read."""
+    """The tables of a project file that make its mesh; other tables are not read."""
 
     mesh: MeshTable = Field(description="a table [mesh]")
     groups: dict[str, GroupTable] = Field(default_factory=dict)
@@ -150,7 +150,7 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
     """
     raw = _with_changes(path, read_toml(path, "project file"), changes)
     problems, table, material = [], None, None
-    with suppress(ValueError):  # which is said of [material] below
+    with suppress(ValueError):  # reported under [material] below
         material = material_table(raw.get("material"))
     try:
         table = ProjectTable.model_validate(_with_shared(raw), context=material)
@@ -185,24 +185,24 @@ def _with_changes(
     """Replace some values of a file, see `load_project`, creating missing tables."""
     for key, value in (changes or {}).items():
         *way, last = key.split(".")
-        here: Any = raw
+        table: Any = raw
         for part in way:
-            if isinstance(here, list):
-                entries = [e for e in here if isinstance(e, dict)]
-                here = {str(e.get("name", e.get("field"))): e for e in entries}
-                if part not in here:
-                    none = f"there is no {part!r}.{known_here(part, here)}"
+            if isinstance(table, list):
+                entries = [e for e in table if isinstance(e, dict)]
+                table = {str(e.get("name", e.get("field"))): e for e in entries}
+                if part not in table:
+                    none = f"there is no {part!r}.{known_here(part, table)}"
                     raise ProjectError(f"{path}: {key}: {none}")
-            here = here.setdefault(part, {}) if isinstance(here, dict) else None
-        if not isinstance(here, dict):
+            table = table.setdefault(part, {}) if isinstance(table, dict) else None
+        if not isinstance(table, dict):
             where = ".".join(way)
             raise ProjectError(
                 f"{path}: {key}: {where} is no table of the project file."
             )
         if value is None:
-            here.pop(last, None)
+            table.pop(last, None)
         else:
-            here[last] = deepcopy(value)
+            table[last] = deepcopy(value)
     return raw
 
 
@@ -213,22 +213,22 @@ def _with_shared(raw: dict[str, Any]) -> dict[str, Any]:
         if isinstance(raw.get(key), list) and isinstance(shared, dict):
             base = {k: value for k, value in shared.items() if k in kind.model_fields}
             merged[key] = [
-                _merged(base, own) if isinstance(own, dict) else own for own in raw[key]
+                _merged(base, e) if isinstance(e, dict) else e for e in raw[key]
             ]
     return merged
 
 
-def _merged(shared: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+def _merged(shared: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
     """Merge a table over the shared one, recursively where both have a table."""
     out = dict(shared)
-    for key, value in own.items():
+    for key, value in table.items():
         both = isinstance(value, dict) and isinstance(out.get(key), dict)
         out[key] = _merged(out[key], value) if both else value
     return out
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
-    """Read a TOML file without dates and texts that would act on a terminal.
+    """Read a TOML file; refuse dates, and texts that would act on a terminal.
 
     Messages say `what` it is, like "project file".
 
@@ -271,13 +271,13 @@ def values_in(value: Any, keys: Keys = ()) -> Iterator[tuple[Keys, Any]]:
 
 
 _NAMES = ("name", "displacement_from", "recording")
-"""Keys of names, which may look like quantities: a pose "350 mbar"."""
+"""Keys whose values are names, which may look like quantities: a pose "350 mbar"."""
 
 
 class QuantityAsRead(NamedTuple):
-    """A quantity of a project file: in "material", "material.E" is one, as typed.
+    """A quantity of a project file, like "material.E" in the table "material".
 
-    Its values are one number or three in its SI unit.
+    It has the text as `typed`, and its `values`, one number or three, in the SI `unit`.
     """
 
     table: str
@@ -290,7 +290,7 @@ class QuantityAsRead(NamedTuple):
 
     @property
     def read(self) -> str:
-        """What it was read as, in SI; lengths in mm."""
+        """The quantity as it was read: in SI units, but lengths in mm."""
         factor, unit = (1e3, "mm") if self.unit == "m" else (1.0, self.unit)
         numbers = [f"{factor * value:.10g}" for value in self.values]
         listed = numbers[0] if len(numbers) == 1 else f"({', '.join(numbers)})"
@@ -305,11 +305,11 @@ def quantities_as_read(path: str | os.PathLike[str]) -> tuple[QuantityAsRead, ..
         ProjectError: If it is not TOML.
     """
     raw = read_toml(Path(path), "project file")
-    found = []
+    entries = []
     for keys, text in values_in(raw):
         rows = "select" in keys and not {*keys} & {*WindowTable.model_fields}
         quantity = recognised(text) if isinstance(text, str) else None
         if quantity is not None and not rows and not {*keys} & {*_NAMES}:
             table = key_path(keys[:-1], raw)
-            found.append(QuantityAsRead(table, key_path(keys, raw), text, *quantity))
-    return tuple(found)
+            entries.append(QuantityAsRead(table, key_path(keys, raw), text, *quantity))
+    return tuple(entries)

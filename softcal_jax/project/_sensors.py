@@ -35,7 +35,7 @@ Selection = dict[str, str]
 
 
 class DialectTable(Table):
-    """How the numbers of a file are written, where it does not tell itself."""
+    """How the numbers of a file are written, where the file does not say it."""
 
     length_unit: LengthUnit | None = None
     delimiter: Literal[",", ";", "\t", "|"] | None = None
@@ -43,7 +43,7 @@ class DialectTable(Table):
 
     @property
     def dialect(self) -> dict[str, Any]:
-        """These, as arguments of what reads the file."""
+        """These keys, as arguments of the function that reads the file."""
         return self.model_dump(include=set(DialectTable.model_fields))
 
 
@@ -118,7 +118,7 @@ class SensorPoseTable(Table):
         """Return the readings of the pose; paths start from `folder`."""
 
     def earlier_readings(self, folder: Path) -> PoseTable | None:
-        """Return those that displacements are from; None for the place at rest."""
+        """Return the readings that displacements start from; None for rest."""
         del folder
 
     def motion(
@@ -237,10 +237,10 @@ class PhotosTable(Table):
         rest: Float[HostArray, "3"],
     ) -> Motion:
         """Compute the motion, as from a sensor, in the frame of the base tag."""
-        own = self._pose(folder, self.photos)
-        turn, covariance = base.pose.matrix, own.covariance
-        position = turn @ own.position + base.pose.translation
-        rotation = turn @ own.rotation
+        tag = self._pose(folder, self.photos)
+        turn, covariance = base.pose.matrix, tag.covariance
+        position = turn @ tag.position + base.pose.translation
+        rotation = turn @ tag.rotation
         before, mounting = rest, mounted.rotation
         if self.displacement_from is not None:
             earlier = self._pose(folder, self.displacement_from.photos)
@@ -248,7 +248,7 @@ class PhotosTable(Table):
             mounting = turn @ earlier.rotation
             # Turned by the motion: exp(r) R (exp(s) S)^T = exp(r - R S^T s) R S^T.
             change = np.eye(6)
-            change[3:, 3:] = own.rotation @ earlier.rotation.T
+            change[3:, 3:] = tag.rotation @ earlier.rotation.T
             covariance = covariance + change @ earlier.covariance @ change.T
         axes = np.kron(np.eye(2), turn)
         motion = Pose.from_matrix(rotation @ mounting.T, position - before)

@@ -39,10 +39,10 @@ Subjects = dict[str, tuple[Any, ...]]
 class SetupTable(Table):
     """An error of the setup that is known up to a limit.
 
-    The function that `makes` its parameters, from limit, prior, and the name and
-    nominal value of what it belongs to, has the key of the table as name. `limit` and
-    `prior_std` are of the dimension that it `measures`, or plain numbers. What it
-    belongs to is called `noun`, unless that is the robot, and stands in a `section`.
+    `makes` is the function that makes its parameters, named like the key of the table,
+    from limit, prior, and the name and nominal value of what the error belongs to: a
+    `noun` in the `section`, or the robot if there is no `noun`. `limit` and `prior_std`
+    have the dimension that the error `measures`, or are plain numbers.
     """
 
     makes: ClassVar[Callable[..., Entry | Sequence[Entry]]]
@@ -82,7 +82,7 @@ class SetupTable(Table):
             for name in names:
                 known_name(self.noun, name, subjects, self.section)
             of = [(name, *subjects[name]) for name in names]
-        made = [type(self).makes(*own, **known) for own in of]
+        made = [type(self).makes(*subject, **known) for subject in of]
         several = ([m] if isinstance(m, Entry) else m for m in made)
         return [entry for entries in several for entry in entries]
 
@@ -95,7 +95,7 @@ class MotorZeroTable(SetupTable):
 
     def subjects(self, project: WholeFile) -> Subjects:
         tables = project.actuators.items()
-        return {name: () for name, own in tables if isinstance(own, MotorTable)}
+        return {name: () for name, table in tables if isinstance(table, MotorTable)}
 
 
 class MountingTable(SetupTable):
@@ -107,7 +107,7 @@ class MountingTable(SetupTable):
 
     def subjects(self, project: WholeFile) -> Subjects:
         tables = project.bodies.items()
-        return {name: (own.mounting.translation,) for name, own in tables}
+        return {name: (body.mounting.translation,) for name, body in tables}
 
 
 class FrictionTable(SetupTable):
@@ -117,8 +117,8 @@ class FrictionTable(SetupTable):
 
     def subjects(self, project: WholeFile) -> Subjects:
         tables = project.actuators.items()
-        cables = {name: own for name, own in tables if isinstance(own, CableTable)}
-        return {k: (own.friction,) for k, own in cables.items() if own.friction}
+        cables = {k: table for k, table in tables if isinstance(table, CableTable)}
+        return {k: (cable.friction,) for k, cable in cables.items() if cable.friction}
 
 
 Each = Annotated[
@@ -155,7 +155,7 @@ class GravityTiltTable(ScopedTable):
 class RecordingOffsetTable(ScopedTable):
     """Offset of the frame of a recording, or of the base of a tracker.
 
-    Three parameters with `limit`, and three of its turn with `turn_limit`.
+    `limit` gives it three parameters of offset, `turn_limit` three of rotation.
     """
 
     makes = recording_offset
@@ -173,7 +173,7 @@ class FactorTable(ScopedTable):
 
 
 class LoadFactorTable(FactorTable):
-    """Factors on dead loads, one parameter each; true for those without a name."""
+    """Factors on dead loads, one parameter each; true for loads without a name."""
 
     makes = load_factor
     noun = "load"
@@ -183,8 +183,8 @@ class LoadFactorTable(FactorTable):
     ]
 
     def subjects(self, project: WholeFile) -> Subjects:
-        loads = [own for c in project.configurations for own in c.loads]
-        return {own.name: () for own in loads}
+        loads = [load for c in project.configurations for load in c.loads]
+        return {load.name: () for load in loads}
 
 
 class ActuatorFactorTable(FactorTable):
@@ -206,13 +206,12 @@ class ClampStiffnessTable(FactorTable):
     def subjects(self, project: WholeFile) -> Subjects:
         """List the groups of elastic supports, with their nominal stiffness."""
         nominal: dict[str, tuple[float]] = {}
-        supports = [own for c in project.configurations for own in c.supports]
-        for own in supports:
-            if own.stiffness is None:
-                continue
-            if nominal.setdefault(own.group, (own.stiffness,)) != (own.stiffness,):
+        supports = [support for c in project.configurations for support in c.supports]
+        for support in supports:
+            group, stiffness = support.group, support.stiffness
+            if stiffness and nominal.setdefault(group, (stiffness,)) != (stiffness,):
                 raise ValueError(
-                    f"configurations state several stiffnesses for {own.group!r}; "
+                    f"configurations state several stiffnesses for {group!r}; "
                     "state one, about which it is calibrated."
                 )
         return dict(nominal)

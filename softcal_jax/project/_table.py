@@ -92,7 +92,7 @@ class Table(BaseModel):
 
     @classmethod
     def _in_words(cls, details: ErrorDetails) -> InitErrorDetails:
-        """Say which keys there are if one is unknown, and what a missing one is."""
+        """List the keys there are if one is unknown; describe a missing one."""
         kind = details["type"]
         if len(details["loc"]) != 1 or kind not in ("extra_forbidden", "missing"):
             return details  # pyright: ignore[reportReturnType] (it has more keys)
@@ -118,8 +118,8 @@ def _at(key: str, text: str) -> InitErrorDetails:
 class Maker(Table):
     """A table that makes an object; its keys except `type` are the arguments in order.
 
-    Keys `by_name` are arguments by name instead. What the table is for stands in the
-    class that it `makes`.
+    Keys `by_name` are arguments by name instead. The docstring of the class that it
+    `makes` says what the table is for.
     """
 
     makes: ClassVar[type[Any]]
@@ -127,9 +127,9 @@ class Maker(Table):
 
     def build(self, *first: Any, **more: Any) -> Any:
         """Build the object; `first` are arguments before those of the table."""
-        own = {key: _built(value) for key, value in self if key != "type"}
-        named = {key: own.pop(key) for key in self.by_name}
-        return self.makes(*first, *own.values(), **named, **more)
+        arguments = {key: _built(value) for key, value in self if key != "type"}
+        named = {key: arguments.pop(key) for key in self.by_name}
+        return self.makes(*first, *arguments.values(), **named, **more)
 
 
 def _built(value: Any) -> Any:
@@ -142,7 +142,7 @@ _adapter = functools.cache(TypeAdapter)
 
 
 class Choice:
-    """Mark a union of which a function of value and members chooses the member.
+    """Mark a union whose member is chosen by a function of the value and the members.
 
     pydantic's own unions would add the name of the member to the place of an error.
     """
@@ -171,21 +171,21 @@ TableOr = Annotated[
 
 
 def wrong_key(key: str, text: str) -> ValidationError:
-    """Build the error at a key that decides which table another one is."""
+    """Build the error of a key whose value decides the schema of a table."""
     return ValidationError.from_exception_data("Table", [_at(key, text)])
 
 
 def wrong_choice(
     key: str, table: Mapping[str, Any], names: Iterable[str]
 ) -> ValidationError:
-    """Build the error of a table of which a key has none of the `names`."""
+    """Build the error of a table where the value of a key is none of the `names`."""
     value = table.get(key, "")
     got = f"got {shown(value)}" if key in table else "missing"
     return wrong_key(key, f"{got}; expected {one_of(str(value), names)}")
 
 
 def by_type(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
-    """Choose the table whose key `type` has the value's, for a `Choice`."""
+    """Choose the table that has the `type` of the value, for a `Choice`."""
     tables = {get_args(k.model_fields["type"].annotation)[0]: k for k in kinds}
     table = as_table(value)
     chosen = tables.get(str(table.get("type")))
@@ -195,9 +195,9 @@ def by_type(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
 
 
 def by_keys(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
-    """Choose the table with most of its own required keys present, for a `Choice`.
+    """Choose the table with the most of its own required keys present, for a `Choice`.
 
-    Among equals it is one with all of them.
+    Among equals, the one with all of its keys present is chosen.
 
     Raises:
         ValueError: If several remain; the text lists the choices.
@@ -228,7 +228,7 @@ def as_table(value: Any) -> dict[str, Any]:
 
 @runtime_checkable
 class WholeFile(Protocol):
-    """What tables ask of `ProjectTable`, which is made of them."""
+    """Attributes of `ProjectTable` that its tables read, without a circular import."""
 
     material: Any
     bodies: dict[str, Any]

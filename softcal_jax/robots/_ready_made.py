@@ -12,7 +12,7 @@ READY_MADE = {
     "pneumatic-arm": "pneumatic_arm",
     "parallel-robot": "parallel_robot",
 }
-"""Folders of this package by the names that users know the robots by."""
+"""Folders of this package, by the names of the robots that users type."""
 
 
 def ready_made_path(name: str) -> Path:

@@ -87,9 +87,9 @@ def name_groups(core: list[int], wall: list[int]) -> None:
         )
     ]
     centres = {tag: gmsh.model.occ.getCenterOfMass(2, tag) for tag in outside}
-    at = lambda z: [tag for tag in outside if abs(centres[tag][2] - z) < 1e-6]
-    gmsh.model.addPhysicalGroup(2, at(HEIGHT), name="clamp")
-    gmsh.model.addPhysicalGroup(2, at(0.0), name="tip")
+    faces = lambda z: [tag for tag in outside if abs(centres[tag][2] - z) < 1e-6]
+    gmsh.model.addPhysicalGroup(2, faces(HEIGHT), name="clamp")
+    gmsh.model.addPhysicalGroup(2, faces(0.0), name="tip")
     inflated = [tag for tag in outside if in_chamber(tag)]
     gmsh.model.addPhysicalGroup(2, inflated, name="chamber")
 
