@@ -86,15 +86,13 @@ def test_calibrate(tmp_path, out, capsys):
     assert errors == ""
     assert "16 nodes, 18 linear tets, NeoHookean (displacement)" in text
     assert "fit: weight\npredict: pulled\n" in text
-    assert says(text, "rms ... weight 0.00 mm, pulled 0.00 mm")
+    assert says(text, "rms ", "weight 0.00 mm, pulled 0.00 mm")
     assert "step 1 " in text
     assert "E = 300.00 kPa" in text
-    assert says(
-        text, "So far ... E = ... kPa ... Residuals: 0.00 mm ... pulled: 0.00 mm"
-    )
+    assert says(text, "So far", "E = ... kPa", "Residuals: 0.00 mm", "pulled: 0.00 mm")
     assert text.index("So far") < text.index("the error budget (")
     assert "predicting pulled ..." in text
-    assert says(text, "Held-out ... pulled: 0.00 mm ... 2 markers, 0.0 %")
+    assert says(text, "Held-out", "pulled: 0.00 mm", "2 markers, 0.0 %")
     assert f"Results in {out}: " in text
     assert f"Open {out / 'report.html'} in a browser" in text
     page = (out / "report.html").read_text(encoding="utf-8")
@@ -123,7 +121,7 @@ def test_quick_stops_at_the_first_answer(tmp_path, out, capsys):
     assert main(command) == 0
     text = capsys.readouterr().out
     assert "the error budget, with" not in text
-    assert says(text, "left out ... error budget and the intervals")
+    assert says(text, "left out", "error budget", "intervals")
     result = json.loads((out / "result.json").read_text())
     assert not any(name.endswith(".png") for name in left_behind(out))
     assert any("left out" in reason for reason in result["assessment"]["reasons"])
@@ -168,7 +166,7 @@ def test_ctrl_c_writes_what_has_been_fitted(tmp_path, out, capsys, monkeypatch, 
     assert main(command) == 130
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     text, errors = capsys.readouterr()
-    assert says(errors, "interrupted after 1 steps, not converged")
+    assert says(errors, "interrupted", "1 steps", "not converged")
     assert stands(errors, checkpoint)
     assert "NOT CONVERGED" in text
     result = json.loads((out / "result.json").read_text())
@@ -218,7 +216,7 @@ def test_simulate_writes_what_has_an_equilibrium(tmp_path, out, capsys):
     path = write_small_project(tmp_path, *CRUSHED)
     assert main(["simulate", str(path), "-o", str(out), "--no-pictures"]) == 1
     text, errors = capsys.readouterr()
-    assert says(errors, "error: no equilibrium ... configuration 'pulled'")
+    assert says(errors, "error: no equilibrium ... 'pulled'")
     assert "'weight'" not in errors
     assert says(errors, "results hold the others")
     assert "Simulation" in text
@@ -233,7 +231,7 @@ def test_no_equilibrium_names_the_configuration(tmp_path, out, capsys):
     path = write_small_project(tmp_path, *CRUSHED)
     assert main(["calibrate", str(path), "-o", str(out)]) == 1
     errors = capsys.readouterr().err
-    assert says(errors, "error: no equilibrium ... configuration 'pulled'")
+    assert says(errors, "error: no equilibrium ... 'pulled'")
     assert "'weight'" not in errors
     assert errors.endswith("Nothing was written.\n")
     assert left_behind(tmp_path) == set()
@@ -264,11 +262,9 @@ def test_identify(tmp_path, out, capsys):
     printed, errors = capsys.readouterr()
     assert errors == ""
     assert "what weight would tell ..." in printed
-    assert "what upside down, crushed would add ..." in printed
+    assert "upside down, crushed would add" in printed
     # Two markers on three axes; `pulled` is held out.
-    assert says(
-        printed, "Weakly identifiable ... 6 measured coordinates ... 1 parameter"
-    )
+    assert says(printed, "Weakly identifiable", "6 measured", "1 parameter")
     assert says(printed, "'upside down' adds most")
     assert "Not ranked: 'crushed': " in printed
     assert "[[candidates]]" not in printed
@@ -303,7 +299,7 @@ def test_identify_names_what_has_no_equilibrium(tmp_path, out, capsys):
     path = write_small_project(tmp_path, *CRUSHED)
     assert main(["identify", str(path), "-o", str(out)]) == 1
     errors = capsys.readouterr().err
-    assert says(errors, "error: no equilibrium ... configuration 'pulled'")
+    assert says(errors, "error: no equilibrium ... 'pulled'")
     assert errors.endswith("Nothing was written.\n")
     assert left_behind(tmp_path) == set()
 
@@ -320,9 +316,9 @@ def test_identify_help(capsys):
         main(["identify", "--help"])
     assert caught.value.code == 0
     text = capsys.readouterr().out
-    assert "No measured positions are needed" in text
+    assert "No measured positions" in text
     assert "[[candidates]]" in text
-    assert "exit codes: 0 judged, whatever the verdict" in text
+    assert "exit codes: 0 judged" in text
 
 
 # Twenty seconds of compiling. `test_anisotropic` calibrates such a project, and tests
@@ -420,7 +416,7 @@ def test_demo_writes_its_project(tmp_path, capsys):
 
     (folder / "project.toml").write_text("mine")
     assert main(["demo", "--write", str(folder)]) == 2
-    assert says(capsys.readouterr().err, "project.toml exist already ... --force")
+    assert says(capsys.readouterr().err, "project.toml exist", "--force")
     assert (folder / "project.toml").read_text() == "mine"
     assert main(["demo", "--write", str(folder), "--force"]) == 0
     assert (folder / "project.toml").read_text() != "mine"
@@ -432,6 +428,5 @@ def test_a_cost_that_is_not_finite_is_no_fit(tmp_path, out, capsys):
     path = write_small_project(tmp_path, change)
     assert main(["calibrate", str(path), "-o", str(out)]) == 2
     errors = capsys.readouterr().err
-    assert says(errors, "error: the cost ... not finite")
-    assert says(errors, "1e-303 ... 'weight'")
+    assert says(errors, "error: ", "cost ... not finite", "1e-303", "'weight'")
     assert left_behind(tmp_path) == set()

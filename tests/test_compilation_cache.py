@@ -125,8 +125,7 @@ def test_a_folder_that_others_may_write_is_refused(config, tmp_path, bits):
     (tmp_path / "shared").chmod(bits)
     (tmp_path / "link").symlink_to(tmp_path / "shared")
     folder = tmp_path / "link"
-    said = rf"link may be written by others \(mode 0{bits:o}\)"
-    assert refused(folder, said + ".*chmod 700 ")
+    assert refused(folder, rf"link .*mode 0{bits:o}\b.*chmod 700 ")
     assert list(folder.iterdir()) == []
 
 
@@ -135,8 +134,7 @@ def test_a_folder_of_another_user_is_refused(config, tmp_path, monkeypatch):
     (tmp_path / "theirs").mkdir()
     uid = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: uid + 1)
-    text = rf"theirs belongs to another user \(uid {uid}\)"
-    assert refused(tmp_path / "theirs", text)
+    assert refused(tmp_path / "theirs", rf"theirs .*another user .*uid {uid}\b")
 
 
 @posix
@@ -146,8 +144,7 @@ def test_a_folder_that_anyone_may_replace_is_refused(config, tmp_path):
     (tmp_path / "for all").chmod(0o1777)
     assert use_compilation_cache(tmp_path / "for all" / "mine") is not None
     (tmp_path / "for all").chmod(0o777)
-    text = "mine may be replaced.*for all"
-    assert refused(tmp_path / "for all" / "mine", text)
+    assert refused(tmp_path / "for all" / "mine", "mine .*replaced.*for all")
 
 
 def three_programs(folder):
@@ -203,7 +200,7 @@ def test_without_a_home_nothing_is_made_where_the_program_runs(
     for name in ("HOME", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.chdir(tmp_path)
-    with pytest.warns(CompilationCacheWarning, match="there is no home folder"):
+    with pytest.warns(CompilationCacheWarning, match="no home folder"):
         assert use_compilation_cache() is None
     assert not list(tmp_path.iterdir())
 
@@ -220,8 +217,8 @@ def test_commands_use_it(config, tmp_path, capsys):
     jax.config.update("jax_compilation_cache_dir", str(tmp_path / "file"))
     assert main(["identify", missing]) == 2
     printed = capsys.readouterr().out.replace("\n", "")
-    assert printed.count("warning: compiled programs are not kept") == 1
-    assert says(printed, "JAX_ENABLE_COMPILATION_CACHE=0")
+    assert printed.count("programs are not kept") == 1
+    assert says(printed, "warning: ", "JAX_ENABLE_COMPILATION_CACHE=0")
 
 
 CALIBRATE = """

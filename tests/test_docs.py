@@ -286,7 +286,7 @@ def test_what_a_project_file_is_told_is_among_the_messages():
 def test_the_project_file_that_is_changed_is_right():
     """Otherwise each of them might be refused for another reason."""
     assert len(REFUSED) >= 12
-    with pytest.raises(ValueError, match="this project file is not refused"):
+    with pytest.raises(ValueError, match="file is not refused"):
         refusal(f"nu = 0.499 {ARROW} nu = 0.498")
     with pytest.raises(ValueError, match=r"has no 'nu = 0\.7'"):
         refusal(f"nu = 0.7 {ARROW} nu = 0.498")

@@ -52,5 +52,5 @@ def test_the_verdict_and_the_numbers_are_those_of_the_page(tmp_path, monkeypatch
 
 
 def test_other_objects_have_none():
-    with pytest.raises(TypeError, match="a dict has no output"):
+    with pytest.raises(TypeError, match="dict has no output"):
         notebook_html({})

@@ -92,8 +92,8 @@ def below_a_file(folder):
 @pytest.mark.parametrize(
     ("place", "message"),
     [
-        (below_a_file, r"file of fit\.npz does not exist"),
-        (lambda folder: folder / "none" / "fit", "folder .* does not exist"),
+        (below_a_file, r"file of fit\.npz .*make it"),
+        (lambda folder: folder / "none" / "fit", "none of fit .*make it"),
         (lambda folder: folder, "is a folder"),
         (lambda folder: folder / ("n" * 245), r"File name too long.*another"),
         (lambda folder: folder / ("n" * 300), r"File name too long.*another"),
@@ -114,7 +114,7 @@ def test_a_full_disk_is_called_that(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Path, "write_bytes", full)
     with (
-        pytest.raises(OSError, match=r"fit cannot be written.*No space left"),
+        pytest.raises(OSError, match=r"fit .*not be written.*No space"),
         only_writer(tmp_path / "fit", "test"),
     ):
         raise AssertionError("too late")

@@ -215,7 +215,7 @@ def test_an_error_under_jit_shows_the_record():
     def fails(model):
         raise ValueError(f"no such thing in {model!r}")
 
-    with pytest.raises(ValueError, match="in Model: 12 nodes, 12 linear tets, NeoHook"):
+    with pytest.raises(ValueError, match=r"Model: 12 nodes, 12 .*NeoHook"):
         fails(
             sc.build_model(
                 sc.beam(0.1, 0.02, 0.02, (2, 1, 1)),

@@ -113,7 +113,7 @@ def test_an_error_is_printed_where_it_holds(error, ends, text):
     )
     assert str(own) == text
     given = replace(own, given=("nu",))
-    assert str(given) == f"{text}, with nu on a bound"
+    assert says(given, text, "nu on a bound")
 
 
 def test_where_it_is_right_it_stays(monkeypatch):

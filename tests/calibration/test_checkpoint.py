@@ -167,7 +167,7 @@ def test_on_a_full_disk_the_fit_goes_on_and_the_checkpoint_stays(
     path = interrupted(fit, tmp_path / "fit.npz", 2)
     assert [file.name for file in tmp_path.iterdir()] == ["fit.npz"]
     before = path.read_bytes()
-    full = r"fit\.npz could not be written.*No space left on device.*holds"
+    full = r"fit\.npz .*not be written.*No space left.*holds"
     with monkeypatch.context() as patch:
         patch.setattr(np, "savez", half_written(FULL))
         with pytest.warns(CalibrationWarning, match=full):
@@ -191,12 +191,15 @@ def test_interrupted_while_it_writes_it_leaves_no_half_of_a_file(tmp_path, fit):
     assert [file.name for file in tmp_path.iterdir()] == ["fit.npz"]
 
 
-@pytest.mark.parametrize("name", ["no/fit.npz", "n" * 250])
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [("no/fit.npz", r"no of fit\.npz .*make it"), ("n" * 250, "name too long")],
+)
 def test_a_place_that_cannot_be_written_is_refused_before_the_first_equilibrium(
-    tmp_path, fit, monkeypatch, name
+    tmp_path, fit, monkeypatch, name, why
 ):
     evaluations = Evaluations(monkeypatch)
-    with pytest.raises(OSError, match=r"does not exist|File name too long"):
+    with pytest.raises(OSError, match=why):
         fit(tmp_path / name)
     assert evaluations.n == 0
     assert list(tmp_path.iterdir()) == []
@@ -233,8 +236,7 @@ def test_checkpoint_of_another_calibration_is_refused(tmp_path, data, fit, what)
     else:
         start = {"E_t": 7e5, "E_l": 4e5, "theta": 1e-9}
         changed = {"space": anisotropic_beam(**BEAM, start=start).space}
-    message = "fit.npz.*another calibration: mesh, material"
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=r"fit\.npz .*another calibration"):
         fit(path, **changed)
     assert path.read_bytes() == before
 
@@ -332,7 +334,7 @@ def test_a_stopped_search_ends_as_if_nothing_had_stopped_it(
 def test_a_search_that_has_ended_is_not_forgotten(tmp_path, fit, searched, monkeypatch):
     """Stopped after a step of the fit; another number of starts is another search."""
     path = interrupted(fit, tmp_path / "fit.npz", 0, starts=STARTS)
-    with pytest.raises(ValueError, match="a checkpoint of another calibration"):
+    with pytest.raises(ValueError, match=r"fit\.npz .*another calibration"):
         fit(path)
     evaluations = Evaluations(monkeypatch)
     resumed = fit(path, starts=STARTS)

@@ -46,7 +46,7 @@ def refused(model, parameters, configuration, match):
 
 
 def test_all_markers_on_the_clamp(model):
-    refused(model, E, pose(CLAMPED), "nothing to learn of 'E'.*parts that are held")
+    refused(model, E, pose(CLAMPED), "nothing to learn of 'E'.*held")
 
 
 def test_a_marker_on_the_clamp_tells_where_the_recording_is(model):
@@ -66,7 +66,7 @@ def test_a_region_that_is_held():
     model = build_model(mesh, law, density=1e3)
     cell = np.flatnonzero(mesh.points[:, 0] < 0.026)
     own = Parameter("E of first", "E", 1e5, 3e4, 1e6, region="first", unit="Pa")
-    refused(model, own, pose(held=cell), "nothing to learn of 'E of first'.*held")
+    refused(model, own, pose(held=cell), "'E of first'.* tets of 'first' .*held")
 
 
 @pytest.mark.parametrize(
@@ -74,15 +74,15 @@ def test_a_region_that_is_held():
     [
         (
             Parameter("rho", "density", 1e3, 5e2, 2e3, unit="kg/m^3"),
-            "'rho': no configuration has gravity",
+            "'rho': no .*gravity",
         ),
         (
             gravity_tilt(prior_std=None)[0],
-            "'first tilt of gravity': no configuration has gravity",
+            "'first tilt of gravity': no .*gravity",
         ),
         (
             load_factor(prior_std=0.05),
-            "'factor of loads': no configuration has .*dead load",
+            "'factor of loads': no .*dead load",
         ),
     ],
     ids=["density", "tilt", "loads"],
@@ -94,8 +94,7 @@ def test_what_no_configuration_depends_on(model, entry, match):
 def test_a_body_without_any_load_is_refused_at_its_first_equilibrium(model):
     """It stays as it is with any modulus; once "converged, E = 1e5 +- nan"."""
     still = pose(gravity=(0.0, 0.0, 0.0))
-    match = "nothing to learn of 'E'.*Check that a load"
-    refused(model, E, still, match)
+    refused(model, E, still, "nothing to learn of 'E'.*Check .*load")
     # The question what it would tell has an answer.
     found = identify(model, E, still, uncertain=exactly_known())
     assert found.verdict == "not identifiable"

@@ -203,7 +203,7 @@ def test_values_that_do_not_fit_are_named():
     u = solve_equilibrium(MODEL, lane).displacement
     with pytest.raises(ValueError, match=r"'tip' returned .* \(3,\), .* has 1"):
         parameter_compliance(MODEL, lane, u, SPACE, Z)
-    with pytest.raises(ValueError, match="std of effector 'tip' has 3 values"):
+    with pytest.raises(ValueError, match=r"std .*'tip' has 3 .*measured value 1:"):
         lanes(MODEL, [posed("hang", -9.81, replace(wrong, std=np.full(3, STD)))])
     long = Observation("all", energy, "J", measured=np.ones(5), std=1.0)
     with pytest.raises(ValueError, match=r"hang.*'all' has 5 values"):
@@ -211,7 +211,7 @@ def test_values_that_do_not_fit_are_named():
 
 
 def test_an_observation_needs_a_std():
-    with pytest.raises(ValueError, match=r"'x' needs a std \[J\]: no size suits"):
+    with pytest.raises(ValueError, match=r"'x' .*std \[J\]"):
         Observation("x", energy, "J", 0.1)
 
 
@@ -223,7 +223,7 @@ def test_a_reading_without_a_derivative_is_named():
     far = Observation("far", size, "m", measured=0.0, std=STD)
     pose = posed("hang", -9.81, far, markers=seen, measured=seen.positions)
     for use in (identify, calibrate):
-        with pytest.raises(ValueError, match=r"'far' has a derivative that .* 'hang'"):
+        with pytest.raises(ValueError, match=r"'far' .*derivative .* 'hang'"):
             use(MODEL, SPACE, pose, uncertain=exactly_known())
 
 
@@ -240,10 +240,10 @@ def test_readings_of_a_loop_of_ones_own():
     def compliance(u):
         lin = linearise(MODEL, lane, u)
         for adjoint in (False, True):
-            with pytest.raises(ValueError, match="are for 3 readings, and 1 are asked"):
+            with pytest.raises(ValueError, match=r"for 3 readings.* 1 .*`readings`"):
                 sensitivity(lin, parameter_rows(lin, SPACE, Z), depth, adjoint=adjoint)
         bare = linearise(MODEL, lanes(MODEL, [posed("hang", -9.81)])[0], u)
-        with pytest.raises(ValueError, match="are for 0 readings, and 1 are asked"):
+        with pytest.raises(ValueError, match=r"for 0 readings.* 1 .*`readings`"):
             sensitivity(bare, parameter_rows(bare, SPACE, Z), depth)
         return sensitivity(lin, parameter_rows(lin, SPACE, Z, depth), depth).W_ep
 

@@ -297,7 +297,7 @@ def test_poses_are_predicted_with_the_error_of_the_parameters(good):
     assert [p.name for p in verdict.predictions] == ["hang", "pull"]
     np.testing.assert_allclose([p.std for p in verdict.predictions], expected)
     mm = 1e3 * np.sqrt(np.mean(expected**2))
-    assert says(verdict, "markers of the fitted poses", f"{mm:.2g} mm")
+    assert says(verdict, "fitted poses", f"{mm:.2g} mm")
 
 
 def test_a_pose_that_stays_at_rest_is_compared_with_the_noise(good):

@@ -113,7 +113,7 @@ def test_print_plane_and_start_are_those_asked_for():
 
 
 def test_bad_pose_and_number_of_effectors(unchecked):
-    with pytest.raises(ValueError, match="pose must be one of 1, 2, 3, 4, 5, 6, got 7"):
+    with pytest.raises(ValueError, match=r"pose .* 1, 2, 3, 4, 5, 6, got 7\."):
         anisotropic_beam(cells=CELLS, poses=[1, 7])
-    with pytest.raises(ValueError, match="n_effectors must be 1 or 4, got 3"):
+    with pytest.raises(ValueError, match=r"n_effectors .* 1 or 4, got 3\."):
         anisotropic_beam(cells=CELLS, n_effectors=3)

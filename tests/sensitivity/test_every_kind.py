@@ -272,7 +272,7 @@ def test_a_forgotten_kind_fails_loudly(lie, message):
 @pytest.mark.parametrize(
     ("entry", "message"),
     [
-        (actuator_factor("d", **KNOWN), r"actuator of parameter 'factor of d'.*'c'"),
+        (actuator_factor("d", **KNOWN), r"actuator .*'factor of d' 'd'.*'c'"),
         (clamp_stiffness("z_min", 1e6, **KNOWN), r"support with a stiffness.*'x_max'"),
     ],
 )
@@ -355,5 +355,5 @@ def test_one_quantity_is_not_set_twice():
         load_factor(each=["tuesday"], **KNOWN),
         load_factor(**KNOWN),
     )
-    with pytest.raises(ValueError, match="are the same quantity, load factor"):
+    with pytest.raises(ValueError, match=r"'factor of loads'.* load factor.*`each`"):
         check_parameters(MODEL, ParameterSpace(twice), LANE)

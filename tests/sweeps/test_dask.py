@@ -70,5 +70,5 @@ def test_no_scheduler_there(tmp_path, monkeypatch):
 
     monkeypatch.setattr(_dask, "CONNECT_S", 1)
     address = "tcp://127.0.0.1:1"
-    with pytest.raises(OSError, match=f'no Dask scheduler answers at "{address}"'):
+    with pytest.raises(OSError, match=f'no Dask scheduler .*"{address}"'):
         run_sweep(cheap.measure, cheap.POINTS, tmp_path / "s.sqlite", scheduler=address)

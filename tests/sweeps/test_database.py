@@ -6,7 +6,6 @@ import time
 import cheap
 import pytest
 from rows import substance
-from wording import says
 
 from softcal_jax.sweeps import _database as database_module, grid, read_sweep, run_sweep
 from softcal_jax.sweeps._row import run_trial
@@ -21,14 +20,8 @@ def one(path, function=cheap.measure, **more):
 @pytest.mark.parametrize(
     ("again", "message"),
     [
-        (
-            {"seed": 1},
-            r"another sweep: .*seed is 0, .* 1\. Give another",
-        ),
-        (
-            {"function": cheap.where},
-            "function is measure, .* where",
-        ),
+        ({"seed": 1}, r"seed is 0, .* 1\. .*another file"),
+        ({"function": cheap.where}, "function is measure, .* where"),
         ({"definitions": {"mesh": "b"}}, "mesh is a, .* is b"),
     ],
 )
@@ -45,7 +38,7 @@ def test_another_sweep_is_refused(again, message, tmp_path):
 def test_other_axes_are_another_sweep(tmp_path):
     path = tmp_path / "s.sqlite"
     one(path)
-    with pytest.raises(ValueError, match="axes is E, draw, kind"):
+    with pytest.raises(ValueError, match=r"axes .* E, draw, kind, .* E\."):
         run_sweep(cheap.measure, grid({"E": [1.0]}), path, workers=0)
 
 
@@ -57,15 +50,15 @@ def test_files_that_are_no_database_of_a_sweep(tmp_path):
         file.execute("CREATE TABLE addresses (name TEXT)")
     file.close()
     for use in (one, read_sweep):
-        with pytest.raises(ValueError, match="is not a database of a sweep"):
+        with pytest.raises(ValueError, match=r"not a database .*another file"):
             use(text)
-        with pytest.raises(ValueError, match="a database of something else than a"):
+        with pytest.raises(ValueError, match=r"something else.*another file"):
             use(other)
-    with pytest.raises(FileNotFoundError, match="there is no sweep database"):
+    with pytest.raises(FileNotFoundError, match=r"no sweep .*none\.sqlite"):
         read_sweep(tmp_path / "none.sqlite")
-    with pytest.raises(FileNotFoundError, match=r"the folder .* does not exist"):
+    with pytest.raises(FileNotFoundError, match=r"folder .*/no .*make it"):
         one(tmp_path / "no" / "s.sqlite")
-    with pytest.raises(IsADirectoryError, match="is a folder; name a file in it"):
+    with pytest.raises(IsADirectoryError, match=r"folder.*name a file"):
         one(tmp_path)
 
 
@@ -73,9 +66,8 @@ def test_two_sweeps_do_not_share_a_database(tmp_path):
     path = tmp_path / "s.sqlite"
 
     def meddling(trial):
-        with pytest.raises(BlockingIOError, match="another sweep is writing to") as e:
+        with pytest.raises(BlockingIOError, match=r"another sweep .*another file"):
             one(path)
-        assert says(e.value, "another file")
         assert read_sweep(path).rows == ()  # reading is fine
         return {"x": 1}
 
@@ -90,7 +82,7 @@ def test_a_locked_database_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(database_module, "WAIT_S", 0.1)
     other = sqlite3.connect(path, isolation_level=None)
     other.execute("BEGIN EXCLUSIVE")
-    with pytest.raises(BlockingIOError, match="is locked by another program; close it"):
+    with pytest.raises(BlockingIOError, match=r"s\.sqlite is locked .*close it"):
         one(path)
     other.close()
     assert len(one(path).rows) == 1
@@ -127,33 +119,27 @@ def test_a_full_disk_is_called_that(tmp_path, monkeypatch, n_trials):
 @pytest.mark.parametrize(
     ("statement", "message"),
     [
-        ("UPDATE trials SET state = 'great'", r"trials\.\w+\.state is 'great': Input"),
-        ("UPDATE trials SET figures = '{'", r"figures is '{': Invalid JSON"),
-        ("UPDATE trials SET figures = '[1]'", r"figures is \[1\]: Input should be a"),
-        (
-            "UPDATE trials SET figures = '{\"x\": [1]}'",
-            r"figures\.x\.\w+ is \[1\]: Input should",
-        ),
+        ("UPDATE trials SET state = 'great'", r"trials\.\w+\.state is 'great':"),
+        ("UPDATE trials SET figures = '{'", r"figures is '{':"),
+        ("UPDATE trials SET figures = '[1]'", r"figures is \[1\]:"),
+        ("UPDATE trials SET figures = '{\"x\": [1]}'", r"figures\.x\.\w+ is \[1\]:"),
         (
             f"UPDATE trials SET figures = '{{\"x\": 1{'0' * 400}}}'",
-            r"figures\.x is a number that is too large",
+            r"figures\.x .*too large",
         ),
-        ("UPDATE trials SET notes = '3'", r"notes is 3: Input should be a valid tuple"),
-        ("UPDATE trials SET seconds = 'long'", r"seconds is 'long': Input should be a"),
-        ("UPDATE trials SET worker = x'ff'", r"worker is b'\\xff': Input should be a"),
-        ("UPDATE trials SET point = '{}'", r"point is \{\}, which is not the point"),
+        ("UPDATE trials SET notes = '3'", r"notes is 3:"),
+        ("UPDATE trials SET seconds = 'long'", r"seconds is 'long':"),
+        ("UPDATE trials SET worker = x'ff'", r"worker is b'\\xff':"),
+        ("UPDATE trials SET point = '{}'", r"point is \{\}, .*this key"),
         (
             'UPDATE trials SET point = \'{"E": 2, "kind": "u", "draw": 0}\'',
-            r"which is not the point of this key",
+            r"point is \{'E': 2, .*this key",
         ),
-        ("UPDATE plan SET point = '7'", r"plan\.\w+\.point is 7: Input should be"),
+        ("UPDATE plan SET point = '7'", r"plan\.\w+\.point is 7:"),
         ("UPDATE plan SET key = 'b'", r"b\.point is \{"),
-        ("DELETE FROM sweep", r"sweep\.name is None.* JSON"),
-        ("UPDATE sweep SET value = '[1]'", r"sweep\.name is \[1\]: Input should be a"),
-        (
-            f"UPDATE sweep SET value = '{'[' * 100_000}'",
-            r"sweep\.name is '\[+\.\.\.: Invalid JSON",
-        ),
+        ("DELETE FROM sweep", r"sweep\.name is None:"),
+        ("UPDATE sweep SET value = '[1]'", r"sweep\.name is \[1\]:"),
+        (f"UPDATE sweep SET value = '{'[' * 100_000}'", r"sweep\.name is '\[+\.\.\.:"),
     ],
 )
 def test_a_database_that_was_edited_names_the_place(tmp_path, statement, message):

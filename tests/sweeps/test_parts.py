@@ -94,7 +94,7 @@ def test_a_part_that_is_interrupted_leaves_nothing(tmp_path):
 @pytest.mark.parametrize("other", [{"seed": 7}, {"of": 4}, {"definitions": {"a": "b"}}])
 def test_parts_of_another_sweep_are_refused(tmp_path, other):
     part(tmp_path, 0)
-    with pytest.raises(ValueError, match=r"part-0-of-5.* is a part of another sweep"):
+    with pytest.raises(ValueError, match=r"part-0-of-5.* another sweep.*folder"):
         part(tmp_path, 1, **other)
 
 
@@ -107,7 +107,7 @@ def test_parts_of_other_points_are_refused(tmp_path):
     others = [sample({**axes, "b": ["u", "w"]}, 4, seed=1)]
     others += [sample({**axes, "a": Range(0.0, 1.0 + 1e-12)}, 4, seed=1)]
     for points in (sample(axes, 4, seed=2), *others):
-        with pytest.raises(ValueError, match="another sweep: its project, points"):
+        with pytest.raises(ValueError, match=r"another sweep: .*points"):
             run(points)
 
 
@@ -117,16 +117,16 @@ def _none(trial):
 
 def test_a_folder_that_is_none(tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(NotADirectoryError, match="file is a file; parts need a folder"):
+    with pytest.raises(NotADirectoryError, match=r"/file .*need a folder"):
         part(tmp_path / "file", 0)
     (tmp_path / "part-x.parquet").write_text("x")
-    with pytest.raises(ValueError, match=r"part-x\.parquet is no part of a sweep"):
+    with pytest.raises(ValueError, match=r"part-x\.parquet is no part"):
         part(tmp_path, 0)
 
 
 @pytest.mark.parametrize(("k", "of"), [(5, 5), (-1, 5), (0, 0), (0, 25)])
 def test_numbers_of_parts(tmp_path, k, of):
-    with pytest.raises(ValueError, match=rf"part {k} of {of}: expected a number"):
+    with pytest.raises(ValueError, match=rf"part {k} of {of}: .* 0 to {of - 1},"):
         part(tmp_path, k, of=of)
     assert os.listdir(tmp_path) == []
 
@@ -156,6 +156,6 @@ def test_the_command_asks_for_both_numbers(tmp_path, capsys):
     path = tmp_path / "sweep.toml"
     path.write_text('project = "project.toml"\n[axes]\n"material.nu" = [0.2, 0.3]\n')
     assert main(["sweep", str(path), "--part", "1"]) == 2
-    assert says(capsys.readouterr().err, "--part and --of go together ... --of 1000")
+    assert says(capsys.readouterr().err, "--part and --of ... --of 1000")
     assert main(["sweep", str(path), "--part", "2", "--of", "2"]) == 2
-    assert says(capsys.readouterr().err, "part 2 of 2: expected a number from 0 to 1")
+    assert says(capsys.readouterr().err, "part 2 of 2: ... 0 to 1")

@@ -42,13 +42,13 @@ def test_sample_with_a_range_meets_each_part_of_it_once():
     ("call", "message"),
     [
         (lambda: grid({}), "at least one axis"),
-        (lambda: grid({"a": []}), "axis 'a' has no values"),
+        (lambda: grid({"a": []}), "axis 'a' .*no values"),
         (lambda: grid({"a": "uv"}), "axis 'a' .*got the text"),
-        (lambda: grid({"a": Range(0, 1)}), "axis 'a' is a range, which has no end"),
+        (lambda: grid({"a": Range(0, 1)}), "axis 'a' .*range.* sample = 100"),
         (lambda: sample(AXES, 7), "6 different points.* 7"),
-        (lambda: sample(AXES, 0), "a sample has at least 1 point, got 0"),
+        (lambda: sample(AXES, 0), "sample .*at least 1 .*got 0"),
         (lambda: Range(2.0, 1.0), "got 2.0 and 1.0"),
-        (lambda: Range(0.0, 1.0, "log"), "a range on a log scale needs positive ends"),
+        (lambda: Range(0.0, 1.0, "log"), r"log scale .*positive.* 0\.0"),
     ],
 )
 def test_bad_points(call, message):
@@ -79,11 +79,8 @@ def test_seeds_are_pinned():
 
 
 def test_bad_values_and_axes():
-    with pytest.raises(
-        ValueError, match=r"axis 'a' has the value nan; expected a text"
-    ):
-        Trial({"a": float("nan")})
-    with pytest.raises(ValueError, match=r"axis 'a' has the value \{\}"):
-        Trial({"a": {}})
-    with pytest.raises(ValueError, match=r"unknown axis 'c'. Known: 'a'"):
+    for value, shown in ((float("nan"), "nan"), ({}, r"\{\}")):
+        with pytest.raises(ValueError, match=rf"axis 'a' .* {shown}; .*text"):
+            Trial({"a": value})
+    with pytest.raises(ValueError, match=r"axis 'c'.* Known: 'a'"):
         Trial({"a": 1})["c"]

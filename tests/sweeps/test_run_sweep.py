@@ -187,17 +187,14 @@ def test_workers_compute_as_this_process_does(tmp_path):
 
 def test_workers_of_another_version_are_refused():
     setup = WorkerSetup(x64=True, version="0.0.1")
-    with pytest.raises(RuntimeError, match=r"the sweep 0.0.1: rows would not belong"):
+    with pytest.raises(RuntimeError, match=r" 0\.0\.1: .*Install the same version"):
         setup.apply()
 
 
 def test_functions_that_cannot_be_sent(tmp_path):
     points, path = grid({"a": [1]}), tmp_path / "s.sqlite"
-    with pytest.raises(
-        ValueError, match="cannot be sent to worker processes"
-    ) as caught:
+    with pytest.raises(ValueError, match=r"cannot be sent .*workers=0"):
         run_sweep(lambda trial: {"x": 1}, points, path, workers=1)
-    assert says(caught.value, "workers=0")
     # In this process it can be anything.
     found = run_sweep(lambda trial: {"x": 1}, points, tmp_path / "t.sqlite", workers=0)
     assert found.numbers("x") == [1.0]
@@ -207,7 +204,7 @@ def test_functions_that_cannot_be_imported(tmp_path, monkeypatch):
     monkeypatch.setattr(cheap.measure, "__module__", "cheap", raising=False)
     monkeypatch.setenv("PYTHONPATH", "")
     monkeypatch.setattr(sys, "path", [p for p in sys.path if "tests" not in p])
-    with pytest.raises(RuntimeError, match="cannot import the function of the sweep"):
+    with pytest.raises(RuntimeError, match=r"cannot import .*'cheap'.*workers=0"):
         run_sweep(cheap.measure, grid({"E": [1.0]}), tmp_path / "s.sqlite", workers=1)
 
 
@@ -265,15 +262,12 @@ def test_half_a_compiled_program_is_thrown_away(tmp_path):
     ("arguments", "message"),
     [
         ({"points": []}, "no trials"),
-        ({"points": [{"a": 1}, {"a": 1}]}, "the sweep tries a = 1 twice"),
+        ({"points": [{"a": 1}, {"a": 1}]}, "a = 1 twice"),
         ({"points": [{"a": 1}, {"b": 1}]}, "same axes"),
-        ({"repeats": ["draws"]}, "unknown axis 'draws'. Known: 'a'"),
-        ({"workers": -1}, "workers must be 0 or more, got -1"),
+        ({"repeats": ["draws"]}, "axis 'draws'.* Known: 'a'"),
+        ({"workers": -1}, "workers .* 0 or more, got -1"),
         ({"cores_per_worker": 0}, "cores_per_worker .*got 0"),
-        (
-            {"scheduler": "tcp://127.0.0.1:1", "workers": 2},
-            "with a scheduler the cluster has its own",
-        ),
+        ({"scheduler": "tcp://a:1", "workers": 2}, "workers .*scheduler .*Give one"),
     ],
 )
 def test_bad_arguments(arguments, message, tmp_path):

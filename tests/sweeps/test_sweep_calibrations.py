@@ -61,8 +61,8 @@ def test_sweep_and_show(swept, capsys, tmp_path, monkeypatch):
     assert says(errors, "12 of 16 trials")
     assert says(text, "reading sweep.toml ... 16 trials")
     assert "failed: settings.max_steps = 1, shared.gravity = (0, 0, -1e8) m/s^2" in text
-    assert says(text, "16 of 16 trials ... 4 converged, 4 not converged, 8 failed")
-    assert "lambda_p did not vanish within max_steps = 1" in text
+    assert says(text, "16 of 16", "4 converged, 4 not converged, 8 failed")
+    assert says(text, "within max_steps = 1")
     assert "no equilibrium found" in text
     assert says(text, f"{swept / 'sweep.sqlite'} ... softcal sweep show")
     assert f"Open {swept / 'sweep_report.html'} in a browser" in text
@@ -154,7 +154,7 @@ def check_show(swept, capsys, tmp_path):
     assert errors == ""
     assert "E [kPa]" in text
     assert says(text, "Mean ± standard deviation")
-    assert says(text, "not converged, 4 trials ... settings.max_steps = 1")
+    assert says(text, "not converged, 4 trials", "settings.max_steps = 1")
     assert picture.read_bytes().startswith(b"\x89PNG")
     with table.open() as file:
         rows = list(csv.DictReader(file))
@@ -164,11 +164,11 @@ def check_show(swept, capsys, tmp_path):
     assert show("--all") == 0
     assert capsys.readouterr().out.count("failed") >= 8
     assert show("--figure", "F [Pa]") == 2
-    assert says(capsys.readouterr().err, "error: ... 'F [Pa]' ... mean 'E [Pa]'")
+    assert says(capsys.readouterr().err, "error: ", "'F [Pa]'", "mean 'E [Pa]'")
     assert show("--by", "noisee") == 2
     assert says(capsys.readouterr().err, "'noisee' ... mean 'noise'")
     assert main(["sweep", "show", str(tmp_path / "no.sqlite")]) == 2
-    assert "error: there is no sweep database" in capsys.readouterr().err
+    assert says(capsys.readouterr().err, "error: ", "no sweep", "no.sqlite")
 
 
 def test_a_database_of_another_sweep_file(swept, capsys, tmp_path):
@@ -176,7 +176,7 @@ def test_a_database_of_another_sweep_file(swept, capsys, tmp_path):
     (tmp_path / "sweep.toml").write_text(SWEEP.replace("seed = 7", "seed = 8"))
     read = swept / "other.sqlite"
     assert main(["sweep", str(swept / "sweep.toml"), "--workers", "-1"]) == 2
-    assert "workers must be 0 or more" in capsys.readouterr().err
+    assert says(capsys.readouterr().err, "workers ... 0 or more, got -1")
     short = SWEEP.replace("[0, 1]", "[0]").replace("[1, 50]", "[1]")
     short = short.replace(f', "{CRUSHED}"', "")
     (swept / "sweep.toml").write_text(short)
@@ -193,7 +193,7 @@ def test_a_project_that_changes_while_a_sweep_runs(tmp_path, monkeypatch):
     project = tmp_path / "project.toml"
     project.write_text(project.read_text().replace("nu = 0.3", "nu = 0.2"))
     monkeypatch.setattr(_calibration, "_KEPT", {})  # as in a new process
-    with pytest.raises(RuntimeError, match="has changed since the sweep began"):
+    with pytest.raises(RuntimeError, match=r"project\.toml has changed"):
         sweep.function(Trial(sweep.points[0]))
 
 
@@ -256,9 +256,9 @@ def test_calibrations_do_not_depend_on_workers_or_kills(tmp_path):
 @pytest.mark.parametrize(
     ("steps", "rejected", "max_steps", "reason"),
     [
-        (4, (4,), 4, "lambda_p did not vanish within max_steps = 4"),
-        (4, (3, 4), 50, "its last steps were refused, down to the shortest"),
-        (0, (), 50, "no step could be computed: the sensitivities are not finite"),
+        (4, (4,), 4, "within max_steps = 4"),
+        (4, (3, 4), 50, "last steps were refused"),
+        (0, (), 50, "sensitivities are not finite"),
     ],
 )
 def test_the_reason_of_a_row_is_what_happened(steps, rejected, max_steps, reason):
@@ -267,11 +267,11 @@ def test_the_reason_of_a_row_is_what_happened(steps, rejected, max_steps, reason
     result = make_result(converged=False, history=history)
     settings = CalibrationSettings(max_steps=max_steps)
     result = dataclasses.replace(result, settings=settings)
-    assert why_not(result).startswith(reason)
+    assert says(why_not(result), reason)
 
 
 def test_noise_is_for_markers_alone():
     """A pose that measures a sensor, too, must not pass for one that has its noise."""
     sensor = Configuration("pose", ("x_min",), effectors=[BodyFrame("sensor", "plate")])
-    with pytest.raises(ValueError, match="'pose' measures more than markers"):
+    with pytest.raises(ValueError, match=r"'pose' .*markers.* leave the axis"):
         _with_noise(sensor, np.random.default_rng(0))

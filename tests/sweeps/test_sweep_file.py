@@ -161,43 +161,41 @@ BAD = {
     ),
     "[axes]\nnoise = []": r"axes.noise: got \[\]; expected",
     "[axes]": "axes: .*none.* layout, configurations",
-    "": r"axes: missing. Expected a table \[axes\]",
+    "": r"axes: missing.* \[axes\]",
     "[axes]\nnoise = 20": r"axes.noise: got 20; .*\{ count = 20 \}",
     "[axes]\nnoise = [-1]": r"axes.noise: got \[-1\]; .* 0 for none",
     "[axes]\nnoise = { count = 0 }": r"axes.noise: got .*0.*\{ count = 20 \}",
     "[axes]\nnoise = { draws = 2 }": r"axes.noise: .*draws.*\{ count = 20 \}",
     "smaple = 3\n[axes]\nnoise = [1]": (
-        'smaple: unknown key.* mean "sample".* project, axes, name'
+        'smaple: .* mean "sample".* project, axes, name'
     ),
-    "sample = 0\n[axes]\nnoise = [1]": "sample: got 0; expected at least 1",
+    "sample = 0\n[axes]\nnoise = [1]": "sample: got 0; .*at least 1",
     "sample = 3\n[axes]\nnoise = [1]": "1 different points.* 3",
     '[axes]\n"material.nuu" = [0.3]': (
-        r'axes.material.nuu = 0.3: .*material.nuu: unknown key. Did you mean "nu"'
+        r'axes.material.nuu = 0.3: .*material.nuu: .* mean "nu"'
     ),
     '[axes]\n"material.nu" = [0.3, 0.7]': r"axes.material.nu = 0.7: .*nu must lie in",
     '[axes]\n"parameters.G.lower" = ["1 kPa"]': (
-        r"parameters.G.lower: there is no 'G'. Known: E"
+        r"parameters.G.lower: .* 'G'. Known: E"
     ),
     '[axes]\n"material.nu" = { low = 0.1, high = 0.4 }': (
-        "axis 'material.nu' is a range.* sample = 100"
+        "axis 'material.nu' .*range.* sample = 100"
     ),
     'sample = 2\n[axes]\n"material.E" = { low = "1 kPa", high = 3 }': (
         "axes.material.E: got 1 kPa and 3"
     ),
     '[axes]\nconfigurations = ["weight"]': r"axes.configurations: got .*weight.* \[",
     '[axes]\nconfigurations = [["wieght"]]': (
-        "configuration .*calibration 'wieght'.* mean 'weight'.* Known: 'weight'"
+        "calibration 'wieght'.* mean 'weight'.* Known: 'weight'"
     ),
-    "[axes]\nconfigurations = { choose = 2 }": (
-        "choose = 2, but the project has 1 configurations with the role calibration"
-    ),
+    "[axes]\nconfigurations = { choose = 2 }": "choose = 2, .* 1 config.*: weight",
     '[axes]\n"material.nu" = [1979-05-27]': (r"axes.material.nu\[1\]: got 1979-05-27"),
     "[axes]\nnoise = { count = 1_000_000_000_000 }": (
         r"axes.noise: count = 1000000000000: 1e\+12 trials, .* 10 000 000\..* "
         r"SOFTCAL_MAX_PLANNED"
     ),
     "[axes]\nnoise = { count = 10_000 }\nstart = { count = 10_000 }": (
-        r"axes: .*`sample`.* 100 000 000 trials, .* limit of 10 000 000"
+        r"axes: .*`sample`.* 100 000 000 trials, .* 10 000 000\."
     ),
     'sample = 1_000_000_000_000\n[axes]\n"material.nu" = { low = 0.1, high = 0.3 }': (
         r"axes: a sample of 1000000000000: 1e\+12 trials, .*limit"
@@ -205,10 +203,8 @@ BAD = {
     '[axes]\nlayout = ["ends"]': "unknown layout 'ends'.* none",
     "[axes]\nnoise = [1]\n[layouts.ends]\n": "layouts: .*axis `layout`",
     '[axes]\nlayout = ["ends"]\n[layouts.ends]\n': "replaces: got ''.* none",
-    '[axes]\nnoise = [1]\n[truth]\nG = "1 kPa"': (
-        "truth: unknown parameter 'G'. Known: 'E'"
-    ),
-    '[axes]\nnoise = [1]\n[truth]\nE = "1 kg"': 'truth: "1 kg": "kg" is not a pressure',
+    '[axes]\nnoise = [1]\n[truth]\nG = "1 kPa"': "truth: .* 'G'.* Known: 'E'",
+    '[axes]\nnoise = [1]\n[truth]\nE = "1 kg"': 'truth: "1 kg": .* pressure',
 }
 
 
@@ -225,7 +221,7 @@ def test_bad_sweep_files(text, small):
     [
         (
             '[axes]\nlayout = ["endz"]\n[layouts.ends]\n',
-            "axes.layout: unknown layout 'endz'.* mean 'ends'",
+            "axes.layout: .* 'endz'.* mean 'ends'",
         ),
         (
             'replaces = "end"\n[axes]\nlayout = ["a"]\n[layouts.a]\n',
@@ -248,32 +244,30 @@ def test_bad_layouts_and_truth(text, message, beam):
 
 
 def test_files_that_do_not_exist(tmp_path):
-    with pytest.raises(
-        FileNotFoundError, match=r"sweep file .*none.toml does not exist"
-    ):
+    with pytest.raises(FileNotFoundError, match=r"sweep file .*none\.toml"):
         load_sweep(tmp_path / "none.toml")
     path = write(tmp_path, "[axes]\nnoise = [1]\n")
-    with pytest.raises(FileNotFoundError, match=r"project: there is no file .*project"):
+    with pytest.raises(FileNotFoundError, match=r"project: .*no file .*/project"):
         load_sweep(path)
 
 
 def test_a_project_file_with_a_similar_name_is_proposed(tmp_path):
     path = write(tmp_path, "[axes]\nnoise = [1]\n")
     (tmp_path / "projects.toml").touch()
-    with pytest.raises(FileNotFoundError, match=r"Did you mean 'projects.toml'\?"):
+    with pytest.raises(FileNotFoundError, match=r"mean 'projects\.toml'"):
         load_sweep(path)
 
 
 def test_a_sample_of_a_grid_too_large_to_number():
     axes = {name: range(10**5) for name in "abcd"}
-    with pytest.raises(ValueError, match=r"more than 4.61e\+18 different points"):
+    with pytest.raises(ValueError, match=r"more than 4\.61e\+18 .*points"):
         sample(axes, 3)
     assert len(sample({"a": range(10**5), "b": range(10**5)}, 3)) == 3
 
 
 def test_nothing_measured(beam):
     path = write(beam, "[axes]\nnoise = [1]\n")
-    with pytest.raises(ProjectError, match="it has no `measured` positions"):
+    with pytest.raises(ProjectError, match=r"configurations\..* no `measured`"):
         load_sweep(path)
 
 
@@ -289,9 +283,7 @@ def test_changes_of_a_project(small):
     assert float(project.parameters[0].lower) == 150e3
     assert project.settings.tol == 1e-4
     assert [c.name for c in project.calibration] == ["weight", "pulled"]
-    with pytest.raises(
-        ProjectError, match=r"material\.nu\.x: material\.nu is no table"
-    ):
+    with pytest.raises(ProjectError, match=r"material\.nu\.x: .*nu is no table"):
         load_project(small / "project.toml", changes={"material.nu.x": 1})
 
 

@@ -52,8 +52,8 @@ def test_the_numbers_are_those_of_the_rows(measured):
     """Trials that did not converge are counted, and in no mean."""
     result, database = measured
     page = page_of(result, database, timing_s={"trials": 1.0})
-    assert says(page.text, "24 of 24 trials ... 18 converged, 4 not converged")
-    assert page.text.count("6 trials failed or did not converge, and count in no") == 1
+    assert says(page.text, "24 of 24", "18 converged, 4 not converged")
+    assert len(re.findall("6 trials [^.]*no mean", page.text)) == 1
     assert "ArithmeticError: no value at E = 200000" in page.text
     assert "made in Python" in page.text
     _, *rows = page.tables["Axes"]
@@ -98,7 +98,7 @@ def test_the_best_are_told_by_what_is_held_out(tmp_path):
     head, *rows = page.tables["Best trials"]
     shown = [1e3 * float(row[head.index("E [kPa]")]) for row in rows]
     assert shown == pytest.approx([row.point["E"] for row in by_error[:5]], rel=1e-4)
-    assert f"The lowest held-out rms of {len(good)} trials is " in page.text
+    assert says(page.text, "lowest held-out rms", f"{len(good)} trials")
     assert "Means" not in page.tables  # there are no repetitions
     values = sorted(row.point["E"] for row in result.rows)
     assert page.tables["Axes"][1][3] == f"from {values[0]:.6g} to {values[-1]:.6g}"
@@ -123,7 +123,7 @@ def test_a_sweep_that_was_stopped_and_goes_on(tmp_path):
     result = read_sweep(database)
     assert summarise(result).tone == "bad"
     page = page_of(result, database)
-    assert "1 of 3 trials have ended: 1 failed." in page.text
+    assert says(page.text, "1 of 3 trials", "1 failed")
     assert says(page.text, "2 trials are left")
     assert says(page.text, "No trial has converged")
     result = run_sweep(measure, points, database, workers=0)
@@ -137,7 +137,7 @@ def test_a_file_of_the_user_is_not_replaced(tmp_path, name):
     database = tmp_path / f"{name}.sqlite"
     check_sweep_page(database)
     (tmp_path / f"{name}_report.html").write_text("mine")
-    with pytest.raises(FileExistsError, match="no page of a sweep"):
+    with pytest.raises(FileExistsError, match=r"no page .*another name"):
         check_sweep_page(database)
 
 
