@@ -185,5 +185,5 @@ def test_no_actuators():
 
 def test_bad_arrays(unchecked):
     mesh = hollow_cube()
-    with pytest.raises(ValueError, match="actuator 'cable' is named more than once"):
+    with pytest.raises(ValueError, match=r"actuator 'cable'.*another name"):
         actuator_arrays(mesh, mesh.points, (CABLE, CABLE), {"plate": 0})

@@ -141,21 +141,12 @@ def test_unilateral():
 @pytest.mark.parametrize(
     ("guides", "message"),
     [
-        (PATH[:1], r"cable 'left' has 1 guide.*at least two"),
-        (
-            (PATH[0], PATH[1], PATH[1]),
-            r"guides 1 and 2 are both at \[0.03, 0.03, 0.02\] m",
-        ),
-        (
-            (Guide(PATH[0], "ground"), Guide(PATH[1], "ground")),
-            "all guides are on 'ground'",
-        ),
-        (
-            (Guide(PATH[0], "plate"), Guide(PATH[1], "plate")),
-            "all guides are on 'plate'",
-        ),
-        (((0.0, 1.0), PATH[0]), "point of a guide .*finite"),
-        (((0.0, 1.0, np.nan), PATH[0]), "must be three finite numbers"),
+        (PATH[:1], "'left' has 1 guide.* two"),
+        ((PATH[0], PATH[1], PATH[1]), r"guides 1 and 2 .*\[0.03, 0.03, 0.02\] m"),
+        ([Guide(p, "ground") for p in PATH[:2]], "all guides .*'ground'"),
+        ([Guide(p, "plate") for p in PATH[:2]], "all guides .*'plate'"),
+        (((0.0, 1.0), PATH[0]), r"point of a guide .*\[0. 1.\]"),
+        (((0.0, 1.0, np.nan), PATH[0]), r"point of a guide .*nan"),
     ],
 )
 def test_bad_guides(unchecked, guides, message):
@@ -164,14 +155,13 @@ def test_bad_guides(unchecked, guides, message):
 
 
 def test_a_name_is_needed():
-    with pytest.raises(ValueError, match="a cable needs a name that is not empty"):
+    with pytest.raises(ValueError, match="cable needs a name"):
         Cable("", PATH)
 
 
 def test_guide_outside_the_mesh():
     cable = Cable("left", (PATH[0], (0.2, 0.01, 0.02)))
-    message = r"cable 'left', guide 1 at .* lies .* from the mesh"
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=r"'left', guide 1 at .* 100 mm"):
         arrays_of(body(), cable)
 
 
@@ -188,8 +178,7 @@ def test_unknown_carrier_is_suggested():
     mesh = body()
     points = with_frames(mesh, (ORIGIN, TURN))
     cable = Cable("left", (PATH[0], Guide(PATH[1], on="plat")))
-    message = "guide 1 'plat'.*mean 'plate'"
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=r"guide 1 'plat'.*mean 'plate'"):
         actuator_arrays(mesh, points, (cable,), {"plate": 0})
 
 

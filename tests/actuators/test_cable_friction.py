@@ -242,12 +242,12 @@ def test_picture_shows_every_segment():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"friction": -0.1}, r"cable 'c' has the coefficient of friction -0.1, expec"),
-        ({"friction": np.inf}, "coefficient of friction inf, expected a finite number"),
-        ({"friction": np.nan}, "coefficient of friction nan, expected a finite number"),
-        ({"pulled_from": None}, "pulled_from=None, expected 'first' or 'last'"),
-        ({"pulled_from": "left"}, "pulled_from='left', expected 'first' or 'last'"),
-        ({"guides": PATH[:2]}, "friction but no guide between its ends"),
+        ({"friction": -0.1}, "'c' .*friction -0.1,.*not negative"),
+        ({"friction": np.inf}, "'c' .*friction inf,.* finite"),
+        ({"friction": np.nan}, "'c' .*friction nan,.* finite"),
+        ({"pulled_from": None}, "pulled_from=None, .*'first' or 'last'"),
+        ({"pulled_from": "left"}, "pulled_from='left', .*'first' or 'last'"),
+        ({"guides": PATH[:2]}, "no guide .*leave the friction out"),
     ],
 )
 def test_bad_friction(changes, message, unchecked):
@@ -258,5 +258,5 @@ def test_bad_friction(changes, message, unchecked):
 
 def test_a_cable_without_friction_has_no_coefficient_to_change():
     arrays = arrays_of(MESH, Cable("c", PATH))
-    with pytest.raises(ValueError, match="cable 'c' has no friction"):
+    with pytest.raises(ValueError, match="'c' has no friction"):
         arrays.with_friction(0, 0.1)

@@ -92,7 +92,7 @@ def test_motor_torque():
 def test_unknown_body_is_suggested():
     mesh = body()
     points = with_frames(mesh, (ORIGIN, TURN))
-    with pytest.raises(ValueError, match=r"body of motor 'm' 'hup'.* 'hub'\?"):
+    with pytest.raises(ValueError, match=r"motor 'm' 'hup'.* 'hub'\?"):
         actuator_arrays(mesh, points, (Motor("m", "hup"),), {"hub": 0})
 
 
@@ -104,14 +104,14 @@ def test_unknown_body_is_suggested():
     ],
 )
 def test_bad_direction(make, unchecked):
-    with pytest.raises(ValueError, match=r"'f': direction .* not all zero"):
+    with pytest.raises(ValueError, match=r"'f': direction .* all zero"):
         make((0.0, 0.0, 0.0))
-    with pytest.raises(ValueError, match="direction must be three finite numbers"):
+    with pytest.raises(ValueError, match=r"'f': direction .*finite.* inf"):
         make((0.0, np.inf, 0.0))
 
 
 def test_bad_point(unchecked):
-    with pytest.raises(ValueError, match="point must be three finite numbers"):
+    with pytest.raises(ValueError, match=r"'f': point .*finite"):
         ForceActuator("f", (0.0, 1.0), DIRECTION)
-    with pytest.raises(ValueError, match=r"'f' at .* from the mesh"):
+    with pytest.raises(ValueError, match=r"'f' at .* 600 mm"):
         arrays_of(body(), ForceActuator("f", (1.0, 0.1, 0.1), DIRECTION))

@@ -162,16 +162,14 @@ def test_the_order_of_face_nodes_does_not_matter(kind, order):
 def test_open_chamber():
     mesh = hollow_cube()
     opened = with_cavity(mesh, mesh.faces("cavity")[1:])
-    message = (
-        r"'c': .*'cavity' is not closed.* 3 open edges.*\[.*\] m.* SurfacePressure"
-    )
+    message = r"'c': .*'cavity'.* 3 open edges.*\[.*\] m.* SurfacePressure"
     with pytest.raises(ValueError, match=message):
         arrays_of(opened, CHAMBER)
 
 
 def test_surface_around_the_body():
     mesh = hollow_cube()
-    with pytest.raises(ValueError, match=r"body on its inner side \(.* -1 m3\)"):
+    with pytest.raises(ValueError, match=r"'outer'.*inner side.* -1 m3"):
         arrays_of(mesh, Chamber("c", "outer"))
 
 
@@ -182,11 +180,10 @@ def test_faces_inside_the_body(kind):
     for tet in mesh.tets:
         if len(set(tet[:3]) & set(mesh.faces("cavity").ravel())) == 1:
             inside[-1] = tet[:3]
-    message = "1 of 13 faces of surface 'cavity'"
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=r"1 of 13 faces .*'cavity'"):
         arrays_of(with_cavity(mesh, inside), kind("c", "cavity"))
 
 
 def test_unknown_surface_is_suggested():
-    with pytest.raises(ValueError, match="Did you mean 'cavity'"):
+    with pytest.raises(ValueError, match=r"'cavty'.* mean 'cavity'"):
         arrays_of(hollow_cube(), Chamber("c", "cavty"))

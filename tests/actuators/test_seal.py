@@ -175,13 +175,12 @@ def test_equilibrium_is_that_of_a_closed_twin(order):
 
 
 def test_a_closed_wall_needs_no_seal():
-    with pytest.raises(ValueError, match=r"surface 'cavity' is closed.*Leave seal out"):
+    with pytest.raises(ValueError, match=r"'cavity'.*Leave seal out"):
         arrays_of(channel(1, 3), SEALED)
 
 
 def test_an_open_wall_says_how_to_seal_it():
-    message = r"'cavity' is not closed.* 4 open edges.*\(seal = true\)"
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=r"'cavity'.* 4 open .*\(seal = true\)"):
         arrays_of(channel(0, 3), Chamber("c", "cavity"))
 
 
@@ -193,8 +192,7 @@ def test_openings_that_meet():
     k = next(k for k, both in enumerate(others) if len(both) == 1)
     left = np.delete(faces, [0, k], axis=0)
     opened = TetMesh(mesh.points, mesh.tets, surface_groups={"cavity": left})
-    message = "chamber 'c': openings .* mm"
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=r"'c': openings .* mm"):
         arrays_of(opened, SEALED)
 
 
@@ -204,5 +202,5 @@ def test_what_is_around_the_body_is_no_cavity():
     outer = mesh.faces("outer")
     open_side = outer[~(np.abs(mesh.points[outer, 0]) < 1e-9).all(axis=1)]
     body = TetMesh(mesh.points, mesh.tets, surface_groups={"cavity": open_side})
-    with pytest.raises(ValueError, match="has the body on its inner side"):
+    with pytest.raises(ValueError, match=r"'cavity'.*inner side"):
         arrays_of(body, SEALED)

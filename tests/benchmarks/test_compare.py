@@ -116,15 +116,14 @@ def test_another_machine_is_said(old):
     now["hardware"] |= {"cpu": "Z80", "load_before": 1.5, "cores": 2}
     now["versions"] |= {"jax": "9.9", "commit": "other"}
     old["hardware"]["cores"] = 2
-    assert _compare.compare(old, now).warnings == (
-        f"hardware: cpu is Z80, was {old['hardware']['cpu']}",
-        f"versions: jax is 9.9, was {old['versions']['jax']}",
-        "the machine was busy before the run: load 1.5 on 2 cores",
-    )
+    cpu, jax, busy = _compare.compare(old, now).warnings
+    assert says(cpu, "cpu is Z80", old["hardware"]["cpu"])
+    assert says(jax, "jax is 9.9", old["versions"]["jax"])
+    assert says(busy, "load 1.5 ... 2 cores")
 
 
 def test_two_problems_do_not_compare(old):
-    with pytest.raises(_compare.BadRecord, match="record is of 'beam', the fresh run"):
+    with pytest.raises(_compare.BadRecord, match=r"'beam', .*fresh .*'other'"):
         _compare.compare(old, old | {"name": "other"})
 
 
@@ -167,9 +166,7 @@ def test_what_is_no_record(tmp_path, capsys, text, message):
 
 def test_an_empty_folder(tmp_path, capsys):
     assert _cli.main(["compare", str(tmp_path)]) == 2
-    assert "holds no records; `python -m benchmarks run --all`" in (
-        capsys.readouterr().err
-    )
+    assert says(capsys.readouterr().err, f"{tmp_path} ... no records; ... run --all")
 
 
 def test_committed_records_are_what_they_are_compared_with():
@@ -185,7 +182,7 @@ def test_committed_records_are_what_they_are_compared_with():
 
 
 def test_better_belongs_to_a_figure():
-    with pytest.raises(ValueError, match="better 'y' belongs to no figure"):
+    with pytest.raises(ValueError, match=r"better 'y' .*no figure"):
         _problem.Outcome({"x": 1.0}, better={"y": "lower"})
 
 
@@ -195,7 +192,7 @@ def test_goals_are_read_as_written(goal):
 
 
 def test_a_text_that_is_no_goal():
-    with pytest.raises(ValueError, match="'soon' is no goal, like 'at least 3'"):
+    with pytest.raises(ValueError, match=r"'soon' .*'at least 3'"):
         _problem.Goal.read("soon")
 
 
@@ -226,11 +223,11 @@ def test_margins_of_goals(value, goal, margin):
 
 def test_the_page_has_a_line_for_everything(old):
     panels = _page._panels(old)
-    lines = [(panel.title, name) for panel in panels for name in panel.values]
+    lines = [(p.title.partition(": how")[0], name) for p in panels for name in p.values]
     assert lines == [
-        ("goals: how many times better than asked", "vs_peer"),
-        ("goals: how many times better than asked", "recovered"),
-        ("goals: how many times better than asked", "coverage"),
+        ("goals", "vs_peer"),
+        ("goals", "recovered"),
+        ("goals", "coverage"),
         ("figures: time [ms]", "solve_ms"),
         ("figures: time [ms]", "peer_ms"),
         ("figures: time [s]", "setup_s"),

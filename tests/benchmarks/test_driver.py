@@ -110,9 +110,7 @@ def test_without_json_nothing_is_written(package, tmp_path, monkeypatch):
 
 def test_unknown_name(package, capsys):
     assert call(package, "run", "nothin") == 2
-    assert says(
-        capsys.readouterr().err, "'nothin' ... mean 'nothing' ... broken, nothing"
-    )
+    assert says(capsys.readouterr().err, "'nothin' ... 'nothing' ... broken, nothing")
 
 
 def test_private_module_is_no_problem(package, capsys):
@@ -130,8 +128,7 @@ def test_missing_peer(package, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "felupe", None)
     assert call(package, "run", "broken") == 2
     assert says(
-        capsys.readouterr().err,
-        "broken needs felupe ... pip install softcal-jax[benchmarks]",
+        capsys.readouterr().err, "broken ... felupe ... softcal-jax[benchmarks]"
     )
 
 
@@ -144,7 +141,7 @@ def test_other_missing_modules_are_not_hidden(package, monkeypatch):
 
 @pytest.mark.parametrize(
     ("where", "message"),
-    [("no/such/out.json", "its folder does not exist"), ("", "is a folder")],
+    [("no/such/out.json", "folder does not exist"), ("", "is a folder")],
 )
 def test_json_that_cannot_be_written_is_refused_first(
     package, tmp_path, capsys, where, message
@@ -178,7 +175,7 @@ def test_json_knows_no_nan(tmp_path):
 @pytest.mark.parametrize(
     ("value", "error", "message"),
     [
-        (math.inf, ValueError, "figure 'x' is inf; JSON has no such number"),
+        (math.inf, ValueError, "figure 'x' .* inf; JSON"),
         (True, TypeError, "figure 'x' .*got True"),
         ([1.0], TypeError, r"figure 'x' .*got \[1.0\]"),
     ],
@@ -189,7 +186,7 @@ def test_figures_are_numbers_or_words(value, error, message):
 
 
 def test_a_goal_belongs_to_a_figure():
-    with pytest.raises(ValueError, match="goal 'y' belongs to no figure"):
+    with pytest.raises(ValueError, match=r"goal 'y' .*no figure"):
         _problem.Outcome({"x": 1.0}, goals={"y": _problem.Goal("at most", 1.0)})
 
 
@@ -254,7 +251,7 @@ def test_run_all_goes_on_after_a_failure(package, tmp_path, monkeypatch, capfd):
 @pytest.mark.parametrize("argv", [["run"], ["run", "nothing", "--all"]])
 def test_run_takes_one_or_all(package, capsys, argv):
     assert call(package, *argv) == 2
-    assert "name one benchmark, or give --all" in capsys.readouterr().err
+    assert says(capsys.readouterr().err, "one benchmark ... --all")
 
 
 def test_a_part_is_renewed_in_a_record(package, tmp_path, monkeypatch, capsys):

@@ -40,7 +40,7 @@ def test_a_mesh_that_fails_ends_the_series_and_is_named(monkeypatch, tmp_path):
     figures = growth.run(Options(tmp_path, lambda text: None)).figures
     last = {kind: across[-1] for kind, across in growth.ACROSS.items()}
     assert figures["largest_nodes"] == 6 * last["solve"] ** 3
-    assert figures["ended_by"] == "the largest mesh that was asked for"
+    assert "largest mesh" in figures["ended_by"]
     np.testing.assert_allclose(figures["time_exponent"], 1.25)
     np.testing.assert_allclose(figures["calibration_time_exponent"], 1.5)
     np.testing.assert_allclose(figures["memory_exponent"], 1.0)

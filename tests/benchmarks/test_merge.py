@@ -47,15 +47,15 @@ def test_check_mesh_names_the_parts_as_disconnected(parts):
 
 
 def test_refuses(parts):
-    with pytest.raises(ValueError, match="merge needs at least one part"):
+    with pytest.raises(ValueError, match=r"merge .*one part"):
         merge({})
-    with pytest.raises(ValueError, match="cannot have the name 'a/b'"):
+    with pytest.raises(ValueError, match="the name 'a/b'"):
         merge({"a/b": parts["a"]})
-    with pytest.raises(ValueError, match="cannot have the name ''"):
+    with pytest.raises(ValueError, match="the name ''"):
         merge({"": parts["a"]})
 
 
 def test_refuses_mixed_orders():
     linear, quadratic = (beam(*BOX, (1, 1, 1), order=order) for order in (1, 2))
-    with pytest.raises(ValueError, match="same order, got 'l' 1, 'q' 2; use to_quad"):
+    with pytest.raises(ValueError, match=r"'l' 1, 'q' 2; .*to_quad"):
         merge({"l": linear, "q": quadratic})

@@ -152,10 +152,7 @@ def test_the_end_group_is_about_its_origin():
     [
         ({"arm_length": 0.0}, "arm_length .*got 0.0"),
         ({"E_t": float("nan")}, "E_t .*got nan"),
-        (
-            {"rod_half_length": 0.07},
-            "rod_half_length 0.07 m .*sheet_height 0.06 m",
-        ),
+        ({"rod_half_length": 0.07}, "rod_half_length 0.07 m .*sheet_height 0.06 m"),
     ],
 )
 def test_refuses(change, message):

@@ -7,6 +7,7 @@ from importlib import import_module
 import jax
 import numpy as np
 import pytest
+from wording import says
 
 from benchmarks import _peer_law, _peer_process, peers
 from benchmarks._paper import STD
@@ -181,10 +182,10 @@ def test_a_run_out_of_time_counts_as_its_limit(job):
 @pytest.mark.slow
 def test_a_peer_that_solves_another_problem_is_refused(job):
     ours, gradient = peers.our_slope(job), peers.by_parameter(Adjoint(job))
-    with pytest.raises(RuntimeError, match="other moves the tip by"):
+    with pytest.raises(RuntimeError, match=r"other .*tip by"):
         peers.agreement(job, "other", peers.tips(Adjoint(job)), ours)
     moved = np.stack([pose.measured for pose in job.poses])
-    with pytest.raises(RuntimeError, match="do not solve the same problem"):
+    with pytest.raises(RuntimeError, match=r"(?s)gradient .*same problem"):
         peers.agreement(job, "other", moved, gradient)
     found = peers.agreement(job, "same", moved, ours)
     assert found == {
@@ -224,9 +225,8 @@ LIBRARIES = {
 def test_an_absent_peer_is_reported():
     with peers.opened(LIBRARIES, Unopened) as (found, absent):
         assert [peer.label for peer in found.values()] == ["with adjoint"]
-        assert absent == {
-            "gone": "torch is not installed: pip install softcal-jax[peers]",
-        }
+        assert list(absent) == ["gone"]
+        assert says(absent["gone"], "torch ... softcal-jax[peers]")
 
 
 @pytest.mark.parametrize(
@@ -270,10 +270,9 @@ def test_a_run_without_peers_tells_ours(job, monkeypatch, tmp_path):
         "ours_calibration_s",
     }
     assert outcome.goals == {}
-    assert outcome.tables[0].rows[1][:2] == [
-        "gone",
-        "torch is not installed: pip install softcal-jax[peers]",
-    ]
+    name, absence = outcome.tables[0].rows[1][:2]
+    assert name == "gone"
+    assert says(absence, "torch ... softcal-jax[peers]")
 
 
 def test_ratios_are_peers_over_ours():

@@ -143,7 +143,7 @@ def test_a_state_without_forces_is_found(solved):
     gent = {"mu": E, "J_m": np.full_like(E, 1e-30), "nu": nu}
     wrong = drawn._replace(body=drawn.body._replace(law="gent", constants=gent))
     (text,) = judge(wrong, solution).violations
-    assert text == "the law has no forces at this displacement"
+    assert "law has no forces" in text
 
 
 def test_there_are_thirty_kinds_of_bad_input():
@@ -184,7 +184,7 @@ def test_counts_name_a_part(tmp_path, capsys):
     assert says(capsys.readouterr().err, "reliability ... 'kill' ... It has:")
     with pytest.raises(SystemExit):
         _cli.main([*run, "kills=0"])
-    assert "expected a part and a whole number from 1 on" in capsys.readouterr().err
+    assert says(capsys.readouterr().err, "'kills=0' ... number from 1")
     assert _cli.main(["run", "--all", "--count", "kills=1"]) == 2
 
 
@@ -197,4 +197,5 @@ def test_only_the_parts_that_are_asked_for_run(monkeypatch, tmp_path):
     outcome = reliability.run(Options(tmp_path, said.append, {"kills": 2}))
     assert outcome.figures == {"kills_orphans": 2}
     assert not outcome.goals["kills_orphans"].met(2)
-    assert said == ["did not hold: calibration 3: rows lost"]
+    (text,) = said
+    assert text.endswith("not hold: calibration 3: rows lost")

@@ -51,14 +51,14 @@ def test_good_input():
 @pytest.mark.parametrize(
     ("actuation", "message"),
     [
-        ({"cabel": ImposedForce(1.0)}, "actuator of configuration 'one'.*'cabel'"),
+        ({"cabel": ImposedForce(1.0)}, "actuator .*'one'.*'cabel'"),
         ({"cable": ImposedForce(-1.0)}, "value -1 N.*only pulls"),
         ({"cable": ImposedForce(np.nan)}, "'cable' has the value nan N"),
         ({"cable": ImposedDisplacement(np.inf)}, "value inf m.*finite"),
         ({"motor": ImposedDisplacement(45.0)}, "value 45 rad.*np.deg2rad"),
         (
             {"pressure": ImposedDisplacement(1.0)},
-            r"'pressure' has no displacement.*give ImposedForce\(...\) \[Pa\]",
+            r"'pressure' .*no displacement.*ImposedForce\(...\) \[Pa\]",
         ),
     ],
 )
@@ -69,7 +69,7 @@ def test_bad_actuation(actuation, message):
 @pytest.mark.parametrize(
     ("bodies", "message"),
     [
-        ({"tipp": "held"}, "rigid body of configuration 'one'.*'tipp'"),
+        ({"tipp": "held"}, "body .*'one'.*'tipp'"),
         ({"flap": "held"}, "'flap' is tied to 'tip'"),
         ({"root": Pose()}, "'root' is turned by motor 'motor'"),
     ],
@@ -82,7 +82,7 @@ def test_hinge_of_a_torque_needs_a_balance():
     """Weight, a load or another actuator; without any it turns and turns."""
     torque = {"motor": ImposedForce(1e-3)}
     nothing = (0.0, 0.0, 0.0)
-    message = "1 of the 6 rigid motions .*'motor' is driven by its torque"
+    message = "1 of the 6 .*'motor' .*torque"
     refused(message, actuation=torque, gravity=nothing)
     pulled = torque | {"cable": ImposedForce(1.0)}
     for c in (
@@ -99,11 +99,11 @@ def test_support_on_a_body():
 
 
 def test_bad_poses():
-    with pytest.raises(ValueError, match=r"turns by 90 rad.*radians, not degrees"):
+    with pytest.raises(ValueError, match=r"90 rad,.*np\.deg2rad"):
         Pose(rotation_vector=(0.0, 0.0, 90.0))
-    with pytest.raises(ValueError, match="mirrors space"):
+    with pytest.raises(ValueError, match=r"mirrors space, got \[\[ 1"):
         Pose.from_matrix(np.diag([1.0, 1.0, -1.0]), np.zeros(3))
-    with pytest.raises(ValueError, match="orthogonal 3 x 3 matrix"):
+    with pytest.raises(ValueError, match=r"3 x 3 matrix.*got \[\[2"):
         Pose.from_matrix(2.0 * np.eye(3), np.zeros(3))
     with pytest.raises(ValueError, match=r"'fixed'.*'free', 'held', 'hinged'"):
         BodyState("fixed")
@@ -114,15 +114,15 @@ def test_bad_poses():
 
 
 def test_bad_bodies(unchecked):
-    with pytest.raises(ValueError, match="mass of rigid body 'a' must be finite"):
+    with pytest.raises(ValueError, match=r"mass .*'a' .*not negative.* -1"):
         RigidBody("a", "x_min", mass=-1.0)
-    with pytest.raises(ValueError, match=r"origin of rigid body 'a' .*\[m\]"):
+    with pytest.raises(ValueError, match=r"origin .*'a' .*\[m\].* nan"):
         RigidBody("a", "x_min", origin=(0.0, np.nan, 0.0))
     with pytest.raises(ValueError, match=r"right-handed.*`hinge_axes`"):
         RigidBody("a", "x_min", axes=np.diag([1.0, 1.0, -1.0]))
-    with pytest.raises(ValueError, match="'a' is tied to itself"):
+    with pytest.raises(ValueError, match=r"'a' .*tied to itself"):
         RigidBody("a", "x_min", tied_to="a")
-    with pytest.raises(ValueError, match=r"axis of a hinge .* not all zero"):
+    with pytest.raises(ValueError, match=r"a hinge .*all zero"):
         hinge_axes((0.0, 0.0, 0.0))
 
 
@@ -137,10 +137,10 @@ def test_axes_of_a_hinge():
 @pytest.mark.parametrize(
     ("bodies", "message"),
     [
-        ((ROOT, ROOT), "'root' is named more than once"),
+        ((ROOT, ROOT), "'root' .*another name"),
         ((ROOT, RigidBody("b", "y_min")), "'root' and 'b' share 2 nodes"),
-        ((RigidBody("b", "nowhere"),), "rigid body 'b': unknown group 'nowhere'"),
-        ((RigidBody("b", np.array([0, 1])),), "'b' holds 2 nodes on a line"),
+        ((RigidBody("b", "nowhere"),), "'b': .*group 'nowhere'"),
+        ((RigidBody("b", np.array([0, 1])),), "'b' holds 2 nodes .*Support"),
         ((RigidBody("b", "x_min", tied_to="tip"),), "tied_to of body 'b' 'tip'"),
         (
             (

@@ -53,11 +53,11 @@ def test_patch_smooths_a_local_dent_that_one_tet_follows():
 
 def test_base_without_enough_nodes_is_refused():
     mesh = beam(0.1, 0.02, 0.02, (4, 1, 1))
-    with pytest.raises(ValueError, match="marker 'post': only 0 nodes lie within"):
+    with pytest.raises(ValueError, match=r"'post': .* 0 .*base_radius 2 mm"):
         effectors(mesh, base_radius=0.002)
 
 
 @pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
 def test_base_radius_must_be_a_length(value):
-    with pytest.raises(ValueError, match=r"base_radius.*not negative"):
+    with pytest.raises(ValueError, match=f"base_radius .*not .* got {value:g}"):
         Markers(("post",), POST, base_radius=value)

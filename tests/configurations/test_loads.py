@@ -155,13 +155,13 @@ def test_corners_of_a_quadratic_tet_carry_minus_a_twentieth():
 
 def test_bad_loads():
     mesh = box(1)
-    with pytest.raises(ValueError, match=r"three finite numbers \[N\].*nan"):
+    with pytest.raises(ValueError, match=r"force .*finite .*\[N\].*nan"):
         PointForce((0.1, 0.1, 0.1), (0.0, np.nan, 0.0)).nodal_forces(mesh)
-    with pytest.raises(ValueError, match=r"three finite numbers \[Pa\].*inf"):
+    with pytest.raises(ValueError, match=r"traction .*finite .*\[Pa\].*inf"):
         SurfaceTraction("x_max", (0.0, np.inf, 0.0)).nodal_forces(mesh)
     with pytest.raises(ValueError, match=r"force at \(.*\) mm.* 700 mm"):
         PointForce((0.1, 0.1, 0.9), FORCE).nodal_forces(mesh)
-    with pytest.raises(ValueError, match=r"unknown surface group 'x_mex'.*'x_max'"):
+    with pytest.raises(ValueError, match=r"'x_mex'.*'x_max'\?"):
         SurfaceForce("x_mex", FORCE).nodal_forces(mesh)
     with pytest.raises(ValueError, match="unknown group 'edge'"):
         EdgeForce("edge", FORCE).nodal_forces(mesh)
@@ -173,17 +173,12 @@ def test_bad_loads():
 @pytest.mark.parametrize(
     ("kind", "nodes", "force", "message"),
     [
-        (EdgeForce, np.ones(60, bool), FORCE, "an edge force needs .*flatnonzero"),
+        (EdgeForce, np.ones(60, bool), FORCE, "edge force needs .*flatnonzero"),
         (EdgeForce, [0, -1], FORCE, "edge force: node -1"),
         (NodalForces, [60], [FORCE], "nodal force: node 60"),
-        (NodalForces, [-1], [FORCE], "node -1.* 0 to 59"),
-        (NodalForces, [4, 5], FORCE, r"2 nodes need .* of shape \(2, 3\) \[N\]"),
-        (
-            NodalForces,
-            [4, 5],
-            [FORCE, (0.0, np.nan, 0.0)],
-            r"needs a finite force .*nan",
-        ),
+        (NodalForces, [-1], [FORCE], "nodal .* node -1.* 0 to 59"),
+        (NodalForces, [4, 5], FORCE, r"2 nodes .*\(2, 3\) \[N\], got \(3,\)"),
+        (NodalForces, [4, 5], [FORCE, (0.0, np.nan, 0.0)], "node 5 .*finite .*nan"),
     ],
 )
 def test_bad_nodes_and_forces(kind, nodes, force, message):

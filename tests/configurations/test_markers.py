@@ -78,17 +78,14 @@ def test_an_axis_that_is_not_measured_may_be_missing():
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"names": ["a", "a"]}, "marker 'a' is named more than once"),
-        (
-            {"names": ["a"]},
-            r"1 marker names need .*positions of shape \(1, 3\)",
-        ),
-        ({"positions": [INSIDE, [0, np.nan, 0]]}, "needs a finite position .*nan"),
-        ({"std": 0.0}, r"std must be positive and finite \[m\].* got 0"),
-        ({"std": [1e-3, -1.0]}, "-1.*; .* left out with `axes`"),
+        ({"names": ["a", "a"]}, "marker 'a' .*another name"),
+        ({"names": ["a"]}, r"1 marker .*positions .*\(1, 3\) .*got \(2, 3\)"),
+        ({"positions": [INSIDE, [0, np.nan, 0]]}, "'b' .*finite position .*nan"),
+        ({"std": 0.0}, r"std .*positive .*\[m\].* got 0"),
+        ({"std": [1e-3, -1.0]}, "got -1; .*`axes`"),
         ({"std": [1e-3, np.inf]}, "got .*inf"),
-        ({"std": [1e-3] * 3}, r"one number, one per marker \(2,\).*got shape \(3,\)"),
-        ({"axes": "xw"}, "axes.* x, y, z.*'xw'"),
+        ({"std": [1e-3] * 3}, r"per marker \(2,\).* got shape \(3,\)"),
+        ({"axes": "xw"}, "axes .*xyz.*'xw'"),
         ({"axes": ""}, "got ''"),
         ({"axes": "xx"}, "got 'xx'"),
     ],
@@ -102,9 +99,9 @@ def test_bad_markers(changed, message):
 @pytest.mark.parametrize(
     ("measured", "message"),
     [
-        ([INSIDE, [0, np.nan, 0]], "marker 'b' of configuration 'one' was measured at"),
-        ([INSIDE, [np.inf, 0, 0]], "Leave a marker that was lost out of"),
-        ([INSIDE], r"'one' has 2 markers \(a, b\).*\(2, 3\), got \(1, 3\)"),
+        ([INSIDE, [0, np.nan, 0]], "'b' .*'one' .*nan.* Leave"),
+        ([INSIDE, [np.inf, 0, 0]], "'b' .*'one' .*inf.* Leave"),
+        ([INSIDE], r"'one' .*\(a, b\).*\(2, 3\), got \(1, 3\)"),
         ([INSIDE, POST, POST], r"got \(3, 3\)"),
         ([[0.1, 0.2], [0.1, 0.2]], r"got \(2, 2\)"),
     ],
@@ -115,19 +112,17 @@ def test_bad_measurements(measured, message):
 
 
 def test_measured_without_markers():
-    with pytest.raises(ValueError, match="'one' has measured positions, no markers"):
+    with pytest.raises(ValueError, match=r"'one' .*measured .*no markers"):
         Configuration("one", CLAMP, measured=np.array([INSIDE]))
 
 
 def test_marker_far_outside_the_mesh():
     """The message names the markers, the configuration, and the likely unit error."""
     far = markers(positions=[INSIDE, [0.1, 0.01, 0.05]])
-    with pytest.raises(
-        ValueError, match=r"'one': marker 'b' at \(100, 10, 50\) mm lies 30 mm from"
-    ):
+    with pytest.raises(ValueError, match=r"'one': .*'b' .*\(100, 10, 50\) mm .* 30 mm"):
         configuration_arrays(MESH, [Configuration("one", CLAMP, markers=far)])
     in_mm = markers(positions=1e3 * np.array([INSIDE, POST]))
-    with pytest.raises(ValueError, match="metres and not millimetres"):
+    with pytest.raises(ValueError, match=r"'b' .*'a'.* not millimetres"):
         configuration_arrays(MESH, [Configuration("one", CLAMP, markers=in_mm)])
     near = markers(positions=far.positions, max_distance=0.04)
     configuration_arrays(MESH, [Configuration("one", CLAMP, markers=near)])

@@ -72,9 +72,7 @@ def test_what_is_not_finite(table, cell):
 
 
 def test_no_such_file(tmp_path):
-    with pytest.raises(
-        FileNotFoundError, match=r"marker file .*no\.csv does not exist"
-    ):
+    with pytest.raises(FileNotFoundError, match=r"no\.csv .*not exist"):
         read_markers(tmp_path / "no.csv")
 
 
@@ -92,20 +90,14 @@ def test_not_a_text(tmp_path):
 
 @pytest.mark.parametrize("text", ["", "# a comment\n", "marker,x_mm,y_mm,z_mm\n"])
 def test_no_rows(table, text):
-    with refused("holds no rows below a header"):
+    with refused("table.csv ... no rows"):
         read_markers(table(text))
 
 
 @pytest.mark.parametrize(
     ("header", "texts"),
     [
-        (
-            "markr,x_mm,y_mm,z_mm",
-            [
-                "'marker' is missing ... mean 'markr'",
-                "there ... markr",
-            ],
-        ),
+        ("markr,x_mm,y_mm,z_mm", ["'marker' ... mean 'markr' ... there ... markr"]),
         ("marker,x_mm,z_mm,n", ["column 'y_mm' is missing."]),
         ("marker,x_mm,y_cm,z_mm", ["'y_mm' is missing ... mean"]),
         ("marker,a,b,c", ["column 'x' is missing."]),
@@ -177,7 +169,7 @@ def test_a_thousand_is_not_taken_for_one(table):
 def test_decimal_commas_between_commas_are_explained(table):
     with refused("'1,5', not a number ... decimal point"):
         read_markers(table('marker,x_mm,y_mm,z_mm\ntip,0,"1,5",2\n'))
-    with refused("5 cells under a header of 4", "decimal commas ... ;"):
+    with refused("5 cells ... 4 columns", "decimal commas ... ;"):
         read_markers(table("marker,x_mm,y_mm,z_mm\ntip,0,1,5,2\n"))
 
 
@@ -196,7 +188,7 @@ def test_no_column_is_proposed_that_is_there_for_itself(table):
 
 
 def test_a_control_character_names_the_line(table):
-    with refused("line 2: got 'tip\\x1b[2J,1,2,3', with the control character '\\x1b'"):
+    with refused("line 2: ... 'tip\\x1b[2J,1,2,3' ... character '\\x1b'"):
         read_markers(table("marker,x_mm,y_mm,z_mm\ntip\x1b[2J,1,2,3\n"))
 
 
@@ -211,7 +203,7 @@ def test_a_row_of_another_length(table):
 
 
 def test_a_marker_twice(table):
-    with refused("'tip' is there twice ... lines 4 and 7; select"):
+    with refused("'tip' ... twice ... 4 and 7; select"):
         read_markers(table(TABLE))
 
 

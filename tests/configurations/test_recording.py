@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from recordings import NAMES, RATE, motion, write_recording
+from wording import says
 
 from softcal_jax.configurations import Recording, read_c3d
 
@@ -38,36 +39,36 @@ def test_frames_that_do_not_see_a_marker_are_left_out(tmp_path):
     assert np.isnan(recording.positions[30, 1]).all()
     table = recording.between(0.29, 0.31)
     np.testing.assert_allclose(table.positions_of(["tip"])[0, 2], 33e-3, rtol=1e-6)
-    with pytest.raises(ValueError, match=r"between 0.29 and 0.31 s: the position of"):
+    with pytest.raises(ValueError, match=r"0\.29 and 0\.31 s: .*'base' .*Leave"):
         table.positions_of(["base"])
 
 
 def test_windows_outside_of_the_recording_are_refused():
     recording = Recording(NAMES, np.arange(40) / RATE, motion(), "run")
-    with pytest.raises(ValueError, match=r"it has those between 0 and 0.39 s"):
+    with pytest.raises(ValueError, match=r"0\.3 and 0\.5 s; .* 0 and 0\.39 s"):
         recording.between(0.3, 0.5)
-    with pytest.raises(ValueError, match=r"it has those between -0.21 and 0.18 s"):
+    with pytest.raises(ValueError, match=r"-0\.3 .*'tip'; .* -0\.21 and 0\.18 s"):
         recording.between(-0.3, 0.0, after_step_of="tip")
-    with pytest.raises(ValueError, match=r"not all frames between 0.201 and 0.202 s"):
+    with pytest.raises(ValueError, match=r"0\.201 and 0\.202 s; .* 0 and 0\.39 s"):
         recording.between(0.201, 0.202)
-    with pytest.raises(ValueError, match=r"no marker 'Tip'.*mean 'tip'"):
+    with pytest.raises(ValueError, match=r"marker 'Tip'.* mean 'tip'"):
         recording.step_of("Tip")
     with pytest.raises(ValueError, match="'base' does not move"):
         recording.step_of("base")
 
 
 def test_files_that_are_no_recordings_are_refused(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"none.c3d does not exist"):
+    with pytest.raises(FileNotFoundError, match=r"none\.c3d .*exist"):
         read_c3d(tmp_path / "none.c3d")
     text = tmp_path / "text.c3d"
     text.write_text("marker,x,y,z\n")
-    with pytest.raises(ValueError, match=r"text.c3d cannot be read"):
+    with pytest.raises(ValueError, match=r"text\.c3d cannot"):
         read_c3d(text)
     path = write_recording(tmp_path / "a.c3d", motion(), unit="furlong")
-    with pytest.raises(ValueError, match="the unit of length 'furlong'; expected"):
+    with pytest.raises(ValueError, match=r"unit .*'furlong'; .* mm"):
         read_c3d(path)
     path = write_recording(tmp_path / "b.c3d", motion(), rate=-100.0)
-    with pytest.raises(ValueError, match="rate of frames is -100; expected"):
+    with pytest.raises(ValueError, match=r"rate .* -100; .*positive"):
         read_c3d(path)
 
 
@@ -84,7 +85,7 @@ def test_events_count_from_the_first_frame(tmp_path):
     )
     with pytest.raises(ValueError, match=r"0 times.*'valve opens'"):
         recording.between(0.0, 0.1, after_event="valve open")
-    with pytest.raises(ValueError, match=r"closes' is there 2 times.*61.5 s"):
+    with pytest.raises(ValueError, match=r"closes' .* 2 times.* 61\.5 s"):
         recording.time_of("valve closes")
     both = {"after_event": "valve opens", "after_step_of": "tip"}
     with pytest.raises(ValueError, match="not from both"):
@@ -121,7 +122,7 @@ def test_a_window_around_a_time():
     np.testing.assert_array_equal(usual.positions, expected.positions)
     single = recording.at(3.002, width=0.0)  # of the nearest frame
     np.testing.assert_array_equal(single.positions, recording.positions[300])
-    with pytest.raises(ValueError, match=r"width of a window is 0 or more \[s\]"):
+    with pytest.raises(ValueError, match=r"width .*\[s\], got -0\.1"):
         recording.at(3.0, width=-0.1)
 
 
@@ -140,7 +141,7 @@ def test_scatter_over_a_window():
         table.covariances_of(["tip"])[0], np.cov(own.T), rtol=1e-9
     )
     assert table.window == pytest.approx((3.0, 3.39))
-    with pytest.raises(ValueError, match=r"scatter of marker 'base' .*two frames"):
+    with pytest.raises(ValueError, match=r"scatter .*'base' .*longer window"):
         table.covariances_of(["base"])
 
 
@@ -154,8 +155,8 @@ def test_the_plateau_is_found(seed):
     table = recording.plateau(0.5, after_step_of="tip")
     assert table.window == (start, stop)
     since = recording.step_of("tip")
-    words = f"on the plateau between {start - since:g} and {stop - since:g} s from"
-    assert table.places[0].startswith(words)
+    words = f"plateau ... {start - since:g} and {stop - since:g} s"
+    assert says(table.places[0], words)
     # Creep has ended at 4 s, so that the mean is within what it was before.
     height = table.positions_of(["tip"])[0, 2]
     assert 20.0e-3 < height < 20.25e-3
@@ -196,13 +197,11 @@ def test_no_plateau():
     positions = np.zeros((400, 2, 3))
     positions[:, 1, 0] = 0.05 * np.sin(3.0 * t)
     moving = Recording(NAMES, t, positions, "run")
-    with pytest.raises(ValueError, match=r"no plateau of 0.3 s: even in the stillest"):
+    with pytest.raises(ValueError, match=r"plateau of 0\.3 s: .* 2 % .*`between`"):
         moving.plateau(0.3)
-    with pytest.raises(ValueError, match="2 % of the largest motion"):
-        moving.plateau(0.3)
-    with pytest.raises(ValueError, match="held for less than 5 s away from"):
+    with pytest.raises(ValueError, match=r"held .*less than 5 s"):
         noisy().plateau(5.0)
-    with pytest.raises(ValueError, match=r"a plateau has a positive length \[s\]"):
+    with pytest.raises(ValueError, match=r"plateau .*positive .*\[s\], got 0"):
         moving.plateau(0.0)
 
 
@@ -211,9 +210,9 @@ def test_labels_are_renamed():
         ("arm:1", "arm:2"), np.arange(2.0), np.zeros((2, 2, 3)), "run"
     )
     assert recording.renamed({"tip": "arm:2"}).names == ("arm:1", "tip")
-    with pytest.raises(ValueError, match=r"no marker 'arm:3'.*`labels` .* maps"):
+    with pytest.raises(ValueError, match=r"'arm:3'.*`labels` .* maps"):
         recording.renamed({"tip": "arm:3"})
-    with pytest.raises(ValueError, match="give two markers one name"):
+    with pytest.raises(ValueError, match=r"\{'arm:1': .*one name"):
         recording.renamed({"arm:1": "arm:2"})
-    with pytest.raises(ValueError, match="or one marker two names"):
+    with pytest.raises(ValueError, match=r"'end': .*two names"):
         recording.renamed({"tip": "arm:2", "end": "arm:2"})

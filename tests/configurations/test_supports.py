@@ -70,7 +70,7 @@ def test_lanes_keep_their_own_supports_loads_and_gravity():
 
 def test_two_supports_may_agree_and_must_not_clash():
     one(CLAMP, Support("z_min", "x"))
-    with pytest.raises(ValueError, match=r"held twice along x with different displac"):
+    with pytest.raises(ValueError, match=r"node 0 .*twice along x"):
         one(CLAMP, Support("z_min", "x", (1e-3, 0, 0)))
     # Held along other axes is no clash.
     one(CLAMP, Support("x_max", "x"), Support("x_max", "y", (9.0, 1e-3, 0)))
@@ -88,31 +88,30 @@ def test_two_supports_may_agree_and_must_not_clash():
     ids=["nothing", "one node", "sliding in plane", "sliding out of plane", "hinge"],
 )
 def test_a_body_that_is_not_held(supports, free):
-    message = rf"'one' is not held: .* leave {free} of the 6 rigid motions free\. Clamp"
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=f"'one' .* {free} of the 6 .*Clamp"):
         configuration_arrays(MESH, [Configuration("one", supports)])
 
 
 def test_bad_supports():
-    with pytest.raises(ValueError, match=r"axes must be made of .*got 'xa'"):
+    with pytest.raises(ValueError, match=r"axes .*xyz.* got 'xa'"):
         Support("x_min", "xa")
-    with pytest.raises(ValueError, match=r"three finite numbers \[m\], got \(0.0, nan"):
+    with pytest.raises(ValueError, match=r"displacement .*\[m\], got \(0\.0, nan"):
         Support("x_min", "x", (0.0, np.nan, 0.0))
-    with pytest.raises(ValueError, match=r"'x_mim'\. Did you mean 'x_min'"):
+    with pytest.raises(ValueError, match=r"'x_mim'\. .*'x_min'\?"):
         one(Support("x_mim"))
 
 
 def test_bad_configurations():
-    with pytest.raises(ValueError, match="at least one configuration is needed"):
+    with pytest.raises(ValueError, match="least one configuration"):
         configuration_arrays(MESH, [])
     twice = [Configuration("one", (CLAMP,)), Configuration("one", (CLAMP,))]
-    with pytest.raises(ValueError, match="configuration 'one' is named more than once"):
+    with pytest.raises(ValueError, match=r"configuration 'one' .*another name"):
         configuration_arrays(MESH, twice)
     # Two words with the same CRC-32, by which arrays know names.
     alike = [Configuration(name, (CLAMP,)) for name in ("plumless", "buckeroo")]
-    with pytest.raises(ValueError, match="'plumless' and 'buckeroo' of configurations"):
+    with pytest.raises(ValueError, match=r"'plumless' and 'buckeroo' .*Rename"):
         configuration_arrays(MESH, alike)
-    with pytest.raises(ValueError, match=r"gravity of configuration 'one' .* \[m/s2\]"):
+    with pytest.raises(ValueError, match=r"gravity .*'one' .*\[m/s2\]"):
         Configuration("one", (CLAMP,), gravity=(0.0, 0.0, np.inf))
 
 
@@ -133,9 +132,9 @@ def test_one_load():
 @pytest.mark.parametrize(
     ("where", "message"),
     [
-        (MESH.points[:, 0] == 0.0, r"a support needs .*np\.flatnonzero .*got bool"),
+        (MESH.points[:, 0] == 0.0, r"support .*np\.flatnonzero .* bool"),
         (np.array([0.0, 1.0]), "node indices, got float64"),
-        (3, r"name of a group or a list .*of shape \(\)"),
+        (3, r"group or .*int64 .*shape \(\)"),
         (np.array([0, -1]), "node -1.* 0 to 44"),
         (np.array([45, 0]), "support: node 45"),
     ],

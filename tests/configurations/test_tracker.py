@@ -74,26 +74,14 @@ def test_quaternion_of_another_length(table):
         (HEADER.replace("sensor", "marker"), ["column 'sensor' is missing."]),
         (HEADER.replace("x_mm,y_mm,z_mm", "x,y,z"), ["no unit"]),
         (HEADER.replace("y_mm", "y_cm"), ["column 'y_mm' is missing."]),
-        (
-            HEADER.replace("_deg", ""),
-            ["unit ... azimuth_deg"],
-        ),
-        (
-            "sensor,x_m,y_m,z_m\n",
-            ["in 0 forms", "there: sensor"],
-        ),
+        (HEADER.replace("_deg", ""), ["unit ... azimuth_deg"]),
+        ("sensor,x_m,y_m,z_m\n", ["in 0 forms", "there: sensor"]),
         (
             HEADER.replace("roll_deg", "roll_rad"),
-            ["in 2 forms ... azimuth_deg, elevation_deg, roll_rad"],
+            ["in 2 forms ... there: ... roll_rad"],
         ),
-        (
-            HEADER.replace("roll_deg", "qw"),
-            ["in 2 forms ... azimuth_deg, elevation_deg, qw"],
-        ),
-        (
-            HEADER.replace("roll_deg", "rol_deg"),
-            ["'roll_deg' is missing ... mean 'rol_deg'"],
-        ),
+        (HEADER.replace("roll_deg", "qw"), ["in 2 forms ... elevation_deg, qw"]),
+        (HEADER.replace("roll_deg", "rol_deg"), ["'roll_deg' ... mean 'rol_deg'"]),
     ],
 )
 def test_bad_header(table, header, texts):
@@ -124,7 +112,7 @@ def test_degrees_under_a_header_of_radians(table):
 
 
 def test_radians_under_a_header_of_degrees(table):
-    with pytest.warns(TrackerWarning, match="not degrees, say so by angle_unit or"):
+    with pytest.warns(TrackerWarning, match=r"not degrees, .*angle_unit"):
         read_poses(table(HEADER + "s,0,0,0,1.57,0,0\ns,0,0,0,-3.1,0.2,0.1\n"))
 
 
@@ -141,7 +129,7 @@ def test_unknown_sensor(table):
 
 def test_no_such_file(tmp_path):
     for read in (read_poses, lambda path: read_polhemus(path, length_unit="cm")):
-        with pytest.raises(FileNotFoundError, match=r"no\.csv does not exist"):
+        with pytest.raises(FileNotFoundError, match=r"no\.csv .*not exist"):
             read(tmp_path / "no.csv")
 
 

@@ -96,50 +96,30 @@ def test_the_dialect_of_a_file_can_be_stated(tmp_path):
     """Where some numbers have a comma and others a point, nothing is guessed."""
     path = write_qualisys(tmp_path / "a.tsv", motion())
     path.write_text(path.read_text().replace("\t", "|").replace("3.000000", "3,000000"))
-    with pytest.raises(ValueError, match="has decimal commas: write all numbers"):
+    with pytest.raises(ValueError, match=r"line 10: .*'0\.00000', .*decimal commas"):
         read_recording(path, length_unit="mm")
-    with pytest.raises(ValueError, match="not a number"):
+    with pytest.raises(ValueError, match=r"'3,000000', .*decimal point"):
         read_recording(path, length_unit="mm", delimiter="|", decimal=".")
-    with pytest.raises(ValueError, match="delimiter is '-'; expected one of ','"):
+    with pytest.raises(ValueError, match=r"delimiter .*'-'; .*','"):
         read_recording(path, length_unit="mm", delimiter="-")
     with pytest.raises(ValueError, match="both a comma"):
         read_recording(path, length_unit="mm", delimiter=",", decimal=",")
 
 
 REFUSED = {
-    "unknown": (write_vicon, "Trajectories", "Model Outputs", "is no table of motion"),
-    "twice": (write_vicon, "arm:tip", "arm:base", "label 'arm:base' is named more"),
-    "no unit": (write_vicon, "mm,mm,mm,", "mm,,mm,", "unit of length ', mm'; expected"),
-    "unknown unit": (write_vicon, ",mm", ",deg", "unit of length 'deg'; expected one"),
-    "no rate": (write_vicon, "\n100\n,", "\nfast\n,", "not as Nexus writes.*'fast'"),
-    "no number": (
-        write_vicon,
-        "\n102,0,1.0",
-        "\n102,0,one",
-        r"line 14: a cell \(blank, nan or NULL .* is 'one",
-    ),
-    "time": (write_vicon, "\n102,0", "\n99,0", "is not after that of the frame before"),
-    "feet": (
-        write_motive,
-        "Millimeters",
-        "Feet",
-        "unit of length 'Feet'; expected one",
-    ),
-    "solved": (
-        write_motive,
-        ",Marker",
-        ",Bone Marker",
-        "no measured markers, only Bone Marker, Rigid Body Marker.*export Markers",
-    ),
-    "rate of zero": (
-        write_vicon,
-        "\n100\n,",
-        "\n0\n,",
-        "rate of frames is 0; expected",
-    ),
+    "unknown": (write_vicon, "Trajectories", "Model Outputs", "no table of motion"),
+    "twice": (write_vicon, "arm:tip", "arm:base", "label 'arm:base' .*another"),
+    "no unit": (write_vicon, "mm,mm,mm,", "mm,,mm,", "unit .*', mm'; expected"),
+    "unknown unit": (write_vicon, ",mm", ",deg", "unit .*'deg'; expected"),
+    "no rate": (write_vicon, "\n100\n,", "\nfast\n,", "Nexus .*'fast'.*Trajectories"),
+    "no number": (write_vicon, "\n102,0,1.0", "\n102,0,one", "line 14: .*NULL.*'one0"),
+    "time": (write_vicon, "\n102,0", "\n99,0", r"0\.99 s, .*not after .* 1\.01 s"),
+    "feet": (write_motive, "Millimeters", "Feet", "unit .*'Feet'; expected"),
+    "solved": (write_motive, ",Marker", ",Bone Marker", "only Bone Marker, .*export"),
+    "rate of zero": (write_vicon, "\n100\n,", "\n0\n,", "rate .* 0; .*positive"),
     "no time": (write_motive, "Time (Seconds)", "Timecode", "Time.*export Markers"),
-    "2D": (write_qualisys, "\t3D", "\t2D", "includes 2D data.*export 3D data"),
-    "untimed": (write_qualisys, "Frame\tTime\t", "Frame\t", "columns for 2 markers"),
+    "2D": (write_qualisys, "\t3D", "\t2D", "2D data.*export 3D"),
+    "untimed": (write_qualisys, "Frame\tTime\t", "Frame\t", "8 columns for 2"),
 }
 
 
@@ -158,22 +138,20 @@ def test_refused(tmp_path, write, old, new, message):
 
 def test_units_are_stated_once(tmp_path):
     qualisys = write_qualisys(tmp_path / "a.tsv", motion())
-    with pytest.raises(ValueError, match=r"give length_unit \(Qualisys writes mm\)"):
+    with pytest.raises(ValueError, match=r"give length_unit .* mm"):
         read_recording(qualisys)
     with pytest.raises(ValueError, match="unknown length unit 'furlong'"):
         read_recording(qualisys, length_unit="furlong")
     motive = write_motive(tmp_path / "a.csv", motion())
     assert read_recording(motive, length_unit="mm").names == NAMES
-    with pytest.raises(
-        ValueError, match="states the unit of length 'Millimeters', but"
-    ):
+    with pytest.raises(ValueError, match=r"'Millimeters', .*'m'; .*length_unit"):
         read_recording(motive, length_unit="m")
-    with pytest.raises(ValueError, match="length_unit is for tables"):
+    with pytest.raises(ValueError, match="for tables; leave it"):
         read_recording(tmp_path / "a.c3d", length_unit="m")
 
 
 def test_a_table_of_rows_is_none(tmp_path):
     path = tmp_path / "markers.csv"
     path.write_text("marker,x_mm,y_mm,z_mm\ntip,1,2,3\n")
-    with pytest.raises(ValueError, match="a table of rows, with a column marker"):
+    with pytest.raises(ValueError, match=r"of rows, .*column marker"):
         read_recording(path)

@@ -9,6 +9,7 @@ from functools import cache
 import jax.numpy as jnp
 import numpy as np
 from problems import lane_of
+from wording import says
 
 from softcal_jax.actuators import Cable, Guide, Motor
 from softcal_jax.bodies import RigidBody, hinge_axes
@@ -106,3 +107,9 @@ def tips(configuration: Configuration, inputs):
         assert solution.converged
         found.append(state.effectors[0])
     return np.stack(found)
+
+
+def check_only(texts, words):
+    """One limit alone holds, and its text says this."""
+    (text,) = texts
+    assert says(text, words)

@@ -34,12 +34,12 @@ GOAL = {"tip": (0.1, 0.0, 0.0)}
     [
         ({"tip": (0.1, 0.0)}, "'tip' has 2 numbers, expected 3"),
         ({"bend": (0.1, 0.2)}, "'bend' has 2 numbers, expected 1"),
-        ({"tip": Pose()}, "'tip' is a Pose of 6 coordinates, expected 3 numbers"),
-        ({"bend": Pose()}, "'bend' is a Pose of 6 coordinates, expected 1 number"),
-        ({"frame": np.zeros(3)}, "'frame' is array.*expected a Pose.* 6 coordinates"),
-        ({"tpi": (0.1, 0.0, 0.0)}, "unknown effector .* 'tpi'. Did you mean 'tip'"),
-        ({"tip": (0.1, np.nan, 0.0)}, "'tip' .* expected three finite numbers"),
-        ({}, "no effector .*goal.* 'frame', 'tip', 'bend'"),
+        ({"tip": Pose()}, "'tip' .*Pose of 6 .* 3 numbers"),
+        ({"bend": Pose()}, "'bend' .*Pose of 6 .* 1 number"),
+        ({"frame": np.zeros(3)}, "'frame' .*array.* Pose, of 6"),
+        ({"tpi": (0.1, 0.0, 0.0)}, "effector .*'tpi'.* mean 'tip'"),
+        ({"tip": (0.1, np.nan, 0.0)}, "'tip' .*nan .*three finite"),
+        ({}, "goal: .*'frame', 'tip', 'bend'"),
     ],
 )
 def test_goals(goals, message):
@@ -49,30 +49,17 @@ def test_goals(goals, message):
 
 def test_a_goal_many_body_lengths_away():
     """A goal in millimetres; here a warning is an error, so nothing is solved."""
-    message = "goal of 'tip'.* 99.9 m .* 961 times"
-    with pytest.raises(ControlWarning, match=message):
+    with pytest.raises(ControlWarning, match=r"'tip' .* 99\.9 m .* 961 times"):
         solve_inverse(arm(), START, goals={"tip": (100.0, 0.0, 0.0)})
 
 
 @pytest.mark.parametrize(
     ("limits", "message"),
     [
-        (
-            {"top": Limits(force=(5.0, 2.0))},
-            "force of cable 'top' .* 5 N,.* 2 N",
-        ),
-        (
-            {"top": Limits(force=(-3.0, -1.0))},
-            "force of cable 'top' .* only pulls",
-        ),
-        (
-            {"motor": Limits(displacement=(0.2, 0.5))},
-            "motor 'motor' .*outside its limits.* 0.1 rad",
-        ),
-        (
-            {"top": Limits(displacement=(0.01, 0.0))},
-            "displacement of cable 'top' .* 0.01 m, .* 0 m",
-        ),
+        ({"top": Limits(force=(5.0, 2.0))}, "force .*'top' .* 5 N, .* 2 N"),
+        ({"top": Limits(force=(-3.0, -1.0))}, "'top' .* -1 N, .*only pulls"),
+        ({"motor": Limits(displacement=(0.2, 0.5))}, "'motor' .*outside .* 0.1 rad"),
+        ({"top": Limits(displacement=(0.01, 0.0))}, "'top' .* 0.01 m, .* 0 m"),
         ({"top": Limits(step=-1.0)}, "cable 'top': step .*got -1"),
         ({"bottom": Limits()}, "'bottom' has limits"),
         ({"topp": Limits()}, "limits 'topp'.* mean 'top'"),
@@ -84,17 +71,17 @@ def test_limits_that_clash_are_named(limits, message):
 
 
 def test_a_command_without_an_actuator():
-    with pytest.raises(ValueError, match=r"commands no actuator.*'top', 'bottom'"):
+    with pytest.raises(ValueError, match=r"no actuator.*'top', 'bottom'"):
         solve_inverse(arm(), pose(effectors=EFFECTORS), goals=GOAL)
 
 
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ({"tol": 0.0}, "tol must be positive"),
-        ({"step_bound": -1.0}, "step_bound must be positive"),
-        ({"max_steps": 0}, "max_steps must be at least 1"),
-        ({"epsilon": -1.0}, "epsilon must not be negative"),
+        ({"tol": 0.0}, "tol .*positive, got 0"),
+        ({"step_bound": -1.0}, "step_bound .*positive, got -1"),
+        ({"max_steps": 0}, "max_steps .*least 1, got 0"),
+        ({"epsilon": -1.0}, "epsilon .*not .*negative, got -1"),
     ],
 )
 def test_settings(setting, message):
@@ -125,5 +112,5 @@ def test_goals_of_every_kind():
     again = with_goals(aimed, {"b": (7.0, 8.0, 9.0)})
     np.testing.assert_array_equal(again.measured, [[1, 2, 3], [7, 8, 9]])
     np.testing.assert_array_equal(aimed.measured, [[1, 2, 3], [4, 5, 6]])
-    with pytest.raises(ValueError, match=r"marker 'b' .* has no goal, but others have"):
+    with pytest.raises(ValueError, match=r"marker 'b' .*no goal"):
         with_goals(start, {"a": (1.0, 2.0, 3.0)})

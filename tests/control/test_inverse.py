@@ -5,7 +5,7 @@ from itertools import pairwise
 import equinox as eqx
 import numpy as np
 import pytest
-from arm import EFFECTORS, REST, arm, pose, tips
+from arm import EFFECTORS, REST, arm, check_only, pose, tips
 
 from benchmarks._compilations import Compilations
 from softcal_jax.configurations import ImposedDisplacement
@@ -114,7 +114,7 @@ def test_cables_never_push():
     check(result)
     assert result.outcome == OUTCOMES.nearest
     assert 0.0 <= result.inputs[0] < 1e-12
-    assert result.active_limits == ("force of cable 'top' at its lower limit",)
+    check_only(result.active_limits, "force ... 'top' ... lower")
     # By its length: it is let out until it is just taut, and no further.
     start = robot(top=ImposedDisplacement(0.002))
     result = solve_inverse(arm(), start, goals={"bend": -0.3}, settings=FEW)
@@ -122,7 +122,7 @@ def test_cables_never_push():
     assert result.outcome == OUTCOMES.nearest
     assert abs(result.forces["top"]) < 1e-5
     np.testing.assert_allclose(result.inputs[0], 0.0, atol=1e-7)
-    assert result.active_limits == ("force of cable 'top' at its lower limit",)
+    check_only(result.active_limits, "force ... 'top' ... lower")
 
 
 def test_slack_cable_is_wound_up_first():
@@ -141,13 +141,13 @@ def test_limits_of_what_follows_hold():
     check(result)
     assert result.outcome == OUTCOMES.nearest
     np.testing.assert_allclose(result.displacements["top"], 0.002, atol=1e-7)
-    assert result.active_limits == ("displacement of cable 'top' at its upper limit",)
+    check_only(result.active_limits, "displacement ... 'top' ... upper")
     start = robot(top=ImposedDisplacement(0.0))
     limit = Limits(force=(0.0, 1.2))
     result = solve_inverse(arm(), start, limits={"top": limit}, **bent)
     check(result)
     np.testing.assert_allclose(result.forces["top"], 1.2, rtol=1e-4)
-    assert result.active_limits == ("force of cable 'top' at its upper limit",)
+    check_only(result.active_limits, "force ... 'top' ... upper")
 
 
 def test_epsilon_ends_co_contraction():
@@ -181,8 +181,7 @@ def test_trajectory_starts_where_it_was():
     path = follow_trajectory(arm(), start, goals, limits=slow, settings=direct)
     np.testing.assert_allclose(np.diff(path.inputs[:, 1]), 0.02, rtol=1e-6)
     assert path.unmet == (0, 1, 2)
-    (text,) = path.points[0].active_limits
-    assert text == "step of the displacement of motor 'motor' at its longest limit"
+    check_only(path.points[0].active_limits, "step ... 'motor' ... longest")
 
 
 def test_one_program_for_all_goals_and_models(monkeypatch):
@@ -211,7 +210,7 @@ def test_one_program_for_all_goals_and_models(monkeypatch):
 
 def test_search_that_does_not_end_says_so():
     settings = ControlSettings(max_steps=1, other_starts=0)
-    with pytest.raises(RuntimeError, match="did not end within max_steps"):
+    with pytest.raises(RuntimeError, match=r"'arm': .*max_steps; raise"):
         solve_inverse(arm(), robot(top=0.0), goals={"bend": 0.6}, settings=settings)
     result = solve_inverse(
         arm(), robot(top=0.0), goals={"bend": 0.6}, settings=settings, throw=False

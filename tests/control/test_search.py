@@ -5,7 +5,8 @@ from dataclasses import replace
 import equinox as eqx
 import numpy as np
 import pytest
-from arm import EFFECTORS, LENGTH, REST, SIDE, TIGHT, arm, pose, tips
+from arm import EFFECTORS, LENGTH, REST, SIDE, TIGHT, arm, check_only, pose, tips
+from wording import says
 
 from softcal_jax.actuators import Cable, Guide
 from softcal_jax.configurations import (
@@ -48,7 +49,7 @@ def test_a_goal_on_the_other_side_of_a_fold_is_met():
     )
     local = run(DIRECT)
     assert local.outcome == OUTCOMES.nearest
-    assert local.held_by == ("displacement of motor 'motor' at its lower limit",)
+    check_only(local.held_by, "displacement ... 'motor' ... lower")
     assert len(local.attempts) == 1
     found = run(ControlSettings())
     assert found.met
@@ -84,8 +85,7 @@ def test_a_direction_that_nothing_moves_is_named():
     np.testing.assert_allclose(blind.off, -aside * normal, atol=2e-6)
     assert blind.gain < 1e-6
     np.testing.assert_allclose(result.goals[0].residual, blind.off, atol=5e-6)
-    assert "'tip' is off by x" in result.message
-    assert "held by a blind direction x of 'tip'" in result.message
+    assert says(result.message, "'tip' is off by x ... blind direction x of 'tip'")
 
 
 def test_the_limit_that_holds_is_named_and_another_is_not():
@@ -105,7 +105,7 @@ def test_the_limit_that_holds_is_named_and_another_is_not():
     )
     held = run()
     assert held.outcome == OUTCOMES.nearest
-    assert "displacement of motor 'motor' at its upper limit" in held.held_by
+    assert says(held.held_by, "displacement ... 'motor' ... upper")
     assert "held by" in held.message
     assert distance(run(motor=Limits(displacement=(-0.1, 0.25)))) < distance(held)
 
@@ -131,7 +131,7 @@ def test_two_actuators_that_impose_one_displacement_are_called_singular():
     result = solve_inverse(model, start, goals=goals, throw=False)
     assert result.outcome == OUTCOMES.singular
     assert result.attempts == ()
-    with pytest.raises(RuntimeError, match="tangent at the start is singular"):
+    with pytest.raises(RuntimeError, match="start is singular"):
         solve_inverse(model, start, goals=goals)
     # One of them by its force: the same robot, and nothing is open.
     by_force = {"one": ImposedDisplacement(0.002), "two": ImposedForce(0.0)}

@@ -44,11 +44,8 @@ def test_batch_equals_its_members_and_names_the_one_that_failed():
     [
         ([0.1, 0.2], r"motor, top, .* got \(2,\)"),
         ([[0.1]], r"shape \(n_samples, 2\), got \(1, 1\)"),
-        (
-            [[0.1, 0.0], [20.0, 0.0]],
-            "'arm, sample 1': motor 'motor' .* 20 rad",
-        ),
-        ([[np.nan, 0.0]], "'arm, sample 0': motor 'motor' has the value nan .*finite"),
+        ([[0.1, 0.0], [20.0, 0.0]], "'arm, sample 1': .*'motor' .* 20 rad"),
+        ([[np.nan, 0.0]], "'arm, sample 0': .*'motor' .* nan rad"),
     ],
 )
 def test_bad_inputs(inputs, message):
@@ -59,5 +56,5 @@ def test_bad_inputs(inputs, message):
 def test_nothing_to_command_or_follow():
     with pytest.raises(ValueError, match="'arm' commands no actuator"):
         sample_workspace(arm(), pose(), [[]])
-    with pytest.raises(ValueError, match="'arm' has no effectors and no markers"):
+    with pytest.raises(ValueError, match="'arm' has no effectors"):
         sample_workspace(arm(), pose(effectors=[], motor=0.0), [[0.0]])

@@ -65,7 +65,7 @@ def test_faces_look_outwards():
 
 
 def test_wrong_number_of_nodes():
-    with pytest.raises(ValueError, match=r"4 corners has 4 \(linear\) or 10 .* got 8"):
+    with pytest.raises(ValueError, match=r"4 corners .* 4 .* 10 .* got 8"):
         shape_functions(np.full((1, 4), 0.25), 8)
-    with pytest.raises(ValueError, match="got 5"):
+    with pytest.raises(ValueError, match=r"3 corners .* 6 .* got 5"):
         shape_gradients(np.full((1, 3), 1 / 3), 5)

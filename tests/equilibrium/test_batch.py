@@ -19,6 +19,7 @@ from bodies import (
     solve_as_users,
 )
 from problems import nearest_node
+from wording import says
 
 from softcal_jax.configurations import (
     Configuration,
@@ -176,20 +177,16 @@ def test_a_load_beyond_the_limit_point_is_reported_with_its_lane():
     assert not bool(lane(solution, 1).converged)
     with pytest.raises(RuntimeError) as error:
         check_converged(solution, PUSHED)
-    message = str(error.value)
-    assert message.startswith("no equilibrium found.\nconfiguration 'beyond': ")
-    assert RESULTS[lane(solution, 1).result] in message
-    assert "Newton steps" in message
-    assert "'below'" not in message
+    why = RESULTS[lane(solution, 1).result]
+    assert says(error.value, "no equilibrium ... 'beyond'", why, "Newton steps")
+    assert "'below'" not in str(error.value)
 
 
 def test_too_few_steps_are_reported():
     solution = solve(*pushed(), NewtonSettings(max_steps=2))
     assert bool(lane(solution, 0).result == RESULTS.max_steps)
     assert int(solution.steps[0]) == 2
-    with pytest.raises(
-        RuntimeError, match=r"'below': Newton did not converge .* raise"
-    ):
+    with pytest.raises(RuntimeError, match=r"'below': .*not converge .*raise"):
         check_converged(solution, PUSHED)
 
 

@@ -198,36 +198,16 @@ def bad(message, *effectors, mesh: TetMesh = MESH):
 
 
 def test_bad_effectors(unchecked):
-    bad(r"rigid body .*'plat'.* Did you mean 'plate'", BodyFrame("f", "plat"))
+    bad("body .*'plat'.* mean 'plate'", BodyFrame("f", "plat"))
     bad("actuator .*'cabel'", ActuatorForce("f", "cabel"))
-    bad("effector 'c' has the name of another", *[Centroid("c", "at 2")] * 2)
-    bad(
-        r"std of effector 'c' .*\[m\], got 0",
-        Centroid("c", "at 2", std=0.0),
-    )
-    bad(
-        r"'d' has the value nan, expected a finite number \[m\]",
-        ActuatorDisplacement("d", "cable", float("nan")),
-    )
-    bad(
-        r"'t' has the value .*, expected a finite number \[N\]",
-        ActuatorForce("t", "cable", np.ones(3)),
-    )
-    bad("'c' has the value 0.1, expected three finite", Centroid("c", "at 2", 0.1))
-    bad(
-        "axis of effector 'a' .*not all zero",
-        BodyAngle("a", "tip", "plate", (0.0, 0.0, 0.0)),
-    )
-    bad(
-        r"'c' has the value \[nan +0. +0.\], expected three finite",
-        Centroid("c", "at 2", np.array([np.nan, 0.0, 0.0])),
-    )
-    bad(
-        "'r' names 3 of the 4 nodes .*'tip'",
-        SupportReaction("r", MESH.nodes("at 6")[1:]),
-    )
-    bad("effector 'r': unknown group 'at 9'", SupportReaction("r", "at 9"))
-    bad(
-        "'r' has the value .*expected three finite",
-        SupportReaction("r", "x_min", np.array([np.inf, 0.0, 0.0])),
-    )
+    bad("effector 'c' .*another", *[Centroid("c", "at 2")] * 2)
+    bad(r"std .*'c' .*\[m\], got 0", Centroid("c", "at 2", std=0.0))
+    nan, inf = (np.array([value, 0.0, 0.0]) for value in (np.nan, np.inf))
+    bad(r"'d' .* nan, .*finite .*\[m\]", ActuatorDisplacement("d", "cable", np.nan))
+    bad(r"'t' .*\], .*finite number \[N\]", ActuatorForce("t", "cable", np.ones(3)))
+    bad("'c' .* 0.1, .*three finite", Centroid("c", "at 2", 0.1))
+    bad("axis .*'a' .*all zero", BodyAngle("a", "tip", "plate", (0.0, 0.0, 0.0)))
+    bad(r"'c' .*\[nan +0. +0.\], .*three finite", Centroid("c", "at 2", nan))
+    bad("'r' .* 3 of the 4 .*'tip'", SupportReaction("r", MESH.nodes("at 6")[1:]))
+    bad("'r': .*group 'at 9'", SupportReaction("r", "at 9"))
+    bad("'r' .*inf .*three finite", SupportReaction("r", "x_min", inf))

@@ -67,15 +67,15 @@ def test_the_springs_follow_an_imposed_displacement():
 
 
 def test_bad_input():
-    with pytest.raises(ValueError, match=r"stiffness of the support 'x_min' must be"):
+    with pytest.raises(ValueError, match=r"stiffness .*'x_min' .*positive .* -1"):
         Support("x_min", stiffness=-1.0)
-    with pytest.raises(ValueError, match="needs the name of a surface group"):
+    with pytest.raises(ValueError, match=r"stiffness .*surface group"):
         Support(np.array([0, 1]), stiffness=1e6)
     twice = [
         Support("x_min", "x", stiffness=1e6),
         Support("x_min", "yz", stiffness=1.0),
     ]
-    with pytest.raises(ValueError, match="'x_min' has two supports with a stiffness"):
+    with pytest.raises(ValueError, match=r"'x_min' .*two supports"):
         solved(twice, 0.0)
 
 

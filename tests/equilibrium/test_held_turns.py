@@ -148,7 +148,7 @@ def test_a_ring_of_a_square_rod_is_not_taken_for_solved():
     assert not bool(solution.converged)
     assert np.isnan(solution.displacement).all()
     assert float(solution.load_reached) > 0.95
-    with pytest.raises(RuntimeError, match="can move with hardly any energy"):
+    with pytest.raises(RuntimeError, match=r"'ring': .*hardly any energy"):
         check_converged(solution, ("ring",))
 
 

@@ -42,7 +42,7 @@ def test_a_batch_has_a_length_and_its_lanes():
     assert float(BATCH[-2].gravity[2]) == 9.81
     assert len(BATCH[1:]) == 2
     assert BATCH[0]
-    with pytest.raises(IndexError, match="no lane 3: the batch has 3"):
+    with pytest.raises(IndexError, match=r"lane 3: .* has 3"):
         BATCH[3]
     with pytest.raises(IndexError, match="no lane 3"):
         BATCH[np.int64(3)]
@@ -96,7 +96,7 @@ def test_a_lane_of_another_model_is_named():
 
 
 def test_a_configuration_is_not_put_on_a_mesh_that_is_traced():
-    with pytest.raises(ValueError, match=r"'hang' cannot be put .* outside of jit"):
+    with pytest.raises(ValueError, match=r"'hang' .*outside of jit"):
         eqx.filter_jit(lambda model: solve_equilibrium(model, POSES[0]))(MODEL)
 
 
@@ -109,5 +109,5 @@ def test_a_field_of_another_length_is_named():
 
 def test_a_mesh_in_mm_is_suspected_aloud():
     mesh = beam(100.0, 20.0, 20.0, (1, 1, 1), order=1)
-    with pytest.warns(MeshWarning, match=r'100 m across.*in mm.*length_unit = "mm"'):
+    with pytest.warns(MeshWarning, match=r'100 m .*length_unit = "mm"'):
         build_model(mesh, NeoHookean(1e5, 0.3), density=1e3)

@@ -130,7 +130,7 @@ def test_a_limit_point_is_named_as_one(lane):
 
 def test_a_path_is_refused_where_it_cannot_be_followed(lane):
     guess = jnp.zeros((model().n_points, 3))
-    with pytest.raises(ValueError, match="begins at rest: leave out `guess`"):
+    with pytest.raises(ValueError, match=r"rest: leave out `guess`"):
         solve_equilibrium(model(), lane, guess=guess, path=LoadPath())  # type: ignore
     with pytest.raises(ValueError, match="outside of jit"):
         jax.jit(lambda c: solve_equilibrium(model(), c, path=LoadPath()).load)(lane)
@@ -139,9 +139,9 @@ def test_a_path_is_refused_where_it_cannot_be_followed(lane):
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"states": 0}, "states must be at least 1, got 0"),
-        ({"first": 1.5}, "first must lie in"),
-        ({"largest": -1.0}, "largest must be positive, got -1"),
+        ({"states": 0}, "states .*least 1, got 0"),
+        ({"first": 1.5}, "first .*, got 1.5"),
+        ({"largest": -1.0}, "largest .*positive, got -1"),
     ],
 )
 def test_bad_settings_of_a_path(wrong, message):

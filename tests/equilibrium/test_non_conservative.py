@@ -250,7 +250,7 @@ def test_a_law_without_potential_is_not_taken_where_one_is_needed():
         body(Corotational, mesh="linear"),
         ClassicalCorotational(ELASTICITIES["fibre"]),
     )
-    message = r"ClassicalCorotational has no potential, .* call build_model with this"
+    message = r"ClassicalCorotational .*potential, .*build_model"
     with pytest.raises(ValueError, match=message):
         model.with_law(law)
     # Also where the law was put in past `with_law`.
@@ -261,7 +261,7 @@ def test_a_law_without_potential_is_not_taken_where_one_is_needed():
 
 
 def test_mean_dilatation_needs_a_potential():
-    message = r'"mean-dilatation" needs a potential.*formulation="displacement"'
+    message = r'"mean-dilatation" .*potential.*="displacement"'
     law = ClassicalCorotational(Isotropic(E_T, 0.495))
     for formulation in ("mean-dilatation", "auto"):
         with pytest.raises(ValueError, match=message):

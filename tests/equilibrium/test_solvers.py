@@ -209,7 +209,7 @@ def test_unknown_solver():
 @pytest.mark.parametrize("solver", ["pardiso", "klu"])
 def test_solvers_of_the_cpu_have_a_clear_error_on_a_gpu(solver, monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    message = rf"'{solver}'.*computes on 'gpu'.*pardiso-host.*JAX_PLATFORMS=cpu"
+    message = rf"'{solver}'.*'gpu'.*pardiso-host.*JAX_PLATFORMS=cpu"
     with pytest.raises(ValueError, match=message):
         linear_model(solver)
 
@@ -229,21 +229,20 @@ def test_others_in_the_process_do_not_change_the_threads_of_pardiso():
 
 
 def test_float32_has_a_clear_error():
-    needed = "needs float64, but JAX is in float32"
-    with jax.enable_x64(False), pytest.raises(ValueError, match=needed) as error:
+    needed = r'float64, .*float32.*config\.update\("jax_enable_x64", True\)'
+    with jax.enable_x64(False), pytest.raises(ValueError, match=needed):
         build_model(beam(1.0, 1.0, 1.0, (1, 1, 1)), NeoHookean(1.0, 0.3), density=1.0)
-    assert 'jax.config.update("jax_enable_x64", True)' in str(error.value)
 
 
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"density": -1.0}, r"finite and not negative \[kg/m3\], got -1"),
-        ({"density": np.nan}, r"finite and not negative \[kg/m3\], got nan"),
-        ({"density": [1, 2, 3, np.inf, 5, 6]}, r"not negative \[kg/m3\], got inf"),
-        ({"density": np.ones(5)}, r"one per tet, shape \(6,\), got shape \(5,\)"),
+        ({"density": -1.0}, r"density .*\[kg/m3\], got -1"),
+        ({"density": np.nan}, r"density .*\[kg/m3\], got nan"),
+        ({"density": [1, 2, 3, np.inf, 5, 6]}, r"density .*\[kg/m3\], got inf"),
+        ({"density": np.ones(5)}, r"density .*\(6,\), got shape \(5,\)"),
         ({"law": NeoHookean(np.ones(4), 0.3)}, r"\.E has shape \(4,\).* 6 tets"),
-        ({"formulation": "selective"}, "must be .*got 'selective'"),
+        ({"formulation": "selective"}, "formulation .*'selective'"),
     ],
 )
 @pytest.mark.usefixtures("unchecked")

@@ -305,5 +305,5 @@ def test_a_callback_without_a_thread_is_refused(cantilever, monkeypatch):
     """It would wait for ever."""
     monkeypatch.setenv("PJRT_NPROC", "1")
     mesh, law = cantilever[0].mesh, cantilever[0].law
-    with pytest.raises(ValueError, match=r"'pardiso-host'.* has 1: set PJRT_NPROC=2"):
+    with pytest.raises(ValueError, match=r"'pardiso-host'.* 1: set PJRT_NPROC=2"):
         build_model(mesh, law, density=1000.0, solver="pardiso-host")

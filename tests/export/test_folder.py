@@ -69,7 +69,7 @@ def test_a_full_folder_is_refused_without_force(tmp_path):
     with results_folder(tmp_path / "a") as folder:
         write(folder, one="1")
     for check in (check_results_folder, lambda d: results_folder(d).__enter__()):
-        with pytest.raises(FileExistsError, match=r"a is not empty.*--force"):
+        with pytest.raises(FileExistsError, match=r"\ba .*not empty.*--force"):
             check(tmp_path / "a")
     assert contents(tmp_path) == {"a/one.txt": "1"}
 
@@ -124,12 +124,12 @@ def test_a_move_that_fails_is_undone(tmp_path, monkeypatch, fails_at):
 def test_force_does_not_touch_what_is_not_ours(tmp_path):
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "thesis.tex").write_text("years of work")
-    with pytest.raises(FileExistsError, match="does not hold earlier results"):
+    with pytest.raises(FileExistsError, match=r"home .*earlier results"):
         check_results_folder(tmp_path / "home", force=True)
     # An index of another program, or a broken one, does not count.
     for text in ("{", "[]", '{"files": 3}', '{"other": []}'):
         (tmp_path / "home" / "result.json").write_text(text)
-        with pytest.raises(FileExistsError, match="does not hold earlier results"):
+        with pytest.raises(FileExistsError, match=r"home .*earlier results"):
             check_results_folder(tmp_path / "home", force=True)
 
 
@@ -157,7 +157,7 @@ def test_an_index_cannot_point_out_of_the_folder(tmp_path):
 
 def test_a_file_is_no_folder(tmp_path):
     (tmp_path / "a").write_text("text")
-    with pytest.raises(FileExistsError, match=r"a is a file; results need a folder"):
+    with pytest.raises(FileExistsError, match=r"\ba is a file"):
         check_results_folder(tmp_path / "a", force=True)
 
 
@@ -177,8 +177,7 @@ def below_a_file(folder):
 def test_a_place_that_cannot_be_written_is_found_before(tmp_path, place, why):
     target = place(tmp_path)
     before = list(tmp_path.iterdir())
-    message = re.escape(f"{target} ({why}): choose another folder.")
-    with pytest.raises(OSError, match=f"no results can be written to {message}"):
+    with pytest.raises(OSError, match=re.escape(f"{target} ({why}): choose another")):
         check_results_folder(target)
     assert list(tmp_path.iterdir()) == before
 
@@ -200,6 +199,6 @@ def test_to_try_a_place_leaves_nothing(tmp_path):
 
 def test_a_full_disk_is_called_that(tmp_path):
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "markers.csv")
-    with pytest.raises(OSError, match=r"to .*a \(No space left on device\): choose"):
+    with pytest.raises(OSError, match=r"\ba \(No space .*\): choose"):
         write_and_fail(tmp_path / "a", error=full)
     assert list(tmp_path.iterdir()) == []
