@@ -65,7 +65,7 @@ def run_sweep(
             A database with another value of any of them is refused.
         workers: Number of worker processes; by default one per core. 0 runs everything
             in this process, for functions that cannot be imported.
-        cores_per_worker: Threads of each. The number of threads changes how sums are
+        cores_per_worker: Threads of each worker. Their number changes how sums are
             rounded, so the last digits of rows may depend on it.
         scheduler: Address of a Dask scheduler, to use its workers instead.
         retry_failed: Whether to retry trials that failed.
