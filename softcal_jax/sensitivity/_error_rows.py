@@ -24,7 +24,7 @@ def clamp_row(
     The held nodes of the reference shape move, and are held there; the tets that they
     share with free nodes become longer and heavier. Loads, cables and readings stay
     where they are; in these tets this causes an error of the order of their strain.
-    `motion` is that of the reference positions per unit of the depth, zero where
+    `motion` is how far reference positions move per unit of the depth, zero where
     nothing is held [-].
     """
     lin = linearisation

@@ -242,5 +242,5 @@ def _figures(result: CalibrationResult) -> dict[str, Any]:
 
 
 def is_of_the_fit(figure: str) -> bool:
-    """Tell whether a figure describes the fit, and not the robot."""
+    """Say whether a figure describes the fit, and not the robot."""
     return figure in (_STEPS, _COST) or figure.startswith(f"{_ERROR} ")

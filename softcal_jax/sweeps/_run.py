@@ -60,7 +60,7 @@ def run_sweep(
         database: SQLite file; made, or continued.
         name: Name in tables; that of the function by default.
         seed: Seed of the sweep, see `Trial.seed`.
-        repeats: Axes that only repeat the others; tables average over them.
+        repeats: Axes that only repeat trials, like draws; tables average over them.
         definitions: What else a row depends on, by name, like {"mesh": "beam 14x4x4"}.
             A database with another value of any of them is refused.
         workers: Number of worker processes; by default one per core. 0 runs everything
