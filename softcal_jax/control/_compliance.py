@@ -21,7 +21,7 @@ from softcal_jax.equilibrium import (
 )
 
 _NO_STIFFNESS = 1e-11
-"""Stiffness that an input meets, relative to the largest, that is rounding."""
+"""Stiffness met by an input, relative to the largest, up to which it is rounding."""
 
 
 class ActuatorReadings(Module):
@@ -94,30 +94,30 @@ def actuator_compliance(
     """
     value = jnp.asarray(configuration.actuation.value)
     u = solution.displacement
-    # Estimated anew: the solution may be that of imposed forces.
+    # lambda_a is estimated anew: the solution may be that of imposed forces.
     lin = linearise(model, configuration, u)
     lambda_a = lin.lambda_a
     state = _state(model, configuration, u, lambda_a, lin.unbalanced(u, lambda_a))
     ends = np.cumsum([leaf.size for leaf in jax.tree.leaves(state)])[:-1]
 
-    def readings(*at):
-        return jnp.concatenate([leaf.ravel() for leaf in jax.tree.leaves(_state(*at))])
+    def readings(*arguments):
+        return jnp.concatenate([v.ravel() for v in jax.tree.leaves(_state(*arguments))])
 
     def by_inputs(function):
         of = lambda value: function(model, with_inputs(configuration, value))
         return derivatives(of, value)
 
-    found = sensitivity(lin, input_rows(lin, by_inputs, readings), readings)
-    ok = found.ok & solution.converged
+    changes = sensitivity(lin, input_rows(lin, by_inputs, readings), readings)
+    ok = changes.ok & solution.converged
     or_nan = lambda a: jnp.where(ok, a, jnp.nan)
-    W_ea, forces, displacements = jnp.split(or_nan(found.W_ep), ends)
-    assert found.displacement is not None
+    W_ea, forces, displacements = jnp.split(or_nan(changes.W_ep), ends)
+    assert changes.displacement is not None
     actuators = model.mechanism.actuators
     by_displacement = jnp.asarray(configuration.actuation.by_displacement)
     stands_still = jnp.diag(displacements) == 0.0
     slack = by_displacement & jnp.asarray(actuators.unilateral) & stands_still
     acts = ~slack & jnp.asarray(actuators.has_displacement)
-    acts &= _is_resisted(forces, displacements, found.displacement)
+    acts &= _is_resisted(forces, displacements, changes.displacement)
     return ActuatorCompliance(
         state=state,
         W_ea=W_ea,
@@ -127,7 +127,7 @@ def actuator_compliance(
             forces, displacements, acts, symmetric=not any(actuators.has_friction)
         ),
         slack=slack,
-        displacement=or_nan(found.displacement),
+        displacement=or_nan(changes.displacement),
     )
 
 
@@ -136,7 +136,7 @@ def _is_resisted(by_force, by_displacement, displacement):
     energy = jnp.abs(jnp.sum(by_force * by_displacement, axis=0))
     motion = jnp.abs(displacement).max(axis=(1, 2), initial=0.0)
     stiffness = energy / jnp.where(motion > 0.0, motion, 1.0) ** 2
-    # What is nan stays so.
+    # True where the stiffness is nan, so that results stay nan.
     return ~(stiffness <= _NO_STIFFNESS * stiffness.max(initial=0.0))
 
 

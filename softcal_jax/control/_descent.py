@@ -40,7 +40,7 @@ PATIENCE = 3
 """Steps in a row of an exploring descent of which some must come closer."""
 
 CLOSER = 0.5
-"""Largest ratio of the costs after and before them that counts as closer [-]."""
+"""Largest ratio of the costs after and before these steps that counts as closer [-]."""
 
 
 class Reached(NamedTuple):
@@ -69,7 +69,7 @@ class Descent(NamedTuple):
     `linear` is None without derivatives, `outcome` while it can go on.
     """
 
-    here: Arrival
+    arrival: Arrival
     linear: Linear | None
     decision: Decision
     outcome: OUTCOMES | None = None
@@ -105,55 +105,55 @@ def reached(
 _readings = eqx.filter_jit(actuator_readings)
 
 
-def differentiated(command: Command, there: Reached) -> Arrival:
-    """Add the derivatives; with a factorization, so not where a step is refused."""
-    lane = with_inputs(command.lane, jnp.asarray(there.value))
-    compliance = actuator_compliance(command.model, lane, there.solution)
-    return Arrival(there.value, there.solution, compliance)
+def differentiated(command: Command, equilibrium: Reached) -> Arrival:
+    """Add the derivatives. A factorization: only worth it for a step that is kept."""
+    lane = with_inputs(command.lane, jnp.asarray(equilibrium.value))
+    compliance = actuator_compliance(command.model, lane, equilibrium.solution)
+    return Arrival(equilibrium.value, equilibrium.solution, compliance)
 
 
-def moved(command: Command, here: Arrival, change: Float[HostArray, " n_a"]) -> Reached:
+def moved(command: Command, base: Arrival, change: Float[HostArray, " n_a"]) -> Reached:
     """Solve for the equilibrium after a change of the inputs, from its prediction."""
-    motion = np.tensordot(change, here.compliance.displacement, axes=1)
-    guess = np.asarray(here.solution.displacement) + motion
-    return reached(command, here.value + change, guess)
+    motion = np.tensordot(change, base.compliance.displacement, axes=1)
+    guess = np.asarray(base.solution.displacement) + motion
+    return reached(command, base.value + change, guess)
 
 
-def begin(command: Command, here: Arrival) -> Descent:
+def begin(command: Command, arrival: Arrival) -> Descent:
     decision = Decision(
         accepted=True, step_bound=command.settings.step_bound, penalty=1.0
     )
-    if not here.stands:
-        result = here.solution.result
+    if not arrival.stands:
+        result = arrival.solution.result
         singular = (result == RESULTS.converged) | (result == RESULTS.singular)
         outcome = OUTCOMES.singular if bool(singular) else OUTCOMES.no_equilibrium
-        return Descent(here, None, decision, outcome)
-    linear = linearise(command, here.value, here.compliance)
-    outcome = _outcome(command, here, linear, decision, [])
-    return Descent(here, linear, decision, outcome)
+        return Descent(arrival, None, decision, outcome)
+    linear = linearise(command, arrival.value, arrival.compliance)
+    outcome = _outcome(command, arrival, linear, decision, [])
+    return Descent(arrival, linear, decision, outcome)
 
 
 def descend(command: Command, start: Descent, *, explore: bool = False) -> Descent:
     """Repeat: linearise, solve the QP, try the step, keep it if it helps.
 
-    With `explore` it stops where it hardly comes closer any more. Near a goal that is
+    With `explore` it stops once steps hardly come closer any more. Near a goal that is
     met, the error falls tenfold with each step; at a fold of the map from inputs to
     effectors, most steps are spent on the last digits of a minimum.
     """
-    here, linear, decision, outcome, records = start
+    arrival, linear, decision, outcome, records = start
     settings, records = command.settings, list(records)
     while outcome is None and not (explore and _slow(records)):
         assert linear is not None
         bound = jnp.asarray(decision.step_bound)
         qp = limited_step(linear.W, linear.error, linear.limits, bound)
-        there = moved(command, here, np.asarray(qp.lambda_p) * linear.scale)
-        trial = _trial(command, linear, qp, there)
+        equilibrium = moved(command, arrival, np.asarray(qp.lambda_p) * linear.scale)
+        trial = _trial(command, linear, qp, equilibrium)
         before, decision = decision, decide(trial, decision, settings)
         if decision.accepted:
-            arrived = differentiated(command, there)
-            if arrived.stands:
-                here = arrived
-                linear = linearise(command, here.value, here.compliance)
+            candidate = differentiated(command, equilibrium)
+            if candidate.stands:
+                arrival = candidate
+                linear = linearise(command, arrival.value, arrival.compliance)
             else:
                 # A singular equilibrium counts as none: no step leads on from it.
                 trial = trial._replace(tried=np.full_like(trial.tried, np.inf))
@@ -164,12 +164,12 @@ def descend(command: Command, start: Descent, *, explore: bool = False) -> Desce
                 cost=0.5 * float((linear.error**2).sum()),
                 violation=violation(linear.limits.b),
                 kkt_residual=trial.kkt_residual,
-                newton_steps=int(there.solution.steps),
+                newton_steps=int(equilibrium.solution.steps),
                 accepted=decision.accepted,
             )
         )
-        outcome = _outcome(command, here, linear, decision, records)
-    return Descent(here, linear, decision, outcome, tuple(records))
+        outcome = _outcome(command, arrival, linear, decision, records)
+    return Descent(arrival, linear, decision, outcome, tuple(records))
 
 
 def _slow(records: Sequence[StepRecord]) -> bool:
@@ -181,15 +181,15 @@ def _slow(records: Sequence[StepRecord]) -> bool:
     )
 
 
-def _trial(command: Command, linear: Linear, qp: QPStep, there: Reached) -> TriedStep:
-    """Compare the parts before a step with what was expected and what came of it."""
+def _trial(command: Command, linear: Linear, qp: QPStep, after: Reached) -> TriedStep:
+    """Compute the parts before a step, as expected after it, and as they turned out."""
     limits, error, step = linear.limits, linear.error, np.asarray(qp.lambda_p)
     change = linear.W @ step
     now = parts(limits.b, error)
     tried = np.full_like(now, np.inf)
-    if bool(there.solution.converged):
-        room = follow_room(command, there.state, linear.length)
-        tried = parts(room, all_errors(command, there.state, linear.energy))
+    if bool(after.solution.converged):
+        room = follow_room(command, after.state, linear.length)
+        tried = parts(room, all_errors(command, after.state, linear.energy))
     lengths = np.sum(change**2) * np.sum(error**2)
     length = np.sqrt(max(lengths, np.finfo(float).tiny))
     return TriedStep(
@@ -204,14 +204,14 @@ def _trial(command: Command, linear: Linear, qp: QPStep, there: Reached) -> Trie
 
 def _outcome(
     command: Command,
-    here: Arrival,
+    arrival: Arrival,
     linear: Linear,
     decision: Decision,
     records: Sequence[StepRecord],
 ) -> OUTCOMES | None:
     """Determine how the search has ended; None while it goes on."""
     settings = command.settings
-    error = np.abs(command.residuals(here.compliance.state)).max()
+    error = np.abs(command.residuals(arrival.compliance.state)).max()
     kept_limits = violation(linear.limits.b) <= ROUNDING
     met = error <= settings.tol and kept_limits
     if met and (settings.epsilon == 0.0 or decision.vanished):

@@ -30,7 +30,7 @@ def with_goals(configuration: Configuration, goals: Mapping[str, Goal]):
 
     Raises:
         ValueError: If a name is unknown, a goal has the wrong number of coordinates, or
-            some markers of a configuration have none.
+            some but not all markers of a configuration have one.
     """
     markers = configuration.markers
     marker_names = () if markers is None else markers.names

@@ -26,22 +26,22 @@ class Holding(NamedTuple):
     blind: BlindDirection | None = None
 
 
-def what_holds(command: Command, here: Arrival, linear: Linear) -> Holding:
+def what_holds(command: Command, end: Arrival, linear: Linear) -> Holding:
     """Split what is left of the errors between limits and blind directions.
 
     At a minimum, the slope W^T r is balanced by the limits that are reached, W^T r +
     A^T mu = 0 with mu >= 0. A limit holds where its mu is positive. What W does not
     reach at all is blind.
     """
-    reached = _reached(command, here, linear)
-    active = tuple(_in_words(command, here, *limit) for limit in reached)
-    off = command.residuals(here.compliance.state)
+    reached = _reached(command, end, linear)
+    active = tuple(_in_words(command, end, *limit) for limit in reached)
+    off = command.residuals(end.compliance.state)
     if np.abs(off).max() <= command.settings.tol:
         return Holding(active)
     moves = linear.limits.upper > linear.limits.lower
     W, r = linear.W * moves, linear.error
     unit = np.eye(len(moves))
-    # Changes of the limited quantities by y, whose products must not grow.
+    # Gradients by y: at a limit that is reached, gradient @ y must not be positive.
     gradients = np.concatenate([-unit, unit, linear.limits.A]).reshape(4, *unit.shape)
     A = np.array([gradients[limit] for limit in reached])
     A = A.reshape(-1, len(moves)) * moves
@@ -83,12 +83,12 @@ def _blind(
         (
             f"{name} of {record.name!r}".removeprefix(" of "),
             record.unit,
-            rows[at],
-            shares[at],
+            rows[entry],
+            shares[entry],
         )
         for record in command.effectors
         for k, name in enumerate(coordinate_names(record))
-        if record.seen[k] and (at := (record.index, k))
+        if record.seen[k] and (entry := (record.index, k))
     ]
     names, units, components, offs = zip(*parts, strict=True)
     return BlindDirection(
@@ -100,25 +100,25 @@ def _blind(
     )
 
 
-def _reached(command: Command, here: Arrival, linear: Linear) -> list[tuple[int, int]]:
+def _reached(command: Command, end: Arrival, linear: Linear) -> list[tuple[int, int]]:
     """List the limits that are reached by kind and actuator, actuator by actuator.
 
-    Their kinds are the lower and the upper limit of the input, then of the other one.
+    Kinds 0 to 3: lower and upper limit of the input, then of the quantity that follows.
     """
     lower, upper = command.box()
-    of_inputs = [here.value - lower, upper - here.value] / linear.scale
-    of_others = follow_room(command, here.compliance.state, linear.length)
+    of_inputs = [end.value - lower, upper - end.value] / linear.scale
+    of_others = follow_room(command, end.compliance.state, linear.length)
     room = np.concatenate([of_inputs, of_others.reshape(2, -1)])
     active = (room <= 10.0 * ROUNDING) & (upper > lower)
     return [(int(kind), int(a)) for a, kind in np.argwhere(active.T)]
 
 
-def _in_words(command: Command, here: Arrival, kind: int, a: int) -> str:
+def _in_words(command: Command, end: Arrival, kind: int, a: int) -> str:
     of_input, side = kind < 2, ("lower", "upper")[kind % 2]
     by_displacement = bool(np.asarray(command.lane.actuation.by_displacement)[a])
     what = "displacement" if by_displacement == of_input else "force"
     step = command.limits.step[a] * (1.0 - 1e-12)
-    if of_input and np.abs(here.value[a] - command.start[a]) >= step:
+    if of_input and np.abs(end.value[a] - command.start[a]) >= step:
         what, side = f"step of the {what}", "longest"
     actuators = command.model.mechanism.actuators
     noun, name = actuators.kinds[a].noun, actuators.names[a]

@@ -33,10 +33,10 @@ class Limits(Module):
 
 
 class LimitArrays(NamedTuple):
-    """Lowest and highest values of inputs, the imposed quantities, and of the others.
+    """Lowest and highest values of what is imposed, the inputs, and of what follows.
 
-    Those of inputs are equal for actuators that are not commanded. `step` limits the
-    change of an input.
+    Both limits of an input are equal for an actuator that is not commanded. `step`
+    limits the change of an input.
     """
 
     inputs: Float[HostArray, "2 n_a"]

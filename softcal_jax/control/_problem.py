@@ -19,9 +19,9 @@ from softcal_jax.equilibrium import Model
 class Command(NamedTuple):
     """A command as the user gave it, and as arrays.
 
-    The actuation of `configuration` is where the command starts; the measured values of
-    `lane`, the same as arrays, are the goals. `weights` are 1 / standard deviation of
-    each effector coordinate, 0 without a goal.
+    The actuation of `configuration` is where the command starts. `lane` is the
+    configuration as arrays; its measured values are the goals. `weights` are 1 /
+    standard deviation of each effector coordinate, 0 without a goal.
     """
 
     model: Model
@@ -62,7 +62,7 @@ class Linear(NamedTuple):
     Attributes:
         scale: Change of an input for y = 1, which moves some node by the size of the
             robot; this makes inputs of different units comparable.
-        W: Compliances, energy rows behind, in units of std; so `error`.
+        W: Compliances in units of std, the energy rows last; `error` likewise.
         energy: Matrix that turns forces into the energy rows.
         length: Scale of the quantities that are not imposed.
     """
@@ -127,7 +127,7 @@ def violation(room) -> float:
 def all_errors(
     command: Command, state: ActuatorReadings, energy: Float[HostArray, "n_a n_a"]
 ) -> Float[HostArray, " n_all"]:
-    """Compute the errors, those of the energy behind [-]."""
+    """Compute the errors of the effectors, then those of the energy [-]."""
     return np.append(command.residuals(state), energy @ np.asarray(state.forces))
 
 

@@ -97,8 +97,8 @@ class BlindDirection(Module):
             It points from the goals to the effectors.
         off: How far the effectors are from their goals along it, by coordinate, in
             their units.
-        gain: What the inputs move the effectors along it, relative to the direction in
-            which they move them most [-].
+        gain: How far the inputs move the effectors along it, relative to the direction
+            in which they move them most [-].
     """
 
     coordinates: tuple[str, ...]
@@ -142,7 +142,7 @@ class StepRecord(Module):
         size: Largest displacement of a node that it causes, per size of the robot [-].
         cost: Half the squared errors after the step, energy included [-].
         violation: Violated limits of the quantities that are not imposed [-].
-        kkt_residual: Optimality residual of its QPs [-].
+        kkt_residual: Optimality residual of its QP [-].
         newton_steps: Newton iterations of the equilibrium on which it was tried.
         accepted: Whether it was kept.
     """
@@ -167,8 +167,8 @@ class InverseResult(Result):
         active_limits: Limits that are reached, in words.
         held_by: Limits that keep the effectors from goals that are not met, in words,
             the strongest first.
-        blind: Direction in which they are off and that no commanded actuator changes;
-            None if there is none.
+        blind: Direction in which the effectors are off and in which no commanded
+            actuator moves them; None if there is none.
         steps: The descent that led here, step by step.
         attempts: All descents that were tried.
         tol: Error at which a goal counts as met, in standard deviations [-].
@@ -202,7 +202,7 @@ class InverseResult(Result):
 
     @property
     def message(self) -> str:
-        """The outcome in words: how far in each direction, and what holds it."""
+        """The outcome in words: how far effectors are off, and what holds them."""
         text = f"configuration {self.configuration.name!r}: {OUTCOMES[self.outcome]}"
         unmet = self.unmet
         for fit in unmet[:LISTED]:
@@ -221,12 +221,12 @@ class InverseResult(Result):
     @property
     def forces(self) -> dict[str, float]:
         """lambda_a of every actuator, by name, in its unit."""
-        return {own.name: own.force for own in self.actuators}
+        return {state.name: state.force for state in self.actuators}
 
     @property
     def displacements(self) -> dict[str, float]:
         """delta_a likewise; 0 for an actuator without one."""
-        return {own.name: own.displacement or 0.0 for own in self.actuators}
+        return {state.name: state.displacement or 0.0 for state in self.actuators}
 
     @property
     def inputs(self) -> Float[HostArray, " n_inputs"]:

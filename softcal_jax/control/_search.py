@@ -41,9 +41,9 @@ def search(
     """Descend from the start; unless the goals are met, explore all other ways, too.
 
     The other ways are other starts, then a continuation of the goals from where the
-    start has the effectors. The search stops at the first that meets the goals. If none
-    does, the best and the one from the start itself are taken to their ends, and the
-    better one counts. Returns it, with all attempts.
+    effectors are at the start. The first descent that meets the goals ends the search.
+    If none does, the best descent and the one from the start itself are taken to their
+    ends. Returns the better one, with all attempts.
     """
     at_start = reached(command, command.start, guess)
     first = begin(command, differentiated(command, at_start))
@@ -51,11 +51,11 @@ def search(
         return first, ()
     tried: dict[str, Descent] = {}
     best = "the start"
-    for way, found in _ways(command, first):
-        tried[way] = found
-        if found.met:
-            return found, _attempts(command, tried)
-        best = way if _better(command, found, tried[best]) else best
+    for way, descent in _ways(command, first):
+        tried[way] = descent
+        if descent.met:
+            return descent, _attempts(command, tried)
+        best = way if _better(command, descent, tried[best]) else best
     for way in dict.fromkeys(("the start", best)):
         tried[way] = descend(command, tried[way])
     if not _better(command, tried[best], tried["the start"]):
@@ -69,17 +69,17 @@ def _ways(command: Command, first: Descent) -> Iterator[tuple[str, Descent]]:
     if not others:
         return
     for k, value in enumerate(_other_starts(command, first), start=1):
-        there = _driven(command, first.here, value)
-        if there is not None:
-            found = descend(command, begin(command, there), explore=True)
-            yield f"other start {k}", found
-    continued = _continued(command, first.here)
+        arrival = _driven(command, first.arrival, value)
+        if arrival is not None:
+            descent = descend(command, begin(command, arrival), explore=True)
+            yield f"other start {k}", descent
+    continued = _continued(command, first.arrival)
     if continued is not None:
         yield "the start, over a continuation of the goals", continued
 
 
 def _continued(command: Command, first: Arrival) -> Descent | None:
-    """Descend towards goals that move from the effectors at the start to their place.
+    """Descend towards goals that move from where the effectors start to the real goals.
 
     With r_0 the errors there, the goals of a share s are those at which e - goal is
     (1 - s) r_0. Each share starts at the inputs that met the one before. None if not
@@ -89,30 +89,30 @@ def _continued(command: Command, first: Arrival) -> Descent | None:
     off = np.asarray(first.compliance.state.effectors) - goal
     # The energy of the actuators is weighed once, at the goals themselves.
     plain = eqx.tree_at(lambda s: s.epsilon, command.settings, 0.0)
-    here, share, piece = first, 0.0, FIRST_PIECE
+    arrival, share, piece = first, 0.0, FIRST_PIECE
     while share + piece < 1.0 and piece >= SHORTEST_PIECE:
         aim = goal + (1.0 - share - piece) * off
         lane = eqx.tree_at(lambda c: c.effectors.measured, command.lane, aim)
         aimed = command._replace(lane=lane, settings=plain)
-        found = descend(aimed, begin(aimed, here), explore=True)
-        if found.met:
-            here, share, piece = found.here, share + piece, 2.0 * piece
+        descent = descend(aimed, begin(aimed, arrival), explore=True)
+        if descent.met:
+            arrival, share, piece = descent.arrival, share + piece, 2.0 * piece
         else:
             piece *= 0.5
     if share == 0.0:
         return None
-    return descend(command, begin(command, here), explore=True)
+    return descend(command, begin(command, arrival), explore=True)
 
 
 def _other_starts(command: Command, first: Descent) -> Float[HostArray, "n_starts n_a"]:
     """Choose inputs that fill what the limits and the reach of a step leave.
 
-    They are a Latin hypercube and its middle, those near the start first: where several
-    actuations meet the goals, one that is near is better known than one that is far.
+    They are a Latin hypercube and its middle, those near the start first: if several
+    actuations meet the goals, one near the start is preferred to one far from it.
     """
     assert first.linear is not None
     n, reach = command.settings.other_starts, command.settings.max_step_bound
-    (lower, upper), value = command.box(), first.here.value
+    (lower, upper), value = command.box(), first.arrival.value
     scale = first.linear.scale
     # Here, so that commands which do not need it do not wait for it.
     from scipy.stats.qmc import LatinHypercube
@@ -123,7 +123,7 @@ def _other_starts(command: Command, first: Descent) -> Float[HostArray, "n_start
     shares[1:] = LatinHypercube(low.size, rng=0).random(n - 1)
     starts = low + shares * (high - low)
     away = np.linalg.norm((starts - value) / scale, axis=1)
-    # The middle may be the start itself.
+    # The middle may be the start itself, which needs no second descent.
     return starts[np.argsort(away)][np.sort(away) > command.settings.step_tol]
 
 
@@ -136,36 +136,36 @@ def _driven(
     on which it is commanded.
     """
     for pieces in (1, PIECES):
-        here = first
+        arrival = first
         for left in range(pieces, 0, -1):
-            there = moved(command, here, (value - here.value) / left)
-            here = differentiated(command, there)
-            if not here.stands:
+            equilibrium = moved(command, arrival, (value - arrival.value) / left)
+            arrival = differentiated(command, equilibrium)
+            if not arrival.stands:
                 break
         else:
-            return here
+            return arrival
     return None
 
 
 def _attempts(command: Command, tried: Mapping[str, Descent]) -> tuple[Attempt, ...]:
-    error = lambda found: np.abs(command.residuals(found.here.compliance.state)).max()
+    error = lambda end: np.abs(command.residuals(end.arrival.compliance.state)).max()
     return tuple(
-        Attempt(way, found.outcome, float(error(found)), len(found.records))
-        for way, found in tried.items()
+        Attempt(way, descent.outcome, float(error(descent)), len(descent.records))
+        for way, descent in tried.items()
     )
 
 
-def _better(command: Command, found: Descent, than: Descent) -> bool:
+def _better(command: Command, descent: Descent, than: Descent) -> bool:
     """Compare two ends: kept limits first, then the cost."""
-    for new, old in zip(_parts(command, found), _parts(command, than), strict=True):
+    for new, old in zip(_parts(command, descent), _parts(command, than), strict=True):
         if abs(new - old) > EQUAL * max(new, old):
             return bool(new < old)
-    return found.met and not than.met
+    return descent.met and not than.met
 
 
-def _parts(command: Command, found: Descent) -> Float[HostArray, "2"]:
+def _parts(command: Command, descent: Descent) -> Float[HostArray, "2"]:
     """Compute violated limits and the cost; below the tolerance they tie."""
-    assert found.linear is not None
-    off = command.residuals(found.here.compliance.state)
+    assert descent.linear is not None
+    off = command.residuals(descent.arrival.compliance.state)
     floor = 10.0 * ROUNDING, 0.5 * command.settings.tol**2
-    return np.maximum(parts(found.linear.limits.b, off), floor)
+    return np.maximum(parts(descent.linear.limits.b, off), floor)

@@ -54,14 +54,14 @@ def solve_inverse(
     the energy of the actuators, until the goals are met or no step comes closer. Each
     step is tried on the true equilibrium, and kept only if it helps. If that does not
     meet the goals, they are approached from other starts within the limits, and over a
-    continuation; the best end counts, and says what holds it. Cables with an imposed
-    displacement stay taut: slack ones are wound up, and none becomes slack.
+    continuation; the result is the best end, and what holds it there. Cables with an
+    imposed displacement stay taut: slack ones are wound up, and none becomes slack.
 
     Args:
         model: The model, calibrated or not.
         configuration: The actuators in its `actuation` are commanded and start there;
-            the others stay. Measured values of its effectors and markers are their
-            goals, and errors are weighted by 1 / `std`.
+            other actuators stay as they are. Measured values of its effectors and
+            markers are their goals, and errors are weighted by 1 / `std`.
         goals: Goals by the names of effectors and markers, in place of measured values;
             see `Goal`.
         limits: Limits by the names of actuators.
@@ -153,10 +153,10 @@ def _prepare(model, configuration, goals, limits, settings) -> Command:
 def _result(
     command: Command, best: Descent, attempts: tuple[Attempt, ...]
 ) -> InverseResult:
-    here, linear, _, outcome, records = best
+    arrival, linear, _, outcome, records = best
     assert outcome is not None
-    model, state = command.model, here.compliance.state
-    inputs = dict(zip(model.mechanism.actuators.names, here.value, strict=True))
+    model, state = command.model, arrival.compliance.state
+    inputs = dict(zip(model.mechanism.actuators.names, arrival.value, strict=True))
     asked = command.configuration.actuation
     actuation = {a: replace(asked[a], value=float(inputs[a])) for a in asked}
     reached = np.asarray(state.effectors)
@@ -168,11 +168,11 @@ def _result(
     )
     holding = Holding()
     if linear is not None:
-        holding = what_holds(command, here, linear)
+        holding = what_holds(command, arrival, linear)
     return InverseResult(
         outcome=outcome,
         configuration=replace(command.configuration, actuation=actuation),
-        solution=here.solution,
+        solution=arrival.solution,
         goals=goals,
         actuators=actuator_states(
             model, command.lane, state.forces, state.displacements

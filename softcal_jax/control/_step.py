@@ -28,15 +28,15 @@ class ControlSettings(Module):
         step_tol: Step of the inputs at which the search ends, as the largest
             displacement of a node, relative to the size of the robot [-].
         max_steps: Number of steps after which the search gives up.
-        step_bound: First bound on the step of every input, measured likewise [-].
+        step_bound: First bound on the step of every input, measured as `step_tol` [-].
         max_step_bound: Largest value of that bound [-].
         epsilon: Weight of the energy of the actuators, Eq. (6), relative to the effect
             of the inputs on the effectors [-]. It determines inputs that the goals
             leave open, such as co-contraction, at the price of missing the goals by
             about as much. With 0 the search ends as soon as the goals are met.
-        other_starts: Other starts from which the search goes on, and then over a
-            continuation of the goals, before it says that a goal cannot be met. With 0
-            the first local optimum counts.
+        other_starts: Number of other starts to try, and after them a continuation of
+            the goals, before the search says that a goal cannot be met. With 0 the
+            first local optimum counts.
         newton: Settings of the equilibria.
     """
 
@@ -64,8 +64,8 @@ class ControlSettings(Module):
 class StepLimits(NamedTuple):
     """Limits of the scaled step y: lower <= y <= upper and A y <= b [-].
 
-    A y is the change of the quantities that are not imposed: less that change for their
-    lower limits, actuator by actuator, then the change for their upper limits.
+    A y is the change of the quantities that are not imposed: first with a minus sign,
+    for their lower limits, actuator by actuator, then for their upper limits.
     """
 
     lower: Float[Array | HostArray, " n_a"]
@@ -99,9 +99,9 @@ def limited_step(
 class TriedStep(NamedTuple):
     """A step that was tried; its parts are violated limits, then the cost [-].
 
-    They are those before the step, after it by the linear model, and after it at the
-    true equilibrium; inf without one. `size` is the largest entry of the step, `cosine`
-    that between the errors and their expected reduction.
+    `now` are the parts before the step, `expected` those after it by the linear model,
+    `tried` at the true equilibrium, inf without one. `size` is the largest entry of the
+    step, `cosine` that between the errors and their expected reduction.
     """
 
     now: Float[HostArray, "2"]
@@ -139,7 +139,7 @@ def decide(trial: TriedStep, before: Decision, settings: ControlSettings) -> Dec
     """
     floor = ROUNDING, 0.0
     now, expected, tried = (
-        np.maximum(each, floor) for each in (trial.now, trial.expected, trial.tried)
+        np.maximum(parts, floor) for parts in (trial.now, trial.expected, trial.tried)
     )
     penalty, (closer, cheaper) = before.penalty, now - expected
     if closer > np.finfo(float).tiny:

@@ -92,16 +92,16 @@ def sample_workspace(
         which = f"{configuration.name}, sample {i}"
         values.append(actuation_arrays(mechanism, asked, which).value)
     lane = jax.tree.map(lambda leaf: leaf[0], lanes.arrays)
-    each = [with_inputs(lane, jnp.asarray(value)) for value in values]
-    rest = jnp.zeros((len(each), model.n_points, 3))
-    with Workers(model, len(each)) as workers:
-        run = workers, model, each, settings or NewtonSettings()
+    samples = [with_inputs(lane, jnp.asarray(value)) for value in values]
+    rest = jnp.zeros((len(samples), model.n_points, 3))
+    with Workers(model, len(samples)) as workers:
+        run = workers, model, samples, settings or NewtonSettings()
         solution = equilibria(*run, guess=rest)
-        found = effectors_on_all_cores(workers, model, each, solution)
+        coordinates = effectors_on_all_cores(workers, model, samples, solution)
     effectors: dict[str, list] = {}
     for record in lanes.effectors[0]:
-        own = np.asarray(found)[:, record.index]
-        effectors.setdefault(record.name, []).append(own)
+        row = np.asarray(coordinates)[:, record.index]
+        effectors.setdefault(record.name, []).append(row)
     converged = np.asarray(solution.converged)
     failures = []
     for i in np.flatnonzero(~converged):

@@ -45,8 +45,8 @@ def compare_layouts(
     parameters.
 
     `make_parameters` gives the parameters of a layout, like
-    `lambda points: ControlPointParameters("E", points, ...)`; all that follows it is as
-    in `compare_laws`.
+    `lambda points: ControlPointParameters("E", points, ...)`; the arguments after it
+    are those of `compare_laws`.
 
     Raises:
         ValueError: If fewer than two configurations or no layout is given, or an input
@@ -78,8 +78,8 @@ def compare_laws(
     Leave-one-configuration-out cross-validation (Stone, J. R. Stat. Soc. B 36, 1974):
     each model is fitted to all configurations but one and predicts that one, in turn.
     Its mean squared prediction error in units of the noise decides. Whether the data
-    can tell two models apart is judged by their differences on the same configurations,
-    with the scatter of these.
+    can tell two models apart is judged by the differences of their errors on the same
+    configurations, and by the scatter of these differences.
 
     Example:
         Two laws on one mesh::
@@ -92,15 +92,15 @@ def compare_laws(
 
     Args:
         laws: Model and parameters by name. Models may differ in law and mesh.
-        configurations: Measured configurations, at least two, of which every model has
-            the groups.
+        configurations: Measured configurations, at least two; every model must have the
+            groups that they name.
         settings: Settings of the outer loop; by default `FOR_PREDICTION`.
         newton: Settings of the equilibrium.
-        starts: Number of starts of each fit: that of the parameters, and random ones
-            within the bounds; by default see `default_starts`.
+        starts: Number of starts of each fit: the start of the parameters, then random
+            ones within the bounds; by default see `default_starts`.
         seed: Seed of the random starts.
-        uncertain: How well everything is known that is not calibrated, of which the
-            offsets of recordings belong to the noise; by default nothing is uncertain.
+        uncertain: How well everything that is not calibrated is known; offsets of
+            recordings belong to the noise. By default nothing is uncertain.
 
     Returns:
         The models, the best first, and what sets them apart. A fold that did not
@@ -114,7 +114,7 @@ def compare_laws(
     if isinstance(configurations, Configuration):
         configurations = (configurations,)
     problems = {}
-    # All are built before the first fit, so that a wrong one is found at once.
+    # All problems are built before the first fit, so that a wrong one is found at once.
     for name, (model, parameters) in laws.items():
         try:
             problems[name] = build_problem(

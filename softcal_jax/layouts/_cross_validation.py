@@ -38,11 +38,11 @@ such directions, so more steps are allowed.
 
 
 class _Fold(NamedTuple):
-    """Configurations of one fit, and whether they count: all but one, in the last all.
+    """Configurations of one fit, and which count: all but one, or all in the last fold.
 
     In place of the held-out configuration another one is repeated with weight zero: so
-    all fits share their shapes and programs, and what is held out cannot affect the
-    fit, not even by having no equilibrium.
+    all fits share their shapes and programs, and the held-out configuration cannot
+    affect the fit, not even by having no equilibrium.
     """
 
     lanes: Int[HostArray, " n_c"]
@@ -65,7 +65,7 @@ def _folds(n_c: int) -> list[_Fold]:
 
 
 def _fold_problem(problem: CalibrationProblem, fold: _Fold) -> CalibrationProblem:
-    """Return the calibration of one fold, without what is held out."""
+    """Return the calibration of one fold, without the held-out configuration."""
     take = lambda leaf: np.asarray(leaf)[fold.lanes]
     fitted = jax.tree.map(take, problem.configurations)
     weight = np.where(fold.counts[:, None, None], fitted.effectors.inverse_std, 0.0)
@@ -82,12 +82,12 @@ def _fit(
     images = images_of(problem.space, mirror=True)
 
     def fit(whole: Evaluator, fold: _Fold) -> _Fit:
-        own = Evaluator(_fold_problem(problem, fold), whole.workers)
+        evaluator = Evaluator(_fold_problem(problem, fold), whole.workers)
         ended: list[Begun] = []
-        for start in map(jnp.asarray, np.asarray(starts)):
+        for z in map(jnp.asarray, np.asarray(starts)):
             known = known_optima(ended, images)
-            ended.append(run_start(own, settings, start, images=images, known=known))
-        runs = [each.best for each in ended]
+            ended.append(run_start(evaluator, settings, z, images=images, known=known))
+        runs = [begun.best for begun in ended]
         cost = np.array([run.cost for run in runs])
         run = runs[best_of(cost, np.array([run.converged for run in runs]))]
         return _Fit(run, whole.from_rest(jnp.asarray(run.z)))
@@ -128,14 +128,14 @@ def _score(
     if noise is not None:
         A = noise.on_host(effectors)[:, : noise.n_common]
     A = A.reshape(*weight.shape, A.shape[1])
-    # Distances are of points; turns and forces count in units of the noise.
+    # Only points have distances; turns and forces count in units of the noise alone.
     n_points = effectors.nodes.shape[-2]
     every = np.arange(len(configurations))
 
     def rms(
         fit: _Fit, failure: str, fold: _Fold, lanes: Int[HostArray, " n"]
     ) -> tuple[float, float]:
-        """Return the distance of points [m], and coordinates over the noise [-].
+        """Return rms distance of points [m], and rms error over the noise [-].
 
         Offsets of attachments are known from the fitted configurations alone.
         """
@@ -146,12 +146,12 @@ def _score(
             error = noise.without_attachments(effectors, error, fold.counts)
         error = error[lanes]
         squares = np.sum(error[:, :n_points] ** 2, axis=2)
-        there = np.any(of_lanes[:, :n_points] > 0.0, axis=2)
-        own = A[lanes].reshape(of_lanes.size, A.shape[-1])
-        over_noise = whitened(own, np.ravel(of_lanes * error))
+        measured = np.any(of_lanes[:, :n_points] > 0.0, axis=2)
+        columns = A[lanes].reshape(of_lanes.size, A.shape[-1])
+        over_noise = whitened(columns, np.ravel(of_lanes * error))
         over_noise = over_noise[of_lanes.ravel() > 0.0]
         mean = lambda squares: float(np.sqrt(np.mean(squares)))
-        return mean(squares[there]), mean(over_noise**2)
+        return mean(squares[measured]), mean(over_noise**2)
 
     *held_out_folds, whole = _folds(len(configurations))
     folds = []

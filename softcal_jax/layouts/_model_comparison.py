@@ -38,14 +38,14 @@ class ModelScore(Module):
 
     Attributes:
         name: Its name.
-        n_parameters: Parameters.
+        n_parameters: Number of parameters.
         folds: One entry per configuration.
         fit_rms: Root mean square marker distance with all configurations fitted; nan if
             that fit failed [m].
         fit_noise_rms: The same in units of the noise, per measured coordinate [-].
         fit_failure: Why the fit to all configurations failed; empty if it did not.
         identifiability: Identifiability from all configurations, with the stated noise,
-            where that fit ended; None if one has no equilibrium there.
+            at the end of the fit to all; None if one of them has no equilibrium there.
     """
 
     name: str
@@ -63,7 +63,7 @@ class ModelScore(Module):
 
     @property
     def good(self) -> tuple[FoldScore, ...]:
-        """The other folds."""
+        """The folds that did not fail."""
         return tuple(fold for fold in self.folds if not fold.failure)
 
     @property
@@ -152,7 +152,7 @@ class ModelComparison(Result):
 
     Attributes:
         models: Those without a failed fold first.
-        differences: How much worse each of the others predicts than the first.
+        differences: How much worse each later model predicts than the first.
     """
 
     models: tuple[ModelScore, ...]
@@ -238,7 +238,7 @@ class ModelComparison(Result):
 
     @property
     def tabulated(self) -> TextTable:
-        """How well each model predicts, in texts."""
+        """A table of how well each model predicts."""
         head = ("model", "parameters", "held-out [mm]", "in noise", "squared [noise^2]")
         head += ("worse than the best by", "fit [mm]", "failed folds")
         rows = []

@@ -31,9 +31,9 @@ ROUNDS = 5
 INDEPENDENT = 0.05
 """Remaining sensitivity of a patch, over the largest, below which it is unseen [-].
 
-A control point there would need data 20 times as precise as the best one to be as well
-determined; and patches beyond the markers, seen from the load, still move them by a few
-percent, through the strain around them.
+A control point in such a patch needs data 20 times as precise as the best point does to
+be as well determined. Patches on the far side of the markers from the load still move
+them by a few percent, through the strain around the markers.
 """
 
 
@@ -81,7 +81,7 @@ def place_control_points(
     those before: the orthogonal method for the parameters that data can estimate (Yao
     et al., Polymer Reaction Engineering 11, 2003). Deviations: a patch has one column
     per field, picked together, and points keep half the distance that "farthest" would
-    leave between as many. The result is local: it holds for the present fields.
+    leave between n points. The result is local: it holds for the present fields.
 
     The result are "CP 1" to "CP n" in the order in which they were found, for the tet
     group `region` or the whole body, with `power`, `nearest` and `axes` as in
@@ -144,7 +144,7 @@ def _places(mesh: TetMesh, region: str | None, axes: str, n: int) -> _Places:
 
 
 def farthest_points(places: _Places, n: int) -> list[int]:
-    """Pick n places far from each other; fewer if no other one is left."""
+    """Pick n places far from each other; fewer if no different place is left."""
     if n == 1:
         return [0]
     # Place 0 is the nearest to the middle.
@@ -163,10 +163,10 @@ def _gaps(places: _Places, i: int) -> Float[HostArray, " n"]:
     return np.round(gaps / places.size, 9)
 
 
-def _check_room(found: int, n: int, what: str) -> None:
-    if found < n:
+def _check_room(available: int, n: int, what: str) -> None:
+    if available < n:
         raise ValueError(
-            f"{n} control points were asked for, but only {found} different places "
+            f"{n} control points were asked for, but only {available} different places "
             f"were found {what}: ask for fewer, refine the mesh, or change the axes."
         )
 
@@ -238,7 +238,7 @@ def _well_seen(
 def _patches(
     places: _Places, shares: Float[HostArray, " n"], most: int
 ) -> tuple[list[int], list[Int[HostArray, " _"]]]:
-    """Form compact patches of places: the middle one of each, and its members.
+    """Form compact patches of places; return their middle places and their members.
 
     They are centroidal Voronoi cells by Lloyd's method (IEEE Trans. Inf. Theory 28,
     1982), since the cells of the farthest points alone, which lie at corners, are
@@ -276,7 +276,7 @@ def pivoted(
     """Pick blocks of columns by pivoted QR, with a distance between their patches [m].
 
     The largest block has norm one. Returns the chosen patches, and how many of them
-    were independent; the others are farthest from those before.
+    were independent; each further patch is the farthest from those before it.
     """
     left = blocks.copy()
     free = np.ones(blocks.shape[1], bool)

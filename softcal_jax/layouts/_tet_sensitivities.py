@@ -57,8 +57,8 @@ def tet_sensitivities(
     adjoint form: each configuration is solved for the rows W_e = K^-T H_e^T, and one
     pass over the tets gives the forces of their fields.
 
-    Fields are of the law, or "density", and are differentiated where the model has
-    them; `measured` of the configurations is ignored. Rows of each field are for the
+    Fields are of the law, or "density", and are differentiated at their values in the
+    model; `measured` of the configurations is ignored. Rows of each field are for the
     measured coordinates, in the order configuration, marker, axis; in units of the
     noise per SI unit of the field.
 

@@ -30,7 +30,7 @@ def halo(width: float):
 
 
 def draw_name(axes: "matplotlib.axes.Axes", text: str, place, offset, **style) -> None:
-    """Write a name beside a place, so many points off."""
+    """Write a name beside a place, at an offset in points."""
     style = {"fontsize": 15, "color": TEXT, "path_effects": halo(4.0), **style}
     where = {"xytext": offset, "textcoords": "offset points"}
     axes.annotate(text, place, **where, **style, parse_math=False)
@@ -163,7 +163,7 @@ def draw_legend(
     height: float,
     labels: Mapping[str, str],
 ) -> None:
-    """Explain what was drawn of `SYMBOLS`, by other labels of some, at a height [-]."""
+    """Explain the drawn `SYMBOLS`, at a height [-]; `labels` replace some names."""
     from matplotlib.lines import Line2D
 
     handles = [

@@ -60,4 +60,4 @@ SYMBOLS: dict[str, dict[str, Any]] = {
     "motor": {"color": MOTOR, "lw": 2.5, "ls": "-.", "marker": "o"},
     "force": {"color": FORCE, "lw": 3.0, "marker": ">"},
 }
-"""Styles of lines by what they mark, in pictures and in their legends, in its order."""
+"""Styles of lines and points by what they mark, in the order of the legend."""

@@ -1,4 +1,4 @@
-"""Draw one configuration: body, markers and how far they are apart.
+"""Draw one configuration: the body, and measured beside simulated markers.
 
 VTK draws the body, and Matplotlib draws text, markers and scales over and around it, so
 that markers inside or behind the body are visible and no texts overlap.

@@ -22,7 +22,7 @@ _MOST_NAMES = 14
 """Most markers that get a legend: two for each colour."""
 
 _AROUND, _LEAST = 1.0, 3
-"""What is shown before and after a window, in its lengths, and at least in frames."""
+"""Time shown on either side of a window: in its lengths, but at least in frames."""
 
 _MOST_LABELS = 12
 """Most groups on an axis whose labels stay horizontal."""
@@ -31,8 +31,8 @@ _MOST_LABELS = 12
 def plot_traces(traces: Traces, path: str | Path, *, name: str = "recording") -> None:
     """Plot the motion of the markers of a recording, and each window of it close up.
 
-    Close up are distances from the mean over the window. A line breaks where its marker
-    was occluded. `name` is that of the configuration.
+    Close-ups show distances from the mean over the window. A line breaks where its
+    marker was occluded. `name` is that of the configuration.
     """
     from matplotlib.figure import Figure
 
@@ -60,7 +60,7 @@ def plot_traces(traces: Traces, path: str | Path, *, name: str = "recording") ->
         frame = float(np.median(np.diff(recording.times))) if inside.size > 1 else 1.0
         beside = max(_AROUND * (stop - start), _LEAST * frame)
         panel.set_xlim(start - beside, stop + beside)
-        # What is outside may be far away, and is cut.
+        # Positions outside the window may be far away, and are cut off.
         off = np.linalg.norm(part - mean, axis=2)[:, columns]
         panel.set_ylim(0.0, 3e3 * max(np.nanmax(off, initial=0.0), 1e-6))
         panel.set_ylabel("distance from the\nmean in the window [mm]", fontsize=14)
@@ -75,7 +75,7 @@ def plot_traces(traces: Traces, path: str | Path, *, name: str = "recording") ->
 
 
 def _windows(traces: Traces) -> dict[tuple[float, float], str]:
-    """Return the windows by their times, with all that each is for as its label."""
+    """Return the windows by their times, each labelled with all that it is used for."""
     labels: dict[tuple[float, float], str] = {}
     for what, times in traces.windows.items():
         labels[times] = f"{labels[times]}, {what}" if times in labels else what
@@ -85,7 +85,7 @@ def _windows(traces: Traces) -> dict[tuple[float, float], str]:
 def _draw_distances(
     axes: "matplotlib.axes.Axes", traces: Traces, origin: Float[HostArray, "n 3"]
 ) -> list[int]:
-    """Draw distances from an origin for each marker, and return their columns."""
+    """Draw the distance of each marker from an origin; return the markers' columns."""
     recording, names = traces.recording, traces.names
     columns = [recording.names.index(name) for name in names]
     away = 1e3 * np.linalg.norm(recording.positions - origin, axis=2)
@@ -116,10 +116,10 @@ def plot_trials(
     title: str = "",
     left_out: str = "",
 ) -> None:
-    """Plot every figure of some trials against every axis, which is a column.
+    """Plot every figure of some trials against every axis, given as a column.
 
     Numbers make a scatter; words make groups, each with a bar at its mean. A nan is not
-    drawn. Below the title stands which trials are left out, and why.
+    drawn. `left_out` says below the title which trials are left out, and why.
 
     Raises:
         ValueError: If there is nothing to draw.
@@ -160,21 +160,21 @@ def _draw_trials(
     if not any(isinstance(value, str) for value in where):
         axes.plot(np.asarray(where, float), values, **dots)
         axes.margins(0.06)
-        own = sorted(set(where))
-        if len(own) <= _MOST_LABELS:
-            axes.set_xticks(own, [f"{value:g}" for value in own])
+        ticks = sorted(set(where))
+        if len(ticks) <= _MOST_LABELS:
+            axes.set_xticks(ticks, [f"{value:g}" for value in ticks])
         return
     groups = list(dict.fromkeys(where))
     labels = [escaped(group) for group in groups]
     for i, group in enumerate(groups):
-        own = np.array([v for v, w in zip(values, where, strict=True) if w == group])
-        own = own[np.isfinite(own)]
-        if not own.size:
+        sample = np.array([v for v, w in zip(values, where, strict=True) if w == group])
+        sample = sample[np.isfinite(sample)]
+        if not sample.size:
             continue
         # Spread sideways in order, so that equal values do not hide each other.
-        width = 0.0 if own.size == 1 else 0.25
-        axes.plot(i + width * np.linspace(-1.0, 1.0, own.size), own, **dots)
-        axes.plot([i - 0.35, i + 0.35], [own.mean()] * 2, color=SERIES[1], lw=2.5)
+        width = 0.0 if sample.size == 1 else 0.25
+        axes.plot(i + width * np.linspace(-1.0, 1.0, sample.size), sample, **dots)
+        axes.plot([i - 0.35, i + 0.35], [sample.mean()] * 2, color=SERIES[1], lw=2.5)
     turn = 90 if len(groups) > _MOST_LABELS else 0
     axes.set_xticks(range(len(groups)), labels, rotation=turn, parse_math=False)
     axes.set_xlim(-0.6, len(groups) - 0.4)

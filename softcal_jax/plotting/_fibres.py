@@ -29,7 +29,7 @@ _LENGTH, _BREADTH = 0.8, 0.1
 """Length and breadth of a line, over the root of twice the area of its face."""
 
 _WIDTH, _SIDE = 14.0, 1.6
-"""Width of the figure of a layer, and beside a panel for its labels [inches]."""
+"""Width of the figure of a layer, and of the labels beside its panels [inches]."""
 
 _MAP, _CYCLIC_MAP = "viridis", "twilight_shifted"
 _CYCLIC_FROM = np.deg2rad(80.0)
@@ -90,7 +90,7 @@ def plot_directions(
 
 
 def _colours_of(families: Iterable[str]) -> list[str]:
-    """List the colour of each family, from the first again where they are used up."""
+    """List the colour of each family; colours repeat if there are more families."""
     return [SERIES[i % len(SERIES)] for i, _ in enumerate(families)]
 
 
@@ -100,7 +100,7 @@ def _drawn(
     families: Mapping[str, Float[HostArray, "n_tets 3"]],
     where: Bool[HostArray, " n_tets"],
 ) -> tuple[list[Float[HostArray, "n 2"]], list[tuple[float, ...]]]:
-    """List polygons and their colours: each face, and upon it its lines.
+    """List polygons and their colours: each face, followed by the lines on it.
 
     Nearer faces cover the lines of those behind them.
     """

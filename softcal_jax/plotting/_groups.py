@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Colour = tuple[float, float, float]
 
 _SIZE, _TOP, _BOTTOM, _HEADING = 800, 90, 120, 40
-"""Longer side of a panel, heights above and below all, and of a heading [pixels]."""
+"""Longer side of a panel; heights above and below all, and of a heading [pixels]."""
 
 _COLUMNS = 2
 _ENTRY = (270, 34)
@@ -39,8 +39,8 @@ _DARKEST, _PALE = 0.72, 0.25
 """Brightness of a face seen from the side, and share of white in all colours."""
 
 _PLAIN, _CUT = -1, -2
-"""What stands for the group of faces that have none: on the surface, and where the body
-is cut. Counted from the end, these are their colours in the table of all."""
+"""Group numbers of faces in no group: on the surface, and where the body is cut. As
+indices from the end they pick from `_NO_GROUP`, which follows the groups' colours."""
 
 _NO_GROUP = ((0.8, 0.8, 0.75), (0.92, 0.92, 0.92))
 """Colours of what is cut, and of other faces in no group."""
@@ -49,7 +49,7 @@ _GOLDEN = 0.618
 """Step around the colour wheel that keeps any number of colours apart [turns]."""
 
 _LEAST = 30
-"""Pixels of a group that are seen, at least, where its name stands."""
+"""Fewest pixels of a group that must be seen in a panel for its name to stand there."""
 
 
 class _Frame(NamedTuple):
@@ -68,14 +68,14 @@ class _Frame(NamedTuple):
 def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
     """Draw a mesh [m] with every group named and coloured, as a PNG or SVG file.
 
-    Four panels show it from the front, from behind, and both halves of it cut along,
-    with the walls of cavities. A face in several groups has the colour of the last, and
-    what is not seen for that is called hidden. Groups of nodes alone are dots.
+    Four panels show it from the front and from behind, and its halves after a cut, with
+    the walls of cavities. A face in several groups has the colour of the last; a group
+    that is seen in no panel is called hidden. Groups of nodes alone are dots.
     """
     from matplotlib.patches import Patch
 
     every = {**mesh.tet_groups, **mesh.surface_groups, **mesh.node_groups}
-    # Those that a user has named get the colours that are farthest apart.
+    # Groups that a user has named get the colours that are farthest apart.
     groups = sorted(every, key=lambda name: CAD_FACE.fullmatch(name) is not None)
     colours = _colours(len(groups))
     panels = _panels(mesh)
@@ -142,7 +142,7 @@ def _panels(mesh: TetMesh) -> dict[str, tuple[View, Bool[HostArray, " n_tets"]]]
 
 
 def _frame(view: View) -> _Frame:
-    """Choose the size of the panels; the other views are as large."""
+    """Choose the size of the panels, which is the same for all views."""
     extent = _MARGIN * np.array([view.width, view.height])
     width, height = np.maximum(_SIZE * extent / extent.max(), 0.5 * _SIZE).astype(int)
     scale = max(extent[0] / width, extent[1] / height)
@@ -152,7 +152,7 @@ def _frame(view: View) -> _Frame:
 def _image(
     view: View, faces: VisibleFaces, group: Int[HostArray, " n_faces"], frame: _Frame
 ) -> Int[HostArray, "_ _"]:
-    """Draw the group of what is seen at each pixel, negative for none."""
+    """Draw the number of the group that is seen at each pixel, negative for none."""
     from PIL import Image, ImageDraw
 
     pixels = (view.project(faces.corners) + frame.half) / frame.scale
@@ -172,7 +172,7 @@ def _middle(seen: Bool[HostArray, "_ _"], frame: _Frame) -> Float[HostArray, "2"
 
 
 def _colours(n: int) -> list[Colour]:
-    """Choose as many colours."""
+    """Choose n colours."""
     from matplotlib.colors import to_rgb
 
     wheel = lambda k: colorsys.hsv_to_rgb(_GOLDEN * k % 1.0, 0.65, 0.9 - 0.2 * (k % 2))
@@ -198,7 +198,7 @@ def _faces(
 
 
 def _keys(mesh: TetMesh, faces: Int[HostArray, "n _"]) -> Int[HostArray, " n"]:
-    """Give each face a number, by its corners in any order."""
+    """Compute a number for each face from its corners, in any order."""
     a, b, c = np.sort(faces[:, :3].astype(np.int64), axis=1).T
     return (a * mesh.n_nodes + b) * mesh.n_nodes + c
 
@@ -210,7 +210,7 @@ def _draw_nodes(
     drawn: Bool[HostArray, " n_tets"],
     colours: dict[str, Colour],
 ) -> None:
-    """Draw the nodes of drawn tets in groups that are neither of faces nor of tets."""
+    """Draw nodes of the drawn tets that belong to groups of nodes alone."""
     faced = {**mesh.surface_groups, **mesh.tet_groups}
     for name, members in mesh.node_groups.items():
         nodes = np.intersect1d(members, mesh.tets[drawn])

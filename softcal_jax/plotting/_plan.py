@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     import matplotlib.axes
 
 MOST_PANELS = 6
-"""Most configurations that are drawn; the others are counted."""
+"""Most configurations that are drawn; `softcal check` says how many are left out."""
 
 _WIDTH, _TOP, _BOTTOM, _HEADING = 1600, 110, 140, 44
 """Whole width, and heights of title, legend and the heading of a panel [pixels]."""
@@ -47,7 +47,7 @@ _MARGIN = 80
 """Room around the body for symbols and their names [pixels]."""
 
 _MOST_FIBRES = 400
-"""Most fibres that are drawn, of tets at the boundary that is seen."""
+"""Most fibres that are drawn, in tets at the visible boundary."""
 
 _MOST_NAMES = 12
 """Most markers that are named; more names would cover each other."""
@@ -67,7 +67,7 @@ def plot_plan(
     control_points: Float[HostArray, "n_cp 3"] | None = None,
     software: str = "softcal_jax",
 ) -> None:
-    """Draw the body at rest with all that acts on it and is measured, unsolved.
+    """Draw the body at rest, with all that acts on it and all that is measured.
 
     Each of the first `MOST_PANELS` configurations has a panel below its heading; all
     have the same camera. Control points are numbered from 1 [m]. A point that was
@@ -126,7 +126,7 @@ def _fit(view: View, n: int, columns: int) -> tuple[float, int]:
 def _measured(
     model: Model, points: Sequence[EffectorRecord]
 ) -> list[tuple[HostArray, HostArray]]:
-    """Pair the places that were measured with those at rest, but for far ones [m]."""
+    """Pair measured places with those at rest, without points measured far away [m]."""
     return [
         (np.where(p.seen, p.measured, p.at_rest), p.at_rest)
         for p in points
@@ -217,7 +217,7 @@ def _draw_bodies(
 def _fibre_directions(model: Model) -> Float[HostArray, "n_tets 3"] | None:
     """Return the direction of the first fibre in each tet, zero without stiffness [-].
 
-    On the host, where nothing is compiled; None for a law without fibres.
+    Computed by NumPy, so that nothing is compiled; None for a law without fibres.
     """
     fibres = model.law.fibres()
     if not fibres:
@@ -232,14 +232,14 @@ def _fibre_directions(model: Model) -> Float[HostArray, "n_tets 3"] | None:
     fibre = fibres[0]
     theta, phi = per_tet(fibre.theta), per_tet(fibre.phi)
     a, b = ("xyz".index(letter) for letter in fibre.plane)
-    own = np.zeros((model.mesh.n_tets, 3))
-    own[:, a], own[:, b] = np.cos(phi) * np.cos(theta), np.cos(phi) * np.sin(theta)
-    own[:, 3 - a - b] = np.sin(phi)
+    axis = np.zeros((model.mesh.n_tets, 3))
+    axis[:, a], axis[:, b] = np.cos(phi) * np.cos(theta), np.cos(phi) * np.sin(theta)
+    axis[:, 3 - a - b] = np.sin(phi)
     if fibre.frame is not None:
         rows = np.stack([per_tet(part) for part in fibre.frame], axis=1)
-        own = np.einsum("ei,eij->ej", own, rows.reshape(-1, 3, 3))
+        axis = np.einsum("ei,eij->ej", axis, rows.reshape(-1, 3, 3))
     stiffness = getattr(model.law, "E_f", None)
-    return own if stiffness is None else own * (per_tet(stiffness) > 0.0)[:, None]
+    return axis if stiffness is None else axis * (per_tet(stiffness) > 0.0)[:, None]
 
 
 def _draw_fibres(

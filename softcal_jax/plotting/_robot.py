@@ -105,12 +105,12 @@ def draw_robot(axes: "matplotlib.axes.Axes", view: View, picture: RobotPicture) 
 
 
 def is_seen(actuator: ActuatorState) -> bool:
-    """Say whether an actuator is drawn: not where it could push, and does not."""
+    """Say whether an actuator is drawn: forces and surface pressures only if not 0."""
     return actuator.kind not in _UNSEEN_AT_REST or actuator.force != 0.0
 
 
 def actuator_words(actuator: ActuatorState) -> str:
-    """Write the name of an actuator and what drives it; unsolved, what is imposed."""
+    """Write an actuator's name and what drives it; before a solve, what is imposed."""
     words = [readable_values([actuator.force], actuator.force_unit, digits=3)]
     value, unit = actuator.displacement, actuator.displacement_unit
     if actuator.kind == "cable" and actuator.force == 0.0:

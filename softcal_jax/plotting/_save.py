@@ -39,7 +39,7 @@ def add_view(
 def save(
     figure: "matplotlib.figure.Figure", path: str | Path, software: str = "softcal_jax"
 ) -> None:
-    """Write a figure as PNG or SVG, whichever the name of the file ends in.
+    """Write a figure as PNG or SVG, according to the ending of the file's name.
 
     The same figure gives the same file: without a date, and with the same ids. The file
     names the software that drew it.

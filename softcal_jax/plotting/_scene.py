@@ -71,8 +71,8 @@ def _backend() -> str | None:
     """Choose VTK's render window; None where its own choice is right."""
     if not sys.platform.startswith("linux") or os.environ.get(_CHOICE):
         return None  # macOS and Windows need no choice, or the user has chosen
-    # A program that already shows windows by GLX must stay with it: EGL would fail. It
-    # needs a display for that; without one, gmsh has loaded the library and no more.
+    # A program that already shows windows by GLX must stay with it: EGL would fail.
+    # Without a display there are no windows: gmsh has only loaded the library.
     maps = Path("/proc/self/maps").read_text(errors="replace")
     if os.environ.get("DISPLAY") and "/libGLX" in maps and "/libEGL" not in maps:
         return None
@@ -135,8 +135,8 @@ def body_image(
     # Triangles whose nodes all belong to one rigid body.
     bodies, body = model.mechanism.bodies, np.full(model.mesh.n_nodes, -1)
     body[bodies.attached] = bodies.body
-    own = body[tessellation.faces]
-    rigid = (own[:, 0] >= 0) & np.all(own == own[:, :1], axis=1)
+    owners = body[tessellation.faces]
+    rigid = (owners[:, 0] >= 0) & np.all(owners == owners[:, :1], axis=1)
     whole = np.ones_like(rigid)
     rest = _surface(tessellation, points, np.zeros_like(displacement), whole)
     deformed = lambda chosen: _surface(tessellation, points, displacement, chosen)

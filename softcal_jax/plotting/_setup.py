@@ -22,7 +22,7 @@ _GRAVITY = 0.05
 """Length of the arrow of gravity, over the width of the picture."""
 
 _LEAST = 0.15
-"""Part of an arrow that must be seen from the side; else a dot shows it end on [-]."""
+"""Share of an arrow's length that must be seen; a shorter one is drawn end on [-]."""
 
 
 def load_place(
@@ -127,7 +127,7 @@ def _draw_arrow(
     colour: str,
     text: str,
 ) -> None:
-    """Draw a force that pulls at a place, its arrow as long as a vector [m]."""
+    """Draw an arrow from where a force acts, along a vector of its length [m]."""
     start = view.project(place)
     step = np.array([along @ view.right, along @ view.up])
     if np.linalg.norm(step) < _LEAST * np.linalg.norm(along):

@@ -38,7 +38,7 @@ class View(NamedTuple):
 def fit_body(
     view: View, width: int, margin: int, lowest: int, highest: int
 ) -> tuple[float, int]:
-    """Compute pixels per metre, and height in pixels, for a body that fills both."""
+    """Fit a body to a width: compute pixels per metre, and the height in pixels."""
     scale = (width - 2 * margin) / view.width
     height = int(np.clip(view.height * scale + 2 * margin, lowest, highest))
     return min(scale, (height - 2 * margin) / view.height), height
@@ -51,8 +51,8 @@ def choose_view(
 ) -> View:
     """Look across the plane of longest axis and motion, slightly from above.
 
-    The part that moves most is on the right, nearer to the viewer. Other points, like
-    markers, are visible too.
+    The part that moves most is on the right, nearer to the viewer. Points of `more`,
+    like markers, are visible too.
     """
     centred = points - points.mean(axis=0)
     _, _, axes = np.linalg.svd(centred, full_matrices=False)

@@ -24,7 +24,7 @@ from softcal_jax.report._verdict import RunVerdict
 from softcal_jax.sweeps import Sweep, SweepResult, SweepSummary, SweptAxis, summarise
 
 KIND = "Sweep"
-"""What was done, as the page calls it; by it an earlier page is known."""
+"""What the page says was done; an earlier page of a sweep is recognised by it."""
 
 
 def sweep_page_of(database: str | os.PathLike[str]) -> Path:
@@ -37,7 +37,7 @@ def check_sweep_page(database: str | os.PathLike[str]) -> None:
     """Raise unless the page of a sweep can be written; call it before a long run.
 
     Raises:
-        FileExistsError: If another file has its name.
+        FileExistsError: If another file has the name of the page.
     """
     path = sweep_page_of(database)
     if not path.exists():
@@ -59,8 +59,8 @@ def write_sweep(
 ) -> Path:
     """Write the page of a sweep beside its database, whole or not at all.
 
-    Trials that failed or did not converge are in no mean and chart. With `sweep` it has
-    the settings, the files with their SHA-256 and the command that repeats it, too.
+    Trials that failed or did not converge are in no mean or chart. With `sweep`, the
+    page also has settings, files with their SHA-256 and the command that repeats it.
 
     Args:
         result: The sweep, finished or not.
@@ -72,8 +72,8 @@ def write_sweep(
         The page.
 
     Raises:
-        FileExistsError: If another file has its name.
-        OSError: If it cannot be written.
+        FileExistsError: If another file has the name of the page.
+        OSError: If the page cannot be written.
     """
     check_sweep_page(database)
     path = sweep_page_of(database)
@@ -93,27 +93,27 @@ def _sweep_page(
     sweep: Sweep | None,
     timing_s: Mapping[str, float],
 ) -> str:
-    found = summarise(result)
+    summary = summarise(result)
     made = made_dict(None if sweep is None else sweep.made, database.parent)
     data = {**made, "timing_s": timing_s, "files": [database.name]}
     files = [] if sweep is None else [file_dict(sweep.file, database.parent)]
     best, means, spread, trials = [], [], [], []
-    if found.best is not None:
-        best = [node("p", found.best_in_words), table_html(found.best)]
-    if found.groups:
+    if summary.best is not None:
+        best = [node("p", summary.best_in_words), table_html(summary.best)]
+    if summary.groups:
         text = "Mean ± standard deviation over the trials that converged."
-        means = [node("p", text), table_html(found.groups)]
+        means = [node("p", text), table_html(summary.groups)]
     if result.rows:
-        trials = _trials(found)
+        trials = _trials(summary)
         spread = [node("p", "No trial has converged: there is nothing to average.")]
-    if found.spread.rows:
-        spread = [table_html(found.spread)]
-    named = enumerate(found.axes)
-    axes = [Section(f"axis{k}", f"By {own.name}", [_drawn(own)]) for k, own in named]
+    if summary.spread.rows:
+        spread = [table_html(summary.spread)]
+    named = enumerate(summary.axes)
+    axes = [Section(f"axis{k}", f"By {axis.name}", [_drawn(axis)]) for k, axis in named]
     again = f"{REPEATED}.sqlite"
     sections = [
-        Section("notes", "Notes", [bullets(found.notes)]),
-        Section("varied", "What was varied", [table_html(found.varied)]),
+        Section("notes", "Notes", [bullets(summary.notes)]),
+        Section("varied", "What was varied", [table_html(summary.varied)]),
         Section("best", "Best trials", best),
         Section("means", "Means over repetitions", means),
         Section("spread", "Spread of all trials", spread),
@@ -121,7 +121,7 @@ def _sweep_page(
         Section("trials", "All trials", trials),
         *closing("sweep", data, [made["source"]], files=files, out=again),
     ]
-    verdict = RunVerdict(found.headline, found.tone, found.doubts)
+    verdict = RunVerdict(summary.headline, summary.tone, summary.doubts)
     return page(result.name, KIND, verdict, sections, index=database.name, units="SI")
 
 
@@ -134,11 +134,11 @@ def _drawn(axis: SweptAxis) -> Html:
         return figure(picture(path, what), f"{what}: one dot per trial.")
 
 
-def _trials(found: SweepSummary) -> list[Html]:
+def _trials(summary: SweepSummary) -> list[Html]:
     words = []
-    if found.more_trials:
+    if summary.more_trials:
         more = "more are in the database; softcal sweep show lists all of them with"
-        words.append(f"{found.more_trials} {more} --all.")
-    if found.not_drawn:
-        words.append(f"In this table, and not drawn: {', '.join(found.not_drawn)}.")
-    return [table_html(found.trials), *sentences(words)]
+        words.append(f"{summary.more_trials} {more} --all.")
+    if summary.not_drawn:
+        words.append(f"In this table, and not drawn: {', '.join(summary.not_drawn)}.")
+    return [table_html(summary.trials), *sentences(words)]

@@ -34,17 +34,17 @@ def simulation_table(result: SimulationResult) -> "rich.console.Group":
 def simulation_tables(result: SimulationResult) -> list[TextTable]:
     """Tabulate the outcome in every configuration, and what the robot does there."""
     rows = []
-    for own in result.configurations:
-        largest = own.largest_displacement if own.converged else math.nan
-        outcome = Cell(own.outcome, "good" if own.converged else "bad")
-        rows.append((own.name, distance(largest), str(own.newton_steps), outcome))
+    for pose in result.configurations:
+        largest = pose.largest_displacement if pose.converged else math.nan
+        outcome = Cell(pose.outcome, "good" if pose.converged else "bad")
+        rows.append((pose.name, distance(largest), str(pose.newton_steps), outcome))
     columns = "configuration", "largest displacement", "Newton steps", "outcome"
     table = text_table("Simulation", columns, rows)
     return [table, *robot_tables(result.configurations)]
 
 
 def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTable]:
-    """Tabulate other effectors, actuators, bodies and reactions where there are any."""
+    """Tabulate actuators, rigid bodies, reactions, and effectors that are no points."""
     fitted = any(result.role != "simulation" for result in configurations)
     values = ["measured", "before", "after"] if fitted else ["simulated"]
     titles = {
@@ -55,23 +55,23 @@ def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTabl
     }
     rows: dict[str, list[tuple[str, ...]]] = {title: [] for title in titles}
     for result in configurations:
-        for own in result.others:
-            if own.is_turn and fitted:
+        for effector in result.others:
+            if effector.is_turn and fitted:
                 continue  # another table shows the errors of turns
-            name = f"{own.name}{' (turn)' if own.is_turn else ''}"
-            found = [own.measured, own.simulated_before, own.simulated][-len(values) :]
-            shown = [_values(own, value) for value in found]
+            name = f"{effector.name}{' (turn)' if effector.is_turn else ''}"
+            vectors = effector.measured, effector.simulated_before, effector.simulated
+            shown = [_values(effector, vector) for vector in vectors[-len(values) :]]
             rows["Other effectors"].append((result.name, name, *shown))
         robot = result.robot
         if robot is None:
             continue
-        for own in robot.actuators:
-            rows["Actuators"].append((result.name, own.name, *actuator_row(own)))
+        for state in robot.actuators:
+            rows["Actuators"].append((result.name, state.name, *actuator_row(state)))
         for body in robot.bodies:
             moved = readable_values([_length(body.translation)], "m")
             turned = readable_values([_length(body.rotation_vector)], "rad")
-            own_row = (result.name, body.name, body.state, moved, turned)
-            rows["Rigid bodies"].append(own_row)
+            row = (result.name, body.name, body.state, moved, turned)
+            rows["Rigid bodies"].append(row)
         for reaction in robot.reactions:
             force = readable_values(list(reaction.force), "N")
             rows["Reactions"].append((result.name, reaction.name, force))
@@ -82,26 +82,26 @@ def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTabl
     ]
 
 
-def actuator_values(own: ActuatorState) -> dict[str, str]:
+def actuator_values(actuator: ActuatorState) -> dict[str, str]:
     """Write the force and the displacement of an actuator."""
-    shown = {"force": readable_values([own.force], own.force_unit), "displacement": "-"}
-    if own.displacement is not None and own.displacement_unit is not None:
-        delta = readable_values([own.displacement], own.displacement_unit)
+    force = readable_values([actuator.force], actuator.force_unit)
+    shown = {"force": force, "displacement": "-"}
+    if actuator.displacement is not None and actuator.displacement_unit is not None:
+        delta = readable_values([actuator.displacement], actuator.displacement_unit)
         shown["displacement"] = delta
     return shown
 
 
-def actuator_row(own: ActuatorState) -> list[str]:
+def actuator_row(actuator: ActuatorState) -> list[str]:
     """Write the force and the displacement of an actuator, and which is imposed."""
-    shown = actuator_values(own)
-    shown[own.imposed] += " (imposed)"
+    shown = actuator_values(actuator)
+    shown[actuator.imposed] += " (imposed)"
     return list(shown.values())
 
 
-def _values(own: EffectorRecord, values: Float[HostArray, " k"]) -> str:
-    if np.isnan(values).any():
-        return "-"
-    return readable_values([_length(values)] if own.is_turn else list(values), own.unit)
+def _values(effector: EffectorRecord, values: Float[HostArray, " k"]) -> str:
+    shown = [_length(values)] if effector.is_turn else list(values)
+    return "-" if np.isnan(values).any() else readable_values(shown, effector.unit)
 
 
 def _length(vector: Float[HostArray, "3"]) -> float:

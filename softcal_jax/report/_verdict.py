@@ -9,11 +9,11 @@ from softcal_jax.identifiability import Assessment
 
 
 class RunVerdict(NamedTuple):
-    """What may be said of a run, first of all.
+    """The verdict with which the page of a run begins.
 
     Attributes:
         sentence: The verdict; it ends with a colon where reasons follow.
-        tone: How it is meant.
+        tone: Whether it is good, doubtful or bad news.
         reasons: What there is to doubt, one sentence each.
     """
 
@@ -24,18 +24,18 @@ class RunVerdict(NamedTuple):
     __repr__ = one_line
 
 
-def verdict_of(result: CalibrationResult, found: Assessment) -> RunVerdict:
+def verdict_of(result: CalibrationResult, assessment: Assessment) -> RunVerdict:
     """Say in one sentence whether the values of a calibration can be used."""
     steps = len(result.history) - 1
     taken = f"{steps} step{'s' * (steps != 1)}"
     if not result.converged:
         text = f"NOT CONVERGED after {taken}: do not use these values."
         return RunVerdict(text, "bad")
-    if found.identified:
+    if assessment.identified:
         text = f"Converged in {taken}, and nothing speaks against the values."
         return RunVerdict(text, "good")
     text = f"Converged in {taken}, but take the values with care:"
-    return RunVerdict(text, "doubtful", found.reasons)
+    return RunVerdict(text, "doubtful", assessment.reasons)
 
 
 def end_of(result: CalibrationResult) -> str:

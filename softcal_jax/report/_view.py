@@ -37,7 +37,7 @@ _SHOWN = {
     "fibres": ("fibres", False),
     "names": ("names", True),
 }
-"""What can be shown, by its name in the script, and whether it is at first."""
+"""What can be shown, by its name in the script, and whether it is shown at first."""
 
 _BUTTONS = {
     "left": ("\N{LEFTWARDS ARROW}", "Turn left"),
@@ -97,9 +97,9 @@ _MARKS = {
 
 
 class PageView(NamedTuple):
-    """What a page needs to draw a body: HTML, and the script that makes it work.
+    """What a page needs to draw a body: HTML, hidden until its script runs.
 
-    A page without the script shows nothing of it. `names` are the configurations in it.
+    `names` are those of the configurations that are drawn in equilibrium.
     """
 
     content: Html
@@ -115,7 +115,7 @@ class PageView(NamedTuple):
 
 
 class _Drawing(NamedTuple):
-    """What is drawn, as JSON too, its configurations, and what is amiss."""
+    """What is drawn, also as JSON, its configurations, and what was cut to fit."""
 
     data: dict[str, Any]
     text: str
@@ -132,7 +132,7 @@ def body_view(
     so: first curved faces get fewer triangles, then the last configurations go.
     """
     drawing, why = None, "no configuration has an equilibrium"
-    if any(own.converged for own in result.configurations):
+    if any(pose.converged for pose in result.configurations):
         drawing = _drawing(result.model, result.configurations, errors)
         n = len(boundary_tets(result.model.mesh))
         why = f"the surface of this mesh, {n} faces, is too large for a page; "
@@ -144,7 +144,7 @@ def body_view(
     data = node("script", drawn, type="application/json", id="view-data")
     content = joined([_figure(drawing, converged=converged), data])
     script = files("softcal_jax.report").joinpath("view.js").read_text("utf-8")
-    names = frozenset(own.name for own in drawing.shown if own.converged)
+    names = frozenset(pose.name for pose in drawing.shown if pose.converged)
     return PageView(content, script, names)
 
 
@@ -155,7 +155,7 @@ def _drawing(
 
     Where not all configurations fit, those without an equilibrium go first.
     """
-    states = [state_fields(model, own) for own in every]
+    states = [state_fields(model, pose) for pose in every]
 
     def cut(parts: int, kept: Sequence[int]) -> _Drawing:
         surface = surface_of(model, parts)
@@ -168,7 +168,7 @@ def _drawing(
         remarks = []
         if model.mesh.order == 2 and parts < PARTS:
             remarks.append("Curved faces are drawn coarsely, to keep the page small.")
-        left_out = [own.name for k, own in enumerate(every) if k not in kept]
+        left_out = [pose.name for k, pose in enumerate(every) if k not in kept]
         if left_out:
             remarks.append(f"Left out to keep the page small: {', '.join(left_out)}.")
         return _Drawing(data, text, shown, remarks)
@@ -184,18 +184,18 @@ def _drawing(
         size = len(drawing.text)
         if size <= MOST_DATA:
             return drawing
-        # Most of it is what each configuration adds.
+        # The size is nearly proportional to the number of configurations.
         kept = kept[: min(len(kept) - 1, len(kept) * MOST_DATA // size + 1)]
     return None
 
 
 def _figure(drawing: _Drawing, *, converged: bool) -> Html:
-    """Write controls, drawing area and words; hidden where no script shows it."""
+    """Write controls, drawing area and words, hidden until the script shows them."""
     warning = [] if converged else [node("p", NOT_CONVERGED, class_="stop")]
     marks = _marks(drawing.data)
     words = [
-        node("p", _words(own), hidden="", class_="" if own.converged else "stop")
-        for own in drawing.shown
+        node("p", _words(pose), hidden="", class_="" if pose.converged else "stop")
+        for pose in drawing.shown
     ]
     return node(
         "figure",
@@ -213,28 +213,28 @@ def _figure(drawing: _Drawing, *, converged: bool) -> Html:
     )
 
 
-def _words(own: ConfigurationResult) -> str:
+def _words(pose: ConfigurationResult) -> str:
     """Say what a configuration shows."""
-    if not own.converged:
-        why = f"no equilibrium ({own.outcome})"
-        return f"{own.name}: {why}. The body is drawn at rest."
-    return f"{_named(own)}: {motion_words(own)}."
+    if not pose.converged:
+        why = f"no equilibrium ({pose.outcome})"
+        return f"{pose.name}: {why}. The body is drawn at rest."
+    return f"{_named(pose)}: {motion_words(pose)}."
 
 
-def _named(own: ConfigurationResult) -> str:
-    role = "" if own.role == "simulation" else f" ({ROLES[own.role]})"
-    return f"{own.name}{role}" + ("" if own.converged else " - no equilibrium")
+def _named(pose: ConfigurationResult) -> str:
+    role = "" if pose.role == "simulation" else f" ({ROLES[pose.role]})"
+    return f"{pose.name}{role}" + ("" if pose.converged else " - no equilibrium")
 
 
 def _choices(drawing: _Drawing, marks: Sequence[str]) -> Html:
     """Write the choices of configuration, field and direction, and what is shown."""
     shown, fields = drawing.shown, drawing.data["fields"]
     poses = drawing.data["configurations"]
-    drawn = [k for k, own in enumerate(shown) if own.converged]
+    drawn = [k for k, pose in enumerate(shown) if pose.converged]
     first = max(drawn, key=lambda k: shown[k].largest_displacement, default=0)
     directions = ["at an angle", *(f"from {s}{axis}" for axis in "xyz" for s in "+-")]
     offered = {"mesh", "rest", "names"}
-    offered |= {key for key in ("markers", "frames") if any(own[key] for own in poses)}
+    offered |= {k for k in ("markers", "frames") if any(pose[k] for pose in poses)}
     for name in set(marks) - {"measured", "simulated"}:
         offered.update(_MARKS[name].boxes.split())
     boxes = []
@@ -246,7 +246,7 @@ def _choices(drawing: _Drawing, marks: Sequence[str]) -> Html:
     return node(
         "div",
         _select("configuration", "Configuration", map(_named, shown), first),
-        _select("field", "Coloured by", [own["label"] for own in fields], 0),
+        _select("field", "Coloured by", [field["label"] for field in fields], 0),
         _select("direction", "Seen", directions, 0),
         node("fieldset", node("legend", "Show"), *boxes),
         class_="choices",
@@ -262,14 +262,14 @@ def _select(key: str, label: str, texts: Iterable[str], chosen: int) -> Html:
 
 
 def _marks(data: Mapping[str, Any]) -> list[str]:
-    """List the marks that there are, in the order of the legend."""
+    """List the marks that occur in the data, in the order of the legend."""
     poses = data["configurations"]
     keys = {"cable": "cables", "wall": "walls", "motor": "motors"}
     keys |= {"gravity": "gravity", "fibre": "fibres"}
-    present = {mark for mark, key in keys.items() if any(own[key] for own in poses)}
-    points = [point for own in poses for point in own["markers"]]
+    present = {mark for mark, key in keys.items() if any(pose[key] for pose in poses)}
+    points = [point for pose in poses for point in pose["markers"]]
     present |= {k for k in ("measured", "simulated") if any(p[k] for p in points)}
-    parts = [part for own in poses for part in (*own["frames"], *own["arrows"])]
+    parts = [part for pose in poses for part in (*pose["frames"], *pose["arrows"])]
     present |= {part["kind"] for part in parts}
     present |= {"at rest", *(["rigid"] if data["anyRigid"] else [])}
     return [name for name in _MARKS if name in present]

@@ -3,7 +3,7 @@
 Positions are 16-bit multiples of one step above the lower corner of a box that holds
 all configurations, and values of fields 16-bit parts of the field's range: arrays of
 bytes, the lowest first, in base64. The step is a 65535th of the largest side of the
-box: what a picture shows cannot tell it from the value itself.
+box, too small a change to be seen in a picture.
 """
 
 import base64
@@ -33,7 +33,7 @@ from softcal_jax.plotting import (
 from softcal_jax.report._view_fields import Field, Surface
 
 _MOST = 65535
-"""Largest number of 16 bits; as the value of a field it stands for none."""
+"""Largest number of 16 bits; in a field it marks that there is no value."""
 
 _FIBRES = 600
 """Most fibres that are drawn."""
@@ -54,28 +54,28 @@ def view_data(
     rest = 1e3 * surface.cut.interpolate(model.mesh.points)
     # Without an equilibrium, what a solver left of a displacement means nothing.
     moved = [
-        own.displacement if own.converged else np.zeros_like(own.displacement)
-        for own in shown
+        pose.displacement if pose.converged else np.zeros_like(pose.displacement)
+        for pose in shown
     ]
     points = [rest + 1e3 * surface.cut.interpolate(u) for u in moved]
     fibres = [_fibres(model, surface, u) for u in moved]
-    robots = [robot_data(model, own) for own in shown]
+    robots = [robot_data(model, pose) for pose in shown]
     everything = np.concatenate([rest, *points, *(f.reshape(-1, 3) for f in fibres)])
     low, step = everything.min(axis=0), float(np.ptp(everything, axis=0).max()) / _MOST
     placed = lambda x: pack(np.rint((x - low) / step).astype("<u2"))
     index = "<u2" if len(rest) <= _MOST else "<u4"
     entries = [
         {
-            "drawn": own.converged,
+            "drawn": pose.converged,
             "points": placed(x),
             "fibres": placed(f),
-            "markers": _markers(own),
+            "markers": _markers(pose),
             **{key: part for key, part in robot.items() if key != "reach"},
             "walls": pack(surface.having(robot["walls"]).astype("u1"))
             if len(robot["walls"])
             else None,
         }
-        for own, x, f, robot in zip(shown, points, fibres, robots, strict=True)
+        for pose, x, f, robot in zip(shown, points, fibres, robots, strict=True)
     ]
     return {
         "low": low.tolist(),
@@ -90,15 +90,15 @@ def view_data(
         "rest": placed(rest),
         "map": pack(_colours()),
         "view": _first_view(model, shown, robots),
-        "fields": [_field(own) for own in fields],
+        "fields": [_field(field) for field in fields],
         "configurations": entries,
     }
 
 
-def _field(own: Field) -> dict[str, Any]:
-    finite = np.concatenate([v[np.isfinite(v)] for v in own.values if v is not None])
+def _field(field: Field) -> dict[str, Any]:
+    finite = np.concatenate([v[np.isfinite(v)] for v in field.values if v is not None])
     low, high = float(finite.min()), float(finite.max())
-    if own.place != "face":  # distances begin at none
+    if field.place != "face":  # the scale of distances begins at zero
         low = 0.0
     if high - low <= 1e-6 * max(abs(low), abs(high)):
         high = low  # a single value; the rest is rounding
@@ -109,27 +109,27 @@ def _field(own: Field) -> dict[str, Any]:
         return pack(np.where(np.isfinite(values), whole, _MOST).astype("<u2"))
 
     return {
-        "label": own.label,
-        "unit": own.unit,
-        "place": own.place,
-        "note": own.note,
+        "label": field.label,
+        "unit": field.unit,
+        "place": field.place,
+        "note": field.note,
         "range": [low, high],
-        "values": [None if v is None else packed(v) for v in own.values],
+        "values": [None if v is None else packed(v) for v in field.values],
         "largest": [
             None if v is None or np.isnan(v).all() else float(np.nanmax(v))
-            for v in own.values
+            for v in field.values
         ],
     }
 
 
-def _markers(own: ConfigurationResult) -> list[dict[str, Any]]:
+def _markers(pose: ConfigurationResult) -> list[dict[str, Any]]:
     """List measured and simulated points, as the pictures show them [mm]."""
     rows = []
-    for point in own.points:
-        simulated = point.simulated if own.converged else np.full(3, np.nan)
+    for point in pose.points:
+        simulated = point.simulated if pose.converged else np.full(3, np.nan)
         measured = np.full(3, np.nan)
-        if own.role != "simulation" and point.seen.any():
-            # What was not measured of a point does not count in its distance.
+        if pose.role != "simulation" and point.seen.any():
+            # Coordinates that were not measured do not count in the distance.
             measured = np.where(point.seen, point.measured, simulated)
         places = {"measured": measured, "simulated": simulated}.items()
         known = {key: _mm(x) if np.isfinite(x).all() else None for key, x in places}
@@ -140,7 +140,7 @@ def _markers(own: ConfigurationResult) -> list[dict[str, Any]]:
 def _fibres(
     model: Model, surface: Surface, u: Float[HostArray, "n_nodes 3"]
 ) -> Float[HostArray, "n_fibres 2 3"]:
-    """Find the ends of fibres in tets at the surface, moved with their corners [mm]."""
+    """Find the ends of fibres in tets at the surface, which move with the tets [mm]."""
     mesh, families = model.mesh, fibre_directions(model).values()
     tets = np.unique(surface.tets)
     count = min(_FIBRES // max(len(families), 1), len(tets))
@@ -174,17 +174,17 @@ def _first_view(
     robots: Sequence[Mapping[str, Any]],
 ) -> dict[str, Any]:
     """Choose the view of all configurations by the one that moves most."""
-    drawn = [own for own in shown if own.converged]
+    drawn = [pose for pose in shown if pose.converged]
     X = model.mesh.points
-    most = max(drawn, key=lambda own: own.largest_displacement, default=None)
+    most = max(drawn, key=lambda pose: pose.largest_displacement, default=None)
     u = np.zeros_like(X) if most is None else most.displacement
-    everything = np.concatenate([X, *(X + own.displacement for own in drawn)])
+    everything = np.concatenate([X, *(X + pose.displacement for pose in drawn)])
     view = choose_view(X, u, everything)
     axes = {k: getattr(view, k).tolist() for k in ("right", "up", "towards")}
     return {**axes, "more": [place for robot in robots for place in robot["reach"]]}
 
 
-def robot_data(model: Model, own: ConfigurationResult) -> dict[str, Any]:
+def robot_data(model: Model, result: ConfigurationResult) -> dict[str, Any]:
     """Collect what is drawn beside the soft body.
 
     Returns:
@@ -192,33 +192,33 @@ def robot_data(model: Model, own: ConfigurationResult) -> dict[str, Any]:
         pressure, `wallNames` (`name`, `at`), `arrows` (`kind`, `name`, `tip`,
         `towards`), `motors` (`name`, `at`, `axis`), `frames` (`kind`, `name`, `at`,
         `axes`), `gravity`: its direction or None, and `reach`: points that must be in
-        the view. Nothing but gravity without an equilibrium.
+        the view. Without an equilibrium there is only gravity.
     """
-    found: dict[str, Any] = {"walls": np.zeros((0, 3), int)}
-    found |= {k: [] for k in ("cables", "wallNames", "arrows", "motors", "frames")}
-    if own.converged and own.robot is not None:
-        picture = robot_picture(model, own.robot)
-        _add_actuators(found, picture)
-        found["frames"] += _bodies(model, picture)
-    if own.converged:
-        for frame in sensor_frames(own):
+    data: dict[str, Any] = {"walls": np.zeros((0, 3), int)}
+    data |= {k: [] for k in ("cables", "wallNames", "arrows", "motors", "frames")}
+    if result.converged and result.robot is not None:
+        picture = robot_picture(model, result.robot)
+        _add_actuators(data, picture)
+        data["frames"] += _bodies(model, picture)
+    if result.converged:
+        for frame in sensor_frames(result):
             kind = "measured" if frame.is_measured else "simulated"
             place = {"at": _mm(frame.position), "axes": frame.rotation.T.tolist()}
-            found["frames"].append({"kind": kind, "name": "", **place})
-    if own.converged and own.posed is not None:
-        x = model.mesh.points + own.displacement
-        found["arrows"] += _loads(own.posed, model.mesh, x)
-    gravity = np.zeros(3) if own.posed is None else np.asarray(own.posed.gravity, float)
+            data["frames"].append({"kind": kind, "name": "", **place})
+    posed, mesh = result.posed, model.mesh
+    if result.converged and posed is not None:
+        data["arrows"] += _loads(posed, mesh, mesh.points + result.displacement)
+    gravity = np.zeros(3) if posed is None else np.asarray(posed.gravity, float)
     size = np.linalg.norm(gravity)
-    found["gravity"] = (gravity / size).tolist() if size > 0.0 else None
-    ends = [end for c in found["cables"] for s in c["segments"] for end in s]
-    tips = [part["tip"] for part in found["arrows"]]
-    places = [part["at"] for part in (*found["motors"], *found["frames"])]
-    found["reach"] = [*ends, *tips, *places]
-    return found
+    data["gravity"] = (gravity / size).tolist() if size > 0.0 else None
+    ends = [end for c in data["cables"] for s in c["segments"] for end in s]
+    tips = [part["tip"] for part in data["arrows"]]
+    places = [part["at"] for part in (*data["motors"], *data["frames"])]
+    data["reach"] = [*ends, *tips, *places]
+    return data
 
 
-def _add_actuators(found: dict[str, Any], picture: RobotPicture) -> None:
+def _add_actuators(data: dict[str, Any], picture: RobotPicture) -> None:
     geometry = picture.geometry
     for a, actuator in enumerate(picture.state.actuators):
         if not is_seen(actuator):
@@ -228,21 +228,21 @@ def _add_actuators(found: dict[str, Any], picture: RobotPicture) -> None:
         if len(segments):
             slack = actuator.kind == "cable" and actuator.force == 0.0
             ends = [[_mm(end) for end in segment] for segment in segments]
-            found["cables"].append({"name": name, "slack": slack, "segments": ends})
+            data["cables"].append({"name": name, "slack": slack, "segments": ends})
         faces = geometry.faces[geometry.face_owner == a, :3]
         if len(faces):
-            found["walls"] = np.concatenate([found["walls"], faces])
+            data["walls"] = np.concatenate([data["walls"], faces])
             middle = _mm(picture.x[faces].mean(axis=(0, 1)))
-            found["wallNames"].append({"name": name, "at": middle})
+            data["wallNames"].append({"name": name, "at": middle})
         for k in np.flatnonzero(geometry.point_owner == a)[:1]:
             place, along = _mm(geometry.points[k]), geometry.arrows[k]
             if actuator.kind == "motor":
                 motor = {"name": name, "at": place, "axis": along.tolist()}
-                found["motors"].append(motor)
+                data["motors"].append(motor)
             else:
                 towards = (pushes(actuator) * along).tolist()
                 arrow = {"kind": "force", "name": name}
-                found["arrows"].append({**arrow, "tip": place, "towards": towards})
+                data["arrows"].append({**arrow, "tip": place, "towards": towards})
 
 
 def _bodies(model: Model, picture: RobotPicture) -> Iterator[dict[str, Any]]:

@@ -37,7 +37,7 @@ class Surface(NamedTuple):
         tets: The tet of each face.
         rigid: Whether all nodes of a face belong to one rigid body.
         edges: Points at the ends of the parts of the edges, the sharp ones first.
-        n_sharp: How many of these are sharp at rest.
+        n_sharp: How many of the edges are sharp at rest.
     """
 
     cut: Tessellation
@@ -52,21 +52,21 @@ class Surface(NamedTuple):
 
     def having(self, corners: Int[HostArray, "n 3"]) -> Bool[HostArray, " n_faces"]:
         """Say which faces have one of these triples of corners, in any order."""
-        own = np.sort(self.faces[:, :3], axis=1)
+        triples = np.sort(self.faces[:, :3], axis=1)
         wanted = {tuple(row) for row in np.sort(corners, axis=1).tolist()}
-        return np.array([tuple(row) in wanted for row in own.tolist()], bool)
+        return np.array([tuple(row) in wanted for row in triples.tolist()], bool)
 
 
 def surface_of(model: Model, parts: int) -> Surface:
-    """Cut the boundary into triangles; every edge of a quadratic face into parts."""
+    """Cut the boundary into triangles, and edges of quadratic faces into `parts`."""
     tets = boundary_tets(model.mesh)
     cut = tessellate(model.mesh, parts=parts)
     per_face = len(cut.triangles) // len(tets)
     faces = cut.faces[::per_face]
     bodies, body = model.mechanism.bodies, np.full(model.mesh.n_nodes, -1)
     body[bodies.attached] = bodies.body
-    own = body[faces]
-    rigid = (own[:, 0] >= 0) & np.all(own == own[:, :1], axis=1)
+    owners = body[faces]
+    rigid = (owners[:, 0] >= 0) & np.all(owners == owners[:, :1], axis=1)
     edges, sharp = _edges(model.mesh, cut, per_face)
     edges = np.concatenate([edges[sharp], edges[~sharp]])
     return Surface(cut, per_face, faces, tets, rigid, edges, int(sharp.sum()))
@@ -94,14 +94,14 @@ def _edges(
 
 
 _AS_THEY_ARE = ("rad", "m")
-"""Units whose standard errors are no share of a value, as in an `ErrorBudget`."""
+"""Standard errors in these units are shown as they are, others in % of the value."""
 
 
 class Field(NamedTuple):
     """A field, in the unit in which it is shown, of points, faces or the markers alone.
 
-    Values are those in each configuration, nan where there is none, or None without an
-    equilibrium; there is a single entry for a field that is the same in all.
+    `values` has an entry per configuration, None without an equilibrium and nan where
+    there is no value; a field that is the same in all of them has a single entry.
     """
 
     label: str
@@ -117,11 +117,11 @@ _STATE = {"largest principal stretch": "", "von Mises stress": "Pa"}
 """Fields of the state of a body, with their units."""
 
 
-def state_fields(model: Model, own: ConfigurationResult) -> TetValues:
+def state_fields(model: Model, pose: ConfigurationResult) -> TetValues:
     """Compute stretch and stress of the tets; nothing without an equilibrium."""
-    if not own.converged:
+    if not pose.converged:
         return {}
-    states = tet_states(model, jnp.asarray(own.displacement))
+    states = tet_states(model, jnp.asarray(pose.displacement))
     values = principal_stretches(states)[:, 0], von_mises_stress(states)
     return dict(zip(_STATE, values, strict=True))
 
@@ -135,40 +135,40 @@ def view_fields(
 ) -> list[Field]:
     """Collect the fields: of the state of the body, of its law, and at markers.
 
-    Fields of the law are those that were calibrated, which have standard errors, or
-    that vary over the body; where all faces belong to rigid bodies nothing has a value.
+    Fields of the law are shown if they vary over the body or were calibrated, and so
+    have standard errors. A field without any value on the surface is left out.
     """
     size = lambda u: 1e3 * np.linalg.norm(surface.cut.interpolate(u), axis=1)
-    moved = [size(own.displacement) if own.converged else None for own in shown]
+    moved = [size(pose.displacement) if pose.converged else None for pose in shown]
     fields = [Field("displacement [mm]", "mm", "point", tuple(moved))]
     fields += _law_fields(model, surface, errors)
     for name, unit in _STATE.items():
-        values = [own[name][surface.tets] if own else None for own in states]
+        values = [state[name][surface.tets] if state else None for state in states]
         fields.append(_of_faces(name, unit, values, surface))
     label = "distance at markers [mm]"
     note = "Discs at the measured markers; between them nothing is known."
     fields.append(Field(label, "mm", "marker", tuple(map(_distances, shown)), note))
     has_values = lambda v: v is not None and np.isfinite(v).any()
-    return [own for own in fields if any(map(has_values, own.values))]
+    return [field for field in fields if any(map(has_values, field.values))]
 
 
-def _distances(own: ConfigurationResult):
+def _distances(pose: ConfigurationResult):
     """Compute how far simulated points are from measured ones [mm]."""
-    if not own.converged or own.role == "simulation":
+    if not pose.converged or pose.role == "simulation":
         return None
-    seen = [point.seen.any() for point in own.points]
-    return np.where(seen, 1e3 * np.linalg.norm(own.error_after, axis=1), np.nan)
+    seen = [point.seen.any() for point in pose.points]
+    return np.where(seen, 1e3 * np.linalg.norm(pose.error_after, axis=1), np.nan)
 
 
 def _law_fields(
     model: Model, surface: Surface, errors: TetValues | None
 ) -> list[Field]:
-    units, found = field_units(model), tet_fields(model, errors or {})
+    units, per_tet = field_units(model), tet_fields(model, errors or {})
     fields = []
-    for name, values in found.items():
+    for name, values in per_tet.items():
         if name not in units or values.ndim > 1:
             continue
-        error = found.get(name + STANDARD_ERROR)
+        error = per_tet.get(name + STANDARD_ERROR)
         if error is None and np.ptp(values) <= 1e-9 * np.abs(values).max():
             continue
         unit = units[name]
@@ -188,17 +188,17 @@ def _of_faces(
     values: Sequence[Float[HostArray, " n_faces"] | None],
     surface: Surface,
 ) -> Field:
-    """Convert values of faces to a readable unit; rigid faces have none."""
-    there = np.concatenate([np.zeros(0), *(v for v in values if v is not None)])
-    finite = np.abs(there[np.isfinite(there)])
+    """Convert values of faces to a readable unit; rigid faces get no value."""
+    present = np.concatenate([np.zeros(0), *(v for v in values if v is not None)])
+    finite = np.abs(present[np.isfinite(present)])
     factor, shown = readable_unit([float(finite.max(initial=0.0))], unit)
-    own = tuple(
+    converted = tuple(
         None if v is None else np.where(surface.rigid, np.nan, factor * v)
         for v in values
     )
     note = ["Each face has the value of its tet."]
     if unit == "rad":
         note.append("Angles that differ by 180 deg are one axis.")
-    if not np.isfinite(there).all():
+    if not np.isfinite(present).all():
         note.append("Grey: there is none.")
-    return Field(f"{name} [{shown or '-'}]", shown, "face", own, " ".join(note))
+    return Field(f"{name} [{shown or '-'}]", shown, "face", converted, " ".join(note))

@@ -50,7 +50,7 @@ Picture = Literal["png", "svg"]
 """Formats of pictures. In SVG, lines and words are drawn and bodies are images."""
 
 Told = Callable[[int, int], None]
-"""Told how many pictures are drawn, of how many."""
+"""Called with the number of pictures drawn so far, and the number of all."""
 
 
 class PictureWarning(SoftcalWarning):
@@ -75,9 +75,9 @@ def write_results(
     `result.json` (see `result_dict`; its `files` lists the others), `markers.csv` and,
     for each configuration with an equilibrium, a .vtu for ParaView and a picture;
     `configurations.pvd` opens all .vtu at once. For a robot with other effectors, rigid
-    bodies or actuators there are `effectors.csv` and `robot.csv`, too; of a recording
-    of markers over time a picture that ends with `_recording.png`. A calibration that
-    did not converge is written too, marked as such.
+    bodies or actuators there are `effectors.csv` and `robot.csv`, too; for a recording
+    of markers over time, a picture whose name ends with `_recording.png`. A calibration
+    that did not converge is written too, marked as such.
 
     Args:
         result: The calibration.
@@ -89,7 +89,7 @@ def write_results(
         traces: Recordings of markers by configuration, as in a `Project`.
         pictures: Format of all pictures; with None there are none, and the page has no
             view of the robot.
-        told: Called with how many pictures are drawn, of how many.
+        told: Called with the number of pictures drawn so far, and the number of all.
 
     Returns:
         The folder.
@@ -98,12 +98,12 @@ def write_results(
         FileExistsError: If the folder is not empty, and `force` is off or it is not a
             results folder.
     """
-    found = assessment or assess(result)
+    assessment = assessment or assess(result)
     data = result_dict(
-        result, name=name, directory=directory, assessment=found, timing_s=timing_s
+        result, name=name, directory=directory, assessment=assessment, timing_s=timing_s
     )
-    page = partial(calibration_page, result, found)
-    drawn = {"traces": traces or {}, "suffix": pictures, "told": told}
+    page = partial(calibration_page, result, assessment)
+    drawn = {"traces": traces or {}, "suffix": pictures, "progress": told}
     return _write(result, data, directory, "result.json", page, force=force, **drawn)
 
 
@@ -122,16 +122,16 @@ def write_simulation(
     """Write a forward simulation to a folder, whole or not at all.
 
     The folder holds `report.html`, `simulation.json` (see `simulation_dict`) and, for
-    each configuration with an equilibrium, a .vtu and a .png; the others are listed
-    with the reason. `configurations.pvd`, `markers.csv`, `effectors.csv` and
-    `robot.csv` are as of `write_results`, without measured values. Arguments and errors
-    are those of `write_results`, and `made`, what it was computed from and with, for
-    the command that repeats it; returns the folder.
+    each configuration with an equilibrium, a .vtu and a .png; the page says why others
+    have none. `configurations.pvd`, `markers.csv`, `effectors.csv` and `robot.csv` are
+    as in `write_results`, without measured values. Arguments, errors and what is
+    returned are those of `write_results`; `made`, what the simulation was computed from
+    and with, gives the command that repeats it.
     """
     more: dict[str, Any] = {"made": made, "directory": directory}
     data = simulation_dict(result, name=name, timing_s=timing_s, **more)
     page = partial(simulation_page, result)
-    drawn = {"traces": traces or {}, "suffix": pictures, "told": told}
+    drawn = {"traces": traces or {}, "suffix": pictures, "progress": told}
     return _write(
         result, data, directory, "simulation.json", page, force=force, **drawn
     )
@@ -193,7 +193,7 @@ def _write_words(
     *,
     force: bool,
 ) -> Path:
-    """Write a result without bodies: as a page, as text, and last as its index."""
+    """Write a result without bodies: as a page, as text, and last as JSON."""
     data["files"] = [REPORT, f"{stem}.txt"]
     with results_folder(directory, force=force) as folder:
         (folder / REPORT).write_text(page(data), encoding="utf-8")
@@ -215,43 +215,43 @@ def _write(
     force: bool,
     traces: Mapping[str, Traces],
     suffix: Picture | None,
-    told: Told,
+    progress: Told,
 ) -> Path:
     """Write all files, and last the index, which lists them."""
     model, shown = result.model, result.configurations
-    stems = file_stems([own.name for own in shown])
-    moved = [stem for own, stem in zip(shown, stems, strict=True) if own.converged]
+    stems = file_stems([pose.name for pose in shown])
+    moved = [stem for pose, stem in zip(shown, stems, strict=True) if pose.converged]
     problem = picture_problem(moved, suffix)
     trusted = not isinstance(result, CalibrationResult) or result.converged
     errors = _field_errors(result)
     with results_folder(directory, force=force) as folder:
         files, bodies = _write_tables(folder, shown), []
         plots: dict[str, Callable[[Path], None]] = {}
-        for own, entry, stem in zip(shown, data["configurations"], stems, strict=True):
+        for pose, entry, stem in zip(shown, data["configurations"], stems, strict=True):
             entry["files"] = written = []
-            if own.converged:
+            if pose.converged:
                 written.append(f"{stem}.vtu")
                 path = folder / written[-1]
-                write_vtu(path, model, own.displacement, standard_errors=errors)
-                if own.robot is not None:
+                write_vtu(path, model, pose.displacement, standard_errors=errors)
+                if pose.robot is not None:
                     written.append(f"{stem}_robot.vtu")
-                    write_robot_vtu(folder / written[-1], model, own.robot)
+                    write_robot_vtu(folder / written[-1], model, pose.robot)
                 bodies.append(list(written))
-            if own.name in traces and suffix:
+            if pose.name in traces and suffix:
                 written.append(f"{stem}_recording.{suffix}")
-                draw = partial(plot_traces, traces[own.name], name=own.name)
+                draw = partial(plot_traces, traces[pose.name], name=pose.name)
                 plots[written[-1]] = draw
-            if own.converged and suffix and problem is None:
+            if pose.converged and suffix and problem is None:
                 written.append(f"{stem}.{suffix}")
-                draw = partial(render_configuration, model, own, converged=trusted)
+                draw = partial(render_configuration, model, pose, converged=trusted)
                 plots[written[-1]] = draw
         if bodies:
             write_pvd(folder / COLLECTION, bodies)
             files.append(COLLECTION)
-        told(0, len(plots))
+        progress(0, len(plots))
         for done, (file, plot) in enumerate(plots.items(), start=1):
             plot(folder / file)
-            told(done, len(plots))
+            progress(done, len(plots))
         files += [file for entry in data["configurations"] for file in entry["files"]]
         data["notes"] = [*data.get("notes", []), *([problem] if problem else [])]
         data["files"] = [REPORT, *files]
@@ -265,14 +265,14 @@ def _field_errors(result: Result) -> TetValues | None:
     """Compute the standard errors of what was calibrated; None for a simulation."""
     if not isinstance(result, CalibrationResult):
         return None
-    own = result.space, result.z, result.budget.covariance
-    return field_standard_errors(result.model, *own)
+    estimate = result.space, result.z, result.budget.covariance
+    return field_standard_errors(result.model, *estimate)
 
 
 def picture_problem(stems: Sequence[str], suffix: Picture | None) -> str | None:
     """Say which pictures cannot be drawn here, why, and the remedy, and warn of it.
 
-    `stems` are their names without the suffix, which is None if there are to be none.
+    `stems` are the names of their files without suffix; a suffix of None asks for none.
     """
     problem = rendering_problem() if suffix and stems else None
     if problem is None:
@@ -285,9 +285,9 @@ def picture_problem(stems: Sequence[str], suffix: Picture | None) -> str | None:
 def _write_tables(folder: Path, shown: Sequence[ConfigurationResult]) -> list[str]:
     """Write the values of all configurations, and return the names of the files."""
     tables = {
-        "markers.csv": (write_markers_csv, any(own.points for own in shown)),
-        "effectors.csv": (write_effectors_csv, any(own.others for own in shown)),
-        "robot.csv": (write_robot_csv, any(own.robot is not None for own in shown)),
+        "markers.csv": (write_markers_csv, any(pose.points for pose in shown)),
+        "effectors.csv": (write_effectors_csv, any(pose.others for pose in shown)),
+        "robot.csv": (write_robot_csv, any(pose.robot is not None for pose in shown)),
     }
     files = [name for name, (_, needed) in tables.items() if needed]
     for name in files:

@@ -72,7 +72,7 @@ def _parameter_compliance(
 
 
 class EnergyCompliance(NamedTuple):
-    """W_ep and W_pp of configurations, one lane each; needs no measurements.
+    """W_ep and W_pp of configurations, one lane each; no measurements are needed.
 
     Attributes:
         W_ep: Change of each effector coordinate per unit of lambda_p, in its unit.
@@ -105,25 +105,25 @@ def energy_compliance(
     """
     lin = linearise(*space.apply(model, configuration, z), u)
     rows = parameter_rows(lin, space, z)
-    found = sensitivity(lin, rows, effector_values)
-    W = _relaxation(lin, rows, found, still=all(space.sets_fields))
+    changes = sensitivity(lin, rows, effector_values)
+    W = _relaxation(lin, rows, changes, still=all(space.sets_fields))
     W_pp = 0.5 * (W + W.T)  # symmetric up to the rounding of the factorization
-    ok = found.ok & jnp.all(jnp.isfinite(W_pp)) & jnp.all(jnp.isfinite(found.W_ep))
-    return EnergyCompliance(found.W_ep, W_pp, ok)
+    ok = changes.ok & jnp.all(jnp.isfinite(W_pp)) & jnp.all(jnp.isfinite(changes.W_ep))
+    return EnergyCompliance(changes.W_ep, W_pp, ok)
 
 
 def _relaxation(
-    lin: Linearisation, rows: InputRows, found: Sensitivity, *, still: bool
+    lin: Linearisation, rows: InputRows, changes: Sensitivity, *, still: bool
 ) -> Float[Array, "n_p n_p"]:
     """Compute u'_i . K u'_j, with the motion of held nodes unless they stay `still`.
 
-    Without it the result would depend on the mesh: beside a moved support, only the
-    tets that touch it would be strained.
+    Without that motion the result would depend on the mesh: beside a moved support,
+    only the tets that touch it would be strained.
     """
-    assert found.displacement is not None
-    assert found.unknowns is not None
+    assert changes.displacement is not None
+    assert changes.unknowns is not None
     if still:
-        return rows.force @ found.unknowns.T  # the force is K u' on the free unknowns
+        return rows.force @ changes.unknowns.T  # the force is K u' on the free unknowns
 
     def forces(u):
         on_nodes = lin.unbalanced(u, lin.lambda_a)
@@ -131,9 +131,9 @@ def _relaxation(
         return on_nodes, lin.posed.gather(u, on_nodes)
 
     _, slope = jax.linearize(forces, lin.u)
-    on_nodes, on_unknowns = jax.lax.map(slope, found.displacement)
+    on_nodes, on_unknowns = jax.lax.map(slope, changes.displacement)
     held = jnp.einsum("ink,jnk->ij", rows.held, on_nodes)
-    return found.unknowns @ on_unknowns.T + held
+    return changes.unknowns @ on_unknowns.T + held
 
 
 class Response(NamedTuple):
@@ -167,7 +167,7 @@ def equilibrium_response(
 ) -> Response:
     """Find the equilibrium near a guess, and W_ep = H_e K^-1 H_p^T there; Eq. (9).
 
-    It is not converged where none is near, see `continue_equilibrium`. W_ep reuses the
+    If none is near, it is not converged, see `continue_equilibrium`. W_ep reuses the
     factor of the last Newton step, and is exact only if `precise`. `vmap` runs
     configurations sequentially, each to its own convergence. Arguments as for
     `continue_equilibrium` and `parameter_compliance`.
@@ -184,16 +184,16 @@ def equilibrium_response(
         rows = parameter_rows(linearisation, space, z)
         most = max(configuration.effectors.measured.size, FEW_PARAMETERS)
         adjoint = z.shape[0] > most
-        found = sensitivity(linearisation, rows, effector_values, adjoint=adjoint)
-        ok = found.ok & equilibrium.converged
+        changes = sensitivity(linearisation, rows, effector_values, adjoint=adjoint)
+        ok = changes.ok & equilibrium.converged
         or_zero = lambda a: jnp.where(ok, a, 0.0)
-        assert found.readings is not None
-        e = found.readings.reshape(configuration.effectors.measured.shape)
+        assert changes.readings is not None
+        e = changes.readings.reshape(configuration.effectors.measured.shape)
         return Response(
             equilibrium=equilibrium,
             effectors=jnp.where(equilibrium.converged, e, jnp.nan),
-            W_ep=or_zero(found.W_ep),
-            displacement=jax.tree.map(or_zero, found.displacement),
+            W_ep=or_zero(changes.W_ep),
+            displacement=jax.tree.map(or_zero, changes.displacement),
             ok=ok,
         )
 

@@ -1,4 +1,4 @@
-"""Row of where the body is really held."""
+"""Row of the depth at which a clamp really holds the body."""
 
 import equinox as eqx
 import jax
@@ -23,8 +23,8 @@ def clamp_row(
 
     The held nodes of the reference shape move, and are held there; the tets that they
     share with free nodes become longer and heavier. Loads, cables and readings stay
-    where they are; in these tets the error of that is of the order of their strain.
-    `motion` is that of the reference positions per unit of the depth, zero where
+    where they are; in these tets this causes an error of the order of their strain.
+    `motion` is how far reference positions move per unit of the depth, zero where
     nothing is held [-].
     """
     lin = linearisation
@@ -53,7 +53,7 @@ def clamp_row(
 def _stretched(model: Model, v: Float[Array, "n_nodes 3"]) -> Model:
     """Move reference points by v, to first order.
 
-    dN/dX changes by -dN/dX dv/dX, and a volume by div v of itself.
+    dN/dX changes by -dN/dX dv/dX, and a volume V by V div v.
     """
     dN = model.shape_gradients
     dv = jnp.einsum("batk,bqajt->bqkjt", v[model.nodes], dN)

@@ -32,8 +32,8 @@ Chosen so that bars one tet thick come out right in torsion, where patches see n
 error."""
 
 LOADED = 1e-4
-"""Force on a node, relative to the largest, from which its faces are not free [-]. That
-of an unloaded one is what Newton's method leaves."""
+"""Force on a node, relative to the largest, from which its faces are not free [-]. An
+unloaded node has only the force that Newton's method leaves."""
 
 
 _KEPT: dict[int, Recovery] = {}  # by id of the model, while that lives
@@ -42,7 +42,7 @@ _KEPT: dict[int, Recovery] = {}  # by id of the model, while that lives
 def stress_patches(model: Model) -> Recovery:
     """Prepare the recovery of the stress in the tets that deform, once per model.
 
-    It is kept as long as the model: the calibrations of a sweep share theirs.
+    It is kept as long as the model, so that the calibrations of a sweep share it.
     """
     key = id(model)
     patches = _KEPT.get(key)
@@ -61,21 +61,21 @@ def mesh_row(linearisation: Linearisation, patches: Recovery) -> InputRows:
     the tets. With the dual solution z of a reading, recovered alike, the error of the
     reading, exact minus computed, is the integral of (P* - P) : (grad z* - grad z)
     (goal-oriented recovery; Korotov, Neittaanmaki and Repin, J. Numer. Math. 11, 2003).
-    It is linear in z, so it is the work of a force on the nodes: this row, whatever is
-    read.
+    It is linear in z, so it is the work of a force on the nodes: that force is this
+    row, whatever is read.
 
     With `mean-dilatation`, volume ratios that differ from the mean of their tet are an
     error of the same kind, dual to the pressure. On free faces the traction P N should
-    vanish; what is left of it works on the dual one through the acoustic tensor.
+    vanish; what is left of it works on the dual traction through the acoustic tensor.
     """
     lin = linearisation
     model = lin.posed.model
-    at = tet_stresses(model, lin.u)
-    gradient = _squared(patches, at.stress)
-    gradient += AT_SURFACE * _at_free_faces(lin, patches, at.stress, at.F)
-    if at.excess is not None and at.pressure_slope is not None:
-        of_pressure = jnp.sum(_squared(patches, at.excess), axis=1)
-        gradient += of_pressure[:, None, None, None] * at.pressure_slope
+    state = tet_stresses(model, lin.u)
+    gradient = _squared(patches, state.stress)
+    gradient += AT_SURFACE * _at_free_faces(lin, patches, state.stress, state.F)
+    if state.excess is not None and state.pressure_slope is not None:
+        of_pressure = jnp.sum(_squared(patches, state.excess), axis=1)
+        gradient += of_pressure[:, None, None, None] * state.pressure_slope
     force = SAFETY * force_of_gradients(model, gradient)
     return rows_of_forces(lin, force[None], held=jnp.zeros((1, *force.shape)))
 
@@ -83,7 +83,7 @@ def mesh_row(linearisation: Linearisation, patches: Recovery) -> InputRows:
 def _squared(
     r: Recovery, values: Float[Array, "n_tets n_qp *each"]
 ) -> Float[Array, "n_tets n_qp *each"]:
-    """Apply the form that integrates what recovery changes in two fields."""
+    """Apply the form that integrates the changes by recovery of two fields."""
     n_tets, n_qp = values.shape[:2]
 
     def of_component(s: Float[Array, "n_tets n_qp"]) -> Float[Array, "n_tets n_qp"]:
@@ -94,7 +94,7 @@ def _squared(
         spread = jnp.zeros(s.size).at[r.point].add(r.weight * back[r.node])
         return spread.reshape(s.shape) - changed @ r.from_points
 
-    # One after the other: the weights of all patches are many.
+    # One component after the other, since the patches have many weights.
     components = jnp.moveaxis(values.reshape(n_tets, n_qp, -1), -1, 0)
     squared = jnp.moveaxis(jax.lax.map(of_component, components), 0, -1)
     return squared.reshape(values.shape)
@@ -106,7 +106,7 @@ def _at_free_faces(
     stress: Float[Array, "n_tets n_qp 3 3"],
     F: Float[Array, "n_tets 3 3"],
 ) -> Float[Array, "n_tets n_qp 3 3"]:
-    """Compute the term of the traction left on free faces, by grad z [Pa m3]."""
+    """Differentiate the term of the traction on free faces by grad z [Pa m3]."""
     model = lin.posed.model
     weight = gravity_load(model, lin.posed.configuration.acceleration)
     others = jnp.linalg.norm(internal_force(model, lin.u) - weight, axis=1)
@@ -125,8 +125,8 @@ def _at_free_faces(
 
 
 def _tangents(model: Model, tets, F: Float[Array, "n 3 3"]):
-    own, shared = split_law(model.law)
-    own = jax.tree.map(lambda v: v[tets] if jnp.ndim(v) else v, own)
-    of_tet = jax.tree.map(lambda v: 0 if jnp.ndim(v) else None, own)
-    tangent = lambda own, F: eqx.combine(own, shared).stress_and_tangent(F)[1]
-    return jax.vmap(tangent, (of_tet, 0))(own, F)
+    varying, shared = split_law(model.law)
+    varying = jax.tree.map(lambda v: v[tets] if jnp.ndim(v) else v, varying)
+    of_tet = jax.tree.map(lambda v: 0 if jnp.ndim(v) else None, varying)
+    tangent = lambda varying, F: eqx.combine(varying, shared).stress_and_tangent(F)[1]
+    return jax.vmap(tangent, (of_tet, 0))(varying, F)

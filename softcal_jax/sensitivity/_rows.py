@@ -51,22 +51,22 @@ def parameter_forces(
     H_p^T = -(d R / d p) S at fixed displacement u [m], by autodiff or, where a `step`
     in scaled units is given [-], by the paper's finite differences of the internal
     force (Sec. III; central here, hence of second order). Parameters that only move
-    held nodes or bodies, such as the zero of a motor, exert no force on a fixed state.
+    held nodes or bodies, such as the zero of a motor, exert no force in a fixed state.
     """
     lambda_a = solved_forces(*space.apply(model, configuration, z), u)
     force = lambda model, configuration: -residual(model, configuration, u, lambda_a)
     if step is not None:
-        at = lambda z: force(*space.apply(model, configuration, z))
+        force_at = lambda z: force(*space.apply(model, configuration, z))
         return jax.lax.map(
-            lambda d: (at(z + step * d) - at(z - step * d)) / (2.0 * step),
+            lambda d: (force_at(z + step * d) - force_at(z - step * d)) / (2.0 * step),
             jnp.eye(z.shape[0]),
         )
     forces = _field_rows(*space.apply(model, configuration, z), u, space, z)
     others = _others(space)
     if others.size == 0:
         return forces
-    found = _by_others(model, configuration, space, z)(force)
-    return forces.at[others].set(found)
+    of_others = _by_others(model, configuration, space, z)(force)
+    return forces.at[others].set(of_others)
 
 
 @eqx.filter_jit
@@ -79,8 +79,8 @@ def parameter_rows(
     """Compute the rows of all parameters at an equilibrium, per unit of lambda_p.
 
     Parameters that set fields of the law need one pass over the tets per field and move
-    nothing held. Those of `z` are applied in the linearisation already. `readings` are
-    those that `sensitivity` is asked for.
+    nothing held. The linearisation is that of a model with the parameters `z`. Give the
+    same `readings` as to `sensitivity`.
     """
     lin = linearisation
     model, configuration = lin.posed.model, lin.posed.configuration
@@ -93,8 +93,8 @@ def parameter_rows(
     if others.size == 0:
         return rows
     by_others = _by_others(model, configuration, space, z)
-    found = input_rows(lin, by_others, readings)
-    return jax.tree.map(lambda all_, own: all_.at[others].set(own), rows, found)
+    of_others = input_rows(lin, by_others, readings)
+    return jax.tree.map(lambda leaf, new: leaf.at[others].set(new), rows, of_others)
 
 
 def _direct_changes(
@@ -104,7 +104,7 @@ def _direct_changes(
     forces: Float[Array, "n_p n_points 3"],
     readings: Readings,
 ) -> Float[Array, "n_p n_e"]:
-    """Compute the change of readings of a fixed state, of which each may see fields."""
+    """Compute the change of readings of a fixed state, which may depend on fields."""
     model, configuration = lin.posed.model, lin.posed.configuration
 
     def read(z, unbalanced):
@@ -126,7 +126,7 @@ def _by_others(
     space: ParameterSpace,
     z: Float[Array, " n_p"],
 ) -> Callable[[Callable], Any]:
-    """Return what differentiates by these parameters alone, not through fields."""
+    """Return a function that differentiates by the parameters of `_others` alone."""
     others = _others(space)
     changed = lambda w: space.apply(model, configuration, z, others, w)
     return lambda function: derivatives(lambda w: function(*changed(w)), z[others])
@@ -171,7 +171,7 @@ def _field_rows(
     are zero. The model has the parameters of `z` applied.
     """
     wheres = {name: find_field(model, name) for name in space.field_names}
-    in_law = {name: _InLaw(at) for name, at in wheres.items() if name != "density"}
+    in_law = {f: _InLaw(where) for f, where in wheres.items() if f != "density"}
     fields = lambda z: {
         name: jnp.broadcast_to(where(space.model_at(model, z)), (model.n_tets,))
         for name, where in wheres.items()
@@ -209,8 +209,8 @@ def adjoint_of_tets(
     forces = field_forces(model, linearisation.u, law) if law else {}
 
     def of_law(field: str, row: Float[Array, "n_points 3"]) -> Float[Array, " n_tets"]:
-        at = jnp.moveaxis(row[model.nodes], -1, 2)
-        work = jnp.sum(forces[field] * at, axis=(1, 2))
+        motion = jnp.moveaxis(row[model.nodes], -1, 2)
+        work = jnp.sum(forces[field] * motion, axis=(1, 2))
         return -work.ravel()[: model.n_tets]
 
     def of_density(row: Float[Array, "n_points 3"]) -> Float[Array, " n_tets"]:

@@ -55,7 +55,7 @@ def axis_values(
 ) -> Sequence[Any] | Range:
     """Return the values of an axis, given what the file has for it.
 
-    `layouts` are the names of its layouts, `poses` those of the project's
+    `layouts` are the names of the file's layouts, `poses` those of the project's
     configurations with the role calibration.
     """
     if axis not in OWN_AXES and "." not in axis:

@@ -36,7 +36,7 @@ _STEPS, _COST, _ERROR = "steps", "cost [-]", "standard error of"
 
 _KEPT: dict[str, Project] = {}
 _EXACT: dict[str, tuple[Configuration, ...]] = {}
-"""Their configurations, with the exact measurements that the truth gives."""
+"""Configurations of these projects, with exact measurements that the truth gives."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +45,12 @@ class CalibrationTrial:
 
     Attributes:
         project: The project file, at a path that every worker can read.
-        files: Digest of that file and of each that it names, by path.
-        layouts: Keys of [control_points.NAME] of each layout, or `place`.
+        files: Digest of the project file and of each file that it names, by path.
+        layouts: For each layout, the keys of [control_points.NAME] to set, or `place`.
         replaces: The set of control points of the project that a layout replaces.
         truth: Parameter values, as written in the file, from which measurements are
             simulated on the trial's own mesh with the file's own control points; empty
-            where the project is measured.
+            for a project with real measurements.
     """
 
     project: Path
@@ -66,7 +66,7 @@ class CalibrationTrial:
 
         Raises:
             RuntimeError: If a configuration has no equilibrium, or a file has changed.
-            ValueError: If the project cannot be calibrated there.
+            ValueError: If the project cannot be calibrated at this point.
         """
         project = self.variant(trial.point)
         project = self._measured(project, trial)
@@ -75,7 +75,7 @@ class CalibrationTrial:
         if trial.point.get("start"):
             seed = trial.seed_of("start")
             start = random_starts(space, 1, seed=seed)[0]
-        # Where starts are an axis, a trial is one, unless the file says otherwise.
+        # If starts are an axis, a trial has one start, unless the file sets `starts`.
         starts = project.starts or (1 if "start" in trial.point else None)
         project = dataclasses.replace(project, intervals=None, starts=starts)
         result = project.calibrate(start=start)
@@ -91,7 +91,7 @@ class CalibrationTrial:
     def variant(self, point: Mapping[str, Any]) -> Project:
         """Load the project with the control points and keys of a point.
 
-        It is kept, so that later trials reuse what was compiled for it.
+        The project is kept, so that later trials reuse what was compiled for it.
         """
         name = self._name(point)
         if name not in _KEPT:
@@ -140,7 +140,7 @@ class CalibrationTrial:
             text = "({:.9g}, {:.9g}, {:.9g}) m".format
             places = map(text, *np.asarray(points.positions).T)
             keys["positions"] = dict(zip(points.names, places, strict=True))
-        keys = {"names": None, **keys}  # those in the file are of its own positions
+        keys = {"names": None, **keys}  # names in the file belong to its own positions
         return {f"control_points.{self.replaces}.{key}": v for key, v in keys.items()}
 
     def _check_files(self) -> None:
@@ -176,7 +176,7 @@ def file_keys(point: Mapping[str, Any]) -> dict[str, Any]:
 def why_not(result: CalibrationResult) -> str:
     """Say how a calibration that did not converge ended.
 
-    Without numbers of its own, as tables count the trials of one reason together.
+    The text has no numbers of the trial, as tables group trials by equal reasons.
     """
     if len(result.history) > result.settings.max_steps:
         return f"lambda_p did not vanish within max_steps = {result.settings.max_steps}"
@@ -242,5 +242,5 @@ def _figures(result: CalibrationResult) -> dict[str, Any]:
 
 
 def is_of_the_fit(figure: str) -> bool:
-    """Tell whether a figure describes the fit, and not the robot."""
+    """Say whether a figure describes the fit, and not the robot."""
     return figure in (_STEPS, _COST) or figure.startswith(f"{_ERROR} ")

@@ -16,7 +16,7 @@ CONNECT_S = 20
 """How long the scheduler may take to answer [s]."""
 
 _ONE_AT_A_TIME = threading.Lock()
-"""Held by a trial: threads share compiled programs, and so the factors of solvers."""
+"""Held while a trial runs: threads share compiled programs and the solvers' factors."""
 
 
 def dask_rows(
@@ -25,8 +25,8 @@ def dask_rows(
     """Run trials on a Dask cluster, and yield their rows in the order of their ends.
 
     A trial whose worker dies is retried on another one, as often as Dask allows
-    (`distributed.scheduler.allowed-failures`). Closing the generator cancels those that
-    have not ended.
+    (`distributed.scheduler.allowed-failures`). Closing the generator cancels the trials
+    that have not ended.
     """
     client = _connect(address)
     from distributed import as_completed
@@ -63,7 +63,7 @@ def _row(future: "distributed.Future", trial: Trial, address: str) -> TrialRow:
     if isinstance(error, KilledWorker):
         deaths = error.allowed_failures + 1
         return failed_row(trial, f"its worker died {deaths} times")
-    # Errors of the function end in a row, so the worker could not even call it.
+    # Errors of the function make a row, so here the worker could not even call it.
     return failed_row(trial, f"its worker could not run it: {error!r}")
 
 

@@ -33,7 +33,7 @@ APPLICATION = 0x50F7CA1
 FORMAT = 1
 
 APART_S = 1.0
-"""Time between two transactions with rows, within which a row is on disk [s]."""
+"""Least time between two transactions, and most before a row is on disk [s]."""
 
 WAIT_S = 30.0
 """How long a row waits for another program that has the file locked [s]."""
@@ -109,7 +109,7 @@ class SweepDatabase:
                 self.file.execute("DELETE FROM plan")
                 self._write("plan", plan)
             stored = _stored_sweep(self.file, self.path)
-            _ = stored.rows, [*stored.planned.values()]  # what was edited is refused
+            _ = stored.rows, [*stored.planned.values()]  # raises if a user edited them
         return dict(stored.states)
 
     def _check_definitions(self, definitions: Mapping[str, str]) -> None:
@@ -147,7 +147,7 @@ class SweepDatabase:
 
     def _in_time(self) -> None:
         """Write the rows that wait, in the thread of the timer."""
-        # Where that fails the rows wait on, and what comes next tries and raises.
+        # If that fails, the rows go on waiting; the next `add` or `close` raises.
         with self._lock, suppress(OSError, ValueError):
             self._timer = None
             self._write_rows()
@@ -236,13 +236,13 @@ class _Read(Mapping[str, Any]):
 
 
 def _row(axes: Sequence[str], key: str, stored: Sequence[Any]) -> TrialRow:
-    named, at = dict(zip(_COLUMNS, stored, strict=True)), f"trials.{key}"
+    named, where = dict(zip(_COLUMNS, stored, strict=True)), f"trials.{key}"
     for name in _AS_JSON:
-        named[name] = _checked(f"{at}.{name}", _JSON, named[name])
-    row = _checked(at, _ROW, named)
+        named[name] = _checked(f"{where}.{name}", _JSON, named[name])
+    row = _checked(where, _ROW, named)
     for name, figure in row.figures.items():
         if isinstance(figure, int) and abs(figure) > sys.float_info.max:
-            raise ValueError(f"{at}.figures.{name} is a number that is too large")
+            raise ValueError(f"{where}.figures.{name} is a number that is too large")
     _of_key(axes, key, row.point)
     return row
 
@@ -258,7 +258,7 @@ def _of_key(axes: Sequence[str], key: str, point: Point) -> Point:
 
 @contextmanager
 def _as_written(path: Path) -> Iterator[None]:
-    """Say which file holds what no sweep has written."""
+    """Name the file in errors about values that no sweep has written."""
     try:
         yield
     except ValueError as error:
@@ -284,7 +284,7 @@ def _open(database: str | Path, wait: float, **options: Any) -> sqlite3.Connecti
         database,
         timeout=wait,
         isolation_level=None,
-        check_same_thread=False,  # a lock keeps the timer of rows apart
+        check_same_thread=False,  # a lock keeps out the thread of the timer
         **options,
     )
 

@@ -135,8 +135,8 @@ def load_sweep(path: str | os.PathLike[str]) -> Sweep:
         The sweep, ready for `run`.
 
     Raises:
-        FileNotFoundError: If it or its project file does not exist.
-        ProjectError: If anything in either is wrong; the text names the key.
+        FileNotFoundError: If the sweep file or its project file does not exist.
+        ProjectError: If anything in one of the two is wrong; the text names the key.
         ValueError: If JAX is not in float64.
     """
     path = Path(path)

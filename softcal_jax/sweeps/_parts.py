@@ -41,15 +41,15 @@ def run_part(
     """Run one of several parts of a sweep, and write its rows as a Parquet file.
 
     Each job of a cluster runs one part, all write into one folder, and none waits for
-    another. About 1 000 trials are a good size: a part that is killed begins anew, and
-    one whose file is there is done; remove it to run the part again. Rows are those of
-    `run_sweep` with the columns of its CSV, after the `number` of the point. A column
-    of numbers is one of doubles, any other of texts, and a figure that no trial of a
-    part has is no column there: read all parts by name of their columns.
+    another. About 1 000 trials are a good size: a part that is killed begins anew. A
+    part whose file exists is done; remove the file to run it again. Columns are the
+    `number` of the point and those of the CSV of `run_sweep`: doubles where all values
+    are numbers, texts elsewhere. A figure that no trial of a part has is not a column
+    of its file, so read the columns of all parts by name.
 
     The `points` are those of the whole sweep, from `grid` or `sample`; `part` is the
-    number of this part, from 0, and `of` that of all. All other arguments are as for
-    `run_sweep`. Returns the path of the file in the `folder`.
+    number of this part, from 0, and `of` the number of parts. All other arguments are
+    as for `run_sweep`. Returns the path of the file in the `folder`.
 
     Raises:
         ValueError: If an argument is wrong, or the folder holds parts of another sweep.
@@ -81,7 +81,7 @@ def run_part(
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"part-{part:0{len(str(of - 1))}d}-of-{of}.parquet"
     run = rows_of(function, workers, cores_per_worker, scheduler)
-    # What is under way is hidden from programs that read the folder.
+    # The dot hides an unfinished file from programs that read the folder.
     partial = folder / f".{path.name}"
     with only_writer(partial, f"process with part {part}"):
         _check_folder(folder, mark)
@@ -98,7 +98,7 @@ def run_part(
         for column, values in axes.items():
             words = not _has_numbers(points.axes[column])
             columns[column] = _array(values, words=words)
-        for column, values in [item for own in others for item in own.items()]:
+        for column, values in [item for group in others for item in group.items()]:
             if any(value is not None for value in values):
                 unique = column + " of the trial" * (column in columns)
                 columns[unique] = _array(values)
@@ -115,7 +115,7 @@ def _digest(points: Points) -> str:
     """Digest all points: values of the axes, and which of them are taken."""
     plain = lambda v: vars(v) if isinstance(v, Range) else v
     axes = {axis: plain(values) for axis, values in points.axes.items()}
-    text = json.dumps(axes, default=str)  # of a range its ends
+    text = json.dumps(axes, default=str)  # a `range` becomes its ends
     return digest_of([] if points.cells is None else [points.cells], text)
 
 

@@ -18,12 +18,12 @@ class Progress:
 
     Attributes:
         total: Trials of the sweep.
-        ended: Those that have ended, in this run or before.
-        before: Those that had ended before this run.
+        ended: Trials that have ended, in this run or before.
+        before: Trials that had ended before this run.
         not_converged: Ended trials that did not converge.
         failed: Ended trials that failed.
-        rate: Trials per second over the last of this run; None before two have ended,
-            since the first one compiles.
+        rate: Trials per second over the last ones of this run; None until a worker has
+            ended its second trial, since the first one compiles.
         row: The trial that has just ended; None at the beginning.
     """
 
@@ -54,7 +54,7 @@ class Tally:
     """Counter of the trials of a run."""
 
     def __init__(self, total: int, states: list[str]):
-        """Begin a run, of so many trials, some of which have ended in these states."""
+        """Begin a run of `total` trials, some of which have ended in these states."""
         self._total, self._before = total, len(states)
         self._states = Counter(states)
         self._workers: set[str] = set()
@@ -79,7 +79,7 @@ class Tally:
         )
 
     def _rate(self) -> float | None:
-        """Return trials per second since the first of the last rows."""
+        """Return trials per second since the end of the oldest of the recent trials."""
         times, counts = zip(*self._ends, strict=True) if self._ends else ((0.0,), ())
         n, span = sum(counts[1:]), times[-1] - times[0]
         return n / span if n and span else None

@@ -29,7 +29,7 @@ class Group:
     Attributes:
         values: Their value on each of these axes.
         rows: Trials that have ended.
-        missing: Number of trials that have not.
+        missing: Number of trials that have not ended.
     """
 
     values: Mapping[str, Any]
@@ -56,9 +56,9 @@ class SweepResult:
         axes: Names of its axes.
         repeats: Axes whose values are mere repetitions, like draws of noise.
         planned: Points that are planned, by key, in their order.
-        states: How trials ended, by key: in the order of the plan, those of an earlier
-            plan that are not in this one last.
-        ended: Their rows, by key in the same order.
+        states: How trials ended, by key, in the order of the plan; trials that only an
+            earlier plan had come last.
+        ended: Rows of these trials, by key in the same order.
     """
 
     name: str
@@ -101,7 +101,7 @@ class SweepResult:
         return _numbers(self.rows, self.figure(figure))
 
     def figure(self, name: str) -> str:
-        """Return the full name of a figure, "fit rms [m]", given that or "fit rms".
+        """Return the full name of a figure, like "fit rms [m]" for "fit rms".
 
         Raises:
             ValueError: If no row has a figure of that name.
@@ -167,13 +167,13 @@ class SweepResult:
         )
 
     def __str__(self) -> str:
-        """Write how many trials ended in each state, and why the others failed."""
+        """Write the counts of states, and why trials failed or did not converge."""
         lines = [f"  {state}, {text}" for state, text in self.reasons]
         return "\n".join([f"{self.name}: {self.headline}", *lines])
 
 
 def figure_values(rows: Sequence[TrialRow], figure: str) -> Float[HostArray, " n"]:
-    """Return a figure of each row; nan where it is no number, or did not converge."""
+    """Return a figure of each row; nan for no number, or if it did not converge."""
     value = lambda row: row.figures.get(figure) if row.state == "converged" else None
     return np.array([v if is_number(v) else np.nan for v in map(value, rows)], float)
 

@@ -31,9 +31,9 @@ class Outcome:
         figures: Numbers or words by name; nan and None mean that there is none. A name
             may end with its SI unit in brackets, "fit rms [m]": tables then show
             readable units.
-        converged: Whether they can be used; if not, means leave them out.
-        reason: Why it did not converge.
-        notes: What a user should know before using them.
+        converged: Whether the figures can be used; if not, means leave them out.
+        reason: Why the trial did not converge.
+        notes: What a user should know before using the figures.
     """
 
     figures: Mapping[str, Any]
@@ -60,7 +60,7 @@ class TrialRow:
         state: "converged", "not converged" or "failed".
         reason: Why it did not converge, or failed.
         figures: What it found; nothing if it failed.
-        notes: What a user should know before using them.
+        notes: What a user should know before using the figures.
         seconds: Wall time [s].
         compile_seconds: Part of it that JAX spent tracing and compiling, or reading
             compiled programs [s].
@@ -115,9 +115,9 @@ def run_trial(function: TrialFunction, trial: Trial) -> TrialRow:
 
 
 def _of_the_cache(warning: str) -> bool:
-    """Whether a warning is about compiled programs on disk; half a program is removed.
+    """Whether a warning is about compiled programs on disk; remove a damaged program.
 
-    A worker that was killed, or is still writing, leaves half a one.
+    A worker that was killed, or is still writing, leaves an incomplete program.
     """
     throw_away_damaged(warning)
     return "persistent compilation cache" in warning

@@ -60,12 +60,12 @@ def run_sweep(
         database: SQLite file; made, or continued.
         name: Name in tables; that of the function by default.
         seed: Seed of the sweep, see `Trial.seed`.
-        repeats: Axes that only repeat the others; tables average over them.
+        repeats: Axes that only repeat trials, like draws; tables average over them.
         definitions: What else a row depends on, by name, like {"mesh": "beam 14x4x4"}.
             A database with another value of any of them is refused.
         workers: Number of worker processes; by default one per core. 0 runs everything
             in this process, for functions that cannot be imported.
-        cores_per_worker: Threads of each. The number of threads changes how sums are
+        cores_per_worker: Threads of each worker. Their number changes how sums are
             rounded, so the last digits of rows may depend on it.
         scheduler: Address of a Dask scheduler, to use its workers instead.
         retry_failed: Whether to retry trials that failed.

@@ -28,12 +28,12 @@ MOST_CHARTED = 6
 
 
 class SweptAxis(NamedTuple):
-    """An axis with more than one value, and the trials that converged on it.
+    """An axis with more than one value, and figures of the trials that converged.
 
     Attributes:
         name: Its name.
         values: The value of each trial, as numbers if all are, else in words.
-        figures: Figures that differ, by names with their readable units; nan for none.
+        figures: Figures that vary, by names with readable units; nan where missing.
     """
 
     name: str
@@ -48,17 +48,17 @@ class SweepSummary(NamedTuple):
 
     Attributes:
         headline: How many trials have ended, and how.
-        tone: How that is meant.
+        tone: How good or bad that is.
         doubts: What failed, did not converge or is left to do.
-        notes: What trials that converged have noted, each with their number.
+        notes: Notes of trials that converged, each with the number of such trials.
         varied: What was varied.
         best: Trials with the smallest error; None if there are none with an error.
-        best_in_words: The error of the first of them, and where.
+        best_in_words: The smallest error, and the point at which it is.
         spread: Spread of each figure over all trials.
         groups: Means over repetitions, for each point; None without repetitions.
-        trials: Every trial, the first ones of many.
-        more_trials: How many are not in that table.
-        axes: What to draw.
+        trials: All trials, or the first `MOST_TRIALS`.
+        more_trials: How many trials are not in that table.
+        axes: Values and figures to draw, for each axis.
         not_drawn: Names of figures that are not drawn.
     """
 
@@ -106,11 +106,11 @@ def summarise(result: SweepResult) -> SweepSummary:
 
 
 def _figures_of_the_robot(result: SweepResult) -> tuple[str, ...]:
-    """Pick the figures that tell of the robot, the error of the prediction first."""
-    found = [name for name in default_figures(result) if not is_of_the_fit(name)]
-    if HELD_OUT in found:  # the fit is no test of the model
-        found = [HELD_OUT, *(name for name in found if name not in (HELD_OUT, FIT))]
-    return tuple(found)
+    """Pick the figures that describe the robot, the error of the prediction first."""
+    figures = [name for name in default_figures(result) if not is_of_the_fit(name)]
+    if HELD_OUT in figures:  # the fit is no test of the model
+        figures = [HELD_OUT, *(name for name in figures if name not in (HELD_OUT, FIT))]
+    return tuple(figures)
 
 
 def _doubts(result: SweepResult, bad: int) -> Iterator[str]:
@@ -136,22 +136,22 @@ def _varied(result: SweepResult) -> TextTable:
     points = [*result.planned.values(), *(row.point for row in result.rows)]
     rows = []
     for axis in result.axes:
-        own = [point[axis] for point in points]
-        values = list(dict.fromkeys(map(shown, own)))
-        listed = "; ".join(values[:MOST_VALUES])
-        if len(values) > MOST_VALUES:
+        values = [point[axis] for point in points]
+        texts = list(dict.fromkeys(map(shown, values)))
+        listed = "; ".join(texts[:MOST_VALUES])
+        if len(texts) > MOST_VALUES:
             listed += "; ..."
-            if all(map(is_number, own)):
-                listed = f"from {shown(min(own))} to {shown(max(own))}"
+            if all(map(is_number, values)):
+                listed = f"from {shown(min(values))} to {shown(max(values))}"
         repeats = "repetition" if axis in result.repeats else "factor"
-        rows.append((axis, repeats, str(len(values)), listed))
+        rows.append((axis, repeats, str(len(texts)), listed))
     return text_table("Axes", ("axis", "kind", "values", "which"), rows)
 
 
 def _best(
     result: SweepResult, figures: tuple[str, ...]
 ) -> tuple[TextTable | None, str]:
-    """Rank trials by the error of the prediction, or by that of the fit without one."""
+    """Rank trials by the error of the prediction, or else by the error of the fit."""
     error = next((name for name in (HELD_OUT, FIT) if name in figures), None)
     if error is None:
         return None, ""
@@ -173,9 +173,9 @@ def _spread(result: SweepResult) -> TextTable:
     rows = []
     for figure in default_figures(result):
         factor, name = readable_figure(result, figure)
-        own = factor * result.numbers(figure)
-        ends = (f"{own.min():.5g}", f"{np.median(own):.5g}", f"{own.max():.5g}")
-        rows.append((name, str(own.size), mean_text(own), *ends))
+        values = factor * result.numbers(figure)
+        ends = f"{values.min():.5g}", f"{np.median(values):.5g}", f"{values.max():.5g}"
+        rows.append((name, str(values.size), mean_text(values), *ends))
     head = ("figure", "trials", "mean ± standard deviation", "least", "median", "most")
     return text_table("Figures of the trials", head, rows)
 

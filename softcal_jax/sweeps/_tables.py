@@ -31,7 +31,7 @@ _TONES: dict[str, Tone] = {
     "not converged": "doubtful",
     "failed": "bad",
 }
-"""How it is meant that a trial ended so."""
+"""Tone in which the end of a trial is shown, by its state."""
 
 
 Lines = Sequence[Group] | Sequence[TrialRow]
@@ -164,7 +164,7 @@ def tabulated(
 
 
 def readable_figure(result: SweepResult, figure: str) -> tuple[float, str]:
-    """Return a factor that gives a figure a readable unit, and its name with that."""
+    """Return the factor to a figure's readable unit, and its name with that unit."""
     words, unit = figure_name(figure)
     factor, readable = readable_unit(result.numbers(figure), unit)
     return factor, f"{words} [{readable}]" if unit not in ("", "-") else words

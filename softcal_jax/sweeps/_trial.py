@@ -101,7 +101,7 @@ class Points(Sequence[Point]):
     @property
     def _lists(self) -> list[Sequence[Any]]:
         """Values of the axes, none of which is a range."""
-        return [own for own in self.axes.values() if not isinstance(own, Range)]
+        return [v for v in self.axes.values() if not isinstance(v, Range)]
 
     def __eq__(self, other: object) -> bool:
         """Compare with other points, or a list of them."""
@@ -142,8 +142,8 @@ def sample(
         seed: Seed of the choice.
 
     Raises:
-        ValueError: If there is no axis, or one without values, or n is less than one or
-            more than the grid has, or too many.
+        ValueError: If there is no axis, an axis has no values, or n is less than one,
+            larger than the grid, or too large.
     """
     lists = _lists(axes)
     if n < 1:
@@ -168,7 +168,7 @@ def sample(
     from scipy.stats.qmc import LatinHypercube
 
     cells = LatinHypercube(len(axes), rng=random).random(n)
-    return Points({axis: lists.get(axis, own) for axis, own in axes.items()}, cells)
+    return Points({axis: lists.get(axis, v) for axis, v in axes.items()}, cells)
 
 
 def _at(values: Sequence[Any] | Range, where: float) -> Any:
@@ -238,7 +238,7 @@ class Trial:
         return self.seed_of(*self.point)
 
     def seed_of(self, *axes: str) -> int:
-        """Return a seed, of 63 bits, that depends on the values on some axes alone.
+        """Return a seed of 63 bits that depends on the values of some axes alone.
 
         Trials that agree on these axes share it: layouts are compared on the same draws
         of noise with `np.random.default_rng(trial.seed_of("noise"))`.
@@ -254,7 +254,7 @@ class Trial:
 def as_trials(
     points: Iterable[Mapping[str, Any]], sweep_seed: int
 ) -> tuple[Trial, ...]:
-    """Make the trials of a sweep; all must differ, but not in their axes."""
+    """Make the trials of a sweep; all must have the same axes and different points."""
     points = points if isinstance(points, Sequence) else tuple(points)
     text = "a sweep in one database or part (--part and --of run larger ones in parts)"
     TRIALS.check(text, len(points))
@@ -291,7 +291,7 @@ def shown(value: Any) -> str:
 
 
 def is_number(value: Any) -> bool:
-    """Check whether a value is a number; true and false are none."""
+    """Check whether a value is a number; true and false are not."""
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 

@@ -48,12 +48,12 @@ class WorkerSetup:
         return cls(bool(jax.config.read("jax_enable_x64")), version("softcal-jax"))
 
     def apply(self) -> None:
-        """Set up the process that calls it, which must have the same version."""
-        here = version("softcal-jax")
-        if here != self.version:
+        """Apply the settings to this process, which must have the same version."""
+        installed = version("softcal-jax")
+        if installed != self.version:
             raise RuntimeError(
-                f"the worker has softcal_jax {here}, the sweep {self.version}: rows "
-                "would not belong together. Install the same version on both."
+                f"the worker has softcal_jax {installed}, the sweep {self.version}: "
+                "rows would not belong together. Install the same version on both."
             )
         jax.config.update("jax_enable_x64", self.x64)
         use_compilation_cache(quickly=False)
@@ -83,7 +83,7 @@ def local_rows(
 ) -> Generator[TrialRow, None, None]:
     """Run trials in n worker processes, and yield their rows in the order of their end.
 
-    Each has as many threads as `cores`. Closing the generator ends them.
+    Each worker has `cores` threads. Closing the generator ends the workers.
     """
     try:
         sent = pickle.dumps(function)
@@ -143,18 +143,18 @@ class _Worker:
         )
         with threads_of_children(cores):
             self.process.start()
-        # The worker then holds the only other end, so that its death ends the file.
+        # The worker then holds the only other end: its death closes the connection.
         other.close()
 
     def give(self, waiting: deque[Trial]) -> None:
-        """Give it the next trial, if it has none."""
+        """Give the worker the next trial, if it is ready and has none."""
         if self.ready and self.trial is None and waiting:
             self.trial = waiting.popleft()
             with suppress(OSError):  # it has died, which `hear` finds next
                 self.connection.send(self.trial)
 
     def hear(self) -> TrialRow | str | None:
-        """Receive a row, or that it is ready; None if it has died."""
+        """Receive a row or `READY`; return None if the worker has died."""
         try:
             said: Any = self.connection.recv()
         except (EOFError, OSError):
