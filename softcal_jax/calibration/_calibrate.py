@@ -290,7 +290,7 @@ def profile_intervals(
         problem,
         result.settings,
         z=result.z,
-        rows=now.rows,
+        linear=now.linear(problem, configurations, result.z),
         rise=spread.noise_scale * quantile_of(result, level),
         which=columns,
     )

@@ -294,7 +294,7 @@ def _by_profile(
             fitted.problem,
             result.settings,
             z=result.z,
-            rows=fitted.evaluation.rows,
+            linear=fitted.evaluation.linear(*fitted[1:3], result.z),
             rise=rise,
             which=which,
             ended=keep,

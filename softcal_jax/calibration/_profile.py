@@ -17,7 +17,7 @@ from softcal_jax.calibration._runs import Run, minimise
 from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import ParameterSpace, Pin
-from softcal_jax.inference import Whitened
+from softcal_jax.inference import LinearModel
 
 FIRM = 10.0
 """Precision of the pin of a held parameter, relative to that of the data [-].
@@ -95,7 +95,7 @@ def profile_ends(
     settings: CalibrationSettings,
     *,
     z: Float[Array, " n_p"],
-    rows: Whitened,
+    linear: LinearModel,
     rise: float,
     which: Sequence[int],
     ended: Callable[[int, tuple[ProfileEnd, ProfileEnd]], None] = lambda *_: None,
@@ -110,7 +110,7 @@ def profile_ends(
         problem: The calibration.
         settings: Settings of the outer loop, for the fits along the profile.
         z: Where the calibration ended, scaled [-].
-        rows: Its `Evaluation.rows` there [-].
+        linear: Its linear model there.
         rise: Root of the rise of twice the cost at the end of an interval [-].
         which: Indices of the parameters.
         ended: Called with the index of each parameter and its ends, in this order.
@@ -121,7 +121,7 @@ def profile_ends(
     space = problem.space
     # The covariance to first order; the bounds count, to keep it finite.
     size = np.asarray(space.upper() - space.lower()) / np.sqrt(12.0)
-    error, W = map(np.asarray, rows)
+    error, W = map(np.asarray, linear.whitened())
     sides = [(column, sign) for column in which for sign in (-1, 1)]
     lanes = len(sides) * len(problem.configurations.gravity)
     with Workers(problem.model, lanes) as workers:

@@ -1,6 +1,7 @@
 """Fits that leave one configuration out, and their scores (Sec. V-C)."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -26,7 +27,6 @@ from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Workers
 from softcal_jax.fields import default_starts, random_starts
 from softcal_jax.identifiability import identifiability
-from softcal_jax.inference import whitened
 from softcal_jax.layouts._model_comparison import FoldScore, ModelScore
 
 FOR_PREDICTION = CalibrationSettings(tol=1e-4, max_steps=200)
@@ -124,10 +124,9 @@ def _score(
     """Score the folds of one model and the fit to all configurations."""
     effectors, noise = problem.configurations.effectors, problem.noise
     weight = np.asarray(effectors.inverse_std)
-    A = np.zeros((weight.size, 0))
-    if noise is not None:
-        A = noise.on_host(effectors)[:, : noise.n_common]
-    A = A.reshape(*weight.shape, A.shape[1])
+    assert noise is not None
+    # In the errors these offsets are subtracted, so the noise has none.
+    known = eqx.tree_at(lambda n: n.attachment_std, noise, np.zeros(0))
     # Only points have distances; turns and forces count in units of the noise alone.
     n_points = effectors.nodes.shape[-2]
     every = np.arange(len(configurations))
@@ -141,17 +140,14 @@ def _score(
         """
         if failure:
             return np.nan, np.nan
-        error, of_lanes = np.asarray(fit.after.delta_e), weight[lanes]
-        if noise is not None:
-            error = noise.without_attachments(effectors, error, fold.counts)
-        error = error[lanes]
-        squares = np.sum(error[:, :n_points] ** 2, axis=2)
-        measured = np.any(of_lanes[:, :n_points] > 0.0, axis=2)
-        columns = A[lanes].reshape(of_lanes.size, A.shape[-1])
-        over_noise = whitened(columns, np.ravel(of_lanes * error))
-        over_noise = over_noise[of_lanes.ravel() > 0.0]
+        error = noise.without_attachments(effectors, fit.after.delta_e, fold.counts)
+        after, z = replace(fit.after, delta_e=error), jnp.asarray(fit.run.z)
+        linear = after.linear(problem.with_noise(known), configurations, z)
+        linear = linear.only(np.isin(linear.pose, lanes))
+        squares = np.sum(error[lanes, :n_points] ** 2, axis=2)
+        measured = np.any(weight[lanes, :n_points] > 0.0, axis=2)
         mean = lambda squares: float(np.sqrt(np.mean(squares)))
-        return mean(squares[measured]), mean(over_noise**2)
+        return mean(squares[measured]), mean(linear.whiten(linear.r) ** 2)
 
     *held_out_folds, whole = _folds(len(configurations))
     folds = []

@@ -23,7 +23,7 @@ from softcal_jax.calibration._calibrate import build_problem
 from softcal_jax.calibration._profile import NotFound, _end, bracket, root
 from softcal_jax.calibration._runs import minimise
 from softcal_jax.fields import ParameterSpace, Pin, exactly_known
-from softcal_jax.inference import ErrorColumns, Whitened
+from softcal_jax.inference import ErrorColumns
 from softcal_jax.robots import anisotropic_beam, synthetic_measurements
 
 calibrate = partial(calibrate_with, uncertain=exactly_known(), intervals=None)
@@ -135,15 +135,15 @@ def test_it_ends_at_a_bound_that_the_data_do_not_exclude(poses):
 def test_a_lower_cost_is_no_interval(result, poses):
     """The fit is told to be where it is not, up the side of its own valley."""
     problem = build_problem(result.model, result.space, poses, result.newton)
-    error, W = result.linear.whitened()
-    cost = 0.5 * float(error @ error) + 4.5
+    linear = result.linear
+    cost = 0.5 * linear.squares() + 4.5
     off = result.z + jnp.array([3.0 * relative_error(result), 0.0])
     with pytest.raises(LowerCostFound, match="best optimum") as caught:
         profile_ends(
             problem,
             result.settings,
             z=off,
-            rows=Whitened(error * np.sqrt(cost / (cost - 4.5)), W),
+            linear=replace(linear, r=linear.r * np.sqrt(cost / (cost - 4.5))),
             rise=1.96,
             which=[0],
         )
