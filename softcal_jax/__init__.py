@@ -18,10 +18,10 @@ __version__ = version("softcal-jax")
 
 
 def _listed_homes() -> dict[str, str]:
-    """Read in the stub, which type checkers read too, where each name is from."""
+    """Read the home of each name from the stub, which type checkers read too."""
     stub = ast.parse(get_data(__name__, "__init__.pyi") or b"")
     imports = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
-    return {name.name: str(own.module) for own in imports for name in own.names}
+    return {name.name: str(node.module) for node in imports for name in node.names}
 
 
 _HOMES = _listed_homes()
@@ -30,7 +30,7 @@ __all__ = sorted(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
-    """Import a name on first use, as that takes seconds."""
+    """Import a name on its first use only, since imports take seconds."""
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
     raise AttributeError(

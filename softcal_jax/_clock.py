@@ -8,8 +8,8 @@ import jax
 class Clock:
     """Context whose `seconds` are its wall time, "compile" by JAX and "solve" [s].
 
-    JAX reports the duration of each trace, lowering and compilation when it ends; those
-    at the same time are counted once, and as "compile" also beside a solve.
+    JAX reports the duration of each trace, lowering and compilation when it ends. Those
+    that overlap are counted once, as "compile" even where a solve runs beside them.
     """
 
     def __init__(self):

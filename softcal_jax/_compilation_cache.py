@@ -22,10 +22,10 @@ LARGEST = 2_000_000_000
 """Size of the folder above which the least recently used programs go [bytes]."""
 
 _EMITTERS = "--xla_cpu_use_fusion_emitters"
-_QUICKLY = f"{_EMITTERS}=0"  # "=false" is that of a user, and stays
+_QUICKLY = f"{_EMITTERS}=0"  # a user's own "=false" stays
 
 _MAX_SIZE = "jax_compilation_cache_max_size"
-"""JAX's setting for this, -1 for any size."""
+"""JAX's setting for the largest size, -1 for no limit."""
 
 
 class CompilationCacheWarning(SoftcalWarning):
@@ -137,16 +137,16 @@ def _problem_of(folder: Path) -> str | None:
 
 def _reach_of_others(folder: Path) -> str | None:
     """Say how others could put programs into a folder; None if they cannot."""
-    own = folder.stat()
-    if own.st_uid != os.getuid():
+    status = folder.stat()
+    if status.st_uid != os.getuid():
         return (
-            f"belongs to another user (uid {own.st_uid}), whose programs would run "
+            f"belongs to another user (uid {status.st_uid}), whose programs would run "
             "under your name"
         )
-    if own.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         return (
-            f"may be written by others (mode {stat.S_IMODE(own.st_mode):04o}); if all "
-            f"in it are your own, `chmod 700 {folder}` makes it private"
+            f"may be written by others (mode {stat.S_IMODE(status.st_mode):04o}); if "
+            f"all in it are your own, `chmod 700 {folder}` makes it private"
         )
     for parent in folder.parents:
         mode = parent.stat().st_mode
@@ -164,15 +164,15 @@ def _remove_least_recently_used(folder: Path) -> None:
     jax.config.update(_MAX_SIZE, -1)
     if limit == -1:
         return
-    found = []
+    kept = []
     for entry in folder.glob("*-cache"):
         with suppress(FileNotFoundError):  # another process may remove them as well
-            own = entry.stat()
-            found.append((max(own.st_atime, own.st_mtime), own.st_size, entry))
-    too_much = sum(size for _, size, _ in found) - limit
-    for _, size, entry in sorted(found):
+            status = entry.stat()
+            kept.append((max(status.st_atime, status.st_mtime), status.st_size, entry))
+    too_much = sum(size for _, size, _ in kept) - limit
+    for _, size, entry in sorted(kept):
         if too_much <= 0:
             return
-        with suppress(PermissionError):  # as one that is being read, on Windows
+        with suppress(PermissionError):  # of a file that is being read, on Windows
             entry.unlink(missing_ok=True)
             too_much -= size

@@ -13,7 +13,7 @@ from softcal_jax._module import Module
 from softcal_jax._names import suggestion
 
 _LOOKED_AT = 1000
-"""Files of a folder among which a misspelt name is looked for."""
+"""Most files of a folder that are compared with a misspelt name."""
 
 
 def check_file(path: Path, what: str) -> None:
@@ -50,7 +50,7 @@ def digest_of(arrays: Iterable[Any], text: str = "") -> str:
 def similar_file(path: Path) -> str:
     """Suggest another file of the folder, or say that there is no such folder.
 
-    In a sentence after a space, as `suggestion` does.
+    The text is a sentence after a space, like that of `suggestion`.
     """
     if not path.parent.is_dir():
         return f" There is no folder {path.parent}."

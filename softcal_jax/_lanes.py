@@ -19,12 +19,12 @@ def lane_of(batch: T, index: int | slice | Int[HostArray, " n"]) -> T:
 
 
 def stacked(lanes: Sequence[T]) -> T:
-    """Return lanes as a batch, without a program for each number of them."""
+    """Stack lanes as a batch, without compiling for each number of lanes."""
     return jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *lanes))
 
 
 def traceable(tree: T) -> tuple[T, T]:
-    """Split into what JAX takes, and the rest, like the activation of a network.
+    """Split a tree into the leaves that JAX takes, and the rest, like functions.
 
     `equinox.combine` joins them again.
     """

@@ -1,6 +1,6 @@
 """Limits on what is read and run; environment variables raise them.
 
-A file cannot raise them: it may be somebody else's, or hold the slip that they are for.
+A file cannot raise them: it may be somebody else's, or hold the slip that they catch.
 """
 
 import os
@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 
 class LimitError(ValueError):
-    """There is more of something than is read or run; the text says how to raise it."""
+    """There is more of something than is read or run; the text names the remedy."""
 
 
 class Limit(NamedTuple):
     """The largest number of something, above which it is taken for a mistake.
 
-    `usual`, unless the environment variable `variable` has another one.
+    It is `usual`, unless the environment variable `variable` holds another number.
     """
 
     variable: str
@@ -23,7 +23,7 @@ class Limit(NamedTuple):
 
     @property
     def most(self) -> float:
-        """The limit that holds."""
+        """The limit that is in force."""
         text = os.environ.get(self.variable, "").strip()
         try:
             most = float(text or self.usual)
@@ -37,7 +37,7 @@ class Limit(NamedTuple):
         return most
 
     def check(self, what: str, n: float) -> None:
-        """Raise LimitError if there are more; `what` there is opens the message."""
+        """Raise LimitError if `n` is above the limit; `what` opens the message."""
         if n > self.most:
             raise LimitError(
                 f"{what}: {_shown(n)} {self.unit}, more than the limit of "

@@ -18,9 +18,9 @@ def cpu_name() -> str:
     """Name the model of the processor."""
     info = Path("/proc/cpuinfo")  # Linux; elsewhere `platform` knows
     if info.exists():
-        found = re.search(r"(?m)^model name\s*: (.+)$", info.read_text())
-        if found:
-            return found.group(1).strip()
+        match = re.search(r"(?m)^model name\s*: (.+)$", info.read_text())
+        if match:
+            return match.group(1).strip()
     return platform.processor() or platform.machine()
 
 

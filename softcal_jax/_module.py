@@ -1,7 +1,7 @@
 """The base of what the package is made of: records that show themselves in one line.
 
-Units are those that the docstring of a class gives to its attributes, "[Pa]"; values
-are shown in a readable one. What has none is written by equinox.
+Units are those in the docstring of a class, "[Pa]" after an attribute; values are shown
+in a readable one. Equinox writes what is neither text, a record nor a few numbers.
 """
 
 import dataclasses
@@ -21,7 +21,7 @@ from softcal_jax._text import escaped
 from softcal_jax._units import readable_values
 
 MOST, _MOST_NUMBERS = 120, 4
-"""Most characters of the line, and most numbers; of more, the shape is written."""
+"""Most characters of the line, and most numbers; larger arrays show their shape."""
 
 _ATTR = re.compile(r"^    (\w+): (.*(?:\n      .*)*)", re.M)
 _UNIT = re.compile(r"\[([A-Za-z][\w /^*]*)\]")
@@ -37,7 +37,7 @@ class Module(eqx.Module):
         return one_line(self)
 
     def _words(self) -> str:
-        """What to say of it in place of its fields; empty for the fields."""
+        """Describe the record without its fields; an empty text shows the fields."""
         return ""
 
 
@@ -51,8 +51,8 @@ class Result(Module):
 def one_line(self: Any) -> str:
     """Describe a record in one line, like "NeoHookean, E = 150 kPa, nu = 0.49".
 
-    Words of its class come first, else the first line of a `__str__` of its own, else
-    its fields, which may hold anything, also what is traced, deleted or missing.
+    The text is its `_words`, else the first line of the `__str__` of its class, else
+    its fields, whose values may be anything: also traced, deleted or missing.
     """
     head, words = type(self).__name__, _own_words(self)
     name = getattr(self, "name", None) if "name" in _defaults(type(self)) else None
@@ -82,7 +82,7 @@ def _defaults(kind: type) -> Mapping[str, Any]:
 
 
 def _fields(record: Any) -> Iterator[str]:
-    """Write the fields of a record, like "E = 150 kPa"; of defaults only numbers."""
+    """Write fields, like "E = 150 kPa"; of those at their default, only numbers."""
     units, common = _units(type(record)), getattr(record, "unit", "")
     for key, default in _defaults(type(record)).items():
         value = getattr(record, key, None)
@@ -96,8 +96,8 @@ def _fields(record: Any) -> Iterator[str]:
 def _units(kind: type) -> Mapping[str, str]:
     """Find the units of the fields of a class in its docstrings."""
     texts = "\n\n".join(cleandoc(c.__doc__ or "") for c in reversed(kind.__mro__))
-    found = {name: set(_UNIT.findall(words)) for name, words in _ATTR.findall(texts)}
-    return {name: units.pop() for name, units in found.items() if len(units) == 1}
+    by_field = {name: set(_UNIT.findall(words)) for name, words in _ATTR.findall(texts)}
+    return {name: units.pop() for name, units in by_field.items() if len(units) == 1}
 
 
 def _written(value: Any, unit: str) -> str:

@@ -22,15 +22,15 @@ def suggestion(name: str, known: Iterable[str], *, quote: str = "'") -> str:
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> ValueError:
     """Build the error for an unknown name, with the closest known one suggested."""
     # Numbers by their size: face 2 before face 10.
-    digits = lambda found: f"{len(found[0]):6}{found[0]}"
-    names = sorted(known, key=lambda own: re.sub("[0-9]+", digits, own))
+    digits = lambda match: f"{len(match[0]):6}{match[0]}"
+    names = sorted(known, key=lambda text: re.sub("[0-9]+", digits, text))
     listed = ", ".join(map(repr, names)) or "none"
     hint = suggestion(name, names)
     return ValueError(f"unknown {kind} {name!r}.{hint} Known: {listed}.")
 
 
 def check_unique(kind: str, names: Sequence[str]) -> None:
-    """Raise ValueError if a name is there twice."""
+    """Raise ValueError if a name occurs twice."""
     for name in names:
         if names.count(name) > 1:
             raise ValueError(
@@ -46,7 +46,7 @@ def listed(names: Sequence[str]) -> str:
 def name_key(name: str) -> int:
     """Turn a name into an integer, its CRC-32, since arrays hold no text.
 
-    One compiled program then serves configurations of any names, and a parameter that
-    belongs to some of them finds them in every batch.
+    One compiled program then serves configurations of any names, and a parameter of
+    some configurations recognises them in every batch.
     """
     return zlib.crc32(name.encode())

@@ -1,4 +1,4 @@
-"""How notebooks show a result: the package says what writes it, which is far above."""
+"""How notebooks show a result: through a hook, since the report imports this module."""
 
 from collections.abc import Callable
 

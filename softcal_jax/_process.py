@@ -5,7 +5,7 @@ import os
 import jax
 
 _first: list[int] = []
-"""The process in which this package first computed; a forked child has a copy."""
+"""Id of the process that first computed here; a forked child inherits the list."""
 
 
 def check_process() -> None:
@@ -20,12 +20,12 @@ def check_process() -> None:
             '`jax.config.update("jax_enable_x64", True)` at the top of your program, '
             "or set JAX_ENABLE_X64=1."
         )
-    here = os.getpid()
+    pid = os.getpid()
     if not _first:
-        _first.append(here)
-    if _first[0] != here:
+        _first.append(pid)
+    if _first[0] != pid:
         raise RuntimeError(
-            f"this process ({here}) was forked from one in which softcal_jax had "
+            f"this process ({pid}) was forked from one in which softcal_jax had "
             f"computed ({_first[0]}), whose threads it lacks. Start processes with "
             '`multiprocessing.get_context("spawn")`, which a ProcessPoolExecutor takes '
             'as `mp_context`, or with joblib\'s "loky".'

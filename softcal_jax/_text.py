@@ -11,10 +11,10 @@ _HIDDEN = {"Cc", "Cs", "Zl", "Zp"}
 """Unicode's control characters, lone surrogates, and line separators."""
 
 _TURNING = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
-"""Those that write what follows from right to left, or back."""
+"""Classes of characters that change the direction of the text after them."""
 
 _QUOTED = 200
-"""Characters of a text that messages quote."""
+"""Most characters of a text that messages quote."""
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
@@ -54,7 +54,7 @@ def check_characters(text: str) -> None:
 def as_cell(text: str) -> str:
     """Write a text so that no spreadsheet takes it for a formula; numbers stay.
 
-    An apostrophe before it is what spreadsheets have for this (CWE-1236).
+    Spreadsheets take a cell with an apostrophe before it for text (CWE-1236).
     """
     if text.startswith(_FORMULA) and not _NUMBER.fullmatch(text):
         return f"'{text}"

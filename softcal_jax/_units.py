@@ -43,8 +43,8 @@ def readable(value: float, unit: str) -> str:
 def readable_estimate(value: float, standard_error: float, unit: str) -> str:
     """Format an SI value with its standard error, like "263.8 ± 5.9 kPa".
 
-    The error has two significant digits and the value as many decimals. Without a
-    standard error, nan, the value has four digits.
+    The error has two significant digits and the value as many decimals. Where the
+    standard error is nan, the value has four digits.
     """
     factor, shown = readable_unit([value], unit)
     value, error = value * factor, standard_error * factor

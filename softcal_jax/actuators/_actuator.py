@@ -17,7 +17,7 @@ from softcal_jax.mesh import TetMesh, locate
 
 
 class ActuatorGeometry(NamedTuple):
-    """What to draw of actuators, each with the index of its actuator, the owner.
+    """What to draw of actuators; the owner of each part is the index of its actuator.
 
     Attributes:
         segments: Ends of the segments of cables [m].
@@ -44,8 +44,8 @@ class AbstractCliques(Module):
     the `vmap` of `each_clique`.
 
     Attributes:
-        nodes: Nodes of the cliques, one that repeats within a clique as padding.
-        owner: Index of the actuator that each belongs to.
+        nodes: Nodes of the cliques; one that repeats within a clique is padding.
+        owner: Index of the actuator that each clique belongs to.
         curved: Whether the force depends on the positions of the nodes.
     """
 
@@ -119,7 +119,7 @@ _OUTSIDE = 1e-3
 class Kind(NamedTuple):
     """Name of a kind of actuator in messages, and its units.
 
-    Some have no displacement; lambda_a of `unilateral` ones must not be negative.
+    Some have no displacement. lambda_a of a `unilateral` kind must not be negative.
     """
 
     noun: str
@@ -152,8 +152,8 @@ class RestState(Module):
     ) -> tuple[Int[HostArray, " n_en"], Float[HostArray, " n_en"]]:
         """Return the nodes and weights [-] that carry a material point of the mesh."""
         near, names = _OUTSIDE * self.mesh.size, [f"the point of {owner}"]
-        at = locate(self.mesh, point[None], max_distance=near, names=names)
-        return at.nodes[0], at.weights[0]
+        place = locate(self.mesh, point[None], max_distance=near, names=names)
+        return place.nodes[0], place.weights[0]
 
     def on_body(
         self, point: Float[HostArray, "3"], body: str, owner: str

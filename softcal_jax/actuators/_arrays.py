@@ -34,7 +34,7 @@ class ActuatorArrays(Module):
     Attributes:
         groups: The cliques of all actuators, by type and size.
         rest: Sum of the cliques' contributions at rest, in the units of delta_a.
-        motor_body: Index of the rigid body that each turns; -1 unless it is a motor.
+        motor_body: Index of the rigid body that each motor turns; -1 if not a motor.
     """
 
     groups: tuple[AbstractCliques, ...]
@@ -102,8 +102,8 @@ def actuator_arrays(
 ) -> ActuatorArrays:
     """Attach actuators to the nodes of a mesh and of rigid bodies, see `RestState`.
 
-    Displacements are NaN unless they are evaluated `at_rest`, for which a program is
-    compiled.
+    `at_rest` evaluates the cliques at rest, which compiles a program; without it, all
+    displacements are NaN.
 
     Raises:
         ValueError: If a name is used twice, or an actuator does not fit the mesh or

@@ -26,7 +26,7 @@ _COINCIDENT = 1e-9
 """Distance at which guides coincide, relative to the extent of the cable [-]."""
 
 _IN_LINE = 1e-12
-"""Sine of the angle at a guide below which it is only rounding."""
+"""Sine of the angle at a guide below which the angle is only rounding."""
 
 
 class Guide(Module):
@@ -126,7 +126,7 @@ class Cable(AbstractActuator):
             path, friction = _stacked([_along(order)], owner), float(self.friction)
             return (FrictionalCables(*path, jnp.full(1, friction), jnp.ones(1)),)
         m = 2 * max(4, rest.mesh.tets.shape[1])
-        # Only those that can change their length.
+        # Only segments that can change their length.
         both = zip(pairwise(carriers), pairwise(self.guides), strict=True)
         segments = [_along(ends, m) for ends, on in both if not _fixed_length(*on)]
         return (CableSegments(*_stacked(segments, owner)),)
@@ -149,7 +149,7 @@ def _fixed_length(a: Guide, b: Guide) -> bool:
 
 
 def _along(guides, n_nodes: int | None = None):
-    """Return the nodes of guides, their weights in each, and the fixed parts."""
+    """Return the nodes of guides, their weights in each guide, and its fixed part."""
     used = np.unique(np.concatenate([nodes for nodes, *_ in guides]))
     m = n_nodes or used.size
     # Pad with one of these nodes, so that no other node enters the tangent.
@@ -179,7 +179,7 @@ def _length(v: Float[Array, "3"]) -> Float[Array, ""]:
 
 
 def _turn(before: Float[Array, "3"], after: Float[Array, "3"]) -> Float[Array, ""]:
-    """Compute the angle of two segments; zero derivative where in line [rad]."""
+    """Compute the angle between two segments; zero derivative if in line [rad]."""
     across, along = _length(jnp.cross(before, after)), jnp.sum(before * after)
     turned = across > _IN_LINE * _length(before) * _length(after)
     angle = jnp.arctan2(jnp.where(turned, across, 1.0), jnp.where(turned, along, 1.0))
@@ -208,7 +208,7 @@ class AbstractGuided(AbstractDisplacedCliques):
 
 
 class CableSegments(AbstractGuided, AbstractPotentialCliques):
-    """Straight pieces of cables between two guides; each adds minus its length."""
+    """Straight segments between two guides; each adds minus its length to delta_a."""
 
     def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
         start, end = self.weights @ x + self.fixed

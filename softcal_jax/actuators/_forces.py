@@ -96,7 +96,7 @@ class AbstractWeighted(AbstractPotentialCliques):
 
 
 class WeightedNodes(AbstractWeighted):
-    """Nodes that carry a point."""
+    """Nodes that carry the point of action of a force."""
 
 
 class WeightedFaces(AbstractWeighted):

@@ -21,7 +21,7 @@ from softcal_jax.actuators._actuator import (
 class OpenEdges(NamedTuple):
     """Edges that faces do not traverse equally often in both directions.
 
-    `ends` are in the direction that prevails, `excess` times more often than the other.
+    `ends` follow the direction that prevails, which occurs `excess` times more often.
     """
 
     ends: Int[HostArray, "n_edges 2"]
@@ -118,8 +118,8 @@ def free_rim_nodes(
 ) -> int:
     """Count the nodes on the rims of an actuator's lids that are not held.
 
-    The pressure on a lid goes into the supports where its rim is held, and a program
-    without lids needs the pressure on the wall alone.
+    Where the rim is held, the supports bear the pressure on the lid, so that programs
+    without lids need only the pressure on the wall.
     """
     lids = [group for group in groups if isinstance(group, ChamberLids)]
     rims = [np.asarray(each.nodes)[np.asarray(each.owner) == owner] for each in lids]

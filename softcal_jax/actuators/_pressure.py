@@ -66,7 +66,7 @@ class Chamber(AbstractActuator):
     def _openings(
         self, rest: RestState, faces: Int[HostArray, "n_faces n_fn"]
     ) -> list[Int[HostArray, " m"]]:
-        """Return the rims of what is to be sealed, given faces with outward normals."""
+        """Return the rims of the openings to seal, given faces with outward normals."""
         edges = open_edges(faces)
         if self.seal == bool(len(edges.ends)):
             return rims(edges, rest.points, self.label)

@@ -23,13 +23,13 @@ class BodyArrays(Module):
 
     Attributes:
         attached: Nodes of the mesh that belong to a body.
-        body: Index of the body of each.
+        body: Index of the body that each of these nodes belongs to.
         weights: Their weights on the four frame nodes [-].
         origin: Origin of each frame at rest [m].
         axes: Axes of each frame at rest, by rows [-].
         owner: Index of the body whose six unknowns move each body: itself unless tied.
         mounting_translation: Translation of the mounting [m].
-        mounting_rotation: Its rotation vector [rad].
+        mounting_rotation: Rotation vector of the mounting [rad].
         mass: Mass in addition to that of the tets [kg].
         mass_weights: Weights of the centre of this mass on the frame nodes [-].
     """
@@ -161,8 +161,8 @@ def _owners(bodies: Sequence[RigidBody], names: tuple[str, ...]) -> HostArray:
 class BodyStateArrays(Module):
     """States of the bodies in a configuration: indices in `KINDS`, and poses.
 
-    Held and hinged bodies are displaced from their mounting by the translation [m],
-    held ones turned by the rotation vector [rad].
+    The translation displaces held and hinged bodies from their mounting [m]; the
+    rotation vector turns held bodies only [rad].
     """
 
     kind: Int[Array | HostArray, "*batch n_b"]
@@ -171,5 +171,5 @@ class BodyStateArrays(Module):
 
     @property
     def is_free(self) -> Bool[HostArray, "*batch n_b"]:
-        """Which bodies no ground holds."""
+        """Which bodies are neither held nor hinged."""
         return np.asarray(self.kind) == KINDS.index("free")

@@ -36,7 +36,7 @@ def three_numbers(what: str, unit: str, value: Vector) -> Float[HostArray, "3"]:
 
 
 def unit_vector(what: str, value: Vector) -> Float[HostArray, "3"]:
-    """Normalise a direction; raise ValueError if it has none [-]."""
+    """Normalise a direction [-]; raise ValueError for the zero vector."""
     vector = three_numbers(what, "-", value)
     length = np.linalg.norm(vector)
     if not 0.0 < length < np.inf:
@@ -55,7 +55,7 @@ def _is_rotation(R: HostArray) -> bool:
 class Pose(Module):
     """Rigid motion X -> rotation @ (X - origin) + origin + translation.
 
-    The origin is that of the moving frame; for a body `RigidBody.origin`.
+    The origin is that of the moving frame, for a body its `RigidBody.origin`.
 
     Attributes:
         translation: Displacement of the origin [m].
@@ -119,8 +119,8 @@ class RigidBody(Module):
         origin: Origin of its frame at rest, through which a hinge passes; the mean of
             its nodes by default [m].
         axes: Axes of the frame at rest, by rows; by default those of the mesh [-].
-        mounting: Motion from its pose in the mesh to its pose as mounted, like a flat
-            sheet that is bent onto its motors; relative to the other body if tied.
+        mounting: Motion from its pose in the mesh to its pose as mounted, as when a
+            flat sheet is bent onto motors; relative to the other body if tied.
         tied_to: Another body, not tied itself, to which this one is fixed.
         mass: Mass in addition to that of its tets [kg].
         centre_of_mass: Position of that mass in the mesh at rest; the origin of the

@@ -166,7 +166,7 @@ class Mounted(NamedTuple):
 
 
 def mounted(bodies: BodyArrays, load: Float[Array, ""]) -> Mounted:
-    """Return the frames as mounted, wherever bodies are held."""
+    """Return the frames after a share of their mounting, before any imposed pose."""
     R = jax.vmap(rotation_matrix)(load * bodies.mounting_rotation)
     home = jnp.asarray(bodies.origin) + load * bodies.mounting_translation
     return Mounted(load, R, _apply(R[:, None], jnp.asarray(bodies.axes)), home)
@@ -212,13 +212,13 @@ def winding(
     Seen from the point about which it winds, a body at p with the rotation vector w is
     the end of a rod with the constant strain e: p = V(w) e. On its path, e and w change
     in proportion to the load, so that a beam is bent along arcs of circles without
-    being stretched or crushed: on a straight line its end would come as close as 0.4 of
-    its length on the way to three quarters of a circle. The result is zero at both ends
-    of the path, whatever the pose, and has no derivative by it: sensitivities are of
-    the end alone.
+    being stretched or crushed: on a straight path to three quarters of a circle, its
+    end would come as close as 0.4 of its length. The result is zero at both ends of the
+    path, whatever the pose, and is not differentiated by the pose, because
+    sensitivities are taken only at the end of the path.
 
-    `arm` is the origin of the body at rest from that point [m]; translation [m] and
-    rotation vector [rad] are those at full load.
+    `arm` leads from that point to the origin of the body at rest [m]; translation [m]
+    and rotation vector [rad] are those at full load.
     """
     arm, translation, rotation = jax.lax.stop_gradient((arm, translation, rotation))
     V, inverse = _screw(rotation)

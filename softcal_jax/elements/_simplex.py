@@ -38,8 +38,8 @@ def shape_functions(
 ) -> Float[HostArray, "*points n_nodes"]:
     """Evaluate the shape functions at points of a simplex, corners first [-].
 
-    Rows of barycentric coordinates sum to one; those outside [0, 1] extrapolate. The
-    element has 3 or 6 nodes, 4 or 10, and as an edge 2 or 3.
+    Rows of barycentric coordinates sum to one; coordinates outside [0, 1] extrapolate.
+    An edge has 2 or 3 nodes, a triangle 3 or 6, a tet 4 or 10.
 
     Raises:
         ValueError: If no simplex of that dimension has `n_nodes` nodes.
@@ -86,7 +86,7 @@ class QuadratureRule(NamedTuple):
 
 
 def _permuted(n_corners: int, inner: float) -> HostArray:
-    """Place one point per corner: `inner` on the others, the rest on that corner."""
+    """Return one point per corner: its other coordinates are `inner`; all sum to 1."""
     points = np.full((n_corners, n_corners), inner)
     np.fill_diagonal(points, 1.0 - (n_corners - 1) * inner)
     return points
@@ -118,7 +118,7 @@ def tet_rule(degree: int) -> QuadratureRule:
 
 
 def triangle_rule(degree: int) -> QuadratureRule:
-    """Return the rule on the triangle that is exact to a `degree` of 1 to 4.
+    """Return the rule on the triangle, exact for polynomials of `degree`, 1 to 4.
 
     Degree 1: the centroid. Degree 2 to 4: the six-point rule of Dunavant (Int. J.
     Numer. Methods Eng. 21, 1985).

@@ -28,12 +28,12 @@ FieldOfLaw = Callable[[Any], Any]
 """Accessor of one field of a law, as `eqx.tree_at` expects it."""
 
 
-def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, **own):
+def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, **same):
     """Apply a function of (u, dN, w, law, active, ...) to all tets, block by block.
 
     The kernel is defined at module level so that its trace is cached; a closure would
     be traced at every call and keep its program alive. `per_tet` are further values of
-    each tet, in blocks; `own` are arrays or hashable options that all tets share.
+    each tet, in blocks; `same` are arrays or hashable options that all tets share.
     """
     if u.shape[0] not in (model.n_points, model.mesh.n_nodes) or u.shape[1] % 3:
         raise ValueError(  # else JAX reads other nodes in place of missing ones
@@ -43,9 +43,9 @@ def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, *
     law, shared = model.law_blocks()
     shared, static = eqx.partition(shared, eqx.is_array)
     blocks = (model.shape_gradients, model.weights, law, model.active)
-    arrays = {name: value for name, value in own.items() if eqx.is_array(value)}
-    options = tuple((name, own[name]) for name in own if name not in arrays)
-    # Taken apart, as a module that holds a list has no hash.
+    arrays = {name: value for name, value in same.items() if eqx.is_array(value)}
+    options = tuple((name, same[name]) for name in same if name not in arrays)
+    # Flattened, as a module that holds a list has no hash.
     leaves, tree = jax.tree.flatten(static)
     how = kernel, options, tuple(leaves), tree
     return _mapped(how, u, arrays, shared, model.nodes, *blocks, *per_tet)
@@ -87,8 +87,8 @@ def tet_states(model: Model, u: Nodal) -> TetStates:
 
 @eqx.filter_jit
 def _states(model: Model, u: Nodal):
-    own = {"formulation": model.formulation}
-    return [_by_tet(model, v) for v in _map_blocks(model, u, _state, **own)]
+    options = {"formulation": model.formulation}
+    return [_by_tet(model, v) for v in _map_blocks(model, u, _state, **options)]
 
 
 def _by_tet(model: Model, values: Float[Array, "n_blocks ... block"]):
@@ -109,8 +109,8 @@ class TetStresses(NamedTuple):
         stress: First Piola-Kirchhoff stress P at the quadrature points [Pa].
         F: Mean deformation gradient [-].
         excess: J - J_bar at the points with "mean-dilatation", else None [-].
-        pressure_slope: Derivative of the pressure by the gradient there, else None;
-            the share of a point in the volume is in it [Pa].
+        pressure_slope: Derivative of the pressure by the displacement gradient at the
+            points, times their shares of the volume, else None [Pa].
     """
 
     stress: Float[Array, "n_tets n_qp 3 3"]
@@ -123,9 +123,9 @@ class TetStresses(NamedTuple):
 
 def tet_stresses(model: Model, u: Nodal) -> TetStresses:
     """Compute stress and deformation of each tet."""
-    own = {"formulation": model.formulation}
+    options = {"formulation": model.formulation}
     return TetStresses(
-        *(_by_tet(model, v) for v in _map_blocks(model, u, _stresses, **own))
+        *(_by_tet(model, v) for v in _map_blocks(model, u, _stresses, **options))
     )
 
 
@@ -239,11 +239,11 @@ def field_forces(
 ) -> dict[str, Float[Array, "n_blocks n_en 3 block"]]:
     """Differentiate each tet's internal force by its own value of some fields [N].
 
-    One pass over the tets gives the derivatives by all values. Parameters that spread a
-    field over the mesh are weighted sums of them.
+    One pass over the tets gives the derivatives by all values. Those by a parameter
+    that spreads a field over the mesh are weighted sums of these.
     """
-    own = {"fields": tuple(fields.items()), "formulation": model.formulation}
-    return _map_blocks(model, u, _field_forces, **own)
+    options = {"fields": tuple(fields.items()), "formulation": model.formulation}
+    return _map_blocks(model, u, _field_forces, **options)
 
 
 def _field_forces(u, dN, w, law, active, fields, formulation):

@@ -18,10 +18,10 @@ _TAUT = 1e-6
 
 
 class Point(NamedTuple):
-    """A displacement with internal force and displacements of actuators there.
+    """A displacement u, with the internal force and the actuators' displacements at u.
 
-    The energy, the sum of its absolute parts, which scales its rounding, and the
-    smallest det F are None where nobody needs them.
+    The energy, the sum of its absolute parts (the scale of its rounding) and the
+    smallest det F are None where they are not needed.
     """
 
     u: Nodal
@@ -60,11 +60,12 @@ def actuator_loads(
     return jnp.where(posed.by_multiplier, lambda_a, posed.load * imposed)
 
 
-def unbalanced(posed: Posed, at: Point, lambda_a: Float[Array, " n_a"]):
+def unbalanced(posed: Posed, point: Point, lambda_a: Float[Array, " n_a"]):
     """Compute the out-of-balance forces g on all nodes [N], and the rows F_a."""
-    rows = actuator_rows(posed.model.mechanism.actuators, posed.model.positions(at.u))
+    x = posed.model.positions(point.u)
+    rows = actuator_rows(posed.model.mechanism.actuators, x)
     forces = actuator_loads(posed, lambda_a)
-    g = at.force - posed.load * posed.f_ext + posed.spring_force(at.u)
+    g = point.force - posed.load * posed.f_ext + posed.spring_force(point.u)
     if len(forces) > 0:
         g = g - jnp.sum(forces[:, None, None] * rows, axis=0)
     return g, rows
@@ -101,8 +102,8 @@ class Tangent(NamedTuple):
     Attributes:
         nodal: Its entries over all nodes [N/m].
         stiffness: Mean stiffness of an unknown [N/m].
-        system: That of the unknowns, bordered by the actuators `with_multiplier`.
-        H_a: Derivatives of their displacements by all nodes, by rows.
+        system: Tangent of the unknowns, bordered by actuators `with_multiplier`.
+        H_a: Derivatives of the displacements of these actuators by nodes, by rows.
         g: Out-of-balance forces on all nodes [N].
     """
 
@@ -115,7 +116,7 @@ class Tangent(NamedTuple):
 
 def assemble(
     posed: Posed,
-    at: Point,
+    point: Point,
     lambda_a: Float[Array, " n_a"],
     *,
     mesh: Float[Array, " nnz"],
@@ -125,9 +126,9 @@ def assemble(
 
     `active` flags the actuators with an imposed displacement that acts.
     """
-    model, u = posed.model, at.u
+    model, u = posed.model, point.u
     actuators, which = model.mechanism.actuators, model.with_multiplier
-    g, rows = unbalanced(posed, at, lambda_a)
+    g, rows = unbalanced(posed, point, lambda_a)
     nodal = nodal_tangent(posed, u, lambda_a, mesh)
     reduced = posed.reduce(u, nodal, g)
     values, stiffness = mask_supports(model.solver.sparsity, reduced, posed.fixed)
@@ -140,18 +141,18 @@ def assemble(
     return Tangent(nodal, stiffness, system, H_a, g)
 
 
-def _wanting(posed: Posed, at: Point) -> tuple[Float[Array, " n_a"], Array]:
+def _wanting(posed: Posed, point: Point) -> tuple[Float[Array, " n_a"], Array]:
     wanted = posed.load * jnp.asarray(posed.configuration.actuation.value)
     unilateral = jnp.asarray(posed.model.mechanism.actuators.unilateral)
-    return wanted - at.delta_a, unilateral
+    return wanted - point.delta_a, unilateral
 
 
-def gap(posed: Posed, at: Point, lambda_a, stiffness):
+def gap(posed: Posed, point: Point, lambda_a, stiffness):
     """Return the gaps of imposed displacements, and which of them act.
 
-    A slack cable has none; the stiffness [force per gap] tells slack from taut.
+    A slack cable has no gap; the stiffness [force per gap] tells slack from taut.
     """
-    gap, unilateral = _wanting(posed, at)
+    gap, unilateral = _wanting(posed, point)
     taut = lambda_a + stiffness * gap > 0.0
     active = posed.by_multiplier & (taut | ~unilateral)
     return jnp.where(active, gap, 0.0), active
@@ -160,52 +161,52 @@ def gap(posed: Posed, at: Point, lambda_a, stiffness):
 def stiffness_of_gaps(
     posed: Posed, W_aa: Float[Array, "n_m n_m"]
 ) -> Float[Array, " n_a"]:
-    """Return the force per displacement of actuators with an imposed one, 0 of others.
+    """Return the force per displacement of actuators where it is imposed, 0 elsewhere.
 
-    Slack cables included: a step that tightens one leaves a gap to close.
+    Slack cables count too, since a step that tightens one leaves a gap to close.
     """
     compliance = jnp.maximum(jnp.abs(jnp.diag(W_aa)), jnp.finfo(W_aa.dtype).tiny)
     stiff = posed.model.among_all(1.0 / compliance)
     return jnp.where(posed.by_multiplier, stiff, 0.0)
 
 
-def taut(posed: Posed, at: Point) -> Bool[Array, " n_a"]:
+def taut(posed: Posed, point: Point) -> Bool[Array, " n_a"]:
     """Flag the imposed displacements that act at an equilibrium: no slack cables."""
-    gap, unilateral = _wanting(posed, at)
+    gap, unilateral = _wanting(posed, point)
     short = gap >= -_TAUT * posed.model.mechanism.bodies.length
     return posed.by_multiplier & (short | ~unilateral)
 
 
-def estimated_forces(posed: Posed, at: Point) -> Float[Array, " n_a"]:
+def estimated_forces(posed: Posed, point: Point) -> Float[Array, " n_a"]:
     """Estimate the forces behind imposed displacements by least squares.
 
     Exact at equilibrium; 0 for slack cables.
     """
     if posed.model.with_multiplier.size == 0:
-        return jnp.zeros_like(at.delta_a)
-    g, rows = unbalanced(posed, at, jnp.zeros_like(at.delta_a))
-    active = taut(posed, at)
-    F_a = jnp.where(active[:, None], rows_on_free(posed, at.u, rows), 0.0)
+        return jnp.zeros_like(point.delta_a)
+    g, rows = unbalanced(posed, point, jnp.zeros_like(point.delta_a))
+    active = taut(posed, point)
+    F_a = jnp.where(active[:, None], rows_on_free(posed, point.u, rows), 0.0)
     normal = jnp.sum(F_a[:, None] * F_a[None], axis=-1)
     scale = jnp.maximum(jnp.diag(normal), jnp.finfo(F_a.dtype).tiny)
     unit = jnp.diag(jnp.where(active, 0.0, scale))
-    work = jnp.sum(F_a * posed.on_free(at.u, g)[None], axis=1)
+    work = jnp.sum(F_a * posed.on_free(point.u, g)[None], axis=1)
     return jnp.linalg.solve(normal + unit, work)
 
 
-def merit(posed: Posed, at: Point, lambda_a, gap_stiffness) -> Float[Array, ""]:
+def merit(posed: Posed, point: Point, lambda_a, gap_stiffness) -> Float[Array, ""]:
     """Compute the norm of out-of-balance forces and of gaps, as forces [N]."""
-    g, _ = unbalanced(posed, at, lambda_a)
-    g = posed.on_free(at.u, g)
-    to_go, _ = gap(posed, at, lambda_a, gap_stiffness)
+    g, _ = unbalanced(posed, point, lambda_a)
+    g = posed.on_free(point.u, g)
+    to_go, _ = gap(posed, point, lambda_a, gap_stiffness)
     return jnp.sqrt(jnp.sum(g**2) + jnp.sum((gap_stiffness * to_go) ** 2))
 
 
 class Residual(NamedTuple):
     """Out-of-balance forces, and how small rounding lets them become [-].
 
-    Both are relative to the larger of external and internal force; where that is less
-    than the rounding of the internal forces, relative to the latter.
+    Both are relative to the larger of external and internal force, or to the rounding
+    of the internal forces if that is larger still.
     """
 
     size: Float[Array, ""]
@@ -219,17 +220,16 @@ class Residual(NamedTuple):
         return self.settled(rtol) & (self.size > rtol)
 
 
-def relative(posed: Posed, at: Point, merit, stiffness) -> Residual:
+def relative(posed: Posed, point: Point, merit, stiffness) -> Residual:
     """Divide a merit by the larger of external and internal force.
 
-    The mean stiffness of an unknown [N/m], times the rounding of the displacements, is
-    the rounding of the internal forces. A region that is stiffer than the others by
-    orders of magnitude sets it for all; without load nothing else remains.
+    The rounding of the internal forces, which is the divisor without load, is the mean
+    stiffness [N/m] times that of displacements; a much stiffer region raises it.
     """
     points = jnp.asarray(posed.model.mechanism.points)
-    size = jnp.maximum(jnp.max(jnp.ptp(points, axis=0)), jnp.max(jnp.abs(at.u)))
+    size = jnp.maximum(jnp.max(jnp.ptp(points, axis=0)), jnp.max(jnp.abs(point.u)))
     norm = jnp.linalg.norm
-    scale = jnp.maximum(norm(posed.load * posed.f_ext), norm(at.force))
+    scale = jnp.maximum(norm(posed.load * posed.f_ext), norm(point.force))
     eps = jnp.finfo(points.dtype).eps
     rounding = eps * stiffness * size * posed.model.n_dof**0.5
     scale = jnp.maximum(scale, rounding)

@@ -28,7 +28,7 @@ STEPS_BETWEEN = 2
 """Newton iterations of a configuration between two reports."""
 
 FORESEEN_S = 5.0
-"""Time after which the share of the load tells how long an equilibrium takes [s]."""
+"""Time after which the share of the load predicts how long the rest takes [s]."""
 
 Report = Callable[[int, float, int], None]
 """Takes the index of a configuration, the share of its load, and its iterations."""
@@ -98,11 +98,11 @@ def equilibria(
     `solve_equilibrium` solves a batch; `Evaluator` adds the errors and compliances of a
     calibration.
 
-    By default each begins at rest; with rigid bodies, at the configuration before, the
-    first at `start`: poses of a robot lie near each other, and far from its parts
-    before they are mounted. A guess that is not finite counts as rest. `report` is
-    called after every few iterations of one of them, in one of the threads; `ended`
-    with index and solution, in this order.
+    By default each solve begins at rest; with rigid bodies, at the solution of the
+    configuration before (the first at `start`), because poses of a robot lie near each
+    other and far from its state before mounting. A guess that is not finite counts as
+    rest. `report` is called after every few iterations of a configuration, from its
+    thread; `ended` in the order of the configurations, with index and solution.
     """
     lanes = list(map(without_readings, configurations))
     settings, most = newton.as_arrays(), int(newton.max_steps)

@@ -64,7 +64,7 @@ class System(NamedTuple):
         transpose: bool = False,
         near: bool = False,
     ) -> Bordered:
-        """Solve for steps, given forces and gaps; `transpose`: with K^T, F_a as H_a.
+        """Solve for steps from forces and gaps; `transpose`: K^T, F_a and H_a swapped.
 
         `near`: the matrix is near the last that was factorized, see `solve_near`.
         """

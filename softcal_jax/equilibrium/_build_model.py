@@ -109,8 +109,8 @@ def build_model(
 def model_for_law(model: Model, law: AbstractLaw) -> Model:
     """Prepare the same robot for another law, with or without a potential.
 
-    `Model.with_law` is cheaper where the law has a potential as before. A law without
-    one takes the displacement formulation.
+    `Model.with_law` is cheaper, if the new law has a potential like the old one. A law
+    without a potential takes the displacement formulation.
 
     Raises:
         ValueError: If a per-tet array has the wrong length.
@@ -178,7 +178,7 @@ def _prepared(
 
 
 def _linked(mechanism: Mechanism) -> list[np.ndarray]:
-    """Return the nodes that each body, or the ground by motors, holds together."""
+    """Return sets of nodes held together: by each body, or by motors on the ground."""
     bodies = mechanism.bodies
     owner = bodies.owner[bodies.body]
     driven = np.isin(owner, mechanism.actuators.motor_body)

@@ -43,12 +43,12 @@ MAX_QUICK_STEPS = 5
 CHORDS_FROM = 1e-3
 """Relative residual below which chord steps replace Newton steps.
 
-They cost one evaluation of the forces and one solve. Starting them earlier would leave
-a less accurate tangent to the sensitivities.
+A chord step costs one evaluation of the forces and one solve. Starting them earlier
+would leave a less accurate tangent to the sensitivities.
 """
 
 MOST_CHORDS = 3
-"""Most chord steps to expect at the rate of the last; else take a Newton step."""
+"""Most chord steps that may remain at the last rate; else take a Newton step."""
 
 SHORT = 1e-3
 """Relative residual below which the tangent is assembled without predicted stress.
@@ -59,8 +59,8 @@ Newton's method converges quadratically there, and this tangent is cheaper.
 SHARP = 1e-6
 """Relative residual below which the tangent is as good as that of the equilibrium.
 
-It is off by as much, and what follows from it: far less than any data show. From a
-larger one it is assembled once more at the end.
+The relative error of the tangent and the sensitivities is then as small, far below that
+of any data. Above this residual, the tangent is assembled once more at the end.
 """
 
 
@@ -68,13 +68,13 @@ class _Quick(NamedTuple):
     """State of the quick steps.
 
     `before` is where the last step began, or where it ended if the residual is small
-    (`SHORT`), and `sharp` tells whether it is below `SHARP`. `factor` belongs to the
+    (`SHORT`), and `sharp` tells whether that is below `SHARP`. `factor` belongs to the
     last Newton step; with `chord` the next step reuses it. `arrived`: converged, but
-    the tangent is not that of the end.
+    the tangent is still that of an earlier state.
     """
 
     solution: EquilibriumSolution
-    at: Point
+    point: Point
     before: Nodal
     sharp: Bool[Array, ""]
     lambda_a: Float[Array, " n_a"]
@@ -96,24 +96,23 @@ def continue_equilibrium(
 ) -> tuple[EquilibriumSolution, Linearisation]:
     """Find the equilibrium near a guess, and the linear system there.
 
-    Full Newton steps are taken, from rest one, as long as each reduces the residual,
-    the state is stable and no tet is inverted. Otherwise the solution is not converged:
-    that of `solve_equilibrium` is a guess from which one step is enough. It is all that
-    is taken where the solver does not count negative eigenvalues, as several could end
-    in an unstable state unnoticed.
+    Full Newton steps are taken (only one from rest) as long as each reduces the
+    residual, the state is stable and no tet is inverted. Otherwise the solution is not
+    converged; from a solution of `solve_equilibrium`, one step is enough. Only one step
+    is taken if the solver does not count negative eigenvalues, because several could
+    end in an unstable state unnoticed.
 
     The last digits come from steps on the last factor (chord steps). The linear system
     is stated at the equilibrium, but its tangent is that before the last Newton step,
     so its error is of the order of that step. If `precise`, it is assembled once more,
-    and solved by the last factor and refinement: no second factorization. (The rows of
-    the parameters are not taken from there, or a direction without any effect would
-    seem to have one.)
+    and solved by refinement with the last factor. (Rows of parameters are always those
+    at the equilibrium, or a direction without effect would seem to have one.)
 
     `before` is the equilibrium from which the guess was extrapolated to first order; it
     saves slender robots a Newton step [m].
     """
     posed = Posed.of(model, configuration)
-    # From rest several could end on another branch.
+    # From rest, several steps could end on another branch.
     several = model.solver.counts_negative & jnp.any(guess != 0.0)
     most = jnp.where(several, MAX_QUICK_STEPS, 1)
     quick = _QuickSteps(posed.tabulated(), settings, most, precise)
@@ -127,7 +126,7 @@ def continue_equilibrium(
     )
     return solution, Linearisation(
         posed=posed,
-        at=state.at._replace(u=u),
+        point=state.point._replace(u=u),
         lambda_a=lambda_a,
         # Compiled only for inputs that move something held, and readings of forces.
         nodal=nodal_tangent(posed, u, lambda_a, tangent_values(quick.model, u)),
@@ -153,17 +152,18 @@ class _QuickSteps(NamedTuple):
         posed = self.posed
         rigid = posed.rigid(guess)
         held = posed.held_at(rigid)
-        at = evaluate(self.model, held)
-        usable = at.finite & (at.min_det_F > 0.0)
+        point = evaluate(self.model, held)
+        usable = point.finite & (point.min_det_F > 0.0)
         # After a moved support, only the careful solve is safe.
         usable = usable & ~jnp.any(posed.motion(rigid, held) != 0.0)
-        lambda_a = estimated_forces(posed, at)
+        lambda_a = estimated_forces(posed, point)
         no, zero = jnp.zeros((), bool), jnp.zeros(())
         count = jnp.zeros((), jnp.int32)
-        before, size = at.u if before is None else before, self.residual(at, lambda_a)
+        before = held if before is None else before
+        size = self.residual(point, lambda_a)
         return _Quick(
             solution=EquilibriumSolution(
-                displacement=at.u,
+                displacement=point.u,
                 multipliers=lambda_a,
                 result=RESULTS.max_steps,
                 steps=count,
@@ -172,61 +172,61 @@ class _QuickSteps(NamedTuple):
                 residual=zero + jnp.inf,
                 rounding=zero,
                 at_rounding=no,
-                min_det_F=at.min_det_F,
+                min_det_F=point.min_det_F,
                 n_negative=count,
             ),
-            at=at,
-            before=jnp.where(size <= SHORT, at.u, before),
+            point=point,
+            before=jnp.where(size <= SHORT, point.u, before),
             sharp=size <= SHARP,
             lambda_a=lambda_a,
             # Nothing yet, and not ok.
-            factor=zeros_of(lambda: self.newton_step(at, lambda_a, at.u, None)[1]),
+            factor=zeros_of(lambda: self.newton_step(point, lambda_a, held, None)[1]),
             chord=no,
             arrived=no,
             done=~usable,
         )
 
-    def residual(self, at: Point, lambda_a):
+    def residual(self, point: Point, lambda_a):
         """Compute the relative out-of-balance force, without gaps of actuators."""
-        size = merit(self.posed, at, lambda_a, jnp.zeros_like(lambda_a))
-        return relative(self.posed, at, size, jnp.zeros((), at.u.dtype)).size
+        size = merit(self.posed, point, lambda_a, jnp.zeros_like(lambda_a))
+        return relative(self.posed, point, size, jnp.zeros((), point.u.dtype)).size
 
-    def newton_step(self, at: Point, lambda_a, before, near) -> tuple[Step, Factor]:
-        found = newton_direction(
+    def newton_step(self, point: Point, lambda_a, before, near) -> tuple[Step, Factor]:
+        direction = newton_direction(
             self.posed,
-            at,
+            point,
             lambda_a,
-            theta=dilatation(self.model, None, before, at.u - before),
+            theta=dilatation(self.model, None, before, point.u - before),
             before=before,
             placed=True,
             near=near,
         )
-        return found.step, found.factor
+        return direction.step, direction.factor
 
     def chord_step(self, s: _Quick) -> tuple[Step, Factor]:
-        g, _ = unbalanced(self.posed, s.at, s.lambda_a)
-        rhs = -self.posed.on_free(s.at.u, g)
+        g, _ = unbalanced(self.posed, s.point, s.lambda_a)
+        rhs = -self.posed.on_free(s.point.u, g)
         d = self.model.solver.solve_again(s.factor.system.values, rhs[None])[0]
         return Step(d, s.lambda_a, jnp.zeros_like(s.lambda_a)), s.factor
 
     def step(self, s: _Quick) -> _Quick:
         """Take a Newton step, with a new factor unless `arrived`, or a chord step."""
         posed, rtol, solution = self.posed, self.settings.rtol, s.solution
-        newton_step = lambda: self.newton_step(s.at, s.lambda_a, s.before, s.arrived)
+        newton_step = lambda: self.newton_step(s.point, s.lambda_a, s.before, s.arrived)
         if self.model.with_multiplier.size > 0:
             step, factor = newton_step()
         else:
             step, factor = jax.lax.cond(
                 s.chord, lambda: self.chord_step(s), newton_step
             )
-        # Counted with the factor.
+        # Negative eigenvalues are counted when a new matrix is factorized.
         counted = jnp.where(s.arrived, s.factor.n_negative, factor.n_negative)
         factor, anew = factor._replace(n_negative=counted), ~s.chord & ~s.arrived
-        new = evaluate(self.model, posed.move(s.at.u, step.d))
+        new = evaluate(self.model, posed.move(s.point.u, step.d))
         new_lambda = step.lambda_a + step.d_lambda
         size = merit(posed, new, new_lambda, factor.gap_stiffness)
         residual = relative(posed, new, size, factor.stiffness)
-        # Where they are not counted, the guess is an equilibrium or the step is wasted.
+        # Without that count, the guess is an equilibrium or the step is wasted.
         stable = factor.ok & (factor.n_negative <= 0) & (new.min_det_F > 0.0)
         sound = stable & jnp.isfinite(new.energy) & jnp.isfinite(residual.size)
         arrived = sound & residual.settled(rtol)
@@ -258,8 +258,8 @@ class _QuickSteps(NamedTuple):
         size = self.residual(new, new_lambda)
         return _Quick(
             solution=jax.tree.map(pick, quick, solution),
-            at=jax.tree.map(pick, new, s.at),
-            before=jnp.where(taken & (size <= SHORT), new.u, s.at.u),
+            point=jax.tree.map(pick, new, s.point),
+            before=jnp.where(taken & (size <= SHORT), new.u, s.point.u),
             sharp=taken & (size <= SHARP),
             lambda_a=pick(new_lambda, s.lambda_a),
             factor=factor,

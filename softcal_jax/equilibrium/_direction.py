@@ -37,7 +37,7 @@ _LARGEST_TURN = 0.5
 
 
 class Factor(NamedTuple):
-    """A factorized tangent, the mean stiffness of an unknown, and what was reported.
+    """A factorized tangent, the mean stiffness of an unknown, and the solver's report.
 
     For `gap_stiffness` see `stiffness_of_gaps`.
     """
@@ -86,7 +86,7 @@ def dilatation(model: Model, theta, u, du):
 
 def newton_direction(
     posed: Posed,
-    at: Point,
+    point: Point,
     lambda_a: Float[Array, " n_a"],
     *,
     theta=None,
@@ -97,15 +97,15 @@ def newton_direction(
 ) -> NewtonDirection:
     """Compute the Newton step at a deformed state.
 
-    The mixed formulation needs the volume ratios `theta`; if `strict`, where only steps
-    that lower the potential are taken, those at u count instead. `before`: see
-    `tangent_values`. `placed`: what is held is known to be where it is imposed. `near`:
+    The mixed formulation needs the volume ratios `theta`; if `strict` (only steps that
+    lower the potential are taken), the ratios at u replace them. `before`: see
+    `tangent_values`. `placed`: held nodes and bodies are known to be in place. `near`:
     the tangent is near the last that was factorized.
     """
-    model, u = posed.model, at.u
+    model, u = posed.model, point.u
     held_step = jnp.zeros_like(u) if placed else posed.imposed(u)
     moving = jnp.any(held_step != 0.0)
-    to_go, active = gap(posed, at, lambda_a, jnp.ones(()))
+    to_go, active = gap(posed, point, lambda_a, jnp.ones(()))
     # A slack cable loses its force before the step.
     lambda_a = jnp.where(active, lambda_a, 0.0)
     if has_volume_unknowns(model):
@@ -115,15 +115,15 @@ def newton_direction(
             theta = jnp.where(strict, at_u, theta)
         values, force = mixed_tangent(model, u, theta)
     else:
-        values, force = tangent_values(model, u, before), at.force
-    tangent = assemble(posed, at, lambda_a, mesh=values, active=active)
+        values, force = tangent_values(model, u, before), point.force
+    tangent = assemble(posed, point, lambda_a, mesh=values, active=active)
     # Held nodes that still have to move pull on the rest: - K du_held.
     pull = jax.lax.cond(
         moving,
         lambda: product(model.pattern, tangent.nodal, held_step.ravel()),
         lambda: jnp.zeros_like(held_step.ravel()),
     )
-    g_newton = tangent.g + (force - at.force) + pull.reshape(u.shape)
+    g_newton = tangent.g + (force - point.force) + pull.reshape(u.shape)
     rhs = -posed.on_free(u, g_newton)
     on_held = jnp.sum(tangent.H_a * held_step[None], axis=(1, 2))
     which = model.with_multiplier
@@ -178,7 +178,7 @@ def _on_hinges(posed: Posed, twists, slope, moving):
 
 
 class LineSearchTrial(NamedTuple):
-    at: Point
+    point: Point
     lambda_a: Float[Array, " n_a"]
     merit: Float[Array, ""]
     good: Bool[Array, ""]
@@ -186,7 +186,7 @@ class LineSearchTrial(NamedTuple):
 
 def line_search(
     posed: Posed,
-    at: Point,
+    point: Point,
     direction: NewtonDirection,
     *,
     strict: Bool[Array, ""],
@@ -204,17 +204,17 @@ def line_search(
     a load step; None if the search always uses the potential [N]. After
     `backtracks` halvings the step counts as failed.
     """
-    lower, moving = _lower(posed, at, direction, reference), direction.moving
+    lower, moving = _lower(posed, point, direction, reference), direction.moving
     step, gap_stiffness = direction.step, direction.factor.gap_stiffness
 
     def trial(alpha):
-        new = evaluate(posed.model, posed.swing(at.u, alpha * step.d))
+        new = evaluate(posed.model, posed.swing(point.u, alpha * step.d))
         lambda_a = step.lambda_a + alpha * step.d_lambda
         size = merit(posed, new, lambda_a, gap_stiffness)
         enough = lower(alpha, new, lambda_a, size)
         # Some laws survive an inverted tet but hardly recover from it. A support that
         # moves too far is cut like a load.
-        inside_out = (new.min_det_F <= 0.0) & (at.min_det_F > 0.0)
+        inside_out = (new.min_det_F <= 0.0) & (point.min_det_F > 0.0)
         inside_out = inside_out & (~moving | ~strict)
         good = (enough | moving | ~strict) & new.finite & ~inside_out
         return LineSearchTrial(new, lambda_a, size, good)
@@ -229,11 +229,11 @@ def line_search(
         return 0.5 * alpha, trials + 1, trial(alpha)
 
     # The first trial is inside the loop, so that it is compiled only once.
-    none = LineSearchTrial(at, step.lambda_a, jnp.zeros(()), jnp.zeros((), bool))
+    none = LineSearchTrial(point, step.lambda_a, jnp.zeros(()), jnp.zeros((), bool))
     return jax.lax.while_loop(keep_trying, halve, (direction.reach, 0, none))[2]
 
 
-def _lower(posed: Posed, at: Point, direction: NewtonDirection, reference):
+def _lower(posed: Posed, point: Point, direction: NewtonDirection, reference):
     """Return the test of a trial step: does it lower Pi, or the residual, enough?
 
     The residual must fall below the larger of the last two, `reference`, which a Newton
@@ -241,7 +241,7 @@ def _lower(posed: Posed, at: Point, direction: NewtonDirection, reference):
     1986). A rotation completed only to first order stretches a slender body, so the
     residual rises for one step. Monotone descent would take very short steps.
     """
-    before, scale = _potential(posed, at)
+    before, scale = _potential(posed, point)
     slope, d = direction.slope, direction.step.d
 
     def test(alpha, new, lambda_a, merit):
@@ -262,13 +262,13 @@ def _lower(posed: Posed, at: Point, direction: NewtonDirection, reference):
     return test
 
 
-def _potential(posed: Posed, at: Point):
+def _potential(posed: Posed, point: Point):
     """Compute Pi at a point, and the scale of its rounding [J]."""
-    work = posed.load * posed.f_ext * at.u
-    springs = posed.spring_energy(at.u)
-    value, scale = at.energy + springs - jnp.sum(work), at.energy_scale + springs
+    work = posed.load * posed.f_ext * point.u
+    springs = posed.spring_energy(point.u)
+    value, scale = point.energy + springs - jnp.sum(work), point.energy_scale + springs
     scale = scale + jnp.sum(jnp.abs(work))
     forces = posed.configuration.actuation.forces
-    of_actuators = posed.load * forces * at.delta_a
+    of_actuators = posed.load * forces * point.delta_a
     value = value - jnp.sum(of_actuators)
     return value, scale + jnp.sum(jnp.abs(of_actuators))

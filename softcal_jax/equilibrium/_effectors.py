@@ -38,14 +38,14 @@ def effector_values(
         return placed
     state = observed_state(model, configuration, u, multipliers, unbalanced)
     observed = [
-        # Not where another configuration has it: it may not exist here.
+        # Only if this configuration has it: what it reads may be missing in others.
         jax.lax.cond(
             jnp.asarray(effectors.is_observed)[k],
-            partial(_observe, own, model, configuration),
+            partial(_observe, observation, model, configuration),
             lambda _: jnp.zeros((1, 3)),
             state,
         )
-        for k, own in enumerate(effectors.observed)
+        for k, observation in enumerate(effectors.observed)
     ]
     return jnp.concatenate([placed, *observed])
 
@@ -54,11 +54,11 @@ class ObservedState(NamedTuple):
     """What an `Observation` sees of a robot, beside model and configuration.
 
     Attributes:
-        displacement: Of the nodes [m].
+        displacement: Displacement of the nodes [m].
         actuator_forces: lambda_a of all actuators, in their units.
-        actuator_displacements: delta_a of all actuators, in theirs.
-        body_rotations: Of rigid bodies from rest, as matrices [-].
-        ground_forces: With which the ground holds the nodes [N].
+        actuator_displacements: delta_a of all actuators, in their units.
+        body_rotations: Rotations of rigid bodies from rest, as matrices [-].
+        ground_forces: Forces with which the ground holds the nodes [N].
     """
 
     displacement: Nodal
@@ -106,7 +106,7 @@ def _rotations(model: Model, u: Nodal) -> Float[Array, "n_b 3 3"]:
 
 
 def _observe(
-    own: Observed,
+    observed: Observed,
     model: Model,
     configuration: ConfigurationArrays,
     state: ObservedState,
@@ -116,14 +116,14 @@ def _observe(
     Raises:
         ValueError: If it does not have as many values as were declared.
     """
-    value = jnp.asarray(own.function(model, configuration, state))
-    if value.ndim > 1 or value.size != own.n_values:
+    value = jnp.asarray(observed.function(model, configuration, state))
+    if value.ndim > 1 or value.size != observed.n_values:
         raise ValueError(
-            f"observation {own.name!r} returned an array of shape {value.shape}, but "
-            f"its measured value has {own.n_values}, or its std where nothing is "
-            "measured: give as many as the function returns."
+            f"observation {observed.name!r} returned an array of shape {value.shape}, "
+            f"but its measured value has {observed.n_values}, or its std where nothing "
+            "is measured: give as many as the function returns."
         )
-    none = jnp.zeros(3 - own.n_values)
+    none = jnp.zeros(3 - observed.n_values)
     return jnp.concatenate([jnp.ravel(value).astype(float), none])[None]
 
 

@@ -119,8 +119,8 @@ def element_stresses(
     J, matrix = jax.vmap(determinant)(F), law.parts()[0]
 
     def pressure(scale):
-        at = scale * mean
-        return jnp.sum(matrix.stress(at) * at) / (3.0 * determinant(at))
+        scaled = scale * mean
+        return jnp.sum(matrix.stress(scaled) * scaled) / (3.0 * determinant(scaled))
 
     _, per_stretch = jax.jvp(pressure, (jnp.ones(()),), (jnp.ones(()),))
     bulk = per_stretch / (3.0 * determinant(mean))  # J grows by three times the stretch
@@ -256,8 +256,8 @@ def mixed_newton(
     At theta = J_bar(u) they are Hessian and gradient of the strain energy.
     """
     # With eta = d ln theta and G = F^-T, dF_bar = s (dF + (eta - G : dF) / 3 F). All
-    # but A is pushed to the nodes first: products of 3x3 tensors would take longer to
-    # add to A than A and its pull take.
+    # terms but A are pushed to the nodes first: adding products of 3x3 tensors to A
+    # would take longer than A and its pull.
     F = deformation_gradients(u, dN)
     J, s, G = _scaled_to(theta, F)
     share = w * J / (theta * jnp.sum(w))

@@ -32,7 +32,7 @@ class LinearSolution(NamedTuple):
 
 
 MOST_REFINEMENTS = 5
-"""Refinements of a solution by the factors of another matrix; else factorize anew."""
+"""Most refinements by the factors of another matrix before it factorizes anew."""
 
 REFINED = 1e-6
 """Relative residual at which a solution belongs to its matrix [-]."""
@@ -82,12 +82,12 @@ class AbstractLinearSolver(Module):
         return LinearSolution(jnp.where(ok, x, 0.0), n_negative, ok)
 
     def another(self, number: int) -> "AbstractLinearSolver":
-        """Return a solver for a thread; if this one keeps factors, with other ones."""
+        """Return a solver for a thread, with its own factors if this one keeps any."""
         del number
         return self
 
     def side_by_side(self) -> AbstractContextManager[None]:
-        """Enter a context for solvers that threads make and use, and only those."""
+        """Enter a context in which only solvers of threads are made and used."""
         return nullcontext()
 
     def solve_again(
@@ -95,8 +95,8 @@ class AbstractLinearSolver(Module):
     ) -> Float[Array, "n_rhs n_dof"]:
         """Solve with the factors of the last `factor_solve`, for its matrix `values`.
 
-        Another program may have replaced them, so the caller must check the solution. A
-        solver that keeps no factors factorizes again.
+        Another program may have replaced the factors, so the caller must check the
+        solution. A solver that keeps no factors factorizes again.
         """
         return self._factor_solve(values, rhs)[0]
 
@@ -105,10 +105,10 @@ class AbstractLinearSolver(Module):
     ) -> LinearSolution:
         """Solve with the factors of the last `factor_solve`, of a matrix that is near.
 
-        By iterative refinement (Higham, Accuracy and Stability of Numerical Algorithms,
-        2002, ch. 12), which a product with a combination of all solutions ends. If it
-        does not converge the matrix is factorized: another program may have replaced
-        the factors. Negative eigenvalues are only counted then.
+        Iterative refinement (Higham, Accuracy and Stability of Numerical Algorithms,
+        2002, ch. 12) ends when the residual of one combination of all right-hand sides
+        is small. Otherwise the matrix is factorized, since another program may have
+        replaced the factors. Negative eigenvalues are only counted then.
         """
         times = lambda x: product(self.sparsity, values, x)
         size = jnp.linalg.norm(rhs, axis=1)
@@ -125,9 +125,9 @@ class AbstractLinearSolver(Module):
         begun = x, off(x), jnp.zeros((), jnp.int32)
         go_on = lambda c: (c[1] > REFINED) & (c[2] < MOST_REFINEMENTS)
         x, left, _ = jax.lax.while_loop(go_on, refine, begun)
-        found = lambda: (x, jnp.full((), -1, jnp.int32), jnp.ones((), bool))
+        refined = lambda: (x, jnp.full((), -1, jnp.int32), jnp.ones((), bool))
         anew = lambda: tuple(self.factor_solve(values, rhs))
-        return LinearSolution(*jax.lax.cond(left <= REFINED, found, anew))
+        return LinearSolution(*jax.lax.cond(left <= REFINED, refined, anew))
 
 
 _Options = tuple[tuple[int, int], ...]
@@ -147,7 +147,7 @@ _MFLOP = 18
 _BY_ALL_CORES = 4_000
 """Work above which all cores share a factorization of a lane [million operations].
 
-pardiso-mkl-jax does one at a time. Threads of small ones would mostly wait.
+pardiso-mkl-jax does one factorization at a time. In a small one, most threads wait.
 """
 
 _MKL_DOMAIN_PARDISO = 4
@@ -208,13 +208,13 @@ class Pardiso(AbstractLinearSolver):
 
     `token` is the analysis, `work` what a factorization takes [million operations].
     `spare` uses nested dissection, because minimum degree can meet a zero pivot in a
-    regular, indefinite matrix; None if this solver uses it.
+    regular, indefinite matrix; None if this solver uses it itself.
     """
 
     sparsity: Sparsity
     token: Any
     options: _Options = eqx.field(static=True)
-    work: Int[Array | HostArray, ""]  # static, it would compile anew where it differs
+    work: Int[Array | HostArray, ""]  # a static value compiles anew if it differs
     spare: "Pardiso | None" = None
     name: ClassVar[str] = "PARDISO (pardiso-mkl-jax)"
 
@@ -231,12 +231,12 @@ class Pardiso(AbstractLinearSolver):
         return cls(sparsity, token, options, np.asarray(report[_MFLOP]), spare)
 
     def _factor_solve(self, values, rhs):
-        found = self._factor_solve_once(values, rhs)
+        solved = self._factor_solve_once(values, rhs)
         spare = self.spare
         if spare is None:
-            return found
+            return solved
         again = lambda: spare._factor_solve_once(values, rhs)
-        return jax.lax.cond(found[2], lambda: found, again)
+        return jax.lax.cond(solved[2], lambda: solved, again)
 
     def _factor_solve_once(self, values, rhs):
         x, iparm, _ = self._call("factor_and_solve_stateful", values, rhs)
@@ -302,8 +302,8 @@ class Klu(AbstractLinearSolver):
 
     klujax raises at a pivot of zero, and all lanes of a batch with it. So the diagonal
     of the matrix, with rows of unit size, is moved by `shift`, everywhere in one
-    direction: the last pivots of a singular matrix then have about this size, and it
-    answers the `probes`, random right-hand sides, with huge values.
+    direction: the last pivots of a singular matrix then have about this size, and the
+    solutions for the `probes`, random right-hand sides, are huge.
     """
 
     sparsity: Sparsity

@@ -38,10 +38,10 @@ def residual(
     that holds the body. Unless given, the forces `lambda_a` of actuators whose
     displacement is imposed are estimated from the balance, exactly at equilibrium.
     """
-    posed, at = Posed.of(model, configuration), deform(model, u)
+    posed, point = Posed.of(model, configuration), deform(model, u)
     if lambda_a is None:
-        lambda_a = estimated_forces(posed, at)
-    return unbalanced(posed, at, lambda_a)[0]
+        lambda_a = estimated_forces(posed, point)
+    return unbalanced(posed, point, lambda_a)[0]
 
 
 def solved_forces(
@@ -59,12 +59,11 @@ class Linearisation(Module):
         nodal: Tangent over all nodes, held ones included [N/m].
         regular: False if a factorization is known to have failed.
         near: Whether the solver may still hold the factors of a matrix near this one.
-        differentiable: Whether autodiff can transpose `solve`; where there is no
-            solution it then returns nan instead of a flag.
+        differentiable: Whether autodiff can transpose `solve`; failure then gives nan.
     """
 
     posed: Posed
-    at: Point
+    point: Point
     lambda_a: Float[Array, " n_a"]
     nodal: Float[Array, " nnz"]
     system: System
@@ -75,11 +74,12 @@ class Linearisation(Module):
     @property
     def u(self) -> Nodal:
         """Displacement at the equilibrium [m]."""
-        return self.at.u
+        return self.point.u
 
     def unbalanced(self, u: Nodal, lambda_a: Float[Array, " n_a"]) -> Nodal:
         """Compute `residual` near the equilibrium, to first order in u [N]."""
-        return unbalanced(self.posed, self.at, lambda_a)[0] + self.stiffness(u - self.u)
+        g, _ = unbalanced(self.posed, self.point, lambda_a)
+        return g + self.stiffness(u - self.u)
 
     def stiffness(self, du: Nodal) -> Nodal:
         """Compute the change of the forces on all nodes in a small motion [N]."""
@@ -141,10 +141,10 @@ def _solve_linearly(
     def solve(_, b, *, transpose=False):
         below = b[:, n_dof:]
         wanted = jnp.where(active[None], -below, 0.0) if n_m > 0 else below
-        found = system.solve(model.solver, b[:, :n_dof], wanted, transpose=transpose)
-        lam = jnp.where(active[None], found.lambda_a, below) if n_m > 0 else below
+        solved = system.solve(model.solver, b[:, :n_dof], wanted, transpose=transpose)
+        lam = jnp.where(active[None], solved.lambda_a, below) if n_m > 0 else below
         # A derivative that does not exist must not be mistaken for zero.
-        return jnp.where(found.ok, join(found.x, lam), jnp.nan)
+        return jnp.where(solved.ok, join(solved.x, lam), jnp.nan)
 
     x = jax.lax.custom_linear_solve(
         matvec,
@@ -166,14 +166,14 @@ def linearise(
     differentiable: bool = False,
 ) -> Linearisation:
     """Assemble the tangent and the actuator rows; `lambda_a` as for `residual`."""
-    posed, at = Posed.of(model, configuration), deform(model, u)
+    posed, point = Posed.of(model, configuration), deform(model, u)
     if lambda_a is None:
-        lambda_a = estimated_forces(posed, at)
-    mesh, active = tangent_values(model, u), taut(posed, at)
-    tangent = assemble(posed, at, lambda_a, mesh=mesh, active=active)
+        lambda_a = estimated_forces(posed, point)
+    mesh, active = tangent_values(model, u), taut(posed, point)
+    tangent = assemble(posed, point, lambda_a, mesh=mesh, active=active)
     return Linearisation(
         posed=posed,
-        at=at,
+        point=point,
         lambda_a=lambda_a,
         nodal=tangent.nodal,
         system=tangent.system,

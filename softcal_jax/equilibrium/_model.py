@@ -31,8 +31,8 @@ class Model(Module):
     """A mesh with its law and mechanism; its arrays are traced arguments of the solver.
 
     Attributes:
-        law: Constitutive law; its arrays hold one value, or one per tet, but for
-            those that all tets share, see `AbstractLaw`.
+        law: Constitutive law; its arrays hold one value, or one per tet, except for
+            arrays that all tets share, see `AbstractLaw`.
         density: Mass density, one value or one per tet [kg/m3].
         mechanism: Rigid bodies and actuators.
         active: 1 for each tet; 0 for copies that pad the last block, and for tets
@@ -78,7 +78,7 @@ class Model(Module):
 
     @property
     def with_multiplier(self) -> Int[HostArray, " n_m"]:
-        """Indices of the actuators whose force may be unknown: their motion is imposed.
+        """Indices of actuators whose force is unknown if their displacement is imposed.
 
         Motors are left out: an imposed angle holds the body itself.
         """
@@ -132,7 +132,7 @@ class Model(Module):
         return eqx.tree_at(lambda m: m.law, self, law)
 
     def tabulated(self) -> "Model":
-        """Return the model with all that does not depend on its shape precomputed."""
+        """Return the model with all precomputed that does not depend on deformation."""
         arrays, rest = eqx.partition(self.law.tabulated(), eqx.is_array)
         law = eqx.combine(jax.lax.optimization_barrier(arrays), rest)
         return eqx.tree_at(lambda m: m.law, self, law)
@@ -148,7 +148,7 @@ class Model(Module):
 def to_blocks(
     leaf: Shaped[Array | HostArray, "..."], n_tets: int, n_blocks: int, block: int
 ) -> Shaped[Array | HostArray, "n_blocks block ..."]:
-    """Cut per-tet values into blocks, those of the host on the host, uncompiled."""
+    """Cut per-tet values into blocks; NumPy arrays stay on the host, uncompiled."""
     xp: Any = np if isinstance(leaf, np.ndarray) else jnp
     if leaf.ndim == 0:
         return xp.broadcast_to(leaf, (n_blocks, block))

@@ -33,7 +33,7 @@ from softcal_jax.equilibrium._posed import Posed, turned_by_motors
 _HELD_TURN = 0.5
 """Longest rotation of a held body in one load step from rest [rad].
 
-In longer ones Newton's method spends more iterations on crushed tets than it saves.
+In longer steps Newton's method spends more iterations on crushed tets than it saves.
 """
 
 _NEAR = 1e-3
@@ -83,7 +83,7 @@ class NewtonSettings(Module):
                 )
 
     def as_arrays(self) -> "NewtonSettings":
-        """Return them as arrays, so that one compiled program serves all settings."""
+        """Return the settings as arrays, so that one compiled program serves all."""
         whole = lambda value: np.issubdtype(np.result_type(value), np.integer)
         kind = lambda value: np.int32 if whole(value) else float
         host = jax.tree.map(lambda value: np.asarray(value, kind(value)), self)
@@ -97,12 +97,12 @@ class NewtonState(NamedTuple):
     volume ratios of the mixed Newton step; everything else, including the stopping
     rule, uses theta = J_bar(u). `turned`: the last trial step inverted a tet.
     `lost` is the fewest negative eigenvalues of an unstable iterate since this load was
-    set, `limit` of those at loads that count as beyond a limit point; 0 for none.
+    set, `limit` the fewest at loads that count as beyond a limit point; 0 for none.
     `merit_before` is the norm of the residual one step ago; inf at the start of a load
     step, None if the line search always uses the potential.
     """
 
-    at: Point
+    point: Point
     theta: Float[Array, "n_blocks block"]
     lambda_a: Float[Array, " n_a"]
     ok: Point
@@ -146,7 +146,7 @@ class NewtonLoop:
     def longest(self) -> Float[Array, ""]:
         """Longest load increment on the way from rest [-].
 
-        A held body turns by at most `_HELD_TURN` in it: the first step of a longer one
+        A held body turns by at most `_HELD_TURN` in it: in a longer one, the first step
         is a linear motion that crushes the tets beside the body. Bodies that motors
         turn about their axes do not count: the parallel robot stands at its working
         point, but buckles at two thirds of the way there.
@@ -168,21 +168,21 @@ class NewtonLoop:
         """Do one Newton iteration, then keep, raise or cut the load."""
         posed, strict = self.posed.at_load(s.load), self.strict(s)
         direction = newton_direction(
-            posed, s.at, s.lambda_a, theta=s.theta, strict=strict
+            posed, s.point, s.lambda_a, theta=s.theta, strict=strict
         )
         factor = direction.factor
         downhill = jnp.ones((), bool)
         if self.model.conservative:  # otherwise it always descends the residual
             saddle = jnp.any(posed.by_multiplier)
             downhill = direction.moving | (direction.slope <= 0.0) | ~strict | saddle
-        before = merit(posed, s.at, direction.step.lambda_a, factor.gap_stiffness)
-        reference = jax.tree.map(lambda old: jnp.maximum(old, before), s.merit_before)
+        before = merit(posed, s.point, direction.step.lambda_a, factor.gap_stiffness)
+        larger = jax.tree.map(lambda old: jnp.maximum(old, before), s.merit_before)
         rtol, most = self.settings.rtol, self.settings.max_backtracks
         tried = line_search(
-            posed, s.at, direction, strict=strict, reference=reference, backtracks=most
+            posed, s.point, direction, strict=strict, reference=larger, backtracks=most
         )
         good = tried.good & factor.ok & downhill
-        residual = relative(posed, tried.at, tried.merit, factor.stiffness)
+        residual = relative(posed, tried.point, tried.merit, factor.stiffness)
         residual = residual._replace(size=jnp.where(good, residual.size, jnp.inf))
         before_step = s.residual
         s = s._replace(
@@ -192,26 +192,26 @@ class NewtonLoop:
             lost=_fewest(s.lost, factor.n_negative),
             any_singular=~factor.ok,
             # A singular tangent gives no step; keep the flag of the step before.
-            turned=jnp.where(factor.ok, tried.at.min_det_F <= 0.0, s.turned),
+            turned=jnp.where(factor.ok, tried.point.min_det_F <= 0.0, s.turned),
         )
         # A single step that converges, as in a strut under an axial force, leaves the
         # tangent of another state: factorize once more at this state without moving.
-        near = before <= _NEAR * jnp.linalg.norm(tried.at.force)
+        near = before <= _NEAR * jnp.linalg.norm(tried.point.force)
         near = near | (factor.n_negative < 0)
         stay = s.residual.settled(rtol) & (s.step_in_load > 1)
         good, near = good | (stay & factor.ok), near | stay
         residual = _select(stay, s.residual, residual)
-        tried = _select(stay, tried._replace(at=s.at, lambda_a=s.lambda_a), tried)
-        u, du = s.at.u, tried.at.u - s.at.u
+        tried = _select(stay, tried._replace(point=s.point, lambda_a=s.lambda_a), tried)
+        u, du = s.point.u, tried.point.u - s.point.u
         moved = s._replace(
-            at=tried.at,
+            point=tried.point,
             lambda_a=tried.lambda_a,
             merit_before=self.remembered(before),
             residual=residual,
             theta=dilatation(self.model, s.theta, u, du),
         )
         settled = residual.settled(rtol)
-        astray = settled & near & self.suspicious(s, tried.at.min_det_F)
+        astray = settled & near & self.suspicious(s, tried.point.min_det_F)
         good, converged = good & ~astray, settled & near & ~astray
         # Do not cut the load while the residual still falls tenfold.
         closing = residual.size < 0.1 * before_step.size
@@ -226,7 +226,7 @@ class NewtonLoop:
         return jax.lax.while_loop(keep_going, self.step, s)
 
     def suspicious(self, s: NewtonState, det):
-        """Tell whether full steps may have left the load path; load steps find it.
+        """Tell whether full steps may have left the load path, so the load is cut.
 
         They may have jumped to a saddle, shown by negative eigenvalues, or past an
         inverted tet, which some laws survive.
@@ -240,11 +240,11 @@ class NewtonLoop:
         longest = jnp.minimum(2.0 * s.increment, self.longest)
         increment = jnp.minimum(longest, 1.0 - s.load)
         finished = s.load >= 1.0
-        sound = s.at.min_det_F > 0.0
+        sound = s.point.min_det_F > 0.0
         outcome = RESULTS.where(sound, RESULTS.converged, RESULTS.inverted)
         outcome = RESULTS.where(s.n_negative > 0, RESULTS.unstable, outcome)
         return s._replace(
-            ok=s.at,
+            ok=s.point,
             lambda_ok=s.lambda_a,
             load_ok=s.load,
             load=jnp.minimum(s.load + increment, 1.0),
@@ -261,7 +261,7 @@ class NewtonLoop:
         """Return to the last equilibrium and halve the load increment.
 
         A load that is only a little higher and whose steps lose stability, but invert
-        no tet, is beyond a limit point, also if the iterations end before the smallest
+        no tet, is beyond a limit point, even if the iterations end before the smallest
         increment is tried.
         """
         increment = 0.5 * s.increment
@@ -274,7 +274,7 @@ class NewtonLoop:
         why = RESULTS.where(beyond, RESULTS.limit_point, why)
         so_far = RESULTS.where(beyond, RESULTS.limit_point, s.result)
         return s._replace(
-            at=s.ok,
+            point=s.ok,
             theta=dilatation(self.model, s.theta, s.ok.u, jnp.zeros_like(s.ok.u)),
             lambda_a=s.lambda_ok,
             load=s.load_ok + increment,
@@ -290,7 +290,7 @@ class NewtonLoop:
     def start(self, u0: Nodal | None = None) -> NewtonState:
         """Begin at rest, or at a guess `u0` with its bodies made rigid."""
         rest, count = at_rest(self.model), jnp.zeros((), jnp.int32)
-        zero, at, load = jnp.zeros(()), rest, self.longest
+        zero, point, load = jnp.zeros(()), rest, self.longest
         lambda_a = jnp.zeros_like(rest.delta_a)
         if u0 is not None:
             guess = evaluate(self.model, self.posed.rigid(u0))
@@ -298,11 +298,11 @@ class NewtonLoop:
             # bodies rigid leaves rounding: ask the guess itself whether it is rest.
             usable = guess.finite & (guess.min_det_F > 0.0)
             warm = usable & jnp.any(u0 != 0.0)
-            at = _select(warm, guess, rest)
+            point = _select(warm, guess, rest)
             load = jnp.where(warm, jnp.ones(()), load)
-            lambda_a = jnp.where(warm, estimated_forces(self.posed, at), 0.0)
+            lambda_a = jnp.where(warm, estimated_forces(self.posed, point), 0.0)
         state = NewtonState(
-            at=at,
+            point=point,
             theta=zero,
             lambda_a=lambda_a,
             ok=rest,
@@ -323,7 +323,7 @@ class NewtonLoop:
             result=RESULTS.max_steps,
             done=jnp.zeros((), bool),
         )
-        return state._replace(theta=dilatation(self.model, zero, at.u, rest.u))
+        return state._replace(theta=dilatation(self.model, zero, point.u, rest.u))
 
 
 def newton(
@@ -342,10 +342,10 @@ def newton(
 
 
 def _fewest(old: Int[Array, ""], new: Int[Array, ""]) -> Int[Array, ""]:
-    """Return the smaller of two numbers of negative eigenvalues, where both have any.
+    """Return the smaller of two counts of negative eigenvalues; 0 stands for no count.
 
     Newton's iterates beyond a limit point wander off to ever less stable states: those
-    that are closest to the path have lost the fewest.
+    that are closest to the path have the fewest negative eigenvalues.
     """
     new = jnp.maximum(new, 0)
     both = (old > 0) & (new > 0)

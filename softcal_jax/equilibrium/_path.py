@@ -47,7 +47,7 @@ MOST_ITERATIONS = 12
 """Corrections after which a step is halved."""
 
 WANTED_ITERATIONS = 4
-"""Corrections of a step of the right length; the next one is adapted to it."""
+"""Corrections of a step of the right length; the next length is adapted to it."""
 
 SMALLEST = 1e-4
 """Step, relative to the first, at which the path counts as ended."""
@@ -87,8 +87,8 @@ class EquilibriumPath(Module):
             state; -1 if unknown, because the linear solver does not count them or the
             model is not conservative.
         readings: Effectors of each state, in rows of three.
-        result: `converged` if the last state carries the full load, `limit_point` if
-            the states ended beyond one, `states_used_up` if they ended before, and
+        result: `converged` if the last state carries the full load; if all states were
+            used up, `limit_point` beyond a limit point and `states_used_up` before one;
             otherwise why no further state was found.
     """
 
@@ -104,7 +104,7 @@ class _State(NamedTuple):
     """A state on the path with its tangent, per unit of load.
 
     `weight` is w of the module's docstring; `n_negative` as in `EquilibriumPath`, `ok`
-    whether the state is one of equilibrium.
+    whether the state is in equilibrium.
     """
 
     u: Nodal
@@ -128,26 +128,26 @@ class _State(NamedTuple):
 
 
 def _displaced(posed: Posed, u, d, load):
-    """Apply a step of the free unknowns, and bring what is held to its new load."""
-    there = posed.at_load(load)
-    held = jnp.where(jnp.asarray(posed.configuration.fixed), there.imposed(u), 0.0)
-    return there.move(u, d.at[: u.size].add(held.ravel()))
+    """Apply a step of the free unknowns, and hold the others as at the new load."""
+    loaded = posed.at_load(load)
+    held = jnp.where(jnp.asarray(posed.configuration.fixed), loaded.imposed(u), 0.0)
+    return loaded.move(u, d.at[: u.size].add(held.ravel()))
 
 
-def _both_steps(posed: Posed, at: Point, lambda_a, theta):
+def _both_steps(posed: Posed, point: Point, lambda_a, theta):
     """Solve for two rows: the steps that restore balance and that follow the load.
 
-    Also returns the tangent, and the motion of what is held, per unit of load.
+    Also returns the tangent, and the motion of held unknowns per unit of load.
     """
-    model, configuration, u = posed.model, posed.configuration, at.u
-    to_go, active = gap(posed, at, lambda_a, jnp.ones(()))
+    model, configuration, u = posed.model, posed.configuration, point.u
+    to_go, active = gap(posed, point, lambda_a, jnp.ones(()))
     if has_volume_unknowns(model):
         mesh, internal = mixed_tangent(model, u, theta)
     else:
-        mesh, internal = tangent_values(model, u), at.force
-    tangent = assemble(posed, at, lambda_a, mesh=mesh, active=active)
-    there = lambda load: posed.at_load(load).held_at(u)
-    _, held = jax.jvp(there, (posed.load,), (jnp.ones_like(posed.load),))
+        mesh, internal = tangent_values(model, u), point.force
+    tangent = assemble(posed, point, lambda_a, mesh=mesh, active=active)
+    held_at = lambda load: posed.at_load(load).held_at(u)
+    _, held = jax.jvp(held_at, (posed.load,), (jnp.ones_like(posed.load),))
     rows = actuator_rows(model.mechanism.actuators, model.positions(u))
     imposed = jnp.where(posed.by_multiplier, 0.0, configuration.actuation.forces)
     force = posed.f_ext + jnp.sum(imposed[:, None, None] * rows, axis=0)
@@ -164,7 +164,7 @@ def _both_steps(posed: Posed, at: Point, lambda_a, theta):
         model.solver,
         jnp.stack(
             [
-                -posed.on_free(u, tangent.g + internal - at.force),
+                -posed.on_free(u, tangent.g + internal - point.force),
                 posed.on_free(u, force),
             ]
         ),
@@ -176,8 +176,8 @@ def _both_steps(posed: Posed, at: Point, lambda_a, theta):
 def _readings(posed: Posed, u, lambda_a, unbalanced):
     """Read the effectors at this share of the load."""
     where = lambda c: (c.actuation.value, c.springs.rest)
-    own = where(posed.configuration)
-    scaled = tuple(posed.load * jnp.asarray(value) for value in own)
+    imposed = where(posed.configuration)
+    scaled = tuple(posed.load * jnp.asarray(value) for value in imposed)
     configuration = eqx.tree_at(where, posed.configuration, scaled)
     return effector_values(posed.model, configuration, u, lambda_a, unbalanced)
 
@@ -201,10 +201,10 @@ def _next_state(
 
     def correct(s: _State) -> _State:
         posed = full.at_load(s.load)
-        at = evaluate(posed.model, s.u)
-        tangent, solved, held = _both_steps(posed, at, s.lambda_a, s.theta)
-        off = merit(posed, at, s.lambda_a, stiffness_of_gaps(posed, solved.W_aa))
-        residual = relative(posed, at, off, tangent.stiffness)
+        point = evaluate(posed.model, s.u)
+        tangent, solved, held = _both_steps(posed, point, s.lambda_a, s.theta)
+        off = merit(posed, point, s.lambda_a, stiffness_of_gaps(posed, solved.W_aa))
+        residual = relative(posed, point, off, tangent.stiffness)
         apart = off_plane(s.u, s.load)
         near = jnp.abs(apart) <= 1e-3 * jnp.maximum(jnp.abs(ds), SMALLEST)
         arrived = residual.settled(settings.rtol) & near & solved.ok
@@ -222,7 +222,7 @@ def _next_state(
             + model.among_all(solved.lambda_a[0] + d_load * solved.lambda_a[1]),
             load=jnp.where(to_the_end, 1.0, load),
             iterations=s.iterations + 1,
-            regular=solved.ok & at.finite & (at.min_det_F > 0.0),
+            regular=solved.ok & point.finite & (point.min_det_F > 0.0),
         )
         along = old.weight * jnp.sum(tau_u * du) + tau_t
         done = s._replace(
@@ -232,8 +232,8 @@ def _next_state(
             sense=jnp.where(along < 0.0, -1.0, 1.0),
             n_negative=jnp.where(model.conservative, solved.n_negative, -1),
             readings=_readings(posed, s.u, s.lambda_a, tangent.g),
-            regular=solved.ok & (at.min_det_F > 0.0),
-            ok=at.min_det_F > 0.0,
+            regular=solved.ok & (point.min_det_F > 0.0),
+            ok=point.min_det_F > 0.0,
         )
         return jax.tree.map(lambda a, b: jnp.where(arrived, a, b), done, moved)
 

@@ -54,8 +54,8 @@ def _body_states(
         if body >= 0:
             by_angle = actuation.by_displacement[a]
             angle = actuation.value[a] + mechanism.motor_zero[a]
-            there = jnp.where(by_angle, KINDS.index("held"), KINDS.index("hinged"))
-            kind = kind.at[body].set(there.astype(kind.dtype))
+            motor_kind = jnp.where(by_angle, KINDS.index("held"), KINDS.index("hinged"))
+            kind = kind.at[body].set(motor_kind.astype(kind.dtype))
             turned = jnp.where(by_angle, angle, 0.0) * mounted.axes[body, 2]
             rotation = rotation.at[body].set(turned)
     return BodyStateArrays(kind, jnp.asarray(state.translation), rotation)
@@ -64,11 +64,11 @@ def _body_states(
 def _arms_from_supports(
     model: Model, configuration: ConfigurationArrays, states: BodyStateArrays
 ) -> Float[Array, "n_b 3"]:
-    """Return the origins of bodies from where the robot is held, all at rest [m].
+    """Return vectors from where the robot is held to the origins of bodies at rest [m].
 
-    That is the mean of the supported nodes, or without any that of the origins of the
-    other held bodies. The arm of a body that a motor turns is zero, since its axis
-    stays.
+    They begin at the mean of the supported nodes or, without any, at the mean of the
+    origins of the other held bodies. The arm of a body that a motor turns is zero,
+    since its axis stays.
     """
     bodies, points = model.mechanism.bodies, jnp.asarray(model.mechanism.points)
     held = jnp.any(jnp.asarray(configuration.fixed), axis=1)
@@ -104,9 +104,9 @@ class Posed(NamedTuple):
     """One configuration of a model under a share of its load; built by `of`.
 
     `f_ext` are the forces at full load [N]. `fixed` flags the unknowns that are not
-    free: held, or of nodes that follow a body. How configuration and motors constrain
-    the bodies, their arms for `winding` [m], and their frames at this load are None
-    without bodies.
+    free: held, or of nodes that follow a body. Without bodies, their `states` (as
+    constrained by configuration and motors), `arms` (for `winding`) [m] and `mounted`
+    frames at this load are None.
     """
 
     model: Model
@@ -141,7 +141,7 @@ class Posed(NamedTuple):
         return cls(model, configuration, f_ext, fixed, load, states, arms, frames)
 
     def at_load(self, load: Float[Array, ""]) -> "Posed":
-        """Pose the same at another share of the load, on the way to full load."""
+        """Pose the configuration at another share of the load, on the way to full."""
         if self.states is None or self.arms is None:
             return self._replace(load=load)
         frames = mounted(self.model.mechanism.bodies, load)
@@ -176,7 +176,7 @@ class Posed(NamedTuple):
     def gather(self, u: Nodal, forces: Nodal) -> Float[Array, " n_dof"]:
         """Gather forces on all nodes at u into forces on the unknowns, G^T f [N].
 
-        Nodes that follow a body keep theirs as well, although they are no unknowns.
+        Nodes that follow a body keep their forces too, although they are no unknowns.
         """
         plan = self.model.reduction
         if plan is None:
@@ -227,9 +227,9 @@ class Posed(NamedTuple):
             return self.move(u, d)
         bodies, points = self.model.mechanism.bodies, self.model.mechanism.points
         kind = self.states.kind
-        own = bodies.owner == jnp.arange(bodies.n_bodies, dtype=jnp.int32)
-        hinged = own & (kind == KINDS.index("hinged"))
-        held = jnp.any(own & (kind == KINDS.index("held")))
+        untied = bodies.owner == jnp.arange(bodies.n_bodies, dtype=jnp.int32)
+        hinged = untied & (kind == KINDS.index("hinged"))
+        held = jnp.any(untied & (kind == KINDS.index("held")))
         alone = (jnp.sum(hinged) == 1) & ~held & ~jnp.any(self.configuration.fixed)
         alone = alone & ~jnp.any(jnp.asarray(self.configuration.springs.area) > 0.0)
         k = jnp.argmax(hinged)
@@ -252,9 +252,9 @@ class Posed(NamedTuple):
         """Return the remaining motion of held nodes to their imposed positions [m]."""
         return self.motion(u, self.held_at(u))
 
-    def motion(self, u: Nodal, there: Nodal) -> Nodal:
-        """Return there - u, without the rounding of nodes that follow a body [m]."""
-        gap, plan = there - u, self.model.reduction
+    def motion(self, u: Nodal, target: Nodal) -> Nodal:
+        """Return target - u, without the rounding of nodes that follow a body [m]."""
+        gap, plan = target - u, self.model.reduction
         if plan is None:
             return gap
         far = gap[plan.rigid]
@@ -265,10 +265,10 @@ class Posed(NamedTuple):
         """Move held nodes and bodies to their imposed positions, no others [m]."""
         held = jnp.asarray(self.configuration.fixed)
         target = self.load * jnp.asarray(self.configuration.imposed)
-        there = jnp.where(held, target, u)
+        placed = jnp.where(held, target, u)
         if self.model.reduction is None:
-            return there
-        return self.move(there, jnp.zeros(u.size + 6 * self._n_bodies))
+            return placed
+        return self.move(placed, jnp.zeros(u.size + 6 * self._n_bodies))
 
     def reduce(
         self, u: Nodal, values: Float[Array, " nnz"], unbalanced: Nodal

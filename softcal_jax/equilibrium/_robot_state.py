@@ -42,9 +42,9 @@ class BodyPlace(Module):
 
 
 class ActuatorState(Module):
-    """Force lambda_a and displacement delta_a of an actuator, which may have none.
+    """Force lambda_a of an actuator, and its displacement delta_a, if it has any.
 
-    `kind` is like "cable"; the one that is not `imposed` follows.
+    `kind` is a noun like "cable"; of the two, one is `imposed` and the other follows.
     """
 
     name: str
@@ -104,8 +104,8 @@ def robot_states(
     """Compute poses of bodies, forces of actuators and reactions at equilibria.
 
     `solution` has one lane per configuration; `arrays` are the configurations, if
-    already stacked. None stands for a lane without equilibrium, and for all of a model
-    without rigid bodies and actuators.
+    already stacked. The state is None for a lane without equilibrium, and for all lanes
+    of a model without rigid bodies and actuators.
     """
     if model.mechanism.bodies.n_bodies + model.mechanism.n_actuators == 0:
         return (None,) * len(configurations)
@@ -115,9 +115,9 @@ def robot_states(
     for i, configuration in enumerate(configurations):
         if bool(solution.converged[i]):
             # Sliced on the host: on the device, each shape compiles a program.
-            own = lambda leaf, i=i: np.asarray(leaf)[i]
-            lane, found = jax.device_put(jax.tree.map(own, (arrays, solution)))
-            states[i] = _state(model, configuration, lane, found)
+            of_lane = lambda leaf, i=i: np.asarray(leaf)[i]
+            lane, solved = jax.device_put(jax.tree.map(of_lane, (arrays, solution)))
+            states[i] = _state(model, configuration, lane, solved)
     return tuple(states)
 
 
@@ -128,12 +128,12 @@ def _state(
     solution: EquilibriumSolution,
 ) -> RobotState:
     u, multipliers = solution.displacement, solution.multipliers
-    found = jax.tree.map(np.asarray, _balance(model, lane, u, multipliers))
-    u, state = np.asarray(u), found.state
+    balance = jax.tree.map(np.asarray, _balance(model, lane, u, multipliers))
+    u, state = np.asarray(u), balance.state
     bodies = model.mechanism.bodies
     kinds = [
         KINDS[int(kind)] if owner == k else "tied"
-        for k, (kind, owner) in enumerate(zip(found.kind, bodies.owner, strict=True))
+        for k, (kind, owner) in enumerate(zip(balance.kind, bodies.owner, strict=True))
     ]
     moved = u[model.mesh.n_nodes :: 4]
     places = (
@@ -161,7 +161,7 @@ def actuator_states(
     forces: Float[Array | HostArray, " n_a"],
     displacements: Float[Array | HostArray, " n_a"],
 ) -> tuple[ActuatorState, ...]:
-    """Say what all actuators do, and which of the two is imposed."""
+    """Return forces and displacements of all actuators, and which are imposed."""
     actuators = model.mechanism.actuators
     by_displacement = lane.actuation.by_displacement
     named = zip(actuators.names, actuators.kinds, strict=True)
@@ -182,7 +182,7 @@ def actuator_states(
 def _grounds(
     model: Model, configuration: Configuration, kinds: list[str]
 ) -> dict[str, Callable[..., Any]]:
-    """Return what reads the force of each ground, as an `Observation` does."""
+    """Return functions that read the reactions, as an `Observation` does, by name."""
     mesh, mechanism = model.mesh, model.mechanism
     bodies = mechanism.bodies
     reaction = lambda where: SupportReaction("reaction", where).rows(mesh, mechanism)[0]

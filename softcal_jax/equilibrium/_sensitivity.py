@@ -37,7 +37,7 @@ class InputRows(NamedTuple):
     Attributes:
         force: -dR/dp, the force on the free unknowns [N].
         held: Motion of held nodes and bodies [m].
-        gap: Change of imposed minus current displacement `Model.with_multiplier`.
+        gap: Change of imposed minus current delta_a of `Model.with_multiplier`.
         reading: Direct change of the readings; empty if nothing is read.
     """
 
@@ -69,7 +69,7 @@ def input_rows(
 
     `by_inputs` maps a function of (model, configuration), whose values are a tree of
     arrays, to its derivatives by all inputs, stacked. The tets are only differentiated
-    by inputs that change their law: what a moved support strains follows from the
+    by inputs that change their law: strains due to a moved support follow from the
     tangent.
     """
     lin = linearisation
@@ -77,17 +77,17 @@ def input_rows(
 
     def at_fixed_unknowns(model, configuration):
         posed = Posed.of(model, configuration)
-        there = posed.held_at(u)
-        forces = residual(model, configuration, u, lambda_a) + lin.stiffness(there - u)
+        placed = posed.held_at(u)
+        forces = residual(model, configuration, u, lambda_a) + lin.stiffness(placed - u)
         wanted = jnp.asarray(configuration.actuation.value)
         reading = jnp.zeros(0)
         if readings is not None:
-            reading = readings(model, configuration, there, lambda_a, forces).ravel()
+            reading = readings(model, configuration, placed, lambda_a, forces).ravel()
         return InputRows(
             # The mounting of a tied body changes the arms of forces.
-            force=-posed.gather(there, forces),
-            held=there,
-            gap=(wanted - model.displacements(there))[which],
+            force=-posed.gather(placed, forces),
+            held=placed,
+            gap=(wanted - model.displacements(placed))[which],
             reading=reading,
         )
 
@@ -100,8 +100,8 @@ class Sensitivity(NamedTuple):
     """Derivatives of an equilibrium by its inputs; zero if the tangent is not `ok`.
 
     W_ep is the change of each reading per unit of each input, in its unit. Changes of
-    displacement, free unknowns [m] and multipliers, by rows, are None if adjoint, and
-    the readings if nothing is read.
+    displacement, free unknowns [m] and multipliers, by rows, are None if adjoint;
+    `readings` is None if nothing is read.
     """
 
     W_ep: Float[Array, "*batch n_e n"]
@@ -185,6 +185,6 @@ def adjoint_rows(linearisation: Linearisation, readings: Readings) -> AdjointRow
 
 
 def _at_fixed_inputs(lin: Linearisation, readings: Readings):
-    at = (lin.posed.model, lin.posed.configuration)
-    forces = lin.unbalanced
-    return lambda u, lambda_a: readings(*at, u, lambda_a, forces(u, lambda_a)).ravel()
+    robot = (lin.posed.model, lin.posed.configuration)
+    g = lin.unbalanced
+    return lambda u, lambda_a: readings(*robot, u, lambda_a, g(u, lambda_a)).ravel()

@@ -22,12 +22,12 @@ class EquilibriumSolution(Module):
         load_steps: Load increments that were taken (1: full load at once).
         load_reached: Share of the load at the last equilibrium [-]; 1 if converged.
         residual: Residual relative to the larger of external and internal force [-].
-        rounding: What rounding leaves of it, estimated at the mean stiffness; forces
-            below their own rounding count as large as that [-].
-        at_rounding: Whether Newton stopped there, with a residual above `rtol`.
+        rounding: Residual that rounding leaves, estimated from the mean stiffness;
+            forces below their own rounding count as large as that [-].
+        at_rounding: Whether Newton stopped at rounding, with a residual above `rtol`.
         min_det_F: Smallest det F over all quadrature points [-].
         n_negative: Number of negative eigenvalues of the last tangent, 0 for a stable
-            state; at a limit point the fewest of an iterate beyond it; -1 if unknown,
+            state; at a limit point the fewest of any iterate beyond it; -1 if unknown,
             because the linear solver does not count them or the model is not
             conservative.
     """

@@ -35,7 +35,7 @@ def as_solution(state: NewtonState, settings: NewtonSettings) -> EquilibriumSolu
     beyond = state.result == RESULTS.limit_point
     return EquilibriumSolution(
         # Without an equilibrium, no displacement may be mistaken for one.
-        displacement=jnp.where(carried, state.at.u, jnp.nan),
+        displacement=jnp.where(carried, state.point.u, jnp.nan),
         multipliers=jnp.where(carried, state.lambda_a, jnp.nan),
         result=state.result,
         steps=state.step,
@@ -44,7 +44,7 @@ def as_solution(state: NewtonState, settings: NewtonSettings) -> EquilibriumSolu
         residual=state.residual.size,
         rounding=state.residual.rounding,
         at_rounding=carried & state.residual.at_rounding(settings.rtol),
-        min_det_F=state.at.min_det_F,
+        min_det_F=state.point.min_det_F,
         n_negative=jnp.where(beyond, state.limit, state.n_negative),
     )
 
@@ -74,7 +74,7 @@ def continue_newton(
 ) -> tuple[NewtonState, EquilibriumSolution]:
     """Do some more iterations, for a caller that reports in between.
 
-    The solution is one if the state is `done` or no iterations are left.
+    The solution counts only if the state is `done` or no iterations are left.
     """
     loop = NewtonLoop(Posed.of(model.tabulated(), configuration), settings)
     most = jnp.minimum(state.step + steps, settings.max_steps)
@@ -84,8 +84,8 @@ def continue_newton(
 
 @eqx.filter_custom_jvp
 def _equilibrium(model, configuration, u0, settings):
-    # A `vmap` of the loop would run every lane until the slowest has ended. So a batch
-    # also gives the results of its members but for rounding, and copies nothing shared.
+    # A `vmap` of the loop would run all lanes until the slowest ends. In sequence, each
+    # gives what it gives alone, but for rounding, and nothing shared is copied.
     model, rest = traceable(model)
 
     @jax.custom_batching.sequential_vmap
@@ -138,8 +138,8 @@ def lanes(
     `lanes(model, poses)[0]` is the first of them. They share one compiled program.
 
     Raises:
-        ValueError: If there is none, names repeat, one is not held, what it names is
-            unknown, a body has held nodes, or a marker stands too far from the mesh.
+        ValueError: If there is none, names repeat, one is not held or refers to unknown
+            names, a body has held nodes, or a marker stands too far from the mesh.
     """
     several = [poses] if isinstance(poses, Configuration) else poses
     return configuration_arrays(model.mesh, several, model.mechanism)
@@ -181,7 +181,7 @@ def solve_equilibrium(
 
     Args:
         model: The model.
-        configuration: Supports and loads of one configuration, as it is or of `lanes`.
+        configuration: One configuration, with supports and loads, or one of `lanes`.
         guess: Displacement to start from [m]; rest by default.
         settings: Settings of Newton's method.
         path: Traces all states from rest along the load by arc length, also past limit
@@ -212,7 +212,7 @@ def solve_equilibrium(
             f"({model.n_points}, 3), a displacement of each node [m]."
         )
     settings, bare = settings or NewtonSettings(), without_readings(configuration)
-    inside = rest, model, bare, u0, settings  # the first in any trace
+    inside = rest, model, bare, u0, settings  # `rest` is traced in any trace
     if any(map(is_traced, jax.tree.leaves(inside))):
         return _compiled_equilibrium(model, bare, u0, settings)
     numbers, most = settings.as_arrays(), jnp.asarray(settings.max_steps)

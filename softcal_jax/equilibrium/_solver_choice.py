@@ -12,7 +12,7 @@ from softcal_jax.equilibrium._sparsity import Sparsity
 
 
 class NoSolver(AbstractLinearSolver):
-    """In place of a solver, so that nothing is analysed for a model that is drawn."""
+    """No solver, so that nothing is analysed for a model that is only looked at."""
 
     sparsity: Sparsity
     name: ClassVar[str] = "none"

@@ -48,11 +48,11 @@ class Sparsity(Module):
     def positions(
         self, rows: Int[HostArray, "..."], columns: Int[HostArray, "..."]
     ) -> Int[HostArray, "..."]:
-        """Find entries in the pattern, or their mirror images if only those exist."""
+        """Find entries in the pattern, or their mirror images, whichever is stored."""
         keys = self.rows.astype(np.int64) * self.n_dof + self.indices
         row, column = _upward(self.symmetric, np.asarray(rows), np.asarray(columns))
-        found = np.searchsorted(keys, row.astype(np.int64) * self.n_dof + column)
-        return found.astype(np.int32)
+        places = np.searchsorted(keys, row.astype(np.int64) * self.n_dof + column)
+        return places.astype(np.int32)
 
 
 def element_entries(n_en: int, symmetric: bool) -> tuple[HostArray, HostArray]:
@@ -79,14 +79,14 @@ def build_sparsity(
 ) -> Sparsity:
     """Build the pattern of a matrix that couples the nodes of cliques, like tets."""
     # Sort pairs of nodes first: nine times fewer keys than pairs of unknowns.
-    own = np.arange(n_nodes, dtype=np.int64)
-    found = [own * n_nodes + own]
+    node = np.arange(n_nodes, dtype=np.int64)
+    keys = [node * n_nodes + node]
     for nodes in cliques:
         m = nodes.shape[1]
         a, b = np.triu_indices(m) if symmetric else np.indices((m, m))
         low, high = _upward(symmetric, nodes[:, a], nodes[:, b])
-        found.append(_distinct(low.astype(np.int64) * n_nodes + high))
-    pairs = _distinct(np.concatenate(found))
+        keys.append(_distinct(low.astype(np.int64) * n_nodes + high))
+    pairs = _distinct(np.concatenate(keys))
     row_node, col_node = pairs // n_nodes, pairs % n_nodes
     i, j = np.repeat(np.arange(3), 3), np.tile(np.arange(3), 3)
     rows = (3 * row_node[:, None] + i).ravel()
@@ -120,19 +120,19 @@ def destinations(
     sparsity: Sparsity, nodes: Int[HostArray, "n m"]
 ) -> Int[HostArray, "n_entries n"]:
     """Find the positions of each clique's entries, ordered as in `element_entries`."""
-    # Only blocks of 3 x 3 are searched for: nine times fewer than entries. Those of a
+    # Only blocks of 3 x 3 are searched for: nine times fewer than entries. Blocks of a
     # row of nodes follow each other, and row i of an upper triangle begins i later.
     first = sparsity.positions(3 * nodes[:, :, None], 3 * nodes[:, None])
     entries = np.transpose(element_entries(nodes.shape[1], sparsity.symmetric))
-    found = np.empty((len(entries), len(nodes)), np.int32)
+    positions = np.empty((len(entries), len(nodes)), np.int32)
     # One entry at a time: all at once would take a gigabyte for 25 000 quadratic tets.
-    for own, (p, q) in zip(found, entries, strict=True):
+    for position, (p, q) in zip(positions, entries, strict=True):
         ends = (3 * nodes[:, k // 3] + k % 3 for k in (p, q))
         row, column = _upward(sparsity.symmetric, *ends)
         i, j = row % 3, column % 3
         within = sparsity.indptr[row] - sparsity.indptr[row - i]
-        own[:] = first[:, p // 3, q // 3] + within - i * sparsity.symmetric + j
-    return found
+        position[:] = first[:, p // 3, q // 3] + within - i * sparsity.symmetric + j
+    return positions
 
 
 def product(
@@ -171,7 +171,7 @@ class Reduction(Module):
         reduced: Pattern over the unknowns: three per node, then six per body.
         rigid: Nodes that belong to bodies, frame nodes included, each with its `owner`,
             the body whose unknowns move it.
-        kept: Entries between free nodes, which go to `kept_at`; so with the others.
+        kept: Entries between free nodes; they go to `kept_at`, `mixed` to `mixed_at`.
         mixed: Blocks between a free and a rigid node; of a matrix that is not
             symmetric, those between a rigid and a free node too, transposed.
         mixed_rigid: Index in `rigid` of the rigid node.
@@ -197,7 +197,7 @@ class Reduction(Module):
 def build_reduction(
     full: Sparsity, cliques: Sequence[Int[HostArray, "_ _"]], bodies: BodyArrays
 ) -> Reduction:
-    """Plan the reduction once, on the host; no clique is all within one body."""
+    """Plan the reduction once, on the host; no clique may lie within one body."""
     n_nodes, n_bodies = full.n_dof // 3, bodies.n_bodies
     frames = np.arange(n_nodes - 4 * n_bodies, n_nodes)
     rigid = np.concatenate([bodies.attached, frames])
@@ -212,18 +212,18 @@ def build_reduction(
     body_rows = lambda k: 3 * n_nodes + 6 * k[:, None] + np.arange(6)
     of_body = body_rows(owner[index[b[mixed]]])
     rows, columns = _entries(_node_rows(a[mixed]), of_body)
-    own = np.arange(n_bodies) * (n_bodies + 1)
-    coupled = np.union1d(owner[first] * n_bodies + owner[second], own)
+    self_coupled = np.arange(n_bodies) * (n_bodies + 1)
+    coupled = np.union1d(owner[first] * n_bodies + owner[second], self_coupled)
     k, m = coupled // n_bodies, coupled % n_bodies
     body_row, body_col = _entries(body_rows(k), body_rows(m))
     kept = np.flatnonzero((index[full.rows // 3] < 0) & (index[full.indices // 3] < 0))
     n_dof = 3 * n_nodes + 6 * n_bodies
     diagonal = np.arange(n_dof)
-    found = (
+    entries = (
         (full.rows[kept], rows, columns, body_row, diagonal),
         (full.indices[kept], columns, rows, body_col, diagonal),
     )
-    row, column = (np.concatenate([a.ravel() for a in part]) for part in found)
+    row, column = (np.concatenate([a.ravel() for a in part]) for part in entries)
     reduced = from_entries(row, column, n_dof, symmetric=full.symmetric)
     in_pattern = (body_row <= body_col) | (not full.symmetric)
     flat = np.ravel_multi_index(
@@ -259,8 +259,8 @@ def _ordered_pairs(cliques, n_nodes: int) -> tuple[HostArray, HostArray]:
         _distinct(nodes[:, :, None].astype(np.int64) * n_nodes + nodes[:, None, :])
         for nodes in cliques
     ]
-    found = _distinct(np.concatenate(keys))
-    return found // n_nodes, found % n_nodes
+    pairs = _distinct(np.concatenate(keys))
+    return pairs // n_nodes, pairs % n_nodes
 
 
 def _node_rows(nodes: HostArray) -> HostArray:

@@ -37,7 +37,7 @@ _COMPILING: dict[Hashable, Lock] = {}
 
 @jax.jit
 def _remembered():
-    """Be forgotten by `jax.clear_caches`, as all other programs are."""
+    """Do nothing; `jax.clear_caches` forgets this program like all others."""
 
 
 def _forget_as_jax() -> None:
@@ -47,10 +47,10 @@ def _forget_as_jax() -> None:
 
 
 class Program:
-    """A compiled function of what is shared and of lanes, all of one shape.
+    """A compiled function of shared arguments and of a lane; lanes have one shape.
 
-    One thread compiles it, while the others wait. Sparse solvers in what is shared are
-    replaced by that of the thread.
+    One thread compiles it, while the others wait. Each thread replaces the sparse
+    solvers in the shared arguments by its own.
     """
 
     def __init__(self, function: Any, *shared: Any):
@@ -65,14 +65,14 @@ class Program:
         return self._result(solver, lane)
 
     def compile(self, lane: Sequence[Any]) -> None:
-        """Compile it for lanes like this one, unless it is."""
+        """Compile the program for lanes like this one, unless that is done."""
         with self._first(lane) as first:
             if first:
                 self._function.lower(*self._shared, *lane).compile()
 
     @contextmanager
     def _first(self, lane: Sequence[Any]) -> Iterator[bool]:
-        """Wait for a thread that compiles it, and tell whether this one has to."""
+        """Wait for a thread that compiles the program; yield whether this has to."""
         if self._key is None:
             self._key = _key(self._function, self._shared, lane)
         if self._key in _COMPILED:
@@ -85,7 +85,7 @@ class Program:
                 _COMPILED.add(self._key)
 
     def _result(self, solver: AbstractLinearSolver, lane: Sequence[Any]) -> Any:
-        # The solver is kept beside, so that its id is not given to another one.
+        # Keep the solver too, so that its id is not given to another one.
         if id(solver) not in self._on:
             self._on[id(solver)] = solver, _with_solver(self._shared, solver)
         return jax.block_until_ready(self._function(*self._on[id(solver)][1], *lane))
@@ -116,11 +116,11 @@ def usable_cores() -> int:
 
 
 class _Run(NamedTuple):
-    """What a thread of `Workers.side_by_side` needs to know.
+    """What threads of `Workers.side_by_side` share.
 
-    `thinks` is held by the one thread that computes between its lanes: what runs share
-    needs no locks, and what they compile is compiled once. `stopped` is set when no
-    result is wanted any more, of these runs or of the one around them, `outer`.
+    `thinks` is held by the one thread that computes between its lanes, so that data of
+    all runs need no locks and a program is compiled once. `stopped` is set when results
+    are no longer wanted; `outer` is the run in which these runs were started.
     """
 
     thinks: Lock
@@ -148,7 +148,7 @@ def _begin_thread(run: _Run | None = None) -> None:
 
 @contextmanager
 def _lets_others_think() -> Iterator[None]:
-    """Let other runs compute while this thread waits, if it is that of a run."""
+    """Let other runs compute while this thread waits, if it belongs to a run."""
     run = _THREAD.run
     if run is None:
         yield
@@ -161,7 +161,7 @@ def _lets_others_think() -> Iterator[None]:
 
 
 def _join(futures: Sequence[Future]) -> None:
-    """Cancel what has not begun, and wait for the rest also if it is interrupted."""
+    """Cancel what has not begun, and wait for the rest even if interrupted."""
     for future in futures:
         future.cancel()
     try:
@@ -185,7 +185,7 @@ class Workers:
     """
 
     def __init__(self, model: Model, lanes: int, n: int | None = None):
-        """Prepare `n` threads, by default that of usable cores, and at most `lanes`.
+        """Prepare `n` threads, by default one per usable core, and at most `lanes`.
 
         Raises:
             ValueError: If `n` is less than one, or float64 is off in JAX.
@@ -221,9 +221,9 @@ class Workers:
         self._opened.close()
 
     def ahead(self, program: Callable[[], tuple[Program, Sequence[Any]]]) -> None:
-        """Compile a program for lanes like the first, beside what runs until it is due.
+        """Compile a program for lanes like the first in the background, for later use.
 
-        Where that fails, it fails again when it is due.
+        An error is not raised here; the program fails again when it is used.
         """
 
         def compile_first() -> None:
@@ -258,7 +258,7 @@ class Workers:
                 wait(futures, return_when=FIRST_EXCEPTION)
             finally:
                 _join(futures)
-        # Lanes begin in order, so that the first error is that of one worker.
+        # Lanes begin in order, so the first error is that which one worker would meet.
         return [future.result() for future in futures]
 
     def side_by_side(
@@ -269,9 +269,9 @@ class Workers:
         """Call functions that use `map`, side by side; return their results in order.
 
         They begin in order, and few are under way at once: little is lost if this is
-        interrupted. Between their lanes they compute one at a time. The error is that
-        of the first that raises, in their order, in which `ended` is called in the
-        caller's thread with index and result.
+        interrupted. Between their lanes they compute one at a time. If several raise,
+        the error is that of the first in order. `ended` is called in the same order, in
+        the caller's thread, with index and result.
         """
         results: list[T] = []
 

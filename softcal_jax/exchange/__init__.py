@@ -1,6 +1,6 @@
 """Other programs and devices, one folder each; nothing of the method imports them.
 
-What is read stands above the project files, which name it: `cad` (STEP and STL) and
-`camera` (tags on photographs). What is written stands below the results: `inp`
-(CalculiX, Abaqus), `sofa`, `icesl`, and `proposal`, a first project file.
+Project files and their commands read through `cad` (STEP and STL) and `camera` (tags on
+photographs). Results are written by `inp` (CalculiX, Abaqus), `sofa` and `icesl`, and a
+first project file by `proposal`.
 """

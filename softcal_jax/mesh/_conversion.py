@@ -1,4 +1,4 @@
-"""Meshes of another order made from others, groups included."""
+"""Conversion of meshes between linear and quadratic tets, groups included."""
 
 import numpy as np
 
@@ -43,8 +43,8 @@ def to_quadratic(mesh: TetMesh) -> TetMesh:
     Corners keep their indices; mid nodes are appended. A node group that is exactly
     the nodes of the surface or tet group of the same name gains the mid nodes of those
     faces or tets. Any other node group gains the mid node of each edge that has both
-    ends in it, which also takes an edge that crosses the body between two parts of
-    the group: where the mesh is one cell thick, name the faces instead.
+    ends in it, even if the edge crosses the body between two parts of the group: where
+    the mesh is one cell thick, name the faces instead.
 
     Raises:
         ValueError: If the mesh is quadratic already, or a surface group holds a face
@@ -81,7 +81,7 @@ def _same(nodes: HostArray, cells: HostArray) -> bool:
 
 
 def to_linear(mesh: TetMesh) -> TetMesh:
-    """Convert a quadratic mesh to linear tets with the same groups; curves flatten.
+    """Convert a quadratic mesh to linear tets with straight edges and the same groups.
 
     Raises:
         ValueError: If the mesh is linear already, or a node group has mid nodes only.

@@ -49,7 +49,7 @@ def kuhn_tets(cells: HostArray) -> HostArray:
 
 
 def _centred_cell() -> HostArray:
-    """Cut a cell into 24 tets of its centre, a centre of a face and an edge of it."""
+    """Cut a cell into 24 tets: its centre, a face centre and an edge of the face."""
     tets = []
     for axis, side in product(range(3), (0, 2)):
         face = np.ones(3, int)
@@ -87,8 +87,8 @@ def beam(
 
     "mirrored" cuts each cell into Kuhn's six tets and mirrors the cut from cell to
     cell, so linear tets have (nx+1)(ny+1)(nz+1) nodes. The mesh is symmetric about a
-    mid-plane whose cell count is even. With an odd count across it cannot be, and a
-    beam under its own weight drifts sideways, most with a single linear cell across.
+    mid-plane if the cell count across it is even. If it is odd, a beam under its own
+    weight drifts sideways, most with a single linear cell across.
     "centred" adds a node in each cell and face and cuts the cell into 24 tets:
     symmetric for every count.
 

@@ -11,9 +11,9 @@ from softcal_jax._limits import MEGABYTES
 
 
 def check_inp(path: Path) -> None:
-    """Raise ValueError for a file that meshio would misread, or that leads elsewhere.
+    """Raise ValueError if meshio would misread a file, or it includes what it may not.
 
-    It keeps the last of several *NODE sections, and opens whatever an *INCLUDE names.
+    meshio keeps the last of several *NODE sections, and opens all that *INCLUDE names.
     """
     included = included_files(path)
     size = sum(file.stat().st_size for file in (path, *included)) / 1e6
@@ -29,10 +29,10 @@ def included_files(path: Path) -> list[Path]:
     """List the files that an Abaqus file includes, and those that they include.
 
     Raises:
-        ValueError: If one lies elsewhere, is not there, or is included twice.
+        ValueError: If one lies outside the folder of the mesh, or is included twice.
     """
     folder, files = path.resolve().parent, [path.resolve()]
-    for source in files:  # which grow
+    for source in files:  # the list grows meanwhile
         for name in _named_files(source):
             file = Path(name) if Path(name).exists() else source.parent / name
             file = file.resolve()

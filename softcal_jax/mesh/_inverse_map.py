@@ -12,7 +12,7 @@ from softcal_jax.elements import TET_EDGES, shape_functions, shape_gradients
 
 _MAX_STEPS = 50
 # Newton stops when a step moves the reference point by less than this; it converges
-# quadratically, so the step before it was already at rounding.
+# quadratically, so the error that is left is below rounding.
 _STEP = 1e-12
 
 

@@ -23,7 +23,7 @@ class MaterialPoints(Module):
 
     Attributes:
         tet: Tet that carries each point.
-        barycentric: Coordinates in it; outside [0, 1] for a point outside the mesh.
+        barycentric: Coordinates in this tet; some outside [0, 1] outside the mesh.
         distance: Distance from the mesh [m], 0 inside.
         foot: Nearest point of the mesh, the point itself where that is inside [m].
         nodes: Nodes of the tet.
@@ -58,7 +58,7 @@ def locate(
     marker on a post, is extrapolated linearly from the nearest point xi0 of the
     boundary, N(xi0) + dN/dxi(xi0) (xi - xi0), since the shape functions themselves
     would grow quadratically with the distance. Linear fields are exact in both cases.
-    Points [m] may lie `max_distance` outside [m]; messages call them by their names.
+    Points [m] may lie `max_distance` outside [m]; messages call them by `names`.
 
     Raises:
         ValueError: If a point is not finite or lies too far outside, or

@@ -71,7 +71,7 @@ def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:
 
 
 def parse_mesh_file(path: Path, kind: str) -> tuple[meshio.Mesh, str]:
-    """Read a file in one of meshio's formats; return also what it complains of.
+    """Read a file in one of meshio's formats; also return the complaints of meshio.
 
     Raises:
         LimitError: If it is too large unpacked.
@@ -84,7 +84,7 @@ def parse_mesh_file(path: Path, kind: str) -> tuple[meshio.Mesh, str]:
             contextlib.redirect_stdout(out),
             contextlib.redirect_stderr(err),
             warnings.catch_warnings(),
-            np.errstate(over="ignore"),  # its STL parser takes text for a number
+            np.errstate(over="ignore"),  # the STL parser takes text for a number
         ):
             # NumPy's warnings about old calls in the parsers do not concern the file.
             warnings.simplefilter("ignore", DeprecationWarning)
@@ -93,7 +93,7 @@ def parse_mesh_file(path: Path, kind: str) -> tuple[meshio.Mesh, str]:
             raw = meshio.read(path, file_format=kind)
     except (ModuleNotFoundError, LimitError):
         raise
-    # Its parsers raise exceptions of any type, and exit on some errors.
+    # The parsers raise exceptions of any type, and exit on some errors.
     except (Exception, SystemExit) as error:
         said = " ".join(f"{out.getvalue()} {err.getvalue()}".split())
         if not isinstance(error, SystemExit):

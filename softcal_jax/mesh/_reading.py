@@ -238,7 +238,7 @@ def _with_groups(
             c[:, :3] for k, c in cells.items() if raw.cells[k].type in _TRIANGLES
         ]
         if triangles:
-            # In either orientation; the faces have mid nodes and outward normals.
+            # Of either orientation; `all_faces` have mid nodes and outward normals.
             corners = np.sort(np.concatenate(triangles), axis=1).tolist()
             keys = dict.fromkeys(map(tuple, corners))
             faces = [position[key] for key in keys if key in position]

@@ -1,4 +1,4 @@
-"""Recovery of what jumps between tets as a continuous field, patch by patch."""
+"""Recovery of values that jump between tets as a continuous field, by patches."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -19,11 +19,11 @@ _TERMS = {0: 1, 1: 4, 2: 10}
 """Terms of a polynomial, by its degree."""
 
 _LEAST = {degree: 2 * terms for degree, terms in _TERMS.items()}
-"""Points that a patch has at least, if there are so many tets around."""
+"""Fewest points of a patch, by degree, while there are more tets around it."""
 
 _DEPENDENT = 0.01
 """Singular value of quadratic terms at the points of a patch, relative to the largest,
-below which the points do not determine it [-]."""
+below which the points do not determine the term [-]."""
 
 _IN_FACE = np.full((3, 3), 1.0 / 6.0) + np.eye(3) / 2.0
 """Points in a triangle that integrate polynomials of degree 2, barycentric [-]."""
@@ -35,21 +35,21 @@ class Recovery(NamedTuple):
     Superconvergent patch recovery (Zienkiewicz and Zhu, Int. J. Numer. Methods Eng. 33,
     1992): around each corner node, a polynomial of the order of the tets is fitted to
     the values of the points of the patch, and read at the nodes. Tets of different
-    groups are recovered apart, since fields jump where materials meet.
+    groups are recovered apart, as parts, since fields jump where materials meet.
 
     Attributes:
-        node: Node that each weight belongs to; nodes count once per part.
-        point: Quadrature point that it applies to, tet by tet.
+        node: Node that each weight belongs to; a node is numbered once per part.
+        point: Quadrature point that the weight applies to, counted tet by tet.
         weight: Weight of this point in the value of this node [-].
-        tets: Nodes of each tet, as counted here.
+        tets: Nodes of each tet, numbered like `node`.
         from_nodes: Shape functions at the points of a finer rule [-].
-        from_points: What continues the values of a tet to these, linearly [-].
-        volumes: Volume of each of these; 0 in tets that do not deform [m3].
+        from_points: Weights that extend the values of a tet linearly to these [-].
+        volumes: Volume of each finer point; 0 in tets that do not deform [m3].
         face_tet: Tet behind each boundary face.
-        face_nodes: Its nodes in the mesh.
-        face_normal: Its outward normal, that of the triangle of its corners [-].
-        face_from_points: Continues values to three points of the face [-].
-        face_volume: Volume of the tet behind it, by these three points [m3].
+        face_nodes: Nodes of the face in the mesh.
+        face_normal: Outward normal of the triangle of the face's corners [-].
+        face_from_points: Weights that extend values to three points of the face [-].
+        face_volume: A third of the volume of the tet behind the face [m3].
     """
 
     node: Int[HostArray, " n_weights"]
@@ -71,22 +71,22 @@ class Recovery(NamedTuple):
 def recovery(mesh: TetMesh, deforming: Bool[HostArray, " n_tets"]) -> Recovery:
     """Prepare the recovery of values at the quadrature points of the tets that deform.
 
-    These are the centroid of a linear tet, and the four points of `tet_rule(2)` of a
-    quadratic one.
+    The quadrature points are the centroid of a linear tet, and the four points of
+    `tet_rule(2)` of a quadratic one.
     """
     n_en = mesh.tets.shape[1]
     rule, fine = tet_rule(mesh.order), tet_rule(2 * mesh.order)
     N = shape_functions(rule.barycentric, n_en)
-    at = np.einsum("qa,tai->tqi", N, mesh.points[mesh.tets])
+    samples = np.einsum("qa,tai->tqi", N, mesh.points[mesh.tets])
     part = np.where(deforming, _parts(mesh), -1)
     keys = np.where(deforming, part, 0)[:, None] * mesh.n_nodes + mesh.tets
     nodes, tets = np.unique(keys, return_inverse=True)
     tets = tets.reshape(mesh.tets.shape)
     points = mesh.points[nodes % mesh.n_nodes]
-    weights = list(_weights(tets[deforming], at[deforming], points, mesh.order))
+    weights = list(_weights(tets[deforming], samples[deforming], points, mesh.order))
     of_deforming = np.flatnonzero(deforming)
     node, point, weight = map(np.concatenate, zip(*weights, strict=True))
-    tet, q = np.divmod(point, at.shape[1])
+    tet, q = np.divmod(point, samples.shape[1])
     volumes = jacobian_determinants(mesh, fine.barycentric) * fine.weights / 6.0
 
     faces = boundary_face_indices(mesh.tets[deforming])
@@ -99,7 +99,7 @@ def recovery(mesh: TetMesh, deforming: Bool[HostArray, " n_tets"]) -> Recovery:
         in_tet[k][:, corners] = _IN_FACE
     return Recovery(
         node=node.astype(np.int32),
-        point=(of_deforming[tet] * at.shape[1] + q).astype(np.int32),
+        point=(of_deforming[tet] * samples.shape[1] + q).astype(np.int32),
         weight=weight,
         tets=tets,
         from_nodes=shape_functions(fine.barycentric, n_en),
@@ -114,7 +114,7 @@ def recovery(mesh: TetMesh, deforming: Bool[HostArray, " n_tets"]) -> Recovery:
 
 
 def _parts(mesh: TetMesh) -> Int[HostArray, " n_tets"]:
-    """Number the tets that are in the same tet groups alike."""
+    """Number the parts: tets in the same tet groups have the same number."""
     within = np.zeros((mesh.n_tets, 1 + len(mesh.tet_groups)), bool)
     for k, tets in enumerate(mesh.tet_groups.values()):
         within[tets, k] = True
@@ -122,7 +122,7 @@ def _parts(mesh: TetMesh) -> Int[HostArray, " n_tets"]:
 
 
 def _continued(points: HostArray, to: HostArray) -> HostArray:
-    """Return what continues values at one or four points of a tet linearly."""
+    """Return weights that extend values at one or four points of a tet linearly."""
     if len(points) == 1:
         return np.ones((*to.shape[:-1], 1))
     return to @ np.linalg.inv(points)
@@ -130,7 +130,7 @@ def _continued(points: HostArray, to: HostArray) -> HostArray:
 
 def _weights(
     tets: Int[HostArray, "n_tets n_en"],
-    at: Float[HostArray, "n_tets n_qp 3"],
+    samples: Float[HostArray, "n_tets n_qp 3"],
     points: Float[HostArray, "n_nodes 3"],
     order: int,
 ) -> Iterator[tuple[HostArray, HostArray, HostArray]]:
@@ -138,13 +138,13 @@ def _weights(
 
     A mid node takes the mean of the polynomials at both ends of its edge.
     """
-    n_qp = at.shape[1]
+    n_qp = samples.shape[1]
     of_node, mids = _around(tets)
     for corner, patch in of_node.items():
         nodes = [corner, *sorted(mids.get(corner, ()))]
         rows, degree, least = None, order, _LEAST
         while rows is None:
-            x = at[patch].reshape(-1, 3)
+            x = samples[patch].reshape(-1, 3)
             if len(x) >= least[degree]:
                 rows = _fit(x, points[nodes], degree)
             if rows is None:
@@ -179,9 +179,9 @@ def _fit(
 ) -> Float[HostArray, "m n"] | None:
     """Return the weights of values at `x` in a least-squares polynomial at `read`.
 
-    In coordinates of unit variance, since patches of thin walls are flat. Of quadratic
-    terms, what the points do not tell apart is left out: those of a cube lie on a
-    sphere. None if they all lie in a plane.
+    Coordinates have unit variance, since patches of thin walls are flat. Quadratic
+    terms that the points do not determine are left out, as on the corners of a cube,
+    which lie on a sphere. None if all points lie in a plane.
     """
     if order == 0:
         return np.full((len(read), len(x)), 1.0 / len(x))
@@ -190,13 +190,13 @@ def _fit(
     if size[-1] < 1e-6 * size[0]:
         return None
     scale = size / np.sqrt(len(x))
-    at, to = ((p - centre) @ axes.T / scale for p in (x, read))
+    samples, nodes = ((p - centre) @ axes.T / scale for p in (x, read))
     linear = lambda p: np.column_stack([np.ones(len(p)), p])
-    fit = np.linalg.pinv(linear(at))
-    weights = linear(to) @ fit
+    fit = np.linalg.pinv(linear(samples))
+    weights = linear(nodes) @ fit
     if order == 2:
         square = lambda p: (p[:, :, None] * p[:, None, :])[:, *np.triu_indices(3)]
-        rest = square(at) - linear(at) @ fit @ square(at)
-        beyond = square(to) - linear(to) @ fit @ square(at)
+        rest = square(samples) - linear(samples) @ fit @ square(samples)
+        beyond = square(nodes) - linear(nodes) @ fit @ square(samples)
         weights += beyond @ np.linalg.pinv(rest, rcond=_DEPENDENT)
     return weights

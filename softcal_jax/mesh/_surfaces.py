@@ -40,8 +40,8 @@ def select_reachable(
     turns by more than `angle` [rad], if given, nor enter the surface groups `stop_at`.
 
     Raises:
-        ValueError: If the point is not on the surface, on several surfaces, or on one
-            that is not entered; a group is unknown, or the angle out of range.
+        ValueError: If the point is not on the surface, where parts of it meet, or in a
+            group of `stop_at`; if a group is unknown, or the angle is out of range.
     """
     if angle is not None and not 0.0 < angle <= np.pi:
         raise ValueError(
@@ -62,8 +62,8 @@ def select_reachable(
 def select_face(mesh: TetMesh, point: ArrayData) -> Int[HostArray, "n n_fn"]:
     """Select the face of the body that a point [m] lies on, not on its border.
 
-    On a mesh from a CAD model it is the face of the model ("face 7"); on any other one
-    what is reached across edges at which the surface turns by less than 40 degrees.
+    On a mesh from a CAD model it is the face of the model ("face 7"); on any other mesh
+    all that is reached across edges where the surface turns by less than 40 degrees.
 
     Raises:
         ValueError: If the point is not on the surface, or on the border of faces.
@@ -85,8 +85,8 @@ def select_cavity(
     begins.
 
     Raises:
-        ValueError: If the point lies in the body, or no cavity surrounds it that is
-            closed or whose opening `stop_at` names, or a group is unknown.
+        ValueError: If the point lies in the body, a group is unknown, or no cavity
+            surrounds the point that is closed or has its openings in `stop_at`.
     """
     p = np.asarray(point, float)
     surface = _Surface(mesh)
@@ -153,7 +153,7 @@ class _Surface:
     def parts(
         self, angle: float | None, barred: Bool[HostArray, " n_faces"] | None = None
     ) -> Int[HostArray, " n_faces"]:
-        """Number the connected parts of the surface; each barred face is one alone."""
+        """Number the connected parts of the surface; a barred face is its own part."""
         corners = self.faces[:, :3]
         edges = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1)
         ends = np.sort(edges.reshape(-1, 2), axis=1)
@@ -162,7 +162,7 @@ class _Surface:
         )
         inverse = inverse.ravel()
         order = np.argsort(inverse, kind="stable")
-        # An edge of more than two faces is one along which parts only touch.
+        # Along an edge of more than two faces, parts only touch.
         left, right = order[counts[inverse[order]] == 2].reshape(-1, 2).T // 3
         joined = np.ones(len(left), bool)
         if barred is not None:
@@ -182,11 +182,11 @@ class _Surface:
         return np.linalg.norm(feet - point, axis=1)
 
     def at(self, point: Float[HostArray, "3"]) -> Int[HostArray, " _"]:
-        """Find the faces that a point lies on; several if it is on an edge of them."""
+        """Find the faces that a point lies on; several if it lies on an edge."""
         away = self.distances(point)
         nearest = np.argmin(away)
         edges = self.corners[nearest] - np.roll(self.corners[nearest], 1, axis=0)
-        # Flat faces are off a round surface, but by less than that.
+        # Flat faces are off a round surface, but by less than this.
         allowed = 0.5 * np.linalg.norm(edges, axis=1).max()
         if away[nearest] > allowed:
             lower, upper = self.mesh.points.min(axis=0), self.mesh.points.max(axis=0)
@@ -212,8 +212,8 @@ class _Surface:
     def seen_from(self, point: Float[HostArray, "3"]) -> Float[HostArray, " n_faces"]:
         """Compute the share of all directions in which each face is seen [-].
 
-        Negative where its outer side is seen; they sum to 1 from within the body, and
-        to 0 elsewhere. Van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 30 (1983).
+        Shares are negative if the outer side is seen; their sum is 1 within the body,
+        and 0 elsewhere. Van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 30 (1983).
         """
         a, b, c = np.moveaxis(self.corners - point, 1, 0)
         la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))

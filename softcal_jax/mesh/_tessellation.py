@@ -1,4 +1,4 @@
-"""The boundary as flat triangles, for pictures and for formats that know no others.
+"""The boundary as flat triangles, for pictures and formats without curved faces.
 
 VTK's surface filter cuts the same triangles, with points in single precision, but does
 not return the weights by which they follow the nodes.
@@ -21,8 +21,8 @@ PARTS = 4
 class Tessellation(NamedTuple):
     """Triangles on the boundary, and the interpolation of nodal values to them.
 
-    A point lies on a face, with nodes and their shape functions as weights. Triangles
-    have outward normals; `faces` holds the nodes of the face that contains each.
+    Each point has the nodes of the face that it lies on, and their shape functions as
+    weights. Triangles have outward normals; `faces` holds the nodes of each one's face.
     """
 
     nodes: Int[HostArray, "n_points n_fn"]
@@ -42,8 +42,8 @@ class Tessellation(NamedTuple):
 def tessellate(mesh: TetMesh, *, parts: int = PARTS) -> Tessellation:
     """Cut quadratic boundary faces into triangles that share their points.
 
-    The triangles of a face follow each other, in the order of `boundary_faces`. A flat
-    face stays whole; edges of a quadratic one are cut into so many `parts`.
+    The triangles of a face follow each other, in the order of `boundary_faces`. Linear
+    faces stay whole; each edge of a quadratic face is cut into `parts` pieces.
     """
     faces = boundary_faces(mesh)
     parts = parts if mesh.order == 2 else 1

@@ -39,7 +39,7 @@ def _as_groups(groups: Mapping[str, ArrayData]) -> dict[str, HostArray]:
 
 
 def _unknown_group(kind: str, name: str, known: Mapping[str, object]) -> ValueError:
-    """Build the error for an unknown group; where there is none, say where to begin."""
+    """Build the error for an unknown group; without any group, say how to make one."""
     if known:
         return unknown_name(kind, name, known)
     return ValueError(
@@ -114,7 +114,7 @@ class TetMesh(Module):
 
     @property
     def words(self) -> str:
-        """Its size, like "3 218 nodes, 1 540 quadratic tets"."""
+        """The numbers of nodes and tets, like "3 218 nodes, 1 540 quadratic tets"."""
         kind = "quadratic" if self.order == 2 else "linear"
         nodes, tets = (f"{n:,}".replace(",", " ") for n in (self.n_nodes, self.n_tets))
         return f"{nodes} nodes, {tets} {kind} tets"
@@ -150,7 +150,7 @@ class TetMesh(Module):
         return float(np.linalg.norm(np.ptp(self.points, axis=0)))
 
     def nodes(self, name: str) -> Int[HostArray, " _"]:
-        """Return the nodes of a node group, else those of its faces or tets, sorted.
+        """Return the nodes of a node group, else of a surface or tet group, sorted.
 
         Raises:
             ValueError: If no group has the name.
@@ -194,8 +194,8 @@ class TetMesh(Module):
         """Add a node group, given by node indices; repeats are merged.
 
         Raises:
-            ValueError: As all three do, if the name is taken, or the members are none
-                or not in the mesh.
+            ValueError: If the name is taken, or the group is empty or has a member that
+                is not in the mesh; surface and tet groups raise it, too.
         """
         return self._with_group("node", name, np.unique(_as_indices(nodes)))
 

@@ -85,7 +85,7 @@ def face_indices(
 ) -> Int[HostArray, " n"]:
     """Find each face among others with the same corners, in any order of nodes.
 
-    The index is -1 where there is none, and the first of several.
+    The index is -1 if no face matches, and that of the first if several do.
     """
     corners = np.sort(np.concatenate([among, faces])[:, :3], axis=1)
     _, first, inverse = np.unique(

@@ -13,7 +13,7 @@ from softcal_jax.mesh._location import tets_at
 from softcal_jax.mesh._tet_mesh import TetMesh
 
 _AT_ONCE = 200_000
-"""Points in tets that are looked at together, in some 50 MB."""
+"""Points in tets that are processed together, in some 50 MB."""
 
 
 class Grid(NamedTuple):
@@ -50,7 +50,7 @@ class Filling(NamedTuple):
 
     Attributes:
         voxels: Their indices.
-        tets: A tet that reaches into each.
+        tets: A tet that reaches into each of these voxels.
         places: A point of this tet in the voxel: the centre of the voxel, if that lies
             in the mesh [m].
         inside: Whether the centre of the voxel lies in the mesh.
@@ -68,8 +68,8 @@ def fill(mesh: TetMesh, grid: Grid) -> Filling:
     """Find the voxels that a mesh fills.
 
     A voxel is filled if its centre lies in a tet. As a wall may be thinner than a
-    voxel, it is also filled if one of many points spread over each tet lies in it; they
-    are closer to each other than the voxels.
+    voxel, it is also filled if one of many points spread over each tet lies in it.
+    These points are closer to each other than the voxels.
     """
     owner = _at_centres(mesh, grid)
     inside = owner >= 0
@@ -89,7 +89,7 @@ def fill(mesh: TetMesh, grid: Grid) -> Filling:
 def _points_in_tets(
     mesh: TetMesh, grid: Grid
 ) -> Iterator[tuple[Int[HostArray, " m"], Float[HostArray, "m 3"]]]:
-    """Yield tets and points in them, so many that they miss hardly any voxel."""
+    """Yield tets and points in them, dense enough to miss hardly any voxel."""
     X = mesh.points[mesh.tets]
     lower, upper = bounds(X)
     parts = np.ceil(((upper - lower) / grid.size).max(axis=1)).astype(int)
@@ -112,10 +112,10 @@ def _lattice(n: int) -> Float[HostArray, "m 4"]:
 def _at_centres(mesh: TetMesh, grid: Grid) -> Int[HostArray, "n n n"]:
     """Find the tet that holds the centre of each voxel; -1 where there is none.
 
-    VTK also takes centres for inside a curved tet that lie outside by up to a
-    thousandth of it, so those are looked at again.
+    Around a curved tet, VTK accepts centres up to a thousandth of its size outside, so
+    all centres in curved tets are checked again.
     """
-    # Here, so that commands which do not need it do not wait for it.
+    # Imported here, so that other commands do not wait for it.
     import pyvista
 
     kind = (pyvista.CellType.TETRA, pyvista.CellType.QUADRATIC_TETRA)[mesh.order - 1]

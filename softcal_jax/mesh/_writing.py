@@ -18,14 +18,14 @@ def write_mesh(
 ) -> None:
     """Write the tets and all groups of a mesh as Gmsh 2.2, linear.
 
-    `read_mesh` gives the same mesh again, and makes its tets quadratic where asked;
-    straight edges are so again. Groups become physical groups: those of tets in three
-    dimensions, of surfaces in two, of other nodes in none. The unit of the coordinates
+    `read_mesh` gives the same mesh again, with order=2 also a quadratic one if its
+    edges are straight. Groups become physical groups: those of tets of dimension 3, of
+    surfaces of dimension 2, of other nodes of dimension 0. The unit of the coordinates
     is "m", "cm", "mm", "um" or "inch".
 
     Raises:
         ValueError: If the name does not end in .msh, the unit is unknown, or a tet
-            belongs to two groups, which the format does not know.
+            belongs to two groups, which the format cannot hold.
         OSError: If the file cannot be written.
     """
     path = Path(path)

@@ -150,8 +150,8 @@ def _gmsh_model() -> Iterator[Any]:
 def _restore_handlers() -> None:
     """Give signals back to the handlers that Python knows.
 
-    Gmsh sets SIGTERM to its default in C, where Python does not see it: what the
-    program does after that would be killed rather than ended.
+    Gmsh resets SIGTERM in C, where Python does not see it: from then on, the signal
+    would kill the program without its handler.
     """
     if threading.current_thread() is not threading.main_thread():
         return  # only the main thread may choose
@@ -232,8 +232,8 @@ def fill_wild(triangles: Triangles, size: float) -> Filled:
             raise ValueError(
                 f"gmsh cannot fill this surface, and fTetWild fails: {last}."
             )
-        with np.load(made) as found:
-            points, tets = found["points"], found["tets"]
+        with np.load(made) as arrays:
+            points, tets = arrays["points"], arrays["tets"]
     if not len(tets):
         raise ValueError("gmsh cannot fill this surface, and fTetWild makes no tets.")
     used, tets = np.unique(tets, return_inverse=True)
@@ -247,7 +247,7 @@ def fill_wild(triangles: Triangles, size: float) -> Filled:
 
 
 def usual_size(extent: Float[HostArray, "3"]) -> float:
-    """Choose edges of tets for a model of an extent."""
+    """Choose the length of edges of tets for a model of this extent."""
     return float(np.linalg.norm(extent)) / _USUAL
 
 
@@ -268,8 +268,8 @@ def _filled(gmsh: Any, volume: float, size: float | None) -> Filled:
     gmsh.model.mesh.generate(3)
     tags, coordinates, _ = gmsh.model.mesh.getNodes()
     nodes_of = lambda kind, tag: gmsh.model.mesh.getElementsByType(kind, tag)[1]
-    own = [nodes_of(_TET, tag).astype(int) for _, tag in gmsh.model.getEntities(3)]
-    tets = np.concatenate(own).reshape(-1, 4)
+    by_solid = [nodes_of(_TET, tag).astype(int) for _, tag in gmsh.model.getEntities(3)]
+    tets = np.concatenate(by_solid).reshape(-1, 4)
     if not len(tets):
         raise GmshError("it made no tets.")
     outer = [
@@ -283,7 +283,7 @@ def _filled(gmsh: Any, volume: float, size: float | None) -> Filled:
     index[used] = np.arange(len(used))
     places = np.empty((len(index), 3))
     places[tags.astype(int)] = coordinates.reshape(-1, 3)
-    ends = np.cumsum([0, *(len(nodes) // 4 for nodes in own)])
+    ends = np.cumsum([0, *(len(nodes) // 4 for nodes in by_solid)])
     return Filled(
         points=places[used],
         tets=tets.reshape(-1, 4),

@@ -52,7 +52,7 @@ def mesh_cad(
     STEP files (.step, .stp) hold solids. Their faces become the surface groups
     "face 1", "face 2" and so on, where they bound the body; solids the tet groups
     "solid 1" and so on, joined where they touch. STL files (.stl) hold triangles; the
-    mesh gets new ones, and its faces are what edges of more than 40 degrees divide.
+    mesh gets new ones, and edges of more than 40 degrees divide its faces.
     Where gmsh refuses an STL surface (holes, crossings), fTetWild fills it, if the
     package pytetwild is installed: its surface is within a thousandth of the model's
     size, and a warning says so.
@@ -65,7 +65,7 @@ def mesh_cad(
         size: Longest edges of the tets that gmsh aims at [m]; None for a thirtieth of
             the diagonal of the model.
         length_unit: Unit of an STL file, which does not state it: "m", "cm", "mm",
-            "um" or "inch". None for a STEP file, which does.
+            "um" or "inch". None for a STEP file, which states it.
         order: 2 for quadratic tets, 1 for linear ones.
 
     Raises:
@@ -85,12 +85,12 @@ def mesh_cad(
     unit = _unit(path, length_unit)
     check_file(path, "CAD model")
     metres, notes = METRES[unit], []
-    own = None if size is None else size / metres
+    model_size = None if size is None else size / metres
     try:
         if path.suffix.lower() in _STEP:
-            filled = fill_step(path, own)
+            filled = fill_step(path, model_size)
         else:
-            filled = _fill_surface(path, own, notes)
+            filled = _fill_surface(path, model_size, notes)
         mesh = _named(filled, metres)
         check_mesh(mesh)
     except (ValueError, ImportError) as error:
@@ -164,8 +164,8 @@ def _named(filled: Filled, metres: float) -> TetMesh:
         faces = matching_faces(mesh, filled.faces)
     else:
         faces = surface_parts(mesh)
-    for k, own in enumerate(filter(len, faces)):
-        mesh = mesh.with_surface_group(f"face {k + 1}", own)
+    for k, face in enumerate(filter(len, faces)):
+        mesh = mesh.with_surface_group(f"face {k + 1}", face)
     if len(filled.solids) > 1:
         for k, tets in enumerate(filled.solids):
             mesh = mesh.with_tet_group(f"solid {k + 1}", tets)

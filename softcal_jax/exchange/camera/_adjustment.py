@@ -2,8 +2,8 @@
 
 Least squares of the reprojection errors of all corners (Triggs et al., "Bundle
 adjustment - a modern synthesis", 1999), with the lens of Brown (1971) as OpenCV has it.
-The covariance is that of the linearised problem, with the noise of a corner from the
-errors that are left.
+The covariance is that of the linearised problem, with the noise of a corner estimated
+from the remaining errors.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from softcal_jax.exchange.camera._sheet import opencv
 
 _N_CAMERA = 8
 _ROUNDS = 4
-"""Rounds of adjustment, each with the noise that the one before found."""
+"""Rounds of adjustment, each with the noise estimated in the round before."""
 
 _FIRST_NOISE = 0.1
 """Noise of a corner to begin with [px]."""
@@ -27,7 +27,7 @@ _LEAST_NOISE = 1e-4
 
 
 class CameraModel(NamedTuple):
-    """A camera with square pixels, and the covariance of what is known of it.
+    """A camera with square pixels, and the covariance of its values.
 
     Its values are the focal length f, principal point cx, cy [px], and the distortion
     k1, k2, p1, p2, k3 [-].
@@ -79,7 +79,7 @@ class Placement(NamedTuple):
 class Observations(NamedTuple):
     """Corners, in the frames of their targets [m] and on photographs [px].
 
-    Target 0 is on all of them; the others are rigidly placed in its frame.
+    Target 0 is on all photographs; the other targets have fixed poses in its frame.
     """
 
     photo: Int[HostArray, " n"]
@@ -88,7 +88,7 @@ class Observations(NamedTuple):
     pixels: Float[HostArray, "n 2"]
 
     def in_base(self, others: Sequence[Placement]) -> Float[HostArray, "n 3"]:
-        """Return the points in the frame of target 0, by where the others are [m]."""
+        """Return the points in the frame of target 0, given the other targets [m]."""
         still = Placement(np.eye(3), np.zeros(3))
         R, p = map(np.stack, zip(*(still, *others), strict=True))
         return np.einsum("nij,nj->ni", R[self.target], self.points) + p[self.target]
@@ -98,10 +98,10 @@ class Adjustment(NamedTuple):
     """Result of a bundle adjustment.
 
     `poses` are those of target 0 in the frame of the camera, `targets` those of the
-    others in its frame. Their covariance has six rows each, of p and of a rotation
-    vector in the axes of target 0 [m, rad]; `noise` is the standard deviation of a
-    coordinate of a corner and `rms` the root mean square of the errors of each
-    photograph [px].
+    other targets in the frame of target 0. `covariance` is that of `targets`: six rows
+    each, of p and of a rotation vector in the axes of target 0 [m, rad]. `noise` is the
+    standard deviation of a coordinate of a corner and `rms` the root mean square of the
+    errors of each photograph [px].
     """
 
     camera: CameraModel
@@ -119,7 +119,7 @@ def adjust(
     targets: Sequence[Placement],
 ) -> Adjustment:
     """Fit camera, poses and targets to what was seen, beginning at those given."""
-    # Here, so that commands which do not need it do not wait for it.
+    # Imported here, so that other commands do not wait for it.
     from scipy.optimize import least_squares
 
     values, placements, noise = camera.values, (*poses, *targets), _FIRST_NOISE
@@ -130,7 +130,7 @@ def adjust(
     def after(x: Float[HostArray, " n"]) -> tuple:
         """Take steps: of the camera in standard deviations, then six a placement."""
         pairs = zip(placements, x[_N_CAMERA:].reshape(-1, 6), strict=True)
-        return values + std * x[:_N_CAMERA], tuple(own.moved(d) for own, d in pairs)
+        return values + std * x[:_N_CAMERA], tuple(pose.moved(d) for pose, d in pairs)
 
     def residuals(x: Float[HostArray, " n"]) -> Float[HostArray, " m"]:
         """Return errors of corners, then of the camera, in standard deviations."""
@@ -165,10 +165,10 @@ def adjust(
 def _inverse_normal(
     J: Float[HostArray, "m n"], n_pixels: int
 ) -> tuple[Float[HostArray, "n n"], float]:
-    """Return (J^T J)^-1, and how many of the errors of corners are free.
+    """Return (J^T J)^-1, and the degrees of freedom of the errors of corners.
 
-    That is their number less what they determine; the rest of the unknowns is
-    determined by what was known of the camera.
+    These are the number of errors less that of the unknowns that they determine; what
+    was known of the camera determines the rest.
     """
     # Metres and radians differ in size, so that the columns are scaled first.
     scale = np.linalg.norm(J, axis=0)

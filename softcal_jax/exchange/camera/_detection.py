@@ -22,16 +22,16 @@ _REACH = 0.4
 """How far an edge is looked at on either side, in cells [-]."""
 
 _LEAST_REACH, _MOST_REACH = 2.0, 8.0
-"""Limits of this [px]."""
+"""Limits of this reach [px]."""
 
 _AWAY = 0.12
 """Share of an edge at either end that is left out: blur rounds the corners [-]."""
 
 _CACHED = 500
-"""Photographs of which the tags are remembered: poses share those of the board."""
+"""Most photographs whose tags are remembered: poses share those of the board."""
 
 SMALLEST = 30.0
-"""Least height of a tag over its edges [px]: below, a cell has less than four."""
+"""Least height of a tag over its edges: in less, a cell has under four pixels [px]."""
 
 
 class Photo(NamedTuple):
@@ -60,7 +60,7 @@ def read_photo(path: Path) -> Photo:
     Raises:
         FileNotFoundError: If there is no such file.
         ImportError: If OpenCV is not installed.
-        ValueError: If it cannot be read, or one tag is there twice.
+        ValueError: If it cannot be read, or one tag occurs twice.
     """
     check_file(path, "photograph")
     stat = path.stat()
@@ -69,7 +69,7 @@ def read_photo(path: Path) -> Photo:
 
 @lru_cache(maxsize=_CACHED)
 def _read(path: Path, changed: int, size: int) -> Photo:
-    """Find the tags on a photograph; the key says when it was changed."""
+    """Find the tags on a photograph; all arguments are the key of the cache."""
     del changed, size
     cv2 = opencv()
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
@@ -80,7 +80,7 @@ def _read(path: Path, changed: int, size: int) -> Photo:
             f"photograph {path} cannot be read; save it as JPEG or PNG (not HEIC)."
         )
     detector = cv2.aruco.ArucoDetector(dictionary(), cv2.aruco.DetectorParameters())
-    found, numbers, _ = detector.detectMarkers(image)
+    outlines, numbers, _ = detector.detectMarkers(image)
     numbers = [] if numbers is None else [int(n) for n in np.ravel(numbers)]
     for number in numbers:
         if numbers.count(number) > 1:
@@ -89,8 +89,8 @@ def _read(path: Path, changed: int, size: int) -> Photo:
                 "use each tag once, and cover the others."
             )
     corners = {
-        number: _refined(image, np.reshape(own, (4, 2)).astype(float))
-        for number, own in zip(numbers, found, strict=True)
+        number: _refined(image, np.reshape(outline, (4, 2)).astype(float))
+        for number, outline in zip(numbers, outlines, strict=True)
     }
     return Photo(path, (image.shape[1], image.shape[0]), corners)
 
@@ -132,14 +132,14 @@ def _edge(
 ) -> Float[HostArray, "3 2"]:
     """Measure the edge between the first two corners of a tag, which a lens bends.
 
-    Along each normal, an edge that was blurred symmetrically is at the place from which
-    a sharp one would let through as much light.
+    Along each normal, an edge that was blurred symmetrically lies where a sharp edge
+    would let through as much light.
 
     Returns:
         Coefficients of the parabola of its points, from 0 to 1, as `np.polyval` takes
         them [px].
     """
-    # Here, so that commands which do not need it do not wait for it.
+    # Imported here, so that other commands do not wait for it.
     from scipy.ndimage import map_coordinates
 
     start, along = corners[0], corners[1] - corners[0]

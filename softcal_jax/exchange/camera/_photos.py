@@ -79,14 +79,14 @@ def find_photos(
         FileNotFoundError: If no file fits a pattern.
     """
     patterns = [patterns] if isinstance(patterns, str) else patterns
-    found: dict[Path, None] = {}
+    files: dict[Path, None] = {}
     for pattern in patterns:
         names = sorted(glob.glob(pattern, root_dir=folder))
         if not names:
             where = "the current folder" if Path(folder) == Path() else folder
             raise FileNotFoundError(f"no photograph in {where} fits {pattern!r}.")
-        found |= dict.fromkeys(Path(folder) / name for name in names)
-    return tuple(found)
+        files |= dict.fromkeys(Path(folder) / name for name in names)
+    return tuple(files)
 
 
 def tag_pose(
@@ -102,8 +102,8 @@ def tag_pose(
 
     All photographs are of one pose of the robot, by one camera with fixed zoom, from
     different directions: tilts of tags that are seen from the front only are hardly
-    visible. Camera, its positions and the pose are fitted together. What the camera is
-    comes from photographs of the printed board, if there are any, and else from those
+    visible. Camera, its positions and the pose are fitted together. The camera is
+    calibrated by photographs of the printed board, if there are any, and else by those
     of the tags.
 
     Args:
@@ -111,7 +111,7 @@ def tag_pose(
         tag: Number of the tag on the robot.
         base_tag: Number of the tag on its base.
         size: Side of the black square of the tag [m].
-        base_size: That of the base tag; by default the same [m].
+        base_size: The same of the base tag, by default equal to `size` [m].
         board: Photographs of the board by the same camera.
 
     Raises:
@@ -140,15 +140,15 @@ def tag_pose(
     if boards:
         cameras = [_camera_of(boards, cameras)]
     base, moved = {base_tag: tag_corners(base_size)}, {tag: tag_corners(size)}
-    found = _fitted(shown, [base, moved], cameras)
-    (placed,) = found.targets
+    fit = _fitted(shown, [base, moved], cameras)
+    (placed,) = fit.targets
     return TagPose(
         position=placed.p,
         rotation=placed.R,
-        covariance=found.covariance,
-        noise=found.noise,
-        rms=found.rms,
-        focal=float(found.camera.values[0]),
+        covariance=fit.covariance,
+        noise=fit.noise,
+        rms=fit.rms,
+        focal=float(fit.camera.values[0]),
     )
 
 
@@ -177,7 +177,7 @@ def _check_sizes(photos: Sequence[Photo]) -> None:
 
 
 def _check_shown(photos: Sequence[Photo], numbers: Sequence[int]) -> None:
-    """Raise ValueError, on all of them, unless photographs show tags large enough."""
+    """Raise one ValueError for all photographs that do not show tags large enough."""
     wrong = []
     for photo in photos:
         for number in numbers:
@@ -203,7 +203,7 @@ def _check_shown(photos: Sequence[Photo], numbers: Sequence[int]) -> None:
 def _fitted(
     photos: Sequence[Photo], targets: Sequence[_Target], cameras: Sequence[CameraModel]
 ) -> Adjustment:
-    """Fit targets that all photographs show, from the best of some beginnings."""
+    """Fit targets that all photographs show, from the best of several starts."""
     shown = [
         (np.full(4, i), np.full(4, j), points, photo.corners[number])
         for i, photo in enumerate(photos)
@@ -215,9 +215,9 @@ def _fitted(
     starts = [start for camera in cameras for start in _starts(seen, camera)]
     best = min(starts, key=lambda start: float(np.median(start.rms)))
     _check_alike(photos, best.rms, factor=_FIRST_OUTLIER, off=_FIRST_OFF)
-    found = adjust(seen, best.camera, best.poses, best.targets)
-    _check_alike(photos, found.rms, factor=_OUTLIER, off=_MOST_OFF)
-    return found
+    fit = adjust(seen, best.camera, best.poses, best.targets)
+    _check_alike(photos, fit.rms, factor=_OUTLIER, off=_MOST_OFF)
+    return fit
 
 
 def _check_alike(
@@ -247,10 +247,10 @@ class _FirstGuess(NamedTuple):
 
 
 def _starts(seen: Observations, camera: CameraModel) -> Iterator[_FirstGuess]:
-    """Yield beginnings: a planar target on a photograph has two poses that fit.
+    """Yield starts: a planar target on a photograph has two poses that fit.
 
-    Each pose of the other target in the frame of the first one that a photograph allows
-    is tried on all photographs.
+    Each pose of target 1 in the frame of target 0 that fits one photograph is tried on
+    all of them.
     """
     photos = [seen.photo == i for i in range(int(seen.photo.max()) + 1)]
     planar = lambda rows: _planar_poses(seen.points[rows], seen.pixels[rows], camera)
@@ -296,11 +296,11 @@ def _best_pose(
     starts: Sequence[Placement],
 ) -> tuple[Placement, float]:
     """Fit the pose of some points, and return its mean square error [px2]."""
-    cv2, of_camera, found = opencv(), lens(camera.values), []
+    cv2, of_camera, fits = opencv(), lens(camera.values), []
     for start in starts:
         turn, shift = cv2.Rodrigues(start.R)[0], start.p.reshape(3, 1).copy()
         turn, shift = cv2.solvePnPRefineLM(points, pixels, *of_camera, turn, shift)
         places, _ = cv2.projectPoints(points, turn, shift, *of_camera)
         error = float(np.mean(np.square(places.reshape(-1, 2) - pixels)))
-        found.append((Placement(cv2.Rodrigues(turn)[0], np.ravel(shift)), error))
-    return min(found, key=lambda pair: pair[1])
+        fits.append((Placement(cv2.Rodrigues(turn)[0], np.ravel(shift)), error))
+    return min(fits, key=lambda pair: pair[1])

@@ -1,6 +1,6 @@
-"""What `softcal export NAME` writes, and the interface by which a package adds to it.
+"""The formats of `softcal export NAME`, and the interface by which packages add others.
 
-A package of anyone adds a format by a class and an entry point in its pyproject.toml::
+Any package adds a format by a class and an entry point in its pyproject.toml::
 
     [project.entry-points."softcal_jax.exporters"]
     febio = "my_package:FebioExporter"

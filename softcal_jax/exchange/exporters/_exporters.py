@@ -1,6 +1,6 @@
-"""The interface of formats, those of this package, and those of installed ones.
+"""The interface of export formats, and the formats of this and of other packages.
 
-What writes one is imported when it is asked for.
+The code of a format is imported when that format is asked for.
 """
 
 import warnings
@@ -17,7 +17,7 @@ from softcal_jax._warnings import SoftcalWarning
 
 
 class ExportProgress(NamedTuple):
-    """What an export says while it runs.
+    """Callbacks by which an export reports while it runs.
 
     Attributes:
         begins: Says what begins, like "calibrating the model of SOFA".
@@ -67,10 +67,10 @@ class AbstractExporter(ABC):
             output: The file or folder; what is there may be replaced if
                 `options.force` is set.
             options: The options of the command.
-            progress: What to tell meanwhile.
+            progress: Callbacks to report meanwhile.
 
         Returns:
-            What the other program does otherwise than the model, in sentences.
+            How the other program differs from the model, in sentences.
 
         Raises:
             ValueError: If an option is wrong, or the format cannot hold something of
@@ -255,7 +255,7 @@ def exporters() -> dict[str, AbstractExporter]:
     """Return the exporters by name.
 
     Warns:
-        ExporterWarning: If one of another package cannot be loaded, is no
+        ExporterWarning: If that of another package cannot be loaded, is no
             `AbstractExporter`, or has a name that is taken.
     """
     known: dict[str, AbstractExporter] = {

@@ -78,7 +78,7 @@ def export_icesl(
         table: Moduli of the foam, or the file of such a table, see `read_foam_table`;
             by default the published one of Polyfoam of TPU.
         plane: Axes of the mesh that lie along x and y of the bed; by default those in
-            which the model's theta counts, "xy" if it has none.
+            which the model's theta is counted, "xy" if it has none.
         region: Tet group that is printed; everything by default.
         angle_marks: Axis of the foam that the angle of IceSL marks; by default the
             single one: soft for Polyfoam, stiff for Phasor.
@@ -155,7 +155,7 @@ def _design(source: Printable) -> Design:
 def _foam(
     infill: Infill, table: FoamTable | str | os.PathLike[str] | None
 ) -> FoamTable:
-    """Return a table of the infill."""
+    """Return the given table of the infill, or the published one."""
     if table is None and infill == "Phasor":
         raise ValueError(
             "no moduli of Phasor are published: give a table of your own, from test "

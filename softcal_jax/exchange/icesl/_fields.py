@@ -41,7 +41,7 @@ class Design(NamedTuple):
     Attributes:
         model: The model at rest, with its parameters set.
         space: Its parameters: fields with control points are evaluated at the voxels.
-        z: Their scaled values [-].
+        z: Scaled values of the parameters [-].
         title: First line of the script.
     """
 
@@ -56,8 +56,8 @@ class Design(NamedTuple):
 class PrintedPart(NamedTuple):
     """A body, or a region of it, as it lies on the bed, in the corner of the axes [m].
 
-    The mesh has linear tets where all sides are straight; `tets` are their indices in
-    that of the model, from whose frame `rotation` and then `shift` [m] lead to the bed.
+    The mesh has linear tets if all edges are straight; `tets` are their indices in the
+    model. `rotation` and then `shift` [m] lead from the frame of the model to the bed.
     """
 
     mesh: TetMesh
@@ -79,7 +79,7 @@ def part_on_bed(mesh: TetMesh, *, plane: PrintPlane, region: str | None) -> Prin
     points = mesh.points[used] @ rotation.T
     shift = -points.min(axis=0)
     X, cells = points + shift, index.reshape(nodes.shape)
-    # Where every mid node lies amid its edge, the corners tell all.
+    # If every mid node is the middle of its edge, the corners are enough.
     middle = X[cells][:, np.array(TET_EDGES)].mean(axis=2)[:, : nodes.shape[1] - 4]
     if np.allclose(X[cells[:, 4:]], middle, rtol=0.0, atol=1e-9 * mesh.size):
         corners, index = np.unique(cells[:, :4], return_inverse=True)
@@ -90,9 +90,9 @@ def part_on_bed(mesh: TetMesh, *, plane: PrintPlane, region: str | None) -> Prin
 class Samples(NamedTuple):
     """The voxels that a part fills, wholly or in part, and the material in them.
 
-    A place, in the frame of the model, is the centre of its voxel [m], or elsewhere in
-    it if that lies outside of the part. Moduli are across and along the fibre [Pa], a
-    unit vector on the bed; None for an isotropic law.
+    A place, in the frame of the model, is the centre of its voxel, or another point of
+    it if the centre lies outside of the part [m]. Moduli are across and along the fibre
+    [Pa]. The fibre is a unit vector on the bed, or None for an isotropic law.
     """
 
     grid: Grid
@@ -124,7 +124,7 @@ def _law_at(
     """Return the law with one value per place, as if each were a tet of its own."""
     model, mesh, n = design.model, design.model.mesh, len(places)
     groups = {name: np.asarray(group) for name, group in mesh.tet_groups.items()}
-    # And one place of every group, since none may be empty: parameters name them.
+    # Also one place of each group, as parameters name groups, which must not be empty.
     extra = np.array([group[0] for group in groups.values()], int)
     tets = np.concatenate([tets, extra])
     places = np.concatenate([places, mesh.centroids[extra]])
@@ -163,23 +163,23 @@ def _axis_moduli(
     Float[HostArray, " n"], Float[HostArray, " n"], Float[HostArray, "n 3"] | None
 ]:
     """Return E_t and E_l [Pa] and the fibre of a law with one value per place."""
-    own: Any = getattr(law, "elasticity", law)
+    base: Any = getattr(law, "elasticity", law)
     each = lambda value: np.broadcast_to(np.asarray(value, float), (n,))
-    if all(hasattr(own, name) for name in ("E_t", "E_l", "fibre")):
-        fibre = np.asarray(own.fibre.direction(), float)
+    if all(hasattr(base, name) for name in ("E_t", "E_l", "fibre")):
+        fibre = np.asarray(base.fibre.direction(), float)
         along = np.broadcast_to(fibre.reshape(3, -1).T, (n, 3))
-        return each(own.E_t), each(own.E_l), along
-    if hasattr(own, "E"):
-        return each(own.E), each(own.E), None
+        return each(base.E_t), each(base.E_l), along
+    if hasattr(base, "E"):
+        return each(base.E), each(base.E), None
     raise ValueError(
-        f"the law {type(own).__name__} has neither Young's moduli E_t and E_l about a "
+        f"the law {type(base).__name__} has neither Young's moduli E_t and E_l about a "
         "fibre nor one E, so no foam can be chosen for it: calibrate a transversely "
         "isotropic law, like Corotational(ReducedTransverseIsotropic(...))."
     )
 
 
 def print_plane(model: Model) -> PrintPlane:
-    """Return the plane in which the angle of the model's fibre counts; "xy" if none."""
-    own = getattr(model.law, "elasticity", model.law)
-    fibre = getattr(own, "fibre", None)
+    """Return the plane in which the fibre's angle is counted; "xy" without a fibre."""
+    base = getattr(model.law, "elasticity", model.law)
+    fibre = getattr(base, "fibre", None)
     return "xy" if fibre is None or fibre.frame is not None else fibre.plane

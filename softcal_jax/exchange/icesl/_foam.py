@@ -117,7 +117,7 @@ class FoamTable(Module):
     def moduli(self, density: Numbers, anisotropy: Numbers) -> Pairs:
         """Interpolate E_soft and E_stiff [Pa].
 
-        Outside the table the curves of the density go on, and the nearest level counts.
+        Outside the table, curves of the density are extended; the nearest level counts.
         """
         return self._patch().moduli(density, anisotropy)
 
@@ -130,9 +130,9 @@ class FoamTable(Module):
         # Each pair once: fields have few values per tet. Complex numbers sort as pairs.
         pairs, index = np.unique(E_soft + 1j * E_stiff, return_inverse=True)
         asked = np.log(np.stack([pairs.real, pairs.imag], axis=1))
-        anisotropy, found = self._patch().nearest(asked)
-        error = np.abs(found[:, 1:] - asked).max(axis=1)
-        density, *moduli = np.exp(found).T
+        anisotropy, nearest = self._patch().nearest(asked)
+        error = np.abs(nearest[:, 1:] - asked).max(axis=1)
+        density, *moduli = np.exp(nearest).T
         values = (density, anisotropy, *moduli, error)
         return FoundFoam(*(each[index] for each in values))
 
@@ -207,8 +207,8 @@ class _Patch:
     def __init__(
         self, density: Numbers, anisotropy: Numbers, moduli: Pairs, *, is_log: bool
     ):
-        """Fit a curve to each level; `is_log` mixes levels by their logarithm."""
-        # Here, so that commands which do not need it do not wait for it.
+        """Fit a curve to each level; `is_log` interpolates their logarithms."""
+        # Imported here, so that other commands do not wait for it.
         from scipy.interpolate import PchipInterpolator
 
         self.is_log = is_log
@@ -244,7 +244,7 @@ class _Patch:
         return np.exp(self.at(t, s)[:, 1:])
 
     def nearest(self, asked: Pairs) -> tuple[Numbers, Float[HostArray, "n 3"]]:
-        """Return anisotropy and `at` of what is nearest to ln E_soft and ln E_stiff."""
+        """Return anisotropy and `at` where ln E_soft and ln E_stiff are nearest."""
         t = np.linspace(0.0, 1.0, _T_STEPS + 1)
         s = np.linspace(0.0, self.last, _S_STEPS * int(self.last) + 1)
         grid = np.stack(np.meshgrid(t, s, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -263,7 +263,7 @@ def _refined(patch: _Patch, asked: Pairs, x: Pairs) -> Pairs:
         moved = _moved(patch, asked[active], x[active], step)
         gone = np.abs(moved - x[active]).max(axis=1)
         x[active] = moved
-        # From so small a step a quadratic iteration ends in rounding.
+        # After so small a step, a quadratic iteration is at rounding.
         active = active[gone > 1e-9]
         if not active.size:
             break
@@ -273,12 +273,12 @@ def _refined(patch: _Patch, asked: Pairs, x: Pairs) -> Pairs:
 def _step(patch: _Patch, asked: Pairs, x: Pairs) -> Pairs:
     """Return the Gauss-Newton step of each point."""
     upper = np.array([1.0, patch.last])
-    here = patch.at(*x.T)[:, 1:]
-    r = here - asked
+    log_moduli = patch.at(*x.T)[:, 1:]
+    r = log_moduli - asked
     # Differences towards the inside, so that they never leave the patch.
     h = np.where(x < 0.5 * upper, 1e-6, -1e-6)
     a, b = (
-        (patch.at(*(x + h * axis).T)[:, 1:] - here) / h[:, [k]]
+        (patch.at(*(x + h * axis).T)[:, 1:] - log_moduli) / h[:, [k]]
         for k, axis in enumerate(np.eye(2))
     )
     slope = np.stack([(a * r).sum(axis=1), (b * r).sum(axis=1)], axis=1)

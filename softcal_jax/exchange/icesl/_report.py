@@ -1,4 +1,4 @@
-"""What is written of a part for IceSL: its script, what that means, what it lacks."""
+"""Texts for IceSL: the script of a part, its meaning, and what the print lacks."""
 
 from collections.abc import Iterable
 from itertools import compress
@@ -27,10 +27,10 @@ class IceslResult(Module):
         infill: "Polyfoam" or "Phasor".
         settings: Density, angles and anisotropy, as the script has them.
         n_voxels: Voxels that the part fills.
-        n_beyond: Those whose moduli the foam does not reach; it gets the nearest.
-        n_tilted: Those whose fibre leaves the print plane, which the infill cannot.
-        n_across: Those that are right in the print plane only, because the part has
-            there the other kind of axis than the foam.
+        n_beyond: Voxels whose moduli the foam does not reach; they get the nearest.
+        n_tilted: Voxels whose fibre leaves the print plane, as the infill cannot.
+        n_across: Voxels that are right in the print plane only, because their axis is
+            soft and that of the foam stiff, or the reverse.
         worst: Largest relative distance of a modulus from the one asked for [-].
         rounding: Largest relative error of a modulus by the 8 bits of a texture, where
             the foam reaches what was asked for [-].
@@ -142,9 +142,9 @@ def write_unreachable(path: Path, samples: Samples, chosen: Chosen) -> None:
 def icesl_dict(
     result: IceslResult, part: PrintedPart, table: FoamTable, convention: Convention
 ) -> dict[str, Any]:
-    """Build the content of `icesl.json`, with textures by their ends.
+    """Build the content of `icesl.json`, with the range of each texture.
 
-    The rotation of the bed is from the frame of the model, its shift follows.
+    The rotation leads from the frame of the model to the bed; the shift follows it.
     """
     counts = {k: getattr(result, f"n_{k}") for k in ("beyond", "tilted", "across")}
     return plain(
@@ -249,7 +249,7 @@ def script(
             rows = (row.tobytes().hex() for row in voxels.reshape(-1, len(voxels)))
             field = "texture([[\n{}\n]])".format("\n".join(rows))
             values[setting.name] = f"{field}, box:min_corner(), box:max_corner()"
-    # Of the first brush.
+    # The suffix _0 stands for the first brush.
     lines = [f"set_setting_value('{name}_0', {v})" for name, v in values.items()]
     return "\n".join([head, *lines]) + "\n"
 

@@ -9,7 +9,7 @@ from softcal_jax.exchange.icesl._fields import N_VOXELS, Samples
 from softcal_jax.exchange.icesl._foam import FoamTable, FoundFoam
 
 RTOL = 0.01
-"""Relative distance of a modulus from the one asked for that is not listed [-]."""
+"""Largest relative error of a modulus that counts as reached [-]."""
 
 _STEPS = 255
 """Steps of a texture, which has 8 bits."""
@@ -22,7 +22,7 @@ _FLAT = np.deg2rad(0.5 * 360.0 / _STEPS)
 
 
 class Convention(NamedTuple):
-    """Which axis an angle of the slicer marks, what is added [rad], and which way."""
+    """Which axis an angle of the slicer marks, its offset [rad], and its sense."""
 
     marks: Literal["soft", "stiff"]
     offset: float = 0.0
@@ -48,7 +48,7 @@ class SlicerSetting(NamedTuple):
 class Chosen(NamedTuple):
     """The foam for each sample as the table has it, and what the slicer is given.
 
-    Samples that it misses are `beyond` the table, `tilted` or `across`, see
+    Samples that the foam misses are `beyond` the table, `tilted` or `across`, see
     `IceslResult`. `rounding` is the largest relative error of a modulus by the 8 bits
     of a texture, where the foam reaches what was asked for [-]. `seams` are pairs of
     neighbouring voxels between which the angle jumps by half a turn, though the axis
@@ -137,7 +137,7 @@ class _Textures:
     """
 
     def __init__(self, samples: Samples):
-        # Here, so that commands which do not need it do not wait for it.
+        # Imported here, so that other commands do not wait for it.
         from scipy.ndimage import distance_transform_edt
 
         self.voxels = samples.voxels
@@ -165,7 +165,7 @@ class _Textures:
         """Make the setting of an axis, which is the same again after half a turn.
 
         Of the angles of an axis those in [cut, cut + 180 degrees) are taken, with the
-        cut where seams, see `Chosen`, are fewest; returns their number, too.
+        cut where seams, see `Chosen`, are fewest; also returns the number of seams.
         """
         half = np.mod(angle, np.pi)
         degrees = np.full((N_VOXELS,) * 3, -1)

@@ -24,7 +24,7 @@ from softcal_jax.materials import (
 )
 
 NO_TERM = 1e20
-"""D_i of a term that is not there [1/Pa]: for 0, CalculiX takes a number of its own."""
+"""D_i of an absent term [1/Pa]: CalculiX replaces 0 by a number of its own."""
 
 SMALLEST_D = 1e-10
 """|D_1| below which CalculiX takes a number of its own."""
@@ -34,8 +34,8 @@ class InpLaw(NamedTuple):
     """A law in the terms of an input file.
 
     `keyword` opens it, like "*HYPERELASTIC, YEOH"; constants are in SI. The note says
-    what it has of the law of the model; oriented constants are those of the axes of the
-    mesh.
+    how it differs from the law of the model; `oriented` constants refer to the axes of
+    the mesh.
     """
 
     keyword: str
@@ -127,7 +127,7 @@ def _anisotropic(elasticity: AbstractElasticity) -> list[HostArray]:
 
     That is the upper triangle by columns, in the order 11, 22, 33, 12, 13, 23.
     """
-    order = [0, 1, 2, 5, 4, 3]  # of Voigt's, in which the entries are
+    order = [0, 1, 2, 5, 4, 3]  # in Voigt's order, that of the entries
     by_rows = [(a, b) for a in range(6) for b in range(a, 6)]
     entries = dict(
         zip(by_rows, TabulatedElasticity.of(elasticity).entries, strict=True)

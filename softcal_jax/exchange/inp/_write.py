@@ -32,18 +32,18 @@ def write_inp(
     of nodes is that of VTK. Tets of equal constants share a *MATERIAL. Node groups are
     sets of the name N_GROUP. One static step with NLGEOM has the supports, elastic ones
     as SPRING1, dead loads as *CLOAD, gravity as *DLOAD, GRAV, and pressures of chambers
-    and surfaces as *DLOAD, P, which follow the surface as here. Displacements are
+    and surfaces as *DLOAD, P, which follow the surface too. Displacements are
     printed in the .dat file of CalculiX at the end.
 
     Args:
         path: The file, ending in .inp.
         model: The model.
         configuration: Arrays of one configuration, without a leading axis.
-        title: Its first line.
+        title: First line of the file.
 
     Returns:
-        What the programs do otherwise than the model, in sentences; they are comments
-        in the file, too.
+        How the programs differ from the model, in sentences; they are comments in the
+        file, too.
 
     Raises:
         ValueError: If the name does not end in .inp, or the law, rigid bodies or
@@ -121,7 +121,7 @@ def _number(value: float) -> str:
 
 
 def _rows(values: Iterable[str], per_line: int = 8) -> Iterator[str]:
-    """Write data in lines that go on with a comma; Abaqus wants eight constants."""
+    """Write data in lines that go on with a comma; Abaqus wants eight a line."""
     values = list(values)
     for i in range(0, len(values), per_line):
         more = "," if i + per_line < len(values) else ""

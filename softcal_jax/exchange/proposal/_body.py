@@ -1,4 +1,4 @@
-"""What a model tells of a robot: its size, and which parts are held and inflated."""
+"""A robot as its model shows it: its size, and parts that seem held or inflated."""
 
 import warnings
 from collections.abc import Iterable, Sequence
@@ -27,7 +27,7 @@ from softcal_jax.mesh import (
 
 HELD_WORDS = ("clamp", "base", "fix", "support", "held", "mount", "anchor", "ground")
 CHAMBER_WORDS = ("chamber", "cavity", "inflat", "pressur", "lumen", "air")
-"""Parts of names by which groups are known for what they are."""
+"""Parts of names by which groups that are held, and chambers, are recognised."""
 
 _FLAT = 1e-4
 _END = 0.02
@@ -49,7 +49,7 @@ _METRES = 2.0
 class Body(NamedTuple):
     """The linear mesh of a robot, and how a project file says to read it.
 
-    The unit is None where the file states it, the size of the tets for a mesh file.
+    The unit is None if the file states it; the size of tets is None for a mesh file.
     """
 
     mesh: TetMesh
@@ -62,7 +62,7 @@ class Body(NamedTuple):
 class Held(NamedTuple):
     """The part that is proposed to be held, and the mean of its nodes [m].
 
-    `definition` is what a project file says of its group; empty for one of the mesh.
+    `definition` is its group in a project file, by lines; empty if the mesh has it.
     """
 
     group: str
@@ -71,7 +71,7 @@ class Held(NamedTuple):
 
 
 def read_body(path: Path, *, size: float | None, length_unit: str | None) -> Body:
-    """Read a mesh, or fill a CAD model with tets of a size, by default a twentieth."""
+    """Read a mesh, or fill a CAD model with tets, by default 20 along its diagonal."""
     suffix = path.suffix.lower()
     guessed = length_unit is None and suffix not in _STATED
     unit = _guess_unit(path) if guessed else length_unit
@@ -91,21 +91,21 @@ def read_body(path: Path, *, size: float | None, length_unit: str | None) -> Bod
 def _guess_unit(path: Path) -> str:
     """Guess whether the coordinates of a mesh or STL file are in "mm" or "m".
 
-    Programs write either of them, nearly always. A model of more than 2 units across
-    would hardly be a robot in metres, and one of fewer hardly one in millimetres.
+    Programs nearly always write one of the two. A robot is hardly more than 2 m across,
+    and hardly less than 2 mm.
     """
     if path.suffix.lower() == ".stl":
         check_file(path, "CAD model")
         points = read_stl(path).points
     else:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", MeshWarning)  # said when the mesh is read
+            warnings.simplefilter("ignore", MeshWarning)  # repeated when it is read
             points = read_mesh(path, length_unit="m", unused="drop").points
     return "mm" if np.ptp(points, axis=0).max() > _METRES else "m"
 
 
 def _read(path: Path, unit: str) -> tuple[TetMesh, bool]:
-    """Read a mesh file; with nodes that no cell uses, only where it has such."""
+    """Read a mesh file, and say whether it has nodes that no cell uses."""
     try:
         return read_mesh(path, length_unit=unit, order=1), False
     except ValueError as refused:
@@ -118,7 +118,7 @@ def _read(path: Path, unit: str) -> tuple[TetMesh, bool]:
 def _named_like(
     words: Sequence[str], groups: Iterable[str], mesh: TetMesh
 ) -> list[str]:
-    """List groups, none of tets, whose names contain one of some words."""
+    """List the groups, but for tet groups, whose names contain one of some words."""
     has_word = lambda name: any(word in name.lower() for word in words)
     return [name for name in groups if name not in mesh.tet_groups and has_word(name)]
 
@@ -166,7 +166,7 @@ def find_chambers(mesh: TetMesh, held: Held) -> dict[str, bool]:
 
     Returns whether each has a rim that a lid has to close, by the name of its group.
     """
-    found = {}
+    chambers = {}
     for name in _named_like(CHAMBER_WORDS, mesh.surface_groups, mesh):
         faces = mesh.surface_groups[name]
         edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
@@ -180,8 +180,8 @@ def find_chambers(mesh: TetMesh, held: Held) -> dict[str, bool]:
         (volume,) = enclosed_volumes(made.actuators.groups, made.points).values()
         # A flat wall of the outside encloses nothing, with either sign of rounding.
         if name != held.group and volume > _EMPTY * float(volumes(mesh).sum()):
-            found[name] = is_open
-    return found
+            chambers[name] = is_open
+    return chambers
 
 
 def far_end(mesh: TetMesh, held: Held) -> Float[HostArray, "3"]:

@@ -15,22 +15,22 @@ from softcal_jax.project import parse_in_si
 from softcal_jax.report import mesh_lines
 
 DENSITY = 1070.0
-"""That of silicone [kg/m3]."""
+"""Density of silicone [kg/m3]."""
 
 PRESSURE = "10 kPa"
 
 _MOST_GROUPS = 40
-"""Groups of the mesh that are listed."""
+"""Most groups of the mesh that are listed."""
 
 _NEAR = 0.01
 """Distance of a marker from the mesh that is accepted without a word, see `Markers`."""
 
 
-def project_text(name: str, found: Findings) -> str:
+def project_text(name: str, findings: Findings) -> str:
     """Write a project file of a name, with a remark at each value that is a guess."""
     parts = (
-        *(_title(name, found), _mesh(found), _material(), _actuators(found)),
-        *(_markers(found), _shared(found), _configurations(found)),
+        *(_title(name, findings), _mesh(findings), _material(), _actuators(findings)),
+        *(_markers(findings), _shared(findings), _configurations(findings)),
     )
     text = "\n\n".join("\n".join(part) for part in parts)
     return f"""{text}
@@ -41,12 +41,11 @@ noise = "estimated" # from the residuals; "stated" takes the `std` as it is
 """
 
 
-def _title(name: str, found: Findings) -> Iterator[str]:
-    files = {pose.file.name: None for pose in found.poses}
-    yield f"# A calibration with softcal, written by `softcal new` from {found.model}"
-    yield (
-        f"# and {', '.join(files)}." if files else "# alone, before any measurement."
-    )
+def _title(name: str, findings: Findings) -> Iterator[str]:
+    files = {pose.file.name: None for pose in findings.poses}
+    source = f"and {', '.join(files)}." if files else "alone, before any measurement."
+    head = "# A calibration with softcal, written by `softcal new` from"
+    yield f"{head} {findings.model}\n# {source}"
     yield """#
 # What no file tells is a guess: such a line ends in a remark CHANGE. Correct it, or
 # confirm it, and delete the remark. `softcal check` lists those that are left.
@@ -62,14 +61,14 @@ def _title(name: str, found: Findings) -> Iterator[str]:
     yield f"name = {quoted(name)}"
 
 
-def _mesh(found: Findings) -> Iterator[str]:
+def _mesh(findings: Findings) -> Iterator[str]:
     """Write [mesh] and [groups], with all groups of the file as comments."""
-    body, held = found.body, found.held
+    body, held = findings.body, findings.held
     extent = np.ptp(body.mesh.points, axis=0)
     sides = " x ".join(f"{1e3 * x:.4g}" for x in extent)
     yield _ruler("the body")
     yield "[mesh]"
-    yield f"file = {quoted(found.model)}"
+    yield f"file = {quoted(findings.model)}"
     if body.unit is not None:
         guess = f" # CHANGE: a guess, by which it is {sides} mm"
         yield f'length_unit = "{body.unit}"' + guess * body.unit_guessed
@@ -85,7 +84,7 @@ def _mesh(found: Findings) -> Iterator[str]:
     if len(lines) > _MOST_GROUPS + 1:
         yield f"#   ... and {len(lines) - _MOST_GROUPS - 1} more: `softcal mesh`"
     if held.definition:
-        moved = found.recorded is not None and not found.own_frame
+        moved = findings.recorded is not None and not findings.own_frame
         why = ", farther from the markers that move" * moved
         guess = f"# CHANGE: what is held, here an end of the body{why}"
         yield from ("", f"[groups.{held.group}] {guess}", *held.definition)
@@ -116,18 +115,18 @@ lower = "10 kPa"
 upper = "100 MPa" # both far from what is likely"""
 
 
-def _actuators(found: Findings) -> Iterator[str]:
+def _actuators(findings: Findings) -> Iterator[str]:
     """Write a chamber for each surface that is called like one."""
-    if found.chambers:
+    if findings.chambers:
         yield _ruler("the actuators")
-    for k, (group, is_open) in enumerate(found.chambers.items()):
+    for k, (group, is_open) in enumerate(findings.chambers.items()):
         yield "\n" * (k > 0) + f"[actuators.{bare(f'air in {group}')}]"
         yield 'type = "chamber"'
         named = "# CHANGE: what is inflated, here by its name"
         yield f"surface = {quoted(group)} {named}"
         if is_open:
             yield "seal = true # it has a rim: a lid without material closes it"
-    if not found.chambers:
+    if not findings.chambers:
         yield """# Actuators, a table each, driven by `actuation` of a pose:
 #   [actuators.air]
 #   type = "chamber"     # or "cable" (guides), "motor" (body), "point-force"
@@ -135,50 +134,50 @@ def _actuators(found: Findings) -> Iterator[str]:
 #   seal = true"""
 
 
-def _markers(found: Findings) -> Iterator[str]:
+def _markers(findings: Findings) -> Iterator[str]:
     """Write where markers are at rest, each with its distance from the mesh."""
-    recorded = found.recorded
+    recorded = findings.recorded
     yield _ruler("the markers")
     yield "# Where they stand at rest, in the frame of the mesh."
-    if found.own_frame:
+    if findings.own_frame:
         yield """# The recording has a frame of its own, off the mesh: measure where
 # these are on the robot. Here they are only somewhere on it."""
-    farthest = max(marker.distance for marker in found.markers)
+    farthest = max(marker.distance for marker in findings.markers)
     yield "[markers]"
     yield 'std = "0.5 mm" # CHANGE: how well a pose repeats'
-    if farthest > _NEAR and not found.own_frame:
+    if farthest > _NEAR and not findings.own_frame:
         yield f'max_distance = "{1.1e3 * farthest:.3g} mm" # from the mesh, on posts'
     yield "\n[markers.positions]"
-    for marker in found.markers:
+    for marker in findings.markers:
         line = f"{bare(marker.name)} = {in_mm(marker.place)}"
         off = readable_values([marker.distance], "m", digits=3)
         if recorded is None:
             yield f"{line} # CHANGE: where you glue it, and what it is called"
-        elif found.own_frame or not recorded.others:
+        elif findings.own_frame or not recorded.others:
             yield f"{line} # CHANGE: where it is at rest; recorded {off} from the mesh"
         else:
             yield f"{line} # recorded {off} from the mesh"
 
 
-def _shared(found: Findings) -> Iterator[str]:
+def _shared(findings: Findings) -> Iterator[str]:
     """Write what all configurations share."""
-    held, recorded = found.held, found.recorded
+    held, recorded = findings.held, findings.recorded
     yield _ruler("the configurations")
     yield "# What all of them share; each may add to it or state its own."
     yield "[shared]"
     yield 'gravity = "(0, 0, -9.81) m/s^2" # CHANGE: down, in the frame of the mesh'
     known = " # CHANGE: what is held, here by its name" * (not held.definition)
     yield f"supports = [{{ group = {quoted(held.group)} }}]{known}"
-    off = "# " * found.own_frame
+    off = "# " * findings.own_frame
     if recorded is None:
         return
-    if found.own_frame:
+    if findings.own_frame:
         yield """
 # CHANGE: the recording is not used yet: its frame is not that of the mesh
 # Write where its markers are, above, take the first `#` away here and below, and name
 # three or more markers that do not move, here the three that move least: the rigid
 # motion onto their positions takes one frame to the other."""
-    files = {pose.file for pose in found.poses}
+    files = {pose.file for pose in findings.poses}
     yield f"\n{off}[shared.measured]"
     if len(files) == 1:
         yield f"{off}file = {quoted(recorded.rest.file.name)}"
@@ -189,7 +188,7 @@ def _shared(found: Findings) -> Iterator[str]:
         yield """# Compared are motions from this pose: where a marker is glued is known
 # worse than how far it moves."""
         yield f"{off}displacement_from = {quoted(recorded.rest.name)}"
-    if found.own_frame:
+    if findings.own_frame:
         listed = ", ".join(map(quoted, recorded.stillest(3)))
         which = f"select = {recorded.rest.select}"
         yield f"{off}registration = {{ markers = [{listed}], {which} }}"
@@ -197,16 +196,16 @@ def _shared(found: Findings) -> Iterator[str]:
         yield "# Where cameras move in between: registration = { markers = [...] }"
 
 
-def _configurations(found: Findings) -> Iterator[str]:
+def _configurations(findings: Findings) -> Iterator[str]:
     """Write the poses that were recorded, or two that might be."""
-    weight = float(volumes(found.body.mesh).sum()) * DENSITY * STANDARD_GRAVITY
-    force = f"{weight:.1g}"
-    load = f'loads = [{{ point = {in_mm(found.tip)}, force = "(0, 0, -{force}) N" }}]'
-    if found.recorded is None:
-        yield from _unmeasured(found, load)
+    weight = float(volumes(findings.body.mesh).sum()) * DENSITY * STANDARD_GRAVITY
+    tip = in_mm(findings.tip)
+    load = f'loads = [{{ point = {tip}, force = "(0, 0, -{weight:.1g}) N" }}]'
+    if findings.recorded is None:
+        yield from _unmeasured(findings, load)
         return
-    last = len(found.poses) - 1
-    for k, pose in enumerate(found.poses):
+    last = len(findings.poses) - 1
+    for k, pose in enumerate(findings.poses):
         unloaded = k == 0 < last
         yield "\n" * (k > 0) + "[[configurations]]"
         remark = " # CHANGE: here nothing acts but gravity" * unloaded
@@ -214,11 +213,11 @@ def _configurations(found: Findings) -> Iterator[str]:
         if 1 < k == last:
             yield 'role = "validation" # predicted after the fit, never used in it'
         if not unloaded:
-            yield _driven(found, pose.name, load)
-        yield from _measured(found, pose)
+            yield _driven(findings, pose.name, load)
+        yield from _measured(findings, pose)
 
 
-def _unmeasured(found: Findings, load: str) -> Iterator[str]:
+def _unmeasured(findings: Findings, load: str) -> Iterator[str]:
     """Write two configurations, and how their measurements are added."""
     yield f"""# Once poses are recorded, as columns pose, marker, x_mm, y_mm, z_mm:
 #   [shared.measured]
@@ -230,14 +229,14 @@ name = "hanging"
 
 [[configurations]]
 name = "loaded"
-{_driven(found, "", load)}"""
+{_driven(findings, "", load)}"""
 
 
-def _driven(found: Findings, name: str, load: str) -> str:
+def _driven(findings: Findings, name: str, load: str) -> str:
     """Write what acts in a pose: a pressure where there is a chamber, else a load."""
-    if not found.chambers:
+    if not findings.chambers:
         return f"{load} # CHANGE: what acts in this pose"
-    actuator = bare(f"air in {next(iter(found.chambers))}")
+    actuator = bare(f"air in {next(iter(findings.chambers))}")
     try:
         parse_in_si(name, "Pa")
     except ValueError:
@@ -246,16 +245,16 @@ def _driven(found: Findings, name: str, load: str) -> str:
     return f"actuation = {{ {actuator} = {quoted(name)} }} # by its name"
 
 
-def _measured(found: Findings, pose: RecordedPose) -> Iterator[str]:
+def _measured(findings: Findings, pose: RecordedPose) -> Iterator[str]:
     """Write where a pose is measured, and its markers where some were not seen."""
-    recorded = found.recorded
+    recorded = findings.recorded
     assert recorded is not None
-    off = "# " * found.own_frame
+    off = "# " * findings.own_frame
     seen = [name for name in recorded.labels if name in pose.seen]
     if len(seen) < len(recorded.labels):
         listed = ", ".join(map(quoted, seen))
         yield f"markers = [{listed}] # those that were seen"
-    if len({own.file for own in found.poses}) > 1:
+    if len({any_pose.file for any_pose in findings.poses}) > 1:
         yield f"{off}measured.file = {quoted(pose.file.name)}"
     if pose.select != "{  }":
         check = " # CHANGE: when the robot stands still" * recorded.over_time

@@ -41,10 +41,10 @@ Posts that carry markers are shorter; cameras stand farther away from the robot.
 def write_ready_made(name: str, folder: Path) -> tuple[str, ...]:
     """Write the project file and the data of a ready-made robot into a new folder.
 
-    Returns the names of the files; those of robots are `softcal_jax.robots.READY_MADE`.
+    Robots are named in `softcal_jax.robots.READY_MADE`. Returns the names of the files.
 
     Raises:
-        ValueError: If there is no such robot, or the folder is there.
+        ValueError: If there is no such robot, or the folder exists.
         OSError: If it cannot be written.
     """
     source = ready_made_path(name).parent
@@ -63,7 +63,7 @@ def propose_project(
     size: float | None = None,
     length_unit: str | None = None,
 ) -> Findings:
-    """Write a project for a mesh or CAD model, with what no file tells as guesses.
+    """Write a project for a mesh or CAD model, and guess what the files do not state.
 
     Lines that hold a guess end in a remark "# CHANGE: ..."; `load_project` warns of
     those that are left.
@@ -101,7 +101,7 @@ def propose_project(
                 shutil.copyfile(file, made / file.name)
         text = project_text(folder.name, findings)
         (made / PROJECT).write_text(text, encoding="utf-8")
-        with warnings.catch_warnings():  # `softcal check` says them, with a better path
+        with warnings.catch_warnings():  # `softcal check` shows them, with final paths
             warnings.simplefilter("ignore", MeshWarning)
             warnings.simplefilter("ignore", ProjectWarning)
             load_project(made / PROJECT, solve=False)
@@ -109,19 +109,19 @@ def propose_project(
 
 
 def _find(model: Path, body: Body, recorded: Recorded | None) -> Findings:
-    """Put together what the files tell, and what has to be guessed."""
-    mesh, at, own_frame = body.mesh, None, False
+    """Collect what the files state, and guess the rest."""
+    mesh, located, own_frame = body.mesh, None, False
     if recorded is not None:
-        at = locate(mesh, recorded.positions, max_distance=np.inf)
-        own_frame = bool(at.distance.max() > _SAME_FRAME * mesh.size)
+        located = locate(mesh, recorded.positions, max_distance=np.inf)
+        own_frame = bool(located.distance.max() > _SAME_FRAME * mesh.size)
     moving = None if recorded is None or own_frame else recorded.moving
     held = propose_held(mesh, moving)
     tip = far_end(mesh, held)
-    if recorded is None or at is None:
+    if recorded is None or located is None:
         middle = _on_top(mesh, 0.5 * (tip + held.centre))
         markers = MarkerPlace("tip", tip, 0.0), MarkerPlace("middle", middle, 0.0)
     else:
-        markers = _markers(mesh, recorded, at, own_frame=own_frame)
+        markers = _markers(mesh, recorded, located, own_frame=own_frame)
     # A file that includes others would have to be copied with all of them.
     alone = len(mesh_files(model)) == 1
     return Findings(
@@ -137,7 +137,7 @@ def _find(model: Path, body: Body, recorded: Recorded | None) -> Findings:
 
 
 def _markers(
-    mesh: TetMesh, recorded: Recorded, at: MaterialPoints, *, own_frame: bool
+    mesh: TetMesh, recorded: Recorded, located: MaterialPoints, *, own_frame: bool
 ) -> tuple[MarkerPlace, ...]:
     """Place markers where they were seen at rest, or at points of the mesh."""
     places = recorded.positions
@@ -146,20 +146,20 @@ def _markers(
         shifted = places + box(mesh.points) - box(places)
         places = locate(mesh, shifted, max_distance=np.inf).foot
     elif not recorded.others:
-        places = at.foot
+        places = located.foot
     return tuple(
         MarkerPlace(name, place, float(distance))
         for name, place, distance in zip(
-            recorded.labels, places, at.distance, strict=True
+            recorded.labels, places, located.distance, strict=True
         )
     )
 
 
 def _on_top(mesh: TetMesh, place: Float[HostArray, "3"]) -> Float[HostArray, "3"]:
-    """Return the skin beside a place within, above it or at its larger x [m].
+    """Return a point of the skin above a place within, or at a larger x [m].
 
-    Seen from outside the box of the mesh, as the nearest point may be on the wall of a
-    cavity, where nobody glues a marker.
+    It is searched for from the box around the mesh, because the point nearest to the
+    place may be on the wall of a cavity, where nobody glues a marker.
     """
     low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
     side = 0 if np.argmax(high - low) == 2 else 2

@@ -1,4 +1,4 @@
-"""What files of markers tell, and all that a project is written from."""
+"""Poses from files of markers, and all that a project is written from."""
 
 import json
 import math
@@ -52,7 +52,7 @@ class RecordedPose(NamedTuple):
 class Recorded(NamedTuple):
     """The poses of one or several files, or of recordings over time.
 
-    That `rest` is at rest is a guess, and `unit`, where the files state none.
+    `rest` is a guess, and so is `unit`, which is None if the files state one.
     """
 
     rest: RecordedPose
@@ -72,7 +72,7 @@ class Recorded(NamedTuple):
 
     @property
     def moving(self) -> Float[HostArray, "n 3"] | None:
-        """Where those markers are at rest that move at least half as far as any [m]."""
+        """Positions at rest of markers that move at least half as far as any [m]."""
         far = self._motions
         return self.positions[far >= 0.5 * far.max()] if far.any() else None
 
@@ -83,7 +83,7 @@ class Recorded(NamedTuple):
 
     @property
     def _motions(self) -> Float[HostArray, " n_markers"]:
-        """How far each marker moves from rest at most [m]."""
+        """Longest distance that each marker moves from rest [m]."""
         far = np.zeros(len(self.labels))
         for pose in self.others:
             for i, (name, place) in enumerate(self.rest.seen.items()):
@@ -192,8 +192,8 @@ def _rows(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
 def _columns(header: Sequence[str], rows: Sequence[Mapping[str, str]]) -> tuple:
     """Choose the fewest columns, with the fewest values, that tell poses apart.
 
-    In a pose every marker has one row. Where no columns tell, none are chosen, and
-    reading says which marker is there twice.
+    In a pose every marker has one row. If no columns tell poses apart, none are chosen,
+    and reading reports which marker occurs twice.
     """
     of_place = {*"xyz", *(f"{axis}_{unit}" for axis in "xyz" for unit in METRES)}
     others = [column for column in header if column not in {"marker", *of_place}]
@@ -210,7 +210,7 @@ def _columns(header: Sequence[str], rows: Sequence[Mapping[str, str]]) -> tuple:
 
 
 def _ends(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
-    """Take the begin of the first recording as rest, and the end of each as a pose."""
+    """Take the start of the first recording as rest, and the end of each as a pose."""
     poses = []
     for path in paths:
         recording = read_recording(path, length_unit=unit)

@@ -1,4 +1,4 @@
-"""The component of SOFA that computes a law, and what it computes otherwise."""
+"""The component of SOFA that computes a law, and how its stress differs."""
 
 from typing import Any, Literal, NamedTuple
 
@@ -32,7 +32,7 @@ SofaUnits = Literal["mm-kg-s", "SI"]
 """Unit systems that scenes are usually written in."""
 
 SofaLaw = Literal["same", "corotational"]
-"""Whether SOFA gets the counterpart of the law, or its corotational one."""
+"""Whether SOFA gets the counterpart of the law, or SOFA's corotational law."""
 
 ELASTIC = "Sofa.Component.SolidMechanics.FEM.Elastic"
 HYPERELASTIC = "Sofa.Component.SolidMechanics.FEM.HyperElastic"
@@ -76,7 +76,7 @@ class PluginElasticity(AbstractElasticity):
     the shear modulus along the fibre is that across it, E_t / (2 (1 + nu_t)), whatever
     is given for mu_l; and C13 = E_t g (nu_lt + nu_t nu_tl) with g = 1 / ((1 + nu_t)
     (1 - nu_t - 2 nu_lt nu_tl)), where the inverse of the compliance has nu_t nu_lt in
-    the sum. A model for this plugin is therefore calibrated with what it computes.
+    the sum. A model for this plugin is therefore calibrated with its stiffnesses.
 
     Attributes:
         base: The law whose E_t, E_l, ratios and fibre are handed over.
@@ -167,7 +167,7 @@ def component_of(
 ) -> Component:
     """Write a law from `law_for_sofa` as a component of a scene.
 
-    Not where the release lacks it, or SOFA would replace a constant by another.
+    A ValueError if the release lacks it, or SOFA would replace a constant by another.
     """
     if isinstance(law, SofaCorotational):
         if isinstance(law.elasticity, PluginElasticity):

@@ -35,7 +35,7 @@ _IMPOSED = {
     (False, True): ("volumeGrowth", "volume"),
     (False, False): ("pressure", "pressure"),
 }
-"""Value type of SOFA and factor of its unit, for a cable or a wall, by displacement."""
+"""SOFA's value type and factor of its unit, by (is a cable, imposes displacement)."""
 
 
 def check_robot(model: Model) -> None:
@@ -129,10 +129,10 @@ def _supports(
     return {
         "held": [
             {
-                "directions": [int(way) for way in own],
-                "indices": np.flatnonzero((fixed == own).all(axis=1)).tolist(),
+                "directions": [int(way) for way in directions],
+                "indices": np.flatnonzero((fixed == directions).all(axis=1)).tolist(),
             }
-            for own in ways
+            for directions in ways
         ],
         "moved": {
             "indices": moved.tolist(),
@@ -167,13 +167,13 @@ def _actuators(model: Model, lane: ConfigurationArrays, scale: Scale) -> dict[st
             check_rim(model, lane, owner, "SOFA")
             name = model.mechanism.actuators.names[owner]
             mine = np.flatnonzero(owners == owner)
-            own = jax.tree.map(lambda leaf, mine=mine: np.asarray(leaf)[mine], group)
-            cable = isinstance(own, CableSegments)
+            part = jax.tree.map(lambda leaf, mine=mine: np.asarray(leaf)[mine], group)
+            cable = isinstance(part, CableSegments)
             kind, unit = _IMPOSED[cable, moves]
             if cable:
-                where = _path(model, own, name, scale)
+                where = _path(model, part, name, scale)
             else:  # SOFA pushes along the normals: into the body
-                where = {"triangles": own.nodes[:, ::-1].tolist()}
+                where = {"triangles": part.nodes[:, ::-1].tolist()}
             imposed = {"value": getattr(scale, unit) * value, "value type": kind}
             written["cables" if cable else "chambers"].append(
                 {"name": name, **where, **imposed}
@@ -186,8 +186,8 @@ def _path(
 ) -> dict[str, Any]:
     """Return the guides of a cable on the body, and the point on the ground, if any.
 
-    SOFA knows one fixed point, from which the cable is pulled, and lists the others
-    from there.
+    SOFA allows one fixed point, from which the cable is pulled, and lists the other
+    points from there.
     """
     rest = np.asarray(model.mechanism.points)
     ends = np.einsum("cem,cmi->cei", cable.weights, rest[cable.nodes]) + cable.fixed
@@ -218,7 +218,7 @@ def _effectors(
     x: Float[HostArray, "n_nodes 3"],
     scale: Scale,
 ) -> list[dict[str, Any]]:
-    """Write markers and other points: their nodes, weights, and what is predicted."""
+    """Write markers and other points: nodes, weights, and predicted positions."""
     arrays = lane.effectors
     nodes, weights = np.asarray(arrays.nodes), np.asarray(arrays.weights)
     written = []
@@ -226,14 +226,14 @@ def _effectors(
         if record.quantity != "point":
             continue
         used = weights[record.index] != 0.0
-        own, share = nodes[record.index][used], weights[record.index][used]
+        carriers, share = nodes[record.index][used], weights[record.index][used]
         measured = scale.length * np.asarray(record.measured)
         written.append(
             {
                 "name": record.name,
-                "nodes": own.tolist(),
+                "nodes": carriers.tolist(),
                 "weights": share.tolist(),
-                "predicted": (scale.length * share @ x[own]).tolist(),
+                "predicted": (scale.length * share @ x[carriers]).tolist(),
                 "measured": plain(measured) if np.isfinite(measured).any() else None,
             }
         )

@@ -49,7 +49,7 @@ class SofaExport(Module):
         release: The release that it is written for.
         component: The component that computes the law.
         calibrated: The calibration that was exported.
-        result: That of the model of SOFA, whose values the scene has.
+        result: Calibration of the model of SOFA, whose values the scene has.
         notes: What to know of the scene, in sentences.
     """
 
@@ -97,7 +97,7 @@ def export_sofa(
     The folder holds `scene.py` for SofaPython3, `robot.vtk` (the linear mesh),
     `robot.json` (all numbers, in the units of the scene), and `README.md` with the
     command that runs it. The scene holds all configurations, follows their markers and
-    compares these with what the model predicts.
+    compares them with what the model predicts.
 
     Args:
         result: The results folder, its `result.json`, or what `load_result` returned.
@@ -175,15 +175,15 @@ def export_sofa(
 def _model_of_sofa(project: Project, law: SofaLaw, rotation: SofaRotation) -> Model:
     """Return the model of a linear project with the law that SOFA computes."""
     model = project.model
-    own = law_for_sofa(model.law, model.mesh, choice=law, rotation=rotation)
+    sofa_law = law_for_sofa(model.law, model.mesh, choice=law, rotation=rotation)
     assert project.space is not None  # it has been calibrated
-    of_plugin = isinstance(getattr(own, "elasticity", None), PluginElasticity)
+    of_plugin = isinstance(getattr(sofa_law, "elasticity", None), PluginElasticity)
     if of_plugin and "mu_l" in project.space.field_names:
         raise ValueError(
             "mu_l is a parameter, but the plugin Anisotropy takes the shear modulus "
             "along the fibre from E_t; calibrate without it, and export that."
         )
-    return model_for_law(model, own)
+    return model_for_law(model, sofa_law)
 
 
 def _recalibrate(
@@ -194,10 +194,10 @@ def _recalibrate(
 ) -> CalibrationResult:
     """Fit the model of SOFA to the same measurements, from the calibrated values.
 
-    Standard errors are left out: the values make up for the mesh, and belong to it.
+    Standard errors are left out, since the values make up for errors of the mesh.
     """
     assert project.space is not None  # it has been calibrated
-    found = calibrate(
+    refitted = calibrate(
         model,
         project.space,
         project.calibration,
@@ -211,13 +211,13 @@ def _recalibrate(
         intervals=None,
         progress=progress,
     )
-    if not found.converged:
+    if not refitted.converged:
         raise NotConvergedError(
             f"the calibration of the model of SOFA did not converge after "
-            f"{len(found.history) - 1} steps: "
-            f"{' '.join(found.notes) or 'raise max_steps under [settings].'}"
+            f"{len(refitted.history) - 1} steps: "
+            f"{' '.join(refitted.notes) or 'raise max_steps under [settings].'}"
         )
-    return found
+    return refitted
 
 
 def _notes(refitted: CalibrationResult, scene: Scene) -> tuple[str, ...]:

@@ -33,13 +33,13 @@ class Scene(NamedTuple):
     def driven(self) -> list[str]:
         """Names of the configurations with cables or chambers."""
         posed = self.configurations.items()
-        return [name for name, own in posed if own["cables"] or own["chambers"]]
+        return [name for name, pose in posed if pose["cables"] or pose["chambers"]]
 
     @property
     def plugins(self) -> list[str]:
-        """Those that are not part of SOFA itself."""
-        own = self.elasticity.plugin
-        return ["SoftRobots"] * bool(self.driven) + [own] * (own in _NEEDED)
+        """Plugins that are not part of SOFA itself."""
+        plugin = self.elasticity.plugin
+        return ["SoftRobots"] * bool(self.driven) + [plugin] * (plugin in _NEEDED)
 
 
 def write_scene(
@@ -72,7 +72,7 @@ def write_scene(
             "positions": points.tolist(),
             "vertex mass": scene.vertex_mass.tolist(),
             "configurations": {
-                name: {"file": stem, **own} for (name, own), stem in named
+                name: {"file": stem, **pose} for (name, pose), stem in named
             },
             "files": files,
         }
@@ -84,7 +84,7 @@ def _write_vtk(
 ) -> None:
     """Write linear tets as SOFA reads them: VTK before version 5, as text.
 
-    In full precision, which the writer of VTK itself does not keep.
+    Numbers have full precision, which the writer of VTK itself does not keep.
     """
     rows = lambda table: [" ".join(map(repr, row)) for row in table.tolist()]
     lines = [

@@ -1,7 +1,7 @@
 """SOFA scene of a calibrated robot; README.md says how to run it.
 
-robot.json holds the numbers, in the units that it names. Another configuration than the
-first one: set the environment variable SOFTCAL_CONFIGURATION to its name.
+robot.json holds the numbers, in the units that it names. To run another configuration
+than the first one, set the environment variable SOFTCAL_CONFIGURATION to its name.
 """
 
 import csv
@@ -111,7 +111,7 @@ def createScene(root):
 
 
 def _add_solvers(body, driven):
-    """Add Newton's method for a static one; with actuators, implicit steps in time."""
+    """Add Newton's method if nothing drives the body, else implicit steps in time."""
     if driven:
         body.addObject("EulerImplicitSolver", name="ode")
     else:
@@ -128,7 +128,7 @@ def _add_solvers(body, driven):
         )
         body.addObject("StaticSolver", name="ode", newtonSolver="@newton")
     if ROBOT["elasticity"]["component"] == "TetrahedronAnisotropicForceField":
-        # Its assembled matrix is not turned with the tets; its products are.
+        # This component turns its products with the tets, but not its assembled matrix.
         precise = {"iterations": 10000, "tolerance": 1e-14, "threshold": 1e-30}
         body.addObject("CGLinearSolver", name="linear", **precise)
     else:
@@ -156,8 +156,8 @@ def _add_body(body):
         rest_position="@loader.position",
     )
     body.addObject("DiagonalMass", name="mass", vertexMass=ROBOT["vertex mass"])
-    own = ROBOT["elasticity"]
-    body.addObject(own["component"], name="elasticity", **own["data"])
+    elasticity = ROBOT["elasticity"]
+    body.addObject(elasticity["component"], name="elasticity", **elasticity["data"])
     return state
 
 
@@ -171,25 +171,25 @@ def _positions():
 
 def _add_supports(body):
     """Add what holds the body: clamps, sliding supports and elastic ones."""
-    for k, own in enumerate(CONFIGURATION["held"]):
-        if all(own["directions"]):
+    for k, held in enumerate(CONFIGURATION["held"]):
+        if all(held["directions"]):
             body.addObject(
-                "FixedProjectiveConstraint", name=f"clamp{k}", indices=own["indices"]
+                "FixedProjectiveConstraint", name=f"clamp{k}", indices=held["indices"]
             )
         else:
             body.addObject(
                 "PartialFixedProjectiveConstraint",
                 name=f"slide{k}",
-                indices=own["indices"],
-                fixedDirections=own["directions"],
+                indices=held["indices"],
+                fixedDirections=held["directions"],
             )
-    for k, own in enumerate(CONFIGURATION["springs"]):
+    for k, springs in enumerate(CONFIGURATION["springs"]):
         body.addObject(
             "RestShapeSpringsForceField",
             name=f"springs{k}",
-            points=own["indices"],
-            stiffness=own["stiffness"],
-            activeDirections=own["directions"],
+            points=springs["indices"],
+            stiffness=springs["stiffness"],
+            activeDirections=springs["directions"],
         )
 
 
