@@ -187,7 +187,7 @@ OF_THE_FILE = {
     "window of a table": (
         'file = "run.c3d"',
         'file = "markers.csv"',
-        "markers.csv ... table of rows ... column marker",
+        "markers.csv ... table ... column marker ... rows by values",
     ),
     "unit of a recording": (
         'file = "run.c3d"',
