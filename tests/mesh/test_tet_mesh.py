@@ -49,7 +49,7 @@ def test_a_group_makes_a_new_mesh():
     ("add", "message"),
     [
         (lambda m: m.with_node_group("x_min", [0]), "node group 'x_min' already"),
-        (lambda m: m.with_surface_group("x_min", boundary_faces(m)), "'x_min' already"),
+        (lambda m: m.with_surface_group("x_min", boundary_faces(m)), "face .*'x_min'"),
         (lambda m: m.with_node_group("a", [27]), "node group 'a': index 27 .* 26"),
         (lambda m: m.with_node_group("a", [-1]), "index -1 .* 0 to 26"),
         (lambda m: m.with_node_group("a", np.array([], int)), "group 'a' is empty"),

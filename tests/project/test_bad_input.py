@@ -170,8 +170,7 @@ CASES = {
     ),
     "load without a force": (
         (', force = "(20, 0, -50) mN"', ""),
-        "configurations.pulled.loads[1]: ... one of point and force, edge and force, "
-        "surface and force, surface and traction; got surface",
+        "configurations.pulled.loads[1]: ... got surface.",
     ),
     "force at nothing that is known": (
         ('surface = "x_max", force', 'point = "(60, 0, 0) mm", forse'),
@@ -179,7 +178,7 @@ CASES = {
     ),
     "load in two places": (
         ('surface = "x_max", force', 'surface = "x_max", edge = "x_max", force'),
-        "configurations.pulled.loads[1]: ... one of point and force",
+        "configurations.pulled.loads[1]: ... got surface and edge and force",
     ),
     "traction on an edge": (
         (
@@ -225,7 +224,7 @@ CASES = {
     ),
     "unknown recording": (
         ('recording = { run = "pulled" }', 'recording = { run = "pull" }'),
-        "configurations.pulled.measured: ",
+        "configurations.pulled.measured: ... run = pull, phase = loaded",
     ),
     "configuration twice": (
         ('name = "pulled"', 'name = "weight"'),
