@@ -226,21 +226,15 @@ def test_full_turn_of_the_bounds_makes_an_angle_periodic():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (
-            {"lower": [1.0, 2.0, 3.0]},
-            r"lower of E_t .*\(2\), got shape",
-        ),
-        ({"start": [[1.0]]}, r"one for each \(2\), got shape \(1, 1\)"),
+        ({"lower": [1.0, 2.0, 3.0]}, r"lower of E_t .*\(2\).* \(3,\)"),
+        ({"start": [[1.0]]}, r"start of E_t .*\(2\).* \(1, 1\)"),
         ({"fixed": {"top": 1.0}}, "fixed of E_t: .*'top'.*'root', 'tip'"),
         ({"tied": {"top": "x"}}, "tied of E_t: .*'top'.*'root', 'tip'"),
-        ({"fixed": {"tip": 1.0}, "tied": {"tip": "x"}}, "'tip' of E_t is both fixed"),
-        (
-            {"interpolation": "cubic"},
-            "interpolation 'cubic'.*'director', 'linear', 'log'",
-        ),
+        ({"fixed": {"tip": 1.0}, "tied": {"tip": "x"}}, "'tip' of E_t .* tied"),
+        ({"interpolation": "cubic"}, "'cubic'.*'director', 'linear', 'log'"),
         (
             {"interpolation": "director", "lower": 0.0, "upper": 3.5},
-            "bounds of E_t span 201 degrees: .* after 180",
+            "E_t span 201 degrees.* 180",
         ),
     ],
 )

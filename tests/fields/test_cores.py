@@ -155,13 +155,10 @@ def test_plain_steps_and_numbers_keep_the_fields(model):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"core": 1.0}, r"core of theta must lie in \[0, 1\), got 1"),
-        ({"core": -0.1}, r"core of theta must lie in \[0, 1\), got -0.1"),
-        (
-            {"of_angle": {"interpolation": "linear"}},
-            'core of theta .*interpolation="director"',
-        ),
-        ({"of_angle": {"region": "one"}}, "E_l is not set .* region='one'"),
+        ({"core": 1.0}, r"core of theta .*\[0, 1\), got 1:"),
+        ({"core": -0.1}, r"core of theta .*\[0, 1\), got -0\.1:"),
+        ({"of_angle": {"interpolation": "linear"}}, "theta .*director.*'linear'"),
+        ({"of_angle": {"region": "one"}}, "theta .*E_l .* region='one'"),
     ],
 )
 def test_bad_core(options, message):
@@ -170,7 +167,5 @@ def test_bad_core(options, message):
 
 
 def test_a_core_needs_an_axis():
-    with pytest.raises(
-        ValueError, match=r'which in axes, like \("E_l", "E_t", "theta"'
-    ):
+    with pytest.raises(ValueError, match=r"theta .*core.* in axes, "):
         ParameterSpace(entries())

@@ -66,33 +66,30 @@ def test_apply_passes_derivatives_to_every_parameter(model):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"lower": 1e6, "upper": 1e5}, "bounds not crossed .* lower 1e+06"),
-        (
-            {"start": 2e6},
-            "start 2e[+]06, .* 100000 .* 1e[+]06",
-        ),
-        ({"start": np.nan}, "must be finite"),
-        ({"lower": -1.0}, "a log scale needs positive bounds"),
-        ({"scale": "linear", "S": 0.0}, "S must be positive, got 0"),
+        ({"lower": 1e6, "upper": 1e5}, r"crossed.* lower 1e\+06 .* 100000"),
+        ({"start": 2e6}, r"start 2e\+06, .* 100000 .* 1e\+06"),
+        ({"start": np.nan}, "finite.* start nan"),
+        ({"lower": -1.0}, "log scale .* -1; .*linear"),
+        ({"scale": "linear", "S": 0.0}, "S .*positive, got 0; leave"),
         ({"scale": "ln"}, "scale .*got 'ln'"),
     ],
 )
 def test_bad_parameter_names_value_and_remedy(unchecked, changes, message):
     good = {"start": 2e5, "lower": 1e5, "upper": 1e6}
-    with pytest.raises(ValueError, match=message.replace("1e+06", r"1e\+06")):
+    with pytest.raises(ValueError, match=f"'E': .*{message}"):
         Parameter("E", "E", **(good | changes))
 
 
 def test_space_refuses_no_parameters_and_repeated_names():
     one = Parameter("E", "E", 2e5, 1e5, 1e6)
-    with pytest.raises(ValueError, match="at least one parameter is needed"):
+    with pytest.raises(ValueError, match="at least one parameter"):
         ParameterSpace(())
-    with pytest.raises(ValueError, match="'E' is named more than once"):
+    with pytest.raises(ValueError, match=r"'E' .*more than once"):
         ParameterSpace((one, one))
 
 
 def test_unknown_field_lists_those_there_are(model):
-    with pytest.raises(ValueError, match=r"'Young' .* does not exist; it has density"):
+    with pytest.raises(ValueError, match=r"'Young' .* density, law"):
         find_field(model, "Young")
 
 

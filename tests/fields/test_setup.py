@@ -122,27 +122,27 @@ def test_material_and_setup_are_told_apart():
 
 
 def test_bad_input():
-    with pytest.raises(ValueError, match=r"motor of parameter 'zero of M'.*'M'"):
+    with pytest.raises(ValueError, match=r"motor .*'M'.* mean 'm'"):
         check_parameters(
             MODEL, ParameterSpace((motor_zero("M", limit=0.1, prior_std=None),))
         )
-    with pytest.raises(ValueError, match=r"unknown kind .* 'zero'"):
+    with pytest.raises(ValueError, match=r"kind .* 'zero'.* 'motor_zero'"):
         SetupParameter("zero", "m", [SPACE.parameters[1]])
     zero, place = SPACE.parameters[1:3]
-    with pytest.raises(ValueError, match=r"axis of parameter .* 'w'"):
+    with pytest.raises(ValueError, match=r"axis .* 'w'.* 'x', 'y', 'z'"):
         SetupParameter("mounting", "base", [place], "w")
-    with pytest.raises(ValueError, match=r"axis of parameter .* 'x'"):
+    with pytest.raises(ValueError, match=r"axis .*'zero of m' 'x'"):
         SetupParameter("motor_zero", "m", [zero], "x")
     with pytest.raises(ValueError, match=r'needs scale="linear"'):
         SetupParameter("motor_zero", "m", [Parameter("zero", "", 1.0, 0.5, 2.0)])
-    with pytest.raises(ValueError, match="motor_zero belongs to the robot"):
+    with pytest.raises(ValueError, match=r"motor_zero .*leave `each`"):
         SetupParameter("motor_zero", "m", [zero], each=["a"])
-    with pytest.raises(ValueError, match="has 2 unknowns; expected one for each"):
+    with pytest.raises(ValueError, match=r"zero.*mounting.* 2 unknowns"):
         SetupParameter("gravity_tilt", "", [zero, place], "first")
-    with pytest.raises(ValueError, match="'a' stands twice in `each`"):
+    with pytest.raises(ValueError, match=r"'a' .*twice.*`each`"):
         load_factor(prior_std=None, each=["a", "a"])
     for make in (gravity_tilt, load_factor):
         with pytest.raises(TypeError, match=r"missing .* 'prior_std'"):
             make()
-        with pytest.raises(TypeError, match="unexpected keyword argument 'nominal'"):
+        with pytest.raises(TypeError, match=r"unexpected .*'nominal'"):
             make(prior_std=0.05, nominal=1.0)

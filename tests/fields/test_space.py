@@ -149,7 +149,7 @@ def test_order_of_two_known_values_adds_no_row():
     )
     space = ParameterSpace(entries(400.0), order=[("E_l", "E_t")])
     assert space.order_names() == [("E_l of tip", "E_t of tip")]
-    with pytest.raises(ValueError, match="E_l of root <= E_t of root, but both are f"):
+    with pytest.raises(ValueError, match=r"E_l of root <= E_t of root.* fixed"):
         ParameterSpace(entries(700.0), order=[("E_l", "E_t")])
 
 
@@ -183,22 +183,18 @@ def test_order_rows_can_be_traced():
 @pytest.mark.parametrize(
     ("entries", "order", "message"),
     [
-        ([modulus("E")], ["E_l"], r"pairs \(smaller, larger\), .*; got 'E_l'"),
-        ([modulus("E")], [("a", "b", "c")], r"got \('a', 'b', 'c'\)"),
-        (
-            [modulus("E_t")],
-            [("E_l", "E_t")],
-            "order: .*'E_l'.*'E_t of root', ",
-        ),
+        ([modulus("E")], ["E_l"], r"order .*pairs.* 'E_l'\."),
+        ([modulus("E")], [("a", "b", "c")], r"pairs.* \('a', 'b', 'c'\)"),
+        ([modulus("E_t")], [("E_l", "E_t")], "order: .*'E_l'.*'E_t of root', "),
         (
             [modulus("E_t"), modulus("E_l", OTHERS)],
             [("E_l", "E_t")],
-            r"in common \(left, right and root, tip\)",
+            r"'E_l', 'E_t'.*\(left, right and root, tip\)",
         ),
         (
             [modulus("E_t"), modulus("E_l", scale="linear")],
             [("E_l", "E_t")],
-            "same scale; got 'linear' and 'log'",
+            "same scale.* 'linear' and 'log'",
         ),
         (
             [
@@ -207,19 +203,11 @@ def test_order_rows_can_be_traced():
                 modulus("E_l"),
             ],
             [("E_l", "E_t")],
-            "E_t has two values .*'root'",
+            "E_t .*'root'.*different names",
         ),
-        (
-            [modulus("E", tied={"tip": "nu"})],
-            [],
-            "E of tip is tied to .*'nu'.*'E of root'",
-        ),
-        ([modulus("E"), modulus("E")], [], "'E of root' is named more than once"),
-        (
-            [modulus("E", fixed={"root": 1.0, "tip": 2.0})],
-            [],
-            "at least one parameter is needed",
-        ),
+        ([modulus("E", tied={"tip": "nu"})], [], "E of tip .*'nu'.*'E of root'"),
+        ([modulus("E"), modulus("E")], [], "'E of root' .*more than once"),
+        ([modulus("E", fixed={"root": 1, "tip": 2})], [], "at least one parameter"),
     ],
 )
 def test_bad_space(unchecked, entries, order, message):
@@ -228,32 +216,25 @@ def test_bad_space(unchecked, entries, order, message):
 
 
 AXIS = [("E_l", "E_t", "theta")]
+FREELY = "'theta of root' .*director.* 180 deg"
 
 
 @pytest.mark.parametrize(
     ("changes", "axes", "message"),
     [
-        ({}, ["E_l"], r"triples \(smaller modulus, larger modulus, angle\).*'E_l'"),
-        ({}, [("E_l", "E_t")], r"got \('E_l', 'E_t'\)"),
+        ({}, ["E_l"], r"axes .*triples.* 'E_l'\."),
+        ({}, [("E_l", "E_t")], r"triples.* \('E_l', 'E_t'\)\."),
         ({}, [("E_l", "E_t", "phi")], "axes: .*'phi'"),
-        ({"E_l": modulus("E_l", scale="linear")}, AXIS, 'must have scale="log", got'),
-        ({"theta": angle(upper=1.0)}, AXIS, "'theta of root' must turn freely: give"),
-        (
-            {"theta": angle(interpolation="linear")},
-            AXIS,
-            'interpolation="director" and bounds that span 180 degrees',
-        ),
-        ({"E_t": modulus("E_t", max_step=0.1)}, AXIS, "'E_t of root' has a max_step"),
-        ({"theta": angle(max_step=0.1)}, AXIS, "are taken as tensors; leave one of"),
-        (
-            {"theta": angle(OTHERS)},
-            AXIS,
-            "no control point has all three .*give",
-        ),
+        ({"E_l": modulus("E_l", scale="linear")}, AXIS, "'E_l of root' .*log.*linear"),
+        ({"theta": angle(upper=1.0)}, AXIS, FREELY),
+        ({"theta": angle(interpolation="linear")}, AXIS, FREELY),
+        ({"E_t": modulus("E_t", max_step=0.1)}, AXIS, "'E_t of root' .*max_step"),
+        ({"theta": angle(max_step=0.1)}, AXIS, "'theta of root' .*max_step"),
+        ({"theta": angle(OTHERS)}, AXIS, "no control point .*give .*same"),
         (
             {"theta": angle(fixed={"root": 0.0, "tip": 1.0})},
             AXIS,
-            "no control point has all three unknown",
+            "no control point .*unknown",
         ),
         ({}, AXIS * 2, "'E_l of root' .*more than one axis"),
         (
@@ -272,5 +253,5 @@ def test_bad_axes(unchecked, changes, axes, message):
 @pytest.mark.parametrize("convert", ["to_scaled", "from_scaled"])
 def test_each_parameter_needs_one_value(convert):
     space = as_space([one("E"), one("nu")])
-    with pytest.raises(ValueError, match=r"3 values for the 2 parameters \(E, nu\)"):
+    with pytest.raises(ValueError, match=r"3 values .* 2 .*\(E, nu\)"):
         getattr(space, convert)(jnp.ones(3))

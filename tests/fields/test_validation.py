@@ -52,7 +52,7 @@ def test_whole_body_must_not_flatten_its_regions():
 
 @pytest.mark.parametrize("regions", [("near", "middle"), (None, "far"), (None, None)])
 def test_two_parameters_must_not_set_the_same_tets(regions):
-    with pytest.raises(ValueError, match="'a' and 'b' both set E of tet"):
+    with pytest.raises(ValueError, match=r"'a' and 'b' .* E of .*regions"):
         check(model(), modulus("a", regions[0]), modulus("b", regions[1]))
 
 
@@ -64,9 +64,9 @@ def test_unknown_region_is_named():
 @pytest.mark.parametrize(
     ("parameter", "message"),
     [
-        (("nu", 0.3, 0.1, 0.6), r"upper bound: nu must lie in \(-1, 0.5\), got 0.6"),
-        (("E", 1e5, -1.0, 1e6), "lower bound: E must be positive"),
-        (("density", 1e3, -1.0, 1e4), "lower bound: density must not be negative"),
+        (("nu", 0.3, 0.1, 0.6), r"upper bound: nu .*\(-1, 0\.5\), got 0\.6"),
+        (("E", 1e5, -1.0, 1e6), "lower bound: E .*positive.* -1"),
+        (("density", 1e3, -1.0, 1e4), "lower bound: density .*negative"),
     ],
 )
 def test_bounds_outside_the_range_of_the_material(parameter, message):
@@ -100,25 +100,25 @@ def test_fields_with_control_points_are_fine():
 
 
 def test_control_points_and_a_parameter_must_not_set_the_same_tets():
-    with pytest.raises(ValueError, match="'E of root, tip' and 'b' both set E of tet"):
+    with pytest.raises(ValueError, match=r"'E of root, tip' and 'b' .*regions"):
         check(model(), spread(), modulus("b", "far"))
 
 
 def test_control_point_far_outside_is_named_with_its_distance():
     """Millimetres for metres, or another frame."""
     points = ControlPoints({"root": (0.0, 0.25, 0.25), "tip": (1000.0, 250.0, 250.0)})
-    message = r"'tip' of E lies 1.06e\+03 m .* 122 mm"
+    message = r"'tip' of E .* 1\.06e\+03 m .* 122 mm"
     with pytest.raises(ValueError, match=message):
         check(model(), spread(points=points))
 
 
 def test_max_distance_and_the_region_decide_what_is_far():
     outside = {"root": (0.0, 0.25, 0.25), "tip": (2.0, 0.5, 0.5)}
-    with pytest.raises(ValueError, match="'tip' of E lies 1 m from the body"):
+    with pytest.raises(ValueError, match=r"'tip' of E .* 1 m from the body"):
         check(model(), spread(points=ControlPoints(outside)))
     check(model(), spread(points=ControlPoints(outside, max_distance=1.01)))
     near = {"root": (0.0, 0.25, 0.25), "tip": (1.0, 0.25, 0.25)}
-    message = "'tip' of E lies 612 mm .*'near', .*max_distance, 100 mm"
+    message = "'tip' of E .* 612 mm .*'near', .* 100 mm"
     points = ControlPoints(near, max_distance=0.1)
     with pytest.raises(ValueError, match=message):
         check(model(), spread(points=points, region="near"))
@@ -127,24 +127,21 @@ def test_max_distance_and_the_region_decide_what_is_far():
 def test_distance_counts_along_the_axes_of_the_control_points():
     above = [(0.0, 50.0, 0.25), (1.0, -50.0, 0.25)]
     check(model(), spread(points=ControlPoints(above, axes="xz")))
-    with pytest.raises(ValueError, match=r"'CP 1' of E lies 49.5 m from the body"):
+    with pytest.raises(ValueError, match=r"'CP 1' of E .* 49\.5 m .*body"):
         check(model(), spread(points=ControlPoints(above)))
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (
-            {"nearest": 1},
-            "nearest is 1. Raise `nearest`",
-        ),
-        ({"power": 1e4}, "power 10000. Lower `power`"),
+        ({"nearest": 1}, r"nearest is 1\. Raise `nearest`"),
+        ({"power": 1e4}, r"power 10000\. Lower `power`"),
     ],
 )
 def test_control_point_that_acts_on_no_tet(options, message):
     """The third stands behind the second."""
     positions = [(0.0, 0.25, 0.25), (1.0, 0.25, 0.25), (1.1, 0.25, 0.25)]
-    with pytest.raises(ValueError, match=r"'CP 3' of E acts on no tet: .*" + message):
+    with pytest.raises(ValueError, match="'CP 3' of E .*no tet.*" + message):
         check(model(), spread(points=ControlPoints(positions, **options)))
     check(model(), spread(points=ControlPoints(positions)))
     # A known value there does no harm.
@@ -158,13 +155,13 @@ def test_bounds_of_a_field_outside_the_range_of_the_material(order):
     body = build_model(mesh, Corotational(Isotropic(2e5, 0.3)), density=1000.0)
     options = {"start": 0.3, "lower": 0.1, "scale": "linear"}
     check(body, spread("nu", upper=0.49, **options))
-    with pytest.raises(ValueError, match=r"upper bound: nu must lie in \(-1, 0.5\)"):
+    with pytest.raises(ValueError, match=r"upper bound: nu .*\(-1, 0\.5\)"):
         check(body, spread("nu", upper=[0.4, 0.7], **options))
 
 
 def test_known_value_outside_the_range_of_the_material():
     bad = spread(fixed={"tip": -1e7})
-    with pytest.raises(ValueError, match="lower bound: E must be positive"):
+    with pytest.raises(ValueError, match=r"lower bound: E .*positive"):
         check(model(), bad)
 
 
@@ -186,12 +183,8 @@ ANGLE = ControlPointParameters(
     [
         ({}, {}, None),
         ({"start": 1.5e5}, {}, None),
-        ({"start": [2e5, 3e5]}, {}, "E_l of tip above E_t of tip"),
-        (
-            {"lower": 5e5, "start": 6e5},
-            {"upper": 4e5},
-            "no room for E_l of root <= E_t of root",
-        ),
+        ({"start": [2e5, 3e5]}, {}, "E_l of tip above E_t of tip, but {way} "),
+        ({"lower": 5e5, "start": 6e5}, {"upper": 4e5}, "E_l of root <= E_t of root: "),
     ],
 )
 def test_start_and_bounds_must_allow_the_order(way, soft, stiff, message):
@@ -203,7 +196,5 @@ def test_start_and_bounds_must_allow_the_order(way, soft, stiff, message):
     if message is None:
         check_parameters(with_fibre(), space)
     else:
-        with pytest.raises(ValueError, match=message) as caught:
+        with pytest.raises(ValueError, match=message.format(way=way)):
             check_parameters(with_fibre(), space)
-        if "start" in message:
-            assert f"but {way} " in str(caught.value)

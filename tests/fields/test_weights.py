@@ -106,14 +106,13 @@ def test_derivative_on_a_control_point_is_finite(power, nearest):
 
 @pytest.mark.parametrize("power", [0.0, -2.0, np.nan, np.inf])
 def test_bad_power(power):
-    with pytest.raises(ValueError, match=r"power must be .* got .*the paper takes 2"):
+    with pytest.raises(ValueError, match=rf"power .* got {power:g}: .* 2\."):
         ControlPoints(ALONG, power=power)
 
 
 @pytest.mark.parametrize("nearest", [0, -1, 4])
 def test_bad_nearest(nearest):
-    message = f"control points, 3, got {nearest}"
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=f"nearest .* 3, got {nearest}"):
         ControlPoints(ALONG, nearest=nearest)
 
 
@@ -144,23 +143,19 @@ def test_two_sheets_share_a_field_of_x_and_z():
 @pytest.mark.parametrize(
     ("positions", "changes", "message"),
     [
-        (
-            ALONG[:, :2],
-            {},
-            r"shape \(number, 3\) \[m\], at least one; got shape \(3, 2",
-        ),
-        (np.zeros((0, 3)), {}, r"at least one; got shape \(0, 3\)"),
-        ({}, {}, r"at least one; got shape \(0,\)"),
-        ({"a": (0, 0, 0), "b": (1, 2)}, {}, r"'b' needs three numbers .* got \(1, 2\)"),
-        (ALONG, {"names": ["a", "b"]}, "3 control points need as many different names"),
-        (ALONG, {"names": ["a", "b", "a"]}, "different names, got a, b, a"),
-        (ALONG, {"axes": "xx"}, "each once, like \"xz\"; got 'xx'"),
-        (ALONG, {"axes": "xw"}, "got 'xw'"),
-        (ALONG, {"axes": ""}, "got ''"),
-        (ALONG, {"max_distance": -0.1}, r"must not be negative \[m\], got -0.1"),
-        (ALONG, {"max_distance": np.nan}, "must not be negative"),
-        ([(np.inf, 0, 0), *ALONG], {}, r"'CP 1' lies at .*: expected three finite"),
-        (np.vstack([ALONG, [[0, np.nan, 0]]]), {}, "'CP 4' lies at .*nan"),
+        (ALONG[:, :2], {}, r"\(number, 3\) \[m\].* \(3, 2\)"),
+        (np.zeros((0, 3)), {}, r"at least one.* \(0, 3\)"),
+        ({}, {}, r"at least one.* \(0,\)"),
+        ({"a": (0, 0, 0), "b": (1, 2)}, {}, r"'b' .*three numbers .* \(1, 2\)"),
+        (ALONG, {"names": ["a", "b"]}, r"3 control points .*names, got a, b\."),
+        (ALONG, {"names": ["a", "b", "a"]}, r"different names, got a, b, a\."),
+        (ALONG, {"axes": "xx"}, "axes .*once.* 'xx'"),
+        (ALONG, {"axes": "xw"}, "axes .* 'xw'"),
+        (ALONG, {"axes": ""}, "axes .* ''"),
+        (ALONG, {"max_distance": -0.1}, r"max_distance .*\[m\], got -0\.1"),
+        (ALONG, {"max_distance": np.nan}, "max_distance .* nan"),
+        ([(np.inf, 0, 0), *ALONG], {}, "'CP 1' .*inf.*three finite"),
+        (np.vstack([ALONG, [[0, np.nan, 0]]]), {}, "'CP 4' .*nan.*three finite"),
         (np.vstack([ALONG, ALONG[1]]), {}, "'CP 2' and 'CP 4' coincide"),
         (np.add(ALONG, 1e9), {"axes": "z"}, "'CP 1' and 'CP 2' coincide along z"),
         ([(0, 1, 0), (0, 2, 0)], {"axes": "xz"}, "coincide along xz.*Remove one"),

@@ -107,7 +107,7 @@ def test_layouts_with_as_many_points_share_a_program(comparison, data):
 def test_words_and_table(comparison):
     text = str(comparison)
     assert says(text, "'two' ... best")
-    assert says(text, "model parameters held-out [mm]")
+    assert says(text, "parameters held-out [mm]")
 
 
 @COMPARED
@@ -219,20 +219,18 @@ def test_a_pose_that_the_fit_cannot_carry_is_named():
     text = str(found)
     assert says(text, "none ... preferred")
     assert "1 of 3" in text
-    assert says(text, "push held out: ... no equilibrium")
+    assert says(text, "push ... no equilibrium")
 
 
 @COMPARED
 def test_a_start_without_equilibrium_is_named():
     (score,) = soft_and_stiff(start=3.1e4).models
-    start = "a fitted configuration has no equilibrium at the start"
-    assert [f.failure for f in score.folds[:2]] == [start, start]
-    assert score.fit_failure == start
+    for failure in (*(fold.failure for fold in score.folds[:2]), score.fit_failure):
+        assert says(failure, "no equilibrium ... start")
     assert score.verdict == "not known"
     assert np.isnan(score.held_out_rms)
-    assert f"'one', all configurations fitted: {start}." in str(
-        ModelComparison.ranked([score])
-    )
+    found = ModelComparison.ranked([score])
+    assert says(found, f"'one', all configurations ... {score.fit_failure}")
 
 
 @COMPARED
@@ -257,7 +255,7 @@ def test_a_fold_that_did_not_converge_is_named(comparison, data, monkeypatch):
     rms = [f.rms for f in comparison.models[0].folds[1:]]
     np.testing.assert_allclose(two.held_out_rms, np.sqrt(np.mean(np.square(rms))))
     assert found.best.name == "six"
-    assert says(found, "hang held out: ... not converge")
+    assert says(found, "hang ... not converge")
 
 
 def score(name, n_parameters, squares):
@@ -283,10 +281,10 @@ def test_one_standard_error_rule():
 @pytest.mark.parametrize(
     ("layouts", "n", "options", "text"),
     [
-        ({}, 3, {}, "at least one model is needed"),
-        ({"one": ONE}, 1, {}, "at least 2 are needed, got 1"),
-        ({"one": ONE}, 3, {"starts": 0}, "starts must be at least 1, got 0"),
-        ({"far": on_axis(9.0)}, 3, {}, "'far': control point 'CP 1' of E lies"),
+        ({}, 3, {}, "at least one model"),
+        ({"one": ONE}, 1, {}, r"at least 2 .* 1\."),
+        ({"one": ONE}, 3, {"starts": 0}, "starts .* 1, got 0"),
+        ({"far": on_axis(9.0)}, 3, {}, r"'far': .*'CP 1' of E .* 8\.9 m "),
     ],
 )
 def test_bad_input(layouts, n, options, text):
@@ -297,5 +295,5 @@ def test_bad_input(layouts, n, options, text):
 
 
 def test_an_unmeasured_pose_is_named():
-    with pytest.raises(ValueError, match="'hang' has no measured positions"):
+    with pytest.raises(ValueError, match=r"'hang' .*give `markers`"):
         compare_layouts(bar(CELLS), {"one": ONE}, (HANG, PULL), make_parameters=moduli)

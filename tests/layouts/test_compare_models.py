@@ -63,7 +63,7 @@ def test_pairing_sees_what_the_errors_alone_hide():
     found = ModelComparison.ranked([near, best])
     assert [m.name for m in found.models] == ["best", "near"]
     assert found.undecided == ()
-    assert says(found.verdict, "The data tell it apart from 'near'")
+    assert says(found.verdict, "tell ... apart ... 'near'")
 
 
 def test_the_verdict_names_what_is_undecided():
@@ -72,11 +72,8 @@ def test_the_verdict_names_what_is_undecided():
     bad = score("gent", worse(9, 9, 8, 9, 9), n_parameters=2)
     found = ModelComparison.ranked([bad, close, best])
     assert found.undecided == ("neo-hookean",)
-    assert says(
-        found.verdict,
-        "'yeoh' predicts best: 1 mm, 2.53 times ... cannot tell ... 'neo-hookean' "
-        "... 'gent' ... 'neo-hookean' has the fewest",
-    )
+    numbers, others = "1 mm, 2.53 times", "'neo-hookean' ... 'gent' ... 'neo-hookean'"
+    assert says(found.verdict, "'yeoh' ... best", numbers, "cannot", others, "fewest")
     text = str(found)
     assert text.splitlines()[0] == found.verdict
     assert "8.8 +- 0.56" in text  # 2.776 standard errors: four degrees of freedom
@@ -91,11 +88,11 @@ def test_failed_folds_rank_last_and_are_named():
     whole, broken = score("whole", worse(1, 1, 1, 1, 1)), score("broken", ROOT, 1, "b")
     found = ModelComparison.ranked([broken, whole])
     assert found.best.name == "whole"
-    assert says(found.verdict, "No other model ... every configuration")
-    assert "'broken', b held out: no equilibrium." in str(found)
+    assert says(found.verdict, "No other model")
+    assert says(found, "'broken', b ... no equilibrium")
     none = ModelComparison.ranked([broken])
     assert none.best is None
-    assert says(none.verdict, "No model ... every configuration")
+    assert says(none.verdict, "No model")
     assert json.dumps(comparison_dict(none), allow_nan=False)
     assert comparison_dict(none)["best"] is None
 
@@ -130,12 +127,12 @@ def test_bad_input():
     poses = [measured("a", (0.0, 0.1, 0.0)), measured("b", (0.1, 0.0, 0.0))]
     with pytest.raises(ValueError, match="at least one model"):
         compare_laws({}, poses)
-    with pytest.raises(ValueError, match="at least 2 are needed, got 1"):
+    with pytest.raises(ValueError, match=r"at least 2 .* 1\."):
         compare_laws({"one": (model, E)}, poses[0])
-    with pytest.raises(ValueError, match="starts must be at least 1, got 0"):
+    with pytest.raises(ValueError, match=r"starts .* 1, got 0"):
         compare_laws({"one": (model, E)}, poses, starts=0)
     wrong = Parameter("c10", "c10", 1e5, 3e4, 1e6)
-    with pytest.raises(ValueError, match="'two': field 'c10' of the model"):
+    with pytest.raises(ValueError, match=r"'two': .*'c10' .*law\.E"):
         compare_laws({"one": (model, E), "two": (model, wrong)}, poses)
 
 
@@ -148,16 +145,16 @@ FITTED = ('role = "validation"\nloads', "loads")
 
 def test_projects_must_have_the_same_data(tmp_path):
     one = load_project(write_small_project(tmp_path / "one", FITTED))
-    with pytest.raises(ProjectError, match="needs at least two project files, got 1"):
+    with pytest.raises(ProjectError, match=r"two project files, got 1"):
         compare_projects([one])
-    with pytest.raises(ProjectError, match="a project file is given twice"):
+    with pytest.raises(ProjectError, match=r"twice: .*one"):
         compare_projects([one, one])
     fewer = load_project(write_small_project(tmp_path / "fewer"))
-    with pytest.raises(ProjectError, match="its configurations are weight, but th"):
+    with pytest.raises(ProjectError, match=r"fewer.* weight, but .* weight, pulled"):
         compare_projects([one, fewer])
     path = write_small_project(tmp_path / "other", FITTED, called("x"))
     (path.parent / "markers.csv").write_text(MARKERS.replace("441.464711016", "441.2"))
-    with pytest.raises(ValueError, match="'x' is not fitted to the same measureme"):
+    with pytest.raises(ValueError, match=r"'x' .*same measurements .*'small'"):
         compare_projects([one, load_project(path)])
     code = main(["compare", str(one.path), str(tmp_path / "nowhere.toml")])
     assert code == 2

@@ -1,7 +1,5 @@
 """Places by hand numbers, and where the markers of a stretched bar see its modulus."""
 
-import re
-
 import numpy as np
 import pytest
 import scipy.linalg
@@ -87,7 +85,7 @@ def test_no_point_beyond_a_marker_half_way():
     """A stretched bar: what lies beyond the marker does not move it."""
     x = place(1, stretched(MID)).positions[:, 0]
     assert 0.0 < x[0] < 0.05
-    with pytest.warns(LayoutWarning, match="tell only 1 of 3 control points apart"):
+    with pytest.warns(LayoutWarning, match=r"only 1 of 3 .*Add"):
         x = place(3, stretched(MID)).positions[:, 0]
     # A patch, a cell of 12.5 mm long, may reach across the marker.
     assert np.all(x < 0.05 + 0.0125)
@@ -147,16 +145,16 @@ def test_the_default_distance_leaves_room(seed):
 @pytest.mark.parametrize(
     ("n", "options", "text"),
     [
-        (0, {}, "must be at least 1, got 0"),
-        (7, {"region": "tip"}, "'tip' has only 6 tets"),
-        (13, {}, "the mesh has only 12 tets"),
-        (2, {"method": "farthst"}, "unknown method 'farthst'. Did you mean 'farthest'"),
+        (0, {}, "control points ... 1, got 0"),
+        (7, {"region": "tip"}, "7 ... 'tip' ... 6 tets"),
+        (13, {}, "13 ... mesh ... 12 tets"),
+        (2, {"method": "farthst"}, "'farthst' ... mean 'farthest'"),
         (2, {"region": "tipp"}, "'tipp' ... mean 'tip'"),
-        (2, {"power": 0.0}, "power must be positive"),
-        (2, {"axes": "w"}, "axes must be some of"),
-        (2, {"nearest": 3}, "nearest must lie between 1 and"),
-        (9, {"axes": "x"}, "only 6 different places were found along x"),
-        (2, {"method": "sensitivity"}, "needs model, configurations and fields"),
+        (2, {"power": 0.0}, "power ... positive ... 0"),
+        (2, {"axes": "w"}, "axes ... 'w'"),
+        (2, {"nearest": 3}, "nearest ... 2, got 3"),
+        (9, {"axes": "x"}, "9 ... 6 different places ... along x"),
+        (2, {"method": "sensitivity"}, "model, configurations and fields"),
     ],
 )
 @pytest.mark.usefixtures("unchecked")
@@ -168,19 +166,16 @@ def test_bad_input(n, options, text):
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"fields": {"E": -1.0}}, "variation of E must be positive, got -1"),
-        ({"fields": "G"}, "field 'G' of the model does not exist"),
-        (
-            {"configurations": pose("at rest", (MID,), g=0.0)},
-            "markers do not see the field",
-        ),
-        ({"model": bar((8, 1, 1))}, "the model stands on another mesh"),
+        ({"fields": {"E": -1.0}}, "variation of E ... -1"),
+        ({"fields": "G"}, "field 'G' ... law.E"),
+        ({"configurations": pose("at rest", (MID,), g=0.0)}, "not see ... loaded"),
+        ({"model": bar((8, 1, 1))}, "another mesh ... model.mesh"),
     ],
 )
 def test_bad_input_of_sensitivity(options, text):
     model = bar((8, 2, 2))
     given = {"model": model, "configurations": stretched(MID), "fields": "E"}
-    with pytest.raises(ValueError, match=re.escape(text)):
+    with pytest.raises(ValueError, match=saying(text)):
         place_control_points(
             model.mesh, 2, method="sensitivity", **{**given, **options}
         )

@@ -112,10 +112,7 @@ def test_all_tets_together_without_a_potential():
 
 def test_a_pose_without_markers_is_named():
     bare = Configuration("bare", "x_min")
-    with pytest.raises(
-        ValueError,
-        match="'bare' has no markers",
-    ):
+    with pytest.raises(ValueError, match="'bare' has no markers"):
         tet_sensitivities(bar((2, 1, 1)), (POSES[0], bare), "E")
 
 

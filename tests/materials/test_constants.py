@@ -16,29 +16,27 @@ def test_lame_constants():
 @each_class
 @pytest.mark.parametrize("E", [0.0, -1e5, np.nan, np.inf])
 def test_bad_modulus(law, E):
-    with pytest.raises(ValueError, match=r"E must be positive and finite \[Pa\], got"):
+    with pytest.raises(ValueError, match=rf"^E .*positive .*\[Pa\], got {E:g}\."):
         law(E, 0.3)
 
 
 @each_class
 def test_bad_modulus_of_one_tet_is_shown(law):
     for bad in (-3.0, np.inf, np.nan):
-        with pytest.raises(ValueError, match=rf"\[Pa\], got {bad:g}\."):
+        with pytest.raises(ValueError, match=rf"^E .*\[Pa\], got {bad:g}\."):
             law(np.array([2e5, bad, 1e5]), 0.3)
 
 
 @each_class
 @pytest.mark.parametrize("nu", [-1.0, 0.5, 0.7, -2.0, np.nan])
 def test_bad_poisson_ratio(law, nu):
-    with pytest.raises(ValueError, match=rf"nu must lie in \(-1, 0.5\), got {nu:g}\."):
+    with pytest.raises(ValueError, match=rf"nu .*\(-1, 0\.5\), got {nu:g}\."):
         law(1e5, nu)
 
 
 @each_class
 def test_incompressible_rubber_gets_a_hint(law):
-    with pytest.raises(
-        ValueError, match=r"got 0.5\. For an incompressible rubber .*499"
-    ):
+    with pytest.raises(ValueError, match=r"got 0\.5\. .*rubber .* 0\.499"):
         law(1e5, np.array([0.3, 0.5]))
 
 

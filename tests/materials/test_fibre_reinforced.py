@@ -132,13 +132,13 @@ def test_helix_hoop_and_axis():
 
 
 def test_bad_fibres():
-    with pytest.raises(ValueError, match=r"1 of 2 tets .* \(index 1, at \(0, 0, 5\) m"):
+    with pytest.raises(ValueError, match=r"1 of 2 tets .* 1, at \(0, 0, 5\) mm"):
         Fibre.hoop(np.array([[0.01, 0, 0], [0, 0, 0.005]]), [0, 0, 1])
-    with pytest.raises(ValueError, match=r"direction \[0\.0, .*\] with index 1"):
+    with pytest.raises(ValueError, match=r"direction \[0\.0, 0\.0, 0\.0\] .* 1 "):
         Fibre.of(np.array([[1.0, 0, 0], [0, 0, 0]]))
-    with pytest.raises(ValueError, match="no finite length above zero"):
+    with pytest.raises(ValueError, match=r"\[0\.0, nan, 0\.0\] .*no finite length"):
         Fibre.along([0.0, np.nan, 0.0])
-    with pytest.raises(ValueError, match="E_f must be not negative and finite"):
+    with pytest.raises(ValueError, match=r"E_f .*negative .*\[Pa\], got -1\."):
         FibreReinforced(MATRIX, -1.0, Fibre(0.0))
     classical = ClassicalCorotational(Isotropic(E, NU))
     with pytest.raises(ValueError, match=r"potential, .*ClassicalCorot"):
@@ -146,7 +146,7 @@ def test_bad_fibres():
 
 
 def test_bad_calls(unchecked):
-    with pytest.raises(ValueError, match="families must be 1 or 2, got 3"):
+    with pytest.raises(ValueError, match=r"families .*1 or 2, got 3\."):
         FibreReinforced(MATRIX, 1.0, Fibre(0.0), families=3)
     with pytest.raises(ValueError, match=r"like .*NeoHookean.* got 264000\.0\."):
         FibreReinforced(264e3, 20e6, Fibre(0.0))

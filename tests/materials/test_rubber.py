@@ -169,9 +169,7 @@ def test_ogden_in_its_exponents():
 
 
 def test_a_third_derivative_of_ogden_is_refused():
-    with pytest.raises(
-        NotImplementedError, match="derivatives of its energy up to the"
-    ):
+    with pytest.raises(NotImplementedError, match=r"Ogden .*second.*third"):
         jax.eval_shape(jax.jacfwd(LAWS["ogden 1"].tangent), np.eye(3))
 
 
@@ -256,16 +254,13 @@ def test_mooney_rivlin_fits_one_test_each(kind):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (
-            lambda: MooneyRivlin(1.0, -2.0),
-            "shear modulus -2 Pa at small strain; it",
-        ),
+        (lambda: MooneyRivlin(1.0, -2.0), "shear modulus -2 Pa .*positive"),
         (lambda: Yeoh(-1.0, 1.0, 1.0), "shear modulus -2 Pa"),
         (lambda: Ogden(1.0, -1.0), r"shear modulus -0\.5 Pa"),
-        (lambda: Ogden(1.0, 1.0, mu_3=1.0), "term 3 has mu_3 alone"),
-        (lambda: Gent(1.0, -3.0), "J_m must be positive and finite"),
-        (lambda: Gent(-1.0, 3.0), "mu must be positive and finite"),
-        (lambda: Gent(1.0, 3.0, 0.5), r"nu must lie in \(0, 0\.5\), got 0\.5\. For an"),
+        (lambda: Ogden(1.0, 1.0, mu_3=1.0), "term 3 .*mu_3 and alpha_3"),
+        (lambda: Gent(1.0, -3.0), "J_m .*positive .* -3"),
+        (lambda: Gent(-1.0, 3.0), "mu .*positive .* -1"),
+        (lambda: Gent(1.0, 3.0, 0.5), r"nu .*\(0, 0\.5\), got 0\.5\. .*0\.499"),
     ],
 )
 def test_bad_constants(make, message):

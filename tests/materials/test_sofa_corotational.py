@@ -114,10 +114,8 @@ def test_the_order_of_the_nodes_matters_by_edges_alone():
 
 def test_quadratic_tets_and_unknown_rotations_are_refused():
     mesh = TetMesh(CORNERS, [[0, 1, 2, 3]])
-    with pytest.raises(ValueError, match=r"the mesh is quadratic; take .*to_linear"):
+    with pytest.raises(ValueError, match=r"mesh is quadratic.*to_linear"):
         SofaCorotational.of_mesh(to_quadratic(mesh), Isotropic(E, NU), "edge")
     unchecked = inspect.unwrap(_rest_matrices)  # without the type checker of the tests
-    with pytest.raises(
-        ValueError, match=r"unknown rotation 'polar'\..* Known: 'edge', "
-    ):
+    with pytest.raises(ValueError, match=r"rotation 'polar'.* 'edge', 'large', "):
         unchecked(mesh, "polar")

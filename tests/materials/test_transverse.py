@@ -190,30 +190,30 @@ def test_fibre_directions():
 
 
 def test_bad_plane(unchecked):
-    with pytest.raises(ValueError, match=r"unknown plane .*'xy', 'xz'"):
+    with pytest.raises(ValueError, match=r"plane 'zx'.* 'xy', 'xz', 'yz'"):
         Fibre(0.0, 0.0, "zx")
 
 
 def test_bad_angles():
-    with pytest.raises(ValueError, match=r"theta must be finite \[rad\], got nan"):
+    with pytest.raises(ValueError, match=r"theta .*finite \[rad\], got nan"):
         Fibre(np.array([0.0, np.nan]))
-    with pytest.raises(ValueError, match=r"phi must be finite \[rad\], got inf"):
+    with pytest.raises(ValueError, match=r"phi .*finite \[rad\], got inf"):
         Fibre(0.0, np.inf)
 
 
 @pytest.mark.parametrize("name", ["E_t", "E_l", "mu_l"])
 def test_bad_modulus(name):
-    with pytest.raises(ValueError, match=rf"^{name} must be positive and finite"):
+    with pytest.raises(ValueError, match=rf"^{name} .*positive .* -1\."):
         TransverseIsotropic(**(FULL | {name: -1.0}), fibre=ALONG_Z)
     if name != "mu_l":
         reduced = {"E_t": 1.0, "E_l": 0.3, "nu": 0.3, name: 0.0}
-        with pytest.raises(ValueError, match=rf"^{name} must be positive and finite"):
+        with pytest.raises(ValueError, match=rf"^{name} .*positive .* 0\."):
             ReducedTransverseIsotropic(**reduced, fibre=ALONG_Z)
 
 
 @pytest.mark.parametrize("nu_t", [-1.0, 1.0, np.nan])
 def test_bad_transverse_ratio(nu_t):
-    with pytest.raises(ValueError, match=rf"nu_t must lie in \(-1, 1\), got {nu_t:g}"):
+    with pytest.raises(ValueError, match=rf"nu_t .*\(-1, 1\), got {nu_t:g}\."):
         TransverseIsotropic(**(FULL | {"nu_t": nu_t}), fibre=ALONG_Z)
 
 
@@ -229,18 +229,19 @@ def test_bad_fibre_ratio_names_its_range():
         assert np.linalg.eigvalsh(compliance(**inside)).min() > 0
         outside = FULL | {"nu_tl": sign * limit * (1 + 1e-9)}
         assert np.linalg.eigvalsh(compliance(**outside)).min() < 0
-        with pytest.raises(ValueError, match=r"nu_tl must lie in \(-1.111, 1.111\)"):
+        message = rf"nu_tl .*\(-1\.111, 1\.111\) .*got {sign * limit:.6g}\."
+        with pytest.raises(ValueError, match=message):
             TransverseIsotropic(**outside, fibre=ALONG_Z)
 
 
 def test_one_bad_tet_is_found():
     with pytest.raises(ValueError, match=r"E_l = 9 Pa, .* got 0.41"):
         TransverseIsotropic(1.0, np.array([0.3, 9.0, 0.3]), 0.26, 0.41, 0.09, ALONG_Z)
-    with pytest.raises(ValueError, match=r"one per tet, got E_t 2, E_l 3, .* values"):
+    with pytest.raises(ValueError, match=r"one per tet, .*E_t 2, E_l 3, "):
         TransverseIsotropic(np.ones(2), np.ones(3), 0.26, 0.41, 0.09, ALONG_Z)
 
 
 @pytest.mark.parametrize("nu", [-1.0, 0.5, np.nan])
 def test_bad_ratio_of_the_reduced_set(nu):
-    with pytest.raises(ValueError, match=rf"nu must lie in \(-1, 0.5\), got {nu:g}"):
+    with pytest.raises(ValueError, match=rf"nu .*\(-1, 0\.5\), got {nu:g}\."):
         ReducedTransverseIsotropic(1.0, 0.3, nu, ALONG_Z)

@@ -114,7 +114,7 @@ def test_range_of_nu(ratio):
     """The message names the range of these moduli; inside it the limit is stable."""
     high = (-1 + np.sqrt(1 + 8 * ratio)) / (4 * ratio)
     low = max(-1.0, (-1 - np.sqrt(1 + 8 * ratio)) / (4 * ratio))
-    span = rf"nu must lie in \({low:.4g}, {high:.4g}\) for E_t = 1 Pa, E_l = {ratio:g}"
+    span = rf"nu .*\({low:.4g}, {high:.4g}\) .*E_t = 1 Pa, E_l = {ratio:g} "
     for nu in (low - 1e-6, high + 1e-6, np.nan):
         with pytest.raises(ValueError, match=span):
             TransverseHyperelastic(1.0, ratio, nu, 0.1, Fibre(0.0))
@@ -126,5 +126,5 @@ def test_range_of_nu(ratio):
 @pytest.mark.parametrize("name", ["E_t", "E_l", "mu_l"])
 def test_bad_modulus(name):
     constants = {"E_t": 1.0, "E_l": 0.3, "mu_l": 0.1, name: -2.0}
-    with pytest.raises(ValueError, match=rf"^{name} must be positive .* got -2\."):
+    with pytest.raises(ValueError, match=rf"^{name} .*positive .* got -2\."):
         TransverseHyperelastic(**constants, nu=0.3, fibre=Fibre(0.0))

@@ -18,9 +18,8 @@ def test_inverted(mesh):
     # Exchanging corners 1 and 2 exchanges their mid nodes as well.
     swap = [0, 2, 1, 3, 6, 5, 4, 7, 9, 8][: tets.shape[1]]
     tets[[4, 9]] = tets[[4, 9]][:, swap]
-    with pytest.raises(
-        ValueError, match=r"2 of 72 tets are inverted .*: 4 at \(.*, 9 at"
-    ):
+    message = r"2 of 72 .*inverted .*: 4 at \(.*\), 9 at \(.*Swap"
+    with pytest.raises(ValueError, match=message):
         check_mesh(TetMesh(mesh.points, tets))
 
 
@@ -28,7 +27,7 @@ def test_curved_tet_folded_by_its_mid_node():
     mesh = to_quadratic(ONE)
     points = mesh.points.copy()
     points[mesh.tets[0, 4]] = [0.76, 0.0, 0.0]  # Beyond 3/4: folds at corner 1.
-    with pytest.raises(ValueError, match=r"1 of 1 curved tets are inverted .folded by"):
+    with pytest.raises(ValueError, match=r"1 of 1 curved .*inverted .*mid nodes"):
         check_mesh(TetMesh(points, mesh.tets))
     points[mesh.tets[0, 4]] = [0.6, 0.05, 0.0]
     check_mesh(TetMesh(points, mesh.tets))
@@ -38,10 +37,10 @@ def test_degenerate():
     points = BEAM.points.copy()
     a, b, c, d = BEAM.tets[0]
     points[d] = points[[a, b, c]].mean(axis=0)
-    with pytest.raises(ValueError, match=r"of 72 tets are degenerate .flat.: 0 at"):
+    with pytest.raises(ValueError, match=r"of 72 .*degenerate .*: 0 at .*Remesh"):
         check_mesh(TetMesh(points, BEAM.tets))
     # A tet that repeats a node is flat whatever its size.
-    with pytest.raises(ValueError, match=r"1 of 1 tets are degenerate"):
+    with pytest.raises(ValueError, match=r"1 of 1 .*degenerate"):
         check_mesh(TetMesh(ONE.points[:3], [[0, 1, 2, 2]]))
 
 
@@ -51,15 +50,13 @@ def test_small_is_not_degenerate():
 
 def test_unused_nodes():
     points = np.vstack([BEAM.points, np.full((7, 3), 0.5)])
-    with pytest.raises(
-        ValueError, match=r"7 of 43 nodes are unused .*\[36, 37.*, \.\.\."
-    ):
+    with pytest.raises(ValueError, match=r"7 of 43 .*unused .*\[36, 37.*, \.\.\."):
         check_mesh(TetMesh(points, BEAM.tets))
 
 
 def test_repeated_and_overlapping():
     twice = np.vstack([BEAM.tets, BEAM.tets[3][[1, 2, 0, 3]]])
-    with pytest.raises(ValueError, match="1 tets repeat another one: 72 at"):
+    with pytest.raises(ValueError, match=r"1 tets repeat .*: 72 at"):
         check_mesh(TetMesh(BEAM.points, twice))
     points = np.vstack([ONE.points, [[1, 1, 1], [2, 2, 2]]])
     fan = [[0, 1, 2, 3], [1, 2, 3, 4], [1, 2, 3, 5]]
@@ -70,9 +67,7 @@ def test_repeated_and_overlapping():
 def test_disconnected():
     points = np.vstack([BEAM.points, 0.5 + np.vstack([np.zeros(3), np.eye(3)])])
     apart = TetMesh(points, np.vstack([BEAM.tets, [[36, 37, 38, 39]]]))
-    with pytest.raises(
-        ValueError, match=r"disconnected: 2 parts of 72, 1 tets.*Join them"
-    ):
+    with pytest.raises(ValueError, match=r"2 parts .* 72, 1 tets .*Join"):
         check_mesh(apart)
 
 
@@ -83,12 +78,10 @@ def test_parts_that_only_touch():
     twins = TetMesh(
         np.vstack([half.points, other]), np.vstack([half.tets, 8 + half.tets])
     )
-    with pytest.raises(
-        ValueError, match=r"2 parts of 6, 6 tets.*4 pairs of nodes coinc"
-    ):
+    with pytest.raises(ValueError, match=r"2 parts .* 6, 6 tets.* 4 pairs .*merge"):
         check_mesh(twins)
     hinge = TetMesh(np.vstack([ONE.points, -np.eye(3)]), [[0, 1, 2, 3], [0, 5, 4, 6]])
-    with pytest.raises(ValueError, match=r"2 parts of 1, 1 tets that share no face"):
+    with pytest.raises(ValueError, match=r"2 parts .* 1, 1 tets .*Join"):
         check_mesh(hinge)
 
 
@@ -96,7 +89,5 @@ def test_all_problems_are_named_at_once():
     tets = BEAM.tets.copy()
     tets[0] = tets[0, [1, 0, 2, 3]]
     points = np.vstack([BEAM.points, [[1, 1, 1]]])
-    with pytest.raises(
-        ValueError, match=r"bad mesh:\n- 1 of 37 nodes .*\n- 1 of 72 tets"
-    ):
+    with pytest.raises(ValueError, match=r"1 of 37 nodes .*\n- 1 of 72 .*inverted"):
         check_mesh(TetMesh(points, tets))

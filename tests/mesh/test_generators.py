@@ -88,17 +88,14 @@ def test_sides_are_groups(order, pattern):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: beam(0.1, 0.0, 0.02, (2, 2, 2)), r"positive \[m\], got \[0.1, 0.0"),
-        (lambda: beam(0.1, 0.02, np.nan, (2, 2, 2)), "must be positive"),
+        (lambda: beam(0.1, 0.0, 0.02, (2, 2, 2)), r"positive \[m\], got \[0\.1, 0\.0,"),
+        (lambda: beam(0.1, 0.02, np.nan, (2, 2, 2)), "positive .*nan"),
         (lambda: beam(*BOX, (2, 0, 2)), r"positive integers, got \(2, 0, 2\)"),
         (lambda: beam(*BOX, (2, 2.0, 2)), r"positive integers, got \(2, 2.0, 2\)"),
         (lambda: beam(*BOX, (2, 2)), r"three positive integers, got \(2, 2\)"),
-        (lambda: beam(*BOX, (2, 2, 2), order=3), "order must be 1 .* got 3"),
-        (lambda: beam(*BOX, (2, 2, 2), origin=(0, 0)), "origin must be three"),
-        (
-            lambda: beam(*BOX, (2, 2, 2), pattern="mirored"),
-            r"unknown pattern 'mirored'. Did you mean 'mirrored'\?",
-        ),
+        (lambda: beam(*BOX, (2, 2, 2), order=3), "order .* 1 .* 2 .* 3"),
+        (lambda: beam(*BOX, (2, 2, 2), origin=(0, 0)), r"origin .*\(0, 0\)"),
+        (lambda: beam(*BOX, (2, 2, 2), pattern="mirored"), "'mirored'.* 'mirrored'"),
     ],
 )
 def test_bad_calls(call, message):

@@ -2,7 +2,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
-from wording import says
+from wording import saying
 
 from softcal_jax.elements import shape_functions
 from softcal_jax.mesh import (
@@ -153,23 +153,20 @@ def test_no_points():
 def test_far_points_are_named():
     mesh = beam(*BOX, (2, 2, 2))
     points = [[0.05, 0.01, 0.01], [0.05, 0.01, 0.04], [0.05, 0.01, 0.05]]
-    with pytest.raises(ValueError, match="point 2 at") as e:
+    message = "point 2 ... (50, 10, 50) mm ... 20 mm ... 5 mm ... point 1 ... unit"
+    with pytest.raises(ValueError, match=saying(message)):
         locate(mesh, points, max_distance=0.005)
-    assert says(
-        e.value,
-        "point 2 at (50, 10, 50) mm ... 20 mm ... 5 mm ... point 1 ... length unit",
-    )
-    with pytest.raises(ValueError, match=r"^c at .* farther than 5 mm\. So do b\. "):
+    with pytest.raises(ValueError, match=r"^c .* 5 mm\. .*do b\. "):
         locate(mesh, points, max_distance=0.005, names=["a", "b", "c"])
 
 
 @pytest.mark.parametrize(
     ("points", "max_distance", "message"),
     [
-        ([[0.0, np.nan, 0.0]], 0.1, r"point 0 has the position \[0.0, nan, 0.0\]"),
+        ([[0.0, np.nan, 0.0]], 0.1, r"point 0 .*\[0\.0, nan, 0\.0\]"),
         ([0.0, 0.0, 0.0], 0.1, r"shape \(n, 3\), got \(3,\)"),
-        ([[0.0, 0.0, 0.0]], -1.0, "at least 0 m, got -1.0"),
-        ([[0.0, 0.0, 0.0]], np.nan, "at least 0 m, got nan"),
+        ([[0.0, 0.0, 0.0]], -1.0, r"max_distance .* 0 m, got -1\.0"),
+        ([[0.0, 0.0, 0.0]], np.nan, "max_distance .* 0 m, got nan"),
     ],
 )
 def test_bad_calls(points, max_distance, message):

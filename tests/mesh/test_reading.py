@@ -178,7 +178,7 @@ def test_helper_points_of_gmsh_go_with_their_cells(tmp_path):
     points = np.vstack([[[5.0, 5.0, 5.0]], BEAM.points])
     cells = [("vertex", [[0]]), ("tetra", 1 + BEAM.tets)]
     path = _write(tmp_path, meshio.Mesh(points, cells), ".vtu")
-    with pytest.warns(MeshWarning, match="left out: 1 vertex. Tets are read"):
+    with pytest.warns(MeshWarning, match=r"left out: 1 vertex\."):
         mesh = read_mesh(path, length_unit="m")
     np.testing.assert_array_equal(mesh.points, BEAM.points)
     np.testing.assert_array_equal(mesh.tets, BEAM.tets)
@@ -207,7 +207,7 @@ def test_triangles_that_are_no_faces(tmp_path):
     triangles[0] = [0, 5, mesh.n_nodes - 1]
     raw.cells[2].data = triangles
     path = _write(tmp_path, raw, ".msh", file_format="gmsh22")
-    with pytest.warns(MeshWarning, match="1 of the 4 triangles of group 'clamp'"):
+    with pytest.warns(MeshWarning, match=r"1 of the 4 .*'clamp'"):
         read = read_mesh(path, length_unit="m")
     assert len(read.faces("clamp")) == 3
 
@@ -234,7 +234,7 @@ def test_parser_messages_are_passed_on(tmp_path):
         for line in lines[1:-1]
     ]
     path.write_text(head + "$Elements\n" + "\n".join(lines) + "\n")
-    with pytest.warns(MeshWarning, match="meshio says: Warning: The file contains tag"):
+    with pytest.warns(MeshWarning, match=r"meshio .*tag data"):
         read = read_mesh(path, length_unit="m")
     assert read.n_tets == mesh.n_tets
 

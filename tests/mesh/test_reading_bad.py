@@ -17,7 +17,7 @@ def _write(tmp_path, points, cells, suffix=".vtu", **options):
 
 
 def test_missing(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"mesh file .*no\.msh does not exist"):
+    with pytest.raises(FileNotFoundError, match=r"no\.msh .*not exist"):
         read_mesh(tmp_path / "no.msh", length_unit="m")
 
 
@@ -29,9 +29,7 @@ def test_directory(tmp_path):
 def test_extension(tmp_path):
     path = tmp_path / "beam.step"
     path.write_text("ISO-10303-21;")
-    with pytest.raises(
-        ValueError, match=r"extension '.step'; expected one of .msh, .vtu"
-    ):
+    with pytest.raises(ValueError, match=r"'\.step'.* \.msh, \.vtu"):
         read_mesh(path, length_unit="m")
 
 
@@ -42,7 +40,7 @@ def test_extension(tmp_path):
 def test_garbage(tmp_path, suffix, content, capfd):
     path = tmp_path / f"garbage{suffix}"
     path.write_bytes(content)
-    with pytest.raises(ValueError, match=r"garbage.*(cannot be read|no tetra|needs)"):
+    with pytest.raises(ValueError, match=r"garbage.*(read as|no tetra|needs)"):
         read_mesh(path, length_unit="m")
     assert capfd.readouterr() == ("", "")
 
@@ -75,7 +73,7 @@ def test_arguments(tmp_path):
     path = _write(tmp_path, BEAM.points, [("tetra", BEAM.tets)])
     with pytest.raises(ValueError, match=r"length unit 'in'.* mean 'inch'"):
         read_mesh(path, length_unit="in")
-    with pytest.raises(ValueError, match="order must be 1, 2 or None, got 3"):
+    with pytest.raises(ValueError, match=r"order .* 1, 2 or None, got 3"):
         read_mesh(path, length_unit="m", order=3)
     with pytest.raises(ValueError, match=r"unused nodes 'drp'.* mean 'drop'"):
         read_mesh(path, length_unit="m", unused="drp")
@@ -83,7 +81,7 @@ def test_arguments(tmp_path):
 
 def test_no_tets(tmp_path):
     path = _write(tmp_path, BEAM.points, [("hexahedron", [range(8)])])
-    with pytest.raises(ValueError, match=r"no tetra.* 1 hexahedron.*into tets"):
+    with pytest.raises(ValueError, match=r"no tetra.* 1 hexahedron.*split"):
         read_mesh(path, length_unit="m")
 
 
@@ -93,10 +91,7 @@ def test_a_surface_says_what_is_missing(tmp_path, groups):
     cells = [("triangle", [[0, 1, 2]])]
     path = tmp_path / "shell.msh"
     meshio.Mesh(BEAM.points, cells, cell_data=groups).write(path, file_format="gmsh22")
-    message = (
-        r"1 triangle\. .*surface.* Gmsh.*If there are tets already, .*physical group"
-    )
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=r"1 triangle\. .*surfaces .*physical group"):
         read_mesh(path, length_unit="m")
 
 
@@ -104,14 +99,14 @@ def test_mixed_orders(tmp_path):
     quadratic = beam(0.1, 0.02, 0.03, (3, 2, 1), order=2)
     cells = [("tetra", BEAM.tets[:7]), ("tetra10", quadratic.tets[7:])]
     path = _write(tmp_path, quadratic.points, cells)
-    with pytest.raises(ValueError, match=r"it mixes 7 linear .* and 29 quadratic"):
+    with pytest.raises(ValueError, match=r"7 linear .* 29 quadratic"):
         read_mesh(path, length_unit="m")
 
 
 def test_unused_nodes(tmp_path):
     points = np.vstack([[[1.0, 1.0, 1.0]], BEAM.points, [[2.0, 2.0, 2.0]]])
     path = _write(tmp_path, points, [("tetra", 1 + BEAM.tets)])
-    message = r'2 of its 26 nodes are unused .*\[0, 25\] counted .*unused="drop"'
+    message = r'2 of its 26 nodes .*\[0, 25\] .*unused="drop"'
     with pytest.raises(ValueError, match=message):
         read_mesh(path, length_unit="m")
     mesh = read_mesh(path, length_unit="m", unused="drop")
@@ -127,9 +122,7 @@ def test_inverted(tmp_path, suffix, file_format):
     path = _write(
         tmp_path, BEAM.points, [("tetra", tets)], suffix, file_format=file_format
     )
-    with pytest.raises(
-        ValueError, match=r"bad\..*bad mesh: 36 of 36 tets are inverted"
-    ):
+    with pytest.raises(ValueError, match=r"bad\..* 36 of 36 .*inverted"):
         read_mesh(path, length_unit="m")
 
 
@@ -137,9 +130,9 @@ def test_disconnected(tmp_path):
     points = np.vstack([BEAM.points, BEAM.points + 0.2])
     tets = np.vstack([BEAM.tets, BEAM.tets + BEAM.n_nodes])
     path = _write(tmp_path, points, [("tetra", tets)])
-    with pytest.raises(ValueError, match="disconnected: 2 parts of 36, 36 tets"):
+    with pytest.raises(ValueError, match=r"2 parts .* 36, 36 tets.*linked"):
         read_mesh(path, length_unit="m")
-    with pytest.raises(ValueError, match="unknown choice for parts 'two'"):
+    with pytest.raises(ValueError, match=r"parts 'two'.* 'linked', 'one'"):
         read_mesh(path, length_unit="m", parts="two")
     # A rigid body may link them: that is for the model to know.
     linked = read_mesh(path, length_unit="m", parts="linked")
@@ -152,7 +145,7 @@ def test_nan(tmp_path):
     points = BEAM.points.copy()
     points[5, 1] = np.nan
     path = _write(tmp_path, points, [("tetra", BEAM.tets)])
-    with pytest.raises(ValueError, match="node 5 has the position"):
+    with pytest.raises(ValueError, match=r"node 5 .*nan"):
         read_mesh(path, length_unit="m")
 
 
@@ -160,9 +153,7 @@ def test_abaqus_parts(tmp_path):
     path = tmp_path / "parts.inp"
     node = "*NODE\n1, 0., 0., 0.\n"
     path.write_text(node + "*NODE OUTPUT\n" + node)
-    with pytest.raises(
-        ValueError, match=r"has 2 \*NODE sections, .* merge them into one"
-    ):
+    with pytest.raises(ValueError, match=r"parts\.inp .* 2 \*NODE .*merge"):
         read_mesh(path, length_unit="m")
 
 
@@ -170,5 +161,5 @@ def test_node_that_is_not_there(tmp_path):
     tets = BEAM.tets.copy()
     tets[0, 0] = 24
     path = _write(tmp_path, BEAM.points, [("tetra", tets)])
-    with pytest.raises(ValueError, match=r"tetra cell .*node that is not there"):
+    with pytest.raises(ValueError, match=r"tetra cell .*not there"):
         read_mesh(path, length_unit="m")

@@ -23,8 +23,8 @@ def test_what_is_no_file_is_not_opened(tmp_path, suffix):
     pipe, device = tmp_path / f"pipe{suffix}", tmp_path / f"device{suffix}"
     os.mkfifo(pipe)
     device.symlink_to("/dev/zero")
-    refused(pipe, "a pipe or a device")
-    refused(device, "a pipe or a device")
+    refused(pipe, f"pipe{suffix} .*device")
+    refused(device, f"device{suffix} .*pipe")
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -108,9 +108,9 @@ def test_an_include_of_a_link_that_leads_out(tmp_path):
 def test_an_include_of_what_is_no_file(tmp_path):
     os.mkfifo(tmp_path / "pipe.inp")
     path = included(tmp_path, "*INCLUDE, INPUT=pipe.inp")
-    refused(path, r"\*INCLUDE of 'pipe.inp': .*a pipe or a device")
+    refused(path, r"\*INCLUDE of 'pipe.inp': .*device")
     path = included(tmp_path, "*INCLUDE, INPUT=node.inp")
-    refused(path, r"node\.inp does not exist.* mean 'nodes\.inp'")
+    refused(path, r"node\.inp .* mean 'nodes\.inp'")
 
 
 def test_includes_that_include_each_other(tmp_path):

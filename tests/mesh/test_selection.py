@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from wording import says
+from wording import saying
 
 from softcal_jax.mesh import (
     Annulus,
@@ -93,29 +93,30 @@ def test_faces_need_all_their_nodes():
 
 
 def test_empty_selection_says_how_far():
-    with pytest.raises(ValueError, match=r"no node lies in the sphere of ") as error:
+    message = (
+        "no node ... sphere ... (0, 0, 0) m to (100, 20, 20) mm ... 200 mm ... unit"
+    )
+    with pytest.raises(ValueError, match=saying(message)):
         select_nodes(MESH, Sphere((0.4, 0.0, 0.0), 0.1))
-    assert "The mesh spans (0, 0, 0) m to (100, 20, 20) mm." in str(error.value)
-    assert says(error.value, "200 mm away ... length unit")
-    with pytest.raises(ValueError, match=r"no boundary face .*; 9 nodes lie in it"):
+    with pytest.raises(ValueError, match=r"no boundary face .* 9 nodes"):
         select_faces(MESH, Plane((0.05, 0.0, 0.0), (1.0, 0.0, 0.0)))
-    with pytest.raises(ValueError, match=r"no node lies in .*The mesh spans"):
+    with pytest.raises(ValueError, match=r"lambda.* \(100, 20, 20\) mm\.$"):
         select_nodes(MESH, lambda x: x[:, 0] > 1.0)
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: Box((0, 0, 1), (1, 1, 0)), r"the box is crossed: lower \[0. 0. 1.\]"),
-        (lambda: Box((0, 0), (1, 1, 0)), "lower must be three numbers"),
-        (lambda: Plane((0, 0, 0), (0, 0, 0)), "normal of a plane must not be zero"),
-        (lambda: Plane((0, np.nan, 0), (0, 0, 1)), "point must be three finite"),
-        (lambda: Sphere((0, 0, 0), -1.0), r"radius must be positive \[m\], got -1.0"),
-        (lambda: Cylinder((0, 0, 0), (0, 0, 0), 1.0), "start and end are both at"),
-        (lambda: Cylinder((0, 0, 0), (0, 0, 1), 0.0), r"radius must be positive"),
-        (lambda: Annulus((0, 0, 0), (0, 0, 1), 2.0, 1.0), "less than the outer one"),
-        (lambda: select_nodes(MESH, lambda x: x[:, 0]), "got float64 of shape"),
-        (lambda: select_nodes(MESH, lambda x: x > 0), r"of shape \(99, 3\)"),
+        (lambda: Box((0, 0, 1), (1, 1, 0)), r"box .*lower \[0\. 0\. 1\.\]"),
+        (lambda: Box((0, 0), (1, 1, 0)), r"lower .*three numbers.*\[0\. 0\.\]"),
+        (lambda: Plane((0, 0, 0), (0, 0, 0)), "normal .*not be zero"),
+        (lambda: Plane((0, np.nan, 0), (0, 0, 1)), "point .*three finite.*nan"),
+        (lambda: Sphere((0, 0, 0), -1.0), r"radius .*\[m\], got -1\.0"),
+        (lambda: Cylinder((0, 0, 0), (0, 0, 0), 1.0), r"start and end .*\(0, 0, 0\)"),
+        (lambda: Cylinder((0, 0, 0), (0, 0, 1), 0.0), r"radius .*0\.0 and 0\.0"),
+        (lambda: Annulus((0, 0, 0), (0, 0, 1), 2.0, 1.0), r"radius .*2\.0 and 1\.0"),
+        (lambda: select_nodes(MESH, lambda x: x[:, 0]), "99 points, got float64"),
+        (lambda: select_nodes(MESH, lambda x: x > 0), r"99 points, .*\(99, 3\)"),
     ],
 )
 def test_bad_calls(call, message):

@@ -113,15 +113,15 @@ def test_wall_of_an_open_cavity(order):
         ),
         (
             lambda m: select_reachable(m, (0.2, 0.2, 0.05), angle=4.0),
-            "angle must lie between 0 and 180 degrees, got 229",
+            "angle .* 0 and 180 degrees, got 229",
         ),
         (
             lambda m: select_cavity(m, (0.2, 0.1, 0.05)),
-            "in the body or on its surface",
+            r"\(200, 100, 50\) mm .*in the body",
         ),
         (
             lambda m: select_cavity(m, (0.2, 0.1, 0.5)),
-            "no cavity .* 0 % of the view.*'x_max'",
+            "no cavity .* 0 % .*stop_at.*'x_max'",
         ),
     ],
 )

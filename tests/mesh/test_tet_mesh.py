@@ -17,18 +17,13 @@ def test_sizes_of_one_tet():
 
 def test_unknown_group_suggests_the_near_one():
     mesh = beam(0.1, 0.02, 0.02, (2, 2, 2))
-    with pytest.raises(
-        ValueError, match=r"group 'x_mim'. Did you mean 'x_min'\?.*'z_m"
-    ):
+    with pytest.raises(ValueError, match=r"group 'x_mim'.* 'x_min'\?.*'z_max'"):
         mesh.nodes("x_mim")
-    with pytest.raises(ValueError, match=r"group 'X_MIN'. Did you mean 'x_min'\?"):
+    with pytest.raises(ValueError, match=r"group 'X_MIN'.* 'x_min'\?"):
         mesh.nodes("X_MIN")
-    with pytest.raises(
-        ValueError, match=r"unknown surface group 'tip'. Known: 'x_max'"
-    ):
+    with pytest.raises(ValueError, match=r"surface group 'tip'\. Known: 'x_max'"):
         mesh.faces("tip")
-    message = "tet group 'all': the mesh has none"
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=r"tet group 'all'.* none.*select_nodes"):
         mesh.tets_of("all")
 
 
@@ -54,16 +49,16 @@ def test_a_group_makes_a_new_mesh():
     ("add", "message"),
     [
         (lambda m: m.with_node_group("x_min", [0]), "node group 'x_min' already"),
-        (lambda m: m.with_surface_group("x_min", boundary_faces(m)), "'x_min' already"),
-        (lambda m: m.with_node_group("a", [27]), r"'a': index 27 is outside 0 to 26"),
-        (lambda m: m.with_node_group("a", [-1]), r"index -1 is outside 0 to 26"),
+        (lambda m: m.with_surface_group("x_min", boundary_faces(m)), "face .*'x_min'"),
+        (lambda m: m.with_node_group("a", [27]), "node group 'a': index 27 .* 26"),
+        (lambda m: m.with_node_group("a", [-1]), "index -1 .* 0 to 26"),
         (lambda m: m.with_node_group("a", np.array([], int)), "group 'a' is empty"),
         (lambda m: m.with_node_group("a", np.ones(27, bool)), "np.flatnonzero turns"),
         (lambda m: m.with_node_group("a", [1.0]), "integer indices, got float64"),
-        (lambda m: m.with_tet_group("a", [48]), "index 48 is outside 0 to 47"),
+        (lambda m: m.with_tet_group("a", [48]), "tet group 'a': index 48 .* 47"),
         (
             lambda m: m.with_surface_group("a", [[0, 1, 2, 3]]),
-            r"shape \(n_faces, 3\) on tets of 4 nodes, got \(1, 4\)",
+            r"surface group 'a' .*\(n_faces, 3\) .*\(1, 4\)",
         ),
     ],
 )
@@ -79,13 +74,9 @@ def test_bad_groups(add, message):
         (POINTS[:, :2], TET, r"\(n_nodes, 3\), got \(4, 2\)"),
         (POINTS, TET[:, :3], r"\(n_tets, 4\) or \(n_tets, 10\), got \(1, 3\)"),
         (POINTS, np.empty((0, 4), int), "tets is empty"),
-        (POINTS, [[0, 1, 2, 4]], "tets: index 4 is outside 0 to 3"),
-        (
-            np.vstack([POINTS[:3], [[0, np.nan, 1]]]),
-            TET,
-            r"node 3 has the position \[0.0, nan, 1.0\]",
-        ),
-        (1e200 * POINTS, TET, "node 1 has the position"),
+        (POINTS, [[0, 1, 2, 4]], "tets: index 4 .* 0 to 3"),
+        (np.vstack([POINTS[:3], [[0, np.nan, 1]]]), TET, r"node 3 .*\[0\.0, nan, 1\.0"),
+        (1e200 * POINTS, TET, r"node 1 .*\[1e\+200, "),
     ],
 )
 def test_bad_arrays(points, tets, message):

@@ -39,14 +39,14 @@ def test_the_file_is_of_gmsh_2_in_the_unit(tmp_path):
 def test_what_a_file_cannot_hold(tmp_path):
     mesh = beam(0.04, 0.02, 0.01, (4, 2, 1))
     every = mesh.with_tet_group("a", [0, 1]).with_tet_group("b", [1, 2])
-    with pytest.raises(ValueError, match="1 tets belong to several of the tet groups"):
+    with pytest.raises(ValueError, match=r"1 tets .*several .*'a', 'b'"):
         write_mesh(every, tmp_path / "a.msh")
-    with pytest.raises(ValueError, match=r"ends in '.vtk'; expected .msh"):
+    with pytest.raises(ValueError, match=r"'\.vtk'.* \.msh"):
         write_mesh(mesh, tmp_path / "a.vtk")
-    with pytest.raises(ValueError, match="unknown length unit 'mn'"):
+    with pytest.raises(ValueError, match="length unit 'mn'"):
         write_mesh(mesh, tmp_path / "a.msh", length_unit="mn")
     twice = mesh.with_tet_group("x_min", [0])
-    with pytest.raises(ValueError, match="different kinds have the name 'x_min'"):
+    with pytest.raises(ValueError, match=r"different kinds .*'x_min'"):
         write_mesh(twice, tmp_path / "a.msh")
     assert not (tmp_path / "a.msh").exists()
 

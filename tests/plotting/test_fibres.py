@@ -65,7 +65,7 @@ def test_colours_tell_the_angle(figure_of, largest, limit):
     theta = np.deg2rad(np.linspace(-largest, largest, len(mesh.tets)))
     *_, bar = figure_of(mesh, {"a": theta}, plane="xy").axes
     np.testing.assert_allclose(bar.get_ylim(), (-limit, limit))
-    assert bar.get_ylabel() == "fibre angle theta [degrees]"
+    assert "theta [degrees]" in bar.get_ylabel()
 
 
 def test_picture_with_control_points(tmp_path):
@@ -93,5 +93,5 @@ def test_wrong_panels(tmp_path, unchecked):
     mesh = beam(*SIZE, (4, 3, 3))
     with pytest.raises(ValueError, match="panels is empty"):
         plot_fibres(mesh, {}, tmp_path / "f.png", plane="xy")
-    with pytest.raises(ValueError, match=r"panel 'a' .* 2"):
+    with pytest.raises(ValueError, match=r"panel 'a' .* 216 .*\(3,\)"):
         plot_fibres(mesh, {"a": np.zeros(3)}, tmp_path / "f.png", plane="xy")

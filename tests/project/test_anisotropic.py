@@ -24,7 +24,7 @@ from softcal_jax.materials import (
     TransverseHyperelastic,
     TransverseIsotropic,
 )
-from softcal_jax.project import ProjectError, load_project
+from softcal_jax.project import Project, ProjectError, load_project
 from softcal_jax.robots import anisotropic_beam, synthetic_measurements
 
 DEGREE = np.pi / 180.0
@@ -213,7 +213,7 @@ def test_core_of_the_angle(tmp_path):
 
 def test_a_core_without_axes_is_refused(tmp_path):
     path = write_anisotropic_project(tmp_path, CORE, ("axes = [[", "# [["))
-    with pytest.raises(ProjectError, match=r"theta has a core.* axes"):
+    with pytest.raises(ProjectError, match=r"theta .*core.* in axes"):
         load_project(path)
 
 
@@ -326,9 +326,9 @@ def test_candidates_alone(tmp_path):
     path.write_text(text[:start] + text[end:])
     project = load_project(path)
     project.check_identify()
-    with pytest.raises(ProjectError, match="configurations: there is none"):
+    with pytest.raises(ProjectError, match=r"configurations: .*add \[\[config"):
         project.simulate()
-    with pytest.raises(ProjectError, match='none has role = "calibration"'):
+    with pytest.raises(ProjectError, match=r'configurations: none .*"calibration"'):
         project.calibrate()
 
 
@@ -338,11 +338,9 @@ def test_nothing_to_identify(tmp_path):
     cut = text.index("[markers]"), text.index("[shared]")
     last = text.index("[[candidates]]")
     path.write_text(text[: cut[0]] + text[cut[1] : last])
-    with pytest.raises(ProjectError, match="markers: there are none"):
-        load_project(path).identify()
-    project = load_project(path)
-    with pytest.raises(ProjectError, match=r"markers: there are none"):
-        project.rank_candidates()
+    for ask in (Project.identify, Project.rank_candidates):
+        with pytest.raises(ProjectError, match=r"markers: .*add \[markers\]"):
+            ask(load_project(path))
 
 
 def test_ranking_needs_candidates(tmp_path):

@@ -7,7 +7,7 @@ import jax
 import meshio
 import pytest
 from small_project import write_small_project
-from wording import says
+from wording import saying, says
 
 from softcal_jax.project import ProjectError, load_project
 
@@ -170,8 +170,7 @@ CASES = {
     ),
     "load without a force": (
         (', force = "(20, 0, -50) mN"', ""),
-        "configurations.pulled.loads[1]: ... one of point and force, edge and force, "
-        "surface and force, surface and traction; got surface",
+        "configurations.pulled.loads[1]: ... got surface.",
     ),
     "force at nothing that is known": (
         ('surface = "x_max", force', 'point = "(60, 0, 0) mm", forse'),
@@ -179,7 +178,7 @@ CASES = {
     ),
     "load in two places": (
         ('surface = "x_max", force', 'surface = "x_max", edge = "x_max", force'),
-        "configurations.pulled.loads[1]: ... one of point and force",
+        "configurations.pulled.loads[1]: ... got surface and edge and force",
     ),
     "traction on an edge": (
         (
@@ -225,7 +224,7 @@ CASES = {
     ),
     "unknown recording": (
         ('recording = { run = "pulled" }', 'recording = { run = "pull" }'),
-        "configurations.pulled.measured: ",
+        "configurations.pulled.measured: ... run = pull, phase = loaded",
     ),
     "configuration twice": (
         ('name = "pulled"', 'name = "weight"'),
@@ -351,12 +350,12 @@ TIP = "weight,loaded,tip,124.627615364"
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (TIP, "weight,loaded,tip,nan", "line 7: the posit"),
-        (TIP, "weight,loaded,tip,", "line 7: the position"),
-        (TIP, "weight,loaded,tip,1O", "'1O', not a number"),
-        ("weight,loaded,side", "weight,loaded,tip", "'tip' is there twice, in lines 7"),
-        ("weight,loaded,side", "weight,loaded,new", "has no marker 'side'."),
-        ("run,phase,marker", "run,state,marker", "column 'phase' is missing."),
+        (TIP, "weight,loaded,tip,nan", "line 7: ... 'tip' ... not finite"),
+        (TIP, "weight,loaded,tip,", "line 7: ... 'tip' ... missing"),
+        (TIP, "weight,loaded,tip,1O", "'1O' ... not a number"),
+        ("weight,loaded,side", "weight,loaded,tip", "'tip' ... twice ... lines 7"),
+        ("weight,loaded,side", "weight,loaded,new", "no marker 'side'"),
+        ("run,phase,marker", "run,state,marker", "'phase' is missing"),
     ],
 )
 def test_bad_measurements(tmp_path, old, new, message):
@@ -365,11 +364,9 @@ def test_bad_measurements(tmp_path, old, new, message):
     text = csv.read_text()
     assert text.count(old) == 1
     csv.write_text(text.replace(old, new))
-    with pytest.raises(
-        ProjectError, match=r"configurations\.weight\.measured: "
-    ) as got:
+    message = saying("configurations.weight.measured:", message)
+    with pytest.raises(ProjectError, match=message):
         load_project(path)
-    assert message in str(got.value)
 
 
 def test_bad_mesh(tmp_path):
@@ -381,7 +378,7 @@ def test_bad_mesh(tmp_path):
 
 
 def test_no_such_file(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"no\.toml does not exist"):
+    with pytest.raises(FileNotFoundError, match=r"no\.toml .*not exist"):
         load_project(tmp_path / "no.toml")
 
 
@@ -396,7 +393,7 @@ def test_directory(tmp_path):
 def test_no_toml(tmp_path, content):
     path = tmp_path / "project.toml"
     path.write_bytes(content)
-    with pytest.raises(ProjectError, match="cannot be read as TOML"):
+    with pytest.raises(ProjectError, match=r"project\.toml .* TOML: "):
         load_project(path)
 
 
@@ -456,18 +453,16 @@ def test_a_pose_that_selects_no_rows(tmp_path):
         (OF_WEIGHT, ""),
     )
     assert says(text, "configurations.weight.measured: ... twice ... 2 and 7; select")
-    assert says(text, "not measured yet ... `measured = false`")
+    assert says(text, "not measured ... `measured = false`")
 
 
 def test_measured_is_a_table_or_false(tmp_path):
     said = refusal(tmp_path, (OF_WEIGHT, "measured = true"))
-    assert says(said, "configurations.weight.measured: got true ... table, or false")
+    assert says(said, "configurations.weight.measured: ... true ... table ... false")
 
 
 def test_float32(tmp_path):
     path = write_small_project(tmp_path)
-    with (
-        jax.enable_x64(False),
-        pytest.raises(ValueError, match="needs float64, but JAX is"),
-    ):
+    remedy = pytest.raises(ValueError, match=r"float64.* float32.*jax_enable_x64")
+    with jax.enable_x64(False), remedy:
         load_project(path)

@@ -142,7 +142,7 @@ CASES = {
             'bodies = { plate = { state = "hinged", rotation_vector = "(1, 0, 0) deg" '
             "} }",
         ),
-        "configurations.pulled ... plate ... hinged",
+        "configurations.pulled ... plate ... hinged ... turn",
     ),
     "an effector of no body": (
         (SENSOR, SENSOR.replace("plate", "plat")),
@@ -190,7 +190,7 @@ CASES = {
     ),
     "no such reading": (
         (SLACK, SLACK.replace('"slack"', '"slak"')),
-        "configurations.slack.measured.effectors.sensor: ",
+        "configurations.slack.measured.effectors.sensor: ... pose = slak",
     ),
     "pose and file": (
         (SLACK, 'measured.effectors.sensor.position = "(1, 2, 3) mm"'),

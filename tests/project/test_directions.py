@@ -225,13 +225,13 @@ def test_a_helix_around_a_centroid_is_refused(tmp_path):
         f'directions = {{ type = "hoop", axis = "z", through = "{through}" }}',
     )
     said = refusal(path)
-    assert says(said, "material.directions: 1 of 18 tets ... centroid")
+    assert says(said, "material.directions: 1 of 18 ... centroid")
 
 
 def test_bad_arrays(tmp_path):
     ones = lambda mesh: np.ones((mesh.n_tets, 3))
     said = refusal(with_vectors(tmp_path / "a", ones, array="fiber"))
-    assert says(said, "'fiber' ... mean 'fibre' ... Known: 'fibre'")
+    assert says(said, "'fiber' ... mean 'fibre'")
     zero = lambda mesh: (
         np.ones((mesh.n_tets, 3)) * (np.arange(mesh.n_tets) != 7)[:, None]
     )

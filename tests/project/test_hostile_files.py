@@ -74,7 +74,7 @@ def test_a_time(tmp_path):
 def test_a_control_character(tmp_path, change, where):
     text = refusal(write_small_project(tmp_path, change))
     assert where in text
-    assert "the control character '\\x" in text
+    assert "control character '\\x" in text
     assert text.isprintable()
 
 
@@ -89,7 +89,7 @@ def test_few_of_many_problems_are_listed(tmp_path):
 def test_too_many_cells(tmp_path, n):
     text = refusal(write_small_project(tmp_path, (CELLS, f"cells = [{n}, 1, 1]")))
     assert text.startswith(f"mesh: cells = [{n}, 1, 1]: ")
-    assert says(text, "limit of 2 000 000 ... raise ... SOFTCAL_MAX_TETS")
+    assert says(text, "2 000 000 ... raise ... SOFTCAL_MAX_TETS")
 
 
 def test_the_limit_of_cells_holds_for_the_pattern(tmp_path, monkeypatch):
@@ -97,7 +97,7 @@ def test_the_limit_of_cells_holds_for_the_pattern(tmp_path, monkeypatch):
     load_project(write_small_project(tmp_path))  # three cells of six tets
     centred = (CELLS, f'{CELLS}, pattern = "centred"')
     text = refusal(write_small_project(tmp_path, centred))
-    assert says(text, "mesh: cells = [3, 1, 1]: 72 tets ... limit of 18")
+    assert says(text, "mesh: cells = [3, 1, 1]: 72 tets ... 18")
 
 
 @pytest.mark.parametrize(
@@ -167,7 +167,7 @@ def test_a_file_that_is_none(tmp_path, name, kind):
     os.mkfifo(other) if kind == "pipe" else other.symlink_to("/dev/zero")
     with pytest.raises(ProjectError) as caught:
         load_project(path)
-    assert says(caught.value, f"{other} is a pipe or a device")
+    assert says(caught.value, f"{other} ... pipe ... device")
 
 
 @pytest.mark.parametrize("name", ["project.toml", "markers.csv"])
@@ -182,10 +182,10 @@ def test_a_file_that_is_too_large(tmp_path, monkeypatch, name):
 
 def test_a_misspelt_file_is_found_in_its_folder(tmp_path):
     text = refusal(write_small_project(tmp_path, ('"markers.csv"', '"makers.csv"')))
-    assert says(text, "makers.csv does not exist ... mean 'markers.csv'")
+    assert says(text, "makers.csv ... mean 'markers.csv'")
     elsewhere = ('"markers.csv"', '"data/markers.csv"')
     text = refusal(write_small_project(tmp_path, elsewhere))
-    assert says(text, f"does not exist ... no folder {tmp_path / 'data'}")
+    assert says(text, f"no folder {tmp_path / 'data'}")
     with pytest.raises(FileNotFoundError, match=r"mean 'project\.toml'\?"):
         load_project(tmp_path / "projct.toml")
 

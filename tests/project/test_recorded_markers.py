@@ -131,7 +131,7 @@ CASES = {
     "one recording of many": (
         'file = "run.c3d"',
         'file = "run.c3d"\nrecording = { run = "weight" }',
-        "`recording` is for tables of rows;",
+        "`recording` ... tables of rows",
     ),
     "unknown delimiter": (
         'file = "run.c3d"',
@@ -172,34 +172,32 @@ OF_THE_FILE = {
     "rows of a recording": (
         WINDOWS.partition("\n")[0],
         'select = { phase = "loaded" }',
-        "run.c3d is a recording over time: `select` says when, as in { between = "
-        '["1.2 s", "1.4 s"] }.',
+        "run.c3d ... over time ... `select` ... { between",
     ),
     "rest of a recording by a row": (
         'displacement_from = { between = ["0 s", "0.1 s"] }',
         'displacement_from = { phase = "rest" }',
-        "run.c3d is a recording over time: `displacement_from` says when,",
+        "run.c3d ... over time ... `displacement_from`",
     ),
     "registration of a recording by a row": (
         'select = { between = ["0 s", "0.1 s"] } }',
         'select = { phase = "rest" } }',
-        "run.c3d is a recording over time: `registration.select` says when,",
+        "run.c3d ... over time ... `registration.select`",
     ),
     "window of a table": (
         'file = "run.c3d"',
         'file = "markers.csv"',
-        "markers.csv is a table of rows, with a column marker: take its rows by values "
-        "of columns, not by a window of time.",
+        "markers.csv ... table ... column marker ... rows by values",
     ),
     "unit of a recording": (
         'file = "run.c3d"',
         'file = "run.c3d"\nlength_unit = "mm"',
-        "length_unit is for tables; leave it out for",
+        "length_unit ... tables; leave",
     ),
     "delimiter of a recording": (
         'file = "run.c3d"',
         'file = "run.c3d"\ndelimiter = ";"',
-        "delimiter is for tables; leave it out for",
+        "delimiter ... tables; leave",
     ),
     "event and step": (
         'after_step_of = "tip"',

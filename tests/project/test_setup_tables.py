@@ -156,5 +156,5 @@ def test_what_the_project_does_not_have(tmp_path, table, message):
 
 def test_a_cable_is_asked_for_in_known_words(tmp_path):
     wrong = BEAM.replace("releasing = true", "relasing = true")
-    with pytest.raises(ProjectError, match=r"expected a table like \{ value"):
+    with pytest.raises(ProjectError, match=r"tendon: .*relasing.*\{ value "):
         load(tmp_path, wrong)

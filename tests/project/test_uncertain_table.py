@@ -70,7 +70,7 @@ def test_creep_is_a_share_of_the_motion_of_all_poses_or_of_one(tmp_path, text, v
 def test_creep_is_no_length(tmp_path):
     shared = ("[shared]\n", '[shared]\nrelative_std = "1 mm"\n')
     path = write_small_project(tmp_path, shared)
-    with pytest.raises(ProjectError, match=r'relative_std: got "1 mm"; .* like "3 %"'):
+    with pytest.raises(ProjectError, match=r'relative_std: .*"1 mm"; .*"3 %"'):
         load_project(path)
 
 
@@ -83,13 +83,13 @@ def test_zero_needs_no_unit(tmp_path):
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ('density = "3 kg"', r'uncertain.density: got "3 kg"; .* like "3 %"'),
-        ("loads = 0.02", r'uncertain.loads: got 0.02; .* like "3 %"'),
-        ("clamp = 1", r"uncertain.clamp: 1 has no unit; expected a length"),
-        ('clamp = "-1 mm"', r'uncertain.clamp: got "-1 mm"; .*zero'),
-        ("nu = -0.1", r"uncertain.nu: got -0.1; .*0"),
-        ('nu = "5 %"', r'uncertain.nu: got "5 %"; expected a number'),
-        ('clmap = "1 mm"', r'uncertain.clmap: unknown key.* mean "clamp"'),
+        ('density = "3 kg"', 'uncertain.density: .*"3 kg"; .*"3 %"'),
+        ("loads = 0.02", r'uncertain.loads: .* 0\.02; .*"3 %"'),
+        ("clamp = 1", "uncertain.clamp: 1 .*unit; .*length"),
+        ('clamp = "-1 mm"', 'uncertain.clamp: .*"-1 mm"; .*zero'),
+        ("nu = -0.1", r"uncertain.nu: .* -0\.1; .* 0\."),
+        ('nu = "5 %"', 'uncertain.nu: .*"5 %"; .*number'),
+        ('clmap = "1 mm"', 'uncertain.clmap: .* mean "clamp"'),
     ],
 )
 def test_what_is_wrong_is_said(tmp_path, line, message):

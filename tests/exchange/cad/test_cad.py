@@ -150,7 +150,7 @@ def test_without_a_size_it_is_a_thirtieth_of_the_diagonal(step):
 def test_too_coarse_for_a_round_model(tmp_path):
     with modelled(tmp_path / "ball.step") as shape:
         shape.addSphere(0, 0, 0, 10)
-    with pytest.warns(MeshWarning, match=r"has \d+.\d % less volume than the model"):
+    with pytest.warns(MeshWarning, match=r"\d\.\d % less volume.*smaller"):
         mesh_cad(tmp_path / "ball.step", size=10 * MM)
 
 
@@ -168,19 +168,16 @@ def test_what_is_no_model(tmp_path):
     with pytest.raises(ValueError, match=r"bad\.step: "):
         mesh_cad(bad, size=SIZE)
     assert not gmsh.isInitialized()
-    with pytest.raises(FileNotFoundError, match=r"Did you mean 'bad\.step'"):
+    with pytest.raises(FileNotFoundError, match=r"bat\.step .*'bad\.step'"):
         mesh_cad(tmp_path / "bat.step", size=SIZE)
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"size": 0.0}, r"size must be positive and finite \[m\], got 0.0"),
-        ({"size": SIZE, "order": 3}, "order must be 1"),
-        (
-            {"size": SIZE, "length_unit": "mm"},
-            "a STEP file states its own. Leave it out",
-        ),
+        ({"size": 0.0}, r"size .*positive .*\[m\], got 0\.0"),
+        ({"size": SIZE, "order": 3}, "order .* 1 .* got 3"),
+        ({"size": SIZE, "length_unit": "mm"}, "'mm'.* STEP .*Leave"),
     ],
 )
 def test_bad_calls(step, options, message):
@@ -190,8 +187,7 @@ def test_bad_calls(step, options, message):
 
 def test_too_many_tets(step):
     """A slip of the unit ends at once, not after hours."""
-    message = "edges of 0.005 .*limit"
-    with pytest.raises(LimitError, match=message):
+    with pytest.raises(LimitError, match=r"edges of 0\.005 .*limit"):
         mesh_cad(step, size=5e-6)
 
 
@@ -213,7 +209,7 @@ def test_sigterm_stays_with_python(step):
 
 
 def test_other_extensions(tmp_path):
-    with pytest.raises(ValueError, match=r"extension '.igs'; expected one of .step"):
+    with pytest.raises(ValueError, match=r"'\.igs'.* \.step, \.stp"):
         mesh_cad(tmp_path / "f.igs", size=SIZE)
 
 
@@ -225,7 +221,7 @@ def test_gmsh_leaves_no_trace(step):
     assert not gmsh.isInitialized()
     gmsh.initialize(interruptible=False)
     try:
-        with pytest.raises(RuntimeError, match="this program uses gmsh already"):
+        with pytest.raises(RuntimeError, match=r"gmsh already.*finalize"):
             mesh_cad(step, size=SIZE)
         assert gmsh.isInitialized()
     finally:

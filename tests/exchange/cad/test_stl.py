@@ -64,26 +64,25 @@ def test_round_walls_are_one_face(tmp_path):
 
 
 def test_the_unit_is_needed(stl):
-    with pytest.raises(ValueError, match="STL file does not state its unit; expected"):
+    with pytest.raises(ValueError, match=r"STL .*unit.* None"):
         mesh_cad(stl, size=SIZE)
-    with pytest.raises(ValueError, match=r"expected a length unit, .*'milli'"):
+    with pytest.raises(ValueError, match=r"STL .*unit.* 'milli'"):
         mesh_cad(stl, size=SIZE, length_unit="milli")
 
 
 def test_what_is_no_surface(tmp_path):
     bad = tmp_path / "bad.stl"
     bad.write_bytes(b"solid nothing\nendsolid nothing\n")
-    with pytest.raises(ValueError, match=r"bad.stl: it (holds 0 tri|cannot be read)"):
+    with pytest.raises(ValueError, match=r"bad\.stl: .*(0 tri|read as STL)"):
         mesh_cad(bad, size=SIZE, length_unit="mm")
     bad.write_bytes(bytes(60))
-    with pytest.raises(ValueError, match=r"bad.stl: it (holds 0 tri|cannot be read)"):
+    with pytest.raises(ValueError, match=r"bad\.stl: .*(0 tri|read as STL)"):
         mesh_cad(bad, size=SIZE, length_unit="mm")
 
 
 def test_a_hole_without_ftetwild(holed, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pytetwild", None)
-    message = "gmsh cannot fill .* 3 edges .* pytetwild"
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=r"gmsh .* 3 edges .* pytetwild"):
         mesh_cad(holed, size=SIZE, length_unit="mm")
 
 
@@ -92,7 +91,7 @@ def test_a_hole_is_filled_by_ftetwild_and_said(holed, tmp_path, monkeypatch):
     """And nothing is left in the folder of the program."""
     pytest.importorskip("pytetwild")
     monkeypatch.chdir(tmp_path)
-    with pytest.warns(MeshWarning, match=r"3 edges .* So fTetWild filled it"):
+    with pytest.warns(MeshWarning, match=r"3 edges .*fTetWild filled"):
         mesh = mesh_cad(holed, size=SIZE, length_unit="mm")
     assert not list(tmp_path.iterdir())
     expected = box(*FINGER) - box(*CAVITY)

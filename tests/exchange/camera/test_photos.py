@@ -1,11 +1,10 @@
 """Poses from photographs whose truth is known, since VTK drew them."""
 
-import re
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi2
+from wording import saying
 
 from benchmarks._photographs import (
     clear_views,
@@ -87,34 +86,32 @@ def test_a_photograph_of_another_pose_is_told(pose, tmp_path):
     elsewhere = Placement(MOVED.R, MOVED.p + np.array([0.0, 0.003, 0.0]))
     rng = np.random.default_rng(2)
     other = photograph(tmp_path / "other.jpg", sheet(elsewhere), pose[1][0], LENS, rng)
-    with pytest.raises(ValueError, match=r"other.jpg does not fit the others"):
+    with pytest.raises(ValueError, match=r"other\.jpg .*not fit .*Leave"):
         tag_pose([*pose[0], other], tag=TAG, base_tag=BASE, size=SIZE)
 
 
 def test_what_is_not_shown(pose, tmp_path, monkeypatch):
     paths, _ = pose
     one = {"tag": TAG, "base_tag": BASE, "size": SIZE}
-    with pytest.raises(ValueError, match=r"does not show tag 4; tags there: 0 and 3"):
+    every = (f"{paths[k].name} ... tag 4 ... 0 and 3" for k in (0, 3))
+    with pytest.raises(ValueError, match=saying(*every)):
         tag_pose(paths, **{**one, "tag": 4})
-    every = rf"(?s){re.escape(paths[0].name)} does not.*{re.escape(paths[3].name)} does"
-    with pytest.raises(ValueError, match=every):
-        tag_pose(paths, **{**one, "tag": 4})
-    with pytest.raises(ValueError, match="tag and base_tag are both 0"):
+    with pytest.raises(ValueError, match="base_tag are both 0"):
         tag_pose(paths, **{**one, "tag": 0})
-    with pytest.raises(ValueError, match="the size of tag 3 is 0"):
+    with pytest.raises(ValueError, match=r"size of tag 3 .* 0;"):
         tag_pose(paths, **{**one, "size": 0.0})
-    with pytest.raises(ValueError, match="there are no photographs"):
+    with pytest.raises(ValueError, match="no photographs"):
         tag_pose([], **one)
-    with pytest.raises(ValueError, match="shows 0 tags of the board; expected 4"):
+    with pytest.raises(ValueError, match=r" 0 tags .*board.* 4 or"):
         tag_pose(paths, **one, board=paths)
     text = tmp_path / "text.jpg"
     text.write_text("no picture")
-    with pytest.raises(ValueError, match=r"text\.jpg cannot be read"):
+    with pytest.raises(ValueError, match=r"text\.jpg .*JPEG"):
         tag_pose([text], **one)
-    with pytest.raises(FileNotFoundError, match=r"no photograph in .* fits 'none"):
+    with pytest.raises(FileNotFoundError, match=rf"{tmp_path} .*'none/"):
         find_photos("none/*.jpg", tmp_path)
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(FileNotFoundError, match=r"in the current folder fits 'none"):
+    with pytest.raises(FileNotFoundError, match=r"current folder .*'none/"):
         find_photos("none/*.jpg")
     assert find_photos(["*.jpg", "te*.jpg"], tmp_path) == (text,)
 
@@ -170,16 +167,15 @@ def test_a_project_with_photographs(pose, tmp_path):
     np.testing.assert_allclose(sensor.std, np.hypot(1e-3, own[[1, 0, 2]]), rtol=1e-9)
 
     for old, new, message in (
-        ("tag = 3", "tag = 7", "measured.effectors.sensor: photograph"),
-        ("shots/", "shot/", "no photograph in"),
+        ("tag = 3", "tag = 7", "measured.effectors.sensor: photograph ... tag 7"),
+        ("shots/", "shot/", "no photograph ... 'shot/"),
         ('size = "20 mm"', 'size = "20 s"', "measured.effectors.sensor.size"),
-        (', size = "20 mm"', "", "sensor.size: missing. Expected side of the black"),
+        (', size = "20 mm"', "", "sensor.size: missing ... black"),
         ("tag = 3, ", "tag = 3, sensor = 1, ", "measured.effectors.sensor.sensor: "),
     ):
         text = (changes[1][0], changes[1][1].replace(old, new))
-        with pytest.raises(ProjectError) as caught:
+        with pytest.raises(ProjectError, match=saying(message)):
             load_project(write_small_project(tmp_path, changes[0], text))
-        assert message in str(caught.value)
 
 
 @pytest.mark.slow

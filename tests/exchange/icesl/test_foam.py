@@ -112,21 +112,12 @@ def test_one_level_is_a_curve():
     ("changed", "message"),
     [
         ({"infill": "Gyroid"}, "infill 'Gyroid'"),
-        ({"density": [0.1, 20.0]}, r"sample 2: density must be in \(0, 1\].*got 20"),
-        ({"anisotropy": [0.0, 0.2]}, r"sample 1: shrink must be in \(0, 1\], got 0"),
-        (
-            {"E_soft": [1e4, np.nan]},
-            r"sample 2: E_soft must be positive .*got nan",
-        ),
-        (
-            {"E_stiff": [1e3, 1e6]},
-            "sample 1: E_stiff must be .*at least E_soft",
-        ),
-        ({"density": [0.1, 0.1]}, "at shrink 0.2 it has the densities 0.1, 0.1"),
-        (
-            {"anisotropy": [0.2, 0.3]},
-            "at shrink 0.2 it has the densities 0.1;",
-        ),
+        ({"density": [0.1, 20.0]}, r"sample 2: density .*\(0, 1\].* 20\."),
+        ({"anisotropy": [0.0, 0.2]}, r"sample 1: shrink .*\(0, 1\], got 0\."),
+        ({"E_soft": [1e4, np.nan]}, "sample 2: E_soft .*positive .* nan"),
+        ({"E_stiff": [1e3, 1e6]}, "sample 1: E_stiff .*E_soft .* 1000"),
+        ({"density": [0.1, 0.1]}, r"shrink 0\.2 .*densities 0\.1, 0\.1; .*two"),
+        ({"anisotropy": [0.2, 0.3]}, r"shrink 0\.2 .*densities 0\.1; .*two"),
     ],
 )
 def test_bad_tables(changed, message):
@@ -144,5 +135,5 @@ def test_bad_tables(changed, message):
 
 @pytest.mark.parametrize("modulus", [0.0, -1.0, np.inf, np.nan])
 def test_a_solid_without_modulus(modulus):
-    with pytest.raises(ValueError, match="12 MPa is that of the published TPU"):
+    with pytest.raises(ValueError, match=f"got {modulus:g}; 12 MPa .*TPU"):
         published_foam(modulus)

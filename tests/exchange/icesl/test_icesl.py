@@ -253,10 +253,11 @@ def test_the_published_foam_in_both_conventions(tmp_path):
     )
     assert turned == soft | {"infill_angle_0": pytest.approx(30.0)}
     assert written.n_across == written.n_voxels
-    assert says(written.notes[0], "Polyfoam is stiff across its soft axis")
+    assert says(written.notes[0], "100 % ... E_l > E_t ... along the bed's z")
     rows = unreachable(written)
     assert len(rows) == COARSE**3
-    assert {row["why"] for row in rows} == {"right in the print plane only"}
+    (why,) = {row["why"] for row in rows}
+    assert says(why, "right in ... plane only")
 
 
 @pytest.mark.usefixtures("coarse")
@@ -300,7 +301,7 @@ def test_what_the_foam_does_not_reach_is_listed(tmp_path):
     np.testing.assert_allclose(x, 60.0 * (i + 0.5) / COARSE, atol=1e-4)
     row = rows[0]
     assert (float(row["E_t_kPa"]), float(row["E_l_kPa"])) == (1e3, 40.0)
-    assert row["why"] == "moduli beyond the foam table"
+    assert says(row["why"], "moduli beyond ... table")
     # The softest foams are those of the shrink 0.2.
     density = told(written)["infill_percentage"][-1, 0, 0]
     given = published_foam().moduli(np.array([density]), np.array([0.2]))[0]
@@ -308,8 +309,7 @@ def test_what_the_foam_does_not_reach_is_listed(tmp_path):
     np.testing.assert_allclose(float(row["nearest_E_l_kPa"]), given[0], rtol=0.03)
     np.testing.assert_allclose(float(row["nearest_E_t_kPa"]), given[1], rtol=0.03)
     (note, *_) = written.notes
-    assert says(note, "50 % ... moduli")
-    assert says(note, "(E_t, E_l) = (1, 0.04) MPa")
+    assert says(note, "50 % ... moduli ... (E_t, E_l) = (1, 0.04) MPa")
     script = (written.directory / "robot.lua").read_text()
     assert "-- 50 % of the part" in script
 
@@ -446,7 +446,7 @@ def test_polyfoam_cannot_be_inclined(tmp_path):
     )
     assert written.n_tilted == COARSE**3 == len(unreachable(written))
     assert settings["infill_angle_0"] == 0.0
-    assert "has a fibre that leaves the print plane" in written.notes[0]
+    assert says(written.notes[0], "100 % ... leaves the print plane ... Phasor")
 
 
 @pytest.mark.usefixtures("coarse")
@@ -457,7 +457,7 @@ def test_an_axis_that_turns_all_the_way_round(tmp_path):
     written = export_icesl(
         foam_model(1e6, 3e5, np.arctan2(y, x), mesh=mesh), tmp_path / "print"
     )
-    assert "the angle jumps by 180 degrees between" in written.notes[-1]
+    assert says(written.notes[-1], "angle jumps by 180 degrees")
 
 
 @pytest.mark.usefixtures("coarse")
@@ -487,7 +487,7 @@ def test_a_table_of_the_user(tmp_path):
         ),
         (
             "density,shrink,E_soft_kPa,E_stiff_kPa\n0.1,1,,10\n",
-            "sample 1: E_soft must be positive",
+            "sample 1: E_soft .* nan",
         ),
     ],
 )
@@ -506,14 +506,14 @@ def test_wrong_calls(tmp_path):
         ({"table": phasor()}, "Phasor.*'Polyfoam'"),
         ({"infill": "Gyroid"}, "Polyfoam.*'Gyroid'"),
         ({"plane": "zx"}, "'zx'. .*Known: 'xy', 'xz', 'yz'"),
-        ({"region": "arm"}, "unknown tet group 'arm'"),
+        ({"region": "arm"}, "tet group 'arm'"),
         ({"angle_marks": "hard"}, "'hard'. Known: 'soft', 'stiff'"),
     ):
         with pytest.raises(ValueError, match=message):
             export_icesl(model, tmp_path / "print", **options)
     law = FibreReinforced(NeoHookean(1e5, 0.45), 1e6, Fibre(0.0))
     threads = build_model(model.mesh, law, density=400.0)
-    with pytest.raises(ValueError, match="the law FibreReinforced has neither"):
+    with pytest.raises(ValueError, match=r"FibreReinforced .*calibrate"):
         export_icesl(threads, tmp_path / "print")
     assert not (tmp_path / "print").exists()
     (tmp_path / "print").mkdir()

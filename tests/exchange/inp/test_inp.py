@@ -7,6 +7,7 @@ from typing import NamedTuple
 import meshio
 import numpy as np
 import pytest
+from wording import says
 
 from benchmarks._calculix import (
     SAME,
@@ -285,30 +286,30 @@ def test_anisotropic_constants_stand_in_the_order_of_the_manual(tmp_path):
 @pytest.mark.parametrize(
     ("law", "said"),
     [
-        (StVenantKirchhoff(Isotropic(2e5, 0.3)), "The former is the law of the model"),
-        (Corotational(Isotropic(2e5, 0.3)), "15 % where the strain is 10 %"),
-        (NeoHookean(2e5, 0.3), "splits off the change of volume"),
-        (Yeoh(3e4, 0.0, 0.0, 0.45), "(J - 1)^2 / D1"),
-        (Yeoh(3e4, 0.0, 0.0, 0.499), "write C3D10H for C3D10"),
+        (StVenantKirchhoff(Isotropic(2e5, 0.3)), "former is the law"),
+        (Corotational(Isotropic(2e5, 0.3)), "15 % ... strain ... 10 %"),
+        (NeoHookean(2e5, 0.3), "NEO HOOKE ... (J - 1)^2 / D1"),
+        (Yeoh(3e4, 0.0, 0.0, 0.45), "costs (J - 1)^2 / D1"),
+        (Yeoh(3e4, 0.0, 0.0, 0.499), "C3D10H for C3D10"),
     ],
 )
 def test_what_differs_is_said_and_stands_in_the_file(law, said, tmp_path):
     notes = card_of(law, tmp_path)[2]
-    assert said in " ".join(notes)
+    assert says(" ".join(notes), said)
     text = (tmp_path / "job.inp").read_text()
     comments = [line[3:] for line in text.splitlines() if line.startswith("** ")]
-    assert said in " ".join(comments)
+    assert says(" ".join(comments), said)
 
 
 @pytest.mark.parametrize(
     ("law", "message"),
     [
-        (Gent(3e4, 80.0, 0.45), "Gent has no counterpart.*calibrate Yeoh"),
+        (Gent(3e4, 80.0, 0.45), "Gent .*no counterpart.*calibrate Yeoh"),
         (
             FibreReinforced(NeoHookean(2e5, 0.4), 1e6, Fibre(0.0)),
-            r"FibreReinforced has no counterpart.*\(Holzapfel\)",
+            "FibreReinforced .*no counterpart.*Holzapfel",
         ),
-        (Yeoh(3e4, 0.0, 0.0, 0.4999999), "below 1e-10 CalculiX takes a number of its"),
+        (Yeoh(3e4, 0.0, 0.0, 0.4999999), r"D1 .* 6\.67e-12 .* 1e-10 .*0\.499"),
     ],
 )
 def test_laws_that_are_refused(law, message, tmp_path):
@@ -326,11 +327,11 @@ def test_robots_that_are_refused(tmp_path):
     still = lane_of(model, Configuration("still", "x_min"))
     write_inp(path, model, still)
     pulled = Configuration("pulled", "x_min", actuation={"left": ImposedForce(1.0)})
-    with pytest.raises(ValueError, match="cable 'left' acts, and CalculiX has no"):
+    with pytest.raises(ValueError, match=r"cable 'left' .*only chambers"):
         write_inp(path, model, lane_of(model, pulled))
     wound = {"left": ImposedDisplacement(1e-3)}
     wound = Configuration("wound", "x_min", actuation=wound)
-    with pytest.raises(ValueError, match="its displacement is imposed, and a file can"):
+    with pytest.raises(ValueError, match=r"cable 'left': .*Impose the force"):
         write_inp(path, model, lane_of(model, wound))
     capped = bar(law, bodies=[RigidBody("cap", "x_max")])
     with pytest.raises(ValueError, match=r"bodies \(cap\).*`base_radius`"):
@@ -338,7 +339,7 @@ def test_robots_that_are_refused(tmp_path):
     moved = Support("x_min", displacement=(1e-3, 0, 0), stiffness=1e7)
     with pytest.raises(ValueError, match="elastic support is moved"):
         write_inp(path, model, lane_of(model, Configuration("moved", moved)))
-    with pytest.raises(ValueError, match=r"must end in \.inp, got 'job\.txt'"):
+    with pytest.raises(ValueError, match=r"\.inp, got 'job\.txt'"):
         write_inp(tmp_path / "job.txt", model, still)
 
 
@@ -382,7 +383,7 @@ def test_a_sealed_wall_must_be_held_at_its_rim(order, tmp_path):
     (loads,) = only(blocks_of(tmp_path / "job.inp"), "DLOAD")
     assert len(loads.rows) == len(wall)
     loose = lane_of(model, posed(["base", "others", Support("one", "yz")]))
-    with pytest.raises(ValueError, match=r"chamber 'c': .* opening, of which 1 nodes"):
+    with pytest.raises(ValueError, match=r"chamber 'c': .*rim .* 1 nodes .*Hold"):
         write_inp(tmp_path / "loose.inp", model, loose)
 
 

@@ -41,7 +41,7 @@ def test_corotational_tets():
     component = found(law, rotation="procrustes")
     assert component.component == "CorotationalFEMForceField"
     assert component.data["template"] == "Vec3,Tetrahedron"
-    with pytest.raises(ValueError, match=r"has since v26\.06; take another rotation"):
+    with pytest.raises(ValueError, match=r"procrustes.* v26\.06; .* v25\.12"):
         found(law, rotation="procrustes", release="v25.12")
 
 
@@ -84,11 +84,11 @@ def test_the_plugin_is_isotropic_where_the_moduli_are():
 
 
 REFUSED = {
-    "MooneyRivlin": (MooneyRivlin(4e4, 1e4), "another term for the change of volume"),
-    "Gent": (Gent(4e4, 40.0), "SOFA has no such law"),
+    "MooneyRivlin": (MooneyRivlin(4e4, 1e4), "MooneyRivlin .*another term .*calibrate"),
+    "Gent": (Gent(4e4, 40.0), "Gent .*no such law.*calibrate"),
     "St. Venant with a fibre": (
         StVenantKirchhoff(sc.ReducedTransverseIsotropic(7e5, 4e5, 0.3, FIBRE)),
-        "corotational tets of the plugin Anisotropy",
+        "ReducedTransverse.* only .*Anisotropy",
     ),
     "field": (sc.NeoHookean(np.linspace(1e5, 2e5, 6), 0.3), "--law corotational"),
     "negative ratio": (sc.Corotational(sc.Isotropic(2e5, -0.1)), r"nu is -0\.1; SOFA"),
@@ -113,7 +113,7 @@ def test_only_the_law_of_sofa_is_written():
 @pytest.mark.parametrize(
     ("option", "message"),
     [
-        ({"release": "v24.12"}, "unknown release 'v24.12'"),
+        ({"release": "v24.12"}, r"unknown release 'v24\.12'"),
         ({"units": "mm"}, "unknown unit system 'mm'"),
         ({"law": "polar"}, "unknown law 'polar'"),
     ],

@@ -10,6 +10,7 @@ import pytest
 from anisotropic_project import write_measured_project
 from scene_equilibrium import solve
 from small_project import write_small_project
+from wording import says
 
 import softcal_jax as sc
 from benchmarks._sofa import run
@@ -53,7 +54,7 @@ def test_the_command_calibrates_again_for_the_linear_mesh(results, tmp_path, cap
     assert main(["export", "sofa", str(results / "quadratic"), "-o", str(scene)]) == 0
     said = capsys.readouterr().out
     assert "E: " in said
-    assert "calibrating the model of SOFA" in said
+    assert says(said, "calibrating ... SOFA")
     assert re.search(r"^step 1 .*  E = \d+\.\d\d kPa$", said, re.MULTILINE)
     lines = said.split("\n")
     head = next(line for line in lines if line.split()[:1] == ["configuration"])
@@ -114,7 +115,7 @@ def test_nothing_is_written_without_convergence(results, tmp_path):
         loaded.project, settings=CalibrationSettings(max_steps=1)
     )
     loaded = dataclasses.replace(loaded, project=hurried, z=loaded.z + jnp.log(0.5))
-    with pytest.raises(NotConvergedError, match="did not converge after 1 steps"):
+    with pytest.raises(NotConvergedError, match=r"not converge .* 1 steps"):
         export_sofa(loaded, tmp_path / "scene", law="corotational")
     assert not (tmp_path / "scene").exists()
 
@@ -129,10 +130,9 @@ def test_a_beam_with_a_fibre_takes_what_the_plugin_computes(tmp_path, no_picture
         write_results(load_project(path).calibrate(), tmp_path / "results")
     found = export_sofa(tmp_path / "results", tmp_path / "scene")
     assert found.component == "TetrahedronAnisotropicForceField"
-    assert "the values make up for both" in found.notes[0]
+    assert says(found.notes[0], "E_t ... C13 ... no material constants")
     readme = (tmp_path / "scene" / "README.md").read_text()
-    assert "must be built from source" in readme
-    assert "-l Anisotropy" in readme
+    assert says(readme, "built from source ... -l Anisotropy")
     root, monitor = run(tmp_path / "scene", "v26.06")
     x, X = solve(root)
     monitor.state.position.value = x.tolist()

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from scene_equilibrium import solve
+from wording import says
 
 import softcal_jax as sc
 from benchmarks._sofa import Node, components, run
@@ -107,11 +108,10 @@ def test_unknown_names_are_counted(bent_beam, tmp_path):
     script.write_text(text)
     unknown = []
     run(tmp_path / "scene", "v26.06", unknown=unknown)
-    assert sorted(unknown) == [
-        "DiagonalMass needs the plugin Sofa.Component.Mass",
-        "NewtonRaphsonSolver has no data newton_iterations",
-        "no component needs a plugin Sofa.Component.Masses",
-    ]
+    needed, unread, unneeded = sorted(unknown)
+    assert says(needed, "DiagonalMass needs ... Sofa.Component.Mass")
+    assert says(unread, "NewtonRaphsonSolver ... newton_iterations")
+    assert says(unneeded, "no component ... Sofa.Component.Masses")
 
 
 def test_the_stand_in_knows_both_releases():
@@ -187,21 +187,21 @@ def test_a_sealed_chamber_is_its_wall_where_its_rim_is_held():
     (cavity,) = written(held, sealed, mesh=opened)["chambers"]
     assert len(cavity["triangles"]) == len(wall)
     loose = sc.Configuration("loose", "x_min", actuation=blown)
-    with pytest.raises(ValueError, match=r"'cavity': .* opening, of which 3 nodes"):
+    with pytest.raises(ValueError, match=r"'cavity': .*rim .* 3 nodes .*Hold"):
         written(loose, sealed, mesh=opened)
 
 
 REFUSED = {
     "two ends on the ground": (
         {"supports": "x_min", "actuation": {"rope": sc.ImposedForce(1.0)}},
-        "'rope' has more than one guide",
+        "'rope' .*more than one guide",
     ),
     "volume beside a moved support": (
         {
             "supports": [sc.Support("x_min", displacement=(0.001, 0.0, 0.0))],
             "actuation": {"cavity": sc.ImposedDisplacement(1e-7)},
         },
-        "chamber with an imposed volume",
+        "'asked': .*chamber .*imposed .*pressure",
     ),
     "elastic support that moves": (
         {
@@ -210,7 +210,7 @@ REFUSED = {
                 sc.Support("x_side", "x", (0.001, 0.0, 0.0), stiffness=1e5),
             ]
         },
-        "support that is moved",
+        "'asked': .*support .*displacement out",
     ),
 }
 
@@ -237,6 +237,5 @@ def test_robots_that_a_scene_cannot_hold():
         pulled_from="first",
     )
     model = sc.build_model(MESH, edge_law(), density=1.0, actuators=[rope])
-    message = "cable with friction 'rope' has no counterpart"
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=r"friction 'rope' .*no counterpart"):
         check_robot(model)
