@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
+from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax._units import readable
 
@@ -54,6 +55,8 @@ class ConstantKind(NamedTuple):
     most: float = math.inf
     locks: float = math.inf
     acts_by: str = ""
+
+    __repr__ = one_line
 
 
 UNREMARKABLE = ConstantKind()
