@@ -70,7 +70,7 @@ class _Checked(NamedTuple):
     about: Callable[[Float[Array, " n_p"], Evaluation], LinearModel]
     space: ParameterSpace
     z: HostArray
-    at: Evaluation
+    evaluation: Evaluation
     linear: LinearModel
     quantile: float
 
@@ -89,7 +89,7 @@ def _first_order_holds(
     Raises:
         LowerCostFound: If the cost is lower at an end than at the fit.
     """
-    result, problem, configurations, at = fitted
+    result, problem, configurations, evaluation = fitted
     linear = result.linear.of_fit()
 
     def about(z: Float[Array, " n_p"], end: Evaluation) -> LinearModel:
@@ -103,7 +103,7 @@ def _first_order_holds(
             about=about,
             space=problem.space,
             z=np.asarray(result.z),
-            at=at,
+            evaluation=evaluation,
             linear=linear,
             quantile=quantile,
         )
@@ -125,12 +125,12 @@ def _end_holds(fit: _Checked, column: int, sign: int) -> bool:
     if _breaks_order(space, fit.z + step):
         return False
     z = jax.device_put(fit.z + step)
-    end = fit.evaluate(z, fit.at.response.equilibrium.displacement)
+    end = fit.evaluate(z, fit.evaluation.response.equilibrium.displacement)
     if not end.ok:
         return False
     rise_of_end = (fit.quantile * linear.scale) ** 2
-    if float(end.cost) < float(fit.at.cost) - 0.5 * LOWER * rise_of_end:
-        raise LowerCostFound(z, float(end.cost), float(fit.at.cost))
+    if float(end.cost) < float(fit.evaluation.cost) - 0.5 * LOWER * rise_of_end:
+        raise LowerCostFound(z, float(end.cost), float(fit.evaluation.cost))
     moved = fit.about(z, end)
     # The fit stops where its slope has nearly vanished, and what is left counts here.
     slope = np.where(linear.held, 0.0, linear.slope())
@@ -180,9 +180,9 @@ def with_intervals(
     """
     first = fitted.result
     with Clock() as clock:
-        fitted, found = _settled(fitted, level, go_on, stage)
-    result = fitted.result
-    notes, interrupted = result.notes, any(own.why == INTERRUPTED for own in found)
+        fitted, intervals = _settled(fitted, level, go_on, stage)
+    result, notes = fitted.result, fitted.result.notes
+    interrupted = any(interval.why == INTERRUPTED for interval in intervals)
     if interrupted:
         notes += ("Interrupted before the intervals of all parameters were known.",)
     if result is not first:
@@ -191,11 +191,11 @@ def with_intervals(
             f"first fit, {result.history[-1].cost:.6g} instead of "
             f"{first.history[-1].cost:.6g}: the calibration went on from there.",
         )
-    pairs = zip(result.parameters, found, strict=True)
+    pairs = zip(result.parameters, intervals, strict=True)
     timing = {k: result.timing_s[k] + more for k, more in clock.seconds.items()}
     return replace(
         result,
-        parameters=tuple(replace(own, interval=interval) for own, interval in pairs),
+        parameters=tuple(replace(p, interval=interval) for p, interval in pairs),
         notes=notes,
         timing_s=timing,
         interrupted=result.interrupted or interrupted,
@@ -228,7 +228,7 @@ def _settled(
 
 def _none(fitted: Fitted, level: float, why: str) -> list[ParameterInterval]:
     parameters = fitted.problem.space.parameters
-    return [no_interval(own, level=level, why=why) for own in parameters]
+    return [no_interval(parameter, level=level, why=why) for parameter in parameters]
 
 
 def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInterval]:
@@ -274,12 +274,12 @@ def _by_profile(
     fitted: Fitted, level: float, rise: float, which: Sequence[int], stage: Stage
 ) -> dict[int, ParameterInterval]:
     """Find intervals by profile likelihood, in this order, until Ctrl-C."""
-    result, found = fitted.result, {}
+    result, intervals = fitted.result, {}
     began, n = time.perf_counter(), len(which)
 
     def keep(column: int, ends: tuple[ProfileEnd, ProfileEnd]) -> None:
-        found[column] = whole_interval(result, column, level, ends)
-        k = len(found)
+        intervals[column] = whole_interval(result, column, level, ends)
+        k = len(intervals)
         left = (time.perf_counter() - began) / k * (n - k)
         if k < n:
             stage(f"the intervals by profile likelihood: {k} of {n}, {left:.0f} s left")
@@ -299,7 +299,7 @@ def _by_profile(
             which=which,
             ended=keep,
         )
-    return found
+    return intervals
 
 
 def quantile_of(result: CalibrationResult, level: float) -> float:
@@ -341,12 +341,12 @@ def whole_interval(
             wider.append(ProfileEnd(room, "bound"))
         else:
             wider.append(end if end.why == "bound" else ProfileEnd(distance, end.why))
-    own, z = result.space.parameters[column], result.z[column]
-    return interval_between(own, z, wider, level=level, first_order=first_order)
+    parameter, z = result.space.parameters[column], result.z[column]
+    return interval_between(parameter, z, wider, level=level, first_order=first_order)
 
 
 def interval_between(
-    own: Parameter,
+    parameter: Parameter,
     z: Float[Array, ""],
     ends: Sequence[ProfileEnd],
     *,
@@ -355,38 +355,38 @@ def interval_between(
 ) -> ParameterInterval:
     """Make the interval of a parameter from its lower and its upper end."""
     low, high = ends
-    kind, why = _kind(low, high, own, z, first_order)
+    kind, why = _kind(low, high, parameter, z, first_order)
     return ParameterInterval(
-        name=own.name,
+        name=parameter.name,
         level=level,
-        lower=float(own.from_scaled(z - low.distance)),
-        upper=float(own.from_scaled(z + high.distance)),
+        lower=float(parameter.from_scaled(z - low.distance)),
+        upper=float(parameter.from_scaled(z + high.distance)),
         lower_end=low.why,
         upper_end=high.why,
-        unit=own.unit,
+        unit=parameter.unit,
         kind=kind,
         why=why,
     )
 
 
-def no_interval(own: Parameter, *, level: float, why: str) -> ParameterInterval:
+def no_interval(parameter: Parameter, *, level: float, why: str) -> ParameterInterval:
     """Make the interval of a parameter that has none."""
     ends = (math.nan, math.nan, "not found", "not found")
-    return ParameterInterval(own.name, level, *ends, own.unit, "none", why)
+    return ParameterInterval(parameter.name, level, *ends, parameter.unit, "none", why)
 
 
-def _kind(low, high, own: Parameter, z, first_order: bool) -> tuple[IntervalKind, str]:
+def _kind(low, high, parameter, z, first_order: bool) -> tuple[IntervalKind, str]:
     """Name the kind of an interval, and why it is none."""
-    found = [end.why for end in (low, high)]
-    if "not found" in found:
+    whys = [end.why for end in (low, high)]
+    if "not found" in whys:
         why = "fits along its profile do not converge"
         for end, sign, side in ((low, -1.0, "below"), (high, 1.0, "above")):
             if end.why == "likelihood":
-                value = float(own.from_scaled(z + sign * end.distance))
-                why += f" (the end {side} is {readable_values([value], own.unit)})"
+                values = [float(parameter.from_scaled(z + sign * end.distance))]
+                why += f" (the end {side} is {readable_values(values, parameter.unit)})"
         return "none", why
-    if found == ["bound", "bound"]:
+    if whys == ["bound", "bound"]:
         return "none", "the data exclude no value within its bounds"
-    if "bound" in found:
+    if "bound" in whys:
         return "one-sided", ""
     return ("first-order" if first_order else "profile"), ""

@@ -87,10 +87,10 @@ def read_checkpoint(path: Path, mark: str) -> Saved:
             f"{path} is not a checkpoint of a calibration ({error}); give another "
             "path, or remove it."
         ) from error
-    here = version("softcal-jax")
-    if written_by != here:
+    installed = version("softcal-jax")
+    if written_by != installed:
         raise ValueError(
-            f"{path} was written by softcal_jax {written_by}, and this is {here}: "
+            f"{path} was written by softcal_jax {written_by}, and this is {installed}: "
             "remove it to start anew, or give another path."
         )
     changed |= set(digests)
@@ -127,8 +127,8 @@ def fingerprint(
     if effectors.observed:
         points = jnp.asarray(problem.model.mechanism.points)
         u = 0.01 * points + 0.02 * jnp.roll(points, 1, axis=1)
-        own = eqx.filter_jit(lambda c: effector_values(problem.model, c, u))
-        read = np.stack([np.asarray(own(lane)) for lane in problem.configurations])
+        compute = eqx.filter_jit(lambda c: effector_values(problem.model, c, u))
+        read = np.stack([np.asarray(compute(lane)) for lane in problem.configurations])
     solver = problem.model.solver
     kind = solver.name, solver.sparsity
     problem = eqx.tree_at(lambda p: p.model.solver, problem, kind)

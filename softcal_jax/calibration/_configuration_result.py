@@ -228,9 +228,9 @@ class SimulationResult(Result):
     def headline(self) -> str:
         """In how many configurations there is an equilibrium, in a sentence."""
         n = len(self.configurations)
-        found = sum(result.converged for result in self.configurations)
-        if found < n:
-            return f"{found} of {n} configurations have an equilibrium."
+        n_converged = sum(result.converged for result in self.configurations)
+        if n_converged < n:
+            return f"{n_converged} of {n} configurations have an equilibrium."
         every = "The configuration has" if n == 1 else f"All {n} configurations have"
         return f"{every} an equilibrium."
 

@@ -188,15 +188,15 @@ class Evaluator:
             precise: Whether the compliances are exact, see `equilibrium_response`.
         """
         every, far = range(len(self.lanes)), list(range(len(self.lanes)))
-        found: dict[int, Response] = {}
+        responses: dict[int, Response] = {}
         if self.problem.model.solver.counts_negative:
-            found = dict(enumerate(self._near(every, z, guess, before, precise)))
-            far = [c for c in every if not found[c].equilibrium.converged]
+            responses = dict(enumerate(self._near(every, z, guess, before, precise)))
+            far = [c for c in every if not responses[c].equilibrium.converged]
         if far:
             start = lane_of(guess, np.asarray(far))
             solution = self.equilibria(z, lanes=far, guess=start)
-            found |= zip(far, self.closed(far, z, solution, precise), strict=True)
-        return stacked([found[c] for c in every])
+            responses |= zip(far, self.closed(far, z, solution, precise), strict=True)
+        return stacked([responses[c] for c in every])
 
     def _near(
         self,

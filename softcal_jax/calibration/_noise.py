@@ -125,8 +125,8 @@ def check_references(
     """
     known = {c.name: c for c in (configurations if fitted is None else fitted)}
     read = {
-        c.name: {(e.name, e.quantity): bool(np.any(e.seen)) for e in own}
-        for c, own in zip(configurations, effectors, strict=True)
+        c.name: {(e.name, e.quantity): bool(np.any(e.seen)) for e in records}
+        for c, records in zip(configurations, effectors, strict=True)
     }
     for c in configurations:
         name = c.displacement_from

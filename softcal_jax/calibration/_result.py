@@ -108,11 +108,11 @@ class ParameterEstimate(Module):
         """Whether value +- standard error may be shown: no check speaks against it."""
         if not math.isfinite(self.standard_error):
             return False
-        own = self.interval
-        if own is None:
+        interval = self.interval
+        if interval is None:
             return True
-        up, down = own.upper - self.value, self.value - own.lower
-        return own.kind == "first-order" and max(up, down) < SKEWED * min(up, down)
+        up, down = interval.upper - self.value, self.value - interval.lower
+        return interval.kind == "first-order" and max(up, down) < SKEWED * min(up, down)
 
     @property
     def estimate(self) -> str:

@@ -335,14 +335,14 @@ def run_start(
         before = [first, *(m.signs * first for m in images[:i] if m.of_start)]
         again = image.of_start and any(np.array_equal(origin, old) for old in before)
         if not again and wanted(evaluate.problem, best, image):
-            own = [Known(*at) for at in zip(z, cost, strict=True) if np.isfinite(at[1])]
+            reached = [Known(z[k], cost[k]) for k in np.flatnonzero(np.isfinite(cost))]
             step = partial(note_step, i)
-            end, there = _to(evaluate, settings, origin, (*known, *own), step)
+            end, optimum = _to(evaluate, settings, origin, (*known, *reached), step)
             if end.converged:
-                here = np.arange(len(images)) == i
-                z = np.where(here[:, None], end.z, z)
-                cost = np.where(here, end.cost, cost)
-            other = None if there is None else there.best
+                this_image = np.arange(len(images)) == i
+                z = np.where(this_image[:, None], end.z, z)
+                cost = np.where(this_image, end.cost, cost)
+            other = None if optimum is None else optimum.best
             if other is not None and other.cost <= best.cost:
                 end = replace(other, steps=end.steps, errors=end.errors)
                 tried = len(images)
@@ -359,18 +359,18 @@ def _to(
     note: Callable[[CalibrationState], None],
 ) -> tuple[Run, Known | None]:
     """Run the outer loop to its end, or to a known optimum that it leads to."""
-    there = None
+    optimum = None
 
     def ahead(state: CalibrationState) -> bool:
-        nonlocal there
+        nonlocal optimum
         leading = (k for k in known if leads_to(evaluate.numbered.space, state, k))
-        there = next(leading, None)
-        return there is not None
+        optimum = next(leading, None)
+        return optimum is not None
 
     end = minimise(evaluate, settings, jnp.asarray(origin), ahead, note)
-    if there is not None:
-        end = replace(end, z=there.z, cost=there.cost, converged=True)
-    return end, there
+    if optimum is not None:
+        end = replace(end, z=optimum.z, cost=optimum.cost, converged=True)
+    return end, optimum
 
 
 def known_optima(runs: Sequence[Begun], images: Sequence[Image]) -> list[Known]:
