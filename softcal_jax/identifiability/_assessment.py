@@ -211,11 +211,11 @@ def _contradictions(result: CalibrationResult) -> list[str]:
     ]
 
 
-def _rivals(found: MultiStartResult | None, noise_scale: float) -> list[str]:
+def _rivals(search: MultiStartResult | None, noise_scale: float) -> list[str]:
     """Name other optima that the data hardly exclude, if several starts were tried."""
-    if found is None or not found.optima:
+    if search is None or not search.optima:
         return []
-    best, *others = found.optima
+    best, *others = search.optima
     allowed = 0.5 * noise_scale**2 * float(chdtri(1, 0.05))
     return [
         f"Other values fit as well: {other.words} (cost {other.cost:.3g}, the "

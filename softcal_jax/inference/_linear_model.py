@@ -48,7 +48,7 @@ class ErrorColumns(Module):
 
     def of(self, cause: str) -> Float[HostArray, "n n_of_cause"]:
         """Return the columns of one cause."""
-        return self.values[:, [own == cause for own in self.causes]]
+        return self.values[:, [column_cause == cause for column_cause in self.causes]]
 
     def only(self, rows: Bool[HostArray, " n"]) -> "ErrorColumns":
         """Return the errors that some rows have, of these rows."""

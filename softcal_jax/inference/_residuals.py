@@ -265,7 +265,7 @@ def recording_estimates(
     per_error = np.concatenate([noise, linear.considered.values], axis=1)
     size = lambda L: np.linalg.norm(L @ per_error, axis=1)
     fits = np.asarray(space.from_scaled(jax.device_put(z)))
-    slopes, asked, here = space.slopes(z), asked_errors(space, z), np.asarray(z)
+    slopes, asked, optimum = space.slopes(z), asked_errors(space, z), np.asarray(z)
     estimates: dict[int, list[RecordingEstimate]] = {}
     for name in names:
         rows = of_row == name
@@ -274,7 +274,7 @@ def recording_estimates(
         gain[:, rows] = alone.gain()
         shift, std = -gain @ linear.r, size(gain)
         apart = np.hypot(size(gain - whole), np.linalg.norm(by_prior, axis=1))
-        moved = jax.device_put(here + np.nan_to_num(shift))
+        moved = jax.device_put(optimum + np.nan_to_num(shift))
         values = np.asarray(space.from_scaled(moved))
         # Of the only recording that was fitted the difference is nothing but rounding.
         different = apart > NO_DIFFERENCE * std

@@ -248,8 +248,8 @@ def error_budget(
     deviations = linear.deviations()
     jitter = deviations.pop(NOISE)
     noise = jitter @ jitter.T if noise_is_known else np.full((len(z),) * 2, np.nan)
-    both = (linear.correlated, linear.considered)
-    errors = [pair for own in both for pair in zip(own.causes, own.names, strict=True)]
+    parts = (linear.correlated, linear.considered)
+    errors = [e for part in parts for e in zip(part.causes, part.names, strict=True)]
     causes = [
         Cause(name, tuple(error for cause, error in errors if cause == name), moved)
         for name, moved in deviations.items()

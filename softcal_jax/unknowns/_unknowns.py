@@ -141,8 +141,8 @@ def _of_setup(setting: Setting, poses: Poses) -> Iterator[Unknown]:
         if quantity.role not in ("considered", "noise"):
             continue
         cause, role = quantity.uncertain, quantity.role
-        found = cause in setting.uncertain.estimated
-        std = OFFSET if found else getattr(setting.uncertain, cause)
+        is_estimated = cause in setting.uncertain.estimated
+        std = OFFSET if is_estimated else getattr(setting.uncertain, cause)
         for of, scope in quantity.occurs(poses).items():
             for axis in quantity.components or ("",):
                 name = " ".join(word for word in (kind, of, axis) if word)
