@@ -1,4 +1,4 @@
-"""The intervals that a calibration prints: to first order where that holds, or not."""
+"""Intervals that a calibration prints: of first order where that holds, or profiles."""
 
 import math
 import time
@@ -60,9 +60,9 @@ class Fitted(NamedTuple):
 
 
 class _Checked(NamedTuple):
-    """A calibration at z, where it ended; `quantile` standard errors lead to an end.
+    """A calibration that ended at z; an interval ends `quantile` standard errors away.
 
-    `about` returns the linear model about other scaled parameters, from these and their
+    `about` returns the linear model at other scaled parameters, from these and their
     evaluation, with the noise of `linear`.
     """
 
@@ -80,11 +80,11 @@ def _first_order_holds(
 ) -> list[bool]:
     """Check the cost at both ends of the first-order intervals of parameters.
 
-    A parameter is moved by `quantile` standard errors, and the others with it along the
-    column of their covariance, as the profile does on a parabola. There the root of the
-    rise of twice the cost must be the quantile within `CURVED`, and still be that if
-    the others took one more Gauss-Newton step: the first shows a valley that bends, the
-    second one whose floor falls off. One evaluation for each end, all side by side.
+    A parameter is moved by `quantile` standard errors, and the others with it along its
+    column of the covariance, as on the profile of a parabola. There the root of the
+    rise of twice the cost must be the quantile within `CURVED`, also once the others
+    have taken one more Gauss-Newton step: the first test sees a valley that bends, the
+    second a floor that falls off. One evaluation for each end, all side by side.
 
     Raises:
         LowerCostFound: If the cost is lower at an end than at the fit.
@@ -136,7 +136,7 @@ def _end_holds(fit: _Checked, column: int, sign: int) -> bool:
     slope = np.where(linear.held, 0.0, linear.slope())
     rise = moved.squares() - linear.squares() - 2.0 * slope @ step
     left = moved.slope() - slope
-    # What ended on a bound may leave it again, now that this parameter has moved.
+    # A parameter on a bound may leave it again, now that the tested one has moved.
     leaves = np.where(left < 0.0, up > 0.0, down < 0.0) & linear.held
     others = np.flatnonzero((free & (step > down) & (step < up)) | leaves)
     others = others[others != column]
@@ -175,8 +175,8 @@ def with_intervals(
 
     Where the cost at the ends of a first-order interval is that of its parabola, see
     `_first_order_holds`, that interval is taken; elsewhere the profile of the
-    likelihood replaces it. `stage` is told before each. Where either finds a lower
-    cost, the calibration goes on from it.
+    likelihood replaces it. `stage` is called before each of these. Where either finds a
+    lower cost, the calibration goes on from there.
     """
     first = fitted.result
     with Clock() as clock:
@@ -260,7 +260,7 @@ def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInte
         whole = whole_interval(result, column, level, ends, first_order=True)
         intervals[column] = whole
     if bent:
-        # The least certain first: Ctrl-C keeps those that are known.
+        # The least certain first, since Ctrl-C keeps the intervals found before it.
         bent.sort(key=lambda column: -np.nan_to_num(std[column]))
         rise = quantile * spread.noise_scale
         profiled = _by_profile(fitted, level, rise, bent, stage)
@@ -273,7 +273,7 @@ def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInte
 def _by_profile(
     fitted: Fitted, level: float, rise: float, which: Sequence[int], stage: Stage
 ) -> dict[int, ParameterInterval]:
-    """Find intervals by profile likelihood, in this order, until Ctrl-C."""
+    """Find intervals by profile likelihood, in the order of `which`, until Ctrl-C."""
     result, intervals = fitted.result, {}
     began, n = time.perf_counter(), len(which)
 
@@ -303,7 +303,7 @@ def _by_profile(
 
 
 def quantile_of(result: CalibrationResult, level: float) -> float:
-    """Return how many standard errors chance allows: normal, or Student's t [-]."""
+    """Return the two-sided quantile of a level, normal or of Student's t [-]."""
     spread, tail = result.uncertainty, 0.5 * (1.0 + level)
     if spread.noise == "stated":
         return float(ndtri(tail))
@@ -311,9 +311,9 @@ def quantile_of(result: CalibrationResult, level: float) -> float:
 
 
 def _considered_error(result: CalibrationResult, column: int) -> float:
-    """Compute the standard error by what is held fixed and may be wrong [-].
+    """Compute the standard error by errors of what is held fixed [-].
 
-    A parameter on a bound counts as free: its interval ends inside.
+    A parameter on a bound counts as free, since its interval ends inside the bounds.
     """
     linear = result.linear.with_free(column)
     moved = linear.gain()[column] @ linear.considered.values
@@ -328,9 +328,9 @@ def whole_interval(
     *,
     first_order: bool = False,
 ) -> ParameterInterval:
-    """Make the interval of a parameter from the ends that the noise gives it.
+    """Make the interval of a parameter from its ends by the noise alone.
 
-    Both move out by what is held fixed and may be wrong, in squares, up to the bounds.
+    Errors of what is held fixed move both outwards, in quadrature, up to the bounds.
     """
     reach = ndtri(0.5 * (1.0 + level)) * _considered_error(result, column)
     wider = []
@@ -376,7 +376,7 @@ def no_interval(parameter: Parameter, *, level: float, why: str) -> ParameterInt
 
 
 def _kind(low, high, parameter, z, first_order: bool) -> tuple[IntervalKind, str]:
-    """Name the kind of an interval, and why it is none."""
+    """Name the kind of an interval, and the reason if it is "none"."""
     whys = [end.why for end in (low, high)]
     if "not found" in whys:
         why = "fits along its profile do not converge"

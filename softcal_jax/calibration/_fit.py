@@ -2,11 +2,11 @@
 
     Task -> Batch -> Start -> Place -> Weighed -> Predicted -> Judged -> result
 
-It is judged twice: by the noise alone, which is the answer so far, and by everything
-that is held fixed and may be wrong.
+It is judged twice: by the noise alone, which is the answer so far, and with the errors
+of everything that is held fixed.
 
 One batch holds all configurations, the fitted ones first. Those held out are solved
-once with what was found, and are rows without weight in the linear model.
+after the fit, and are rows without weight in the linear model.
 """
 
 import os
@@ -89,14 +89,14 @@ class Watch(NamedTuple):
 
 
 class Resume(NamedTuple):
-    """Where a loop goes on; what a result reports as its start is still the task's."""
+    """Where a fit goes on; its result still reports the start of the task."""
 
     z: Float[Array, " n_p"]
     noise: CorrelatedNoise
 
 
 class _Place(NamedTuple):
-    """Where the steps begin, the noise that weighs them, and the search before."""
+    """Where the steps begin, the noise that weighs them, and a search before them."""
 
     z: Float[Array, " n_p"]
     evaluation: Evaluation
@@ -116,7 +116,7 @@ class _Solved(NamedTuple):
 
 
 class _Judged(NamedTuple):
-    """What may be said of the values."""
+    """The linear model at the optimum, and what it says about the values."""
 
     linear: LinearModel
     spread: Uncertainty
@@ -168,7 +168,7 @@ def _with_budget(
     workers: Workers,
     so_far: Callable[[], CalibrationResult],
 ) -> CalibrationResult:
-    """Add what errors that are considered do; Ctrl-C leaves the answer so far."""
+    """Judge with the considered errors, too; Ctrl-C leaves the answer so far."""
     taken = solved.journal.history[-1].seconds
     equilibrium, z = solved.predicted.response.equilibrium, solved.weighed.state.z
     try:
@@ -181,7 +181,7 @@ def _with_budget(
 
 
 def _result(task: Task, solved: _Solved, doubts: ConsideredErrors) -> CalibrationResult:
-    """Write what a fit has found, judged with these errors."""
+    """Make the result of a fit, judged with the considered errors `doubts`."""
     start, place, weighed, predicted, journal, clock = solved
     judged = _judged(task, weighed, predicted, doubts)
     state, space = weighed.state, task.space
@@ -345,9 +345,9 @@ def _linear(
 
 
 def _witnesses(task: Task) -> list[str | None]:
-    """Return the recording of each configuration that may be asked alone.
+    """Return the recording that each configuration counts to in `recording_estimates`.
 
-    None for those held out of a recording that is fitted, too.
+    None for a held-out configuration of a recording that is fitted, too.
     """
     recordings = independent_recordings(task.configurations)
     fitted, others = recordings[: len(task.fitted)], recordings[len(task.fitted) :]
