@@ -24,7 +24,7 @@ class Prediction(Module):
     Attributes:
         name: Name of the configuration.
         role: Whether it was fitted or held out.
-        std: Standard error of its markers by that of the parameters, a root mean square
+        std: Standard error of its markers by those of the parameters: root mean square
             distance [m]; infinite where it depends on parameters that nothing sees.
     """
 
@@ -38,8 +38,8 @@ def _predictions(
 ) -> tuple[Prediction, ...]:
     """Carry the covariance of the parameters into the markers of configurations.
 
-    The rows W_ep of Eq. (9) times the covariance by all causes: what a pose would be
-    off by if everything but the parameters were right.
+    The rows W_ep of Eq. (9) times the covariance by all causes: how far off a pose
+    would be if only the parameters were wrong.
     """
     predictions = []
     for fit in fits:
@@ -190,7 +190,7 @@ def _locking(budget: ErrorBudget, report: Identifiability) -> list[str]:
 
 
 def _wide(report: Identifiability, result: CalibrationResult) -> list[str]:
-    """Name parameters that are less certain than the bounds that were typed."""
+    """Name parameters that are less certain than the bounds that the user typed."""
     pairs = zip(report.parameters, result.space.parameters, strict=True)
     return [
         f"{p.name} is less certain than its bounds are wide: they say more than the "
