@@ -103,18 +103,18 @@ def calibrate(
         configurations: Measured configurations that are fitted.
         validation: Measured configurations that are only predicted.
         noise: "stated" takes the markers' standard deviations as they are; "estimated"
-            takes their ratios and finds the level from the residuals, by restricted
-            maximum likelihood beside the offsets of recordings.
-        uncertain: How well everything is known that is not calibrated. It widens the
+            takes their ratios and estimates the level from the residuals, by restricted
+            maximum likelihood that accounts for offsets of recordings.
+        uncertain: How well everything that is not calibrated is known. It widens the
             standard errors, and `result.budget` splits them. Offsets of recordings, and
             a `relative_std` of the configurations, weigh the data.
         precision: Standard error that verdicts ask for, relative to the value: 0.1 for
             10 %, and 0.1 rad of an axis [-].
         settings: Settings of the outer loop.
         newton: Settings of the equilibrium.
-        starts: Number of starts at most: that of the parameters, then random ones
+        starts: Most starts of a search: the start of the parameters, then random ones
             within the bounds; see `multi_start`. The fit then continues from the best.
-            By default see `default_starts`; 1 where `start` is given.
+            By default the number of `default_starts`, or 1 where `start` is given.
         seed: Seed of the random starts.
         start: Scaled parameters to start from, instead of the start of the parameters;
             priors stay centred on the latter [-].
@@ -122,18 +122,18 @@ def calibrate(
             They take two evaluations for each parameter, and a few fits for each end
             where its standard error does not hold.
         quick: Whether to stop at the answer so far, see `answer`. What was left out is
-            listed in `result.left_out`, and the verdict says it.
+            listed in `result.left_out`, and the verdict says so.
         checkpoint: File in which the state is saved after every step, and in a search
             after every image of a run. If it exists, the calibration resumes from it,
             with the same result. Where it cannot be written any more, as on a full
             disk, the calibration goes on with a warning and a note.
         progress: Called after the first evaluation and after each step.
         search_progress: Called after each step of a search, in one of its threads.
-        equilibrium_progress: Called while equilibria are solved from rest: the first,
-            and those that are held out.
-        answer: Called with the result so far, standard errors by the noise alone, once
-            the steps have ended and held-out configurations are predicted.
-        stage: Called with what is computed next, and what it takes.
+        equilibrium_progress: Called while equilibria are solved from rest: the first
+            ones, and those of held-out configurations.
+        answer: Called with the result so far, its standard errors by the noise alone,
+            once the steps have ended and held-out configurations are predicted.
+        stage: Called with a text: what is computed next, and how much work it is.
 
     Returns:
         The result; `result.converged` says whether lambda_p vanished. Ctrl-C ends the
@@ -237,12 +237,12 @@ def profile_intervals(
 ) -> tuple[ParameterInterval, ...]:
     """Find confidence intervals from the likelihood itself, not its linearisation.
 
-    `calibrate` does so where a standard error does not hold; this is for another level,
-    or to compare. A parameter is held away from the fit, all others are calibrated
-    again, and the interval ends where the squared errors have risen by what chance
-    allows (Bates and Watts, Nonlinear Regression Analysis, 1988, sec. 6.1). It need not
-    be symmetric, and may end at a bound that the data do not exclude. What is held
-    fixed and may be wrong adds to the distance of each end, in squares. The confidence
+    `calibrate` does so where a standard error does not hold; call this for another
+    level, or to compare. A parameter is held away from the fit, all others are
+    calibrated again, and the interval ends where the squared errors have risen as far
+    as chance allows (Bates and Watts, Nonlinear Regression Analysis, 1988, sec. 6.1).
+    It need not be symmetric, and may end at a bound that the data do not exclude.
+    Errors of what is held fixed move each end outwards, in quadrature. The confidence
     is that of each interval alone; other optima are not searched for. Each end takes a
     few calibrations, and is nan if they do not converge.
 
@@ -257,8 +257,8 @@ def profile_intervals(
             residuals.
         RuntimeError: If a configuration has no equilibrium with the fitted parameters.
         LowerCostFound: If a fit along the way has a lower cost than the calibration,
-            which then is not in the best optimum; the error holds its parameters, to
-            calibrate again from.
+            which then is not in the best optimum; the error holds the parameters of
+            that fit, from which to calibrate again.
     """
     space = result.space
     check_level(level)
@@ -310,8 +310,8 @@ def build_problem(
 ) -> CalibrationProblem:
     """Stack a calibration into arrays, for `evaluate` and `multi_start`.
 
-    By default nothing is uncertain that is not calibrated; offsets of recordings that
-    are belong to the noise.
+    By default everything that is not calibrated is exactly known. Offsets of recordings
+    that are `uncertain` belong to the noise.
 
     Raises:
         ValueError: If a configuration has no measurement, a parameter no field, or

@@ -1,4 +1,4 @@
-"""The intervals that a calibration prints: to first order where that holds, or not."""
+"""Intervals that a calibration prints: of first order where that holds, or profiles."""
 
 import math
 import time
@@ -60,9 +60,9 @@ class Fitted(NamedTuple):
 
 
 class _Checked(NamedTuple):
-    """A calibration at z, where it ended; `quantile` standard errors lead to an end.
+    """A calibration that ended at z; an interval ends `quantile` standard errors away.
 
-    `about` returns the linear model about other scaled parameters, from these and their
+    `about` returns the linear model at other scaled parameters, from these and their
     evaluation, with the noise of `linear`.
     """
 
@@ -70,7 +70,7 @@ class _Checked(NamedTuple):
     about: Callable[[Float[Array, " n_p"], Evaluation], LinearModel]
     space: ParameterSpace
     z: HostArray
-    at: Evaluation
+    evaluation: Evaluation
     linear: LinearModel
     quantile: float
 
@@ -80,16 +80,16 @@ def _first_order_holds(
 ) -> list[bool]:
     """Check the cost at both ends of the first-order intervals of parameters.
 
-    A parameter is moved by `quantile` standard errors, and the others with it along the
-    column of their covariance, as the profile does on a parabola. There the root of the
-    rise of twice the cost must be the quantile within `CURVED`, and still be that if
-    the others took one more Gauss-Newton step: the first shows a valley that bends, the
-    second one whose floor falls off. One evaluation for each end, all side by side.
+    A parameter is moved by `quantile` standard errors, and the others with it along its
+    column of the covariance, as on the profile of a parabola. There the root of the
+    rise of twice the cost must be the quantile within `CURVED`, also once the others
+    have taken one more Gauss-Newton step: the first test sees a valley that bends, the
+    second a floor that falls off. One evaluation for each end, all side by side.
 
     Raises:
         LowerCostFound: If the cost is lower at an end than at the fit.
     """
-    result, problem, configurations, at = fitted
+    result, problem, configurations, evaluation = fitted
     linear = result.linear.of_fit()
 
     def about(z: Float[Array, " n_p"], end: Evaluation) -> LinearModel:
@@ -103,7 +103,7 @@ def _first_order_holds(
             about=about,
             space=problem.space,
             z=np.asarray(result.z),
-            at=at,
+            evaluation=evaluation,
             linear=linear,
             quantile=quantile,
         )
@@ -125,18 +125,18 @@ def _end_holds(fit: _Checked, column: int, sign: int) -> bool:
     if _breaks_order(space, fit.z + step):
         return False
     z = jax.device_put(fit.z + step)
-    end = fit.evaluate(z, fit.at.response.equilibrium.displacement)
+    end = fit.evaluate(z, fit.evaluation.response.equilibrium.displacement)
     if not end.ok:
         return False
     rise_of_end = (fit.quantile * linear.scale) ** 2
-    if float(end.cost) < float(fit.at.cost) - 0.5 * LOWER * rise_of_end:
-        raise LowerCostFound(z, float(end.cost), float(fit.at.cost))
+    if float(end.cost) < float(fit.evaluation.cost) - 0.5 * LOWER * rise_of_end:
+        raise LowerCostFound(z, float(end.cost), float(fit.evaluation.cost))
     moved = fit.about(z, end)
     # The fit stops where its slope has nearly vanished, and what is left counts here.
     slope = np.where(linear.held, 0.0, linear.slope())
     rise = moved.squares() - linear.squares() - 2.0 * slope @ step
     left = moved.slope() - slope
-    # What ended on a bound may leave it again, now that this parameter has moved.
+    # A parameter on a bound may leave it again, now that the tested one has moved.
     leaves = np.where(left < 0.0, up > 0.0, down < 0.0) & linear.held
     others = np.flatnonzero((free & (step > down) & (step < up)) | leaves)
     others = others[others != column]
@@ -175,14 +175,14 @@ def with_intervals(
 
     Where the cost at the ends of a first-order interval is that of its parabola, see
     `_first_order_holds`, that interval is taken; elsewhere the profile of the
-    likelihood replaces it. `stage` is told before each. Where either finds a lower
-    cost, the calibration goes on from it.
+    likelihood replaces it. `stage` is called before each of these. Where either finds a
+    lower cost, the calibration goes on from there.
     """
     first = fitted.result
     with Clock() as clock:
-        fitted, found = _settled(fitted, level, go_on, stage)
-    result = fitted.result
-    notes, interrupted = result.notes, any(own.why == INTERRUPTED for own in found)
+        fitted, intervals = _settled(fitted, level, go_on, stage)
+    result, notes = fitted.result, fitted.result.notes
+    interrupted = any(interval.why == INTERRUPTED for interval in intervals)
     if interrupted:
         notes += ("Interrupted before the intervals of all parameters were known.",)
     if result is not first:
@@ -191,11 +191,11 @@ def with_intervals(
             f"first fit, {result.history[-1].cost:.6g} instead of "
             f"{first.history[-1].cost:.6g}: the calibration went on from there.",
         )
-    pairs = zip(result.parameters, found, strict=True)
+    pairs = zip(result.parameters, intervals, strict=True)
     timing = {k: result.timing_s[k] + more for k, more in clock.seconds.items()}
     return replace(
         result,
-        parameters=tuple(replace(own, interval=interval) for own, interval in pairs),
+        parameters=tuple(replace(p, interval=interval) for p, interval in pairs),
         notes=notes,
         timing_s=timing,
         interrupted=result.interrupted or interrupted,
@@ -228,7 +228,7 @@ def _settled(
 
 def _none(fitted: Fitted, level: float, why: str) -> list[ParameterInterval]:
     parameters = fitted.problem.space.parameters
-    return [no_interval(own, level=level, why=why) for own in parameters]
+    return [no_interval(parameter, level=level, why=why) for parameter in parameters]
 
 
 def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInterval]:
@@ -260,7 +260,7 @@ def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInte
         whole = whole_interval(result, column, level, ends, first_order=True)
         intervals[column] = whole
     if bent:
-        # The least certain first: Ctrl-C keeps those that are known.
+        # The least certain first, since Ctrl-C keeps the intervals found before it.
         bent.sort(key=lambda column: -np.nan_to_num(std[column]))
         rise = quantile * spread.noise_scale
         profiled = _by_profile(fitted, level, rise, bent, stage)
@@ -273,13 +273,13 @@ def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInte
 def _by_profile(
     fitted: Fitted, level: float, rise: float, which: Sequence[int], stage: Stage
 ) -> dict[int, ParameterInterval]:
-    """Find intervals by profile likelihood, in this order, until Ctrl-C."""
-    result, found = fitted.result, {}
+    """Find intervals by profile likelihood, in the order of `which`, until Ctrl-C."""
+    result, intervals = fitted.result, {}
     began, n = time.perf_counter(), len(which)
 
     def keep(column: int, ends: tuple[ProfileEnd, ProfileEnd]) -> None:
-        found[column] = whole_interval(result, column, level, ends)
-        k = len(found)
+        intervals[column] = whole_interval(result, column, level, ends)
+        k = len(intervals)
         left = (time.perf_counter() - began) / k * (n - k)
         if k < n:
             stage(f"the intervals by profile likelihood: {k} of {n}, {left:.0f} s left")
@@ -299,11 +299,11 @@ def _by_profile(
             which=which,
             ended=keep,
         )
-    return found
+    return intervals
 
 
 def quantile_of(result: CalibrationResult, level: float) -> float:
-    """Return how many standard errors chance allows: normal, or Student's t [-]."""
+    """Return the two-sided quantile of a level, normal or of Student's t [-]."""
     spread, tail = result.uncertainty, 0.5 * (1.0 + level)
     if spread.noise == "stated":
         return float(ndtri(tail))
@@ -311,9 +311,9 @@ def quantile_of(result: CalibrationResult, level: float) -> float:
 
 
 def _considered_error(result: CalibrationResult, column: int) -> float:
-    """Compute the standard error by what is held fixed and may be wrong [-].
+    """Compute the standard error by errors of what is held fixed [-].
 
-    A parameter on a bound counts as free: its interval ends inside.
+    A parameter on a bound counts as free, since its interval ends inside the bounds.
     """
     linear = result.linear.with_free(column)
     moved = linear.gain()[column] @ linear.considered.values
@@ -328,9 +328,9 @@ def whole_interval(
     *,
     first_order: bool = False,
 ) -> ParameterInterval:
-    """Make the interval of a parameter from the ends that the noise gives it.
+    """Make the interval of a parameter from its ends by the noise alone.
 
-    Both move out by what is held fixed and may be wrong, in squares, up to the bounds.
+    Errors of what is held fixed move both outwards, in quadrature, up to the bounds.
     """
     reach = ndtri(0.5 * (1.0 + level)) * _considered_error(result, column)
     wider = []
@@ -341,12 +341,12 @@ def whole_interval(
             wider.append(ProfileEnd(room, "bound"))
         else:
             wider.append(end if end.why == "bound" else ProfileEnd(distance, end.why))
-    own, z = result.space.parameters[column], result.z[column]
-    return interval_between(own, z, wider, level=level, first_order=first_order)
+    parameter, z = result.space.parameters[column], result.z[column]
+    return interval_between(parameter, z, wider, level=level, first_order=first_order)
 
 
 def interval_between(
-    own: Parameter,
+    parameter: Parameter,
     z: Float[Array, ""],
     ends: Sequence[ProfileEnd],
     *,
@@ -355,38 +355,38 @@ def interval_between(
 ) -> ParameterInterval:
     """Make the interval of a parameter from its lower and its upper end."""
     low, high = ends
-    kind, why = _kind(low, high, own, z, first_order)
+    kind, why = _kind(low, high, parameter, z, first_order)
     return ParameterInterval(
-        name=own.name,
+        name=parameter.name,
         level=level,
-        lower=float(own.from_scaled(z - low.distance)),
-        upper=float(own.from_scaled(z + high.distance)),
+        lower=float(parameter.from_scaled(z - low.distance)),
+        upper=float(parameter.from_scaled(z + high.distance)),
         lower_end=low.why,
         upper_end=high.why,
-        unit=own.unit,
+        unit=parameter.unit,
         kind=kind,
         why=why,
     )
 
 
-def no_interval(own: Parameter, *, level: float, why: str) -> ParameterInterval:
+def no_interval(parameter: Parameter, *, level: float, why: str) -> ParameterInterval:
     """Make the interval of a parameter that has none."""
     ends = (math.nan, math.nan, "not found", "not found")
-    return ParameterInterval(own.name, level, *ends, own.unit, "none", why)
+    return ParameterInterval(parameter.name, level, *ends, parameter.unit, "none", why)
 
 
-def _kind(low, high, own: Parameter, z, first_order: bool) -> tuple[IntervalKind, str]:
-    """Name the kind of an interval, and why it is none."""
-    found = [end.why for end in (low, high)]
-    if "not found" in found:
+def _kind(low, high, parameter, z, first_order: bool) -> tuple[IntervalKind, str]:
+    """Name the kind of an interval, and the reason if it is "none"."""
+    whys = [end.why for end in (low, high)]
+    if "not found" in whys:
         why = "fits along its profile do not converge"
         for end, sign, side in ((low, -1.0, "below"), (high, 1.0, "above")):
             if end.why == "likelihood":
-                value = float(own.from_scaled(z + sign * end.distance))
-                why += f" (the end {side} is {readable_values([value], own.unit)})"
+                values = [float(parameter.from_scaled(z + sign * end.distance))]
+                why += f" (the end {side} is {readable_values(values, parameter.unit)})"
         return "none", why
-    if found == ["bound", "bound"]:
+    if whys == ["bound", "bound"]:
         return "none", "the data exclude no value within its bounds"
-    if "bound" in found:
+    if "bound" in whys:
         return "one-sided", ""
     return ("first-order" if first_order else "profile"), ""

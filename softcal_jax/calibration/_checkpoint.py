@@ -42,7 +42,7 @@ class Saved(NamedTuple):
 
 
 def write_checkpoint(path: Path, mark: str, saved: Saved) -> None:
-    """Replace the file of a calibration with this `fingerprint` whole, or leave it.
+    """Replace a checkpoint as a whole or leave it as it is; `mark` is a `fingerprint`.
 
     Raises:
         OSError: If it cannot be written.
@@ -65,7 +65,7 @@ def write_checkpoint(path: Path, mark: str, saved: Saved) -> None:
 
 
 def read_checkpoint(path: Path, mark: str) -> Saved:
-    """Read the checkpoint of the calibration with this `fingerprint`.
+    """Read the checkpoint of the calibration whose `fingerprint` is `mark`.
 
     Raises:
         ValueError: If it is no checkpoint, one of another calibration or version, or
@@ -82,15 +82,15 @@ def read_checkpoint(path: Path, mark: str) -> Saved:
         texts = [str(content.pop(name)) for name in ("version", "mark", "history")]
         written_by, its_mark, history = texts
         entries = tuple(map(_entry, json.loads(history)))
-    except Exception as error:  # a dozen kinds, of a file that is anything
+    except Exception as error:  # a dozen kinds, as the file may be anything
         raise ValueError(
             f"{path} is not a checkpoint of a calibration ({error}); give another "
             "path, or remove it."
         ) from error
-    here = version("softcal-jax")
-    if written_by != here:
+    installed = version("softcal-jax")
+    if written_by != installed:
         raise ValueError(
-            f"{path} was written by softcal_jax {written_by}, and this is {here}: "
+            f"{path} was written by softcal_jax {written_by}, and this is {installed}: "
             "remove it to start anew, or give another path."
         )
     changed |= set(digests)
@@ -118,17 +118,17 @@ def _entry(saved: Any) -> HistoryEntry:
 def fingerprint(
     problem: CalibrationProblem, settings: CalibrationSettings, search: tuple
 ) -> str:
-    """Digest everything that a calibration depends on; `search` is what else does.
+    """Digest everything that a calibration depends on; `search` holds the rest.
 
     A sparse solver counts by its name and pattern, since it holds a handle that differs
-    from one process to the next, and observations by what they read of a sheared robot.
+    from one process to the next; observations count by their values on a sheared robot.
     """
     effectors, read = problem.configurations.effectors, np.zeros(0)
     if effectors.observed:
         points = jnp.asarray(problem.model.mechanism.points)
         u = 0.01 * points + 0.02 * jnp.roll(points, 1, axis=1)
-        own = eqx.filter_jit(lambda c: effector_values(problem.model, c, u))
-        read = np.stack([np.asarray(own(lane)) for lane in problem.configurations])
+        compute = eqx.filter_jit(lambda c: effector_values(problem.model, c, u))
+        read = np.stack([np.asarray(compute(lane)) for lane in problem.configurations])
     solver = problem.model.solver
     kind = solver.name, solver.sparsity
     problem = eqx.tree_at(lambda p: p.model.solver, problem, kind)
@@ -140,11 +140,11 @@ def fingerprint(
 def marker_rms(problem: CalibrationProblem, evaluation: Evaluation) -> float:
     """Compute the root mean square of the marker distances, nan without markers [m].
 
-    On the host: on the device, each shape of the data would be more programs.
+    Computed on the host: on the device, each shape of the data would compile programs.
     """
     effectors, noise = problem.configurations.effectors, problem.noise
     assert noise is not None
-    n_points = effectors.nodes.shape[-2]  # the rows behind are no distances
+    n_points = effectors.nodes.shape[-2]  # later rows are no distances
     delta_e = noise.without_attachments(effectors, np.asarray(evaluation.delta_e))
     seen = np.asarray(effectors.inverse_std)[:, :n_points] > 0.0
     squares = np.sum(np.where(seen, delta_e[:, :n_points], 0.0) ** 2)
@@ -178,7 +178,7 @@ class Journal:
         *,
         search: tuple = (),
     ):
-        """Take what is reported where; `search` is what else the fit depends on."""
+        """Note where steps are saved and reported; for `search` see `fingerprint`."""
         self.history: list[HistoryEntry] = []
         self.interrupted = False
         self.notes: tuple[str, ...] = ()
@@ -251,7 +251,7 @@ class Journal:
     def begin(
         self, state: CalibrationState, noise: CorrelatedNoise
     ) -> tuple[CalibrationState, CorrelatedNoise]:
-        """Return the saved state and noise; record and return these without them."""
+        """Return the saved state and noise; without any, record and return these."""
         kept = self.kept("state", (state, noise))
         if kept is None:
             self.note(state, noise)
@@ -261,9 +261,9 @@ class Journal:
     def keep(self, name: str, tree: Any) -> None:
         """Save a state or run: the file is replaced whole or not at all.
 
-        Where it cannot be written any more, as on a full disk, the calibration goes on
-        without: hours of work would be lost with it. After an interruption it stays as
-        it is, since what follows is no part of a whole calibration.
+        Where the file cannot be written any more, as on a full disk, the calibration
+        goes on without it, since stopping would lose hours of work. After an
+        interruption it stays as it is: later states belong to no whole calibration.
         """
         if self._path is None or self.interrupted:
             return
@@ -284,7 +284,7 @@ class Journal:
             self.notes = (note,)
 
     def kept(self, name: str, like: T) -> T | None:
-        """Return what was saved, with the types of one like it; None if nothing was."""
+        """Return what `keep` saved, typed like `like`; None if it saved nothing."""
         saved = {k: a for k, a in self._arrays.items() if k.rpartition("_")[0] == name}
         if not saved:
             return None

@@ -49,8 +49,8 @@ class ConfigurationResult(Module):
         newton_steps: Newton iterations of the equilibrium.
         load_steps: Its load steps.
         residual: Its relative residual [-].
-        rounding: What rounding leaves of that, see `EquilibriumSolution` [-].
-        at_rounding: Whether Newton stopped there, with a residual above `rtol`.
+        rounding: Relative residual that rounding leaves, see `EquilibriumSolution` [-].
+        at_rounding: Whether Newton stopped at rounding, with a residual above `rtol`.
         min_det_F: Its smallest det F [-].
         robot: Rigid bodies, actuators and reactions; None without an equilibrium, and
             for a body without rigid bodies and actuators.
@@ -58,7 +58,7 @@ class ConfigurationResult(Module):
             lambda_p; None where nothing was calibrated.
         columns: Correlated part of the noise of all coordinates, in the order of the
             effectors, in units of their standard deviations; see `CorrelatedNoise` [-].
-        posed: The configuration as described; None where a result was made without.
+        posed: The configuration as described; None where a result was made without it.
     """
 
     name: str
@@ -135,7 +135,7 @@ class ConfigurationResult(Module):
 
     @property
     def turn_after(self) -> float:
-        """The same after calibration [rad]."""
+        """Root mean square angle to measured orientations after calibration [rad]."""
         return _rms([e.error(e.simulated) for e in self.turns])
 
     @property
@@ -158,10 +158,10 @@ class ConfigurationResult(Module):
         *,
         points: bool = False,
     ) -> float:
-        """Compute the probability that noise alone puts effectors as far from values.
+        """Compute the chance that noise alone takes readings as far from given values.
 
-        From the chi-squared distribution of the measured coordinates, or with `points`
-        of these alone; NaN without any.
+        By the chi-squared distribution of all measured coordinates, or with `points` of
+        those of points alone; NaN without any.
         """
         errors, rows, n = [np.zeros(0)], [], 0
         for e in self.effectors:
@@ -177,12 +177,12 @@ class ConfigurationResult(Module):
         return float(chdtrc(n, np.sum(stacked**2))) if n else float("nan")
 
     def misfit(self, noise: Literal["stated", "estimated"], noise_scale: float) -> bool:
-        """Tell whether the calibrated model contradicts it.
+        """Return whether the calibrated model contradicts this configuration.
 
         Residuals that a stated noise explains are no misfit, however large. A noise
-        that is estimated from the residuals explains nothing, but for a pose whose
-        markers did not move (within the stated noise, since a wrong pose raises the
-        estimated one): there is no motion to compare its residuals with.
+        that is estimated from the residuals explains none, except in a pose whose
+        markers did not move, which has no motion to compare residuals with. Whether
+        they moved is judged by the stated noise: a wrong pose raises the estimated one.
 
         Args:
             noise: Where the noise comes from.
@@ -226,11 +226,11 @@ class SimulationResult(Result):
 
     @property
     def headline(self) -> str:
-        """In how many configurations there is an equilibrium, in a sentence."""
+        """How many configurations have an equilibrium, in a sentence."""
         n = len(self.configurations)
-        found = sum(result.converged for result in self.configurations)
-        if found < n:
-            return f"{found} of {n} configurations have an equilibrium."
+        n_converged = sum(result.converged for result in self.configurations)
+        if n_converged < n:
+            return f"{n_converged} of {n} configurations have an equilibrium."
         every = "The configuration has" if n == 1 else f"All {n} configurations have"
         return f"{every} an equilibrium."
 
@@ -276,9 +276,9 @@ def configuration_results(
 
 
 def _columns(lanes: ConfigurationLanes, noise: CorrelatedNoise) -> list[HostArray]:
-    """Return the correlated noise of each configuration alone, see its results."""
+    """Return the `columns` of the result of each configuration."""
     effectors = lanes.arrays.effectors
-    # Measured values are without the offsets of attachments.
+    # Offsets of attachments have been taken off the measured values already.
     A = noise.on_host(effectors)[:, : noise.n_common] * np.asarray(noise.jitter)
     A = A.reshape(*np.shape(effectors.inverse_std), noise.n_common)
     columns = []
@@ -292,7 +292,7 @@ def _columns(lanes: ConfigurationLanes, noise: CorrelatedNoise) -> list[HostArra
 def simulation_result(
     model: Model, configurations: Sequence[Configuration], solution: EquilibriumSolution
 ) -> SimulationResult:
-    """Describe a forward simulation; what has no equilibrium says why.
+    """Describe a forward simulation; a result without equilibrium says why.
 
     Measured values are ignored, and turns are counted from rest.
     """

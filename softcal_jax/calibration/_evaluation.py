@@ -40,7 +40,7 @@ from softcal_jax.sensitivity import (
 )
 
 _FROM_REST, MOST_KEPT = dict[Hashable, Response](), 4
-"""Responses of the last starts, and their number: fits to other data begin alike."""
+"""Responses at the last starts, kept for fits to other data, and how many are kept."""
 
 
 class Evaluation(Module):
@@ -49,8 +49,8 @@ class Evaluation(Module):
     Attributes:
         response: Equilibria, effectors and W_ep, one lane per configuration.
         delta_e: Simulated minus measured values; 0 where nothing is measured.
-        rows: Errors and their derivatives in units of the noise, and those of the
-            priors behind: what the QP of Eq. (10) minimises.
+        rows: Errors and their derivatives in units of the noise, followed by those of
+            the priors: what the QP of Eq. (10) minimises.
         ok: Whether every lane has an equilibrium and a regular tangent, and the cost is
             finite.
     """
@@ -85,7 +85,7 @@ class Evaluation(Module):
         z: Float[Array, " n_p"],
         **more: Any,
     ) -> LinearModel:
-        """Make the linear model there; `more` is handed to `linear_model`."""
+        """Make the linear model at z; `more` is handed to `linear_model`."""
         of_lanes = {"W_ep": self.response.W_ep, "ok": self.response.ok}
         more |= {**of_lanes, "delta_e": self.delta_e, "rows": self.rows}
         return linear_model(problem, configurations, z=z, **more)
@@ -123,7 +123,7 @@ def _posed(problem: CalibrationProblem, z) -> tuple[Model, ConfigurationArrays]:
 
 
 def _counted(step: Response, solution: EquilibriumSolution) -> Response:
-    """Return a step that closed an equilibrium, with the iterations that found it."""
+    """Return a step from an equilibrium, with the iterations that led there."""
     counts = {name: getattr(solution, name) for name in ("steps", "load_steps")}
     closed = replace(step.equilibrium, **counts)
     return step._replace(equilibrium=closed if closed.converged else solution)
@@ -179,7 +179,7 @@ class Evaluator:
     ) -> Response:
         """Compute equilibria and compliances W_ep (paper Eq. 9) of all lanes.
 
-        What is not near its guess is solved with care from there.
+        Lanes that are not near their guess are solved from there by `equilibria`.
 
         Args:
             z: Scaled parameters [-].
@@ -188,15 +188,15 @@ class Evaluator:
             precise: Whether the compliances are exact, see `equilibrium_response`.
         """
         every, far = range(len(self.lanes)), list(range(len(self.lanes)))
-        found: dict[int, Response] = {}
+        responses: dict[int, Response] = {}
         if self.problem.model.solver.counts_negative:
-            found = dict(enumerate(self._near(every, z, guess, before, precise)))
-            far = [c for c in every if not found[c].equilibrium.converged]
+            responses = dict(enumerate(self._near(every, z, guess, before, precise)))
+            far = [c for c in every if not responses[c].equilibrium.converged]
         if far:
             start = lane_of(guess, np.asarray(far))
             solution = self.equilibria(z, lanes=far, guess=start)
-            found |= zip(far, self.closed(far, z, solution, precise), strict=True)
-        return stacked([found[c] for c in every])
+            responses |= zip(far, self.closed(far, z, solution, precise), strict=True)
+        return stacked([responses[c] for c in every])
 
     def _near(
         self,
@@ -220,8 +220,8 @@ class Evaluator:
     ) -> list[Response]:
         """Add the compliances to equilibria that were solved.
 
-        The step on the factor that they need anyway takes the error from `rtol` down to
-        rounding, so that a fit compares costs of equally exact equilibria.
+        They need a factor of the tangent; one more step with it takes the error from
+        `rtol` to rounding, so that a fit compares costs of equally exact equilibria.
         """
         steps = self._near(lanes, z, solution.displacement, None, precise)
         return [_counted(step, lane_of(solution, k)) for k, step in enumerate(steps)]
@@ -267,7 +267,7 @@ class Evaluator:
     ) -> Evaluation:
         """Evaluate without a guess from another evaluation, see `equilibria`.
 
-        What the last starts gave is not computed again where only the data differ.
+        Responses at the last starts are kept for fits that differ in their data alone.
         """
         start = self._without_data(z)
         response = _FROM_REST.pop(start, None)
@@ -328,8 +328,8 @@ ROUNDING = 1e-12
 def check_sensitive(problem: CalibrationProblem, first: Evaluation) -> None:
     """Raise ValueError unless a measured coordinate depends on some parameter.
 
-    One parameter without effect beside others that have one is no error: the angle of
-    an axis has none where the moduli are equal. `first` is the evaluation at the start.
+    A parameter without effect is no error if others have one: the angle of an axis has
+    none where the moduli are equal. `first` is the evaluation at the start.
     """
     weight = np.asarray(problem.configurations.effectors.inverse_std)
     effectors = np.abs(np.asarray(first.effectors))

@@ -2,11 +2,11 @@
 
     Task -> Batch -> Start -> Place -> Weighed -> Predicted -> Judged -> result
 
-It is judged twice: by the noise alone, which is the answer so far, and by everything
-that is held fixed and may be wrong.
+It is judged twice: by the noise alone, which is the answer so far, and with the errors
+of everything that is held fixed.
 
 One batch holds all configurations, the fitted ones first. Those held out are solved
-once with what was found, and are rows without weight in the linear model.
+after the fit, and are rows without weight in the linear model.
 """
 
 import os
@@ -89,14 +89,14 @@ class Watch(NamedTuple):
 
 
 class Resume(NamedTuple):
-    """Where a loop goes on; what a result reports as its start is still the task's."""
+    """Where a fit goes on; its result still reports the start of the task."""
 
     z: Float[Array, " n_p"]
     noise: CorrelatedNoise
 
 
 class _Place(NamedTuple):
-    """Where the steps begin, the noise that weighs them, and the search before."""
+    """Where the steps begin, the noise that weighs them, and a search before them."""
 
     z: Float[Array, " n_p"]
     evaluation: Evaluation
@@ -104,8 +104,8 @@ class _Place(NamedTuple):
     search: MultiStartResult | None
 
 
-class _Found(NamedTuple):
-    """All that comes before the judgement."""
+class _Solved(NamedTuple):
+    """A fit and its predictions, before they are judged."""
 
     start: Start
     place: _Place
@@ -116,7 +116,7 @@ class _Found(NamedTuple):
 
 
 class _Judged(NamedTuple):
-    """What may be said of the values."""
+    """The linear model at the optimum, and what it says about the values."""
 
     linear: LinearModel
     spread: Uncertainty
@@ -128,8 +128,8 @@ class _Judged(NamedTuple):
 def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) -> Fitted:
     """Calibrate as `calibrate` does, without intervals, or go on from a `resume`."""
     # A checkpoint is of one set of starts and one noise.
-    own = () if task.start is None else tuple(task.start.tolist())
-    mark = (task.starts, task.seed, *own, task.noise, *task.uncertain.estimated)
+    given = () if task.start is None else tuple(task.start.tolist())
+    mark = (task.starts, task.seed, *given, task.noise, *task.uncertain.estimated)
     journal = Journal(
         batch.fitted, task.settings, watch.checkpoint, watch.progress, search=mark
     )
@@ -144,18 +144,18 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
             compile_considered(workers, setting, weighed.state.z)
         predicted = _predicted(task, watch, batch, start, weighed)
         journal.interrupted |= predicted.interrupted
-        found = _Found(start, place, weighed, predicted, journal, clock)
+        solved = _Solved(start, place, weighed, predicted, journal, clock)
         setting = setting._replace(arrays=predicted.problem.configurations)
         doubts = nothing_considered(setting)
         so_far = cache(
-            lambda: replace(_result(task, found, doubts), left_out=(BUDGET,))
+            lambda: replace(_result(task, solved, doubts), left_out=(BUDGET,))
         )
         if watch.answer is not None:
             watch.answer(so_far())
         if task.quick or journal.interrupted:
             result = so_far()
         else:
-            result = _with_budget(task, watch, found, setting, workers, so_far)
+            result = _with_budget(task, watch, solved, setting, workers, so_far)
     problem = batch.fitted.with_noise(weighed.noise)
     return Fitted(result, problem, task.fitted, weighed.state.evaluation)
 
@@ -163,26 +163,26 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
 def _with_budget(
     task: Task,
     watch: Watch,
-    found: _Found,
+    solved: _Solved,
     setting: Setting,
     workers: Workers,
     so_far: Callable[[], CalibrationResult],
 ) -> CalibrationResult:
-    """Add what errors that are considered do; Ctrl-C leaves the answer so far."""
-    taken = found.journal.history[-1].seconds
-    solved, z = found.predicted.response.equilibrium, found.weighed.state.z
+    """Judge with the considered errors, too; Ctrl-C leaves the answer so far."""
+    taken = solved.journal.history[-1].seconds
+    equilibrium, z = solved.predicted.response.equilibrium, solved.weighed.state.z
     try:
         watch.stage(f"{BUDGET} (the fit took {taken:.0f} s)")
-        doubts = considered_errors(workers, setting, z=z, equilibrium=solved)
-        return _result(task, found, doubts)
+        doubts = considered_errors(workers, setting, z=z, equilibrium=equilibrium)
+        return _result(task, solved, doubts)
     except KeyboardInterrupt:
         notes = (*so_far().notes, f"Interrupted before {BUDGET} was known.")
         return replace(so_far(), notes=notes, interrupted=True)
 
 
-def _result(task: Task, found: _Found, doubts: ConsideredErrors) -> CalibrationResult:
-    """Write what a fit has found, judged with these errors."""
-    start, place, weighed, predicted, journal, clock = found
+def _result(task: Task, solved: _Solved, doubts: ConsideredErrors) -> CalibrationResult:
+    """Make the result of a fit, judged with the considered errors `doubts`."""
+    start, place, weighed, predicted, journal, clock = solved
     judged = _judged(task, weighed, predicted, doubts)
     state, space = weighed.state, task.space
     spread, budget = judged.spread, judged.budget
@@ -345,9 +345,9 @@ def _linear(
 
 
 def _witnesses(task: Task) -> list[str | None]:
-    """Return the recording of each configuration that may be asked alone.
+    """Return the recording that each configuration counts to in `recording_estimates`.
 
-    None for those held out of a recording that is fitted, too.
+    None for a held-out configuration of a recording that is fitted, too.
     """
     recordings = independent_recordings(task.configurations)
     fitted, others = recordings[: len(task.fitted)], recordings[len(task.fitted) :]

@@ -15,17 +15,17 @@ and Wild, Nonlinear Regression, 1989, sec. 2.1.4).
 Where a marker was glued is known to a millimetre or so, and its motion between two
 poses to a tenth of that. A configuration that names another one as its reference is
 compared by differences of poses on both sides, measured and simulated. Every point then
-has an unknown offset, and every 6-D sensor an unknown mounting, that both share. As
-columns of the covariance, with a standard deviation far beyond any offset, they take
-out what the errors have in common and nothing else: generalised least squares on the
-differences, of which all have the noise of the reference.
+has an unknown offset, and every 6-D sensor an unknown mounting, that both poses share.
+As columns of the covariance, with a standard deviation far beyond any offset, they take
+out what the errors have in common and nothing else. This is generalised least squares
+on the differences, all of which contain the noise of the reference.
 
 A point keeps its offset along the axes of the mesh. A sensor that is mounted with an
 offset d and a turn r is at T M on a body at T, and T_c T_r^-1, the rigid motion from
 the reference r to a configuration c, is the same for every mounting M. To first order
 the errors of its position and orientation are R d and R r, with the rotation R of the
-body in each pose. Sensitivities are those of the nominal point and axes, which half the
-unknown turn tilts, so the mounting should be known to millimetres and some degrees.
+body in each pose. Sensitivities are those of the nominal point and axes, but half
+the unknown turn tilts the axes: know the mounting to millimetres and some degrees.
 """
 
 from collections.abc import Mapping, Sequence
@@ -46,7 +46,7 @@ from softcal_jax.inference import ATTACHMENTS, RANK, ErrorColumns, no_errors
 from softcal_jax.unknowns import Setting, recording_names, unknowns
 
 FAR_BEYOND: Mapping[str, float] = {"point": 1.0, "turn": 100.0}
-"""Standard deviation of the offset of an effector, far beyond that of any [m, rad]."""
+"""Standard deviation of an unknown offset, far beyond any real offset [m, rad]."""
 
 ((OFFSETS, _OFFSET),) = ((k, q) for k, q in QUANTITIES.items() if q.role == "noise")
 """The kind of unknown that is part of the noise: an offset of each recording."""
@@ -67,12 +67,12 @@ Attachment = tuple[str, str, str]
 
 
 class Attachments(NamedTuple):
-    """Where effectors are attached whose displacement counts, and not their position.
+    """Attachments of the effectors whose displacement counts, not their position.
 
     Attributes:
         of_row: Index of the attachment of each row, -1 for rows without.
         axes: Axes of its offset, as a matrix for each row [-].
-        keys: What each is, by this index.
+        keys: What each attachment is, by this index.
     """
 
     of_row: Int[HostArray, "n_c n_rows"]
@@ -125,8 +125,8 @@ def check_references(
     """
     known = {c.name: c for c in (configurations if fitted is None else fitted)}
     read = {
-        c.name: {(e.name, e.quantity): bool(np.any(e.seen)) for e in own}
-        for c, own in zip(configurations, effectors, strict=True)
+        c.name: {(e.name, e.quantity): bool(np.any(e.seen)) for e in records}
+        for c, records in zip(configurations, effectors, strict=True)
     }
     for c in configurations:
         name = c.displacement_from
@@ -196,9 +196,9 @@ class CorrelatedNoise(Module):
     def columns(self, effectors: EffectorArrays) -> Float[AnyArray, "n_e n_columns"]:
         """Return A: offsets of configurations, shares of their motion, attachments.
 
-        Offsets have three columns, one along each axis. Configurations share those of
-        the first one of their recording; those of the others are zero, so that the
-        shape depends on the batch alone.
+        Each configuration has three columns for offsets, one along each axis. All of a
+        recording share the columns of its first configuration; those of its others are
+        zero, so that the shape depends on the batch alone.
         """
         weight = effectors.inverse_std
         xp: Any = jnp if isinstance(weight, jax.Array) else np
@@ -227,9 +227,9 @@ class CorrelatedNoise(Module):
         delta_e: Float[AnyArray, "n_c n_rows 3"],
         fitted: Bool[HostArray, " n_c"] | None = None,
     ) -> Float[HostArray, "n_attachments 3"]:
-        """Return what the errors of each have in common, by least squares [m, rad].
+        """Return the offset of each attachment, by least squares [m, rad].
 
-        They are found from the configurations that are `fitted`, by default all.
+        Only errors of configurations that are `fitted` count, by default all.
         """
         weight = np.asarray(effectors.inverse_std)
         rows = np.ones(len(weight), bool) if fitted is None else fitted
@@ -245,7 +245,7 @@ class CorrelatedNoise(Module):
         delta_e: Float[AnyArray, "n_c n_rows 3"],
         fitted: Bool[HostArray, " n_c"] | None = None,
     ) -> Float[HostArray, "n_c n_rows 3"]:
-        """Subtract from errors what those of each attachment have in common."""
+        """Subtract the `attachment_offsets` from the errors of their effectors."""
         if self.attachment_std.shape[-1] == 0:
             return np.asarray(delta_e)
         weight = np.asarray(effectors.inverse_std)
@@ -256,7 +256,7 @@ class CorrelatedNoise(Module):
         return np.where(weight > 0.0, np.asarray(delta_e) - std * common, 0.0)
 
     def on_host(self, effectors: EffectorArrays) -> Float[HostArray, "n_e n_columns"]:
-        """Return `columns` without a program for each shape."""
+        """Compute `columns` on the host, without a program for each shape."""
         noise, effectors = jax.tree.map(np.asarray, (self, effectors))
         return np.asarray(noise.columns(effectors))
 
@@ -268,13 +268,13 @@ class CorrelatedNoise(Module):
         return A.reshape(*np.shape(effectors.inverse_std), A.shape[1])
 
     def moving(self, motion: Float[AnyArray, "n n_rows 3"]) -> "CorrelatedNoise":
-        """Return it with another motion of the first few configurations [m]."""
+        """Return the noise with another motion of the first few configurations [m]."""
         moved = np.array(self.motion)
         moved[: len(motion)] = motion
         return replace(self, motion=_on_device(moved, like=self.motion))
 
     def of_first(self, n: int) -> "CorrelatedNoise":
-        """Return that of the first few configurations of the batch."""
+        """Return the noise of the first few configurations of the batch."""
         per_lane = ("recording", "offset", "motion", "share")
         per_lane += ("attachment", "attachment_axes")
         first = {name: np.asarray(getattr(self, name))[:n] for name in per_lane}
@@ -283,7 +283,7 @@ class CorrelatedNoise(Module):
     def scaled(
         self, *, jitter: float, offset: float, share: float, of: Bool[HostArray, " n_c"]
     ) -> "CorrelatedNoise":
-        """Return it with another jitter, and factors on offsets and shares.
+        """Return the noise with another jitter, and factors on offsets and shares.
 
         `of` flags the configurations whose share changes.
         """
@@ -297,14 +297,14 @@ class CorrelatedNoise(Module):
 
 
 def _on_device(new: Any, *, like: Float[AnyArray, "..."]) -> Float[Array, "..."]:
-    """Put values on the device, typed like others, without a program of its own."""
+    """Put values on the device, typed like others, without compiling a program."""
     return jax.device_put(np.asarray(new, like.dtype))
 
 
 def correlated_noise(
     setting: Setting, records: Sequence[Sequence[EffectorRecord]]
 ) -> CorrelatedNoise:
-    """Collect the noise of configurations; what is estimated has its first value.
+    """Collect the noise of configurations; estimated components have their first value.
 
     An offset of a recording that is among the parameters is no noise.
     """

@@ -36,7 +36,7 @@ from softcal_jax.inference import (
 )
 
 FEWEST = 3
-"""Fewest configurations of which one is left out: the others must say something."""
+"""Fewest configurations of which one is left out and predicted by the others."""
 
 FAR = 0.25
 """Share of the motion by which a prediction may be off, where no std is stated [-]."""
@@ -51,13 +51,13 @@ class LeftOut(Module):
     Attributes:
         name: Its name.
         rms: Root mean square distance of predicted from measured points; nan where the
-            others do not determine a parameter that it takes, and without points [m].
-        expected: That which noise, parameters and what is held fixed explain [m].
+            others do not determine a parameter it depends on, and without points [m].
+        expected: The `rms` that noise, parameters and what is held fixed explain [m].
         motion: Root mean square motion of the points [m].
         probability: Chance of errors as large; nan where nothing is predicted, or no
             residuals are left to estimate the noise from [-].
-        by_scatter: The same where the noise is that of the scatter within
-            configurations; nan where it is stated, or there is no such scatter [-].
+        by_scatter: The same chance with the noise of the scatter within configurations;
+            nan where the noise is stated, or there is no such scatter [-].
     """
 
     name: str
@@ -79,8 +79,8 @@ class ResidualChecks(Module):
             three.
         recordings: Parameters from single recordings, held out or not, if two or more
             determine them.
-        level: Standard deviation that the residuals show over the one that was stated;
-            nan unless it was stated, and estimated all the same [-].
+        level: Standard deviation that the residuals show, over the one that was stated;
+            nan unless one was stated, and was estimated all the same [-].
         probability: Chance of a level as high; nan likewise [-].
     """
 
@@ -93,7 +93,7 @@ class ResidualChecks(Module):
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why the model cannot be right, one sentence each; empty if nothing is."""
+        """Why the model cannot be right, one sentence each; empty without a reason."""
         reasons = []
         if self.probability < UNLIKELY:
             reasons.append(
@@ -178,10 +178,10 @@ def _shared_errors(
     n_points: int,
     fits: Sequence[ConfigurationResult],
 ) -> tuple[HostArray, HostArray]:
-    """Return what coordinates of a configuration may share, and whose each is.
+    """Return columns of errors that coordinates may share, and their configurations.
 
-    For each configuration the offsets of its points along the axes, and its motion as
-    simulated: the measured one holds the errors that are tested.
+    For a configuration, they are the offsets of its points along the axes, and its
+    simulated motion: the measured one holds the errors that are tested.
     """
     columns = np.zeros((len(fits), 4, *weight.shape))
     for c, fit in enumerate(fits):
@@ -282,7 +282,7 @@ def _rounding_notes(fits: Sequence[ConfigurationResult]) -> list[str]:
 
 
 def order_notes(space: ParameterSpace, z: Float[Array, " n_p"]) -> list[str]:
-    """Name pairs of moduli that ended equal, held apart by their order alone."""
+    """Name pairs of moduli that ended equal, at the limit of their prescribed order."""
     A, b = space.order_rows()
     held = list(np.asarray(A @ z - b) >= -EQUAL)
     pairs = space.order_names()

@@ -50,14 +50,14 @@ def predict(
 ) -> Predicted:
     """Describe all configurations at the optimum; solve those that were held out.
 
-    `report` is called as by `equilibria`, with the parameters at the end.
+    `report` is called as `equilibria` calls it, for the parameters at the end.
     """
     z, everything = weighed.state.z, batch.everything
     evaluate = Evaluator(everything, start.evaluate.workers)
     first = _AllLanes(evaluate, start.z, start.evaluation.response, {}, {})
     last = _AllLanes(evaluate, z, weighed.state.evaluation.response, {}, {})
     notes, interrupted = _solve_held_out(task, first, last, report)
-    # A pose that only the start parameters cannot hold has no "before".
+    # A pose without an equilibrium at the start parameters has no "before".
     begun, response = first.response(), last.response()
     held = np.asarray(begun.equilibrium.converged)[:, None, None]
     assert everything.noise is not None
@@ -82,7 +82,7 @@ def _calibrated_lanes(
     """Return lanes with the calibrated parameters.
 
     Measured values are moved by the offsets of effectors whose displacement was fitted:
-    what is left between measured and simulated values are the errors of that.
+    what is left between measured and simulated values is the error of the displacement.
     """
     lanes = batch.lanes._replace(arrays=batch.everything.at(state.z)[1])
     effectors, noise = batch.fitted.configurations.effectors, batch.fitted.noise
@@ -109,7 +109,7 @@ def _calibrated_lanes(
 class _AllLanes(NamedTuple):
     """All configurations at some z: those fitted, and equilibria of those held out.
 
-    `solved` has the latter by their lane, `closed` those with compliances.
+    `solved` holds these equilibria by lane, `closed` those that have compliances.
     """
 
     evaluate: Evaluator
@@ -119,7 +119,7 @@ class _AllLanes(NamedTuple):
     closed: dict[int, Response]
 
     def solve(self, lanes: Sequence[int], report: Report | None) -> None:
-        """Solve lanes from rest; with rigid bodies, from one that was fitted."""
+        """Solve lanes from rest; with rigid bodies, from the last fitted one."""
         self.evaluate.equilibria(
             self.z,
             report,
@@ -129,7 +129,7 @@ class _AllLanes(NamedTuple):
         )
 
     def close(self) -> None:
-        """Add the compliances of what is solved and lacks them."""
+        """Add the compliances of lanes that are solved and lack them."""
         new = [c for c in self.solved if c not in self.closed]
         new = [c for c in new if self.solved[c].converged]
         if new:
@@ -155,9 +155,9 @@ def _solve_held_out(
 ) -> tuple[list[str], bool]:
     """Solve held-out configurations with the parameters at the end and at the start.
 
-    Near a limit point an equilibrium need not be found from rest: there the path of the
-    configuration is followed by arc length, and its end is where the search begins
-    anew. A configuration without equilibrium is left out with a note, as it must
+    Near a limit point Newton may find no equilibrium from rest: then the path of the
+    configuration is followed by arc length, and Newton starts again from its end. A
+    configuration without equilibrium is left out with a note, as it must
     neither count as a prediction nor cost the user the fit; so are those that Ctrl-C
     cuts off. Returns the notes, and whether Ctrl-C ended it.
     """
@@ -189,9 +189,9 @@ def _solve_held_out(
 
 
 def _follow_paths(last: _AllLanes, carried: dict[int, float]) -> None:
-    """Follow what is not in equilibrium from rest along its load.
+    """Follow the path of each lane that did not converge from rest, along its load.
 
-    `carried` gets the largest share of its load that each of these carries.
+    `carried` receives the largest share of its load that each of these carries.
     """
     evaluate, newton = last.evaluate, last.evaluate.problem.newton
     model, arrays = evaluate.posed(last.z)
@@ -210,7 +210,7 @@ def _follow_paths(last: _AllLanes, carried: dict[int, float]) -> None:
 def unscoped_notes(
     space: ParameterSpace, held_out: Sequence[Configuration]
 ) -> list[str]:
-    """Say which held-out configurations have no unknown of their own."""
+    """Say which held-out configurations lack an unknown that fitted ones have."""
     return [
         f"{c.name} is predicted without {entry.noun}, which {entry.by}s that were "
         "fitted have of their own: it counts as stated."

@@ -47,9 +47,9 @@ class CalibrationSettings(Module):
     """Settings of the outer loop.
 
     Attributes:
-        tol: Largest entry of lambda_p at which the loop stops, without that step; with
-            `adapt` also where the cost would fall by less than 1e-8 of it, or than a
-            move of 1e-3 standard errors, by the residuals, lets it fall [-].
+        tol: Largest entry of lambda_p at which the loop stops, without that step. With
+            `adapt` it also stops where a step would lower the cost by less than 1e-8 of
+            it, or less than a move of 1e-3 standard errors (by the residuals) does [-].
         max_steps: Steps after which it gives up.
         step_bound: First bound on every entry of lambda_p; 1 is a factor e on a log
             scale and the whole range on a linear one [-].
@@ -112,9 +112,9 @@ class CalibrationProblem(Module):
         delta_e: Float[Array, "n_c n_rows 3"],
         compliance: Float[Array, "n_e n_p"],
     ) -> Whitened:
-        """Return errors and their derivatives in units of the noise, priors behind.
+        """Return whitened errors and their derivatives, then those of the priors.
 
-        The QP of Eq. (10) is of these rows; the compliance is W_ep.
+        The QP of Eq. (10) minimises these rows; the compliance is W_ep.
         """
         effectors = self.configurations.effectors
         weight = jnp.ravel(jnp.asarray(effectors.inverse_std))
@@ -131,9 +131,9 @@ class CalibrationProblem(Module):
 
     @property
     def level(self) -> Float[Array | HostArray, ""] | float:
-        """Factor on the stated standard deviations that an error of one stands for [-].
+        """Standard deviation of the errors in `rows`, over the stated one [-].
 
-        What is added to the squares of errors must be multiplied by it.
+        Rows that are added to these errors must be multiplied by it.
         """
         return 1.0 if self.noise is None else self.noise.jitter
 
@@ -148,13 +148,13 @@ class CalibrationProblem(Module):
 
 
 def without_names(problem: CalibrationProblem) -> CalibrationProblem:
-    """Return the calibration without names and settings that compile other programs."""
+    """Return the calibration such that names and settings compile no other programs."""
     space, newton = problem.space.numbered, problem.newton.as_arrays()
     return replace(problem, space=space, newton=newton)
 
 
 def n_measured(problem: CalibrationProblem) -> int:
-    """Return the number of measured coordinates, less those that find mountings."""
+    """Return the number of measured coordinates, less those used up by attachments."""
     effectors, noise = problem.configurations.effectors, problem.noise
     n = int(np.sum(np.asarray(effectors.inverse_std) > 0.0))
     if noise is None:
@@ -176,10 +176,10 @@ def linear_model(
 ) -> LinearModel:
     """Make the linear model of measured coordinates, in stated standard deviations.
 
-    The problem has the noise that weighed its data. Rows of a held-out configuration
-    that is not `ok`, without an equilibrium or a regular tangent, are left out. The
-    last `rows` of a fit are the distances from the priors; there are none where nothing
-    was fitted. The first `n_fitted` configurations were fitted, by default all.
+    The problem must have the noise that weighed its data. Rows of a held-out
+    configuration that is not `ok`, for want of an equilibrium or of a regular tangent,
+    are left out. The last `rows` of a fit are distances from the priors; give none if
+    nothing was fitted. The first `n_fitted` configurations were fitted, by default all.
     """
     space, n_c, level = problem.space, len(configurations), float(problem.level)
     from_prior = np.zeros(len(space.names))
@@ -213,9 +213,9 @@ def linear_model(
 
 
 def check_effects(problem: CalibrationProblem) -> None:
-    """Raise ValueError unless something is measured that may depend on each parameter.
+    """Raise ValueError if nothing that is measured can depend on a parameter.
 
-    What only an equilibrium shows is left to `check_sensitive`.
+    What only an equilibrium can show is left to `check_sensitive`.
     """
     arrays = jax.tree.map(np.asarray, problem.configurations)
     if not np.any(arrays.effectors.inverse_std > 0.0):
@@ -255,7 +255,7 @@ def _missing(problem: CalibrationProblem, entry, arrays, held) -> str:
 
 
 class Task(NamedTuple):
-    """What is to be calibrated, and how; as `calibrate` is told."""
+    """What is to be calibrated, and how: the arguments of `calibrate`."""
 
     model: Model
     space: ParameterSpace
@@ -273,7 +273,7 @@ class Task(NamedTuple):
 
     @property
     def configurations(self) -> tuple[Configuration, ...]:
-        """All of them, the fitted ones first."""
+        """All configurations, the fitted ones first."""
         return (*self.fitted, *self.held_out)
 
 

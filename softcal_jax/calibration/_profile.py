@@ -23,7 +23,7 @@ FIRM = 10.0
 """Precision of the pin of a held parameter, relative to that of the data [-].
 
 On a parabolic profile the parameter yields by a hundredth of its distance from the fit;
-the distance counts where it ends, not at the pin. At a bound the pin is ten times as
+what counts is where it ends, not the pin. At a bound the pin is ten times as
 firm, since the question is what the data say there.
 """
 
@@ -34,16 +34,16 @@ NARROW = 0.02
 """Gap to a fit that failed, over the distance, below which the search ends [-]."""
 
 STEEP = 20.0
-"""Slope of the root of the rise within such a gap, over its mean, that is a jump [-].
+"""Slope of the root of the rise in such a gap, over its mean slope, that is a jump [-].
 
-The fit beyond is then repeated from its neighbour.
+The fit on the far side is then repeated from its neighbour.
 """
 
 STEADY = 8
-"""Steps over which the cost of a fit that stands still falls by next to nothing."""
+"""Steps over which the cost must fall, or else the fit counts as standing still."""
 
 MOST_RESUMED = 10
-"""How often an end is sought farther out, where a fit nearer by was too bad."""
+"""How often the search for an end is resumed after a fit was repeated, see `_end`."""
 
 LOWER = 1e-3
 """Fall of twice the cost, over its rise at an end, that means another optimum [-].
@@ -70,9 +70,9 @@ class LowerCostFound(RuntimeError):
     """A fit along the profile found a lower cost than the calibration had.
 
     Attributes:
-        z: Where, scaled [-].
-        cost: That cost [-].
-        before: That of the calibration [-].
+        z: Scaled parameters of that fit [-].
+        cost: Its cost [-].
+        before: Cost of the calibration [-].
     """
 
     def __init__(self, z: Float[Array, " n_p"], cost: float, before: float):
@@ -110,10 +110,10 @@ def profile_ends(
         problem: The calibration.
         settings: Settings of the outer loop, for the fits along the profile.
         z: Where the calibration ended, scaled [-].
-        linear: Its linear model there.
+        linear: The linear model of the calibration at z.
         rise: Root of the rise of twice the cost at the end of an interval [-].
         which: Indices of the parameters.
-        ended: Called with the index of each parameter and its ends, in this order.
+        ended: Called with index and ends of each parameter, in the order of `which`.
 
     Raises:
         LowerCostFound: If the calibration is not in the best optimum.
@@ -160,8 +160,8 @@ def _end(profile: "_Profile") -> ProfileEnd:
     """Find one end of the interval of one parameter.
 
     A fit with the parameter far away may end in a worse optimum than one that follows
-    the profile outwards. Where the search closes in on such a fit, it is repeated from
-    its neighbour inside, and the search goes on beyond if the end is not there.
+    the profile outwards. Where the search closes in on such a fit, the fit is repeated
+    from its neighbour inside; if its excess then is negative, the search goes on.
     """
     excess, rise, inside, span = profile.excess, profile.calibration.rise, 0.0, None
     steep = STEEP
@@ -183,7 +183,7 @@ def _end(profile: "_Profile") -> ProfileEnd:
             value = profile.follow(inside, outside)
             if value == before and np.isinf(steep):
                 return ProfileEnd(profile.seen[outside].distance, "likelihood")
-            # The same again: no fit in another valley, but a profile that is steep.
+            # The same cost again: not another valley, but a profile that is steep.
             steep = np.inf if value == before else STEEP
             span = (inside, outside) if value >= 0.0 else None
             inside = outside
@@ -206,8 +206,8 @@ def root(
     """Find the zero of an excess between two distances where its signs differ.
 
     By Brent's method, which ends where the excess is 0. Where the cost is a parabola
-    the excess is linear, and the first guess is the root. It is returned twice; of a
-    jump, steeper than `steep` within a narrow bracket, both sides, the inner one first.
+    the excess is linear, and the first guess is the root. Returns the root twice, or
+    both sides of a jump, steeper than `steep` in a narrow bracket, the inner one first.
     """
     from scipy.optimize import brentq
 
@@ -327,7 +327,7 @@ class _Profile:
         """Return the end of a fit, or None if it says nothing about the profile.
 
         A fit that has not converged bounds the profile from above. So it says enough
-        where that bound is below the end, or where it hardly falls any more.
+        where that bound is below the end, or where its cost hardly falls any more.
         """
         far, higher = self._check(pin, run)
         if not np.isfinite(higher):
@@ -363,7 +363,7 @@ class _Profile:
         )
 
     def _check(self, pin: Pin, run: Run) -> tuple[float, float]:
-        """Return how far the parameter is from its pin, and the rise of twice cost."""
+        """Return how far the parameter is from its pin, and twice the rise of cost."""
         cost = jnp.asarray(run.cost)  # a float would be compiled in
         problem = self.calibration.evaluate.numbered
         far, cost = _without_pin(problem, pin, jnp.asarray(run.z), cost)

@@ -13,7 +13,7 @@ DAMPING = 1e-10
 """Damping of the step, for columns of W of unit length [-].
 
 Along a direction that the data do not see, rounding in the errors would move the
-parameters arbitrarily. The minimum does not shift: the step is damped, not they.
+parameters arbitrarily. The minimum does not shift, since only the step is damped.
 """
 
 ROW_REGULARISATION = 1e-12
@@ -26,7 +26,7 @@ PENALTY = 1e4
 """Cost of violating rows, above the sum of the multipliers of unit data [-]."""
 
 SLIGHT = 1e-7
-"""Violation of a row by what BoxOSQP leaves, for unit data [-]."""
+"""Violation of a row that BoxOSQP may leave, for unit data [-]."""
 
 ROUNDING = 1e-14
 """Largest multiplier of the wrong sign that counts as rounding, for unit data [-]."""
@@ -128,7 +128,7 @@ def bounded_step(
 
     Returns:
         The step, clipped to its bounds. Active rows hold to rounding. Where bounds or
-        rows exclude each other the residual is large, for infinite data infinite.
+        rows exclude each other the residual is large; for infinite data it is infinite.
 
     Raises:
         ValueError: If only one of `A` and `b` is given, or `damping` is not positive.
@@ -278,9 +278,9 @@ def _descended(qp: _Scaled, start: _Point) -> _Point:
 
     The primal active-set method (Nocedal and Wright, Numerical Optimization, 2006, Alg.
     16.3) changes one active constraint at a time, so the cost never rises. It needs a
-    start that satisfies the rows, see `_elastic`. All rows are shifted outwards by
-    different small amounts until its end, since it could cycle where more rows meet
-    than there are parameters.
+    start that satisfies the rows, see `_elastic`. Until it ends, all rows are shifted
+    outwards by different small amounts, since the method could cycle where more rows
+    meet than there are parameters.
     """
     n_rows = qp.r.shape[0]
     relaxed, y = _elastic(qp, start.y)

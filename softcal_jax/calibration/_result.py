@@ -23,9 +23,9 @@ MOST_OPTIMA = 5
 """Most optima that are listed; the others are only counted."""
 
 SKEWED = 1.8
-"""Ratio of the halves of an interval from which it is no value +- error [-].
+"""Ratio of the halves of an interval from which on no value +- error is shown [-].
 
-That of a modulus known to 30 %, whose interval is symmetric in its logarithm.
+It is that of a modulus known to 30 %, whose interval is symmetric in its logarithm.
 """
 
 IntervalEnd = Literal["likelihood", "bound", "not found"]
@@ -39,7 +39,7 @@ class ParameterInterval(Module):
         name: Its name.
         level: Confidence [-].
         lower: Lower end; nan if it was not found.
-        upper: Upper end; likewise. A periodic angle may lie beyond its bounds.
+        upper: Upper end, likewise. That of a periodic angle may lie beyond its bounds.
         lower_end: What ends it below: "likelihood"; "bound", if the data do not exclude
             the bound of the parameter (or half a turn of a periodic angle); or "not
             found", if fits along the profile did not converge, or were not tried.
@@ -48,7 +48,7 @@ class ParameterInterval(Module):
         kind: How it was found: "first-order", from a standard error that the cost
             confirms; "profile", from the likelihood itself; "one-sided", likewise, with
             a limit on one side and a bound on the other; or "none".
-        why: Why there is none; empty if there is one.
+        why: Why there is no interval; empty if there is one.
     """
 
     name: str
@@ -108,11 +108,11 @@ class ParameterEstimate(Module):
         """Whether value +- standard error may be shown: no check speaks against it."""
         if not math.isfinite(self.standard_error):
             return False
-        own = self.interval
-        if own is None:
+        interval = self.interval
+        if interval is None:
             return True
-        up, down = own.upper - self.value, self.value - own.lower
-        return own.kind == "first-order" and max(up, down) < SKEWED * min(up, down)
+        up, down = interval.upper - self.value, self.value - interval.lower
+        return interval.kind == "first-order" and max(up, down) < SKEWED * min(up, down)
 
     @property
     def estimate(self) -> str:
@@ -121,7 +121,7 @@ class ParameterEstimate(Module):
         return readable_estimate(self.value, error, self.unit)
 
     def __str__(self) -> str:
-        """Write its value, its interval where that is no error, and what is given."""
+        """Write its value, its interval if no error is shown, and what is given."""
         given = f", with {listed(self.given)} on a bound" if self.given else ""
         if self.interval is None or self.is_symmetric:
             return self.estimate + given
@@ -173,8 +173,8 @@ class HistoryEntry(Module):
         kkt_residual: Optimality residual of the QP [-].
         newton_steps: Newton iterations of each configuration.
         values: Parameters after the step, in SI units.
-        noise_level: Factor on the stated standard deviations that weighed the data;
-            another one than before where the noise has been estimated anew [-].
+        noise_level: Factor on the stated standard deviations that weighed the data; it
+            changes where the noise has been estimated anew [-].
         seconds: Wall time spent so far, without pauses before a resume [s].
     """
 
@@ -206,8 +206,8 @@ class Optimum(Module):
     Attributes:
         cost: Half the sum of squared errors in noise units [-].
         values: Parameters, in SI units.
-        starts: Indices of the starts that end here; none where a run only came by, on
-            the way to a lower cost.
+        starts: Indices of the starts whose runs end here; none if a run only passed it
+            on the way to a lower cost.
     """
 
     cost: float
@@ -233,7 +233,7 @@ class MultiStartResult(Module):
         steps: QP steps of each run.
         converged: Whether lambda_p vanished, there or at that optimum.
         errors: Size of the stacked error after each step, in noise units; of a run that
-            led to a known optimum not to its end [-].
+            led to a known optimum, only the steps that were taken [-].
         optima: Distinct ends of the converged runs and of their mirror images, the
             lowest cost first.
     """
@@ -258,8 +258,8 @@ class MultiStartResult(Module):
         """Expected share of random starts that would end at other optima [-].
 
         That is w (w + 1) / (n (n - 1)) after n independent starts that ended at w
-        optima, whatever their number (Boender and Rinnooy Kan, Math. Program. 37,
-        1987). One that has not converged counts as an optimum of its own.
+        optima, however many there are (Boender and Rinnooy Kan, Math. Program. 37,
+        1987). A run that has not converged counts as an optimum of its own.
         """
         n = int(np.isfinite(self.cost).sum())
         optima = sum(bool(optimum.starts) for optimum in self.optima)
@@ -272,7 +272,7 @@ class MultiStartResult(Module):
         return self.optima[1] if len(self.optima) > 1 else None
 
     def __str__(self) -> str:
-        """Write one line per optimum, the best few, and the runs that found none."""
+        """Write a line for each of the best optima, and for runs that reached none."""
         n, n_converged = len(self.cost), int(self.converged.sum())
         lines = [
             f"{n} starts, {n_converged} converged, {len(self.optima)} distinct optima."
@@ -310,8 +310,8 @@ class CalibrationResult(Result):
         space: The parameters, with start and bounds.
         model: The model with the calibrated parameters.
         z: Scaled parameters [-].
-        linear: The fit to first order, with what is considered: of it all statistics
-            are functions. `result.linear.without("load 3")` is the fit without a pose.
+        linear: The fit to first order with considered errors. All statistics are its
+            functions; `result.linear.without("load 3")` is the fit without a pose.
         settings: Settings of the outer loop.
         newton: Settings of the equilibrium.
         precision: Standard error that is asked for, relative to the value [-].
@@ -320,7 +320,7 @@ class CalibrationResult(Result):
         notes: What the user should know before using the values.
         starts: Result of the search from many starts, if there was one.
         noise: Covariance of the stacked errors that weighed them.
-        noise_settled: Whether an estimated noise stood still beside the fit.
+        noise_settled: Whether an estimated noise had settled when the fit ended.
         checks: What the residuals say about the model.
         left_out: What was not computed; standard errors are then by the noise alone.
         source: The project file that it was made from; None for one made in Python.

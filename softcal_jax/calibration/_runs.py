@@ -32,13 +32,13 @@ LITTLE = 1e-3
 """Relative contrast of an axis and change of the cost at which steps of tensors end."""
 
 FORETOLD = 0.25
-"""Share of the way down within which a linear model must foretell an optimum [-]."""
+"""Largest error of the cost that a linear model foretells, over the fall to it [-]."""
 
 SAME_END = 0.05
-"""Cost between two ends of a linear model that are the same, in noise units [-].
+"""Difference of cost below which two ends of a linear model count as one [-].
 
-They are a third of a standard error apart. The noise is that which the known optimum
-shows, but a tenth of the stated one at least: where it shows none, rivals cost more.
+In noise units: such ends are a third of a standard error apart. The noise is that of
+the known optimum, but at least a tenth of the stated one, as exact data show none.
 """
 
 NO_FALL = 1e-6
@@ -52,7 +52,7 @@ _room = eqx.filter_jit(lambda space, z: space.room(z))
 class Run(Module):
     """End of the outer loop: scaled parameters and cost, infinite without equilibrium.
 
-    `steps` are those of mirrored runs, too; `errors` are the roots of twice the cost
+    `steps` counts those of mirrored runs, too; `errors` are the roots of twice the cost
     after each step of the first run, nan after its end [-].
     """
 
@@ -72,7 +72,7 @@ def descend(
 ) -> CalibrationState:
     """Take steps until lambda_p vanishes, every step is refused, or `max_steps`.
 
-    Steps are several programs instead of one: the evaluation, which takes seconds to
+    A step is several programs instead of one: the evaluation, which takes seconds to
     compile, serves the start and every step. `note` is called after each step, and
     `enough` says whether to stop before the end.
     """
@@ -129,10 +129,10 @@ def settle(
 ) -> CalibrationState:
     """Take steps to an optimum, also to one where both moduli of an axis are equal.
 
-    Steps of tensors go to and fro there: plain ones (`ParameterSpace.in_plain_steps`)
-    go on where they gave up. These cannot leave an isotropic body, right or wrong,
-    since the angle has no effect on it; so their end only counts if tensors find no way
-    down.
+    Steps of tensors go to and fro there, so plain steps go on where they gave up, see
+    `ParameterSpace.in_plain_steps`. Plain steps cannot leave an isotropic body, right
+    or wrong, since the angle has no effect on it; so their end only counts if steps of
+    tensors find no way down from it.
     """
     space = evaluate.numbered.space
     if space.chart is None:
@@ -170,7 +170,7 @@ def settle(
 class Image(NamedTuple):
     """A further run, from `signs` * (best end so far, or start) + `plus`.
 
-    Unless it looks for another optimum `elsewhere`, it continues one that reached
+    Unless it looks for another optimum `elsewhere`, it continues a run that reached
     `max_steps`.
     """
 
@@ -182,7 +182,7 @@ class Image(NamedTuple):
     def origin(
         self, best: Run, start: Float[HostArray, " n_p"]
     ) -> Float[HostArray, " n_p"]:
-        """Return the scaled parameters from which it is run."""
+        """Return the scaled parameters from which the run starts."""
         return self.signs * (start if self.of_start else best.z) + self.plus
 
 
@@ -192,9 +192,9 @@ def images_of(space: ParameterSpace, mirror: bool) -> list[Image]:
     A body that is loaded in or across its print plane hardly distinguishes an axis from
     its reflection (theta to -theta), and each has an optimum. So a run that ends with
     an error continues from its end with all axes reflected, then from its start with
-    all of them, then with each of them. If that fails, it takes the axes of its end
-    with all other parameters reset, in case the moduli went astray. Finally a best end
-    that has not converged is continued, twice.
+    all axes reflected, then with each alone. If that fails, it takes the axes of its
+    end and resets all else, in case the moduli went astray. Finally a best end that has
+    not converged is continued, twice.
     """
     angles = [] if space.chart is None else list(space.chart.angle)
     n = len(space.names)
@@ -232,8 +232,8 @@ def wanted(problem: CalibrationProblem, best: Run, image: Image) -> bool:
 def better(best: Run, new: Run) -> Run:
     """Return the lower of two ends, with the steps of both, the errors of the first.
 
-    Of two ends at the same place, within rounding, a converged one counts. Elsewhere
-    one that is lower counts even if it has not converged: the last images go on from
+    Of two ends of the same cost, within rounding, the converged one counts. Otherwise
+    the lower one counts even if it has not converged, since the last images continue
     it.
     """
     same = math.isclose(new.cost, best.cost, rel_tol=1e-6, abs_tol=1e-9)
@@ -248,8 +248,8 @@ def better(best: Run, new: Run) -> Run:
 class Known(NamedTuple):
     """An optimum that a run has reached, and the best end of that run.
 
-    `best` is None where the optimum cannot end other runs early: it is the run's own,
-    or that of an image of its start.
+    `best` is None where the optimum may end an image early, but not a whole run: if the
+    run itself reached it, or an image of a start did.
     """
 
     z: Float[HostArray, " n_p"]
@@ -260,8 +260,8 @@ class Known(NamedTuple):
 def leads_to(space: ParameterSpace, state: CalibrationState, known: Known) -> bool:
     """Return whether a run seems to be on its way into a known optimum.
 
-    The linear model of its errors foretells the cost there, and nothing clearly lower
-    within the bounds.
+    It does if the linear model of its errors foretells the cost there, and nothing
+    clearly lower within the bounds.
     """
     # Here, so that commands which do not need it do not wait for it.
     from scipy.optimize import lsq_linear
@@ -287,8 +287,8 @@ def leads_to(space: ParameterSpace, state: CalibrationState, known: Known) -> bo
 class Begun(NamedTuple):
     """A run between two images: the number done, and the best end so far.
 
-    `z` and `cost` say where each image converged, or led to; the cost is infinite if it
-    did not.
+    `z` and `cost` are those of the optimum that each image reached or led to; the cost
+    is infinite if it did neither.
     """
 
     images: int
@@ -335,14 +335,14 @@ def run_start(
         before = [first, *(m.signs * first for m in images[:i] if m.of_start)]
         again = image.of_start and any(np.array_equal(origin, old) for old in before)
         if not again and wanted(evaluate.problem, best, image):
-            own = [Known(*at) for at in zip(z, cost, strict=True) if np.isfinite(at[1])]
+            reached = [Known(z[k], cost[k]) for k in np.flatnonzero(np.isfinite(cost))]
             step = partial(note_step, i)
-            end, there = _to(evaluate, settings, origin, (*known, *own), step)
+            end, optimum = _to(evaluate, settings, origin, (*known, *reached), step)
             if end.converged:
-                here = np.arange(len(images)) == i
-                z = np.where(here[:, None], end.z, z)
-                cost = np.where(here, end.cost, cost)
-            other = None if there is None else there.best
+                this_image = np.arange(len(images)) == i
+                z = np.where(this_image[:, None], end.z, z)
+                cost = np.where(this_image, end.cost, cost)
+            other = None if optimum is None else optimum.best
             if other is not None and other.cost <= best.cost:
                 end = replace(other, steps=end.steps, errors=end.errors)
                 tried = len(images)
@@ -359,18 +359,18 @@ def _to(
     note: Callable[[CalibrationState], None],
 ) -> tuple[Run, Known | None]:
     """Run the outer loop to its end, or to a known optimum that it leads to."""
-    there = None
+    optimum = None
 
     def ahead(state: CalibrationState) -> bool:
-        nonlocal there
+        nonlocal optimum
         leading = (k for k in known if leads_to(evaluate.numbered.space, state, k))
-        there = next(leading, None)
-        return there is not None
+        optimum = next(leading, None)
+        return optimum is not None
 
     end = minimise(evaluate, settings, jnp.asarray(origin), ahead, note)
-    if there is not None:
-        end = replace(end, z=there.z, cost=there.cost, converged=True)
-    return end, there
+    if optimum is not None:
+        end = replace(end, z=optimum.z, cost=optimum.cost, converged=True)
+    return end, optimum
 
 
 def known_optima(runs: Sequence[Begun], images: Sequence[Image]) -> list[Known]:

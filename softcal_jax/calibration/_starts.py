@@ -50,10 +50,10 @@ FROM_ANYWHERE = CalibrationSettings(max_steps=12)
 """Settings of runs from many starts: few steps, as a good start converges quickly."""
 
 GROUP = 4
-"""Starts that run side by side, and know the optima of those before."""
+"""Starts that run side by side, and know the optima of the groups before."""
 
 ENOUGH = 0.1
-"""Share of further starts that may end elsewhere; five that agree leave as much [-]."""
+"""Share of further starts that may end elsewhere, as after five that agree [-]."""
 
 # One row at a time, so that the program does not depend on the number of rows.
 _distance = eqx.filter_jit(lambda space, a, b: jnp.abs(space.shorter(a - b)))
@@ -168,7 +168,7 @@ class SearchProgress(NamedTuple):
     __repr__ = one_line
 
     def __str__(self) -> str:
-        """Write it in one line."""
+        """Write the step in one line."""
         image = f", mirror image {self.image}" if self.image else ""
         return (
             f"start {self.start + 1} of {self.starts}{image}, step {self.step}: rms "
@@ -195,10 +195,10 @@ def multi_start(
     Args:
         problem: The calibration, from `build_problem`.
         starts: Scaled parameters to start from, or the number of random ones.
-        seed: Seed of the random ones.
+        seed: Seed of the random starts.
         settings: Settings of the outer loop; by default `FROM_ANYWHERE`.
         mirror: Whether runs that end with an error continue from mirror images.
-        enough: The share at which it ends, see `MultiStartResult.missed`; 0 runs all.
+        enough: Share at which to end, see `MultiStartResult.missed`; 0 runs all starts.
 
     Raises:
         ValueError: If there are no starts, or they do not fit the parameters.
@@ -237,7 +237,7 @@ def search(
 
     The first start runs alone, the others in groups of `GROUP`: a run knows the optima
     of the groups before, however many cores there are. Ctrl-C ends it with the best
-    ends so far, which the journal then knows. `progress` is called from threads, one at
+    ends so far and sets `journal.interrupted`. `progress` is called in threads, one at
     a time, and must not solve anything itself, since other runs occupy all cores.
     """
     space, images = evaluate.problem.space, images_of(evaluate.problem.space, mirror)
@@ -289,7 +289,7 @@ def _report(
     image: int,
     state: CalibrationState,
 ) -> None:
-    """Report a step from a start: its index, and the number of all."""
+    """Report a step; `start` is the index of its start, and the number of starts."""
     if progress is not None:
         rms = marker_rms(problem, state.evaluation)
         progress(SearchProgress(*start, image, int(state.step), rms))
@@ -300,7 +300,7 @@ def _result(
 ) -> MultiStartResult:
     """List the ends of all runs that began, and the optima that they passed.
 
-    Where runs came by counts, too: a mirror image may fit nearly as well.
+    Optima that runs only passed count, too: a mirror image may fit nearly as well.
     """
     begun = [i for i, run in enumerate(runs) if run.best.steps]
     starts, runs = [starts[i] for i in begun], [runs[i] for i in begun]
@@ -340,7 +340,7 @@ def _optima(
 ) -> tuple[Optimum, ...]:
     """Group converged ends by where they are, the lowest cost first.
 
-    The first `n_starts` are ends of starts; others were passed.
+    The first `n_starts` are ends of runs; the others were only passed.
     """
     groups: list[list[int]] = []
     numbered = space.numbered

@@ -30,7 +30,7 @@ from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import Whitened
 
 MEMORY = 5
-"""Number of steps over which, rather than at each of which, the cost must fall.
+"""Number of steps over which the cost must fall; at a single one it may rise.
 
 The data often leave a narrow, curved valley. A Gauss-Newton step along it climbs its
 wall a little, and the next one returns to its floor further down; if every step had to
@@ -92,9 +92,9 @@ def learned(
 ) -> Curvature:
     """Update the estimate after a step, accepted or refused.
 
-    `change` is that of W along the step, transposed, times the errors. The cost `after`
-    is infinite if there is no equilibrium; `predicted` are those by the linear model of
-    the errors, without and with the curvature.
+    `change` is the change of W along the step, transposed, times the errors. The cost
+    `after` is infinite if there is no equilibrium; `predicted` are the costs by the
+    linear model of the errors, without and with the curvature.
     """
     left = change - curvature.matrix @ step
     along = jnp.sum(left * step)
@@ -162,9 +162,9 @@ def initial_state(
 class Proposal(Module):
     """A step that the QP proposes: parameters after it, and a guess of the equilibria.
 
-    `cost` is that by the model that the QP used, `costs` by the linear model of the
-    errors, and with curvature. `precise` asks for exact compliances after it. A step
-    that `vanishes` is too small to be worth an evaluation: nothing moves any more.
+    `cost` is that by the model that the QP used, `costs` are those by the linear model
+    of the errors, without and with curvature. `precise` asks for exact compliances. A
+    step that `vanishes` is too small to be worth an evaluation: nothing moves any more.
     """
 
     qp: QPStep
@@ -181,8 +181,8 @@ def propose(
 ) -> Proposal:
     """Solve the QP within the bounds on p and on the step (paper Eqs. 10, 11).
 
-    In three programs: that of the QP is the longest to compile, and as its size is that
-    of the parameters alone, it serves calibrations with any number of errors.
+    In three programs: that of the QP takes longest to compile, and as its size depends
+    on the parameters alone, it serves calibrations with any number of errors.
     """
     models = _models(space, settings, state)
     both = _solved_each(models.qps, state.curvature.used)

@@ -1,10 +1,10 @@
-"""Fit and noise in turn: the noise weighs the errors of the fit that it is found from.
+"""Fit and noise in turn: the noise weighs the errors, and is estimated from the fit.
 
-A component of the noise that is not known is found by restricted maximum likelihood
-from the errors linearised at the optimum, and a share of the motion is one of that
-simulated there. These weights move the optimum a little, so the fit goes on from it,
-until neither changes. While the noise still changes, steps that no standard error
-could see are not taken.
+A component of the noise that is not known is estimated by restricted maximum likelihood
+from the errors linearised at the optimum, and a share of the motion is a share of the
+motion simulated there. These weights move the optimum a little, so the fit goes on from
+it, until neither changes. While the noise still changes, steps far below a standard
+error are not taken.
 """
 
 from collections.abc import Callable, Sequence
@@ -57,9 +57,9 @@ class SoughtNoise(NamedTuple):
     """Which components of the noise are estimated.
 
     Attributes:
-        jitter: Whether the factor on the stated standard deviations is.
-        offset: Whether the offset of the recordings is.
-        share: Configurations whose share of the motion is, one share for all.
+        jitter: Whether the factor on the stated standard deviations is estimated.
+        offset: Whether the offset of the recordings is estimated.
+        share: Configurations whose share of the motion is estimated, one for all.
     """
 
     jitter: bool
@@ -73,9 +73,9 @@ class Weighed(NamedTuple):
     Attributes:
         state: End of the fit, in units of the noise.
         noise: The noise.
-        sought: What of it was estimated in the end.
+        sought: Which components of it were estimated in the end.
         scale: Factor on the stated standard deviations of coordinates that was
-            estimated beside correlated noise; None if it was not [-].
+            estimated together with correlated noise; None if it was not [-].
         notes: What went otherwise than asked for.
         settled: Whether the noise stood still in the end.
     """
@@ -92,7 +92,7 @@ class Weighed(NamedTuple):
     ) -> CorrelatedNoise:
         """Return the noise of all configurations with what the fitted ones showed.
 
-        `start` is that to begin with; the fitted configurations come first.
+        `start` is the noise to begin with; the fitted configurations come first.
         """
         sought, n = self.sought.share, len(self.sought.share)
         ratio = lambda a, b: _largest(a) / _largest(b) if _largest(b) > 0.0 else 1.0
@@ -126,7 +126,7 @@ def weighed_fit(
 ) -> Weighed:
     """Take steps to the optimum, update the noise, and go on until both stand still.
 
-    Begins with the noise of the evaluator. `motion` is the measured one of the points
+    Begins with the noise of the evaluator. `motion` is the measured motion of points
     [m]; `note` is called with state and noise after each step.
     """
     assert evaluate.problem.noise is not None
@@ -160,7 +160,7 @@ def _errors_of_points(
 ) -> Float[HostArray, "n_c n_rows 3"]:
     """Return Delta_e of the points, 0 for other rows: simulated minus measured [m].
 
-    The share of creep is one of the simulated motion: of the measured one it would
+    Creep is a share of the simulated motion: a share of the measured motion would
     favour a robot that does not move, as a share of minus one explains all data.
     """
     n_points = evaluate.problem.configurations.effectors.nodes.shape[-2]
@@ -176,7 +176,7 @@ def _until(
     state: CalibrationState,
     note: Callable[[CalibrationState, CorrelatedNoise], None],
 ) -> CalibrationState:
-    """Take the steps that are longer than so many standard errors."""
+    """Take steps while they are longer than `errors` standard errors."""
     weight = np.asarray(evaluate.problem.configurations.effectors.inverse_std)
     # Such a step lets the cost fall by this share of it.
     fall = errors**2 / max(int(np.sum(weight > 0.0)) - len(state.z), 1)
@@ -196,7 +196,7 @@ def _until(
 
 
 class _Components(NamedTuple):
-    """Columns of the noise in stated units, by whether they are estimated, and how."""
+    """Columns of the noise in stated units: estimated offsets, shares, and the rest."""
 
     offsets: Float[HostArray, "n k"]
     shares: Float[HostArray, "n l"]
@@ -219,7 +219,7 @@ def _components(
 def _enough(
     linear: LinearModel, sought: SoughtNoise, configurations: Sequence[Configuration]
 ) -> tuple[SoughtNoise, list[str]]:
-    """Drop what the data cannot tell, with a note that says what counts instead."""
+    """Drop what the data cannot determine, with notes that say what counts instead."""
     columns, notes = _components(linear, sought, configurations), []
 
     def too_few(what: str, A: HostArray, fewest: int, instead: str) -> bool:
@@ -259,7 +259,7 @@ def _estimated(
     sought: SoughtNoise,
     configurations: Sequence[Configuration],
 ) -> CorrelatedNoise | None:
-    """Estimate what is sought of a noise; None where nothing is, or can be."""
+    """Estimate the sought components of a noise; None if none is sought, or can be."""
     columns = _components(linear, sought, configurations)
     free = ~linear.held
     n_prior = int(np.sum(linear.prior_weights[free] > 0.0))
@@ -268,7 +268,7 @@ def _estimated(
     rest = linear.r - mountings @ (mountings.T @ linear.r)
     level = float(np.sqrt(np.mean(rest**2))) if len(rest) else 0.0
     used = [part.shape[1] > 0 for part in columns]
-    # Alone the jitter weighs nothing: `uncertainty` finds it in closed form.
+    # Jitter alone changes no weights: `uncertainty` finds it in closed form.
     if not (any(used) or n_prior) or dof <= 0 or level < EXACT:
         return None
     estimated = [sought.jitter, used[0], used[1], False]
@@ -283,7 +283,7 @@ def _estimated(
 def _noise_notes(
     noise: CorrelatedNoise, sought: SoughtNoise, change: float | None
 ) -> list[str]:
-    """Say what was estimated of offsets and shares, and a change that did not end."""
+    """Report estimated offsets and shares, and a `change` of the noise that goes on."""
     notes = []
     if change is not None:
         notes.append(

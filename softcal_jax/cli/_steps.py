@@ -55,7 +55,7 @@ def pictures_with_a_bar(args: argparse.Namespace, show: Display) -> dict[str, An
         "drawing pictures", log=False, count=(done, total)
     )
     none = args.no_pictures or getattr(args, "quick", False)
-    return {"pictures": None if none else args.pictures, "told": progress}
+    return {"pictures": None if none else args.pictures, "progress": progress}
 
 
 def _elsewhere(write: Callable[..., Path], show: Display) -> str:

@@ -124,7 +124,7 @@ def simulation_dict(
 
 
 def outlook_dict(
-    found: Identifiability | None,
+    outlook: Identifiability | None,
     ranking: Ranking | None,
     *,
     name: str = "identifiability",
@@ -149,7 +149,7 @@ def outlook_dict(
             "format": "softcal_jax.identifiability/2",
             "name": name,
             **made_dict(made, directory),
-            "identifiability": found and IDENTIFIABILITY.entry(found),
+            "identifiability": outlook and IDENTIFIABILITY.entry(outlook),
             "ranking": ranked,
             "timing_s": timing_s or {},
         }

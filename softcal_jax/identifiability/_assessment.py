@@ -24,7 +24,7 @@ class Prediction(Module):
     Attributes:
         name: Name of the configuration.
         role: Whether it was fitted or held out.
-        std: Standard error of its markers by that of the parameters, a root mean square
+        std: Standard error of its markers by those of the parameters: root mean square
             distance [m]; infinite where it depends on parameters that nothing sees.
     """
 
@@ -38,8 +38,8 @@ def _predictions(
 ) -> tuple[Prediction, ...]:
     """Carry the covariance of the parameters into the markers of configurations.
 
-    The rows W_ep of Eq. (9) times the covariance by all causes: what a pose would be
-    off by if everything but the parameters were right.
+    The rows W_ep of Eq. (9) times the covariance by all causes: how far off a pose
+    would be if only the parameters were wrong.
     """
     predictions = []
     for fit in fits:
@@ -190,7 +190,7 @@ def _locking(budget: ErrorBudget, report: Identifiability) -> list[str]:
 
 
 def _wide(report: Identifiability, result: CalibrationResult) -> list[str]:
-    """Name parameters that are less certain than the bounds that were typed."""
+    """Name parameters that are less certain than the bounds that the user typed."""
     pairs = zip(report.parameters, result.space.parameters, strict=True)
     return [
         f"{p.name} is less certain than its bounds are wide: they say more than the "
@@ -211,11 +211,11 @@ def _contradictions(result: CalibrationResult) -> list[str]:
     ]
 
 
-def _rivals(found: MultiStartResult | None, noise_scale: float) -> list[str]:
+def _rivals(search: MultiStartResult | None, noise_scale: float) -> list[str]:
     """Name other optima that the data hardly exclude, if several starts were tried."""
-    if found is None or not found.optima:
+    if search is None or not search.optima:
         return []
-    best, *others = found.optima
+    best, *others = search.optima
     allowed = 0.5 * noise_scale**2 * float(chdtri(1, 0.05))
     return [
         f"Other values fit as well: {other.words} (cost {other.cost:.3g}, the "

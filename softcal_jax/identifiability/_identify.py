@@ -172,7 +172,7 @@ def identify(
         noise: Standard deviation of every measured coordinate; by default that of the
             markers [m].
         newton: Settings of the equilibrium.
-        uncertain: How well everything is known that is not calibrated; the defaults of
+        uncertain: How well everything that is not calibrated is known; the defaults of
             `Uncertain` by default.
         precision: Standard error that is asked for, relative to the value [-].
         progress: Called after every few iterations of an equilibrium.

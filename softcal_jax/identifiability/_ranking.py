@@ -21,8 +21,8 @@ from softcal_jax.inference import LinearModel
 NOTHING = 10.0
 """Standard error, over the asked one, that stands for knowing nothing [-].
 
-With the default precision a factor of e of a value. It gives the uncertainty a volume
-where neither data nor prior see a direction; bounds do not, since they are typed.
+With the default precision a factor of e on a value. It gives the uncertainty a volume
+where neither data nor prior see a direction; bounds do not, as users type them freely.
 """
 
 HARDLY = 1.05
@@ -41,7 +41,7 @@ class Gain(Module):
         before: Its standard error without the candidate, in SI; infinite where nothing
             sees it.
         after: Its standard error with it, in SI.
-        value: Its value, in SI.
+        value: Value of the parameter, in SI.
         unit: Its SI unit.
     """
 
@@ -182,9 +182,9 @@ def rank_configurations(
     eigenvalue of M (E-optimality) is given too: D rewards shrinking any direction of
     the uncertainty, E only the worst one.
 
-    The `configurations` are measured already, and may be none; the `candidates` might
-    be, and have names of their own. Those without an equilibrium or markers are listed
-    with the reason. Other arguments are those of `identify`.
+    The `configurations` are measured already, and may be none; the `candidates` may be
+    measured next, and need other names. Candidates without an equilibrium or markers
+    are listed with the reason. Other arguments are those of `identify`.
 
     Raises:
         ValueError: If an input is wrong, there is no candidate, or a name repeats.

@@ -16,7 +16,7 @@ IDENTIFIABLE_UP_TO = 1.0
 """Standard error, over the asked one, up to which a parameter is identifiable [-]."""
 
 WEAK_UP_TO = 3.0
-"""The same up to which it is weakly identifiable [-].
+"""Standard error, over the asked one, up to which it is weakly identifiable [-].
 
 With the default precision that is 30 % of a value, or 17 degrees of an axis: an order
 of magnitude, which no part can be designed with.
@@ -185,10 +185,10 @@ def verdict(ratio: float) -> Verdict:
 def spread_of(linear: LinearModel) -> Spread:
     """Compute the covariance of an estimate from data and priors.
 
-    That of the noise and the priors, C, plus D D^T with D = -G W_c of the errors that
-    are considered, as in `ErrorBudget`. Bounds are no measurement: what neither data
-    nor prior see has no finite error. Unknowns are in units of their asked standard
-    errors, so that moduli and angles are comparable.
+    It is the covariance C by noise and priors, plus D D^T with D = -G W_c by considered
+    errors, as in `ErrorBudget`. Bounds are no measurement: a direction that neither
+    data nor prior see has no finite error. Unknowns are in units of their asked
+    standard errors, so that moduli and angles are comparable.
     """
     seen = linear.solution
     moved = -linear.pull() @ linear.considered.values
@@ -197,7 +197,7 @@ def spread_of(linear: LinearModel) -> Spread:
 
 
 def information(linear: LinearModel) -> Float[HostArray, "n_p n_p"]:
-    """Compute the information of the data alone: the inverse of `spread_of`'s.
+    """Compute the information of the data alone: an inverse covariance, without priors.
 
     W^T U (I + B B^T)^-1 U^T W with whitened W = U S V^T and B = U^T W_c, which exists
     where the covariance does not.
@@ -215,7 +215,7 @@ def count_informed(
 ) -> int:
     """Count the directions along which the data, J, tell more than the prior.
 
-    Where there is none, they must tell enough for "weakly identifiable".
+    Where there is no prior, the data must tell enough for "weakly identifiable".
     """
     scale = np.where(weights > 0.0, weights, 1.0 / WEAK_UP_TO)
     return int(np.sum(np.linalg.eigvalsh(J / np.outer(scale, scale)) > 1.0))
@@ -224,7 +224,7 @@ def count_informed(
 def named_directions(spread: Spread, names: Sequence[str]) -> tuple[Direction, ...]:
     """Find the principal directions of a covariance, best seen first (Sec. V-C).
 
-    They are the right singular vectors of G where nothing but the noise is uncertain.
+    If only the noise is uncertain, they are right singular vectors of the whitened W.
     The unseen directions have an arbitrary basis; it is replaced by one whose vectors
     each follow few parameters.
     """

@@ -29,12 +29,12 @@ NOISE = "noise"
 ATTACHMENTS = "attachments"
 """Name of the unknown offsets of points and frames whose displacement is fitted.
 
-No cause of an error: a fit to displacements does not feel them.
+They are no cause of an error: a fit to displacements does not feel them.
 """
 
 
 class ErrorColumns(Module):
-    """Errors of several causes: change of each row per standard deviation of each.
+    """Errors of several causes: change of each row per standard deviation of an error.
 
     Attributes:
         values: One column per error, in stated standard deviations of the rows [-].
@@ -48,10 +48,10 @@ class ErrorColumns(Module):
 
     def of(self, cause: str) -> Float[HostArray, "n n_of_cause"]:
         """Return the columns of one cause."""
-        return self.values[:, [own == cause for own in self.causes]]
+        return self.values[:, [column_cause == cause for column_cause in self.causes]]
 
     def only(self, rows: Bool[HostArray, " n"]) -> "ErrorColumns":
-        """Return the errors that some rows have, of these rows."""
+        """Return some of the rows, and of the errors those that change them."""
         values = self.values[rows]
         used = np.flatnonzero(np.any(values != 0.0, axis=0))
         causes = tuple(self.causes[k] for k in used)
@@ -98,7 +98,7 @@ class LinearModel(Module):
     held: Bool[HostArray, " n_p"]
 
     def only(self, rows: Bool[HostArray, " n"]) -> "LinearModel":
-        """Return the model of some rows alone, and of the errors that these have."""
+        """Return the model of some rows alone, and of the errors that change them."""
         cut = {name: getattr(self, name)[rows] for name in ("pose", "fitted", "r", "W")}
         return replace(
             self,
@@ -183,7 +183,7 @@ class LinearModel(Module):
 
     @property
     def n_data(self) -> int:
-        """Number of fitted coordinates, less those that find mountings of markers."""
+        """Number of fitted coordinates, less those used up by attachments."""
         fit = self.of_fit()
         return len(fit.r) - span(fit.correlated.of(ATTACHMENTS)).shape[1]
 
@@ -214,7 +214,7 @@ class LinearModel(Module):
         return C
 
     def pull(self) -> Float[HostArray, "n_p n"]:
-        """Compute C W^T V^-1 along what is seen; zero for rows that are held out."""
+        """Compute C W^T V^-1 along directions that are seen; zero for held-out rows."""
         fit, solution = self.of_fit(), self.solution
         of_data = solution.basis[: len(fit.r)]
         pull = np.zeros((len(self.names), len(self.r)))
@@ -222,7 +222,7 @@ class LinearModel(Module):
         return pull
 
     def gain(self) -> Float[HostArray, "n_p n"]:
-        """Compute G = C W^T V^-1: a change of the rows moves the estimate by -G of it.
+        """Compute G = C W^T V^-1: if the rows change by d, the estimate moves by -G d.
 
         NaN for unknowns that have no standard error; zero for rows that are held out.
         """
@@ -240,8 +240,8 @@ class LinearModel(Module):
         """Compute how far each error moves the unknowns, by cause [-].
 
         Per standard deviation of each, NaN where there is no standard error. The jitter
-        and what the priors leave come first, as `NOISE`; then what is marginalised, and
-        what is considered. Their squares sum to the covariance by all causes.
+        and what the priors leave come first, as `NOISE`; then marginalised errors, then
+        considered ones. Their squares sum to the covariance by all causes.
         """
         gain = self.gain()
         by_prior = np.nan_to_num(self.covariance()) * self.prior_weights

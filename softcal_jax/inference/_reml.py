@@ -6,7 +6,7 @@ been eliminated,
 
     -2 l = log|V| + log|W^T V^-1 W + P| + min_dz (r + W dz)^T V^-1 (r + W dz) + prior,
 
-does not pay for dz with the residuals as the whole likelihood does (Patterson and
+does not underestimate the variances, as the whole likelihood does (Patterson and
 Thompson, Biometrika 58, 1971; Harville, J. Am. Stat. Assoc. 72, 1977). Without columns
 A_i it gives s_0^2 = r^T r / (n - p), and for a balanced one-way layout the estimators
 of the analysis of variance.

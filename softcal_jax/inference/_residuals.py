@@ -1,10 +1,10 @@
 """Statistics of residuals, linearised at the optimum: do they fit the model?
 
-Where the jitter is estimated from the residuals, chi-squared is in order whatever the
+Where the jitter is estimated from the residuals, chi-squared looks right whatever the
 model. Two questions remain. Are the residuals of a configuration alike, beyond what
 independent jitter and the stated offsets make of them (lack of fit; Draper and Smith,
 Applied Regression Analysis, 1998, sec. 2.1; Bates and Watts, Nonlinear Regression
-Analysis, 1988, sec. 1.3.2)? And do the others predict a configuration?
+Analysis, 1988, sec. 1.3.2)? And is each configuration predicted by the others?
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ beside it is curvature, not an error of the pose.
 """
 
 ROUNDING = 1e-9
-"""Size of residuals, over the errors that they are left of, that is rounding [-]."""
+"""Size of residuals, over that of the errors before the fit, that is rounding [-]."""
 
 NO_DIFFERENCE = 1e-6
 """Standard error of a difference that is rounding, over that of the values [-]."""
@@ -39,7 +39,7 @@ NO_DIFFERENCE = 1e-6
 DETERMINED = 5.0
 """Standard error from which a recording alone does not determine a parameter [-].
 
-In units of the one that is asked for by default: half the value of a modulus.
+In units of the error that is asked for by default: half the value of a modulus.
 """
 
 
@@ -72,10 +72,10 @@ def lack_of_fit(
 ) -> LackOfFit | None:
     """Test whether the errors of configurations have something in common.
 
-    The jitter is that of the scatter within configurations, where neither parameters
-    nor offsets nor shares of the motion reach. With it, offsets as stated and what is
-    considered, the rest is compared by an F test. None where nothing is left on either
-    side.
+    The jitter is that of the scatter within configurations, which neither parameters
+    nor offsets nor shares of the motion explain. With this jitter, the stated offsets
+    and the considered errors, an F test judges the scatter between configurations.
+    None where nothing is left on either side.
 
     Args:
         linear: The fit.
@@ -129,10 +129,10 @@ class PosePrediction(Module):
 
     Attributes:
         error: Predicted minus measured, in stated noise units; nan where the others do
-            not determine a parameter that it takes [-].
+            not determine a parameter that it depends on [-].
         std: Its standard deviation by noise, parameters and what is considered [-].
         chi_squared: Sum of squares of what can be predicted, over its covariance [-].
-        degrees_of_freedom: Number of these.
+        degrees_of_freedom: Number of these squares.
     """
 
     error: Float[HostArray, " n"]
@@ -157,7 +157,7 @@ def predicted_by_others(linear: LinearModel) -> list[PosePrediction]:
         ones = np.eye(len(linear.r))[:, of_pose]
         block = linear.left(ones)[of_pose]
         square, U = np.linalg.eigh(block)
-        # Where nothing is left, the others do not determine what the pose takes.
+        # Where nothing is left, the others do not determine what the pose needs.
         seen = square > ROUNDING / linear.scale**2
         root = U[:, seen] / np.sqrt(square[seen])
         y, B = root.T @ whole[of_pose], root.T @ followed[of_pose]
@@ -183,7 +183,7 @@ def chance(
         squares: The sum.
         n: Its degrees of freedom.
         of: Degrees of freedom of the jitter if it was estimated; None if stated.
-        jitter_is_of_all: Whether it was from these squares too; they are taken out.
+        jitter_is_of_all: Whether it was estimated from these, too; they are taken out.
     """
     if n == 0:
         return float("nan")
@@ -225,7 +225,7 @@ class RecordingEstimate(Module):
 
 
 def disagreeing(estimates: Sequence[RecordingEstimate]) -> list[RecordingEstimate]:
-    """Return those too far from the fit for chance, at `UNLIKELY` over all of them."""
+    """Return estimates too far from the fit for chance: `UNLIKELY` over all of them."""
     allowed = UNLIKELY / max(len(estimates), 1)
     return [e for e in estimates if e.probability < allowed]
 
@@ -241,14 +241,14 @@ def recording_estimates(
     """Estimate parameters from each recording alone, fitted or held out.
 
     With the gains G_k of one recording and G of all, their estimates differ by
-    (G_k E_k - G) times the errors, of which the covariance is that of the noise, and
-    W_c W_c^T of what is considered.
+    (G_k E_k - G) times the errors, where E_k selects its rows. The covariance of these
+    errors is that of the noise, plus W_c W_c^T of what is considered.
 
-    None where the residuals show no noise, or fewer than two recordings determine a
-    parameter.
+    Returns none if the residuals show no noise, and none of a parameter that fewer than
+    two recordings determine.
 
     Args:
-        linear: The fit; rows of recordings that were held out among its rows.
+        linear: The fit, with the rows of recordings that were held out.
         recordings: Recording of each configuration, None for those to leave out.
         space: The parameters.
         z: Where the fit ended, scaled [-].
@@ -265,7 +265,7 @@ def recording_estimates(
     per_error = np.concatenate([noise, linear.considered.values], axis=1)
     size = lambda L: np.linalg.norm(L @ per_error, axis=1)
     fits = np.asarray(space.from_scaled(jax.device_put(z)))
-    slopes, asked, here = space.slopes(z), asked_errors(space, z), np.asarray(z)
+    slopes, asked, optimum = space.slopes(z), asked_errors(space, z), np.asarray(z)
     estimates: dict[int, list[RecordingEstimate]] = {}
     for name in names:
         rows = of_row == name
@@ -274,9 +274,9 @@ def recording_estimates(
         gain[:, rows] = alone.gain()
         shift, std = -gain @ linear.r, size(gain)
         apart = np.hypot(size(gain - whole), np.linalg.norm(by_prior, axis=1))
-        moved = jax.device_put(here + np.nan_to_num(shift))
+        moved = jax.device_put(optimum + np.nan_to_num(shift))
         values = np.asarray(space.from_scaled(moved))
-        # Of the only recording that was fitted the difference is nothing but rounding.
+        # For the only recording that was fitted, the difference is mere rounding.
         different = apart > NO_DIFFERENCE * std
         shares = np.where(different, shift / np.where(different, apart, 1.0), 0.0)
         for i in np.flatnonzero(std < DETERMINED * asked):

@@ -5,7 +5,7 @@ What is held fixed is a consider parameter c, with a standard deviation and no e
 Determination, 2004, ch. 6): an error dc moves the optimum by dz = -G W_c dc, with the
 gain G of `LinearModel`, and the covariance of the estimate is that of the noise plus
 the sum of G W_c W_c^T G^T over the causes. Offsets of recordings and creep belong to
-the noise; they are causes too, by the same gain, and what the noise has left is its
+the noise; they are causes too, by the same gain, and what is left of the noise is its
 jitter.
 """
 
@@ -216,7 +216,7 @@ class ErrorBudget(Module):
         return f"{text}: {REMEDIES.get(names[0], f'measure {worst} first')}"
 
     def readable(self, i: int, std: float) -> str:
-        """Write an error of a parameter [SI]: in percent, but of angles and offsets."""
+        """Write an error, given in SI: in percent, but for angles and offsets."""
         value, unit = abs(float(self.values[i])), self.units[i]
         if unit in ("rad", "m") or value == 0.0:
             factor, shown = readable_unit([std], unit)
@@ -242,14 +242,14 @@ def error_budget(
         linear: The fit.
         space: Its parameters.
         z: Where it ended, scaled [-].
-        noise_is_known: Whether the level of the noise is; where the residuals are too
-            few to tell, the errors by noise are nan.
+        noise_is_known: Whether the level of the noise is known; with too few residuals
+            to estimate it, the errors by noise are nan.
     """
     deviations = linear.deviations()
     jitter = deviations.pop(NOISE)
     noise = jitter @ jitter.T if noise_is_known else np.full((len(z),) * 2, np.nan)
-    both = (linear.correlated, linear.considered)
-    errors = [pair for own in both for pair in zip(own.causes, own.names, strict=True)]
+    parts = (linear.correlated, linear.considered)
+    errors = [e for part in parts for e in zip(part.causes, part.names, strict=True)]
     causes = [
         Cause(name, tuple(error for cause, error in errors if cause == name), moved)
         for name, moved in deviations.items()

@@ -39,7 +39,7 @@ from softcal_jax.report._html import (
 from softcal_jax.report._pages import REPORT, notebook_html, shown_pictures
 from softcal_jax.report._tables import HEADS, actuator_row, actuator_values
 from softcal_jax.report._verdict import RunVerdict
-from softcal_jax.report._write import COLLECTION, Picture, Told, picture_problem
+from softcal_jax.report._write import COLLECTION, Picture, Progress, picture_problem
 
 if TYPE_CHECKING:
     import rich.console
@@ -132,7 +132,7 @@ def write_inverse(
     options: Sequence[str] = (),
     notes: Sequence[str] = (),
     pictures: Picture | None = "png",
-    told: Told = lambda *_: None,
+    progress: Progress = lambda *_: None,
 ) -> Path:
     """Write a result of inverse control to a folder, whole or not at all.
 
@@ -165,7 +165,7 @@ def write_inverse(
     seen += "(circles) and what is reached (crosses)"
     bodies, captions = [], {}
     with results_folder(directory, force=force) as folder:
-        told(0, len(points))
+        progress(0, len(points))
         for k, (point, title, stem) in enumerate(
             zip(points, names, stems, strict=True)
         ):
@@ -173,7 +173,7 @@ def write_inverse(
                 written = _write_body(folder, point, stem, title, suffix)
                 captions |= dict.fromkeys(written, f"{title}: {seen}")
                 bodies.append([file for file in written if file.endswith(".vtu")])
-            told(k + 1, len(points))
+            progress(k + 1, len(points))
         if bodies:
             write_pvd(folder / COLLECTION, bodies)
         data["files"] = [REPORT, *([COLLECTION] if bodies else []), *captions]

@@ -49,7 +49,7 @@ COLLECTION = "configurations.pvd"
 Picture = Literal["png", "svg"]
 """Formats of pictures. In SVG, lines and words are drawn and bodies are images."""
 
-Told = Callable[[int, int], None]
+Progress = Callable[[int, int], None]
 """Called with the number of pictures drawn so far, and the number of all."""
 
 
@@ -67,7 +67,7 @@ def write_results(
     timing_s: Mapping[str, float] | None = None,
     traces: Mapping[str, Traces] | None = None,
     pictures: Picture | None = "png",
-    told: Told = lambda *_: None,
+    progress: Progress = lambda *_: None,
 ) -> Path:
     """Write a calibration to a folder, whole or not at all.
 
@@ -89,7 +89,7 @@ def write_results(
         traces: Recordings of markers by configuration, as in a `Project`.
         pictures: Format of all pictures; with None there are none, and the page has no
             view of the robot.
-        told: Called with the number of pictures drawn so far, and the number of all.
+        progress: Called with the numbers of pictures drawn so far and of all.
 
     Returns:
         The folder.
@@ -103,7 +103,7 @@ def write_results(
         result, name=name, directory=directory, assessment=assessment, timing_s=timing_s
     )
     page = partial(calibration_page, result, assessment)
-    drawn = {"traces": traces or {}, "suffix": pictures, "progress": told}
+    drawn = {"traces": traces or {}, "suffix": pictures, "progress": progress}
     return _write(result, data, directory, "result.json", page, force=force, **drawn)
 
 
@@ -116,7 +116,7 @@ def write_simulation(
     timing_s: Mapping[str, float] | None = None,
     traces: Mapping[str, Traces] | None = None,
     pictures: Picture | None = "png",
-    told: Told = lambda *_: None,
+    progress: Progress = lambda *_: None,
     made: Made | None = None,
 ) -> Path:
     """Write a forward simulation to a folder, whole or not at all.
@@ -131,14 +131,14 @@ def write_simulation(
     more: dict[str, Any] = {"made": made, "directory": directory}
     data = simulation_dict(result, name=name, timing_s=timing_s, **more)
     page = partial(simulation_page, result)
-    drawn = {"traces": traces or {}, "suffix": pictures, "progress": told}
+    drawn = {"traces": traces or {}, "suffix": pictures, "progress": progress}
     return _write(
         result, data, directory, "simulation.json", page, force=force, **drawn
     )
 
 
 def write_identifiability(
-    found: Identifiability | None,
+    outlook: Identifiability | None,
     ranking: Ranking | None,
     directory: str | Path,
     *,
@@ -150,14 +150,14 @@ def write_identifiability(
     """Write an identifiability result to a folder, whole or not at all.
 
     The folder holds `report.html`, `identifiability.json` (see `outlook_dict`) and the
-    same in words, `identifiability.txt`. `found` is None if there are no
+    same in words, `identifiability.txt`. `outlook` is None if there are no
     configurations, `ranking` if there are no candidates. Further arguments, errors and
     what is returned are those of `write_simulation`.
     """
     more: dict[str, Any] = {"made": made, "directory": directory}
-    data = outlook_dict(found, ranking, name=name, timing_s=timing_s, **more)
-    text = "\n\n".join(str(part) for part in (name, found, ranking) if part is not None)
-    page = partial(identifiability_page, found, ranking)
+    data = outlook_dict(outlook, ranking, name=name, timing_s=timing_s, **more)
+    text = "\n\n".join(str(p) for p in (name, outlook, ranking) if p is not None)
+    page = partial(identifiability_page, outlook, ranking)
     return _write_words(data, "identifiability", text, page, directory, force=force)
 
 
@@ -215,7 +215,7 @@ def _write(
     force: bool,
     traces: Mapping[str, Traces],
     suffix: Picture | None,
-    progress: Told,
+    progress: Progress,
 ) -> Path:
     """Write all files, and last the index, which lists them."""
     model, shown = result.model, result.configurations

@@ -1,4 +1,4 @@
-"""Every unknown of a calibration, and what those do that are only considered."""
+"""Every unknown of a calibration, and what the considered ones do to its rows."""
 
 from softcal_jax.unknowns._considered import (
     ConsideredErrors as ConsideredErrors,

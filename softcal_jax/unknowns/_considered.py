@@ -1,4 +1,4 @@
-"""What errors that are considered do to the rows of a calibration."""
+"""What considered errors do to the rows of a calibration."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -32,8 +32,8 @@ class ConsideredErrors(NamedTuple):
 
     Attributes:
         errors: The errors, and which configurations share each.
-        columns: Change of the effectors per standard deviation of each, as if each
-            configuration had it.
+        columns: Change of the effectors per standard deviation of each error, as if
+            every configuration had it.
     """
 
     errors: tuple[Unknown, ...]
@@ -46,8 +46,8 @@ class ConsideredErrors(NamedTuple):
     ) -> ErrorColumns:
         """Return W_c of all rows, in stated standard deviations.
 
-        A change is zero in configurations that do not have the error; fitted ones come
-        first.
+        A change is zero in configurations that do not have the error. The first
+        `n_fitted` configurations were fitted.
         """
         parts: list[tuple[str, str, HostArray]] = []
         for error, column in zip(self.errors, self.columns, strict=True):
@@ -61,7 +61,7 @@ class ConsideredErrors(NamedTuple):
 
 
 def nothing_considered(setting: Setting) -> ConsideredErrors:
-    """Count everything that is held fixed as right."""
+    """Return no errors: everything that is held fixed counts as right."""
     n_c = len(setting.configurations)
     n_e = setting.arrays.effectors.measured.size // n_c
     return ConsideredErrors((), np.zeros((0, n_c, n_e)))
@@ -89,7 +89,7 @@ def considered_errors(
 def compile_considered(
     workers: Workers, setting: Setting, z: Float[Array, " n_p"]
 ) -> None:
-    """Compile what `considered_errors` runs, beside what runs before it."""
+    """Compile what `considered_errors` runs, while what comes before it still runs."""
 
     def program() -> tuple[Program, list[tuple]]:
         n_c, n_points = len(setting.configurations), setting.model.n_points
@@ -100,7 +100,7 @@ def compile_considered(
 
 
 class _Work(NamedTuple):
-    """What is computed of each configuration, as if it had each error."""
+    """A program that runs for each configuration, as if it had every error."""
 
     errors: tuple[Unknown, ...]
     program: Program

@@ -1,7 +1,7 @@
 """Every unknown of a calibration, once: fitted, considered, or part of the noise.
 
-An error that is considered is held at its nominal value: the values move with it, and
-their standard errors say by how much. One that is part of the noise is marginalised: it
+A considered error is held at its nominal value: fitted values move with it, and their
+standard errors say by how much. An error that is part of the noise is marginalised: it
 weighs the data, and takes the information along its direction out of the fit. Consider
 what the data cannot tell from the parameters, like a load that is 1 % off in all poses;
 marginalise what differs from one recording to the next, so that poses that disagree by
@@ -53,9 +53,9 @@ class Unknown(NamedTuple):
             as each of its parameters has a prior of its own.
         role: Whether it is fitted, considered or part of the noise.
         scope: For each configuration, a key that those with the same error have in
-            common; None where it cannot occur, or another role has it.
-        row: Makes the row of a unit of it where no entry sets it, see `clamp_row`: of
-            the linearised equilibrium, and of what `data` makes for each configuration.
+            common; None where the error cannot occur, or has another role.
+        row: Makes the row of one unit of it if no entry sets it, see `clamp_row`: from
+            the linearised equilibrium and what `data` returns for the configuration.
     """
 
     cause: str
@@ -73,9 +73,9 @@ class Unknown(NamedTuple):
         return any(key is not None for key in self.scope)
 
     def groups(self, n_fitted: int) -> Iterator[tuple[str, Bool[HostArray, " n_c"]]]:
-        """List its independent errors: their names, and which configurations share.
+        """List its independent errors: name, and the configurations that share each.
 
-        Names depend on the configurations that are fitted alone, which come first.
+        Names depend on the fitted configurations alone, which come first.
         """
         fitted = set(self.scope[:n_fitted]) - {None}
         keys = [key for key in dict.fromkeys(self.scope) if key is not None]
@@ -86,7 +86,7 @@ class Unknown(NamedTuple):
 
 
 class Setting(NamedTuple):
-    """What is calibrated from what: configurations as described and as arrays."""
+    """A model, its parameters, and configurations as described and as arrays."""
 
     model: Model
     space: ParameterSpace
@@ -98,7 +98,7 @@ class Setting(NamedTuple):
 
     @property
     def poses(self) -> Poses:
-        """The configurations, as kinds of parameters ask for them."""
+        """The configurations, as kinds of parameters take them."""
         on_host = jax.tree.map(np.asarray, self.arrays)
         return Poses(self.model, on_host, recording_names(self.configurations))
 
@@ -106,9 +106,9 @@ class Setting(NamedTuple):
 def unknowns(setting: Setting) -> tuple[Unknown, ...]:
     """List all unknowns of a calibration.
 
-    Those that cannot occur in any configuration are among them, in the scope of none:
-    which errors are computed is part of a compiled program, and so one serves all
-    poses.
+    They include errors that cannot occur in any configuration, with no key in their
+    scope: which errors are computed is part of a compiled program, so that one program
+    serves all poses.
     """
     poses = setting.poses
     return (
@@ -141,8 +141,8 @@ def _of_setup(setting: Setting, poses: Poses) -> Iterator[Unknown]:
         if quantity.role not in ("considered", "noise"):
             continue
         cause, role = quantity.uncertain, quantity.role
-        found = cause in setting.uncertain.estimated
-        std = OFFSET if found else getattr(setting.uncertain, cause)
+        is_estimated = cause in setting.uncertain.estimated
+        std = OFFSET if is_estimated else getattr(setting.uncertain, cause)
         for of, scope in quantity.occurs(poses).items():
             for axis in quantity.components or ("",):
                 name = " ".join(word for word in (kind, of, axis) if word)
@@ -152,7 +152,7 @@ def _of_setup(setting: Setting, poses: Poses) -> Iterator[Unknown]:
 
 
 def _not_fitted(setting: Setting, error: SetupError) -> Bool[HostArray, " n_c"]:
-    """Return in which configurations no parameter is the error of this kind."""
+    """Return in which configurations no parameter stands for this error."""
     free = np.ones(len(setting.configurations), bool)
     for entry in setting.space.entries:
         if not isinstance(entry, SetupParameter):
@@ -202,7 +202,7 @@ def _share_not_fitted(setting: Setting, field: str) -> HostArray:
 
 
 def _of_clamps(setting: Setting) -> Unknown:
-    """Return the error of the depth of clamps, one for all that hold alike."""
+    """Return the error of the depth of clamps, one for all that hold the same nodes."""
     model, std = setting.model, setting.uncertain.clamp
     held = held_nodes(model, setting.arrays)
     keys = tuple(nodes.tobytes() for nodes in held)

@@ -210,7 +210,7 @@ def holds(errors, jacobian, *, column=0, W=None, on_bound=False, space=SPACE):
         about=about,
         space=space,
         z=np.zeros(2),
-        at=at(np.zeros(2)),
+        evaluation=at(np.zeros(2)),
         linear=replace(here, W=np.array(W, float)),
         quantile=2.0,
     )
