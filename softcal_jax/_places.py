@@ -3,7 +3,7 @@
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 
@@ -39,6 +39,7 @@ def only_writer(path: Path, program: str) -> Iterator[None]:
         BlockingIOError: If another one of these programs is writing the file.
         OSError: If the place cannot be written; the text says why.
     """
+    lock = path.with_name(path.name + ".lockfile")  # no other name there is longer
     with with_remedy(f"{path} cannot be written", "give another file"):
         if path.is_dir():
             raise IsADirectoryError(f"{path} is a folder; name a file in it.")
@@ -47,65 +48,38 @@ def only_writer(path: Path, program: str) -> Iterator[None]:
                 f"the folder {path.parent} of {path.name} does not exist: make it, or "
                 "give a file in another one."
             )
-        _try(path)
-        file = _locked(path)
-    if file is None:
-        raise BlockingIOError(
-            f"another {program} is writing to {path}: wait until it has ended, or give "
-            "another file."
-        )
-    try:
+        with ExitStack() as opened:
+            file = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
+            opened.callback(os.close, file)
+            if not _locked(file, lock):
+                raise BlockingIOError(
+                    f"another {program} is writing to {path}: wait until it has ended, "
+                    "or give another file."
+                )
+            opened.callback(_remove, lock)
+            os.write(file, bytes(512))  # a full disk has room for an empty file alone
+            held = opened.pop_all()
+    with held:
         yield
-    finally:
-        with suppress(PermissionError):  # Windows removes no open file
-            _lock_of(path).unlink(missing_ok=True)
-        os.close(file)
 
 
-def _lock_of(path: Path) -> Path:
-    return path.with_name(path.name + ".lock")
-
-
-def _locked(path: Path) -> int | None:
-    """Open and lock a file beside the path; None if another program has locked it."""
-    while True:
-        file = os.open(_lock_of(path), os.O_RDWR | os.O_CREAT, 0o666)
-        try:
-            if not _lock(file):
-                os.close(file)
-                return None
-            with suppress(FileNotFoundError):
-                if os.path.samestat(os.fstat(file), _lock_of(path).stat()):
-                    return file
-        except OSError:
-            os.close(file)
-            raise
-        os.close(file)  # what was opened has been removed by who had locked it
-
-
-def _lock(file: int) -> bool:
+def _locked(file: int, lock: Path) -> bool:
     """Lock an open file, unless another program has; the lock ends with the process."""
-    if sys.platform == "win32":
-        import msvcrt
-
-        try:
-            msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
-        except PermissionError:
-            return False
-    else:
-        import fcntl
-
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return False
-    return True
-
-
-def _try(path: Path) -> None:
-    """Write a file beside the path, with a longer name than all that are needed."""
-    trial = path.with_name(f"{path.name}.trial-{os.getpid():08d}")
     try:
-        trial.write_bytes(bytes(512))
-    finally:
-        trial.unlink(missing_ok=True)
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # Who had locked it may have removed it since it was opened.
+        return os.path.samestat(os.fstat(file), lock.stat())
+    except (BlockingIOError, FileNotFoundError, PermissionError):
+        return False
+
+
+def _remove(lock: Path) -> None:
+    with suppress(PermissionError):  # Windows removes no open file
+        lock.unlink(missing_ok=True)
