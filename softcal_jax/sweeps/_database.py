@@ -10,22 +10,20 @@ import json
 import math
 import os
 import sqlite3
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from threading import Lock, Timer
 from typing import Any
 
-from pydantic import Json, TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from softcal_jax._places import only_writer
-from softcal_jax._text import shortened
 from softcal_jax.sweeps._result import SweepResult
-from softcal_jax.sweeps._row import State, TrialRow
-from softcal_jax.sweeps._trial import Point, Trial
+from softcal_jax.sweeps._row import TrialRow
+from softcal_jax.sweeps._trial import Trial
 
 APPLICATION = 0x50F7CA1
 """SQLite's application_id, by which a database of a sweep is recognised."""
@@ -53,9 +51,7 @@ _COLUMNS = tuple(TrialRow.__dataclass_fields__)
 _AS_JSON, _OF_STATE = ("point", "figures", "notes"), _COLUMNS.index("state")
 """Columns of the table of trials, those whose texts are JSON, and that of the state."""
 
-_NAME, _NAMES = TypeAdapter(Json[str]), TypeAdapter(Json[tuple[str, ...]])
-_JSON, _POINT = TypeAdapter(Json[Any]), TypeAdapter(Json[Point])
-_ROW, _STATE = TypeAdapter(TrialRow), TypeAdapter(State)
+_ROW = TypeAdapter(TrialRow)
 
 
 @contextmanager
@@ -63,7 +59,7 @@ def sweep_database(path: Path) -> Iterator["SweepDatabase"]:
     """Open or make a database, to which no other sweep writes meanwhile."""
     with only_writer(path, "sweep"):
         with _explained(path):
-            file = _open(path, WAIT_S)
+            file = _open(path)
         with closing(file), closing(SweepDatabase(path, file)) as database:
             yield database
 
@@ -108,9 +104,7 @@ class SweepDatabase:
             if same != plan:
                 self.file.execute("DELETE FROM plan")
                 self._write("plan", plan)
-            stored = _stored_sweep(self.file, self.path)
-            _ = stored.rows, [*stored.planned.values()]  # raises if a user edited them
-        return dict(stored.states)
+            return dict(self.file.execute("SELECT key, state FROM trials"))
 
     def _check_definitions(self, definitions: Mapping[str, str]) -> None:
         """Raise if what rows depend on has changed; new definitions may be added."""
@@ -182,51 +176,42 @@ def read_sweep(database: str | os.PathLike[str]) -> SweepResult:
         raise FileNotFoundError(f"there is no sweep database {path}.")
     # Not read-only, since a reader rolls back what a killed run left half done.
     uri = f"{path.resolve().as_uri()}?mode=rw"
-    with _explained(path), closing(_open(uri, WAIT_S, uri=True)) as file:
+    with _explained(path), closing(_open(uri, uri=True)) as file:
         file.execute("BEGIN")
         _check_format(file, path)
-        return _stored_sweep(file, path)
-
-
-def _stored_sweep(file: sqlite3.Connection, path: Path) -> SweepResult:
-    """Fetch everything from an open database; points and rows are read when asked for.
-
-    What is read is checked, since the file may have been edited.
-    """
-    words = dict(file.execute("SELECT what, value FROM sweep"))
-    plan = dict(file.execute("SELECT key, point FROM plan ORDER BY number"))
-    rows = file.execute(
-        f"SELECT {', '.join(f'trials.{name}' for name in _COLUMNS)} "
-        "FROM trials LEFT JOIN plan ON plan.key = trials.key "
-        "ORDER BY plan.number IS NULL, plan.number, trials.ended"
+        texts = file.execute("SELECT what, value FROM sweep")
+        about = {what: json.loads(value) for what, value in texts}
+        plan = dict(file.execute("SELECT key, point FROM plan ORDER BY number"))
+        rows = file.execute(
+            f"SELECT {', '.join(f'trials.{name}' for name in _COLUMNS)} "
+            "FROM trials LEFT JOIN plan ON plan.key = trials.key "
+            "ORDER BY plan.number IS NULL, plan.number, trials.ended"
+        )
+        ended = {row[0]: row for row in rows}
+    return SweepResult(
+        name=about["name"],
+        axes=tuple(about["axes"]),
+        repeats=tuple(about["repeats"]),
+        planned=_Read(path, plan, json.loads),
+        states={key: row[_OF_STATE] for key, row in ended.items()},
+        ended=_Read(path, ended, _row),
     )
-    ended = {row[0]: row for row in rows}
-    with _as_written(path):
-        about = lambda what, kind: _checked(f"sweep.{what}", kind, words.get(what))
-        name, axes = about("name", _NAME), about("axes", _NAMES)
-        state = lambda row: _checked(f"trials.{row[0]}.state", _STATE, row[_OF_STATE])
-        point = lambda key, text: _of_key(
-            axes, key, _checked(f"plan.{key}.point", _POINT, text)
-        )
-        return SweepResult(
-            name=name,
-            axes=axes,
-            repeats=about("repeats", _NAMES),
-            planned=_Read(plan, point, path),
-            states={key: state(row) for key, row in ended.items()},
-            ended=_Read(ended, partial(_row, axes), path),
-        )
 
 
 class _Read(Mapping[str, Any]):
     """Values of the database by key, each read from its texts at the first use."""
 
-    def __init__(self, stored: Mapping[str, Any], read: Callable, path: Path):
-        self._stored = stored
-        self._read = cache(_as_written(path)(lambda key: read(key, stored[key])))
+    def __init__(self, path: Path, stored: Mapping[str, Any], read: Callable):
+        self._path, self._stored, self._read = path, stored, cache(read)
 
     def __getitem__(self, key: str) -> Any:
-        return self._read(key)
+        try:
+            return self._read(self._stored[key])
+        except ValueError as error:
+            raise ValueError(
+                f"{self._path}, trial {key}: {error}. No sweep has written that: take "
+                "an earlier copy of the file, or remove it to start anew."
+            ) from error
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._stored)
@@ -235,54 +220,15 @@ class _Read(Mapping[str, Any]):
         return len(self._stored)
 
 
-def _row(axes: Sequence[str], key: str, stored: Sequence[Any]) -> TrialRow:
-    named, where = dict(zip(_COLUMNS, stored, strict=True)), f"trials.{key}"
-    for name in _AS_JSON:
-        named[name] = _checked(f"{where}.{name}", _JSON, named[name])
-    row = _checked(where, _ROW, named)
-    for name, figure in row.figures.items():
-        if isinstance(figure, int) and abs(figure) > sys.float_info.max:
-            raise ValueError(f"{where}.figures.{name} is a number that is too large")
-    _of_key(axes, key, row.point)
-    return row
+def _row(stored: Sequence[Any]) -> TrialRow:
+    named = dict(zip(_COLUMNS, stored, strict=True))
+    return _ROW.validate_python(named | {k: json.loads(named[k]) for k in _AS_JSON})
 
 
-def _of_key(axes: Sequence[str], key: str, point: Point) -> Point:
-    if set(point) != set(axes) or Trial(point).key != key:
-        raise ValueError(
-            f"{key}.point is {shortened(repr(point))}, which is not the point of this "
-            "key"
-        )
-    return point
-
-
-@contextmanager
-def _as_written(path: Path) -> Iterator[None]:
-    """Name the file in errors about values that no sweep has written."""
-    try:
-        yield
-    except ValueError as error:
-        raise ValueError(
-            f"{path}: {error}. No sweep has written that: take an earlier copy of the "
-            "file, or remove it to start anew."
-        ) from error
-
-
-def _checked(where: str, kind: TypeAdapter, value: Any) -> Any:
-    """Convert a value, or a text of JSON, to a type."""
-    try:
-        return kind.validate_python(value)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join([where, *map(str, first["loc"])])
-        value = shortened(repr(first["input"]))
-        raise ValueError(f"{place} is {value}: {first['msg']}") from error
-
-
-def _open(database: str | Path, wait: float, **options: Any) -> sqlite3.Connection:
+def _open(database: str | Path, **options: Any) -> sqlite3.Connection:
     return sqlite3.connect(
         database,
-        timeout=wait,
+        timeout=WAIT_S,
         isolation_level=None,
         check_same_thread=False,  # a lock keeps out the thread of the timer
         **options,

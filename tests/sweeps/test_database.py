@@ -116,44 +116,25 @@ def test_a_full_disk_is_called_that(tmp_path, monkeypatch, n_trials):
         assert len(run_sweep(fat, points, path, workers=0).rows) == 3
 
 
+@pytest.mark.usefixtures("unchecked")  # a check of annotations asks for everything
 @pytest.mark.parametrize(
     ("statement", "message"),
     [
-        ("UPDATE trials SET state = 'great'", r"trials\.\w+\.state is 'great':"),
-        ("UPDATE trials SET figures = '{'", r"figures is '{':"),
-        ("UPDATE trials SET figures = '[1]'", r"figures is \[1\]:"),
-        ("UPDATE trials SET figures = '{\"x\": [1]}'", r"figures\.x\.\w+ is \[1\]:"),
-        (
-            f"UPDATE trials SET figures = '{{\"x\": 1{'0' * 400}}}'",
-            r"figures\.x .*too large",
-        ),
-        ("UPDATE trials SET notes = '3'", r"notes is 3:"),
-        ("UPDATE trials SET seconds = 'long'", r"seconds is 'long':"),
-        ("UPDATE trials SET worker = x'ff'", r"worker is b'\\xff':"),
-        ("UPDATE trials SET point = '{}'", r"point is \{\}, .*this key"),
-        (
-            'UPDATE trials SET point = \'{"E": 2, "kind": "u", "draw": 0}\'',
-            r"point is \{'E': 2, .*this key",
-        ),
-        ("UPDATE plan SET point = '7'", r"plan\.\w+\.point is 7:"),
-        ("UPDATE plan SET key = 'b'", r"b\.point is \{"),
-        ("DELETE FROM sweep", r"sweep\.name is None:"),
-        ("UPDATE sweep SET value = '[1]'", r"sweep\.name is \[1\]:"),
-        (f"UPDATE sweep SET value = '{'[' * 100_000}'", r"sweep\.name is '\[+\.\.\.:"),
+        ("UPDATE trials SET state = 'great'", "state.*great"),
+        ("UPDATE trials SET figures = '{'", "Expecting property name"),
+        ("UPDATE trials SET notes = '3'", "notes"),
+        ("UPDATE plan SET point = '{'", "Expecting property name"),
     ],
 )
-def test_a_database_that_was_edited_names_the_place(tmp_path, statement, message):
+def test_a_database_that_was_edited_names_the_trial(tmp_path, statement, message):
     path = tmp_path / "s.sqlite"
-    one(path)
+    (row,) = one(path).rows
     with sqlite3.connect(path) as file:
         file.execute(statement)
     file.close()
-    remedy = ".*earlier copy"
-    for use in (one, lambda path: read_sweep(path).groups()):
-        if use is one and statement.startswith(("UPDATE plan", "DELETE", "UPDATE sw")):
-            continue  # a sweep writes these anew
-        with pytest.raises(ValueError, match=rf"s\.sqlite: .*{message}{remedy}"):
-            use(path)
+    refused = rf"(?s)s\.sqlite, trial {row.key}: .*{message}.*earlier copy"
+    with pytest.raises(ValueError, match=refused):
+        read_sweep(path).groups()
 
 
 @pytest.mark.usefixtures("unchecked")  # a check of annotations asks for everything
@@ -163,7 +144,7 @@ def test_what_is_not_asked_for_is_not_parsed(tmp_path):
     *others, broken = rows_of(path)
     with sqlite3.connect(path) as file:
         file.execute("UPDATE trials SET figures = '{' WHERE key = ?", (broken.key,))
-        file.execute("UPDATE plan SET point = '7' WHERE key = ?", (broken.key,))
+        file.execute("UPDATE plan SET point = '{' WHERE key = ?", (broken.key,))
     file.close()
     result = read_sweep(path)
     assert result.headline.startswith("200 of 200 trials have ended")
@@ -172,7 +153,7 @@ def test_what_is_not_asked_for_is_not_parsed(tmp_path):
     assert [result.ended[row.key] for row in others] == others
     assert [result.planned[row.key] for row in others] == [r.point for r in others]
     for read in (lambda: result.ended[broken.key], lambda: result.rows):
-        with pytest.raises(ValueError, match=rf"{broken.key}\.figures is '\{{'"):
+        with pytest.raises(ValueError, match=f"trial {broken.key}: Expecting"):
             read()
 
 
