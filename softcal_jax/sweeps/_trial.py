@@ -16,9 +16,6 @@ from softcal_jax._typing import HostArray
 
 Point = dict[str, Any]
 
-_MOST_POINTS = 2**62
-"""Points of a grid that whole numbers of 64 bits can count."""
-
 
 @dataclass(frozen=True)
 class Range:
@@ -157,11 +154,6 @@ def sample(
             raise ValueError(
                 f"the axes have {total} different points, so {n} cannot be "
                 "sampled; ask for fewer, or for the whole grid."
-            )
-        if total > _MOST_POINTS:
-            raise ValueError(
-                f"the axes have more than {_MOST_POINTS:.3g} different points, too "
-                "many to number; leave an axis out, or give fewer values."
             )
         chosen = np.sort(random.choice(total, n, replace=False))
         return Points(lists, np.array(np.unravel_index(chosen, sizes)).T)

@@ -8,7 +8,7 @@ from anisotropic_project import write_anisotropic_project
 from small_project import write_small_project
 
 from softcal_jax.project import ProjectError, load_project
-from softcal_jax.sweeps import _calibration, load_sweep, sample
+from softcal_jax.sweeps import _calibration, load_sweep
 
 HEAD = 'project = "project.toml"\n'
 
@@ -256,13 +256,6 @@ def test_a_project_file_with_a_similar_name_is_proposed(tmp_path):
     (tmp_path / "projects.toml").touch()
     with pytest.raises(FileNotFoundError, match=r"mean 'projects\.toml'"):
         load_sweep(path)
-
-
-def test_a_sample_of_a_grid_too_large_to_number():
-    axes = {name: range(10**5) for name in "abcd"}
-    with pytest.raises(ValueError, match=r"more than 4\.61e\+18 .*points"):
-        sample(axes, 3)
-    assert len(sample({"a": range(10**5), "b": range(10**5)}, 3)) == 3
 
 
 def test_nothing_measured(beam):
