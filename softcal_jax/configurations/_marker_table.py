@@ -1,7 +1,6 @@
 """Positions of markers from a file, and their registration to the frame of the mesh."""
 
 import os
-import warnings
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -49,8 +48,7 @@ def register(
     camera frame and `nominal` in the mesh frame [m].
 
     Raises:
-        ValueError: If there are not three finite markers in both that span a triangle,
-            or the two sets are so unlike that no rotation is best.
+        ValueError: If there are not three finite markers in both that span a triangle.
     """
     measured, nominal = np.asarray(measured, float), np.asarray(nominal, float)
     if measured.shape != nominal.shape or measured.ndim != 2 or measured.shape[1] != 3:
@@ -66,15 +64,7 @@ def register(
     centre_m, centre_n = measured.mean(axis=0), nominal.mean(axis=0)
     for kind, points in (("measured", measured), ("nominal", nominal)):
         _check_spread(kind, points)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", UserWarning)
-            turn, *_ = Rotation.align_vectors(nominal - centre_n, measured - centre_m)
-    except UserWarning as error:
-        raise ValueError(
-            "no rotation takes the measured markers best onto the nominal ones: check "
-            "that both list the same markers in the same order."
-        ) from error
+    turn, *_ = Rotation.align_vectors(nominal - centre_n, measured - centre_m)
     R = turn.as_matrix()
     t = centre_n - R @ centre_m
     return Registration(R, t, measured @ R.T + t - nominal)

@@ -10,14 +10,6 @@ Q, T = Rotation.random(rng=1).as_matrix(), np.array([1.2, -0.7, 3.1])
 # What the cameras see: the registration has to undo this motion.
 SEEN = (NOMINAL - T) @ Q
 LINE = np.outer(np.arange(4.0), T)
-# One is wide where the other is narrow: every turn about x fits as badly.
-UNLIKE = np.array(
-    [
-        [[-3, 1, 0], [-1, -1, 0], [1, -1, 0], [3, 1, 0]],
-        [[-3, 0, -1], [-1, 0, 3], [1, 0, -3], [3, 0, 1]],
-    ],
-    float,
-)
 
 
 def test_recovers_a_rigid_motion():
@@ -68,7 +60,6 @@ def test_noise_is_not_fitted_better_than_it_can_be():
         (LINE, NOMINAL[:4], "measured .*at least three"),
         (SEEN[:4], np.tile(T, (4, 1)), "nominal .*on a line"),
         (np.tile(T, (4, 1)), NOMINAL[:4], "measured .*on a line"),
-        (UNLIKE[0], UNLIKE[1], "no rotation .*same order"),
     ],
 )
 def test_bad_registration(seen, nominal, message):
