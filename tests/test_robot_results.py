@@ -33,7 +33,6 @@ from softcal_jax.export import (
     result_dict,
     write_effectors_csv,
     write_robot_csv,
-    write_robot_vtu,
 )
 from softcal_jax.plotting import rendering_problem
 from softcal_jax.plotting._colours import CABLE, FORCE, MOTOR, WALL
@@ -166,8 +165,6 @@ def test_robot_vtu(robot):
     np.testing.assert_allclose(first, turned, atol=1e-9)
     body = meshio.read(robot[1] / "up.vtu").point_data["rigid_body"]
     assert sorted(set(body)) == [0.0, 1.0, 2.0]
-    with pytest.raises(ValueError, match=r"\.vtu.*'a\.vtk'"):
-        write_robot_vtu("a.vtk", robot[0].model, fit_with_robot().robot)
 
 
 @needs_opengl

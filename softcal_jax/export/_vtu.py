@@ -50,11 +50,10 @@ def write_vtu(
     rigid body plus 1, 0 for soft points.
 
     Raises:
-        ValueError: If the name does not end in .vtu, or the shape is wrong.
+        ValueError: If the shape is wrong.
     """
     import pyvista
 
-    path = _ending_in(".vtu", path)
     mesh = model.mesh
     u = np.asarray(displacement, float)
     if u.shape != mesh.points.shape:
@@ -92,14 +91,10 @@ def write_robot_vtu(path: str | Path, model: Model, state: RobotState) -> None:
     `rigid_body` (index in the model plus 1, 0 for none), `lambda_a` and `delta_a` in
     SI. Per vertex: `arrow`, the axis of a motor or direction of a force, and `axis_1`
     to `axis_3`, the axes of a rigid body's frame [-].
-
-    Raises:
-        ValueError: If the name does not end in .vtu.
     """
     import pyvista
     from pyvista import CellType
 
-    path = _ending_in(".vtu", path)
     mechanism, first = model.mechanism, model.mesh.n_nodes
     rest = np.asarray(mechanism.points)
     moved = rest + state.displacement
@@ -153,11 +148,7 @@ def write_pvd(path: str | Path, files: Sequence[Sequence[str]]) -> None:
     Each configuration is a time, 0, 1, 2 and so on, and its files, relative to the
     folder of `path`, are parts. (VTK has no writer for this format; see "ParaView file
     formats" in its documentation.)
-
-    Raises:
-        ValueError: If the name does not end in .pvd.
     """
-    path = _ending_in(".pvd", path)
     version = {"type": "Collection", "version": "0.1", "byte_order": "LittleEndian"}
     root = ElementTree.Element("VTKFile", version)
     collection = ElementTree.SubElement(root, "Collection")
@@ -170,17 +161,12 @@ def write_pvd(path: str | Path, files: Sequence[Sequence[str]]) -> None:
     tree.write(path, encoding="utf-8", xml_declaration=True)
 
 
-def _save(path: Path, grid: "pyvista.UnstructuredGrid") -> None:
+def _save(path: str | Path, grid: "pyvista.UnstructuredGrid") -> None:
     grid.save(path)
-    if not path.exists():  # VTK removes what it could not finish, and only prints it
+    if not Path(
+        path
+    ).exists():  # VTK removes what it could not finish, and only prints it
         raise OSError(f"{path} could not be written: is the disk full?")
-
-
-def _ending_in(suffix: str, path: str | Path) -> Path:
-    path = Path(path)
-    if path.suffix != suffix:
-        raise ValueError(f"the file name must end in {suffix}, got {path.name!r}.")
-    return path
 
 
 def _add(
