@@ -100,10 +100,6 @@ class Points(Sequence[Point]):
         """Values of the axes, none of which is a range."""
         return [v for v in self.axes.values() if not isinstance(v, Range)]
 
-    def __eq__(self, other: object) -> bool:
-        """Compare with other points, or a list of them."""
-        return isinstance(other, Sequence) and list(self) == list(other)
-
 
 def grid(axes: Mapping[str, Sequence[Any] | Range]) -> Points:
     """List every combination of the values of each axis; the last varies fastest.
