@@ -1,5 +1,6 @@
 """Tables of texts: as lines, for a terminal, and for a page."""
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -85,6 +86,11 @@ def text_table(
         for row in rows
     )
     return TextTable(title, tuple(columns), tuple(cells), tuple(words))
+
+
+def or_dash(value: float, form: str, unit: str = "") -> str:
+    """Write a number, as a dash where there is none."""
+    return "-" if math.isnan(value) else f"{value:{form}} {unit}".rstrip()
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:

@@ -7,7 +7,7 @@ from scipy.special import stdtrit
 
 from softcal_jax._module import Module, Result
 from softcal_jax._names import listed
-from softcal_jax._text_table import TextTable, text_table
+from softcal_jax._text_table import TextTable, or_dash, text_table
 from softcal_jax.identifiability import Identifiability
 
 LEVEL_OF_COMPARISON = 0.95
@@ -248,11 +248,11 @@ class ModelComparison(Result):
                 (
                     model.name,
                     str(model.n_parameters),
-                    _number(1e3 * model.held_out_rms, ".4g"),
-                    _number(model.held_out_noise_rms, ".2f"),
+                    or_dash(1e3 * model.held_out_rms, ".4g"),
+                    or_dash(model.held_out_noise_rms, ".2f"),
                     _plus_minus(model.score, model.standard_error),
                     _plus_minus(worse.difference, worse.half_width) if worse else "-",
-                    _number(1e3 * model.fit_rms, ".4g"),
+                    or_dash(1e3 * model.fit_rms, ".4g"),
                     failed if model.failed else "none",
                 )
             )
@@ -263,10 +263,6 @@ def _plus_minus(value: float, error: float) -> str:
     if np.isnan(value):
         return "-"
     return f"{value:.3g} +- {error:.2g}" if np.isfinite(error) else f"{value:.3g}"
-
-
-def _number(value: float, form: str) -> str:
-    return "-" if np.isnan(value) else format(value, form)
 
 
 def _root_mean(values: Sequence[float]) -> float:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from softcal_jax._names import listed
-from softcal_jax._text_table import STYLES, Cell, TextTable, Tone, text_table
+from softcal_jax._text_table import STYLES, Cell, TextTable, Tone, or_dash, text_table
 from softcal_jax._units import readable
 from softcal_jax.calibration import (
     CalibrationResult,
@@ -103,12 +103,13 @@ def error_tables(
     for fit in fits:
         lengths = fit.rms_before, fit.rms_after, fit.motion
         before, after, moved = map(distance, lengths)
-        share = "-" if math.isnan(fit.rms_share) else f"{100.0 * fit.rms_share:.1f} %"
+        share = or_dash(100.0 * fit.rms_share, ".1f", "%")
         first = (fit.name, fit.role)
         points.append((*first, before, Cell(after, "strong"), moved, share))
         if math.isfinite(fit.turn_after):
-            turned = Cell(_angle(fit.turn_after), "strong")
-            turns.append((*first, _angle(fit.turn_before), turned))
+            angles = np.degrees([fit.turn_before, fit.turn_after])
+            before, after = (or_dash(angle, ".2f", "deg") for angle in angles)
+            turns.append((*first, before, Cell(after, "strong")))
     shown = []
     if any(fit.points for fit in fits):
         shown.append(text_table("Rms distance of the markers", columns, points))
@@ -204,19 +205,15 @@ def _correlation_table(outlook: Identifiability) -> TextTable:
     C = outlook.correlation
     if len(names) <= MOST_CORRELATED:
         named = zip(names, C, strict=True)
-        rows = [(name, *map(_correlation, row)) for name, row in named]
+        rows = [(name, *(or_dash(c, ".2f") for c in row)) for name, row in named]
         return text_table("Correlation", ("parameter", *names), rows)
     i, j = np.triu_indices(len(names), 1)
     strength = np.nan_to_num(np.abs(C[i, j]), nan=-1.0)
     first = np.argsort(-strength, kind="stable")[:MOST_PAIRS]
     pairs = zip(i[first], j[first], strict=True)
-    rows = [(names[a], names[b], _correlation(float(C[a, b]))) for a, b in pairs]
+    rows = [(names[a], names[b], or_dash(float(C[a, b]), ".2f")) for a, b in pairs]
     columns = "parameter", "of", "correlation"
     return text_table(f"The {MOST_PAIRS} strongest correlations", columns, rows)
-
-
-def _correlation(value: float) -> str:
-    return f"{value:.2f}" if math.isfinite(value) else "-"
 
 
 def _singular_value_table(outlook: Identifiability) -> TextTable:
@@ -231,16 +228,12 @@ def history_table(result: CalibrationResult) -> TextTable:
     """Tabulate the steps of the fit."""
     rows = []
     for entry in result.history:
-        rms = "-" if math.isnan(entry.rms) else f"{1e3 * entry.rms:.4g} mm"
+        rms = or_dash(1e3 * entry.rms, ".4g", "mm")
         size = f"{max(map(abs, entry.lambda_p)):.2g}" if entry.step else "-"
         outcome = "taken" if entry.accepted else Cell("refused", "doubtful")
         rows.append((str(entry.step), f"{entry.cost:.4g}", rms, size, outcome))
     columns = "step", "cost", "rms marker distance", "largest lambda_p", "outcome"
     return text_table("Steps of the fit", columns, rows)
-
-
-def _angle(radians: float) -> str:
-    return "-" if math.isnan(radians) else f"{math.degrees(radians):.2f} deg"
 
 
 def summary_table(

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from softcal_jax._text_table import Cell, TextTable, Tone, text_table
+from softcal_jax._text_table import Cell, TextTable, Tone, or_dash, text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import ConfigurationResult, SimulationResult
 from softcal_jax.configurations import EffectorRecord
@@ -110,4 +110,4 @@ def _length(vector: Float[HostArray, "3"]) -> float:
 
 def distance(metres: float) -> str:
     """Write a distance in millimetres."""
-    return "-" if math.isnan(metres) else f"{1e3 * metres:.2f} mm"
+    return or_dash(1e3 * metres, ".2f", "mm")
