@@ -38,6 +38,15 @@ def check_unique(kind: str, names: Sequence[str]) -> None:
             )
 
 
+def parse_axes(axes: str) -> list[int]:
+    """Return the indices of the axes in a word like "xz"."""
+    if not axes or set(axes) - set("xyz") or len(set(axes)) != len(axes):
+        raise ValueError(
+            f'axes must be some of "xyz", each once, like "xz"; got {axes!r}.'
+        )
+    return ["xyz".index(letter) for letter in axes]
+
+
 def listed(names: Sequence[str]) -> str:
     """Join names as in a sentence: "a, b and c"."""
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))

@@ -7,12 +7,11 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module
-from softcal_jax._names import check_unique
+from softcal_jax._names import check_unique, parse_axes
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax._units import readable
 from softcal_jax.bodies import as_floats
 from softcal_jax.configurations._effector import EffectorRow, Unstated
-from softcal_jax.configurations._supports import parse_axes
 from softcal_jax.mesh import TetMesh, locate, volumes
 
 STD = Unstated(1e-3)

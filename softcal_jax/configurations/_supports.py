@@ -3,20 +3,11 @@
 import numpy as np
 
 from softcal_jax._module import Module
+from softcal_jax._names import parse_axes
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.bodies import KINDS, three_numbers
 from softcal_jax.configurations._mechanism import Mechanism
 from softcal_jax.mesh import TetMesh, node_indices, surface_shares
-
-
-def parse_axes(axes: str) -> list[int]:
-    """Return the indices of the axes in a word like "xz"."""
-    if not axes or set(axes) - set("xyz") or len(set(axes)) != len(axes):
-        raise ValueError(
-            'axes must be made of the letters x, y, z, like "xyz" or "z", '
-            f"got {axes!r}."
-        )
-    return ["xyz".index(letter) for letter in axes]
 
 
 class Support(Module):

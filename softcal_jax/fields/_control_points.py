@@ -11,10 +11,8 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module
+from softcal_jax._names import parse_axes
 from softcal_jax._typing import Array, Float, HostArray
-
-AXES = "xyz"
-
 
 Places = (
     Float[ArrayLike, "n_cp 3"]
@@ -52,7 +50,7 @@ class ControlPoints(Module):
     names: tuple[str, ...] = eqx.field(static=True, default=(), converter=tuple)
     power: float = eqx.field(static=True, default=2.0, converter=float)
     nearest: int | None = eqx.field(static=True, default=None)
-    axes: str = eqx.field(static=True, default=AXES)
+    axes: str = eqx.field(static=True, default="xyz")
     max_distance: float | None = eqx.field(static=True, default=None)
 
     def __post_init__(self):
@@ -81,11 +79,6 @@ class ControlPoints(Module):
                 f"{len(x)} control points need as many different names, got "
                 f"{', '.join(self.names)}."
             )
-        known = set(self.axes) <= set(AXES)
-        if not self.axes or not known or len(set(self.axes)) < len(self.axes):
-            raise ValueError(
-                f'axes must be some of "xyz", each once, like "xz"; got {self.axes!r}.'
-            )
         if not (np.isfinite(self.power) and self.power > 0.0):
             raise ValueError(
                 f"power must be positive and finite, got {self.power:g}: with 0 every "
@@ -106,7 +99,7 @@ class ControlPoints(Module):
                 f"control point {self.names[bad[0]]!r} lies at {x[bad[0]]}: expected "
                 "three finite numbers [m]."
             )
-        x = x[:, self.columns]
+        x = x[:, self.columns]  # `columns` checks the axes
         size = max(float(np.abs(x).max()), np.finfo(float).tiny)
         gaps = np.linalg.norm(x[:, None] - x[None], axis=2)
         for i, j in np.argwhere(np.triu(gaps <= 1e-9 * size, k=1)):
@@ -119,7 +112,7 @@ class ControlPoints(Module):
     @property
     def columns(self) -> list[int]:
         """Columns of a position that count for the distance."""
-        return [AXES.index(axis) for axis in self.axes]
+        return parse_axes(self.axes)
 
     def weights(
         self, points: Float[ArrayLike, "n_points 3"]

@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from softcal_jax._names import unknown_name
+from softcal_jax._names import parse_axes, unknown_name
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.configurations import Configuration
@@ -137,8 +137,7 @@ def _places(mesh: TetMesh, region: str | None, axes: str, n: int) -> _Places:
     step = 1e-9 * max(float(away.max()), mesh.size)
     keys = np.round(np.column_stack([away, x]) / step)
     order = np.lexsort(keys.T[::-1])
-    columns = ["xyz".index(axis) for axis in axes]
-    along = x[order][:, columns]
+    along = x[order][:, parse_axes(axes)]
     size = float(np.linalg.norm(np.ptp(along, axis=0)))
     return _Places(tets[order], x[order], along, max(size, 1e-12 * mesh.size))
 

@@ -76,8 +76,6 @@ def run_part(
     _, rests_on = about_sweep(function, trials, name, repeats, seed, definitions)
     mark = json.dumps({**rests_on, "points": _digest(points), "parts": of}).encode()
     folder = Path(folder)
-    if folder.exists() and not folder.is_dir():
-        raise NotADirectoryError(f"{folder} is a file; parts need a folder.")
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"part-{part:0{len(str(of - 1))}d}-of-{of}.parquet"
     run = rows_of(function, workers, cores_per_worker, scheduler)
@@ -121,17 +119,10 @@ def _digest(points: Points) -> str:
 
 def _check_folder(folder: Path, mark: bytes) -> None:
     """Raise ValueError if the folder holds something else than parts of this sweep."""
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
     other = next(folder.glob("part-*.parquet"), None)
-    if other is None:
-        return
-    try:
-        metadata = pq.read_schema(other).metadata or {}
-    except pa.ArrowException as error:
-        raise ValueError(f"{other} is no part of a sweep ({error}).") from error
-    if metadata.get(_ABOUT) != mark:
+    if other and (pq.read_schema(other).metadata or {}).get(_ABOUT) != mark:
         raise ValueError(
             f"{other} is a part of another sweep: its project, points, seed or number "
             "of parts differ. Give another folder."

@@ -100,7 +100,8 @@ def local_rows(
         while waiting or any(worker.trial for worker in workers):
             for worker in workers:
                 worker.give(waiting)
-            for worker in _speaking(workers):
+            heard = wait([worker.connection for worker in workers])
+            for worker in [w for w in workers if w.connection in heard]:
                 said = worker.hear()
                 if isinstance(said, TrialRow):
                     failed_starts = 0
@@ -121,12 +122,6 @@ def local_rows(
     finally:
         for worker in workers:
             worker.stop()
-
-
-def _speaking(workers: Sequence["_Worker"]) -> list["_Worker"]:
-    """Wait for workers that have sent something or died."""
-    heard = wait([worker.connection for worker in workers])
-    return [worker for worker in workers if worker.connection in heard]
 
 
 class _Worker:

@@ -28,7 +28,7 @@ def undisturbed(tmp_path_factory):
 
 def test_every_trial_is_a_row(undisturbed):
     assert len(undisturbed.rows) == len(cheap.POINTS) == 24
-    assert [row.point for row in undisturbed.rows] == cheap.POINTS
+    assert [row.point for row in undisturbed.rows] == [*cheap.POINTS]
     assert not undisturbed.missing
     failed = undisturbed.of_state("failed")
     assert [row.point["draw"] for row in failed] == [3, 3]
