@@ -163,9 +163,7 @@ def write_pvd(path: str | Path, files: Sequence[Sequence[str]]) -> None:
 
 def _save(path: str | Path, grid: "pyvista.UnstructuredGrid") -> None:
     grid.save(path)
-    if not Path(
-        path
-    ).exists():  # VTK removes what it could not finish, and only prints it
+    if not Path(path).exists():  # VTK removes what it could not finish, and prints it
         raise OSError(f"{path} could not be written: is the disk full?")
 
 
