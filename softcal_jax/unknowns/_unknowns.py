@@ -174,10 +174,8 @@ def _of_fields(setting: Setting) -> Iterator[Unknown]:
     for path, kind in constants_of(model):
         if not kind.uncertain:
             continue
-        name, value = (
-            path.rpartition(".")[2],
-            np.asarray(find_field(model, path)(model)),
-        )
+        name = path.rpartition(".")[2]
+        value = np.asarray(find_field(model, path)(model))
         share = _share_not_fitted(setting, name)
         room = 0.5 * (kind.most - float(np.max(value)))
         std = min(getattr(setting.uncertain, kind.uncertain), room)
