@@ -290,11 +290,12 @@ def _by_profile(
             f"the intervals of {names} by profile likelihood, some fits for each "
             f"(the calibration took {result.history[-1].seconds:.0f} s)"
         )
+        problem, poses = fitted.problem, fitted.configurations
         profile_ends(
-            fitted.problem,
+            problem,
             result.settings,
             z=result.z,
-            linear=fitted.evaluation.linear(*fitted[1:3], result.z),
+            linear=fitted.evaluation.linear(problem, poses, result.z),
             rise=rise,
             which=which,
             ended=keep,
