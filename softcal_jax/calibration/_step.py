@@ -141,13 +141,12 @@ def initial_state(
     least_fall: float = SMALLEST_FALL,
 ) -> CalibrationState:
     """Return the state before the first step."""
-    costs = jnp.full((MEMORY,), -jnp.inf, z.dtype)
-    no_curvature = jnp.zeros((z.shape[0], z.shape[0]), z.dtype)
+    none = jnp.zeros((len(z), len(z)), z.dtype)
     return CalibrationState(
         z=z,
         evaluation=evaluation,
-        curvature=Curvature(no_curvature, jnp.zeros((), bool)),
-        recent_costs=costs.at[0].set(evaluation.cost),
+        curvature=Curvature(none, jnp.zeros((), bool)),
+        recent_costs=jnp.full(MEMORY, -jnp.inf, z.dtype).at[0].set(evaluation.cost),
         step_bound=jnp.full((), settings.step_bound, z.dtype),
         lambda_p=jnp.full_like(z, jnp.inf),
         kkt_residual=jnp.zeros((), z.dtype),
@@ -350,8 +349,7 @@ def decide(
     vanished = proposal.vanishes & tried.ok & ((size <= settings.tol) | no_harm)
     accepted = tried.ok & (lowered | vanished | (not settings.adapt))
     if settings.adapt:
-        most = jnp.maximum(bound, settings.max_step_bound)
-        grown = jnp.minimum(2.0 * bound, most)
+        grown = jnp.minimum(2.0 * bound, jnp.maximum(bound, settings.max_step_bound))
         grown = jnp.where((gain > 0.75) & at_bound, grown, bound)
         bound = jnp.where(accepted, grown, 0.25 * size)
         curvature = _after(space, state, proposal, tried)
