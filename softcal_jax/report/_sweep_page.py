@@ -21,10 +21,25 @@ from softcal_jax.report._html import (
     table_html,
 )
 from softcal_jax.report._verdict import RunVerdict
-from softcal_jax.sweeps import Sweep, SweepResult, SweepSummary, SweptAxis, summarise
+from softcal_jax.sweeps import (
+    Sweep,
+    SweepResult,
+    SweptAxis,
+    best_trials,
+    doubts,
+    figures_of_the_robot,
+    notes_of_trials,
+    spread_table,
+    swept_axes,
+    tabulated,
+    varied_table,
+)
 
 KIND = "Sweep"
 """What the page says was done; an earlier page of a sweep is recognised by it."""
+
+MOST_TRIALS, MOST_CHARTED = 100, 6
+"""Most trials in the table of all, and most figures drawn against each axis."""
 
 
 def sweep_page_of(database: str | os.PathLike[str]) -> Path:
@@ -93,27 +108,29 @@ def _sweep_page(
     sweep: Sweep | None,
     timing_s: Mapping[str, float],
 ) -> str:
-    summary = summarise(result)
     made = made_dict(None if sweep is None else sweep.made, database.parent)
     data = {**made, "timing_s": timing_s, "files": [database.name]}
     files = [] if sweep is None else [file_dict(sweep.file, database.parent)]
+    figures = figures_of_the_robot(result)
     best, means, spread, trials = [], [], [], []
-    if summary.best is not None:
-        best = [node("p", summary.best_in_words), table_html(summary.best)]
-    if summary.groups:
+    if found := best_trials(result):
+        best = [node("p", found[0]), table_html(found[1])]
+    groups = result.groups()
+    if any(len(group.rows) > 1 for group in groups):
         text = "Mean ± standard deviation over the trials that converged."
-        means = [node("p", text), table_html(summary.groups)]
+        table = tabulated("Means", result, figures, groups)
+        means = [node("p", text), table_html(table)]
     if result.rows:
-        trials = _trials(summary)
+        trials = _trials(result, figures)
         spread = [node("p", "No trial has converged: there is nothing to average.")]
-    if summary.spread.rows:
-        spread = [table_html(summary.spread)]
-    named = enumerate(summary.axes)
+    if (table := spread_table(result)).rows:
+        spread = [table_html(table)]
+    named = enumerate(swept_axes(result, figures[:MOST_CHARTED]))
     axes = [Section(f"axis{k}", f"By {axis.name}", [_drawn(axis)]) for k, axis in named]
     again = f"{REPEATED}.sqlite"
     sections = [
-        Section("notes", "Notes", [bullets(summary.notes)]),
-        Section("varied", "What was varied", [table_html(summary.varied)]),
+        Section("notes", "Notes", [bullets(notes_of_trials(result))]),
+        Section("varied", "What was varied", [table_html(varied_table(result))]),
         Section("best", "Best trials", best),
         Section("means", "Means over repetitions", means),
         Section("spread", "Spread of all trials", spread),
@@ -121,7 +138,10 @@ def _sweep_page(
         Section("trials", "All trials", trials),
         *closing("sweep", data, [made["source"]], files=files, out=again),
     ]
-    verdict = RunVerdict(summary.headline, summary.tone, summary.doubts)
+    good = len(result.of_state("converged"))
+    bad = len(result.rows) - good
+    tone = "plain" if not bad else "doubtful" if good else "bad"
+    verdict = RunVerdict(result.headline, tone, tuple(doubts(result)))
     return page(result.name, KIND, verdict, sections, index=database.name, units="SI")
 
 
@@ -134,11 +154,12 @@ def _drawn(axis: SweptAxis) -> Html:
         return figure(picture(path, what), f"{what}: one dot per trial.")
 
 
-def _trials(summary: SweepSummary) -> list[Html]:
+def _trials(result: SweepResult, figures: tuple[str, ...]) -> list[Html]:
     words = []
-    if summary.more_trials:
-        more = "more are in the database; softcal sweep show lists all of them with"
-        words.append(f"{summary.more_trials} {more} --all.")
-    if summary.not_drawn:
-        words.append(f"In this table, and not drawn: {', '.join(summary.not_drawn)}.")
-    return [table_html(summary.trials), *sentences(words)]
+    if (more := len(result.rows) - MOST_TRIALS) > 0:
+        text = "more are in the database; softcal sweep show lists all of them with"
+        words.append(f"{more} {text} --all.")
+    if not_drawn := figures[MOST_CHARTED:]:
+        words.append(f"In this table, and not drawn: {', '.join(not_drawn)}.")
+    table = tabulated("Trials", result, figures, result.rows[:MOST_TRIALS])
+    return [table_html(table), *sentences(words)]

@@ -12,13 +12,19 @@ from softcal_jax.sweeps._result import Group as Group, SweepResult as SweepResul
 from softcal_jax.sweeps._row import Outcome as Outcome, TrialRow as TrialRow
 from softcal_jax.sweeps._run import run_sweep as run_sweep
 from softcal_jax.sweeps._summary import (
-    SweepSummary as SweepSummary,
     SweptAxis as SweptAxis,
-    summarise as summarise,
+    best_trials as best_trials,
+    doubts as doubts,
+    figures_of_the_robot as figures_of_the_robot,
+    notes_of_trials as notes_of_trials,
+    spread_table as spread_table,
+    swept_axes as swept_axes,
+    varied_table as varied_table,
 )
 from softcal_jax.sweeps._tables import (
     plot_sweep as plot_sweep,
     sweep_table as sweep_table,
+    tabulated as tabulated,
     write_sweep_csv as write_sweep_csv,
 )
 from softcal_jax.sweeps._trial import (

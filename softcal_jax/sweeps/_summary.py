@@ -1,4 +1,4 @@
-"""A sweep in tables of texts, and the numbers of its charts, for a page."""
+"""A sweep in sentences and tables, and the numbers of its charts, for a page."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -7,11 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softcal_jax._module import one_line
-from softcal_jax._text_table import TextTable, Tone, text_table
+from softcal_jax._text_table import TextTable, text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.sweeps._calibration import FIT, HELD_OUT, is_of_the_fit
 from softcal_jax.sweeps._result import SweepResult, figure_values
-from softcal_jax.sweeps._row import TrialRow
 from softcal_jax.sweeps._tables import (
     default_figures,
     mean_text,
@@ -20,11 +19,8 @@ from softcal_jax.sweeps._tables import (
 )
 from softcal_jax.sweeps._trial import describe, is_number, shown
 
-MOST_BEST, MOST_TRIALS, MOST_VALUES = 5, 100, 8
-"""Most trials among the best, in the table of all, and most values of an axis."""
-
-MOST_CHARTED = 6
-"""Most figures that are drawn against each axis."""
+MOST_BEST, MOST_VALUES = 5, 8
+"""Most trials among the best, and most values of an axis."""
 
 
 class SweptAxis(NamedTuple):
@@ -43,69 +39,7 @@ class SweptAxis(NamedTuple):
     __repr__ = one_line
 
 
-class SweepSummary(NamedTuple):
-    """A sweep as a page shows it. Means and charts are of trials that converged.
-
-    Attributes:
-        headline: How many trials have ended, and how.
-        tone: How good or bad that is.
-        doubts: What failed, did not converge or is left to do.
-        notes: Notes of trials that converged, each with the number of such trials.
-        varied: What was varied.
-        best: Trials with the smallest error; None if there are none with an error.
-        best_in_words: The smallest error, and the point at which it is.
-        spread: Spread of each figure over all trials.
-        groups: Means over repetitions, for each point; None without repetitions.
-        trials: All trials, or the first `MOST_TRIALS`.
-        more_trials: How many trials are not in that table.
-        axes: Values and figures to draw, for each axis.
-        not_drawn: Names of figures that are not drawn.
-    """
-
-    headline: str
-    tone: Tone
-    doubts: tuple[str, ...]
-    notes: tuple[str, ...]
-    varied: TextTable
-    best: TextTable | None
-    best_in_words: str
-    spread: TextTable
-    groups: TextTable | None
-    trials: TextTable
-    more_trials: int
-    axes: tuple[SweptAxis, ...]
-    not_drawn: tuple[str, ...]
-
-    __repr__ = one_line
-
-
-def summarise(result: SweepResult) -> SweepSummary:
-    """Summarise a sweep, finished or not."""
-    good = result.of_state("converged")
-    figures = _figures_of_the_robot(result)
-    bad = len(result.rows) - len(good)
-    groups = result.groups()
-    repeated = any(len(group.rows) > 1 for group in groups)
-    tone: Tone = "doubtful" if bad else "plain"
-    best, best_in_words = _best(result, figures)
-    return SweepSummary(
-        headline=result.headline,
-        tone="bad" if bad and not good else tone,
-        doubts=tuple(_doubts(result, bad)),
-        notes=_notes(good),
-        varied=_varied(result),
-        best=best,
-        best_in_words=best_in_words,
-        spread=_spread(result),
-        groups=tabulated("Means", result, figures, groups) if repeated else None,
-        trials=tabulated("Trials", result, figures, result.rows[:MOST_TRIALS]),
-        more_trials=max(0, len(result.rows) - MOST_TRIALS),
-        axes=tuple(_swept(result, good, figures[:MOST_CHARTED])),
-        not_drawn=figures[MOST_CHARTED:],
-    )
-
-
-def _figures_of_the_robot(result: SweepResult) -> tuple[str, ...]:
+def figures_of_the_robot(result: SweepResult) -> tuple[str, ...]:
     """Pick the figures that describe the robot, the error of the prediction first."""
     figures = [name for name in default_figures(result) if not is_of_the_fit(name)]
     if HELD_OUT in figures:  # the fit is no test of the model
@@ -113,8 +47,9 @@ def _figures_of_the_robot(result: SweepResult) -> tuple[str, ...]:
     return tuple(figures)
 
 
-def _doubts(result: SweepResult, bad: int) -> Iterator[str]:
-    if bad:
+def doubts(result: SweepResult) -> Iterator[str]:
+    """Say what failed, did not converge or is left to do."""
+    if bad := len(result.rows) - len(result.of_state("converged")):
         what = "trial" if bad == 1 else "trials"
         yield (
             f"{bad} {what} failed or did not converge, and count in no mean, chart or "
@@ -126,13 +61,16 @@ def _doubts(result: SweepResult, bad: int) -> Iterator[str]:
         yield f"{left} {what} left to do: the same command goes on from here."
 
 
-def _notes(rows: Sequence[TrialRow]) -> tuple[str, ...]:
+def notes_of_trials(result: SweepResult) -> tuple[str, ...]:
+    """Return the notes of trials that converged, each with the number of these."""
+    rows = result.of_state("converged")
     counts = Counter(note for row in rows for note in row.notes)
     many = lambda n: "1 trial" if n == 1 else f"{n} trials"
     return tuple(f"{note} ({many(n)})" for note, n in counts.items())
 
 
-def _varied(result: SweepResult) -> TextTable:
+def varied_table(result: SweepResult) -> TextTable:
+    """Tabulate the axes, with their values."""
     points = [*result.planned.values(), *(row.point for row in result.rows)]
     rows = []
     for axis in result.axes:
@@ -148,13 +86,16 @@ def _varied(result: SweepResult) -> TextTable:
     return text_table("Axes", ("axis", "kind", "values", "which"), rows)
 
 
-def _best(
-    result: SweepResult, figures: tuple[str, ...]
-) -> tuple[TextTable | None, str]:
-    """Rank trials by the error of the prediction, or else by the error of the fit."""
+def best_trials(result: SweepResult) -> tuple[str, TextTable] | None:
+    """Rank trials by the error of the prediction, or else by the error of the fit.
+
+    Returns:
+        The smallest error and its point in words, and a table; None without errors.
+    """
+    figures = figures_of_the_robot(result)
     error = next((name for name in (HELD_OUT, FIT) if name in figures), None)
     if error is None:
-        return None, ""
+        return None
     values = figure_values(result.rows, error)
     order = [
         int(i) for i in np.argsort(values, kind="stable") if values[i] == values[i]
@@ -165,10 +106,10 @@ def _best(
     value = f"{factor * values[order[0]]:.4g} {unit.rstrip(']')}".rstrip()
     where = describe(ranked[0].point)
     sentence = f"The lowest {words} of {len(order)} trials is {value}, at {where}."
-    return tabulated("Best trials", result, figures, ranked), sentence
+    return sentence, tabulated("Best trials", result, figures, ranked)
 
 
-def _spread(result: SweepResult) -> TextTable:
+def spread_table(result: SweepResult) -> TextTable:
     """Tabulate each figure over all trials that converged."""
     rows = []
     for figure in default_figures(result):
@@ -180,10 +121,9 @@ def _spread(result: SweepResult) -> TextTable:
     return text_table("Figures of the trials", head, rows)
 
 
-def _swept(
-    result: SweepResult, good: Sequence[TrialRow], figures: Sequence[str]
-) -> Iterator[SweptAxis]:
-    drawn = {}
+def swept_axes(result: SweepResult, figures: Sequence[str]) -> Iterator[SweptAxis]:
+    """Yield values and figures to draw, for each axis on which there is any to see."""
+    good, drawn = result.of_state("converged"), {}
     for figure in figures:
         factor, label = readable_figure(result, figure)
         values = factor * figure_values(good, figure)
