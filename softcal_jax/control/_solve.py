@@ -4,7 +4,6 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import jax
 import numpy as np
 from jaxtyping import ArrayLike
 
@@ -142,7 +141,7 @@ def _prepare(model, configuration, goals, limits, settings) -> Command:
     return Command(
         model=model,
         configuration=configuration,
-        lane=jax.tree.map(lambda leaf: leaf[0], lanes.arrays),
+        lane=lanes.arrays[0],
         effectors=lanes.effectors[0],
         limits=allowed,
         weights=goal_weights(lanes, configuration.name),

@@ -91,8 +91,7 @@ def sample_workspace(
         }
         which = f"{configuration.name}, sample {i}"
         values.append(actuation_arrays(mechanism, asked, which).value)
-    lane = jax.tree.map(lambda leaf: leaf[0], lanes.arrays)
-    samples = [with_inputs(lane, jnp.asarray(value)) for value in values]
+    samples = [with_inputs(lanes.arrays[0], jnp.asarray(value)) for value in values]
     rest = jnp.zeros((len(samples), model.n_points, 3))
     with Workers(model, len(samples)) as workers:
         run = workers, model, samples, settings or NewtonSettings()

@@ -22,6 +22,7 @@ from softcal_jax.export._json import (
     outlook_dict as outlook_dict,
     result_dict as result_dict,
     simulation_dict as simulation_dict,
+    solver_dict as solver_dict,
 )
 from softcal_jax.export._made import (
     Made as Made,

@@ -49,7 +49,7 @@ def result_dict(
         "converged": bool(result.converged),
         "source": source_dict(result.source, directory),
         **pick(result, "parameters intervals configurations history"),
-        "solver": _solver(result.model),
+        "solver": solver_dict(result.model),
         "settings": {
             "calibration": result.settings,
             "newton": result.newton,
@@ -117,7 +117,7 @@ def simulation_dict(
             "converged": result.converged,
             **made_dict(made or Made(result.model, {}), directory),
             "configurations": [_simulated(c) for c in result.configurations],
-            "solver": _solver(result.model),
+            "solver": solver_dict(result.model),
             "timing_s": timing_s or {},
         }
     )
@@ -180,7 +180,8 @@ def _simulated(result: ConfigurationResult) -> dict[str, Any]:
     return entry
 
 
-def _solver(model: Model) -> dict[str, Any]:
+def solver_dict(model: Model) -> dict[str, Any]:
+    """Name the solver, and what it solves: law, formulation and size of the mesh."""
     elasticity = getattr(model.law, "elasticity", None)  # not every law has one
     return {
         "name": model.solver.name,

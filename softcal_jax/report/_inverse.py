@@ -143,17 +143,12 @@ def write_inverse(
     repeats the run; `options` are further words of it, like "--goal" and its value, and
     `notes` are doubts about the result. Other arguments, errors and what is returned
     are those of `write_results`.
-
-    Raises:
-        ValueError: If a trajectory has no points.
     """
     points = [result] if isinstance(result, InverseResult) else list(result.points)
-    if not points:
-        raise ValueError("the trajectory has no goals, so there is nothing to write.")
     more: dict[str, Any] = {"made": made, "directory": directory}
     data = inverse_dict(result, name=name, timing_s=timing_s, **more)
     several = [f"goal {i}" for i in range(1, len(points) + 1)]
-    names = several if len(several) > 1 else ["command"]
+    names = ["command"] if len(points) == 1 else several
     stems = file_stems(names)
     solved = [bool(point.solution.converged) for point in points]
     problem = picture_problem(list(compress(stems, solved)), pictures)

@@ -5,7 +5,6 @@ import os
 import warnings
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from pydantic import ValidationError
@@ -23,7 +22,7 @@ from softcal_jax.configurations import (
     configuration_arrays,
 )
 from softcal_jax.equilibrium import Model
-from softcal_jax.export import RESULT_FORMAT
+from softcal_jax.export import RESULT_FORMAT, solver_dict
 from softcal_jax.export.result_file import ResultFile, SourceEntry
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.project import Project, load_project
@@ -101,9 +100,7 @@ class LoadedResult(Module):
             raise unknown_name("configuration", name, posed)
         mesh, mechanism = self.model.mesh, self.model.mechanism
         batch = configuration_arrays(mesh, [posed[name]], mechanism)
-        # On the host: on the device, each shape would compile a program.
-        lane = jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf)[0], batch))
-        return posed[name], self.space.apply(self.model, lane, self.z)[1]
+        return posed[name], self.space.apply(self.model, batch[0], self.z)[1]
 
 
 def load_result(
@@ -179,13 +176,9 @@ def _read(path: Path) -> tuple[ResultFile, SourceEntry]:
             )
         data = ResultFile.model_validate_json(text)
     except (ValidationError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        what = str(error)
-        if isinstance(error, ValidationError):
-            first = error.errors()[0]
-            what = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
         raise ResultError(
             f"{path}: expected {RESULT} as softcal calibrate writes it; was it edited, "
-            f"or cut short? {what}."
+            f"or cut short? {error}."
         ) from error
     if data.source is None:
         raise ResultError(
@@ -223,17 +216,11 @@ def _check_unchanged(path: Path, project: Path, source: SourceEntry) -> None:
 def _checked_space(path: Path, project: Project, data: ResultFile) -> ParameterSpace:
     """Return the parameters, if they and the model are those of the result."""
     names = [entry.name for entry in data.parameters]
-    space, mesh = project.space, project.model.mesh
-    model = {
-        "law": type(project.model.law).__name__,
-        "element_order": mesh.order,
-        "n_nodes": mesh.n_nodes,
-        "n_tets": mesh.n_tets,
-    }
+    space = project.space
     problems = [
         f"{key} was {data.solver.get(key)} and is {now}"
-        for key, now in model.items()
-        if data.solver.get(key) != now
+        for key, now in solver_dict(project.model).items()
+        if key != "name" and data.solver.get(key) != now
     ]
     known = [] if space is None else space.names
     if known != names:
