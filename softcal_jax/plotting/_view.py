@@ -93,13 +93,12 @@ def _unit(v: Float[HostArray, "3"]) -> Float[HostArray, "3"]:
 class VisibleFaces(NamedTuple):
     """Faces that look towards the viewer, the farthest first.
 
-    They have nodes at their corners [m], unit normals outwards, the share of their area
-    that is seen, and the tet that each bounds.
+    They have nodes at their corners [m], the share of their area that is seen, and the
+    tet that each bounds.
     """
 
     nodes: Int[HostArray, "n_faces 3"]
     corners: Float[HostArray, "n_faces 3 3"]
-    normal: Float[HostArray, "n_faces 3"]
     light: Float[HostArray, " n_faces"]
     tet: Int[HostArray, " n_faces"]
 
@@ -114,7 +113,7 @@ def visible_faces(mesh: TetMesh, view: View) -> VisibleFaces:
     seen = np.flatnonzero(light > 0.0)
     seen = seen[np.argsort(corners[seen].mean(axis=1) @ view.towards)]
     tet = boundary_tets(mesh)[seen]
-    return VisibleFaces(nodes[seen], corners[seen], normal[seen], light[seen], tet)
+    return VisibleFaces(nodes[seen], corners[seen], light[seen], tet)
 
 
 def draw_faces(

@@ -176,9 +176,13 @@ def _read(path: Path) -> tuple[ResultFile, SourceEntry]:
             )
         data = ResultFile.model_validate_json(text)
     except (ValidationError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        what = str(error)
+        if isinstance(error, ValidationError):
+            first = error.errors()[0]
+            what = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
         raise ResultError(
             f"{path}: expected {RESULT} as softcal calibrate writes it; was it edited, "
-            f"or cut short? {error}."
+            f"or cut short? {what}."
         ) from error
     if data.source is None:
         raise ResultError(

@@ -113,8 +113,8 @@ def _sweep_page(
     files = [] if sweep is None else [file_dict(sweep.file, database.parent)]
     figures = figures_of_the_robot(result)
     best, means, spread, trials = [], [], [], []
-    if found := best_trials(result):
-        best = [node("p", found[0]), table_html(found[1])]
+    if summary := best_trials(result):
+        best = [node("p", summary[0]), table_html(summary[1])]
     groups = result.groups()
     if any(len(group.rows) > 1 for group in groups):
         text = "Mean ± standard deviation over the trials that converged."
