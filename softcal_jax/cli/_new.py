@@ -4,6 +4,7 @@ import argparse
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from softcal_jax._text_table import aligned
 from softcal_jax.cli._display import Display
 from softcal_jax.cli._shared import (
     add_output,
@@ -113,10 +114,9 @@ def _finding_lines(findings: "Findings") -> Iterator[str]:
     others = ", ".join(pose.name for pose in recorded.others) or "no other"
     yield f"Poses: {recorded.rest.name}, as the one at rest, and {others}."
     yield "Markers at rest, and how far from the mesh they were recorded:"
-    width = max(len(marker.name) for marker in findings.markers)
-    for marker in findings.markers:
-        off = readable_values([marker.distance], "m", digits=3)
-        yield f"  {marker.name:<{width}}  {off if marker.distance else 'in it'}"
+    off = lambda marker: readable_values([marker.distance], "m", digits=3)
+    found = findings.markers
+    yield from aligned([(m.name, off(m) if m.distance else "in it") for m in found])
     if findings.own_frame:
         yield (
             "That is too far: the recording has a frame of its own. Follow the remarks "

@@ -26,6 +26,9 @@ QUIET_S = 30.0
 MOST_SHOWN = 4
 """Most figures of a trial in its line; its row holds all."""
 
+_OPTIONS = "workers", "cores_per_worker", "scheduler"
+"""Options of the command that say where trials run."""
+
 _SWEEP = """\
 A sweep file names a project file and the axes of the sweep:
 
@@ -79,19 +82,14 @@ def sweep(args: argparse.Namespace, show: Display) -> None:
         if args.part is None:
             check_sweep_page(database)
     show.lap("reading")
+    options = {key: vars(args)[key] for key in _OPTIONS}
+    options["progress"] = _progress_lines(show)
     if args.part is not None:
-        _part(args, show, loaded)
+        _part(args, show, loaded, options)
         return
     try:
         with bad_input():
-            result = loaded.run(
-                database,
-                workers=args.workers,
-                cores_per_worker=args.cores_per_worker,
-                scheduler=args.scheduler,
-                retry_failed=args.retry_failed,
-                progress=_progress_lines(show),
-            )
+            result = loaded.run(database, retry_failed=args.retry_failed, **options)
     except KeyboardInterrupt:
         text = f"interrupted: the same command goes on from what is in {database}."
         with suppress(OSError, ValueError):  # as on a full disk, or without a database
@@ -115,19 +113,14 @@ def sweep(args: argparse.Namespace, show: Display) -> None:
         raise Stop(NOT_CONVERGED, text)
 
 
-def _part(args: argparse.Namespace, show: Display, loaded: "Sweep") -> None:
+def _part(
+    args: argparse.Namespace, show: Display, loaded: "Sweep", options: dict[str, Any]
+) -> None:
     """Run one part of a large sweep, without a page."""
+    folder = args.output or loaded.path.with_suffix("")
     try:
         with bad_input():
-            path = loaded.run_part(
-                args.output or loaded.path.with_suffix(""),
-                part=args.part,
-                of=args.of,
-                workers=args.workers,
-                cores_per_worker=args.cores_per_worker,
-                scheduler=args.scheduler,
-                progress=_progress_lines(show),
-            )
+            path = loaded.run_part(folder, part=args.part, of=args.of, **options)
     except KeyboardInterrupt:
         text = "interrupted: nothing of this part was written; it begins anew."
         raise Stop(INTERRUPTED, text) from None

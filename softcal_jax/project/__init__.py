@@ -14,7 +14,6 @@ from softcal_jax.project._plausibility import (
 from softcal_jax.project._problems import (
     ProjectError as ProjectError,
     at as at,
-    one_by_one as one_by_one,
     suggestion as suggestion,
 )
 from softcal_jax.project._project import (
