@@ -115,8 +115,8 @@ def _finding_lines(findings: "Findings") -> Iterator[str]:
     yield f"Poses: {recorded.rest.name}, as the one at rest, and {others}."
     yield "Markers at rest, and how far from the mesh they were recorded:"
     off = lambda marker: readable_values([marker.distance], "m", digits=3)
-    found = findings.markers
-    yield from aligned([(m.name, off(m) if m.distance else "in it") for m in found])
+    markers = findings.markers
+    yield from aligned([(m.name, off(m) if m.distance else "in it") for m in markers])
     if findings.own_frame:
         yield (
             "That is too far: the recording has a frame of its own. Follow the remarks "
