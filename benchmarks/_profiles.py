@@ -16,6 +16,7 @@ from softcal_jax.calibration import (
     evaluate,
     profile_ends,
 )
+from softcal_jax.inference import independent
 
 SETTINGS = CalibrationSettings(max_steps=40)
 
@@ -64,14 +65,14 @@ def profiles(
         own = eqx.tree_at(_measured, problem, jnp.asarray(draw))
         z, tries = target, 0
         while True:
-            z, converged, end_rows = _fit(own, z)
+            z, converged, linear = _fit(own, z)
             try:
                 ends = (
                     profile_ends(
                         own,
                         SETTINGS,
                         z=z,
-                        rows=end_rows,
+                        linear=linear,
                         rise=rise,
                         which=range(len(z)),
                     )
@@ -98,10 +99,11 @@ def _measured(problem: CalibrationProblem):
 
 
 def _fit(problem: CalibrationProblem, z: Float[Array, " n_p"]):
-    """A calibration from z, with its errors and compliances at the end."""
+    """A calibration from z, with its linear model at the end."""
     run = one_run(problem, SETTINGS, z)
     z = jnp.asarray(run.z)
-    return z, run.converged, evaluate(problem, z).rows
+    error, W = map(np.asarray, evaluate(problem, z).rows)
+    return z, run.converged, independent(W, tuple(problem.space.names), r=error)
 
 
 def _row(problem: CalibrationProblem, gap, ends) -> list[tuple[float, float, float]]:

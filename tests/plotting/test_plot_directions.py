@@ -94,11 +94,5 @@ def test_picture(mesh, helices, tmp_path):
 
 
 def test_wrong_calls(mesh, helices, tmp_path, unchecked):
-<<<<<<< HEAD
-    with pytest.raises(ValueError, match="families is empty"):
-        plot_directions(mesh, {}, tmp_path / "d.png")
     with pytest.raises(ValueError, match=r"'thread' .* 216 .*\(3, 216\)"):
-=======
-    with pytest.raises(ValueError, match="'thread' needs one vector"):
->>>>>>> e6dd9c57 (Let visible faces carry no normals, and draw no families without a message of its own)
         plot_directions(mesh, {"thread": helices[0].T}, tmp_path / "d.png")
