@@ -157,7 +157,7 @@ CASES = {
     ),
     "unknown axes": (
         ('group = "x_min"', 'group = "x_min", axes = "xw"'),
-        "configurations.weight.supports[1]: axes ... x, y, z",
+        "configurations.weight.supports[1]: axes ... 'xw'",
     ),
     "empty group": (
         ('point = "(60, 0, 0) mm"', 'point = "(61, 0, 0) mm"'),
