@@ -1,10 +1,10 @@
 """Results written and loaded: files, a page, and tables for the terminal."""
 
 from softcal_jax.report._calibration import (
-    held_out_sentences as held_out_sentences,
     model_words as model_words,
     summary_table as summary_table,
 )
+from softcal_jax.report._held_out import held_out_sentences as held_out_sentences
 from softcal_jax.report._inverse import (
     inverse_table as inverse_table,
     write_inverse as write_inverse,

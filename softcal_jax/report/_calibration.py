@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from softcal_jax._names import listed
 from softcal_jax._text_table import STYLES, Cell, TextTable, Tone, or_dash, text_table
 from softcal_jax._units import readable
 from softcal_jax.calibration import (
@@ -17,6 +16,7 @@ from softcal_jax.calibration import (
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import readable_unit
 from softcal_jax.identifiability import Assessment, Identifiability, assess, percent
+from softcal_jax.report._held_out import listed_fits
 from softcal_jax.report._tables import HEADS, distance, robot_tables
 from softcal_jax.report._verdict import verdict_of
 
@@ -100,7 +100,7 @@ def error_tables(
     """
     columns = ("configuration", "role", "before", "after", "moved", "after/moved")
     points, turns = [], []
-    for fit in fits:
+    for fit in listed_fits(fits):
         lengths = fit.rms_before, fit.rms_after, fit.motion
         before, after, moved = map(distance, lengths)
         share = or_dash(100.0 * fit.rms_share, ".1f", "%")
@@ -122,31 +122,6 @@ def error_tables(
     if turns:
         shown.append(text_table("Rms angle of the orientations", columns[:4], turns))
     return shown
-
-
-def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
-    """Say how far off held-out configurations are predicted, as far as it is known."""
-    lines = []
-    for fit in (f for f in fits if f.role == "validation"):
-        texts = []
-        if fit.points:
-            texts.append(f"{1e3 * fit.rms_after:.2f} mm rms over {_points(fit)}")
-        if fit.points and math.isfinite(fit.rms_share):
-            share = f"{100 * fit.rms_share:.1f} % of how far they moved"
-            texts[0] += f", {share} ({1e3 * fit.motion:.1f} mm)"
-        if math.isfinite(fit.turn_after):
-            texts.append(f"{math.degrees(fit.turn_after):.2f} deg rms of orientations")
-        if texts:
-            lines.append(f"Held-out error, {fit.name}: {'; '.join(texts)}.")
-    return lines
-
-
-def _points(fit: ConfigurationResult) -> str:
-    """Count the markers and the 6-D sensors of a configuration, in words."""
-    turning = {turn.name for turn in fit.turns}
-    sensors = sum(point.name in turning for point in fit.points)
-    counts = {"marker": len(fit.points) - sensors, "6-D sensor": sensors}
-    return listed([f"{n} {what}{'s' * (n > 1)}" for what, n in counts.items() if n])
 
 
 def outlook_table(assessment: Assessment) -> TextTable:
@@ -255,7 +230,7 @@ def summary_table(
         budget_table(result),
         *interval_tables(result),
         *error_tables(shown, result.checks),
-        *robot_tables(shown),
+        *robot_tables(listed_fits(shown)),
         outlook_table(assessment),
     ]
     return Group(

@@ -59,6 +59,45 @@ def error_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
     return [figure(joined(rows), caption)]
 
 
+def workspace_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
+    """Draw the errors after calibration at the places where the markers are.
+
+    Each configuration is at the mean place of its simulated points, in the plane in
+    which these means differ most.
+    """
+    shown = [fit for fit in fits if fit.points]
+    if not shown:
+        return []
+    places = 1e3 * np.array(
+        [np.mean([e.simulated for e in fit.points], axis=0) for fit in shown]
+    )
+    across, up = np.sort(np.argsort(-np.ptp(places, axis=0), kind="stable")[:2])
+    worst = max(fit.rms_after for fit in shown)
+    low, size = places.min(axis=0), np.maximum(np.ptp(places, axis=0), 1e-9)
+    parts = []
+    for fit, place in zip(shown, (places - low) / size, strict=True):
+        look = {"fill": BLUE if fit.role == "validation" else PAPER, "stroke": BLUE}
+        where = {
+            "cx": f"{8 + 84 * place[across]:.2f}%",
+            "cy": f"{20 + 220 * (1 - place[up]):.1f}",
+        }
+        r = f"{2.0 + 10.0 * fit.rms_after / worst:.1f}"
+        parts.append(node("circle", **where, r=r, **look, fill_opacity="0.6"))
+    drawn = node(
+        "svg", *parts, role="img", aria_label="Errors over the workspace", height="260"
+    )
+    spans = [
+        f"{'xyz'[k]} from {low[k]:.0f} to {low[k] + size[k]:.0f} mm"
+        for k in (across, up)
+    ]
+    caption = (
+        f"Across {spans[0]}, upwards {spans[1]}: the mean place of the points of each "
+        "configuration. The larger a circle, the larger its error; the largest has "
+        f"{distance(worst)}. Filled circles were held out."
+    )
+    return [figure(drawn, caption, title="Errors over the workspace")]
+
+
 def _errors(fit: ConfigurationResult, longest: float) -> Html:
     """Draw one row, with its numbers in words."""
     x = lambda value: f"{2.0 + 96.0 * value / longest:.2f}%"

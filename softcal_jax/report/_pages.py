@@ -14,7 +14,6 @@ from softcal_jax.report._calibration import (
     blindness,
     budget_table,
     error_tables,
-    held_out_sentences,
     history_table,
     inner_tables,
     interval_tables,
@@ -23,7 +22,13 @@ from softcal_jax.report._calibration import (
     outlook_table,
     parameter_table,
 )
-from softcal_jax.report._charts import budget_chart, course_charts, error_chart
+from softcal_jax.report._charts import (
+    budget_chart,
+    course_charts,
+    error_chart,
+    workspace_chart,
+)
+from softcal_jax.report._held_out import held_out_sentences, listed_fits
 from softcal_jax.report._html import (
     MOST_PICTURES,
     Html,
@@ -70,7 +75,7 @@ def calibration_page(
         Section("data", "What the data tell", _outlook(assessment)),
         Section("next", "What to measure next", sentences(outlook.advice)),
         Section("pictures", "Pictures", _pictures(data, folder, view)),
-        Section("robot", "Robot", [*map(table_html, robot_tables(fits))]),
+        Section("robot", "Robot", [*map(table_html, robot_tables(listed_fits(fits)))]),
         Section("fit", "Course of the fit", course),
         _inner(outlook),
         *closing("calibrate", data, [data["source"]]),
@@ -129,7 +134,8 @@ def _errors(result: CalibrationResult, assessment: Assessment) -> list[Html]:
     fits = result.configurations
     lines = [*held_out_sentences(fits), assessment.prediction or ""]
     tables = map(table_html, error_tables(fits, result.checks))
-    return [*sentences(lines), *error_chart(fits), *tables]
+    workspace = workspace_chart(fits) if len(listed_fits(fits)) < len(fits) else []
+    return [*sentences(lines), *error_chart(listed_fits(fits)), *workspace, *tables]
 
 
 def _parameters(result: CalibrationResult, assessment: Assessment) -> list[Html]:

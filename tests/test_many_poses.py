@@ -1,0 +1,61 @@
+"""Many held-out configurations: few are listed, the others are summed up."""
+
+import re
+
+import numpy as np
+import pytest
+from export.handmade import make_fit, make_result, small_model
+from wording import says
+
+from softcal_jax.report import held_out_sentences
+from softcal_jax.report._calibration import error_tables
+from softcal_jax.report._charts import workspace_chart
+from softcal_jax.report._held_out import MOST_LISTED, listed_fits
+
+ERRORS = np.arange(1, 21) * 1e-4  # of 20 poses, mixed [m]
+
+
+@pytest.fixture(scope="module")
+def fits():
+    """One that was fitted, and twenty that were held out, in no order."""
+    mesh = small_model().mesh
+    order = np.random.default_rng(0).permutation(len(ERRORS))
+    held_out = [
+        make_fit(mesh, f"pose {k}", "validation", (0.01 * k, ERRORS[k], 0.0))
+        for k in order
+    ]
+    return make_result(fits=[make_fit(mesh), *held_out]).configurations
+
+
+def test_many_are_summed_up_in_a_sentence(fits):
+    (sentence,) = held_out_sentences(fits)
+    rms = [fit.rms_after for fit in fits[1:]]
+    overall = 1e3 * np.sqrt(np.mean(np.square(rms)))
+    half, most = 1e3 * np.quantile(rms, [0.5, 0.95])
+    assert says(
+        sentence, f"20 ... {overall:.2f} mm", f"{half:.2f} mm", f"{most:.2f} mm"
+    )
+    assert says(sentence, "largest ... (pose 19)", "smallest ... (pose 0)")
+
+
+def test_the_worst_and_the_best_are_listed(fits):
+    names = [fit.name for fit in listed_fits(fits)]
+    assert names == [fits[0].name, "pose 19", "pose 18", "pose 17", "pose 0"]
+    (table,) = error_tables(fits, None)
+    assert [row[0].text for row in table.rows] == names
+
+
+def test_a_few_are_listed_one_by_one(fits):
+    few = fits[: 1 + MOST_LISTED]
+    assert listed_fits(few) == list(few)
+    assert len(held_out_sentences(few)) == MOST_LISTED
+
+
+def test_errors_are_drawn_over_the_workspace(fits):
+    (chart,) = workspace_chart(fits)
+    assert chart.count("<circle") == len(fits)
+    worst = max(fit.rms_after for fit in fits)
+    assert says(chart, f"{1e3 * worst:.2f} mm", "held out")
+    across = [float(x) for x in re.findall(r'cx="([\d.]+)%"', chart)]
+    shown = np.argsort([int(fit.name.split()[-1]) for fit in fits[1:]])
+    assert np.all(np.diff(np.array(across[1:])[shown]) > 0.0)
