@@ -6,7 +6,7 @@ It is judged twice: by the noise alone, which is the answer so far, and with the
 of everything that is held fixed.
 
 One batch holds all configurations, the fitted ones first. Those held out are solved
-after the fit, and are rows without weight in the linear model.
+after the fit, as many of them would slow every step down, and have no weight in it.
 """
 
 import os

@@ -122,7 +122,7 @@ class _AllLanes(NamedTuple):
         """Solve lanes from rest; with rigid bodies, from the last fitted one."""
         self.evaluate.equilibria(
             self.z,
-            report,
+            report or (lambda *_: None),  # a few iterations at a time, for Ctrl-C
             lanes=lanes,
             start=lane_of(self.fitted.equilibrium.displacement, -1),
             ended=lambda k, solution: self.solved.update({lanes[k]: solution}),

@@ -148,7 +148,7 @@ class CalibrationProblem(Module):
 
 
 def without_names(problem: CalibrationProblem) -> CalibrationProblem:
-    """Return the calibration such that names and settings compile no other programs."""
+    """Return the calibration without names and settings that would compile programs."""
     space, newton = problem.space.numbered, problem.newton.as_arrays()
     return replace(problem, space=space, newton=newton)
 

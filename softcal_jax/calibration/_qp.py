@@ -81,7 +81,7 @@ class ScaledQP(NamedTuple):
     upper: Float[Array, " n_p"]
 
 
-class _Point(NamedTuple):
+class _Candidate(NamedTuple):
     """A point within the bounds, the multipliers of its rows, and its residual [-]."""
 
     y: Float[Array, " n_p"]
@@ -89,7 +89,7 @@ class _Point(NamedTuple):
     kkt: Float[Array, ""]
 
 
-class _Descent(NamedTuple):
+class _ActiveSet(NamedTuple):
     """State of the active-set method; `active` is -1 at lower limits, 1 at upper."""
 
     active: Int[Array, " n_p+n_rows"]
@@ -185,19 +185,19 @@ def solved_qp(scaled: ScaledQP) -> QPStep:
     return QPStep(step, best.kkt)
 
 
-def _solve(qp: _Scaled) -> _Point:
+def _solve(qp: _Scaled) -> _Candidate:
     """Polish a step of zero, run BoxOSQP from there, and polish its solution."""
     return _polished(qp, _iterated(qp, _polished(qp, _no_step(qp))))
 
 
-def _no_step(qp: _Scaled) -> _Point:
+def _no_step(qp: _Scaled) -> _Candidate:
     """Return the point within the bounds that is nearest to zero."""
     zero, none = jnp.zeros_like(qp.c), jnp.zeros_like(qp.r)
-    nothing = _Point(zero, none, jnp.full((), jnp.inf, qp.c.dtype))
+    nothing = _Candidate(zero, none, jnp.full((), jnp.inf, qp.c.dtype))
     return _better(qp, nothing, zero, none)
 
 
-def _iterated(qp: _Scaled, start: _Point) -> _Point:
+def _iterated(qp: _Scaled, start: _Candidate) -> _Candidate:
     """Run BoxOSQP from a point and its multipliers."""
     # Here, so that commands which do not need it do not wait for it.
     from jaxopt import BoxOSQP
@@ -232,10 +232,10 @@ def _extent(qp: _Scaled):
     return jnp.clip(jnp.sum(part, axis=1), jnp.finfo(width.dtype).eps, 1.0)
 
 
-def _better(qp: _Scaled, best: _Point, y, mu) -> _Point:
+def _better(qp: _Scaled, best: _Candidate, y, mu) -> _Candidate:
     """Return the point of smaller KKT residual; one that is not finite never wins."""
     y, mu = jnp.clip(y, qp.low, qp.high), jnp.maximum(mu, 0.0)
-    new = _Point(y, mu, _kkt_residual(qp, y, mu))
+    new = _Candidate(y, mu, _kkt_residual(qp, y, mu))
     better = (new.kkt < best.kkt) & jnp.isfinite(new.kkt)
     return jax.tree.map(lambda a, b: jnp.where(better, a, b), new, best)
 
@@ -267,13 +267,13 @@ def _kkt_residual(qp: _Scaled, y, mu):
     return jnp.max(jnp.concatenate([jnp.maximum(v, 0.0) for v in violations]))
 
 
-def _polished(qp: _Scaled, start: _Point) -> _Point:
+def _polished(qp: _Scaled, start: _Candidate) -> _Candidate:
     """Descend from a point, unless it is the optimum already."""
     done = start.kkt <= SOLVED
     return jax.lax.cond(done, lambda: start, lambda: _descended(qp, start))
 
 
-def _descended(qp: _Scaled, start: _Point) -> _Point:
+def _descended(qp: _Scaled, start: _Candidate) -> _Candidate:
     """Descend from a point by an active-set method, and solve with its last active set.
 
     The primal active-set method (Nocedal and Wright, Numerical Optimization, 2006, Alg.
@@ -288,7 +288,7 @@ def _descended(qp: _Scaled, start: _Point) -> _Point:
     shift = ROW_SHIFT * (1.0 + jnp.arange(n_rows, dtype=qp.r.dtype) * 0.618 % 1.0)
     relaxed = relaxed._replace(r=relaxed.r + shift * _extent(qp))
 
-    def change(state: _Descent) -> _Descent:
+    def change(state: _ActiveSet) -> _ActiveSet:
         active = state.active
         target, mu = _equality_solution(relaxed, active, passes=1)
         move = target - state.y
@@ -308,7 +308,7 @@ def _descended(qp: _Scaled, start: _Point) -> _Point:
         side = jnp.concatenate([jnp.where(move > 0.0, 1, -1), jnp.ones(n_rows, int)])
         added = jnp.where(place == jnp.argmin(ratio), side.astype(active.dtype), active)
         drop = (place == jnp.argmax(wrong)) & (wrong > ROUNDING)
-        return _Descent(
+        return _ActiveSet(
             active=jnp.where(stopped, added, jnp.where(drop, 0, active)),
             y=jnp.clip(state.y + length * move, relaxed.low, relaxed.high),
             step=state.step + 1,
@@ -318,7 +318,7 @@ def _descended(qp: _Scaled, start: _Point) -> _Point:
     going = lambda s: ~s.settled & (s.step < 4 * (n + n_rows))
     feasible = (jnp.arange(n + n_rows) == n - 1) & (y[-1] == 0.0)
     count = jnp.zeros((), jnp.int32)
-    state = _Descent(-feasible.astype(jnp.int32), y, count, start.kkt <= SOLVED)
+    state = _ActiveSet(-feasible.astype(jnp.int32), y, count, start.kkt <= SOLVED)
     active = jnp.delete(jax.lax.while_loop(going, change, state).active, n - 1)
     return _better(qp, start, *_equality_solution(qp, active, passes=3))
 

@@ -161,9 +161,9 @@ def initial_state(
 class Proposal(Module):
     """A step that the QP proposes: parameters after it, and a guess of the equilibria.
 
-    `cost` is that by the model that the QP used, `costs` are those by the linear model
-    of the errors, without and with curvature. `precise` asks for exact compliances. A
-    step that `vanishes` is too small to be worth an evaluation: nothing moves any more.
+    `cost` is predicted by the model of the QP, `costs` by the linear model of the
+    errors, without and with curvature. `precise` asks for exact compliances. A step
+    that `vanishes` is too small to be worth an evaluation.
     """
 
     qp: QPStep

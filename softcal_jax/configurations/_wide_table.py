@@ -259,7 +259,7 @@ def _qualisys(rows: NumberedCells) -> _Layout:
     )
 
 
-class _Program(NamedTuple):
+class _MotionProgram(NamedTuple):
     """A program: how it lays out a table, and what to export from it."""
 
     name: str
@@ -268,13 +268,17 @@ class _Program(NamedTuple):
 
 
 _PROGRAMS = {
-    "Format Version": _Program("Motive", _motive, "Markers with the header and times"),
-    "NO_OF_FRAMES": _Program("QTM", _qualisys, "3D data with the TSV header"),
-    "Trajectories": _Program("Nexus", _vicon, "Trajectories with their four rows"),
+    "Format Version": _MotionProgram(
+        "Motive", _motive, "Markers with the header and times"
+    ),
+    "NO_OF_FRAMES": _MotionProgram("QTM", _qualisys, "3D data with the TSV header"),
+    "Trajectories": _MotionProgram(
+        "Nexus", _vicon, "Trajectories with their four rows"
+    ),
 }
 """Programs by how a row near the top of their tables begins."""
 
 
-def _program_of(rows: NumberedCells) -> _Program | None:
+def _program_of(rows: NumberedCells) -> _MotionProgram | None:
     starts = _starts(rows)
     return next((_PROGRAMS[row] for row in _PROGRAMS if row in starts), None)

@@ -132,12 +132,12 @@ def assemble(
     nodal = nodal_tangent(posed, u, lambda_a, mesh)
     reduced = posed.reduce(u, nodal, g)
     values, stiffness = mask_supports(model.solver.sparsity, reduced, posed.fixed)
-    H_a, H_own = rows[which], None
+    H_a, H_other = rows[which], None
     if any(actuators.has_friction):
         H_a = displacement_rows(actuators, model.positions(u))[which]
-        H_own = rows_on_free(posed, u, H_a)
+        H_other = rows_on_free(posed, u, H_a)
     F_a = rows_on_free(posed, u, rows[which])
-    system = System(values, F_a, active[which], H_own)
+    system = System(values, F_a, active[which], H_other)
     return Tangent(nodal, stiffness, system, H_a, g)
 
 

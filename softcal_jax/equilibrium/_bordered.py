@@ -42,18 +42,18 @@ class Bordered(NamedTuple):
 class System(NamedTuple):
     """The matrix of a bordered system, with the actuators `Model.with_multiplier`.
 
-    `values` is the tangent with supports masked; F_a is zero on held unknowns, `H_own`
-    is H_a, None if that equals F_a. `active`: the imposed displacement acts.
+    `values` is the tangent with supports masked; F_a is zero on held unknowns.
+    `H_other` is H_a where that differs from F_a. `active`: imposed displacements act.
     """
 
     values: Float[Array, " nnz_reduced"]
     F_a: Float[Array, "n_m n_dof"]
     active: Bool[Array, " n_m"]
-    H_own: Float[Array, "n_m n_dof"] | None = None
+    H_other: Float[Array, "n_m n_dof"] | None = None
 
     @property
     def H_a(self) -> Float[Array, "n_m n_dof"]:
-        return self.F_a if self.H_own is None else self.H_own
+        return self.F_a if self.H_other is None else self.H_other
 
     def solve(
         self,

@@ -281,8 +281,8 @@ class Pardiso(AbstractLinearSolver):
 _KLU_SHIFT = {True: 2.0**-46, False: 2.0**-43}
 """Smallest shift of KLU's diagonal, by symmetry, relative to the rows' entries [-].
 
-So many times the rounding of a pivot that no pivot becomes zero: 64 times where all
-shifts add up, more where they may cancel.
+It keeps pivots from zero: 64 times their rounding where all shifts have one sign, and
+512 times where they may cancel.
 """
 
 _KLU_CHANGE = 1e-3

@@ -96,8 +96,8 @@ class NewtonState(NamedTuple):
     `ok` and `*_ok` belong to the last equilibrium on the load path. `theta` holds the
     volume ratios of the mixed Newton step; everything else, including the stopping
     rule, uses theta = J_bar(u). `turned`: the last trial step inverted a tet.
-    `lost` is the fewest negative eigenvalues of an unstable iterate since this load was
-    set, `limit` the fewest at loads that count as beyond a limit point; 0 for none.
+    `lost` is the fewest negative eigenvalues of any unstable iterate at this load,
+    `limit` the fewest at loads that count as beyond a limit point; 0 if all are stable.
     `merit_before` is the norm of the residual one step ago; inf at the start of a load
     step, None if the line search always uses the potential.
     """

@@ -115,17 +115,17 @@ def usable_cores() -> int:
     return min(n, int(limit)) if limit.isdigit() and int(limit) else n
 
 
-class _Run(NamedTuple):
-    """What threads of `Workers.side_by_side` share.
+class _SideBySide(NamedTuple):
+    """Lock and stop flag of the threads of one call of `Workers.side_by_side`.
 
-    `thinks` is held by the one thread that computes between its lanes, so that data of
-    all runs need no locks and a program is compiled once. `stopped` is set when results
-    are no longer wanted; `outer` is the run in which these runs were started.
+    Only the thread that holds `thinks` computes between lanes, so that data of all runs
+    need no locks and a program is compiled once. `stopped` is set when results are no
+    longer wanted; `outer` belongs to the call around this one, if there is one.
     """
 
     thinks: Lock
     stopped: Event
-    outer: "_Run | None"
+    outer: "_SideBySide | None"
 
     def check(self) -> None:
         if self.stopped.is_set():
@@ -136,13 +136,13 @@ class _Run(NamedTuple):
 
 class _Thread(threading.local):
     shares_turn: bool = False
-    run: _Run | None = None
+    run: _SideBySide | None = None
 
 
 _THREAD = _Thread()
 
 
-def _begin_thread(run: _Run | None = None) -> None:
+def _begin_thread(run: _SideBySide | None = None) -> None:
     _THREAD.shares_turn, _THREAD.run = True, run
 
 
@@ -258,7 +258,7 @@ class Workers:
                 wait(futures, return_when=FIRST_EXCEPTION)
             finally:
                 _join(futures)
-        # Lanes begin in order, so the first error is that which one worker would meet.
+        # Lanes begin in order, so several workers raise the same error as one.
         return [future.result() for future in futures]
 
     def side_by_side(
@@ -284,7 +284,7 @@ class Workers:
                 keep(call())
             return results
         outer, stopped = _THREAD.run, Event()
-        run = _Run(Lock() if outer is None else outer.thinks, stopped, outer)
+        run = _SideBySide(Lock() if outer is None else outer.thinks, stopped, outer)
 
         def one(call: Callable[[], T]) -> T:
             with run.thinks:

@@ -2,7 +2,7 @@
 
 import operator
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, is_dataclass
 from typing import Any
 
 import equinox as eqx
@@ -96,8 +96,9 @@ def constants_of(model: Any) -> Iterator[tuple[str, ConstantKind]]:
             continue
         owner, _, name = ("." + path).rpartition(".")
         owner = operator.attrgetter(owner[1:])(model) if owner else model
-        metadata = {f.name: f.metadata for f in fields(owner)}[name]
-        yield path, metadata.get("kind", UNREMARKABLE)
+        declared = fields(owner) if is_dataclass(owner) else ()
+        kinds = {f.name: f.metadata.get("kind") for f in declared}
+        yield path, kinds.get(name) or UNREMARKABLE
 
 
 def kind_of(model: Any, field: str) -> ConstantKind:

@@ -24,7 +24,7 @@ By = Literal["configuration", "recording"]
 _BY: tuple[By, ...] = ("configuration", "recording")
 
 Role = Literal["fitted", "considered", "noise", "none"]
-"""What an unknown is in a calibration, see `calibration.Unknown`."""
+"""What an unknown is in a calibration, see `unknowns.Unknown`."""
 
 Change = Callable[[Any], Any]
 Put = Callable[[Any, tuple[int, ...], Change], Any]

@@ -111,7 +111,7 @@ def conditioning(
 def _condition(W: Float[HostArray, "n_e n_p"]) -> float:
     """Divide the largest by the smallest singular value; infinite below full rank.
 
-    Only rounding counts as rank here: a large number says itself what it means.
+    Only a deficit at rounding counts: a large number is reported as it is.
     """
     full = np.linalg.matrix_rank(W) == W.shape[1]
     return float(np.linalg.cond(W)) if full else np.inf

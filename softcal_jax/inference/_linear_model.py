@@ -24,7 +24,7 @@ from softcal_jax.inference._rank import Determined, determined, span
 from softcal_jax.inference._whitening import Whitened, whitened, whitened_rows
 
 NOISE = "noise"
-"""Name of what remains if everything that is held fixed is right: the jitter."""
+"""Name of the cause "independent errors" in the budget, the jitter."""
 
 ATTACHMENTS = "attachments"
 """Name of the unknown offsets of points and frames whose displacement is fitted.

@@ -24,10 +24,10 @@ from softcal_jax.inference._uncertainty import UNLIKELY, Uncertainty
 from softcal_jax.inference._whitening import whitened
 
 ABSORBED = 1e-3
-"""Share of an error common to a configuration below which parameters take it up [-].
+"""Share of a common error of a configuration that the fit must leave to be tested [-].
 
-No question of rank: a modulus moves a pose almost along its motion, and what is left
-beside it is curvature, not an error of the pose.
+This is no rank: a modulus moves a pose almost along its motion, and the little that the
+fit leaves of such an error is curvature.
 """
 
 ROUNDING = 1e-9
@@ -157,7 +157,7 @@ def predicted_by_others(linear: LinearModel) -> list[PosePrediction]:
         ones = np.eye(len(linear.r))[:, of_pose]
         block = linear.left(ones)[of_pose]
         square, U = np.linalg.eigh(block)
-        # Where nothing is left, the others do not determine what the pose needs.
+        # Errors of which the fit leaves only rounding are not predicted by the others.
         seen = square > ROUNDING / linear.scale**2
         root = U[:, seen] / np.sqrt(square[seen])
         y, B = root.T @ whole[of_pose], root.T @ followed[of_pose]

@@ -30,7 +30,7 @@ BUCKLING = 1e-4
 """Strain c at which a fibre that carries tension only gives way to a push [-]."""
 
 
-class _Fibre(NamedTuple):
+class _Stretched(NamedTuple):
     """State of one family; energy w, w' (pull) and w'' (slope) are over E_f [-]."""
 
     u: Float[Array, "3"]
@@ -93,7 +93,7 @@ class FibreReinforced(AbstractLaw):
         """Return the fibres of the families."""
         return (self.fibre, self.fibre.mirrored())[: self.families]
 
-    def _fibres(self, F: Matrix) -> list[_Fibre]:
+    def _fibres(self, F: Matrix) -> list[_Stretched]:
         """Compute the state of each family."""
         states = []
         for fibre in self.fibres():
@@ -101,7 +101,7 @@ class FibreReinforced(AbstractLaw):
             f = jnp.sum(F * u[None, :], axis=1)
             stretch = jnp.sqrt(jnp.sum(f * f))
             n = (f / stretch)[:, None] * u[None, :]
-            states.append(_Fibre(u, n, stretch, *self._pull(stretch - 1.0)))
+            states.append(_Stretched(u, n, stretch, *self._pull(stretch - 1.0)))
         return states
 
     def _pull(self, e: Float[Array, ""]) -> tuple[Float[Array, ""], ...]:
@@ -128,7 +128,7 @@ class FibreReinforced(AbstractLaw):
     def _fibre_tangent(self, F: Matrix) -> Tensor:
         """Sum (w'/l delta_ik + (w'' - w'/l) n_i n_k) u_J u_L of fibres, n = F u / l."""
 
-        def of(fibre: _Fibre) -> Tensor:
+        def of(fibre: _Stretched) -> Tensor:
             turning = fibre.pull / fibre.stretch
             along = paired(jnp.eye(3), fibre.u[:, None] * fibre.u[None, :])
             return turning * along + (fibre.slope - turning) * outer(fibre.n, fibre.n)

@@ -47,7 +47,7 @@ def select_reachable(
         raise ValueError(
             f"angle must lie between 0 and 180 degrees, got {np.rad2deg(angle):g}."
         )
-    surface = _Surface(mesh)
+    surface = _FaceGraph(mesh)
     barred = surface.of_groups(stop_at)
     p = np.asarray(point, float)
     if barred[surface.at(p)].any():
@@ -68,7 +68,7 @@ def select_face(mesh: TetMesh, point: ArrayData) -> Int[HostArray, "n n_fn"]:
     Raises:
         ValueError: If the point is not on the surface, or on the border of faces.
     """
-    surface = _Surface(mesh)
+    surface = _FaceGraph(mesh)
     labels = surface.parts(SHARP)
     for k, name in enumerate(filter(CAD_FACE.fullmatch, mesh.surface_groups)):
         rows = surface.rows(mesh.faces(name))
@@ -89,7 +89,7 @@ def select_cavity(
             surrounds the point that is closed or has its openings in `stop_at`.
     """
     p = np.asarray(point, float)
-    surface = _Surface(mesh)
+    surface = _FaceGraph(mesh)
     if surface.seen_from(p).sum() > _ROUNDING:
         raise ValueError(
             f"the point {place(p)} lies in the body or on its surface; expected one in "
@@ -113,7 +113,7 @@ def select_cavity(
 
 def surface_parts(mesh: TetMesh) -> list[Int[HostArray, "_ n_fn"]]:
     """Divide the surface at edges at which it turns by more than 40 degrees."""
-    surface = _Surface(mesh)
+    surface = _FaceGraph(mesh)
     labels = surface.parts(SHARP)
     return [surface.faces[labels == part] for part in range(labels.max() + 1)]
 
@@ -122,13 +122,13 @@ def matching_faces(
     mesh: TetMesh, surfaces: Sequence[Int[HostArray, "_ 3"]]
 ) -> list[Int[HostArray, "_ n_fn"]]:
     """Find the boundary faces with the corners of triangles, surface by surface."""
-    surface = _Surface(mesh)
+    surface = _FaceGraph(mesh)
     rows = surface.rows(np.concatenate(surfaces))
     ends = np.cumsum([len(triangles) for triangles in surfaces])[:-1]
     return [surface.faces[part[part >= 0]] for part in np.split(rows, ends)]
 
 
-class _Surface:
+class _FaceGraph:
     """The boundary of a mesh: its faces, which of them meet, and how they turn."""
 
     def __init__(self, mesh: TetMesh):

@@ -58,11 +58,13 @@ def plot_directions(
         title: Title of the picture.
 
     Raises:
-        ValueError: If a family lacks a vector per tet.
+        ValueError: If there is no family, or one lacks a vector per tet.
     """
     from matplotlib.collections import PolyCollection
     from matplotlib.lines import Line2D
 
+    if not families:
+        raise ValueError("families is empty: give at least one field of directions.")
     for name, vectors in families.items():
         if vectors.shape != (mesh.n_tets, 3):
             raise ValueError(
@@ -151,13 +153,15 @@ def plot_fibres(
         title: Title of the figure.
 
     Raises:
-        ValueError: If a panel lacks one angle per tet.
+        ValueError: If there is no panel, or a panel lacks one angle per tet.
     """
     import matplotlib
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
 
+    if not panels:
+        raise ValueError("panels is empty: give at least one field of angles.")
     for name, theta in panels.items():
         if theta.shape != (len(mesh.tets),):
             raise ValueError(

@@ -72,7 +72,7 @@ def workspace_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
         [np.mean([e.simulated for e in fit.points], axis=0) for fit in shown]
     )
     across, up = np.sort(np.argsort(-np.ptp(places, axis=0), kind="stable")[:2])
-    worst = max(fit.rms_after for fit in shown)
+    worst = max(fit.rms_after for fit in shown) or 1.0
     low, size = places.min(axis=0), np.maximum(np.ptp(places, axis=0), 1e-9)
     parts = []
     for fit, place in zip(shown, (places - low) / size, strict=True):

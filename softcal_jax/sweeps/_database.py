@@ -179,8 +179,7 @@ def read_sweep(database: str | os.PathLike[str]) -> SweepResult:
     with _explained(path), closing(_open(uri, uri=True)) as file:
         file.execute("BEGIN")
         _check_format(file, path)
-        texts = file.execute("SELECT what, value FROM sweep")
-        about = {what: json.loads(value) for what, value in texts}
+        texts = dict(file.execute("SELECT what, value FROM sweep"))
         plan = dict(file.execute("SELECT key, point FROM plan ORDER BY number"))
         rows = file.execute(
             f"SELECT {', '.join(f'trials.{name}' for name in _COLUMNS)} "
@@ -188,14 +187,28 @@ def read_sweep(database: str | os.PathLike[str]) -> SweepResult:
             "ORDER BY plan.number IS NULL, plan.number, trials.ended"
         )
         ended = {row[0]: row for row in rows}
-    return SweepResult(
-        name=about["name"],
-        axes=tuple(about["axes"]),
-        repeats=tuple(about["repeats"]),
-        planned=_Read(path, plan, json.loads),
-        states={key: row[_OF_STATE] for key, row in ended.items()},
-        ended=_Read(path, ended, _row),
-    )
+    with _as_written(f"{path}, table sweep"):
+        about = {what: json.loads(texts[what]) for what in ("name", "axes", "repeats")}
+        return SweepResult(
+            name=about["name"],
+            axes=tuple(about["axes"]),
+            repeats=tuple(about["repeats"]),
+            planned=_Read(path, plan, json.loads),
+            states={key: row[_OF_STATE] for key, row in ended.items()},
+            ended=_Read(path, ended, _row),
+        )
+
+
+@contextmanager
+def _as_written(where: str) -> Iterator[None]:
+    """Name the place in errors about values that no sweep has written."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"{where}: {error}. No sweep has written that: take an earlier copy of the "
+            "file, or remove it to start anew."
+        ) from error
 
 
 class _Read(Mapping[str, Any]):
@@ -205,13 +218,9 @@ class _Read(Mapping[str, Any]):
         self._path, self._stored, self._read = path, stored, cache(read)
 
     def __getitem__(self, key: str) -> Any:
-        try:
-            return self._read(self._stored[key])
-        except ValueError as error:
-            raise ValueError(
-                f"{self._path}, trial {key}: {error}. No sweep has written that: take "
-                "an earlier copy of the file, or remove it to start anew."
-            ) from error
+        stored = self._stored[key]
+        with _as_written(f"{self._path}, trial {key}"):
+            return self._read(stored)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._stored)
@@ -222,7 +231,10 @@ class _Read(Mapping[str, Any]):
 
 def _row(stored: Sequence[Any]) -> TrialRow:
     named = dict(zip(_COLUMNS, stored, strict=True))
-    return _ROW.validate_python(named | {k: json.loads(named[k]) for k in _AS_JSON})
+    row = _ROW.validate_python(named | {k: json.loads(named[k]) for k in _AS_JSON})
+    if Trial(row.point).key != row.key:
+        raise ValueError(f"its point is {row.point}, which is not that of this key")
+    return row
 
 
 def _open(database: str | Path, **options: Any) -> sqlite3.Connection:

@@ -9,6 +9,7 @@ from softcal_jax.unknowns._considered import (
 from softcal_jax.unknowns._unknowns import (
     MESH as MESH,
     Setting as Setting,
+    Unknown as Unknown,
     held_nodes as held_nodes,
     recording_names as recording_names,
     unknowns as unknowns,

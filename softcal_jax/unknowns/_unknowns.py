@@ -107,8 +107,8 @@ def unknowns(setting: Setting) -> tuple[Unknown, ...]:
     """List all unknowns of a calibration.
 
     They include errors that cannot occur in any configuration, with no key in their
-    scope: which errors are computed is part of a compiled program, so that one program
-    serves all poses.
+    scope: which entries are computed is part of a compiled program, so that one serves
+    all poses.
     """
     poses = setting.poses
     return (

@@ -91,5 +91,7 @@ def test_control_points_are_marked(figure_of):
 
 def test_wrong_panels(tmp_path, unchecked):
     mesh = beam(*SIZE, (4, 3, 3))
+    with pytest.raises(ValueError, match="panels is empty"):
+        plot_fibres(mesh, {}, tmp_path / "f.png", plane="xy")
     with pytest.raises(ValueError, match=r"panel 'a' .* 216 .*\(3,\)"):
         plot_fibres(mesh, {"a": np.zeros(3)}, tmp_path / "f.png", plane="xy")

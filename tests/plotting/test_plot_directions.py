@@ -94,5 +94,7 @@ def test_picture(mesh, helices, tmp_path):
 
 
 def test_wrong_calls(mesh, helices, tmp_path, unchecked):
+    with pytest.raises(ValueError, match="families is empty"):
+        plot_directions(mesh, {}, tmp_path / "d.png")
     with pytest.raises(ValueError, match=r"'thread' .* 216 .*\(3, 216\)"):
         plot_directions(mesh, {"thread": helices[0].T}, tmp_path / "d.png")

@@ -123,6 +123,7 @@ def test_a_full_disk_is_called_that(tmp_path, monkeypatch, n_trials):
         ("UPDATE trials SET state = 'great'", "state.*great"),
         ("UPDATE trials SET figures = '{'", "Expecting property name"),
         ("UPDATE trials SET notes = '3'", "notes"),
+        ("UPDATE trials SET point = '{\"E\": 2}'", r"point is \{'E': 2\}"),
         ("UPDATE plan SET point = '{'", "Expecting property name"),
     ],
 )
@@ -135,6 +136,20 @@ def test_a_database_that_was_edited_names_the_trial(tmp_path, statement, message
     refused = rf"(?s)s\.sqlite, trial {row.key}: .*{message}.*earlier copy"
     with pytest.raises(ValueError, match=refused):
         read_sweep(path).groups()
+
+
+@pytest.mark.parametrize(
+    ("statement", "message"),
+    [("DELETE FROM sweep", "'name'"), ("UPDATE sweep SET value = '['", "Expecting")],
+)
+def test_a_database_without_its_description_says_so(tmp_path, statement, message):
+    path = tmp_path / "s.sqlite"
+    one(path)
+    with sqlite3.connect(path) as file:
+        file.execute(statement)
+    file.close()
+    with pytest.raises(ValueError, match=rf"s\.sqlite, .*sweep: .*{message}.*earlier"):
+        read_sweep(path)
 
 
 @pytest.mark.usefixtures("unchecked")  # a check of annotations asks for everything
