@@ -181,11 +181,11 @@ def edited(folder, change):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda d: d.pop("source"), r"source\n +Field required"),
+        (lambda d: d.pop("source"), r"source: Field required"),
         (lambda d: d.update(format="softcal_jax.result/1"), "format is 'softcal_jax.r"),
         (lambda d: d.update(format="softcal_jax.simulation/1"), "softcal_jax.simula"),
         (lambda d: d.pop("format"), "format is None"),
-        (lambda d: d["parameters"][0].update(value=None), r"parameters\.0\.value\n"),
+        (lambda d: d["parameters"][0].update(value=None), r"parameters\.0\.value: "),
         (lambda d: d["parameters"][0].update(name="G"), "parameters were G and are E"),
         (lambda d: d["solver"].update(n_tets=7), "n_tets was 7 and is 18"),
     ],

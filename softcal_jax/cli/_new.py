@@ -4,7 +4,6 @@ import argparse
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from softcal_jax._text_table import aligned
 from softcal_jax.cli._display import Display
 from softcal_jax.cli._shared import (
     add_output,
@@ -94,6 +93,7 @@ def _proposed(args: argparse.Namespace, show: Display) -> bool:
 def _finding_lines(findings: "Findings") -> Iterator[str]:
     import numpy as np
 
+    from softcal_jax._text_table import aligned
     from softcal_jax.export import readable_values
 
     body, recorded = findings.body, findings.recorded
