@@ -67,6 +67,8 @@ class Unknown(NamedTuple):
     row: Callable[[Linearisation, Any], InputRows] | None = None
     data: Callable[[], tuple[Any, ...]] = tuple
 
+    __repr__ = one_line
+
     @property
     def happens(self) -> bool:
         """Whether any configuration has it."""
