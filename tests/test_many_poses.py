@@ -1,5 +1,6 @@
 """Many held-out configurations: few are listed, the others are summed up."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -36,6 +37,29 @@ def test_many_are_summed_up_in_a_sentence(fits):
         sentence, f"20 ... {overall:.2f} mm", f"{half:.2f} mm", f"{most:.2f} mm"
     )
     assert says(sentence, "largest ... (pose 19)", "smallest ... (pose 0)")
+    assert "deg" not in sentence  # no orientation was measured
+
+
+def test_orientations_are_summed_up_too(fits):
+    angles = np.arange(1, 21) * 0.01  # [rad]
+    turned = [_turned(fit, a) for fit, a in zip(fits[1:], angles, strict=True)]
+    (sentence,) = held_out_sentences(turned)
+    degrees = np.degrees(np.sqrt(np.mean(angles**2)))
+    assert says(sentence, f"{degrees:.2f} deg rms of orientations")
+
+
+def _turned(fit, angle):
+    """Add an orientation to a fit, off by an angle [rad] about one axis."""
+    simulated = np.array([0.0, 0.0, angle])
+    turn = dataclasses.replace(
+        fit.effectors[0],
+        name="plate",
+        quantity="turn",
+        unit="rad",
+        measured=np.zeros(3),
+        simulated=simulated,
+    )
+    return dataclasses.replace(fit, effectors=(*fit.effectors, turn))
 
 
 def test_the_worst_and_the_best_are_listed(fits):

@@ -68,21 +68,17 @@ def workspace_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
     shown = [fit for fit in fits if fit.points]
     if not shown:
         return []
-    places = 1e3 * np.array(
-        [np.mean([e.simulated for e in fit.points], axis=0) for fit in shown]
-    )
+    points = [[e.simulated for e in fit.points] for fit in shown]
+    places = 1e3 * np.array([np.mean(of_pose, axis=0) for of_pose in points])
     across, up = np.sort(np.argsort(-np.ptp(places, axis=0), kind="stable")[:2])
     worst = max(fit.rms_after for fit in shown) or 1.0
     low, size = places.min(axis=0), np.maximum(np.ptp(places, axis=0), 1e-9)
     parts = []
     for fit, place in zip(shown, (places - low) / size, strict=True):
         look = {"fill": BLUE if fit.role == "validation" else PAPER, "stroke": BLUE}
-        where = {
-            "cx": f"{8 + 84 * place[across]:.2f}%",
-            "cy": f"{20 + 220 * (1 - place[up]):.1f}",
-        }
+        look |= {"cx": f"{8 + 84 * place[across]:.2f}%", "fill_opacity": "0.6"}
         r = f"{2.0 + 10.0 * fit.rms_after / worst:.1f}"
-        parts.append(node("circle", **where, r=r, **look, fill_opacity="0.6"))
+        parts.append(node("circle", cy=f"{240 - 220 * place[up]:.1f}", r=r, **look))
     drawn = node(
         "svg", *parts, role="img", aria_label="Errors over the workspace", height="260"
     )

@@ -49,15 +49,17 @@ def _together(fits: Sequence[ConfigurationResult]) -> str:
     """Sum up the errors of many held-out configurations."""
     errors = 1e3 * np.array([fit.rms_after for fit in fits])
     moved = 1e3 * np.array([fit.motion for fit in fits])
-    rms = lambda values: float(np.sqrt(np.mean(values**2)))
+    rms = lambda values: float(np.sqrt(np.mean(np.square(values))))
     half, most = np.quantile(errors, [0.5, 0.95])
     best, worst = fits[int(np.argmin(errors))], fits[int(np.argmax(errors))]
+    turns = np.degrees([f.turn_after for f in fits if math.isfinite(f.turn_after)])
+    turned = f"; {rms(turns):.2f} deg rms of orientations" if len(turns) else ""
     share = f" ({100 * rms(errors) / rms(moved):.1f} % of how far they moved)"
     return (
         f"Held-out error of {len(fits)} configurations: {rms(errors):.2f} mm rms"
         f"{share if rms(moved) > 0.0 else ''}; half below {half:.2f} mm, 95 % below "
         f"{most:.2f} mm; the largest is {errors.max():.2f} mm ({worst.name}), the "
-        f"smallest {errors.min():.2f} mm ({best.name})."
+        f"smallest {errors.min():.2f} mm ({best.name}){turned}."
     )
 
 

@@ -122,7 +122,13 @@ def _check_folder(folder: Path, mark: bytes) -> None:
     import pyarrow.parquet as pq
 
     other = next(folder.glob("part-*.parquet"), None)
-    if other and (pq.read_schema(other).metadata or {}).get(_ABOUT) != mark:
+    if other is None:
+        return
+    try:
+        metadata = pq.read_schema(other).metadata or {}
+    except ValueError as error:  # of Arrow, which does not name the file
+        raise ValueError(f"{other} is no part of a sweep ({error}).") from error
+    if metadata.get(_ABOUT) != mark:
         raise ValueError(
             f"{other} is a part of another sweep: its project, points, seed or number "
             "of parts differ. Give another folder."

@@ -115,6 +115,12 @@ def _none(trial):
     return {}
 
 
+def test_a_part_that_is_no_parquet_file(tmp_path):
+    (tmp_path / "part-x.parquet").write_text("x")
+    with pytest.raises(ValueError, match=r"part-x\.parquet is no part of a sweep"):
+        part(tmp_path, 0)
+
+
 @pytest.mark.parametrize(("k", "of"), [(5, 5), (-1, 5), (0, 0), (0, 25)])
 def test_numbers_of_parts(tmp_path, k, of):
     with pytest.raises(ValueError, match=rf"part {k} of {of}: .* 0 to {of - 1},"):
