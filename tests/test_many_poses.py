@@ -83,3 +83,7 @@ def test_errors_are_drawn_over_the_workspace(fits):
     across = [float(x) for x in re.findall(r'cx="([\d.]+)%"', chart)]
     shown = np.argsort([int(fit.name.split()[-1]) for fit in fits[1:]])
     assert np.all(np.diff(np.array(across[1:])[shown]) > 0.0)
+    radii = np.array([float(r) for r in re.findall(r' r="([\d.]+)"', chart)])
+    ranked = np.argsort([fit.rms_after for fit in fits])
+    assert np.all(np.diff(radii[ranked]) >= 0.0)
+    assert radii.max() > 2.0 * radii.min()

@@ -126,8 +126,9 @@ def _check_folder(folder: Path, mark: bytes) -> None:
         return
     try:
         metadata = pq.read_schema(other).metadata or {}
-    except ValueError as error:  # of Arrow, which does not name the file
-        raise ValueError(f"{other} is no part of a sweep ({error}).") from error
+    except (ValueError, OSError) as error:  # of Arrow, which does not name the file
+        what = "cannot be read as a Parquet file. Remove it, or give another folder."
+        raise ValueError(f"{other} {what}") from error
     if metadata.get(_ABOUT) != mark:
         raise ValueError(
             f"{other} is a part of another sweep: its project, points, seed or number "

@@ -20,7 +20,7 @@ POSE = Configuration("bent", "x_min", gravity=(0.0, 0.0, 0.0), bodies={"tip": BE
 
 @pytest.fixture(scope="module")
 def solve():
-    """Solve the same pose twice; returns the solutions, and what was ends of each."""
+    """Solve a pose twice; returns solutions, and (lane, iterations) as each ends."""
     poses = [POSE, replace(POSE, name="bent again")]
     lanes = configuration_lanes(MESH, poses, MODEL.mechanism).arrays
 

@@ -115,9 +115,13 @@ def _none(trial):
     return {}
 
 
-def test_a_part_that_is_no_parquet_file(tmp_path):
-    (tmp_path / "part-x.parquet").write_text("x")
-    with pytest.raises(ValueError, match=r"part-x\.parquet is no part of a sweep"):
+@pytest.mark.parametrize(
+    "end", [b"x", b"\xff" * 60 + b"\x3c\0\0\0PAR1"], ids=["no_parquet", "bad_footer"]
+)
+def test_a_part_that_is_damaged(tmp_path, end):
+    """Arrow raises ValueError or OSError: no Parquet file, or one with a bad footer."""
+    (tmp_path / "part-x.parquet").write_bytes(b"PAR1" + end)
+    with pytest.raises(ValueError, match=r"part-x\.parquet cannot be read .* Remove"):
         part(tmp_path, 0)
 
 
