@@ -342,8 +342,8 @@ def _stacked(
     lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
     check_parameters(model, space, lane_of(lanes.arrays, 0))
     warn_if_locking(model, space)
-    setting = Setting(model, space, configurations, lanes.arrays, uncertain)
-    noise = correlated_noise(setting, lanes.effectors)
+    setting = Setting(model, space, configurations, lanes, uncertain)
+    noise = correlated_noise(setting)
     return CalibrationProblem(model, space, lanes.arrays, newton, noise), lanes
 
 

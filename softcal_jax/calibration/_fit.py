@@ -138,14 +138,14 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
         start = _start(task, watch, batch, workers)
         place = _place(task, watch, start, journal, resume)
         weighed = _descended(task, start, place, journal)
-        poses, arrays = task.configurations, batch.everything.configurations
-        setting = Setting(task.model, task.space, poses, arrays, task.uncertain)
+        poses, lanes = task.configurations, batch.lanes
+        setting = Setting(task.model, task.space, poses, lanes, task.uncertain)
         if not (task.quick or journal.interrupted):
             compile_considered(workers, setting, weighed.state.z)
         predicted = _predicted(task, watch, batch, start, weighed)
         journal.interrupted |= predicted.interrupted
         solved = _Solved(start, place, weighed, predicted, journal, clock)
-        setting = setting._replace(arrays=predicted.problem.configurations)
+        setting = setting.with_arrays(predicted.problem.configurations)
         doubts = nothing_considered(setting)
         so_far = cache(
             lambda: replace(_result(task, solved, doubts), left_out=(BUDGET,))

@@ -11,31 +11,15 @@ units of the jitter this is I + A A^T with A = diag(std)^-1 U Sigma^1/2 / s, and
 errors and compliances of a fit are multiplied by (I + A A^T)^-1/2, after which they are
 independent with the variance s^2 in units of `std` (generalised least squares; Seber
 and Wild, Nonlinear Regression, 1989, sec. 2.1.4).
-
-Where a marker was glued is known to a millimetre or so, and its motion between two
-poses to a tenth of that. A configuration that names another one as its reference is
-compared by differences of poses on both sides, measured and simulated. Every point then
-has an unknown offset, and every 6-D sensor an unknown mounting, that both poses share.
-As columns of the covariance, with a standard deviation far beyond any offset, they take
-out what the errors have in common and nothing else. This is generalised least squares
-on the differences, all of which contain the noise of the reference.
-
-A point keeps its offset along the axes of the mesh. A sensor that is mounted with an
-offset d and a turn r is at T M on a body at T, and T_c T_r^-1, the rigid motion from
-the reference r to a configuration c, is the same for every mounting M. To first order
-the errors of its position and orientation are R d and R r, with the rotation R of the
-body in each pose. Sensitivities are those of the nominal point and axes, but half
-the unknown turn tilts the axes: know the mounting to millimetres and some degrees.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
@@ -43,10 +27,16 @@ from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.configurations import Configuration, EffectorArrays, EffectorRecord
 from softcal_jax.fields import QUANTITIES
 from softcal_jax.inference import ATTACHMENTS, RANK, ErrorColumns, no_errors
-from softcal_jax.unknowns import Setting, recording_names, unknowns
-
-FAR_BEYOND: Mapping[str, float] = {"point": 1.0, "turn": 100.0}
-"""Standard deviation of an unknown offset, far beyond any real offset [m, rad]."""
+from softcal_jax.unknowns import (
+    CREEP,
+    FAR_BEYOND,
+    Setting,
+    Unknown,
+    attachments,
+    creep_of,
+    recording_names,
+    unknowns,
+)
 
 ((OFFSETS, _OFFSET),) = ((k, q) for k, q in QUANTITIES.items() if q.role == "noise")
 """The kind of unknown that is part of the noise: an offset of each recording."""
@@ -54,63 +44,7 @@ FAR_BEYOND: Mapping[str, float] = {"point": 1.0, "turn": 100.0}
 RECORDINGS = _OFFSET.uncertain
 """Name of the offsets of recordings in the budget."""
 
-CREEP = "creep"
-"""Name of the share of the motion in the budget."""
-
-FIRST_SHARE = 0.02
-"""Share of the motion to begin with, where it is to be estimated [-]."""
-
 AnyArray = Array | HostArray
-
-Attachment = tuple[str, str, str]
-"""Names of the reference and of an effector, and its quantity."""
-
-
-class Attachments(NamedTuple):
-    """Attachments of the effectors whose displacement counts, not their position.
-
-    Attributes:
-        of_row: Index of the attachment of each row, -1 for rows without.
-        axes: Axes of its offset, as a matrix for each row [-].
-        keys: What each attachment is, by this index.
-    """
-
-    of_row: Int[HostArray, "n_c n_rows"]
-    axes: Float[HostArray, "n_c n_rows 3 3"]
-    keys: tuple[Attachment, ...]
-
-
-def attachments(
-    configurations: Sequence[Configuration],
-    effectors: Sequence[Sequence[EffectorRecord]],
-    n_rows: int,
-) -> Attachments:
-    """Number the points and frames whose displacement counts.
-
-    Effectors of the same name share their offset in all configurations with the same
-    reference, and in the reference itself.
-    """
-    references = {c.displacement_from for c in configurations} - {None}
-    index = np.full((len(configurations), n_rows), -1, np.int32)
-    axes = np.tile(np.eye(3), (*index.shape, 1, 1))
-    keys: dict[Attachment, int] = {}
-    for lane, (c, records) in enumerate(zip(configurations, effectors, strict=True)):
-        reference = c.displacement_from or (c.name if c.name in references else None)
-        if reference is None:
-            continue
-        turned = {e.name: _orientation(e) for e in records if e.is_turn}
-        for e in records:
-            if e.quantity in FAR_BEYOND:
-                key = (reference, e.name, e.quantity)
-                index[lane, e.index] = keys.setdefault(key, len(keys))
-                axes[lane, e.index] = turned.get(e.name, np.eye(3))
-    return Attachments(index, axes, tuple(keys))
-
-
-def _orientation(turn: EffectorRecord) -> Float[HostArray, "3 3"]:
-    """Return the measured rotation of a body from rest, as a matrix [-]."""
-    measured = Rotation.from_rotvec(np.nan_to_num(turn.measured)).as_matrix()
-    return measured @ turn.reference
 
 
 def check_references(
@@ -301,28 +235,24 @@ def _on_device(new: Any, *, like: Float[AnyArray, "..."]) -> Float[Array, "..."]
     return jax.device_put(np.asarray(new, like.dtype))
 
 
-def correlated_noise(
-    setting: Setting, records: Sequence[Sequence[EffectorRecord]]
-) -> CorrelatedNoise:
-    """Collect the noise of configurations; estimated components have their first value.
+def correlated_noise(setting: Setting) -> CorrelatedNoise:
+    """Collect the unknowns that are part of the noise, as arrays.
 
-    An offset of a recording that is among the parameters is no noise.
+    What is to be estimated has its first value.
     """
-    configurations, effectors = setting.configurations, setting.arrays.effectors
-    names = recording_names(configurations)
-    offset = [
-        [0.0 if key is None else unknown.prior for key in unknown.scope]
-        for unknown in unknowns(setting)
-        if unknown.role == "noise"
-    ]
-    std = [c.relative_std for c in configurations]
-    shares = np.array([FIRST_SHARE if s == "estimated" else s for s in std], float)
+    effectors, records = setting.arrays.effectors, setting.lanes.effectors
+    names = recording_names(setting.configurations)
+    by_cause: dict[str, list[Unknown]] = {RECORDINGS: [], CREEP: [], ATTACHMENTS: []}
+    for unknown in unknowns(setting):
+        if unknown.role == "noise":
+            by_cause[unknown.cause].append(unknown)
+    offset = [unknown.in_each() for unknown in by_cause[RECORDINGS]]
+    shares = np.sum([np.zeros(len(names)), *(u.in_each() for u in by_cause[CREEP])], 0)
     dtype = np.asarray(effectors.inverse_std).dtype
     n_rows = np.shape(effectors.measured)[1]
-    attached = attachments(configurations, records, n_rows)
-    far = [FAR_BEYOND[quantity] for *_, quantity in attached.keys]
+    attached = attachments(setting.configurations, records, n_rows)
     # Minus the error of a point at rest: 0 for coordinates that were not measured.
-    motion = np.zeros((len(configurations), n_rows, 3), dtype)
+    motion = np.zeros((len(names), n_rows, 3), dtype)
     for lane, of_pose in enumerate(records):
         for e in of_pose:
             if e.quantity == "point":
@@ -335,7 +265,7 @@ def correlated_noise(
         jitter=np.ones((), dtype),
         attachment=attached.of_row,
         attachment_axes=np.asarray(attached.axes, dtype),
-        attachment_std=np.asarray(far, dtype),
+        attachment_std=np.array([u.prior for u in by_cause[ATTACHMENTS]], dtype),
     )
     return jax.device_put(noise)
 
@@ -361,8 +291,3 @@ def noise_columns(
     used = np.flatnonzero(np.any(A != 0.0, axis=0))
     causes, names = (tuple(labels[k][i] for k in used) for i in (0, 1))
     return ErrorColumns(A[:, used], causes, names)
-
-
-def creep_of(configuration: Configuration) -> str:
-    """Name the share of the motion of a configuration that is noise."""
-    return f"creep in {configuration.name}"

@@ -17,7 +17,6 @@ from softcal_jax.calibration._configuration_result import (
     configuration_results,
 )
 from softcal_jax.calibration._evaluation import Evaluator
-from softcal_jax.calibration._noise import attachments
 from softcal_jax.calibration._problem import Batch, CalibrationProblem, Task
 from softcal_jax.calibration._starts import Start
 from softcal_jax.calibration._step import CalibrationState
@@ -32,6 +31,7 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.fields import ParameterSpace, SetupParameter
 from softcal_jax.sensitivity import Response
+from softcal_jax.unknowns import attachments
 
 
 class Predicted(NamedTuple):

@@ -22,6 +22,7 @@ from softcal_jax.fields._parameters import AbstractEntry, Parameter
 from softcal_jax.fields._setup import SetupParameter
 from softcal_jax.fields._setup_parameters import Uncertain
 from softcal_jax.fields._space import ParameterSpace
+from softcal_jax.materials import ANGLE, UNREMARKABLE, kinds_by_name
 
 PRECISION = 0.1
 """Standard error that is asked for by default, relative to the value [-]."""
@@ -69,9 +70,6 @@ def _unit(entry: AbstractEntry, parameter: Parameter, size: float) -> float:
             return size
         usual = entry.quantity.uncertain
         return getattr(Uncertain(), usual) / PRECISION if usual else 1.0
-    constant = parameter.field.rpartition(".")[2]
-    if parameter.unit == "rad" or constant == "theta":
-        return 1.0
-    if (constant + "_").startswith("nu_"):
-        return 0.5
-    return size
+    usual = ANGLE if parameter.unit == "rad" else UNREMARKABLE
+    kind = kinds_by_name().get(parameter.field.rpartition(".")[2], usual)
+    return size if kind.asked is None else kind.asked

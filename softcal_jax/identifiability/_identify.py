@@ -262,7 +262,7 @@ def survey(
     check_parameters(model, space, lane_of(arrays, 0))
     problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
     required = len(names) if required is None else required
-    setting = Setting(model, space, configurations, arrays, uncertain)
+    setting = Setting(model, space, configurations, lanes, uncertain)
     with Workers(model, len(names)) as workers:
         compile_considered(workers, setting, z)
         evaluator = Evaluator(problem, workers)
@@ -284,13 +284,12 @@ def survey(
     of_problem = lambda p: p.configurations.effectors.inverse_std
     weighed = eqx.tree_at(of_problem, problem, weight)
     # Nothing is measured yet: the motion is that of the model.
-    records = [
+    records = tuple(
         tuple(replace(e, measured=e.among(rows)) for e in of_pose)
         for of_pose, rows in zip(lanes.effectors, np.nan_to_num(moved), strict=True)
-    ]
-    correlated = correlated_noise(
-        setting._replace(arrays=weighed.configurations), records
     )
+    moving = lanes._replace(arrays=weighed.configurations, effectors=records)
+    correlated = correlated_noise(setting._replace(lanes=moving))
     linear = linear_model(
         weighed.with_noise(correlated),
         configurations,

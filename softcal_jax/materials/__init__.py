@@ -1,11 +1,13 @@
 """Constitutive laws: energy densities, their stresses and tangents."""
 
 from softcal_jax.materials._constants import (
+    ANGLE as ANGLE,
     DENSITY as DENSITY,
     POISSON as POISSON,
     UNREMARKABLE as UNREMARKABLE,
     ConstantKind as ConstantKind,
     constant as constant,
+    kinds_by_name as kinds_by_name,
 )
 from softcal_jax.materials._corotational import (
     ClassicalCorotational as ClassicalCorotational,

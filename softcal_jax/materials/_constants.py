@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from softcal_jax._module import one_line
+from softcal_jax._module import Module, one_line
 from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax._units import readable
 
@@ -48,6 +48,8 @@ class ConstantKind(NamedTuple):
         most: What it cannot exceed; its error is at most half of what is left to it.
         locks: Value from which on tets of the displacement formulation lock.
         acts_by: Array of a configuration without which it has no effect.
+        asked: Standard error that is asked for by a precision of 1, in SI units; the
+            value itself by default.
     """
 
     uncertain: str = ""
@@ -55,11 +57,12 @@ class ConstantKind(NamedTuple):
     most: float = math.inf
     locks: float = math.inf
     acts_by: str = ""
+    asked: float | None = None
 
     __repr__ = one_line
 
 
-UNREMARKABLE = ConstantKind()
+UNREMARKABLE, ANGLE = ConstantKind(), ConstantKind(asked=1.0)
 
 
 def constant(
@@ -68,7 +71,7 @@ def constant(
     *,
     within: tuple[float, float] | None = None,
     may_vanish: bool = False,
-    kind: ConstantKind = UNREMARKABLE,
+    kind: ConstantKind | None = None,
 ) -> dict[str, Any]:
     """Build the metadata by which project files offer a field of a law as a constant.
 
@@ -82,13 +85,27 @@ def constant(
     """
     if within is None:
         within = (-math.inf if unit in ("", "rad") else 0.0, math.inf)
+    if kind is None:
+        kind = ANGLE if unit == "rad" else UNREMARKABLE
     allowed = {"within": within, "may_vanish": may_vanish}
     return {"unit": unit, "words": words, "kind": kind, **allowed}
 
 
-POISSON = ConstantKind("nu", most=0.5, locks=0.49)
-CONTRACTION = ConstantKind("nu", most=0.5)
+POISSON = ConstantKind("nu", most=0.5, locks=0.49, asked=0.5)
+CONTRACTION = ConstantKind("nu", most=0.5, asked=0.5)
 """A ratio of an anisotropic law, which does not make it incompressible by itself."""
+
+
+def kinds_by_name() -> dict[str, ConstantKind]:
+    """Return the kinds of all constants that are declared, also by other packages."""
+    known, classes = {"density": DENSITY["kind"]}, [Module]
+    for declared in classes:
+        classes += declared.__subclasses__()
+        for field in dataclasses.fields(declared):
+            if "kind" in field.metadata:
+                known[field.name] = field.metadata["kind"]
+    return known
+
 
 DENSITY = constant(
     "kg/m3",

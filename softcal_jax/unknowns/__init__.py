@@ -1,5 +1,10 @@
 """Every unknown of a calibration, and what the considered ones do to its rows."""
 
+from softcal_jax.unknowns._attachments import (
+    FAR_BEYOND as FAR_BEYOND,
+    Attachment as Attachment,
+    attachments as attachments,
+)
 from softcal_jax.unknowns._considered import (
     ConsideredErrors as ConsideredErrors,
     compile_considered as compile_considered,
@@ -7,9 +12,12 @@ from softcal_jax.unknowns._considered import (
     nothing_considered as nothing_considered,
 )
 from softcal_jax.unknowns._unknowns import (
+    CREEP as CREEP,
+    FIRST_SHARE as FIRST_SHARE,
     MESH as MESH,
     Setting as Setting,
     Unknown as Unknown,
+    creep_of as creep_of,
     held_nodes as held_nodes,
     recording_names as recording_names,
     unknowns as unknowns,

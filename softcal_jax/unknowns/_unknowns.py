@@ -16,7 +16,11 @@ import numpy as np
 
 from softcal_jax._module import one_line
 from softcal_jax._typing import Bool, Float, HostArray
-from softcal_jax.configurations import Configuration, ConfigurationArrays
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationArrays,
+    ConfigurationLanes,
+)
 from softcal_jax.elements import TET_EDGES
 from softcal_jax.equilibrium import InputRows, Linearisation, Model
 from softcal_jax.fields import (
@@ -35,11 +39,19 @@ from softcal_jax.fields import (
     find_field,
     grounded_bodies,
 )
+from softcal_jax.inference import ATTACHMENTS
 from softcal_jax.mesh import TetMesh, boundary_faces
 from softcal_jax.sensitivity import clamp_row, mesh_row, stress_patches
+from softcal_jax.unknowns._attachments import FAR_BEYOND, attachments
 
 MESH = "mesh"
 """Name of the error of the mesh, see `mesh_row`."""
+
+CREEP = "creep"
+"""Name of the share of the motion in the budget."""
+
+FIRST_SHARE = 0.02
+"""Share of the motion to begin with, where it is to be estimated [-]."""
 
 
 class Unknown(NamedTuple):
@@ -69,6 +81,10 @@ class Unknown(NamedTuple):
 
     __repr__ = one_line
 
+    def in_each(self) -> Float[HostArray, " n_c"]:
+        """Return its standard deviation in each configuration, 0 where it has none."""
+        return np.array([0.0 if key is None else self.prior for key in self.scope])
+
     @property
     def happens(self) -> bool:
         """Whether any configuration has it."""
@@ -93,10 +109,19 @@ class Setting(NamedTuple):
     model: Model
     space: ParameterSpace
     configurations: Sequence[Configuration]
-    arrays: ConfigurationArrays
+    lanes: ConfigurationLanes
     uncertain: Uncertain
 
     __repr__ = one_line
+
+    @property
+    def arrays(self) -> ConfigurationArrays:
+        """The configurations as arrays."""
+        return self.lanes.arrays
+
+    def with_arrays(self, arrays: ConfigurationArrays) -> "Setting":
+        """Return the same with other arrays."""
+        return self._replace(lanes=self.lanes._replace(arrays=arrays))
 
     @property
     def poses(self) -> Poses:
@@ -119,6 +144,8 @@ def unknowns(setting: Setting) -> tuple[Unknown, ...]:
         *_of_setup(setting, poses),
         _of_clamps(setting),
         _of_mesh(setting),
+        *_of_creep(setting),
+        *_of_attachments(setting),
     )
 
 
@@ -223,6 +250,31 @@ def _of_mesh(setting: Setting) -> Unknown:
     scope = _where(("",) * n, np.full(n, std > 0.0 and np.any(model.active)))
     error = MESH, name, None, std, "considered", scope
     return Unknown(*error, mesh_row, lambda: (stress_patches(model),) * n)
+
+
+def _of_creep(setting: Setting) -> Iterator[Unknown]:
+    """List the share of the motion of each configuration that is noise."""
+    n_c = len(setting.configurations)
+    for c, configuration in enumerate(setting.configurations):
+        std = configuration.relative_std
+        share = FIRST_SHARE if std == "estimated" else std
+        scope = _where(("",) * n_c, (np.arange(n_c) == c) & (share > 0.0))
+        yield Unknown(CREEP, creep_of(configuration), None, share, "noise", scope)
+
+
+def creep_of(configuration: Configuration) -> str:
+    """Name the share of the motion of a configuration that is noise."""
+    return f"creep in {configuration.name}"
+
+
+def _of_attachments(setting: Setting) -> Iterator[Unknown]:
+    """List the offsets of points and frames whose displacement counts."""
+    lanes, n_rows = setting.lanes, setting.arrays.effectors.measured.shape[1]
+    attached = attachments(setting.configurations, lanes.effectors, n_rows)
+    for k, key in enumerate(attached.keys):
+        has_it = np.any(attached.of_row == k, axis=1)
+        scope, far = _where(("",) * len(has_it), has_it), FAR_BEYOND[key[-1]]
+        yield Unknown(ATTACHMENTS, " ".join(key), None, far, "noise", scope)
 
 
 def held_nodes(

@@ -19,6 +19,7 @@ from softcal_jax.configurations import (
     Markers,
     Support,
     SurfaceForce,
+    configuration_lanes,
 )
 from softcal_jax.equilibrium import NewtonSettings, build_model
 from softcal_jax.fields import (
@@ -352,9 +353,8 @@ def all_errors(*parameters):
     problem = build_problem(PLAIN, (WIDE, *parameters), measured, uncertain=SAME_MESH)
     effectors = problem.configurations.effectors
     of_noise = noise_columns(problem.noise, effectors, measured).names
-    setting = Setting(
-        problem.model, problem.space, measured, problem.configurations, SAME_MESH
-    )
+    lanes = configuration_lanes(PLAIN.mesh, measured, PLAIN.mechanism)
+    setting = Setting(problem.model, problem.space, measured, lanes, SAME_MESH)
     every = unknowns(setting)
     held = [own.groups(1) for own in every if own.role == "considered"]
     return set(of_noise) | {name for own in held for name, _ in own}

@@ -46,9 +46,9 @@ def considered(gravity=(0.0, 0.0, -9.81), ratio=0.3, field="mu"):
     """Standard deviations of the errors of constants that happen, by name."""
     model = own_model(ratio)
     pose = Configuration("hang", "x_min", gravity=gravity)
-    arrays = configuration_lanes(model.mesh, [pose], model.mechanism).arrays
+    lanes = configuration_lanes(model.mesh, [pose], model.mechanism)
     space = ParameterSpace((Parameter(field, field, 0.4, 0.1, 0.45, scale="linear"),))
-    every = unknowns(Setting(model, space, [pose], arrays, Uncertain()))
+    every = unknowns(Setting(model, space, [pose], lanes, Uncertain()))
     errors = [u for u in every if u.role == "considered" and u.happens]
     return {u.cause: u.prior for u in errors if hasattr(u.entry, "field")}
 

@@ -19,6 +19,7 @@ from softcal_jax.configurations import (
     Support,
     SupportReaction,
     SurfaceForce,
+    configuration_lanes,
 )
 from softcal_jax.equilibrium import NewtonSettings, Workers, build_model
 from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
@@ -60,13 +61,10 @@ def considered_at_start(problem, configurations):
         evaluator = Evaluator(problem, workers)
         equilibrium = evaluator.equilibria(z)
         assert np.all(equilibrium.converged)
-        setting = Setting(
-            problem.model,
-            problem.space,
-            configurations,
-            problem.configurations,
-            ONLY_THE_MESH,
-        )
+        model = problem.model
+        lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
+        lanes = lanes._replace(arrays=problem.configurations)
+        setting = Setting(model, problem.space, configurations, lanes, ONLY_THE_MESH)
         errors = considered_errors(workers, setting, z=z, equilibrium=equilibrium)
         return evaluator.effectors(z, equilibrium), errors
 
