@@ -203,11 +203,20 @@ class LinearModel(Module):
         known[self._free] = ~self.solution.blind
         return known
 
-    def covariance(self) -> Float[HostArray, "n_p n_p"]:
+    def covariance(self, cause: str = "") -> Float[HostArray, "n_p n_p"]:
         """Compute C = (W^T V^-1 W + P)^-1: that by noise and priors [-].
 
-        NaN for unknowns that have no standard error.
+        Given a cause, compute that by this one alone; see `deviations`. NaN for
+        unknowns that have no standard error.
+
+        Raises:
+            ValueError: If there is no such cause.
         """
+        if cause:
+            by_cause = self.deviations()
+            if cause not in by_cause:
+                raise unknown_name("cause", cause, by_cause)
+            return by_cause[cause] @ by_cause[cause].T
         C = np.full((len(self.names),) * 2, np.nan)
         F = self.solution.factor[~self.solution.blind]
         C[np.ix_(self.known, self.known)] = self.scale**2 * F @ F.T

@@ -246,8 +246,10 @@ def error_budget(
             to estimate it, the errors by noise are nan.
     """
     deviations = linear.deviations()
-    jitter = deviations.pop(NOISE)
-    noise = jitter @ jitter.T if noise_is_known else np.full((len(z),) * 2, np.nan)
+    del deviations[NOISE]
+    noise = (
+        linear.covariance(NOISE) if noise_is_known else np.full((len(z),) * 2, np.nan)
+    )
     parts = (linear.correlated, linear.considered)
     errors = [e for part in parts for e in zip(part.causes, part.names, strict=True)]
     causes = [

@@ -8,6 +8,7 @@ from scipy.special import chdtrc
 from scipy.stats import f as f_distribution
 
 from softcal_jax.inference import (
+    NOISE,
     ErrorColumns,
     chance,
     independent,
@@ -29,7 +30,7 @@ OWNER = np.repeat(np.arange(N_C), 3)
 
 def fit(r, W, *, A=None, W_c=None, jitter=1.0, pose=None):
     """A linear fit with correlated columns A of its noise, and doubts W_c."""
-    labelled = lambda X: ErrorColumns(X, ("",) * X.shape[1], ("",) * X.shape[1])
+    labelled = lambda X: ErrorColumns(X, ("offsets",) * X.shape[1], ("",) * X.shape[1])
     model = replace(
         independent(W, ("a", "b"), r=r, scale=jitter),
         poses=("0", "1", "2", "3"),
@@ -72,6 +73,11 @@ def test_products_are_those_of_dense_matrices():
     np.testing.assert_allclose(linear.covariance(), C, rtol=1e-10)
     np.testing.assert_allclose(linear.gain(), C @ W.T @ inverse, atol=1e-10)
     np.testing.assert_allclose(linear.step(), -C @ W.T @ inverse @ r, atol=1e-10)
+    by_jitter = s**2 * linear.gain() @ linear.gain().T
+    np.testing.assert_allclose(linear.covariance(NOISE), by_jitter, rtol=1e-10)
+    np.testing.assert_allclose(linear.covariance("offsets"), C - by_jitter, rtol=1e-8)
+    with pytest.raises(ValueError, match=r"cause.*wind.*offsets"):
+        linear.covariance("wind")
 
 
 def lack(r, W, **changed):
