@@ -34,7 +34,7 @@ class Module(eqx.Module):
     """
 
     def __repr__(self) -> str:
-        return one_line(self)
+        return _one_line(self)
 
     def _words(self) -> str:
         """Describe the record without its fields; an empty text shows the fields."""
@@ -48,7 +48,7 @@ class Result(Module):
         return _notebook.html_of(self)
 
 
-def one_line(self: Any) -> str:
+def _one_line(self: Module) -> str:
     """Describe a record in one line, like "NeoHookean, E = 150 kPa, nu = 0.49".
 
     The text is its `_words`, else the first line of the `__str__` of its class, else
@@ -62,10 +62,10 @@ def one_line(self: Any) -> str:
     return textwrap.shorten(escaped(text), MOST, placeholder="...")
 
 
-def _own_words(record: Any) -> str:
-    has_text = type(record).__str__ not in (object.__str__, tuple.__str__)
+def _own_words(record: Module) -> str:
+    has_text = type(record).__str__ is not object.__str__
     try:
-        words = getattr(record, "_words", str)() or (str(record) if has_text else "")
+        words = record._words() or (str(record) if has_text else "")
     # Tracebacks write records that are half-built or hold tracers, too.
     except Exception:
         return ""
@@ -75,10 +75,7 @@ def _own_words(record: Any) -> str:
 @cache
 def _defaults(kind: type) -> Mapping[str, Any]:
     """Return the fields of a class, with the values that they have by default."""
-    if dataclasses.is_dataclass(kind):
-        return {field.name: field.default for field in dataclasses.fields(kind)}
-    fields = dict.fromkeys(getattr(kind, "_fields", ()))
-    return fields | getattr(kind, "_field_defaults", {})
+    return {field.name: field.default for field in dataclasses.fields(kind)}
 
 
 def _fields(record: Any) -> Iterator[str]:
@@ -104,7 +101,7 @@ def _written(value: Any, unit: str) -> str:
     """Write the value of a field: a text, numbers, a record, or as equinox does."""
     if isinstance(value, str):
         return f'"{value}"'
-    if _defaults(type(value)):
+    if isinstance(value, Module):
         return f"{type(value).__name__}({', '.join(_fields(value))})"
     if getattr(value, "size", 0) <= _MOST_NUMBERS:
         try:

@@ -4,8 +4,6 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from softcal_jax._module import one_line
-
 if TYPE_CHECKING:
     import rich.table
 
@@ -44,8 +42,6 @@ class TextTable(NamedTuple):
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
     words: tuple[str, ...] = ()
-
-    __repr__ = one_line
 
     def holds_words(self, column: int) -> bool:
         """Whether a column holds words, which are aligned on the left."""

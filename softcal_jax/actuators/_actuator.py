@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 import numpy as np
 
-from softcal_jax._module import Module, one_line
+from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.mesh import TetMesh, locate
@@ -33,8 +33,6 @@ class ActuatorGeometry(NamedTuple):
     points: Float[HostArray, "n_markers 3"] = np.zeros((0, 3))
     arrows: Float[HostArray, "n_markers 3"] = np.zeros((0, 3))
     point_owner: Int[HostArray, " n_markers"] = np.zeros(0, np.int32)
-
-    __repr__ = one_line
 
 
 class AbstractCliques(Module):
@@ -126,8 +124,6 @@ class Kind(NamedTuple):
     force_unit: str
     displacement_unit: str | None
     unilateral: bool = False
-
-    __repr__ = one_line
 
 
 class RestState(Module):

@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.bodies._arrays import BodyArrays, BodyStateArrays
 from softcal_jax.bodies._body import KINDS
@@ -100,8 +99,6 @@ class Frames(NamedTuple):
     origin: Float[Array, "n_b 3"]
     rotation: Float[Array, "n_b 3 3"]
 
-    __repr__ = one_line
-
     def where(self, mask: Bool[Array, " n_b"], others: "Frames") -> "Frames":
         return Frames(
             jnp.where(mask[:, None], self.origin, others.origin),
@@ -161,8 +158,6 @@ class Mounted(NamedTuple):
     rotation: Float[Array, "n_b 3 3"]
     axes: Float[Array, "n_b 3 3"]
     home: Float[Array, "n_b 3"]
-
-    __repr__ = one_line
 
 
 def mounted(bodies: BodyArrays, load: Float[Array, ""]) -> Mounted:

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import lu_factor, lu_solve
 
-from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Bool, Float, Int, is_traced
 
 DAMPING = 1e-10
@@ -47,8 +46,6 @@ class QPStep(NamedTuple):
 
     lambda_p: Float[Array, " n_p"]
     kkt_residual: Float[Array, ""]
-
-    __repr__ = one_line
 
 
 class QPLimits(NamedTuple):

@@ -10,7 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._module import Module, one_line
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
@@ -295,8 +295,6 @@ class Begun(NamedTuple):
     best: Run
     z: Float[HostArray, "n_images n_p"]
     cost: Float[HostArray, " n_images"]
-
-    __repr__ = one_line
 
 
 def not_begun(

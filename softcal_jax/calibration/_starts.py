@@ -8,7 +8,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax._names import listed
 from softcal_jax._process import check_process
 from softcal_jax._typing import Array, Bool, Float, HostArray
@@ -164,8 +163,6 @@ class SearchProgress(NamedTuple):
     image: int
     step: int
     rms: float
-
-    __repr__ = one_line
 
     def __str__(self) -> str:
         """Write the step in one line."""

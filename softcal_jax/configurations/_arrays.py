@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._lanes import lane_of
-from softcal_jax._module import Module, one_line
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int, is_traced
 from softcal_jax.bodies import BodyStateArrays, rotation_matrix
 
@@ -47,8 +47,6 @@ class Observed(NamedTuple):
     name: str
     n_values: int
     function: Callable[..., Any]
-
-    __repr__ = one_line
 
 
 class EffectorArrays(Module):

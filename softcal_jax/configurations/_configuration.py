@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from softcal_jax._module import Module, one_line
+from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS, check_unique, name_key
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import KINDS, if_any, three_numbers
@@ -147,8 +147,6 @@ class ConfigurationLanes(NamedTuple):
 
     arrays: ConfigurationArrays
     effectors: tuple[tuple[EffectorRecord, ...], ...]
-
-    __repr__ = one_line
 
 
 def configuration_arrays(

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax._files import check_file
-from softcal_jax._module import one_line
 from softcal_jax._names import METRES, check_unique, suggestion, unknown_name
 from softcal_jax._text import check_characters, from_cell
 from softcal_jax._typing import Float, HostArray
@@ -48,8 +47,6 @@ class CsvTable(NamedTuple):
     key: str
     source: str
     point: str = "."
-
-    __repr__ = one_line
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax._typing import Float, HostArray
 
 TET_EDGES = ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))
@@ -81,8 +80,6 @@ class QuadratureRule(NamedTuple):
 
     barycentric: Float[HostArray, "n_points n_corners"]
     weights: Float[HostArray, " n_points"]
-
-    __repr__ = one_line
 
 
 def _permuted(n_corners: int, inner: float) -> HostArray:

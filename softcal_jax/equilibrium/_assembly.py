@@ -9,7 +9,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.elements import determinant, sum_of
 from softcal_jax.equilibrium._element import (
@@ -77,8 +76,6 @@ class TetStates(NamedTuple):
     cauchy: Float[HostArray, "n_tets 3 3"]
     F: Float[HostArray, "n_tets n_qp 3 3"]
 
-    __repr__ = one_line
-
 
 def tet_states(model: Model, u: Nodal) -> TetStates:
     """Compute energy, stress and deformation of each tet; zero energy if rigid."""
@@ -117,8 +114,6 @@ class TetStresses(NamedTuple):
     F: Float[Array, "n_tets 3 3"]
     excess: Float[Array, "n_tets n_qp"] | None = None
     pressure_slope: Float[Array, "n_tets n_qp 3 3"] | None = None
-
-    __repr__ = one_line
 
 
 def tet_stresses(model: Model, u: Nodal) -> TetStresses:

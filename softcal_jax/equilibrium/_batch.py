@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._lanes import stacked
-from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Float
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._effectors import effector_values
@@ -46,8 +45,6 @@ class EquilibriumProgress(NamedTuple):
     steps: int
     stiffer: float
     seconds: float
-
-    __repr__ = one_line
 
     def __str__(self) -> str:
         """Write it in one line."""

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Float
 from softcal_jax.bodies import frames_at, rotation_vector
 from softcal_jax.configurations import (
@@ -66,8 +65,6 @@ class ObservedState(NamedTuple):
     actuator_displacements: Float[Array, " n_a"]
     body_rotations: Float[Array, "n_b 3 3"]
     ground_forces: Nodal
-
-    __repr__ = one_line
 
 
 def observed_state(

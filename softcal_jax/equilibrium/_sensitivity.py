@@ -11,7 +11,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._linearisation import Linearisation, residual
@@ -45,8 +44,6 @@ class InputRows(NamedTuple):
     held: Float[Array, "*n n_points 3"]
     gap: Float[Array, "*n n_m"]
     reading: Float[Array, "*n n_e"]
-
-    __repr__ = one_line
 
 
 def derivatives(
@@ -110,8 +107,6 @@ class Sensitivity(NamedTuple):
     unknowns: Float[Array, "*batch n n_dof"] | None = None
     multipliers: Float[Array, "*batch n n_a"] | None = None
     readings: Float[Array, "*batch n_e"] | None = None
-
-    __repr__ = one_line
 
 
 @eqx.filter_jit

@@ -11,7 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Float, HostArray
 
 AnyArray = Array | HostArray
@@ -31,8 +30,6 @@ class Whitened(NamedTuple):
 
     error: Float[AnyArray, " n"]
     W: Float[AnyArray, "n n_p"]
-
-    __repr__ = one_line
 
 
 def whitened(B: OneKind, x: OneKind) -> OneKind:

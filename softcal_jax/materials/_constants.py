@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from softcal_jax._module import Module, one_line
+from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, is_traced
 from softcal_jax._units import readable
 
@@ -58,8 +58,6 @@ class ConstantKind(NamedTuple):
     locks: float = math.inf
     acts_by: str = ""
     asked: float | None = None
-
-    __repr__ = one_line
 
 
 UNREMARKABLE, ANGLE = ConstantKind(), ConstantKind(asked=1.0)

@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.elements import TET_EDGES, TET_FACES, shape_functions, tet_rule
 from softcal_jax.mesh._tet_mesh import TetMesh
@@ -64,8 +63,6 @@ class Recovery(NamedTuple):
     face_normal: Float[HostArray, "n_faces 3"]
     face_from_points: Float[HostArray, "n_faces 3 n_qp"]
     face_volume: Float[HostArray, " n_faces"]
-
-    __repr__ = one_line
 
 
 def recovery(mesh: TetMesh, deforming: Bool[HostArray, " n_tets"]) -> Recovery:

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.elements import shape_functions
 from softcal_jax.mesh._tet_mesh import TetMesh
@@ -29,8 +28,6 @@ class Tessellation(NamedTuple):
     weights: Float[HostArray, "n_points n_fn"]
     triangles: Int[HostArray, "n_triangles 3"]
     faces: Int[HostArray, "n_triangles n_fn"]
-
-    __repr__ = one_line
 
     def interpolate(
         self, values: Float[HostArray, "n_nodes 3"]

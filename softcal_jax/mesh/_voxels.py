@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.elements import shape_functions
 from softcal_jax.mesh._inverse_map import barycentric_in_tets, bounds
@@ -22,8 +21,6 @@ class Grid(NamedTuple):
     lower: Float[HostArray, "3"]
     upper: Float[HostArray, "3"]
     n: int
-
-    __repr__ = one_line
 
     @classmethod
     def around(cls, points: Float[HostArray, "n 3"], n: int) -> "Grid":
@@ -60,8 +57,6 @@ class Filling(NamedTuple):
     tets: Int[HostArray, " m"]
     places: Float[HostArray, "m 3"]
     inside: Bool[HostArray, " m"]
-
-    __repr__ = one_line
 
 
 def fill(mesh: TetMesh, grid: Grid) -> Filling:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from softcal_jax._module import one_line
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import ActuatorGeometry, actuator_geometry
 from softcal_jax.calibration import ConfigurationResult
@@ -33,8 +32,6 @@ class SensorFrame(NamedTuple):
     rotation: Float[HostArray, "3 3"]
     is_measured: bool = False
 
-    __repr__ = one_line
-
 
 def sensor_frames(result: ConfigurationResult) -> list[SensorFrame]:
     """List measured and simulated poses of 6-D sensors, as far as they are known."""
@@ -58,8 +55,6 @@ class RobotPicture(NamedTuple):
     geometry: ActuatorGeometry
     state: RobotState
     x: Float[HostArray, "n_points 3"]
-
-    __repr__ = one_line
 
     @property
     def points(self) -> Float[HostArray, "n 3"]:

@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.mesh import TetMesh, boundary_faces, boundary_tets
 
@@ -27,8 +26,6 @@ class View(NamedTuple):
     centre: Float[HostArray, "3"]
     width: float
     height: float
-
-    __repr__ = one_line
 
     def project(self, points: Float[HostArray, "*n 3"]) -> Float[HostArray, "*n 2"]:
         """Project points to picture coordinates, from the centre [m]."""

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax._units import readable_values
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.configurations import (
@@ -112,8 +111,6 @@ class Guess(NamedTuple):
     line: int
     text: str
     remark: str
-
-    __repr__ = one_line
 
 
 def guesses_left(path: str | os.PathLike[str]) -> tuple[Guess, ...]:

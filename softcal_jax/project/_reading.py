@@ -15,7 +15,6 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 from pydantic import BaseModel, Field, ValidationError, create_model, field_validator
 
 from softcal_jax._files import check_file
-from softcal_jax._module import one_line
 from softcal_jax._text import check_characters, escaped
 from softcal_jax.calibration import LEVEL
 from softcal_jax.fields import PRECISION, check_starts
@@ -285,8 +284,6 @@ class QuantityAsRead(NamedTuple):
     typed: str
     values: tuple[float, ...]
     unit: str
-
-    __repr__ = one_line
 
     @property
     def read(self) -> str:

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-from softcal_jax._module import one_line
 from softcal_jax._text_table import Tone
 from softcal_jax.calibration import FLAT, NOT_TAKEN, CalibrationResult
 from softcal_jax.identifiability import Assessment
@@ -20,8 +19,6 @@ class RunVerdict(NamedTuple):
     sentence: str
     tone: Tone
     reasons: tuple[str, ...] = ()
-
-    __repr__ = one_line
 
 
 def verdict_of(result: CalibrationResult, assessment: Assessment) -> RunVerdict:

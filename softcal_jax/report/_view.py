@@ -5,7 +5,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from softcal_jax._module import one_line
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
@@ -105,8 +104,6 @@ class PageView(NamedTuple):
     content: Html
     script: str
     names: frozenset[str]
-
-    __repr__ = one_line
 
     @property
     def size(self) -> int:

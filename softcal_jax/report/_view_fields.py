@@ -6,7 +6,6 @@ from typing import Literal, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.equilibrium import Model, tet_states
@@ -47,8 +46,6 @@ class Surface(NamedTuple):
     rigid: Bool[HostArray, " n_faces"]
     edges: Int[HostArray, "n_edges 2"]
     n_sharp: int
-
-    __repr__ = one_line
 
     def having(self, corners: Int[HostArray, "n 3"]) -> Bool[HostArray, " n_faces"]:
         """Say which faces have one of these triples of corners, in any order."""
@@ -109,8 +106,6 @@ class Field(NamedTuple):
     place: Literal["point", "face", "marker"]
     values: tuple[Float[HostArray, " n"] | None, ...]
     note: str = ""
-
-    __repr__ = one_line
 
 
 _STATE = {"largest principal stretch": "", "von Mises stress": "Pa"}

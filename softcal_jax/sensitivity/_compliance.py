@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 
 from softcal_jax._lanes import traceable
-from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import Configuration, ConfigurationArrays
 from softcal_jax.equilibrium import (
@@ -84,8 +83,6 @@ class EnergyCompliance(NamedTuple):
     W_pp: Float[Array, "*batch n_p n_p"]
     ok: Bool[Array, "*batch"]
 
-    __repr__ = one_line
-
 
 @eqx.filter_jit
 def energy_compliance(
@@ -150,8 +147,6 @@ class Response(NamedTuple):
     W_ep: Float[Array, "*batch n_e n_p"]
     displacement: Float[Array, "*batch n_p n_points 3"] | None
     ok: Bool[Array, "*batch"]
-
-    __repr__ = one_line
 
 
 @eqx.filter_jit

@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax.calibration import CalibrationResult
 from softcal_jax.configurations import Configuration
 from softcal_jax.fields import ParameterSpace, random_starts
@@ -58,8 +57,6 @@ class CalibrationTrial:
     layouts: Mapping[str, Mapping[str, Any]]
     replaces: str
     truth: Mapping[str, Any]
-
-    __repr__ = one_line
 
     def __call__(self, trial: Trial) -> Outcome:
         """Calibrate at a point of the sweep.

@@ -10,7 +10,6 @@ from typing import Any
 from pydantic import Field
 
 from softcal_jax._files import similar_file
-from softcal_jax._module import one_line
 from softcal_jax._names import unknown_name
 from softcal_jax.calibration import SourceFile
 from softcal_jax.export import Made
@@ -76,8 +75,6 @@ class Sweep:
     definitions: Mapping[str, str]
     file: SourceFile
     made: Made
-
-    __repr__ = one_line
 
     @property
     def database(self) -> Path:

@@ -5,7 +5,6 @@ from collections import Counter, deque
 from dataclasses import dataclass
 from datetime import timedelta
 
-from softcal_jax._module import one_line
 from softcal_jax.sweeps._row import TrialRow
 
 WINDOW = 50
@@ -34,8 +33,6 @@ class Progress:
     failed: int
     rate: float | None
     row: TrialRow | None
-
-    __repr__ = one_line
 
     def __str__(self) -> str:
         """Write one line for a terminal."""

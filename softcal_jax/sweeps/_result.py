@@ -9,7 +9,6 @@ from typing import Any, get_args
 
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.sweeps._row import State, TrialRow
@@ -35,8 +34,6 @@ class Group:
     values: Mapping[str, Any]
     rows: tuple[TrialRow, ...]
     missing: int
-
-    __repr__ = one_line
 
     def count(self, state: State) -> int:
         """Count the trials that ended in a state."""
@@ -67,8 +64,6 @@ class SweepResult:
     planned: Mapping[str, Mapping[str, Any]]
     states: Mapping[str, State]
     ended: Mapping[str, TrialRow]
-
-    __repr__ = one_line
 
     @cached_property
     def rows(self) -> tuple[TrialRow, ...]:

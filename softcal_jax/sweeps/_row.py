@@ -15,7 +15,6 @@ import numpy as np
 
 from softcal_jax._clock import Clock
 from softcal_jax._compilation_cache import throw_away_damaged
-from softcal_jax._module import one_line
 from softcal_jax.sweeps._trial import Trial, shown
 
 State = Literal["converged", "not converged", "failed"]
@@ -40,8 +39,6 @@ class Outcome:
     converged: bool = True
     reason: str = ""
     notes: Sequence[str] = ()
-
-    __repr__ = one_line
 
 
 _OF_ROW = ("state", "reason", "seconds", "compile_seconds", "worker", "ended")
@@ -80,8 +77,6 @@ class TrialRow:
     worker: str = ""
     ended: str = ""
     traceback: str = ""
-
-    __repr__ = one_line
 
 
 def run_trial(function: TrialFunction, trial: Trial) -> TrialRow:

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax._text_table import TextTable, text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.sweeps._calibration import FIT, HELD_OUT, is_of_the_fit
@@ -35,8 +34,6 @@ class SweptAxis(NamedTuple):
     name: str
     values: Sequence[float] | Sequence[str]
     figures: Mapping[str, Float[HostArray, " n"]]
-
-    __repr__ = one_line
 
 
 def figures_of_the_robot(result: SweepResult) -> tuple[str, ...]:

@@ -10,7 +10,6 @@ from typing import Any, Literal, overload
 import numpy as np
 
 from softcal_jax._limits import PLANNED, TRIALS
-from softcal_jax._module import one_line
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import HostArray
 
@@ -32,8 +31,6 @@ class Range:
     high: float
     scale: Literal["linear", "log"] = "linear"
     form: str | None = None
-
-    __repr__ = one_line
 
     def __post_init__(self):
         if not (math.isfinite(self.low) and self.low < self.high < math.inf):
@@ -68,8 +65,6 @@ class Points(Sequence[Point]):
 
     axes: Mapping[str, Sequence[Any] | Range]
     cells: HostArray | None = None
-
-    __repr__ = one_line
 
     def __len__(self) -> int:
         """Return the number of points."""
@@ -202,8 +197,6 @@ class Trial:
 
     point: Mapping[str, Any]
     sweep_seed: int = 0
-
-    __repr__ = one_line
 
     def __post_init__(self):
         values = {axis: _plain(axis, value) for axis, value in self.point.items()}

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._lanes import lane_of
-from softcal_jax._module import one_line
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
@@ -38,8 +37,6 @@ class ConsideredErrors(NamedTuple):
 
     errors: tuple[Unknown, ...]
     columns: Float[HostArray, "n_columns n_c n_e"]
-
-    __repr__ = one_line
 
     def in_std(
         self, n_fitted: int, weight: Float[HostArray, "n_c n_rows 3"]

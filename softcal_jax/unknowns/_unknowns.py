@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.configurations import (
     Configuration,
@@ -79,8 +78,6 @@ class Unknown(NamedTuple):
     row: Callable[[Linearisation, Any], InputRows] | None = None
     data: Callable[[], tuple[Any, ...]] = tuple
 
-    __repr__ = one_line
-
     def in_each(self) -> Float[HostArray, " n_c"]:
         """Return its standard deviation in each configuration, 0 where it has none."""
         return np.array([0.0 if key is None else self.prior for key in self.scope])
@@ -111,8 +108,6 @@ class Setting(NamedTuple):
     configurations: Sequence[Configuration]
     lanes: ConfigurationLanes
     uncertain: Uncertain
-
-    __repr__ = one_line
 
     @property
     def arrays(self) -> ConfigurationArrays:

@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import UInt8
 
 from softcal_jax._files import check_file
-from softcal_jax._module import one_line
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.exchange.camera._sheet import CELLS, dictionary, opencv
 
@@ -47,8 +46,6 @@ class Photo(NamedTuple):
     path: Path
     size: tuple[int, int]
     corners: Mapping[int, Float[HostArray, "4 2"]]
-
-    __repr__ = one_line
 
 
 def read_photo(path: Path) -> Photo:

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.elements import TET_EDGES
@@ -49,8 +48,6 @@ class Design(NamedTuple):
     space: ParameterSpace | None = None
     z: Float[Array, " n_p"] | None = None
     title: str = "robot"
-
-    __repr__ = one_line
 
 
 class PrintedPart(NamedTuple):

@@ -6,7 +6,7 @@ import equinox as eqx
 import numpy as np
 from scipy.spatial import KDTree
 
-from softcal_jax._module import Module, one_line
+from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray
 
@@ -38,8 +38,6 @@ class FoundFoam(NamedTuple):
     E_soft: Numbers
     E_stiff: Numbers
     error: Numbers
-
-    __repr__ = one_line
 
 
 class FoamTable(Module):

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax._module import one_line
 from softcal_jax._names import METRES
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import (
@@ -122,8 +121,6 @@ class Findings(NamedTuple):
     recorded: Recorded | None
     own_frame: bool
     markers: tuple[MarkerPlace, ...]
-
-    __repr__ = one_line
 
     @property
     def poses(self) -> tuple[RecordedPose, ...]:
