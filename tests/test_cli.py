@@ -16,6 +16,7 @@ from wording import says
 
 from softcal_jax._files import sha256_of
 from softcal_jax.cli import _commands, main
+from softcal_jax.export import RESULT_FORMAT
 from softcal_jax.robots import silicone_beam_path
 
 
@@ -107,6 +108,17 @@ def test_calibrate(tmp_path, out, capsys):
     assert {"import", "reading", "compile", "solve"} <= set(result["timing_s"])
     assert {"weight.vtu", "pulled.vtu"} <= {p.name for p in out.iterdir()}
     assert left_behind(tmp_path) == {"out"}
+
+    new = tmp_path / "new"
+    argv = ["simulate", str(path), "--values", str(out), "-o", str(new)]
+    assert main([*argv, "--no-pictures"]) == 0
+    text = capsys.readouterr().out
+    assert says(text, f"values of {out}: E\n", "Prediction error, pulled: 0.00 mm rms")
+    page = (new / "report.html").read_text(encoding="utf-8")
+    assert "--values ../out/result.json -o repeated" in page
+    for pose in json.loads((new / "simulation.json").read_text())["configurations"]:
+        assert pose["rms_after_mm"] < 1e-6 < pose["motion_mm"]
+        assert pose["markers"][0]["measured_mm"] is not None
 
     # Once more: refused, and untouched; nothing was even read.
     before = (out / "result.json").stat().st_mtime_ns
@@ -204,6 +216,24 @@ def test_simulate(tmp_path, out, capsys):
     assert rows[0]["measured_z_mm"] == rows[0]["distance_mm"] == ""
 
 
+def write_values(folder, **values):
+    """What of a `result.json` a prediction reads."""
+    content = {
+        "format": RESULT_FORMAT,
+        "converged": True,
+        "source": None,
+        "parameters": [{"name": k, "value": v} for k, v in values.items()],
+        "configurations": [],
+        "solver": {},
+        "budget": {"covariance": []},
+        "assessment": {"reasons": []},
+        "versions": {},
+    }
+    path = folder / "result.json"
+    path.write_text(json.dumps(content))
+    return path
+
+
 CRUSHED = (
     ("(20, 0, -50) mN", "(-500000, 0, 0) N"),
     ('role = "validation"', 'role = "calibration"'),
@@ -225,6 +255,15 @@ def test_simulate_writes_what_has_an_equilibrium(tmp_path, out, capsys):
     assert "weight.vtu" in weight["files"]
     assert (out / "weight.vtu").exists()
     assert not (out / "pulled.vtu").exists()
+
+    values = write_values(tmp_path, E=300e3, friction=0.3)
+    argv = ["simulate", str(path), "--values", str(values), "-o", str(out), "--force"]
+    assert main([*argv, "--no-pictures"]) == 1
+    text = capsys.readouterr().out
+    assert says(text, "E; no parameters here: friction", "Prediction error, weight")
+    assert "Prediction error, pulled" not in text
+    pulled = json.loads((out / "simulation.json").read_text())["configurations"][1]
+    assert pulled["rms_after_mm"] is None
 
 
 def test_no_equilibrium_names_the_configuration(tmp_path, out, capsys):

@@ -32,7 +32,7 @@ from softcal_jax.equilibrium import (
 from softcal_jax.inference import UNLIKELY, whitened
 from softcal_jax.sensitivity import Response
 
-Role = Literal["calibration", "validation", "simulation"]
+Role = Literal["calibration", "validation", "prediction", "simulation"]
 
 
 class ConfigurationResult(Module):
@@ -40,8 +40,8 @@ class ConfigurationResult(Module):
 
     Attributes:
         name: Name of the configuration.
-        role: Whether it was fitted, predicted with parameters fitted to others, or
-            simulated with given parameters.
+        role: Whether it was fitted, held out of this fit, predicted with values of
+            another one, or simulated.
         converged: Whether it has an equilibrium.
         outcome: How the solve ended, in words.
         effectors: Measured and simulated values: markers, then other effectors.
@@ -290,26 +290,47 @@ def _columns(lanes: ConfigurationLanes, noise: CorrelatedNoise) -> list[HostArra
 
 
 def simulation_result(
-    model: Model, configurations: Sequence[Configuration], solution: EquilibriumSolution
+    model: Model,
+    configurations: Sequence[Configuration],
+    solution: EquilibriumSolution,
+    calibrated: ConfigurationLanes | None = None,
 ) -> SimulationResult:
     """Describe a forward simulation; a result without equilibrium says why.
 
-    Measured values are ignored, and turns are counted from rest.
+    Measured values are ignored, and turns are counted from rest, unless there are lanes
+    with `calibrated` parameters: what was measured is then compared.
     """
-    lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
-    reference = lambda arrays: arrays.effectors.turn_reference
-    from_rest = np.broadcast_to(np.eye(3), reference(lanes.arrays).shape)
-    arrays = eqx.tree_at(reference, lanes.arrays, from_rest)
-
+    lanes = calibrated or _unmeasured(model, configurations)
+    arrays = lanes.arrays
     effectors = [
         _simulated(records, model, lane_of(arrays, i), lane_of(solution, i))
         for i, records in enumerate(lanes.effectors)
     ]
-    roles: tuple[Role, ...] = ("simulation",) * len(configurations)
+    measured = [any(e.seen.any() for e in records) for records in effectors]
+    roles: list[Role] = ["prediction" if seen else "simulation" for seen in measured]
     results = _results(
         model, configurations, arrays, solution, roles=roles, effectors=effectors
     )
     return SimulationResult(model, results)
+
+
+def _unmeasured(
+    model: Model, configurations: Sequence[Configuration]
+) -> ConfigurationLanes:
+    """Stack configurations as if nothing had been measured in them."""
+    lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
+    reference = lambda arrays: arrays.effectors.turn_reference
+    from_rest = np.broadcast_to(np.eye(3), reference(lanes.arrays).shape)
+    blank = lambda e: replace(
+        e,
+        measured=np.full_like(e.measured, np.nan),
+        std=np.full_like(e.std, np.inf),
+        reference=np.eye(3),
+    )
+    return ConfigurationLanes(
+        eqx.tree_at(reference, lanes.arrays, from_rest),
+        tuple(tuple(map(blank, records)) for records in lanes.effectors),
+    )
 
 
 def _simulated(
@@ -318,23 +339,16 @@ def _simulated(
     lane: ConfigurationArrays,
     solution: EquilibriumSolution,
 ) -> tuple[EffectorRecord, ...]:
-    """Fill in the values at one equilibrium, as if nothing had been measured."""
+    """Fill in the values at one equilibrium."""
     values = None
     if records and solution.converged:
         # Positions are cheap enough to compute without compiling.
         compute = compiled_effectors if lane.effectors.observed else effector_values
         states = solution.displacement, solution.multipliers
         values = np.asarray(compute(model, lane, *states))
-    return tuple(
-        replace(
-            e,
-            measured=np.full_like(e.measured, np.nan),
-            std=np.full_like(e.std, np.inf),
-            reference=np.eye(3),
-            simulated=e.simulated if values is None else e.among(values),
-        )
-        for e in records
-    )
+    if values is None:
+        return tuple(records)
+    return tuple(replace(e, simulated=e.among(values)) for e in records)
 
 
 def _results(

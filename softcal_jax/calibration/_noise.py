@@ -165,6 +165,8 @@ class CorrelatedNoise(Module):
 
         Only errors of configurations that are `fitted` count, by default all.
         """
+        if self.attachment_std.shape[-1] == 0:
+            return np.zeros((0, 3))
         weight = np.asarray(effectors.inverse_std)
         rows = np.ones(len(weight), bool) if fitted is None else fitted
         A, errors = self._attached(effectors), weight * np.asarray(delta_e)

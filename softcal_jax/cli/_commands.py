@@ -2,7 +2,7 @@
 
 import argparse
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -102,7 +102,7 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> None:
 
 
 def simulate(args: argparse.Namespace, show: Display) -> None:
-    """Solve all configurations of a project at the start values.
+    """Solve all configurations of a project, at the start values by default.
 
     Configurations without an equilibrium are named once the results are written.
     """
@@ -114,19 +114,39 @@ def simulate(args: argparse.Namespace, show: Display) -> None:
 
     project = load(args.project, show)
     show.now(f"equilibrium of {_names(project.configurations)}")
-    with Clock() as clock:
-        solution = project.simulate(progress=equilibrium_lines(show))
+    progress = equilibrium_lines(show)
+    with Clock() as clock, bad_input():
+        if args.values is None:
+            solution = project.simulate(progress=progress)
+            result = simulation_result(project.model, project.configurations, solution)
+        else:
+            values = report.load_values(args.values)
+            result, solution = project.predict(values, progress=progress)
+            show.note(f"values of {args.values}: {_taken(project, values)}")
     show.lap("solve", compiling=clock.seconds["compile"])
-    with bad_input():
-        result = simulation_result(project.model, project.configurations, solution)
     show.line()
-    show.line(report.simulation_table(result))
+    for part in (
+        report.simulation_table(result),
+        *report.held_out_sentences(result.configurations),
+    ):
+        show.line(part)
     more = {"name": project.name, "traces": project.traces}
+    more |= {"calibration": args.values and report.result_path(args.values)}
     more |= pictures_with_a_bar(args, show)
     write = partial(report.write_simulation, result, made=_made(project), **more)
     write_results(write, args, show, index="simulation.json")
     with no_equilibrium("The results hold the others, if any."):
         check_converged(solution, tuple(c.name for c in project.configurations))
+
+
+def _taken(project: "Project", values: Mapping[str, float]) -> str:
+    """Say which values are those of a calibration, and which are not."""
+    names = [q.name for q in project.parameters]
+    taken = ", ".join(name for name in names if name in values)
+    start = ", ".join(name for name in names if name not in values)
+    left = ", ".join(name for name in values if name not in names)
+    kept = f"; as the project says: {start}" if start else ""
+    return f"{taken}{kept}" + (f"; no parameters here: {left}" if left else "")
 
 
 def identify(args: argparse.Namespace, show: Display) -> None:

@@ -108,7 +108,8 @@ def simulation_dict(
 
     Keys of `configurations` are attributes of `ConfigurationResult`, with points as
     `markers`, other readings as `effectors` and `robot` as `RobotEntry`. Where there is
-    no equilibrium, positions and displacement are null, and `outcome` says why.
+    no equilibrium, positions and displacement are null, and `outcome` says why. What
+    was measured, and how far off it is, is there where calibrated values predict it.
     """
     return plain(
         {
@@ -164,15 +165,18 @@ def _simulated(result: ConfigurationResult) -> dict[str, Any]:
         "name converged outcome newton_steps load_steps residual rounding at_rounding "
         "min_det_F largest_displacement_mm",
     )
-    entry["markers"] = [pick(p, "name at_rest_mm simulated_mm") for p in result.points]
-    entry["effectors"] = [
-        pick(effector, "name unit is_turn simulated") for effector in result.others
-    ]
+    also = ("", "")
+    if result.role == "prediction":
+        entry |= pick(result, "role rms_after_mm motion_mm")
+        also = (" measured_mm", " measured")
+    point, other = "name at_rest_mm simulated_mm", "name unit is_turn simulated"
+    entry["markers"] = [pick(p, point + also[0]) for p in result.points]
+    entry["effectors"] = [pick(e, other + also[1]) for e in result.others]
     entry["robot"] = None
     if result.robot is not None:
         entry["robot"] = RobotEntry.model_validate(result.robot).model_dump()
     if not result.converged:
-        entry["largest_displacement_mm"] = None
+        entry |= dict.fromkeys({"largest_displacement_mm", "rms_after_mm"} & set(entry))
         for marker in entry["markers"]:
             marker["simulated_mm"] = None
         for effector in entry["effectors"]:

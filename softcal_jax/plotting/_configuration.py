@@ -76,6 +76,7 @@ NOT_CONVERGED = "NOT CONVERGED: do not use these values"
 _ROLES = {
     "calibration": " - calibration (fitted)",
     "validation": " - validation (predicted, not fitted)",
+    "prediction": " - predicted",
     "simulation": "",
 }
 
@@ -86,14 +87,16 @@ def motion_words(fit: ConfigurationResult) -> str:
         return f"simulated; moves by up to {1e3 * fit.largest_displacement:.2f} mm"
     if not fit.points:
         return "no markers"
-    missing = math.isnan(fit.rms_before)
-    before = "no equilibrium" if missing else f"{1e3 * fit.rms_before:.2f} mm"
-    after = f"{1e3 * fit.rms_after:.2f} mm"
-    text = f"rms distance of the markers: {before} before, {after} after"
+    text = f"{1e3 * fit.rms_after:.2f} mm"
+    if fit.role != "prediction":
+        missing = math.isnan(fit.rms_before)
+        before = "no equilibrium" if missing else f"{1e3 * fit.rms_before:.2f} mm"
+        text = f"{before} before, {text} after"
+    text = f"rms distance of the markers: {text}"
     if math.isfinite(fit.rms_share):
         text += f" ({100 * fit.rms_share:.1f} % of their motion)"
     if math.isfinite(fit.turn_after):
-        text += f"; orientations: {math.degrees(fit.turn_after):.2f} deg after"
+        text += f"; orientations: {math.degrees(fit.turn_after):.2f} deg"
     return text
 
 

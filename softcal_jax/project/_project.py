@@ -6,7 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
+import jax.numpy as jnp
+
 from softcal_jax._module import Module
+from softcal_jax._names import listed
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration import (
     CalibrationResult,
@@ -14,8 +17,10 @@ from softcal_jax.calibration import (
     HistoryEntry,
     ProjectSource,
     SearchProgress,
+    SimulationResult,
     build_problem,
     calibrate,
+    predict_poses,
 )
 from softcal_jax.configurations import (
     Configuration,
@@ -277,6 +282,35 @@ class Project(Module):
         report = reports_of(progress, [c.name for c in self.configurations])
         with Workers(self.model, len(self.configurations)) as workers:
             return equilibria(workers, self.model, lanes, self.newton, report=report)
+
+    def predict(
+        self,
+        values: Mapping[str, float],
+        *,
+        progress: Callable[[EquilibriumProgress], None] = lambda _: None,
+    ) -> tuple[SimulationResult, EquilibriumSolution]:
+        """Solve all `configurations` with calibrated values, and compare them.
+
+        Args:
+            values: Values of parameters by name, in SI units, such as those of
+                `load_result`; the others keep their start.
+            progress: Called as by `simulate`.
+
+        Raises:
+            ProjectError: If there are no configurations, or no parameter has a value.
+        """
+        self.check_simulation()
+        known = {q.name: float(q.start) for q in self.parameters}
+        if self.space is None or not known.keys() & values.keys():
+            raise ProjectError(
+                f"{self.path}: parameters: there are values of {listed([*values])}, and "
+                f"none of its parameters, {listed([*known]) or 'none'}, is among them; "
+                "take the [[parameters]] and [[setup]] of the calibrated project."
+            )
+        new = [values.get(name, start) for name, start in known.items()]
+        z = self.space.to_scaled(jnp.asarray(new))
+        fixed = self.model, self.space, self.configurations
+        return predict_poses(*fixed, z, newton=self.newton, progress=progress)
 
 
 def compare_projects(

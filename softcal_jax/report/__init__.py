@@ -14,6 +14,8 @@ from softcal_jax.report._load import (
     ResultError as ResultError,
     ResultWarning as ResultWarning,
     load_result as load_result,
+    load_values as load_values,
+    result_path as result_path,
 )
 from softcal_jax.report._outline import (
     control_point_sets as control_point_sets,

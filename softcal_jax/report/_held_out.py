@@ -26,8 +26,9 @@ def listed_fits(fits: Sequence[ConfigurationResult]) -> list[ConfigurationResult
 
 
 def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
-    """Say how far off held-out configurations are predicted, as far as it is known."""
-    held_out = [fit for fit in fits if fit.role == "validation"]
+    """Say how far off predicted configurations are, as far as it is known."""
+    asked = ("validation", "prediction")
+    held_out = [fit for fit in fits if fit.role in asked and fit.converged]
     if len(held_out) > MOST_LISTED and all(fit.points for fit in held_out):
         return [_together(held_out)]
     lines = []
@@ -41,7 +42,7 @@ def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
         if math.isfinite(fit.turn_after):
             texts.append(f"{math.degrees(fit.turn_after):.2f} deg rms of orientations")
         if texts:
-            lines.append(f"Held-out error, {fit.name}: {'; '.join(texts)}.")
+            lines.append(f"{_error(fit)}, {fit.name}: {'; '.join(texts)}.")
     return lines
 
 
@@ -56,11 +57,15 @@ def _together(fits: Sequence[ConfigurationResult]) -> str:
     turned = f"; {rms(turns):.2f} deg rms of orientations" if len(turns) else ""
     share = f" ({100 * rms(errors) / rms(moved):.1f} % of how far they moved)"
     return (
-        f"Held-out error of {len(fits)} configurations: {rms(errors):.2f} mm rms"
+        f"{_error(worst)} of {len(fits)} configurations: {rms(errors):.2f} mm rms"
         f"{share if rms(moved) > 0.0 else ''}; half below {half:.2f} mm, 95 % below "
         f"{most:.2f} mm; the largest is {errors.max():.2f} mm ({worst.name}), the "
         f"smallest {errors.min():.2f} mm ({best.name}){turned}."
     )
+
+
+def _error(fit: ConfigurationResult) -> str:
+    return "Prediction error" if fit.role == "prediction" else "Held-out error"
 
 
 def _points(fit: ConfigurationResult) -> str:

@@ -126,9 +126,9 @@ def load_result(
     Warns:
         ResultWarning: If the calibration did not converge.
     """
-    path = Path(path)
-    path = path / RESULT if path.is_dir() else path
-    data, source = _read(path)
+    path = result_path(path)
+    data = _read(path)
+    source = _source_of(path, data)
     if project is None:
         project = os.path.normpath(path.parent.resolve() / source.project.file)
     _check_unchanged(path, Path(project), source)
@@ -137,13 +137,7 @@ def load_result(
     space = _checked_space(path, loaded, data)
     values = {entry.name: entry.value for entry in data.parameters}
     z = space.to_scaled(jnp.asarray([values[name] for name in space.names]))
-    if not data.converged:
-        warnings.warn(
-            f"{path}: the calibration did not converge: do not use its values. Run it "
-            "again with more steps, or see its notes.",
-            ResultWarning,
-            stacklevel=2,
-        )
+    _warn_unless_converged(path, data)
     return LoadedResult(
         path=path,
         project=loaded,
@@ -161,7 +155,34 @@ def load_result(
     )
 
 
-def _read(path: Path) -> tuple[ResultFile, SourceEntry]:
+def result_path(path: str | os.PathLike[str]) -> Path:
+    """Return the path of `result.json`, given it or its folder."""
+    path = Path(path)
+    return path / RESULT if path.is_dir() else path
+
+
+def load_values(path: str | os.PathLike[str]) -> dict[str, float]:
+    """Load the calibrated values alone, by name in SI units.
+
+    Project, mesh and measurements may have changed since. Otherwise as `load_result`.
+    """
+    path = result_path(path)
+    data = _read(path)
+    _warn_unless_converged(path, data)
+    return {entry.name: entry.value for entry in data.parameters}
+
+
+def _warn_unless_converged(path: Path, data: ResultFile) -> None:
+    if not data.converged:
+        warnings.warn(
+            f"{path}: the calibration did not converge: do not use its values. Run it "
+            "again with more steps, or see its notes.",
+            ResultWarning,
+            stacklevel=3,
+        )
+
+
+def _read(path: Path) -> ResultFile:
     """Read and check the file."""
     check_file(path, "result file")
     try:
@@ -184,6 +205,10 @@ def _read(path: Path) -> tuple[ResultFile, SourceEntry]:
             f"{path}: expected {RESULT} as softcal calibrate writes it; was it edited, "
             f"or cut short? {what}."
         ) from error
+    return data
+
+
+def _source_of(path: Path, data: ResultFile) -> SourceEntry:
     if data.source is None:
         raise ResultError(
             f"{path}: this calibration was made in Python, without a project file. "
@@ -191,7 +216,7 @@ def _read(path: Path) -> tuple[ResultFile, SourceEntry]:
             "space.model_at(model, space.to_scaled(values)); or describe them in a "
             "project file, and calibrate that."
         )
-    return data, data.source
+    return data.source
 
 
 def _check_unchanged(path: Path, project: Path, source: SourceEntry) -> None:

@@ -27,7 +27,12 @@ from softcal_jax.fields import ControlPointParameters, ControlPoints, Parameter
 from softcal_jax.mesh import TetMesh, face_shares, locate, node_indices, volumes
 from softcal_jax.project import Project, ProjectError, QuantityAsRead, guesses_left
 
-ROLES = {"calibration": "fitted", "validation": "held out", "candidate": "candidate"}
+ROLES = {
+    "calibration": "fitted",
+    "validation": "held out",
+    "prediction": "predicted",
+    "candidate": "candidate",
+}
 """Roles of configurations in words."""
 
 _MOST_ALIKE = 4
@@ -41,12 +46,12 @@ Rows = Iterable[Sequence[str]]
 
 def roles_of(project: Project) -> dict[str, str]:
     """Return the role of each configuration and candidate in words, by its name."""
-    groups = (project.calibration, project.validation, project.candidates)
-    return {
-        c.name: word
-        for word, group in zip(ROLES.values(), groups, strict=True)
-        for c in group
+    groups = {
+        "calibration": project.calibration,
+        "validation": project.validation,
+        "candidate": project.candidates,
     }
+    return {c.name: ROLES[role] for role, group in groups.items() for c in group}
 
 
 def control_point_sets(project: Project) -> dict[str, ControlPoints]:

@@ -92,12 +92,16 @@ def simulation_page(
     view: PageView | None = None,
 ) -> str:
     """Write the page of a simulation; arguments as of `calibration_page`."""
+    poses, values = result.configurations, data["calibration"]
+    options = [] if values is None else ["--values", values["file"]]
+    errors = held_out_sentences(poses)
     sections = [
         Section("notes", "Notes", [bullets(data["notes"])]),
         Section("model", "Model", [node("p", f"{model_words(result.model)}.")]),
+        Section("errors", "Errors", sentences(errors)),
         Section("states", "States", [*map(table_html, simulation_tables(result))]),
         Section("pictures", "Pictures", _pictures(data, folder, view)),
-        *closing("simulate", data, [data["source"]]),
+        *closing("simulate", data, [data["source"]], options=options),
     ]
     about = {"index": "simulation.json", "script": view.script if view else ""}
     verdict = _simulation_verdict(result)

@@ -45,8 +45,11 @@ def simulation_tables(result: SimulationResult) -> list[TextTable]:
 
 def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTable]:
     """Tabulate actuators, rigid bodies, reactions, and effectors that are no points."""
-    fitted = any(result.role != "simulation" for result in configurations)
+    roles = {result.role for result in configurations}
+    fitted = roles != {"simulation"}
     values = ["measured", "before", "after"] if fitted else ["simulated"]
+    if "prediction" in roles:
+        values = ["measured", "simulated"]
     titles = {
         "Other effectors": ["effector", *values],
         "Actuators": ["actuator", "force or pressure", "displacement or growth"],
@@ -59,8 +62,12 @@ def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTabl
             if effector.is_turn and fitted:
                 continue  # another table shows the errors of turns
             name = f"{effector.name}{' (turn)' if effector.is_turn else ''}"
-            vectors = effector.measured, effector.simulated_before, effector.simulated
-            shown = [_values(effector, vector) for vector in vectors[-len(values) :]]
+            vectors = {
+                "measured": effector.measured,
+                "before": effector.simulated_before,
+            }
+            of_value = (vectors.get(value, effector.simulated) for value in values)
+            shown = [_values(effector, vector) for vector in of_value]
             rows["Other effectors"].append((result.name, name, *shown))
         robot = result.robot
         if robot is None:

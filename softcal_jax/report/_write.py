@@ -11,11 +11,13 @@ from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
     SimulationResult,
+    SourceFile,
 )
 from softcal_jax.configurations import Traces
 from softcal_jax.export import (
     Made,
     comparison_dict,
+    file_dict,
     file_stems,
     outlook_dict,
     result_dict,
@@ -118,18 +120,22 @@ def write_simulation(
     pictures: Picture | None = "png",
     progress: Progress = lambda *_: None,
     made: Made | None = None,
+    calibration: str | Path | None = None,
 ) -> Path:
     """Write a forward simulation to a folder, whole or not at all.
 
     The folder holds `report.html`, `simulation.json` (see `simulation_dict`) and, for
     each configuration with an equilibrium, a .vtu and a .png; the page says why others
     have none. `configurations.pvd`, `markers.csv`, `effectors.csv` and `robot.csv` are
-    as in `write_results`, without measured values. Arguments, errors and what is
-    returned are those of `write_results`; `made`, what the simulation was computed from
-    and with, gives the command that repeats it.
+    as in `write_results`; measured values are there where calibrated ones predict them.
+    Arguments, errors and what is returned are those of `write_results`; `made`, what
+    the simulation was computed from and with, and `calibration`, the file of the values
+    it took, give the command that repeats it.
     """
     more: dict[str, Any] = {"made": made, "directory": directory}
     data = simulation_dict(result, name=name, timing_s=timing_s, **more)
+    values = None if calibration is None else SourceFile.of(Path(calibration))
+    data["calibration"] = values and file_dict(values, directory)
     page = partial(simulation_page, result)
     drawn = {"traces": traces or {}, "suffix": pictures, "progress": progress}
     return _write(
