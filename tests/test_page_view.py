@@ -13,7 +13,6 @@ from test_page import DATA, check_page
 from wording import says
 
 from benchmarks._compilations import Compilations
-from softcal_jax.calibration import simulation_result
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import build_model, tet_states
 from softcal_jax.export import write_vtu
@@ -317,7 +316,7 @@ def robot(tmp_path_factory):
     """A robot with actuators of most kinds, at rest and solved."""
     path = write_robot_project(tmp_path_factory.mktemp("robot"))
     project = load_project(path)
-    return simulation_result(project.model, project.configurations, project.simulate())
+    return project.simulate()[0]
 
 
 def test_actuators_and_frames(robot):

@@ -29,7 +29,6 @@ from softcal_jax.calibration._notes import (
     LeftOut as LeftOut,
     ResidualChecks as ResidualChecks,
 )
-from softcal_jax.calibration._prediction import predict_poses as predict_poses
 from softcal_jax.calibration._problem import (
     CalibrationProblem as CalibrationProblem,
     CalibrationSettings as CalibrationSettings,

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
-import equinox as eqx
 import jax
 import numpy as np
 from scipy.special import chdtrc
@@ -15,7 +14,6 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration._noise import AnyArray, CorrelatedNoise
 from softcal_jax.configurations import (
     Configuration,
-    ConfigurationArrays,
     ConfigurationLanes,
     EffectorRecord,
     configuration_lanes,
@@ -31,6 +29,7 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.inference import UNLIKELY, whitened
 from softcal_jax.sensitivity import Response
+from softcal_jax.unknowns import attachments
 
 Role = Literal["calibration", "validation", "prediction", "simulation"]
 
@@ -40,8 +39,8 @@ class ConfigurationResult(Module):
 
     Attributes:
         name: Name of the configuration.
-        role: Whether it was fitted, held out of this fit, predicted with values of
-            another one, or simulated.
+        role: Whether it was fitted, held out of a fit, measured and predicted without
+            any, or simulated without a measurement.
         converged: Whether it has an equilibrium.
         outcome: How the solve ended, in words.
         effectors: Measured and simulated values: markers, then other effectors.
@@ -289,66 +288,59 @@ def _columns(lanes: ConfigurationLanes, noise: CorrelatedNoise) -> list[HostArra
     return columns
 
 
+def displaced(
+    configurations: Sequence[Configuration],
+    lanes: ConfigurationLanes,
+    delta_e: Float[HostArray, "n n_rows 3"],
+) -> ConfigurationLanes:
+    """Move measured values by the offsets of effectors whose displacement counts.
+
+    What is left between measured and simulated values is the error of the displacement.
+    The errors are those of the first configurations, which tell the offsets.
+    """
+    effectors = jax.tree.map(np.asarray, lanes.arrays.effectors)
+    n, n_rows = delta_e.shape[:2]
+    attached = attachments(configurations, lanes.effectors, n_rows)
+    shifts = attached.shifts(effectors.inverse_std[:n], delta_e)
+    records = tuple(
+        tuple(replace(e, measured=e.measured + e.among(shift)) for e in of_lane)
+        for shift, of_lane in zip(shifts, lanes.effectors, strict=True)
+    )
+    return lanes._replace(effectors=records)
+
+
 def simulation_result(
     model: Model,
     configurations: Sequence[Configuration],
     solution: EquilibriumSolution,
-    calibrated: ConfigurationLanes | None = None,
+    lanes: ConfigurationLanes | None = None,
 ) -> SimulationResult:
     """Describe a forward simulation; a result without equilibrium says why.
 
-    Measured values are ignored, and turns are counted from rest, unless there are lanes
-    with `calibrated` parameters: what was measured is then compared.
+    What was measured is compared with it. By default the `lanes` are those of the
+    configurations, without parameters.
     """
-    lanes = calibrated or _unmeasured(model, configurations)
+    lanes = lanes or configuration_lanes(model.mesh, configurations, model.mechanism)
     arrays = lanes.arrays
+    values = np.full(np.shape(arrays.effectors.measured), np.nan)
+    # Positions are cheap enough to compute without compiling.
+    compute = compiled_effectors if arrays.effectors.observed else effector_values
+    for i in np.flatnonzero(np.asarray(solution.converged)).tolist():
+        states = lane_of((solution.displacement, solution.multipliers), i)
+        values[i] = np.asarray(compute(model, lane_of(arrays, i), *states))
+    off = values - np.asarray(arrays.effectors.measured)
+    seen = (np.asarray(arrays.effectors.inverse_std) > 0.0) & np.isfinite(off)
+    records = displaced(configurations, lanes, np.where(seen, off, 0.0)).effectors
     effectors = [
-        _simulated(records, model, lane_of(arrays, i), lane_of(solution, i))
-        for i, records in enumerate(lanes.effectors)
+        tuple(replace(e, simulated=e.among(of_pose)) for e in of_lane)
+        for of_lane, of_pose in zip(records, values, strict=True)
     ]
-    measured = [any(e.seen.any() for e in records) for records in effectors]
-    roles: list[Role] = ["prediction" if seen else "simulation" for seen in measured]
+    measured = [any(e.seen.any() for e in of_lane) for of_lane in records]
+    roles: list[Role] = ["prediction" if some else "simulation" for some in measured]
     results = _results(
         model, configurations, arrays, solution, roles=roles, effectors=effectors
     )
     return SimulationResult(model, results)
-
-
-def _unmeasured(
-    model: Model, configurations: Sequence[Configuration]
-) -> ConfigurationLanes:
-    """Stack configurations as if nothing had been measured in them."""
-    lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
-    reference = lambda arrays: arrays.effectors.turn_reference
-    from_rest = np.broadcast_to(np.eye(3), reference(lanes.arrays).shape)
-    blank = lambda e: replace(
-        e,
-        measured=np.full_like(e.measured, np.nan),
-        std=np.full_like(e.std, np.inf),
-        reference=np.eye(3),
-    )
-    return ConfigurationLanes(
-        eqx.tree_at(reference, lanes.arrays, from_rest),
-        tuple(tuple(map(blank, records)) for records in lanes.effectors),
-    )
-
-
-def _simulated(
-    records: Sequence[EffectorRecord],
-    model: Model,
-    lane: ConfigurationArrays,
-    solution: EquilibriumSolution,
-) -> tuple[EffectorRecord, ...]:
-    """Fill in the values at one equilibrium."""
-    values = None
-    if records and solution.converged:
-        # Positions are cheap enough to compute without compiling.
-        compute = compiled_effectors if lane.effectors.observed else effector_values
-        states = solution.displacement, solution.multipliers
-        values = np.asarray(compute(model, lane, *states))
-    if values is None:
-        return tuple(records)
-    return tuple(replace(e, simulated=e.among(values)) for e in records)
 
 
 def _results(

@@ -26,10 +26,11 @@ from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.configurations import Configuration, EffectorArrays, EffectorRecord
 from softcal_jax.fields import QUANTITIES
-from softcal_jax.inference import ATTACHMENTS, RANK, ErrorColumns, no_errors
+from softcal_jax.inference import ATTACHMENTS, ErrorColumns, no_errors
 from softcal_jax.unknowns import (
     CREEP,
     FAR_BEYOND,
+    Attachments,
     Setting,
     Unknown,
     attachments,
@@ -155,53 +156,27 @@ class CorrelatedNoise(Module):
             parts.append(attached.reshape(n_e, 3 * n))
         return xp.concatenate(parts, axis=1) / noise.jitter
 
-    def attachment_offsets(
-        self,
-        effectors: EffectorArrays,
-        delta_e: Float[AnyArray, "n_c n_rows 3"],
-        fitted: Bool[HostArray, " n_c"] | None = None,
-    ) -> Float[HostArray, "n_attachments 3"]:
-        """Return the offset of each attachment, by least squares [m, rad].
-
-        Only errors of configurations that are `fitted` count, by default all.
-        """
-        if self.attachment_std.shape[-1] == 0:
-            return np.zeros((0, 3))
-        weight = np.asarray(effectors.inverse_std)
-        rows = np.ones(len(weight), bool) if fitted is None else fitted
-        A, errors = self._attached(effectors), weight * np.asarray(delta_e)
-        share, *_ = np.linalg.lstsq(
-            A[rows].reshape(-1, A.shape[-1]), errors[rows].ravel(), rcond=RANK
-        )
-        return share.reshape(-1, 3) * np.asarray(self.attachment_std)[:, None]
-
     def without_attachments(
         self,
         effectors: EffectorArrays,
         delta_e: Float[AnyArray, "n_c n_rows 3"],
         fitted: Bool[HostArray, " n_c"] | None = None,
     ) -> Float[HostArray, "n_c n_rows 3"]:
-        """Subtract the `attachment_offsets` from the errors of their effectors."""
-        if self.attachment_std.shape[-1] == 0:
-            return np.asarray(delta_e)
-        weight = np.asarray(effectors.inverse_std)
-        offsets = self.attachment_offsets(effectors, delta_e, fitted)
-        share = offsets / np.asarray(self.attachment_std)[:, None]
-        common = self._attached(effectors) @ share.ravel()
-        std = 1.0 / np.where(weight > 0.0, weight, np.inf)
-        return np.where(weight > 0.0, np.asarray(delta_e) - std * common, 0.0)
+        """Subtract the offsets of attachments from the errors of their effectors.
+
+        Only errors of configurations that are `fitted` tell them, by default all.
+        """
+        of_row, axes = np.asarray(self.attachment), np.asarray(self.attachment_axes)
+        errors, weight = np.asarray(delta_e), np.asarray(effectors.inverse_std)
+        rows = np.ones(len(weight), bool) if fitted is None else fitted
+        counted = np.where(rows[:, None, None], weight, 0.0)
+        shifts = Attachments(of_row, axes, ()).shifts(counted, errors)
+        return np.where(weight > 0.0, errors - shifts, 0.0)
 
     def on_host(self, effectors: EffectorArrays) -> Float[HostArray, "n_e n_columns"]:
         """Compute `columns` on the host, without a program for each shape."""
         noise, effectors = jax.tree.map(np.asarray, (self, effectors))
         return np.asarray(noise.columns(effectors))
-
-    def _attached(
-        self, effectors: EffectorArrays
-    ) -> Float[HostArray, "n_c n_rows 3 n_columns"]:
-        """Return the columns of the attachments, per stated standard deviation."""
-        A = self.on_host(effectors)[:, self.n_common :] * np.asarray(self.jitter)
-        return A.reshape(*np.shape(effectors.inverse_std), A.shape[1])
 
     def moving(self, motion: Float[AnyArray, "n n_rows 3"]) -> "CorrelatedNoise":
         """Return the noise with another motion of the first few configurations [m]."""

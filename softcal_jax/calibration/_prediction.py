@@ -1,7 +1,6 @@
 """All configurations with the calibrated parameters; those held out are solved."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -11,39 +10,28 @@ import numpy as np
 
 from softcal_jax._lanes import lane_of, stacked
 from softcal_jax._results import RESULTS
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._configuration_result import (
     ConfigurationResult,
-    SimulationResult,
     configuration_results,
-    simulation_result,
+    displaced,
 )
-from softcal_jax.calibration._evaluation import Evaluator, effector_errors
-from softcal_jax.calibration._noise import check_references, correlated_noise
+from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._problem import Batch, CalibrationProblem, Task
 from softcal_jax.calibration._starts import Start
-from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.calibration._weighing import Weighed
 from softcal_jax.configurations import (
     Configuration,
-    ConfigurationLanes,
-    EffectorRecord,
-    configuration_lanes,
 )
 from softcal_jax.equilibrium import (
-    EquilibriumProgress,
     EquilibriumSolution,
     LoadPath,
     Model,
-    NewtonSettings,
     Report,
-    Workers,
-    reports_of,
     solve_equilibrium,
 )
-from softcal_jax.fields import ParameterSpace, SetupParameter, exactly_known
+from softcal_jax.fields import ParameterSpace, SetupParameter
 from softcal_jax.sensitivity import Response
-from softcal_jax.unknowns import Setting, attachments
 
 
 class Predicted(NamedTuple):
@@ -74,11 +62,13 @@ def predict(
     held = np.asarray(begun.equilibrium.converged)[:, None, None]
     assert everything.noise is not None
     noise = weighed.of_all(everything.noise, task.configurations)
-    model = task.space.model_at(task.model, z)
+    model, arrays = everything.at(z)
+    lanes = batch.lanes._replace(arrays=arrays)
+    fitted_errors = np.asarray(weighed.state.evaluation.delta_e)
     fits = configuration_results(
         model,
         task.configurations,
-        _calibrated_lanes(task, batch, weighed.state),
+        displaced(task.configurations, lanes, fitted_errors),
         n_fitted=len(task.fitted),
         before=np.where(held, np.asarray(begun.effectors), np.nan),
         response=response,
@@ -86,82 +76,6 @@ def predict(
     )
     problem = everything.with_noise(noise)
     return Predicted(model, problem, response, fits, tuple(notes), interrupted)
-
-
-def _calibrated_lanes(
-    task: Task, batch: Batch, state: CalibrationState
-) -> ConfigurationLanes:
-    """Return lanes with the calibrated parameters.
-
-    Measured values are moved by the offsets of effectors whose displacement was fitted:
-    what is left between measured and simulated values is the error of the displacement.
-    """
-    lanes = batch.lanes._replace(arrays=batch.everything.at(state.z)[1])
-    effectors, noise = batch.fitted.configurations.effectors, batch.fitted.noise
-    assert noise is not None
-    offsets = noise.attachment_offsets(effectors, state.evaluation.delta_e)
-    return _displaced(task.configurations, lanes, offsets)
-
-
-def _displaced(
-    configurations: Sequence[Configuration],
-    lanes: ConfigurationLanes,
-    offsets: Float[HostArray, "n_attachments 3"],
-) -> ConfigurationLanes:
-    """Return lanes with measured values moved by the offsets of attachments."""
-    n_rows = lanes.arrays.effectors.measured.shape[1]
-    of_row, axes, _ = attachments(configurations, lanes.effectors, n_rows)
-
-    def moved(lane: int, e: EffectorRecord) -> EffectorRecord:
-        row = lane, e.index
-        if of_row[row] < 0:
-            return e
-        return replace(e, measured=e.measured + axes[row] @ offsets[of_row[row]])
-
-    records = tuple(
-        tuple(moved(lane, e) for e in of_lane)
-        for lane, of_lane in enumerate(lanes.effectors)
-    )
-    return lanes._replace(effectors=records)
-
-
-def predict_poses(
-    model: Model,
-    space: ParameterSpace,
-    configurations: Sequence[Configuration],
-    z: Float[Array, " n_p"],
-    *,
-    newton: NewtonSettings | None = None,
-    progress: Callable[[EquilibriumProgress], None] = lambda _: None,
-) -> tuple[SimulationResult, EquilibriumSolution]:
-    """Solve configurations with parameters from elsewhere, and compare them.
-
-    What is measured is compared with what is simulated; poses that name a reference by
-    their displacement from it, which must be among them.
-
-    Args:
-        model: The model, of which the parameters set values.
-        space: The parameters.
-        configurations: The poses, measured or not.
-        z: Scaled values of the parameters [-].
-        newton: Settings of the equilibria.
-        progress: Called as `calibrate` calls its `equilibrium_progress`.
-    """
-    lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
-    check_references(configurations, lanes.effectors)
-    setting = Setting(model, space, configurations, lanes, exactly_known())
-    newton, noise = newton or NewtonSettings(), correlated_noise(setting)
-    problem = CalibrationProblem(model, space, lanes.arrays, newton, noise)
-    report = reports_of(progress, [c.name for c in configurations])
-    with Workers(model, len(configurations)) as workers:
-        evaluate = Evaluator(problem, workers)
-        solution = evaluate.equilibria(z, report)
-        delta_e = effector_errors(problem, evaluate.effectors(z, solution))
-    solved = np.asarray(solution.converged)
-    offsets = noise.attachment_offsets(lanes.arrays.effectors, delta_e, solved)
-    calibrated, arrays = problem.at(z)
-    posed = _displaced(configurations, lanes._replace(arrays=arrays), offsets)
-    return simulation_result(calibrated, configurations, solution, posed), solution
 
 
 class _AllLanes(NamedTuple):

@@ -109,20 +109,16 @@ def simulate(args: argparse.Namespace, show: Display) -> None:
     check_folder(args)
     from softcal_jax import report
     from softcal_jax._clock import Clock
-    from softcal_jax.calibration import simulation_result
     from softcal_jax.equilibrium import check_converged
 
     project = load(args.project, show)
     show.now(f"equilibrium of {_names(project.configurations)}")
     progress = equilibrium_lines(show)
     with Clock() as clock, bad_input():
-        if args.values is None:
-            solution = project.simulate(progress=progress)
-            result = simulation_result(project.model, project.configurations, solution)
-        else:
-            values = report.load_values(args.values)
-            result, solution = project.predict(values, progress=progress)
-            show.note(f"values of {args.values}: {_taken(project, values)}")
+        values = args.values and report.load_values(args.values)
+        result, solution = project.simulate(values, progress=progress)
+    if values is not None:
+        show.note(f"values of {args.values}: {_taken(project, values)}")
     show.lap("solve", compiling=clock.seconds["compile"])
     show.line()
     for part in (

@@ -157,7 +157,7 @@ def _parser(formats: Mapping[str, AbstractExporter]) -> argparse.ArgumentParser:
         help="solve the configurations of a project file, without a fit",
         description="Solves the equilibrium of every configuration of a project file "
         "with the start values of its parameters, or with values that were calibrated, "
-        "and writes the results. With --values it says how far measured poses are off.",
+        "and writes the results. It says how far poses that were measured are off.",
     )
     text = "take the values of this folder of softcal calibrate, by their names"
     add_path(forward, "--values", "RESULTS", text)

@@ -108,8 +108,8 @@ def simulation_dict(
 
     Keys of `configurations` are attributes of `ConfigurationResult`, with points as
     `markers`, other readings as `effectors` and `robot` as `RobotEntry`. Where there is
-    no equilibrium, positions and displacement are null, and `outcome` says why. What
-    was measured, and how far off it is, is there where calibrated values predict it.
+    no equilibrium, positions and displacement are null, and `outcome` says why. Those
+    that were measured say how far they are off.
     """
     return plain(
         {

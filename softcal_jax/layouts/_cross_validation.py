@@ -141,7 +141,8 @@ def _score(
         if failure:
             return np.nan, np.nan
         error = noise.without_attachments(effectors, fit.after.delta_e, fold.counts)
-        after, z = replace(fit.after, delta_e=error), jnp.asarray(fit.run.z)
+        z, on_device = jnp.asarray(fit.run.z), jax.device_put(error)
+        after = replace(fit.after, delta_e=on_device)
         linear = after.linear(problem.with_noise(known), configurations, z)
         linear = linear.only(np.isin(linear.pose, lanes))
         squares = np.sum(error[lanes, :n_points] ** 2, axis=2)

@@ -12,6 +12,7 @@ from softcal_jax._module import Module
 from softcal_jax._names import listed
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration import (
+    CalibrationProblem,
     CalibrationResult,
     CalibrationSettings,
     HistoryEntry,
@@ -20,13 +21,14 @@ from softcal_jax.calibration import (
     SimulationResult,
     build_problem,
     calibrate,
-    predict_poses,
+    check_references,
+    simulation_result,
 )
 from softcal_jax.configurations import (
     Configuration,
     Registration,
     Traces,
-    configuration_arrays,
+    configuration_lanes,
 )
 from softcal_jax.equilibrium import (
     EquilibriumProgress,
@@ -267,50 +269,52 @@ class Project(Module):
             )
 
     def simulate(
-        self, *, progress: Callable[[EquilibriumProgress], None] = lambda _: None
-    ) -> EquilibriumSolution:
-        """Solve the equilibria of all `configurations`, a lane each, at the start.
-
-        `check_converged` raises where one has no equilibrium.
-
-        Raises:
-            ProjectError: If there are no configurations.
-        """
-        self.check_simulation()
-        mesh, mechanism = self.model.mesh, self.model.mechanism
-        lanes = configuration_arrays(mesh, self.configurations, mechanism)
-        report = reports_of(progress, [c.name for c in self.configurations])
-        with Workers(self.model, len(self.configurations)) as workers:
-            return equilibria(workers, self.model, lanes, self.newton, report=report)
-
-    def predict(
         self,
-        values: Mapping[str, float],
+        values: Mapping[str, float] | None = None,
         *,
         progress: Callable[[EquilibriumProgress], None] = lambda _: None,
     ) -> tuple[SimulationResult, EquilibriumSolution]:
-        """Solve all `configurations` with calibrated values, and compare them.
+        """Solve the equilibria of all `configurations`, and compare what was measured.
+
+        `check_converged` raises where one has no equilibrium.
 
         Args:
             values: Values of parameters by name, in SI units, such as those of
-                `load_result`; the others keep their start.
-            progress: Called as by `simulate`.
+                `load_values`; the others keep their start.
+            progress: Called as `calibrate` calls its `equilibrium_progress`.
 
         Raises:
-            ProjectError: If there are no configurations, or no parameter has a value.
+            ProjectError: If there are no configurations, no parameter has one of the
+                values, or `displacement_from` names no configuration like it.
         """
         self.check_simulation()
+        posed, model = self.configurations, self.model
+        lanes = configuration_lanes(model.mesh, posed, model.mechanism)
+        with in_file(self.path), under("configurations"):
+            check_references(posed, lanes.effectors)
+        if values is not None:
+            z = self._scaled(values)
+            assert self.space is not None  # `_scaled` has seen to it
+            model, arrays = CalibrationProblem(model, self.space, lanes.arrays).at(z)
+            lanes = lanes._replace(arrays=arrays)
+        report = reports_of(progress, [c.name for c in posed])
+        with Workers(model, len(posed)) as workers:
+            solved = equilibria(
+                workers, model, lanes.arrays, self.newton, report=report
+            )
+        return simulation_result(model, posed, solved, lanes), solved
+
+    def _scaled(self, values: Mapping[str, float]) -> Float[Array, " n_p"]:
+        """Return the scaled parameters with some values, the others at their start."""
         known = {q.name: float(q.start) for q in self.parameters}
         if self.space is None or not known.keys() & values.keys():
             raise ProjectError(
-                f"{self.path}: parameters: there are values of {listed([*values])}, and "
-                f"none of its parameters, {listed([*known]) or 'none'}, is among them; "
-                "take the [[parameters]] and [[setup]] of the calibrated project."
+                f"{self.path}: parameters: there are values of {listed([*values])}, "
+                f"and none of its parameters, {listed([*known]) or 'none'}, is among "
+                "them; take [[parameters]] and [[setup]] of the calibrated project."
             )
         new = [values.get(name, start) for name, start in known.items()]
-        z = self.space.to_scaled(jnp.asarray(new))
-        fixed = self.model, self.space, self.configurations
-        return predict_poses(*fixed, z, newton=self.newton, progress=progress)
+        return self.space.to_scaled(jnp.asarray(new))
 
 
 def compare_projects(

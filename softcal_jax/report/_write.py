@@ -127,10 +127,9 @@ def write_simulation(
     The folder holds `report.html`, `simulation.json` (see `simulation_dict`) and, for
     each configuration with an equilibrium, a .vtu and a .png; the page says why others
     have none. `configurations.pvd`, `markers.csv`, `effectors.csv` and `robot.csv` are
-    as in `write_results`; measured values are there where calibrated ones predict them.
-    Arguments, errors and what is returned are those of `write_results`; `made`, what
-    the simulation was computed from and with, and `calibration`, the file of the values
-    it took, give the command that repeats it.
+    as in `write_results`. Arguments, errors and what is returned are those of
+    `write_results`; `made`, what the simulation was computed from and with, and
+    `calibration`, the file of the values it took, give the command that repeats it.
     """
     more: dict[str, Any] = {"made": made, "directory": directory}
     data = simulation_dict(result, name=name, timing_s=timing_s, **more)

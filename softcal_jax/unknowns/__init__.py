@@ -2,7 +2,7 @@
 
 from softcal_jax.unknowns._attachments import (
     FAR_BEYOND as FAR_BEYOND,
-    Attachment as Attachment,
+    Attachments as Attachments,
     attachments as attachments,
 )
 from softcal_jax.unknowns._considered import (

@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.configurations import Configuration, EffectorRecord
+from softcal_jax.inference import RANK
 
 FAR_BEYOND: Mapping[str, float] = {"point": 1.0, "turn": 100.0}
 """Standard deviation of an unknown offset, far beyond any real offset [m, rad]."""
@@ -44,6 +45,24 @@ class Attachments(NamedTuple):
     of_row: Int[HostArray, "n_c n_rows"]
     axes: Float[HostArray, "n_c n_rows 3 3"]
     keys: tuple[Attachment, ...]
+
+    def shifts(
+        self,
+        weight: Float[HostArray, "n n_rows 3"],
+        delta_e: Float[HostArray, "n n_rows 3"],
+    ) -> Float[HostArray, "n_c n_rows 3"]:
+        """Return what the offset of its attachment adds to each row [m, rad].
+
+        Offsets fit the weighted errors of the first configurations, by least squares.
+        """
+        shifts, n = np.zeros((*self.of_row.shape, 3)), len(weight)
+        for k in range(int(self.of_row.max(initial=-1)) + 1):
+            mine = self.of_row == k
+            w = weight[mine[:n]]
+            A, b = w[:, :, None] * self.axes[:n][mine[:n]], w * delta_e[mine[:n]]
+            offset, *_ = np.linalg.lstsq(A.reshape(-1, 3), b.ravel(), rcond=RANK)
+            shifts[mine] = self.axes[mine] @ offset
+        return shifts
 
 
 def attachments(
