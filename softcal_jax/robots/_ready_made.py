@@ -11,6 +11,7 @@ READY_MADE = {
     "pneumatic-finger": "pneumatic_finger",
     "pneumatic-arm": "pneumatic_arm",
     "parallel-robot": "parallel_robot",
+    "tentacle": "soft_tentacle",
 }
 """Folders of this package, by the names of the robots that users type."""
 
@@ -18,8 +19,9 @@ READY_MADE = {
 def ready_made_path(name: str) -> Path:
     """Return the project file of a ready-made robot, by its name in `READY_MADE`.
 
-    The readings of "beam" and "pneumatic-arm" were measured, those of "cable-beam",
-    "pneumatic-finger" and "parallel-robot" computed; README.md beside each says how.
+    The readings of "beam", "pneumatic-arm" and "tentacle" were measured, those of
+    "cable-beam", "pneumatic-finger" and "parallel-robot" computed; README.md beside
+    each says how.
 
     Raises:
         ValueError: If there is no such robot; the text suggests the closest name.
