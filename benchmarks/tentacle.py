@@ -1,0 +1,76 @@
+"""A real silicone tentacle that tendons bend: how well is another session predicted?
+
+The packaged robot `tentacle` (TU Delft): fitted are the eight poses of one session, 0.1
+to 0.25 N m on one of two motors, and held out the six of another. Errors are root mean
+squares over the poses of each marker, and their mean over the markers, as its authors
+state theirs: 15.8 mm, and 28.4 mm at the tip, over poses of which they fitted some.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from benchmarks._problem import Figure, Goal, Options, Outcome, Table
+from softcal_jax.calibration import CalibrationResult, ConfigurationResult
+from softcal_jax.identifiability import assess
+from softcal_jax.project import load_project
+from softcal_jax.robots import ready_made_path
+
+AUTHORS_MM = 15.8
+"""Mean error of the authors' rod model."""
+
+TIP = "p4"
+
+GOALS = {
+    "held_out_mean_mm": Goal("at most", 6.0),
+    "held_out_tip_mm": Goal("at most", 10.0),
+    "called_identified": Goal("at most", 0),
+}
+
+
+def run(options: Options) -> Outcome:
+    """One calibration."""
+    options.say("fit of eight poses, prediction of six")
+    result = load_project(ready_made_path("tentacle")).calibrate()
+    fitted, held_out = (
+        [c for c in result.configurations if c.role == role]
+        for role in ("calibration", "validation")
+    )
+    held_out_mm = marker_errors(held_out)
+    figures: dict[str, Figure] = {
+        **_mean_and_tip("fitted", marker_errors(fitted)),
+        **_mean_and_tip("held_out", held_out_mm),
+        "authors_over_ours": AUTHORS_MM / float(np.mean([*held_out_mm.values()])),
+        "E_kPa": result.value("E") / 1e3,
+        "newton_iterations_per_pose": _iterations(result),
+        "converged": int(result.converged),
+        "called_identified": int(assess(result).identified),
+    }
+    rows = [
+        [c.name, c.role, f"{1e3 * c.motion:.1f}", f"{1e3 * c.rms_after:.1f}"]
+        for c in result.configurations
+    ]
+    columns = ["pose", "role", "motion [mm]", "rms distance [mm]"]
+    values = {"parameters": [p.value for p in result.parameters]}
+    return Outcome(
+        figures, values, goals=GOALS, tables=[Table("Errors", columns, rows)]
+    )
+
+
+def marker_errors(poses: Sequence[ConfigurationResult]) -> dict[str, float]:
+    """Root mean square distance of each marker over some poses [mm]."""
+    squares: dict[str, list[float]] = {}
+    for pose in poses:
+        for marker, error in zip(pose.points, pose.error_after, strict=True):
+            squares.setdefault(marker.name, []).append(float(error @ error))
+    return {name: float(1e3 * np.sqrt(np.mean(s))) for name, s in squares.items()}
+
+
+def _mean_and_tip(which: str, errors_mm: dict[str, float]) -> dict[str, float]:
+    mean = float(np.mean([*errors_mm.values()]))
+    return {f"{which}_mean_mm": mean, f"{which}_tip_mm": errors_mm[TIP]}
+
+
+def _iterations(result: CalibrationResult) -> float:
+    """Newton iterations of the equilibria of the last evaluation, per pose."""
+    return float(np.mean([c.newton_steps for c in result.configurations]))
