@@ -7,8 +7,8 @@ state theirs: 15.8 mm, and 28.4 mm at the tip, over poses of which they fitted s
 
 How well can any model of one session predict the other? Splines through the fitted
 readings themselves, over the tension of each tendon, are asked at the four tensions of
-the other session that lie between (`interpolated`), where `between` are our errors. What
-splines miss is how the experiment repeats, and not the model.
+the other session that lie between (`interpolated`), where `between` are our errors.
+What splines miss is how the experiment repeats, and not the model.
 """
 
 from collections.abc import Sequence
