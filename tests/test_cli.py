@@ -260,7 +260,7 @@ def test_simulate_writes_what_has_an_equilibrium(tmp_path, out, capsys):
     argv = ["simulate", str(path), "--values", str(values), "-o", str(out), "--force"]
     assert main([*argv, "--no-pictures"]) == 1
     text = capsys.readouterr().out
-    assert says(text, "E; no parameters here: friction", "Prediction error, weight")
+    assert says(text, f"values of {values}: E\n", "Prediction error, weight")
     assert "Prediction error, pulled" not in text
     pulled = json.loads((out / "simulation.json").read_text())["configurations"][1]
     assert pulled["rms_after_mm"] is None

@@ -291,17 +291,17 @@ def _columns(lanes: ConfigurationLanes, noise: CorrelatedNoise) -> list[HostArra
 def displaced(
     configurations: Sequence[Configuration],
     lanes: ConfigurationLanes,
-    delta_e: Float[HostArray, "n n_rows 3"],
+    delta_e: Float[AnyArray, "n n_rows 3"],
 ) -> ConfigurationLanes:
     """Move measured values by the offsets of effectors whose displacement counts.
 
     What is left between measured and simulated values is the error of the displacement.
-    The errors are those of the first configurations, which tell the offsets.
+    The errors, which tell the offsets, are those of the first configurations.
     """
-    effectors = jax.tree.map(np.asarray, lanes.arrays.effectors)
-    n, n_rows = delta_e.shape[:2]
-    attached = attachments(configurations, lanes.effectors, n_rows)
-    shifts = attached.shifts(effectors.inverse_std[:n], delta_e)
+    weight, errors = np.asarray(lanes.arrays.effectors.inverse_std), np.asarray(delta_e)
+    attached = attachments(configurations, lanes.effectors, weight.shape[1])
+    weight = np.where(np.isfinite(errors), weight[: len(errors)], 0.0)
+    shifts = attached.shifts(weight, np.nan_to_num(errors))
     records = tuple(
         tuple(replace(e, measured=e.measured + e.among(shift)) for e in of_lane)
         for shift, of_lane in zip(shifts, lanes.effectors, strict=True)
@@ -328,9 +328,8 @@ def simulation_result(
     for i in np.flatnonzero(np.asarray(solution.converged)).tolist():
         states = lane_of((solution.displacement, solution.multipliers), i)
         values[i] = np.asarray(compute(model, lane_of(arrays, i), *states))
-    off = values - np.asarray(arrays.effectors.measured)
-    seen = (np.asarray(arrays.effectors.inverse_std) > 0.0) & np.isfinite(off)
-    records = displaced(configurations, lanes, np.where(seen, off, 0.0)).effectors
+    errors = values - np.asarray(arrays.effectors.measured)
+    records = displaced(configurations, lanes, errors).effectors
     effectors = [
         tuple(replace(e, simulated=e.among(of_pose)) for e in of_lane)
         for of_lane, of_pose in zip(records, values, strict=True)

@@ -145,7 +145,8 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
         predicted = _predicted(task, watch, batch, start, weighed)
         journal.interrupted |= predicted.interrupted
         solved = _Solved(start, place, weighed, predicted, journal, clock)
-        setting = setting.with_arrays(predicted.problem.configurations)
+        lanes = lanes._replace(arrays=predicted.problem.configurations)
+        setting = setting._replace(lanes=lanes)
         doubts = nothing_considered(setting)
         so_far = cache(
             lambda: replace(_result(task, solved, doubts), left_out=(BUDGET,))

@@ -64,11 +64,10 @@ def predict(
     noise = weighed.of_all(everything.noise, task.configurations)
     model, arrays = everything.at(z)
     lanes = batch.lanes._replace(arrays=arrays)
-    fitted_errors = np.asarray(weighed.state.evaluation.delta_e)
     fits = configuration_results(
         model,
         task.configurations,
-        displaced(task.configurations, lanes, fitted_errors),
+        displaced(task.configurations, lanes, weighed.state.evaluation.delta_e),
         n_fitted=len(task.fitted),
         before=np.where(held, np.asarray(begun.effectors), np.nan),
         response=response,

@@ -2,7 +2,7 @@
 
 import argparse
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -118,14 +118,13 @@ def simulate(args: argparse.Namespace, show: Display) -> None:
         values = args.values and report.load_values(args.values)
         result, solution = project.simulate(values, progress=progress)
     if values is not None:
-        show.note(f"values of {args.values}: {_taken(project, values)}")
+        names = ", ".join(q.name for q in project.parameters)
+        show.note(f"values of {args.values}: {names}")
     show.lap("solve", compiling=clock.seconds["compile"])
     show.line()
-    for part in (
-        report.simulation_table(result),
-        *report.held_out_sentences(result.configurations),
-    ):
-        show.line(part)
+    show.line(report.simulation_table(result))
+    for sentence in report.held_out_sentences(result.configurations):
+        show.line(sentence)
     more = {"name": project.name, "traces": project.traces}
     more |= {"calibration": args.values and report.result_path(args.values)}
     more |= pictures_with_a_bar(args, show)
@@ -133,16 +132,6 @@ def simulate(args: argparse.Namespace, show: Display) -> None:
     write_results(write, args, show, index="simulation.json")
     with no_equilibrium("The results hold the others, if any."):
         check_converged(solution, tuple(c.name for c in project.configurations))
-
-
-def _taken(project: "Project", values: Mapping[str, float]) -> str:
-    """Say which values are those of a calibration, and which are not."""
-    names = [q.name for q in project.parameters]
-    taken = ", ".join(name for name in names if name in values)
-    start = ", ".join(name for name in names if name not in values)
-    left = ", ".join(name for name in values if name not in names)
-    kept = f"; as the project says: {start}" if start else ""
-    return f"{taken}{kept}" + (f"; no parameters here: {left}" if left else "")
 
 
 def identify(args: argparse.Namespace, show: Display) -> None:

@@ -162,25 +162,18 @@ def _simulated(result: ConfigurationResult) -> dict[str, Any]:
 
     entry = pick(
         result,
-        "name converged outcome newton_steps load_steps residual rounding at_rounding "
-        "min_det_F largest_displacement_mm",
+        "name role converged outcome newton_steps load_steps residual rounding "
+        "at_rounding min_det_F largest_displacement_mm rms_after_mm motion_mm",
     )
-    also = ("", "")
-    if result.role == "prediction":
-        entry |= pick(result, "role rms_after_mm motion_mm")
-        also = (" measured_mm", " measured")
-    point, other = "name at_rest_mm simulated_mm", "name unit is_turn simulated"
-    entry["markers"] = [pick(p, point + also[0]) for p in result.points]
-    entry["effectors"] = [pick(e, other + also[1]) for e in result.others]
+    point = "name at_rest_mm measured_mm simulated_mm"
+    entry["markers"] = [pick(p, point) for p in result.points]
+    other = "name unit is_turn measured simulated"
+    entry["effectors"] = [pick(e, other) for e in result.others]
     entry["robot"] = None
     if result.robot is not None:
         entry["robot"] = RobotEntry.model_validate(result.robot).model_dump()
-    if not result.converged:
-        entry |= dict.fromkeys({"largest_displacement_mm", "rms_after_mm"} & set(entry))
-        for marker in entry["markers"]:
-            marker["simulated_mm"] = None
-        for effector in entry["effectors"]:
-            effector["simulated"] = None
+    if result.role == "simulation":  # nothing was measured
+        entry |= {"rms_after_mm": None, "motion_mm": None}
     return entry
 
 

@@ -87,11 +87,10 @@ def motion_words(fit: ConfigurationResult) -> str:
         return f"simulated; moves by up to {1e3 * fit.largest_displacement:.2f} mm"
     if not fit.points:
         return "no markers"
-    text = f"{1e3 * fit.rms_after:.2f} mm"
+    size = lambda rms: f"{1e3 * rms:.2f} mm" if math.isfinite(rms) else "no equilibrium"
+    text = size(fit.rms_after)
     if fit.role != "prediction":
-        missing = math.isnan(fit.rms_before)
-        before = "no equilibrium" if missing else f"{1e3 * fit.rms_before:.2f} mm"
-        text = f"{before} before, {text} after"
+        text = f"{size(fit.rms_before)} before, {text} after"
     text = f"rms distance of the markers: {text}"
     if math.isfinite(fit.rms_share):
         text += f" ({100 * fit.rms_share:.1f} % of their motion)"

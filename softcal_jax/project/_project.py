@@ -279,13 +279,13 @@ class Project(Module):
         `check_converged` raises where one has no equilibrium.
 
         Args:
-            values: Values of parameters by name, in SI units, such as those of
-                `load_values`; the others keep their start.
+            values: Values of all parameters by name, in SI units, such as those of
+                `load_values`; by default their start.
             progress: Called as `calibrate` calls its `equilibrium_progress`.
 
         Raises:
-            ProjectError: If there are no configurations, no parameter has one of the
-                values, or `displacement_from` names no configuration like it.
+            ProjectError: If there are no configurations, a parameter has no value, or
+                `displacement_from` names no configuration like it.
         """
         self.check_simulation()
         posed, model = self.configurations, self.model
@@ -305,15 +305,16 @@ class Project(Module):
         return simulation_result(model, posed, solved, lanes), solved
 
     def _scaled(self, values: Mapping[str, float]) -> Float[Array, " n_p"]:
-        """Return the scaled parameters with some values, the others at their start."""
-        known = {q.name: float(q.start) for q in self.parameters}
-        if self.space is None or not known.keys() & values.keys():
+        """Return scaled values of all parameters."""
+        if self.space is None:
+            raise ProjectError(f"{self.path}: {_NO_PARAMETERS}")
+        missing = [name for name in self.space.names if name not in values]
+        if missing:
             raise ProjectError(
-                f"{self.path}: parameters: there are values of {listed([*values])}, "
-                f"and none of its parameters, {listed([*known]) or 'none'}, is among "
-                "them; take [[parameters]] and [[setup]] of the calibrated project."
+                f"{self.path}: parameters: there is no value of {listed(missing)}, "
+                f"only of {listed([*values])}; leave it out to keep its start."
             )
-        new = [values.get(name, start) for name, start in known.items()]
+        new = [values[name] for name in self.space.names]
         return self.space.to_scaled(jnp.asarray(new))
 
 

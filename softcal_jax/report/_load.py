@@ -137,7 +137,6 @@ def load_result(
     space = _checked_space(path, loaded, data)
     values = {entry.name: entry.value for entry in data.parameters}
     z = space.to_scaled(jnp.asarray([values[name] for name in space.names]))
-    _warn_unless_converged(path, data)
     return LoadedResult(
         path=path,
         project=loaded,
@@ -162,24 +161,9 @@ def result_path(path: str | os.PathLike[str]) -> Path:
 
 
 def load_values(path: str | os.PathLike[str]) -> dict[str, float]:
-    """Load the calibrated values alone, by name in SI units.
-
-    Project, mesh and measurements may have changed since. Otherwise as `load_result`.
-    """
-    path = result_path(path)
-    data = _read(path)
-    _warn_unless_converged(path, data)
+    """Load values alone, by name in SI units; project and mesh may have changed."""
+    data = _read(result_path(path))
     return {entry.name: entry.value for entry in data.parameters}
-
-
-def _warn_unless_converged(path: Path, data: ResultFile) -> None:
-    if not data.converged:
-        warnings.warn(
-            f"{path}: the calibration did not converge: do not use its values. Run it "
-            "again with more steps, or see its notes.",
-            ResultWarning,
-            stacklevel=3,
-        )
 
 
 def _read(path: Path) -> ResultFile:
@@ -205,6 +189,13 @@ def _read(path: Path) -> ResultFile:
             f"{path}: expected {RESULT} as softcal calibrate writes it; was it edited, "
             f"or cut short? {what}."
         ) from error
+    if not data.converged:
+        warnings.warn(
+            f"{path}: the calibration did not converge: do not use its values. Run it "
+            "again with more steps, or see its notes.",
+            ResultWarning,
+            stacklevel=3,
+        )
     return data
 
 

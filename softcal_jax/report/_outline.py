@@ -27,12 +27,8 @@ from softcal_jax.fields import ControlPointParameters, ControlPoints, Parameter
 from softcal_jax.mesh import TetMesh, face_shares, locate, node_indices, volumes
 from softcal_jax.project import Project, ProjectError, QuantityAsRead, guesses_left
 
-ROLES = {
-    "calibration": "fitted",
-    "validation": "held out",
-    "prediction": "predicted",
-    "candidate": "candidate",
-}
+ROLES = {"calibration": "fitted", "validation": "held out", "candidate": "candidate"}
+ROLES |= {"prediction": "predicted"}
 """Roles of configurations in words."""
 
 _MOST_ALIKE = 4
@@ -46,12 +42,9 @@ Rows = Iterable[Sequence[str]]
 
 def roles_of(project: Project) -> dict[str, str]:
     """Return the role of each configuration and candidate in words, by its name."""
-    groups = {
-        "calibration": project.calibration,
-        "validation": project.validation,
-        "candidate": project.candidates,
-    }
-    return {c.name: ROLES[role] for role, group in groups.items() for c in group}
+    groups = (project.calibration, project.validation, project.candidates)
+    words = list(ROLES.values())[: len(groups)]
+    return {c.name: word for word, of in zip(words, groups, strict=True) for c in of}
 
 
 def control_point_sets(project: Project) -> dict[str, ControlPoints]:

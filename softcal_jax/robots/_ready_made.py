@@ -19,9 +19,8 @@ READY_MADE = {
 def ready_made_path(name: str) -> Path:
     """Return the project file of a ready-made robot, by its name in `READY_MADE`.
 
-    The readings of "beam", "pneumatic-arm" and "tentacle" were measured, those of
-    "cable-beam", "pneumatic-finger" and "parallel-robot" computed; README.md beside
-    each says how.
+    The readings of "beam", "pneumatic-arm" and "tentacle" were measured, those of the
+    others computed; README.md beside each says how.
 
     Raises:
         ValueError: If there is no such robot; the text suggests the closest name.

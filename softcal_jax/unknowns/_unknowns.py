@@ -114,10 +114,6 @@ class Setting(NamedTuple):
         """The configurations as arrays."""
         return self.lanes.arrays
 
-    def with_arrays(self, arrays: ConfigurationArrays) -> "Setting":
-        """Return the same with other arrays."""
-        return self._replace(lanes=self.lanes._replace(arrays=arrays))
-
     @property
     def poses(self) -> Poses:
         """The configurations, as kinds of parameters take them."""

@@ -1,12 +1,12 @@
 """The packaged tentacle: body, tendons, poses and readings, without a fit."""
 
-import runpy
 import tomllib
 from ast import literal_eval
 
 import numpy as np
 import pytest
 
+from benchmarks import _tentacle_mesh
 from softcal_jax.configurations import read_markers
 from softcal_jax.mesh import volumes
 from softcal_jax.project import load_project
@@ -24,11 +24,6 @@ ANGLES = {"tendon 1": 30.0, "tendon 2": 150.0}
 @pytest.fixture(scope="module")
 def project():
     return load_project(FOLDER / "project.toml", solve=False)
-
-
-@pytest.fixture(scope="module")
-def make_mesh():
-    return runpy.run_path(str(FOLDER / "make_mesh.py"))
 
 
 def radius(depth):
@@ -102,8 +97,8 @@ def test_body(project):
     assert 1e9 * np.sum(volumes(mesh)) == pytest.approx(cones, rel=0.01)
 
 
-def test_the_mesh_is_what_its_script_makes(project, make_mesh):
-    made = make_mesh["tentacle"](26, 6)
+def test_the_mesh_is_what_its_script_makes(project):
+    made = _tentacle_mesh.tentacle(26, 6)
     corners = 1e3 * project.model.mesh.points[: len(made.points)]
     np.testing.assert_allclose(corners, made.points, atol=1e-9)
     assert len(made.cells_dict["tetra"]) == len(project.model.mesh.tets)
@@ -111,9 +106,9 @@ def test_the_mesh_is_what_its_script_makes(project, make_mesh):
 
 @pytest.mark.parametrize("sides", [5, 6, 8])
 @pytest.mark.parametrize("depth", [0.0, 305.0, 360.0])
-def test_sections_are_as_stiff_as_circles(make_mesh, sides, depth):
+def test_sections_are_as_stiff_as_circles(sides, depth):
     """The second moment of the area of the polygon, by the formula for polygons."""
-    x, y, _ = make_mesh["section"](depth, sides)[1:].T
+    x, y, _ = _tentacle_mesh.section(depth, sides)[1:].T
     next_x, next_y = np.roll(x, -1), np.roll(y, -1)
     cross = x * next_y - next_x * y
     second = np.sum(cross * (x * x + x * next_x + next_x**2)) / 12.0

@@ -1,9 +1,9 @@
 """Make tentacle.msh, the mesh of the silicone tentacle.
 
-    python make_mesh.py [--layers N] [--sides N] [-o tentacle.msh]
+    python -m benchmarks._tentacle_mesh [--layers N] [--sides N] [-o tentacle.msh]
 
-The dimensions are those of README.md beside this file. The body is built of prisms, in
-layers about as high as the radius: it needs far fewer nodes than a free mesh.
+The dimensions are those of the README.md beside tentacle.msh. The body is built of
+prisms, in layers about as high as the radius, with far fewer nodes than a free mesh.
 """
 
 import argparse
