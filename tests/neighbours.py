@@ -88,14 +88,14 @@ def torch_after(folder):
 
 def torch_threads(folder):
     """It changes the number of threads for OpenMP and oneMKL of the whole process."""
-    found = [calibrated_with_all_cores(folder)]
+    moduli = [calibrated_with_all_cores(folder)]
     import torch
 
     for n in (1, os.cpu_count()):
         torch.set_num_threads(n)
         torch_computes()
-        found.append(calibrated_with_all_cores(folder))
-    return found
+        moduli.append(calibrated_with_all_cores(folder))
+    return moduli
 
 
 @contextmanager
@@ -106,8 +106,8 @@ def busy(n_threads):
 
     def work():
         while not done.is_set():
-            found = scipy.linalg.solve(A, A @ A)
-            if not np.allclose(A @ A, product) or not np.allclose(found, A):
+            solution = scipy.linalg.solve(A, A @ A)
+            if not np.allclose(A @ A, product) or not np.allclose(solution, A):
                 wrong.append(threading.get_ident())
 
     threads = [threading.Thread(target=work) for _ in range(n_threads)]
@@ -132,10 +132,10 @@ def two_threads(folder):
     """Two threads with calibrations of the same mesh: first small ones, then fine."""
     folders = [f"{folder}/{k}" for k in range(4)]
     with ThreadPoolExecutor(2) as pool:
-        found = list(pool.map(calibrated, folders))
+        moduli = list(pool.map(calibrated, folders))
         fine = list(pool.map(calibrated_with_all_cores, folders))
     assert len(set(fine)) == 1, fine
-    return found
+    return moduli
 
 
 def event_loop(folder):
@@ -169,22 +169,22 @@ def joblib_threads(folder):
     return joblib_processes(folder, "threading")
 
 
-def _in_fork(folder, found):
+def _in_fork(folder, queue):
     try:
-        found.put(calibrated(folder))
+        queue.put(calibrated(folder))
     except RuntimeError as error:
-        found.put(str(error))
+        queue.put(str(error))
 
 
 def _forked(folder):
     """What a forked child finds, or says."""
     fork = multiprocessing.get_context("fork")
-    found = fork.Queue()
-    child = fork.Process(target=_in_fork, args=(folder, found), daemon=True)
+    queue = fork.Queue()
+    child = fork.Process(target=_in_fork, args=(folder, queue), daemon=True)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # JAX warns as well
         child.start()
-    return found.get(timeout=100)
+    return queue.get(timeout=100)
 
 
 def fork_before(folder):

@@ -78,8 +78,8 @@ def parallel(folder: Path) -> None:
         (rod,) = c.effectors
         place = 1e3 * (middle + rod.measured.translation)
         x, y, z, w = Rotation.from_matrix(rod.measured.matrix).as_quat()
-        turn = [f"{own:.6f}" for own in (w, x, y, z)]
-        rows.append([c.name, "rod", *(f"{own:.4f}" for own in place), *turn])
+        turn = [f"{q:.6f}" for q in (w, x, y, z)]
+        rows.append([c.name, "rod", *(f"{p:.4f}" for p in place), *turn])
     header = ["pose", "sensor", "x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz"]
     _write(folder / "tracker.csv", header, rows)
 

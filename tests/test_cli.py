@@ -163,10 +163,10 @@ def test_ctrl_c_writes_what_has_been_fitted(tmp_path, out, capsys, monkeypatch, 
     lines = _commands.step_lines
 
     def interrupted(project, show):
-        told = lines(project, show)
+        print_step = lines(project, show)
 
         def progress(entry):
-            told(entry)
+            print_step(entry)
             if entry.step == 1:
                 signal.raise_signal(sent)
 
@@ -291,8 +291,8 @@ def test_identify(tmp_path, out, capsys):
     """Verdict and ranking without one measurement, printed and as files."""
     known = [f"{key} = 0" for key in ("density", "gravity", "clamp", "recordings")]
     exact = "\n".join(["[uncertain]", "nu = 0.0", "mesh = 0.0", *known])
-    own = f"{exact}\n\n[newton]\nmax_steps = 8\n\n[markers]\n"
-    path = write_small_project(tmp_path, ("[markers]\n", own))
+    sections = f"{exact}\n\n[newton]\nmax_steps = 8\n\n[markers]\n"
+    path = write_small_project(tmp_path, ("[markers]\n", sections))
     text = path.read_text()
     start, end = text.index("[shared.measured]"), text.index("[[configurations]]")
     text = text[:start] + text[end:].replace("measured.recording", "# ")
@@ -389,7 +389,7 @@ def test_calibrate_fields_of_an_anisotropic_beam(tmp_path, out, capsys):
     (first, *_) = data["configurations"]
     tets = pyvista.read(out / first["files"][0]).cell_data
     fields = {"E_t", "E_l", "theta"}
-    assert fields | {f"{own}_standard_error" for own in fields} <= set(tets)
+    assert fields | {f"{field}_standard_error" for field in fields} <= set(tets)
     np.testing.assert_allclose(np.linalg.norm(tets["fibre_direction"], axis=1), 1.0)
 
 

@@ -109,8 +109,8 @@ def test_what_is_doubted_comes_first(tmp_path, capsys):
     code, lines, _ = checked(path, capsys, "--no-pictures")
     assert code == 0
     warned = next(i for i, line in enumerate(lines) if line.startswith("warning: "))
-    (told,) = (i for i, line in enumerate(lines) if "warnings above: 1" in line)
-    assert warned < told
+    (summary,) = (i for i, line in enumerate(lines) if "warnings above: 1" in line)
+    assert warned < summary
     assert "material.density" in lines[warned]
     assert not (tmp_path / "project_check.png").exists()
 
@@ -133,6 +133,6 @@ def test_a_name_is_no_quantity(tmp_path):
     text = ALL_KINDS.replace('name = "held"', 'name = "350 mbar"')
     path = tmp_path / "project.toml"
     path.write_text(text)
-    found = {q.key: q.read for q in quantities_as_read(path)}
-    assert found["configurations.350 mbar.actuation.left"] == "1 mm"
-    assert not any(key.endswith(".name") for key in found)
+    quantities = {q.key: q.read for q in quantities_as_read(path)}
+    assert quantities["configurations.350 mbar.actuation.left"] == "1 mm"
+    assert not any(key.endswith(".name") for key in quantities)

@@ -27,7 +27,7 @@ def test_the_groups_of_a_project(block, capsys):
     assert imread(out.with_suffix(".png")).std() > 0.05
     text = capsys.readouterr().out
     assert f"picture in {out.with_suffix('.png')}" in text
-    (line,) = (own for own in text.splitlines() if own.lstrip().startswith("wall "))
+    (line,) = (row for row in text.splitlines() if row.lstrip().startswith("wall "))
     point = line.split('"')[1]
     assert point.endswith(" mm")
     assert "1000000.0 mm2" in line  # four sides of 2/9 and the end of 1/9 m2

@@ -103,9 +103,9 @@ def test_the_parallel_robot_is_that_of_the_python_api(tmp_path):
         strict=True,
     ):
         assert ours.name == theirs.name
-        asked = {name: own.value for name, own in theirs.actuation.items()}
-        found = {name: own.value for name, own in ours.actuation.items()}
-        assert found == pytest.approx(asked)
+        asked = {name: imposed.value for name, imposed in theirs.actuation.items()}
+        read = {name: imposed.value for name, imposed in ours.actuation.items()}
+        assert read == pytest.approx(asked)
 
 
 def test_a_mesh_with_markers(tmp_path, body, capsys):
@@ -168,7 +168,7 @@ def test_a_mesh_alone_can_be_judged_and_not_calibrated(tmp_path, body, capsys):
     project.check_simulation()
     with pytest.raises(ValueError, match="no `measured` positions"):
         project.check_calibration()
-    assert not any("unit" in own.remark for own in guesses_left(project.path))
+    assert not any("unit" in guess.remark for guess in guesses_left(project.path))
     # Where they can be glued: on the end, and on the top of the beam.
     markers = project.configurations[0].markers
     assert dict(zip(markers.names, 1e3 * markers.positions, strict=True)) == {
@@ -181,9 +181,9 @@ def test_groups_are_known_by_their_names(tmp_path):
     """A clamp, and a chamber that is the wall of a cavity."""
     arm = ready_made_path("pneumatic-arm").with_name("arm.msh")
     table = write_rows(tmp_path / "poses.csv", poses=("0 kPa", "12 kPa"))
-    found = propose_project(arm, tmp_path / "mine", recordings=[table])
-    assert found.held.group == "clamp"
-    assert found.chambers == {"chamber": False}
+    proposal = propose_project(arm, tmp_path / "mine", recordings=[table])
+    assert proposal.held.group == "clamp"
+    assert proposal.chambers == {"chamber": False}
     project = loaded(tmp_path / "mine")
     (support,) = project.calibration[0].supports
     assert support.where == "clamp"
@@ -209,8 +209,8 @@ def test_a_chamber_by_its_name_alone_is_none(tmp_path):
     made = beam(0.06, 0.02, 0.02, (6, 2, 2))
     made = made.with_surface_group("air chamber", made.surface_groups["z_max"])
     write_mesh(made, tmp_path / "body.msh", length_unit="mm")
-    found = propose_project(tmp_path / "body.msh", tmp_path / "mine")
-    assert found.chambers == {}
+    proposal = propose_project(tmp_path / "body.msh", tmp_path / "mine")
+    assert proposal.chambers == {}
 
 
 def test_a_recording_in_a_frame_of_its_own_is_not_used_as_it_is(tmp_path, body, capsys):
@@ -250,11 +250,11 @@ def test_units_are_guessed_by_size(tmp_path):
     made = beam(0.06, 0.02, 0.02, (6, 2, 2))
     write_mesh(made, tmp_path / "body.msh", length_unit="m")
     table = write_rows(tmp_path / "poses.csv", unit="", scale=0.1)
-    found = propose_project(
+    proposal = propose_project(
         tmp_path / "body.msh", tmp_path / "mine", recordings=[table]
     )
-    assert found.body.unit == "m"
-    assert found.recorded.unit == "cm"
+    assert proposal.body.unit == "m"
+    assert proposal.recorded.unit == "cm"
     project = loaded(tmp_path / "mine")
     np.testing.assert_allclose(project.model.mesh.size, made.size)
     np.testing.assert_allclose(

@@ -78,7 +78,7 @@ def test_forced_colours_move_nothing_in_a_file(monkeypatch):
 
 def test_compiling_is_told_while_it_lasts(monkeypatch):
     """From its beginning: JAX only reports durations when they have passed."""
-    told = []
+    reports = []
     compiling = Compiling()
     compiling.start()
     try:
@@ -86,15 +86,15 @@ def test_compiling_is_told_while_it_lasts(monkeypatch):
         @jax.jit
         def slow(x):
             time.sleep(0.7)  # traced once
-            told.append(compiling.words())
-            return jnp.sin(x) + len(told)
+            reports.append(compiling.words())
+            return jnp.sin(x) + len(reports)
 
         slow(1.0)
         slow(1.0)
         assert compiling.words() == ""
     finally:
         compiling.stop()
-    (words,) = told
+    (words,) = reports
     assert re.fullmatch(r"preparing .*, \d s", words)
 
 

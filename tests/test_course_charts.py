@@ -18,7 +18,7 @@ def drawn(result):
     """The charts by their titles, after the words above them."""
     words, charts = course_charts(result)
     figures = re.findall(r"<figure>.*?</figure>", charts, re.S)
-    titles = [re.findall(r"<strong>(.*?)</strong>", own)[0] for own in figures]
+    titles = [re.findall(r"<strong>(.*?)</strong>", figure)[0] for figure in figures]
     return words, dict(zip(titles, figures, strict=True))
 
 
@@ -67,23 +67,23 @@ def test_where_the_noise_is_estimated_a_line_is_drawn():
     assert "noise was estimated anew" in words
     # 2.5 of 4 steps, between 14 % and 96 % of the width.
     line = f'x1="{14 + 82 * 2.5 / 4:.2f}%"'
-    assert all(line in own and "2 4" in own for own in charts.values())
-    assert not any("2 4" in own for own in drawn(result)[1].values())
+    assert all(line in chart and "2 4" in chart for chart in charts.values())
+    assert not any("2 4" in chart for chart in drawn(result)[1].values())
 
 
 def test_steps_that_were_not_taken_are_marked():
     words, charts = drawn(make_result(rejected=(2, 3)))
     assert says(words, "Open circles", "refused")
-    assert [own.count('fill="#ffffff"') for own in charts.values()] == [2, 2, 2, 2]
+    assert [chart.count('fill="#ffffff"') for chart in charts.values()] == [2, 2, 2, 2]
     words, charts = drawn(make_result())
     assert "refused" not in words
-    assert not any('fill="#ffffff"' in own for own in charts.values())
+    assert not any('fill="#ffffff"' in chart for chart in charts.values())
 
 
 def test_only_the_start():
     """A calibration that stopped before its first step can still be drawn."""
     short = make_result(converged=False, history=make_result().history[:1])
-    assert [own.count("<circle") for own in drawn(short)[1].values()] == [1, 1, 1]
+    assert [chart.count("<circle") for chart in drawn(short)[1].values()] == [1, 1, 1]
 
 
 def test_of_many_parameters_the_first_are_drawn():

@@ -266,7 +266,7 @@ def test_project_files_with_a_mistake_are_refused_for_it(change):
 
 
 def test_every_message_has_an_anchor_of_its_own():
-    listed = [message for own in messages().values() for message in own]
+    listed = [message for group in messages().values() for message in group]
     assert len(listed) > 500
     assert len({anchor(message) for message in listed}) == len(listed)
     assert says(listed, "candidates: ... add [[candidates]]")
@@ -274,13 +274,13 @@ def test_every_message_has_an_anchor_of_its_own():
 
 def test_what_a_project_file_is_told_is_among_the_messages():
     """But for keys that are unknown or missing, and kinds: those have a place above."""
-    listed = [message for own in messages().values() for message in own]
+    listed = [message for group in messages().values() for message in group]
     patterns = [
         re.compile(re.escape(m).replace(re.escape(VALUE), ".*"), re.S) for m in listed
     ]
     said = [refused(change).message for change in REFUSED]
-    found = [any(p.search(text) for p in patterns) for text in said]
-    assert sum(found) >= len(said) - 5
+    matched = [any(p.search(text) for p in patterns) for text in said]
+    assert sum(matched) >= len(said) - 5
 
 
 def test_the_project_file_that_is_changed_is_right():
@@ -332,9 +332,9 @@ def test_every_package_that_users_install_has_its_licence():
         for text in texts
         if extra not in ("dev", "docs")
     }
-    own = {(extra, about["name"]) for extra in asked}  # extras that hold other extras
+    ours = {(extra, about["name"]) for extra in asked}  # extras that hold other extras
     listed = [row[:2] for row in LICENCES]
-    assert sorted(listed) == sorted(names - own)
+    assert sorted(listed) == sorted(names - ours)
 
 
 ALSO_CALLED = {"psf": "python software foundation"}
@@ -356,7 +356,7 @@ def test_the_licence_is_that_of_the_installed_package(package, licence):
 
 def test_without_extras_nothing_is_under_the_gpl():
     """On x86; elsewhere KLU is, under the LGPL. The page builds its table so."""
-    stated = {name: stated_licence(own) for name, own in required().items()}
+    stated = {name: stated_licence(package) for name, package in required().items()}
     assert {"jax", "numpy", "wadler-lindig", "vtk"} <= set(stated)
     assert {name for name, text in stated.items() if "GPL" in text} <= {"klujax"}
     assert "not stated" not in stated.values()

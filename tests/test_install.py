@@ -139,7 +139,7 @@ def lowest(metadata):
     for text in metadata.get_all("Requires-Dist"):
         asked = Requirement(text)
         if asked.marker is None or asked.marker.evaluate({"extra": ""}):
-            least = [own.version for own in asked.specifier if own.operator == ">="]
+            least = [spec.version for spec in asked.specifier if spec.operator == ">="]
             lines += [f"{asked.name}=={version}" for version in least]
     return lines
 
@@ -172,8 +172,8 @@ def test_a_fresh_environment_runs_the_demo(environment, tmp_path):
     home, cwd = tmp_path / "home", tmp_path / "cwd"
     home.mkdir()
     cwd.mkdir()
-    own = ("PYTHONPATH", "XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME")
-    env = {name: value for name, value in os.environ.items() if name not in own}
+    unset = ("PYTHONPATH", "XLA_FLAGS", "JAX_COMPILATION_CACHE_DIR", "XDG_CACHE_HOME")
+    env = {name: value for name, value in os.environ.items() if name not in unset}
     user = {"cwd": cwd, "env": {**env, "HOME": str(home)}}
     softcal = environment / "softcal"
 
@@ -185,8 +185,8 @@ def test_a_fresh_environment_runs_the_demo(environment, tmp_path):
     assert Path(home_of_package).is_relative_to(environment.parent)
 
     run(softcal, "new", "finger", "--robot", "pneumatic-finger", **user)
-    told = run(softcal, "check", "finger/project.toml", **user)
-    assert re.search(r"\bE\b", told)
+    printed = run(softcal, "check", "finger/project.toml", **user)
+    assert re.search(r"\bE\b", printed)
     assert (cwd / "finger/project_check.png").stat().st_size > 0
 
     run(softcal, "demo", "-o", "beam", **user)

@@ -60,20 +60,20 @@ MODULES = sorted(set(ROOT.rglob("*.py")) - WITHOUT_LAYER)
 @functools.cache
 def imported_modules(path: Path) -> list[str]:
     """Names of all modules that a file imports, `from` imports with their members."""
-    found = []
+    modules = []
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
-            found += (alias.name for alias in node.names)
+            modules += (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: imports are absolute here"
-            found += (f"{node.module}.{alias.name}" for alias in node.names)
+            modules += (f"{node.module}.{alias.name}" for alias in node.names)
         elif isinstance(node, ast.Call) and node.args:
             called = getattr(node.func, "attr", getattr(node.func, "id", ""))
             if called in ("import_module", "__import__"):
                 name = node.args[0]
                 if isinstance(name, ast.Constant):
-                    found.append(name.value)
-    return found
+                    modules.append(name.value)
+    return modules
 
 
 def package_of(path: Path) -> str:
@@ -97,15 +97,15 @@ def crossings(path: Path):
                 yield package, rest
 
 
-@pytest.mark.parametrize("own", sorted({package_of(path) for path in MODULES}))
-def test_a_package_imports_from_above_and_nothing_private(own):
-    assert own in LEVEL, f"give {own!r} its place in LAYERS"
+@pytest.mark.parametrize("package", sorted({package_of(path) for path in MODULES}))
+def test_a_package_imports_from_above_and_nothing_private(package):
+    assert package in LEVEL, f"give {package!r} its place in LAYERS"
     for path in MODULES:
-        if package_of(path) != own:
+        if package_of(path) != package:
             continue
         for other, rest in crossings(path):
             assert other in LEVEL, f"give {other!r} its place in LAYERS"
-            assert LEVEL[other] < LEVEL[own], f"{path} must not import {other}"
+            assert LEVEL[other] < LEVEL[package], f"{path} must not import {other}"
             private = [name for name in rest if name.startswith("_")]
             imported = f"{other}.{'.'.join(rest)}"
             assert other in SHARED or not private, f"{path}: {imported} is private"

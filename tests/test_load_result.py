@@ -50,8 +50,8 @@ def folder(calibrated, tmp_path, monkeypatch):
 
 
 def _written(folder, result):
-    own = load_project(folder / "robot" / "project.toml").source
-    result = dataclasses.replace(result, source=own)
+    source = load_project(folder / "robot" / "project.toml").source
+    result = dataclasses.replace(result, source=source)
     with pytest.warns(_write.PictureWarning):
         write_results(result, folder / "out")
     return folder
@@ -79,7 +79,7 @@ def test_a_folder_stands_for_its_file(folder, monkeypatch):
 def test_source_names_files_with_what_sha256sum_says(folder):
     data = json.loads((folder / "out" / "result.json").read_text())["source"]
     assert data["project"]["file"] == "../robot/project.toml"
-    assert [own["file"] for own in data["files"]] == ["markers.csv"]
+    assert [entry["file"] for entry in data["files"]] == ["markers.csv"]
     # Of the recordings in `small_project`, by the program sha256sum.
     digest = "339d0ebea340"
     assert data["files"][0]["sha256"].startswith(digest)
@@ -229,8 +229,8 @@ def test_a_configuration_with_calibrated_loads(folder):
 def test_included_files_of_a_mesh_belong_to_it(tmp_path):
     (tmp_path / "nodes.inp").write_text("*NODE\n1, 0., 0., 0.\n")
     (tmp_path / "body.inp").write_text("*INCLUDE, INPUT=nodes.inp\n")
-    found = mesh_files(tmp_path / "body.inp")
-    assert [path.name for path in found] == ["body.inp", "nodes.inp"]
+    files = mesh_files(tmp_path / "body.inp")
+    assert [path.name for path in files] == ["body.inp", "nodes.inp"]
 
 
 def test_export_of_an_input_file(folder, capsys):
@@ -290,7 +290,7 @@ def test_a_loaded_modulus_as_foam(folder, calibrated, capsys, monkeypatch):
     said = capsys.readouterr().out
     assert "Wrote print." in said
     about = json.loads((folder / "print" / "icesl.json").read_text())
-    settings = {own["name"]: own["constant"] for own in about["settings"]}
+    settings = {setting["name"]: setting["constant"] for setting in about["settings"]}
     E = calibrated[1].value("E") / 12e6
     # Between the first two published samples E is a power of the density.
     power = np.log(0.0436 / 0.0247) / np.log(0.1534 / 0.0901)

@@ -72,24 +72,24 @@ def needs(package):
     ],
 )
 def test_beside_another_user_of_the_process(scenario, n, tmp_path):
-    found = moduli(scenario, tmp_path)
-    assert found == [pytest.approx(E_TRUE, rel=1e-8)] * n
+    estimates = moduli(scenario, tmp_path)
+    assert estimates == [pytest.approx(E_TRUE, rel=1e-8)] * n
 
 
 @pytest.mark.slow
 @needs("torch")
 def test_torch_changes_the_number_of_threads(tmp_path):
     """PARDISO keeps its own: a factorization with fewer than its analysis crashes."""
-    found = moduli("torch_threads", tmp_path)
-    assert found == [pytest.approx(found[0], rel=1e-10)] * 3
+    estimates = moduli("torch_threads", tmp_path)
+    assert estimates == [pytest.approx(estimates[0], rel=1e-10)] * 3
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("threads", ["1", "8"])
 def test_the_number_of_openmp_threads(threads, tmp_path):
     environment = os.environ | {"OMP_NUM_THREADS": threads}
-    (found,) = moduli("alone", tmp_path, env=environment)
-    assert found == pytest.approx(E_TRUE, rel=1e-8)
+    (estimate,) = moduli("alone", tmp_path, env=environment)
+    assert estimate == pytest.approx(E_TRUE, rel=1e-8)
 
 
 @pytest.mark.slow
@@ -104,8 +104,8 @@ print(*neighbours.alone({str(tmp_path)!r}), *neighbours.two_threads({str(tmp_pat
     NotebookClient(notebook, timeout=300, kernel_name="python3").execute()
     (printed,) = notebook.cells[0].outputs
     assert printed.name == "stdout", printed.text
-    found = [float(word) for word in printed.text.split()]
-    assert found == [pytest.approx(E_TRUE, rel=1e-8)] * 5
+    estimates = [float(word) for word in printed.text.split()]
+    assert estimates == [pytest.approx(E_TRUE, rel=1e-8)] * 5
 
 
 WITH_HOMES = ("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "JAX_COMPILATION_CACHE_DIR")
@@ -114,10 +114,10 @@ WITH_HOMES = ("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "JAX_COMPILATION_CACH
 def command(folder, *, unset=(), code="", before=None, **environment):
     """What `softcal calibrate` prints in an environment; its results are checked."""
     path = write_small_project(folder)
-    own = {k: v for k, v in os.environ.items() if k not in unset} | environment
+    env = {k: v for k, v in os.environ.items() if k not in unset} | environment
     done = run(
         ["-c", code + COMMAND, "calibrate", path.name, "-o", "Maße, neu"],
-        env=own, cwd=folder, encoding="utf-8", errors="replace", preexec_fn=before,
+        env=env, cwd=folder, encoding="utf-8", errors="replace", preexec_fn=before,
     )  # fmt: skip
     # Without a home Matplotlib says where it keeps its own files instead.
     assert [line for line in done.stderr.splitlines() if "atplotlib" not in line] == []

@@ -14,10 +14,10 @@ from softcal_jax.report import _write, notebook_html, write_results
 @functools.cache
 def outputs():
     result = make_result()
-    found = assess(result)
+    verdict = assess(result)
     simulation = make_simulation_result(result.model)
-    shown = (result, found, found.identifiability, make_ranking(), simulation)
-    return {type(own).__name__: own for own in shown}
+    shown = (result, verdict, verdict.identifiability, make_ranking(), simulation)
+    return {type(record).__name__: record for record in shown}
 
 
 @pytest.mark.parametrize(

@@ -35,14 +35,14 @@ def refused(notebook):
     outputs, wrong = outputs_of(notebook), []
     if notebook.metadata.get("outputs_of") != refresh.code_of(notebook):
         wrong.append("of other code")
-    if not any("image/png" in own.get("data", {}) for own in outputs):
+    if not any("image/png" in output.get("data", {}) for output in outputs):
         wrong.append("no picture")
-    for own in outputs:
-        if own.output_type == "error" or own.get("name") == "stderr":
+    for output in outputs:
+        if output.output_type == "error" or output.get("name") == "stderr":
             wrong.append("error or warning")
-        if OF_A_MACHINE.search(own.get("text", "") + str(texts_of(own))):
+        if OF_A_MACHINE.search(output.get("text", "") + str(texts_of(output))):
             wrong.append("of a machine")
-        picture = own.get("data", {}).get("image/png", "")
+        picture = output.get("data", {}).get("image/png", "")
         if len(base64.b64decode(picture)) > refresh.MOST_BYTES:
             wrong.append("a large picture")
     return wrong

@@ -127,35 +127,35 @@ def check_page(folder):
     assert text.startswith("<!DOCTYPE html>\n<html")
     page = Read(text)
     assert page.of("html") == [{"lang": "en"}]
-    viewports = [own for own in page.of("meta") if own.get("name") == "viewport"]
+    viewports = [meta for meta in page.of("meta") if meta.get("name") == "viewport"]
     assert viewports[0]["content"].startswith("width=device-width")
     assert len(page.of("h1")) == len(page.of("main")) == len(page.of("title")) == 1
-    ids = [own["id"] for _, own in page.elements if "id" in own]
+    ids = [attrs["id"] for _, attrs in page.elements if "id" in attrs]
     assert len(set(ids)) == len(ids)
     files = {path.name for path in folder.iterdir()}
-    for tag, own in page.elements:
+    for tag, attrs in page.elements:
         assert tag not in ("link", "iframe", "object", "base", "form")
-        assert not [key for key in own if key.startswith("on")]
-        if "src" in own:
-            assert own["src"].startswith("data:image/png;base64,")
-        if "href" in own:
-            target = own["href"]
+        assert not [key for key in attrs if key.startswith("on")]
+        if "src" in attrs:
+            assert attrs["src"].startswith("data:image/png;base64,")
+        if "href" in attrs:
+            target = attrs["href"]
             assert target[1:] in ids if target.startswith("#") else target in files
-        for value in own.values():
+        for value in attrs.values():
             for name in re.findall(r"url\(#(\w+)\)", value or ""):
                 assert name in ids
         if tag == "th":
-            assert own["scope"] in ("row", "col")
+            assert attrs["scope"] in ("row", "col")
         if tag == "img":
-            assert own["alt"].strip()
-        if own.get("role") in ("img", "region"):
-            assert own["aria-label"].strip()
-    policy = next(own for own in page.of("meta") if "http-equiv" in own)["content"]
+            assert attrs["alt"].strip()
+        if attrs.get("role") in ("img", "region"):
+            assert attrs["aria-label"].strip()
+    policy = next(meta for meta in page.of("meta") if "http-equiv" in meta)["content"]
     assert policy.startswith("default-src 'none'; img-src data:; style-src")
-    own = [tag for tag in page.of("script") if tag != DATA]
-    assert len(own) == policy.count("script-src") == policy.count("'sha256-") <= 1
-    if own:
-        assert own == [{}]
+    code = [tag for tag in page.of("script") if tag != DATA]
+    assert len(code) == policy.count("script-src") == policy.count("'sha256-") <= 1
+    if code:
+        assert code == [{}]
         digest = hashlib.sha256(page.scripts[-1].encode()).digest()
         assert f"script-src 'sha256-{base64.b64encode(digest).decode()}'" in policy
     scripts = "".join(page.scripts)
@@ -177,8 +177,8 @@ def number(text):
 def history_of(*names):
     """The steps of the handmade calibration, with other names of the parameters."""
     return tuple(
-        replace(own, values=dict(zip(names, own.values.values(), strict=True)))
-        for own in make_history()
+        replace(step, values=dict(zip(names, step.values.values(), strict=True)))
+        for step in make_history()
     )
 
 
@@ -193,45 +193,45 @@ def test_the_numbers_are_those_of_result_json(tmp_path):
     page, data = written(tmp_path / "out", result, name="beam")
     check_page(tmp_path / "out")
     rows = {row[0]: row for row in page.tables["Parameters"]}
-    for own, unit in zip(data["parameters"], (1e3, 1.0), strict=True):
-        _, value, start, bounds = rows[own["name"]]
-        assert number(value) == pytest.approx(own["value"] / unit)
-        assert number(start) == pytest.approx(own["start"] / unit)
+    for param, unit in zip(data["parameters"], (1e3, 1.0), strict=True):
+        _, value, start, bounds = rows[param["name"]]
+        assert number(value) == pytest.approx(param["value"] / unit)
+        assert number(start) == pytest.approx(param["start"] / unit)
         ends = [number(end) * FACTOR[end[-3:]] for end in bounds.split(" to ")]
-        assert ends == pytest.approx([own["lower"], own["upper"]])
-        assert ("on a bound" in value) == own["at_bound"]
+        assert ends == pytest.approx([param["lower"], param["upper"]])
+        assert ("on a bound" in value) == param["at_bound"]
     assert rows["E"][1] == "240.0 ± 6.0 kPa"
     assert data["parameters"][0]["standard_error"] == pytest.approx(6e3)
-    (own,) = data["intervals"]
+    (span,) = data["intervals"]
     low, high = re.findall(r"[\d.]+", page.tables["Intervals"][1][1])
-    assert [1e3 * float(low), 1e3 * float(high)] == [own["lower"], own["upper"]]
+    assert [1e3 * float(low), 1e3 * float(high)] == [span["lower"], span["upper"]]
 
     keys = ("rms_before_mm", "rms_after_mm", "motion_mm", "rms_after_percent_of_motion")
     _, *rows = page.tables["Rms distance of the markers"]
-    for row, own in zip(rows, data["configurations"], strict=True):
-        assert row[:2] == [own["name"], own["role"]]
+    for row, pose in zip(rows, data["configurations"], strict=True):
+        assert row[:2] == [pose["name"], pose["role"]]
         shown = [number(cell) for cell in row[2:]]
-        np.testing.assert_allclose(shown, [own[key] for key in keys], atol=0.05)
-        found = [f"{own[key]:.2f} mm" for key in keys[:3]]
-        assert says(page.text, f"{found[0]} before ... {found[1]} after ... {found[2]}")
+        np.testing.assert_allclose(shown, [pose[key] for key in keys], atol=0.05)
+        texts = [f"{pose[key]:.2f} mm" for key in keys[:3]]
+        assert says(page.text, f"{texts[0]} before ... {texts[1]} after ... {texts[2]}")
 
     sentences = dict(page.tables["Standard errors by cause"][1:])
-    for own in data["budget"]["parameters"]:
-        if own["standard_error"] is None:
-            assert sentences[own["name"]] == "no standard error"
+    for param in data["budget"]["parameters"]:
+        if param["standard_error"] is None:
+            assert sentences[param["name"]] == "no standard error"
             continue
         value = data["parameters"][0]["value"]
-        for cause, std in own["by_cause"].items():
-            (percent,) = re.findall(rf"{cause} ([\d.]+) %", sentences[own["name"]])
+        for cause, std in param["by_cause"].items():
+            (percent,) = re.findall(rf"{cause} ([\d.]+) %", sentences[param["name"]])
             assert float(percent) == pytest.approx(100.0 * std / value, rel=0.05)
-            share = (std / own["standard_error"]) ** 2
+            share = (std / param["standard_error"]) ** 2
             assert f"{cause} {100.0 * share:.0f} %" in page.text
 
     _, *rows = page.tables["Steps of the fit"]
-    for row, own in zip(rows, data["history"], strict=True):
-        assert number(row[1]) == pytest.approx(own["cost"], rel=1e-3)
-        assert number(row[2]) == pytest.approx(own["rms_mm"], rel=1e-3)
-        assert row[4] == ("taken" if own["accepted"] else "refused")
+    for row, step in zip(rows, data["history"], strict=True):
+        assert number(row[1]) == pytest.approx(step["cost"], rel=1e-3)
+        assert number(row[2]) == pytest.approx(step["rms_mm"], rel=1e-3)
+        assert row[4] == ("taken" if step["accepted"] else "refused")
     inner = data["identifiability"]
     singular = [float(row[1]) for row in page.tables[SINGULAR][1:]]
     values = inner["conditioning"]["singular_values"]
@@ -239,9 +239,9 @@ def test_the_numbers_are_those_of_result_json(tmp_path):
     correlations = [list(map(float, row[1:])) for row in page.tables["Correlation"][1:]]
     np.testing.assert_allclose(correlations, inner["correlation"], atol=5e-3)
     _, *rows = page.tables["What the data tell"]
-    for row, own in zip(rows, inner["parameters"], strict=True):
-        assert row[2] == own["verdict"]
-        assert number(row[1]) == pytest.approx(100.0 * own["ratio"], rel=5e-3)
+    for row, param in zip(rows, inner["parameters"], strict=True):
+        assert row[2] == param["verdict"]
+        assert number(row[1]) == pytest.approx(100.0 * param["ratio"], rel=5e-3)
     versions = dict(page.tables["Versions"])
     assert versions == data["versions"]
     settings = dict(page.tables["Settings"])
@@ -282,14 +282,14 @@ def test_hostile_names_stay_text(tmp_path):
 
 def colours(page):
     """Class of the verdict."""
-    (own,) = (a["class"] for a in page.of("section") if "verdict" in a.get("class", ""))
-    return own.removeprefix("verdict ")
+    (css,) = (a["class"] for a in page.of("section") if "verdict" in a.get("class", ""))
+    return css.removeprefix("verdict ")
 
 
 def test_success_only_where_the_package_grants_it(tmp_path):
     kept = tuple(
-        ParameterEstimate(*own, False)
-        for own in (
+        ParameterEstimate(*row, False)
+        for row in (
             ("E", 2.4e5, 6e3, 2e5, 1e5, 1e6, "Pa"),
             ("nu", 0.4, 0.001, 0.4, 0.3, 0.44, ""),
         )
@@ -305,8 +305,8 @@ def test_success_only_where_the_package_grants_it(tmp_path):
         page, data = written(tmp_path / name, result)
         assert data["assessment"]["identified"] == (colour == "good")
         assert colours(page) == colour
-        own = (tmp_path / name / "report.html").read_text(encoding="utf-8")
-        assert "<h2>Verdict</h2>" in own
+        text = (tmp_path / name / "report.html").read_text(encoding="utf-8")
+        assert "<h2>Verdict</h2>" in text
         assert sentence in page.text
         assert ("nothing speaks against" in page.text) == (colour == "good")
         assert ("onverged in" in page.text) == (colour != "bad")
@@ -396,7 +396,7 @@ def test_command_and_hashes_of_the_other_runs(tmp_path, command):
 def test_pictures_are_in_the_page_as_far_as_they_fit(tmp_path, monkeypatch):
     """One that would make the page too large stays beside it, with a link."""
 
-    def draw(model, own, path, **options):
+    def draw(model, fit, path, **options):
         from PIL import Image
 
         Image.new("RGB", (40, 30), "white").save(path)
@@ -434,9 +434,9 @@ def test_page_of_a_simulation(tmp_path):
     assert says(page.text, "1 of 2 configurations")
     assert colours(page) == "bad"
     _, *rows = page.tables["Simulation"]
-    for row, own in zip(rows, data["configurations"], strict=True):
-        assert (row[0], row[3]) == (own["name"], own["outcome"])
-        assert int(row[2]) == own["newton_steps"]
+    for row, pose in zip(rows, data["configurations"], strict=True):
+        assert (row[0], row[3]) == (pose["name"], pose["outcome"])
+        assert int(row[2]) == pose["newton_steps"]
     largest = data["configurations"][0]["largest_displacement_mm"]
     assert rows[0][1] == f"{largest:.2f} mm"
     result = make_simulation_result(small_model(), (True, True))
@@ -459,20 +459,20 @@ def score(name, squares, failed=()):
 
 def test_page_of_a_comparison(tmp_path):
     best, other = score("neo", [1.0, 1.1, 0.9]), score(HOSTILE, [9.0, 9.2, 8.9], (1,))
-    found = ModelComparison.ranked([other, best])
-    write_comparison(found, tmp_path / "out", name=HOSTILE)
+    comparison = ModelComparison.ranked([other, best])
+    write_comparison(comparison, tmp_path / "out", name=HOSTILE)
     page = check_page(tmp_path / "out")
     data = json.loads((tmp_path / "out" / "comparison.json").read_text())
     assert data["verdict"] in page.text
     assert says(page.text, "pose 1 ... no equilibrium")
     _, *rows = page.tables["Models"]
     assert rows[0][0] == data["best"] == "neo"
-    for row, own in zip(rows, data["models"], strict=True):
-        assert float(row[2]) == pytest.approx(own["held_out_rms_mm"], rel=1e-3)
-        assert float(row[6]) == pytest.approx(own["fit_rms_mm"])
+    for row, model in zip(rows, data["models"], strict=True):
+        assert float(row[2]) == pytest.approx(model["held_out_rms_mm"], rel=1e-3)
+        assert float(row[6]) == pytest.approx(model["fit_rms_mm"])
     _, *rows = page.tables["Error of each configuration, held out"]
-    for k, own in enumerate(data["models"]):
-        for row, fold in zip(rows, own["folds"], strict=True):
+    for k, model in enumerate(data["models"]):
+        for row, fold in zip(rows, model["folds"], strict=True):
             assert row[0] == fold["held_out"]
             if fold["failure"]:
                 assert row[k + 1] == "failed"
@@ -491,25 +491,25 @@ def test_page_of_what_data_would_tell(tmp_path):
     for angle, colour in ((100.0, "good"), (20.0, "doubtful"), (0.0, "bad")):
         space = axis_space()
         rows = np.array([[100.0, 0.0], [0.0, angle]])
-        found = identifiability(
+        outlook = identifiability(
             independent(rows, tuple(space.names)), space, space.start()
         )
         out = tmp_path / colour
-        write_identifiability(found, make_ranking(), out, name="beam")
+        write_identifiability(outlook, make_ranking(), out, name="beam")
         page = check_page(out)
         data = json.loads((out / "identifiability.json").read_text())
         assert colours(page) == colour
-        assert found.headline in page.text
+        assert outlook.headline in page.text
         assert says(page.text, "'turned' adds most")
         assert "Not ranked: 'crushed': inverted." in page.text
         _, *rows = page.tables["Standard errors to expect"]
-        for row, own in zip(rows, data["identifiability"]["parameters"], strict=True):
-            assert (row[0], row[-1]) == (own["name"], own["verdict"])
+        for row, q in zip(rows, data["identifiability"]["parameters"], strict=True):
+            assert (row[0], row[-1]) == (q["name"], q["verdict"])
         assert number(rows[0][1]) == pytest.approx(500.0)
         std = data["identifiability"]["parameters"][0]["standard_error"]
         assert number(rows[0][2]) == pytest.approx(1e-3 * std, rel=5e-3)
         assert ("hardly see 1 of 2" in page.text) == (colour == "bad")
-    write_identifiability(found, None, tmp_path / "alone")
+    write_identifiability(outlook, None, tmp_path / "alone")
     assert says(check_page(tmp_path / "alone").text, "What to do")
     write_identifiability(None, make_ranking(), tmp_path / "ranking")
     assert colours(check_page(tmp_path / "ranking")) == "plain"

@@ -45,7 +45,7 @@ def fits_of(model):
 
 def fields_of(model, shown, surface):
     """The fields of a simulation."""
-    states = [state_fields(model, own) for own in shown]
+    states = [state_fields(model, fit) for fit in shown]
     return view_fields(model, shown, states, surface, None)
 
 
@@ -68,9 +68,9 @@ def check_values(field, k, expected):
     """Compare values of a configuration, to half a step, with nan for none."""
     low, high = field["range"]
     raw = unpacked(field["values"][k]).astype(float)
-    found = np.where(raw == NONE, np.nan, low + (high - low) * raw / (NONE - 1))
+    values = np.where(raw == NONE, np.nan, low + (high - low) * raw / (NONE - 1))
     half = 0.5 * (high - low) / (NONE - 1) + 1e-9 * abs(high)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=half)
+    np.testing.assert_allclose(values, expected, rtol=0, atol=half)
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -80,26 +80,26 @@ def test_positions_and_fields_are_those_of_the_results(tmp_path, order):
     write_results(result, tmp_path / "out")
     _, data = read(tmp_path / "out")
     cut, tets = tessellate(model.mesh), surface_of(model, 4).tets
-    fields = {own["label"]: own for own in data["fields"]}
+    fields = {field["label"]: field for field in data["fields"]}
     rest = 1e3 * cut.interpolate(model.mesh.points)
     close = {"rtol": 0, "atol": 0.5 * data["step"] + 1e-9}
     assert data["step"] < 1e-4 * np.ptp(rest)  # far below what a screen shows
     np.testing.assert_allclose(positions(data, data["rest"]), rest, **close)
     triangles = unpacked(data["triangles"]).reshape(-1, 3)
     assert np.array_equal(triangles, cut.triangles)
-    for k, own in enumerate(result.configurations):
+    for k, fit in enumerate(result.configurations):
         shown = data["configurations"][k]
-        u = 1e3 * cut.interpolate(own.displacement)
+        u = 1e3 * cut.interpolate(fit.displacement)
         assert shown["drawn"]
         np.testing.assert_allclose(positions(data, shown["points"]), rest + u, **close)
         check_values(fields["displacement [mm]"], k, np.linalg.norm(u, axis=1))
-        distances = 1e3 * np.linalg.norm(own.error_after, axis=1)
+        distances = 1e3 * np.linalg.norm(fit.error_after, axis=1)
         check_values(fields["distance at markers [mm]"], k, distances)
-        for marker, point in zip(shown["markers"], own.points, strict=True):
+        for marker, point in zip(shown["markers"], fit.points, strict=True):
             assert marker["name"] == point.name
             for key in ("measured", "simulated"):
                 np.testing.assert_allclose(marker[key], 1e3 * getattr(point, key))
-        states = tet_states(model, jnp.asarray(own.displacement))
+        states = tet_states(model, jnp.asarray(fit.displacement))
         sigma = states.cauchy[tets]
         # Another way to the same: the differences of the principal stresses.
         a, b, c = np.linalg.eigvalsh(sigma).T
@@ -117,7 +117,7 @@ def test_standard_errors_are_shares_and_missing_ones_are_grey():
     errors = {"E": np.full(model.n_tets, 4e3)}
     errors["E"][:10] = np.nan
     data = data_of(body_view(make_result(model=model, fits=fits_of(model)), errors))
-    (field,) = (own for own in data["fields"] if own["label"].startswith("standard"))
+    (field,) = (f for f in data["fields"] if f["label"].startswith("standard"))
     tets = surface_of(model, 4).tets
     assert field["label"] == "standard error of E [%]"
     assert field["note"].endswith("Grey: there is none.")
@@ -126,15 +126,15 @@ def test_standard_errors_are_shares_and_missing_ones_are_grey():
 
 def options(page, name):
     """Values of a choice, which is inside its label."""
-    place = [own.get("id") for _, own in page.elements].index(f"view-{name}")
+    place = [attrs.get("id") for _, attrs in page.elements].index(f"view-{name}")
     assert page.elements[place][0] == "select"
     assert page.elements[place - 1][0] == "label"
-    found = []
-    for tag, own in page.elements[place + 1 :]:
+    values = []
+    for tag, attrs in page.elements[place + 1 :]:
         if tag != "option":
             break
-        found.append(own["value"])
-    return found
+        values.append(attrs["value"])
+    return values
 
 
 def test_every_configuration_and_field_is_offered_and_labelled(tmp_path):
@@ -144,7 +144,7 @@ def test_every_configuration_and_field_is_offered_and_labelled(tmp_path):
     page, data = read(tmp_path / "out")
     assert options(page, "configuration") == ["0", "1"]
     assert options(page, "field") == [str(k) for k in range(len(data["fields"]))]
-    labels = [own["label"] for own in data["fields"]]
+    labels = [field["label"] for field in data["fields"]]
     assert labels == [
         "displacement [mm]",
         "E [kPa]",
@@ -157,16 +157,16 @@ def test_every_configuration_and_field_is_offered_and_labelled(tmp_path):
     for text in [*labels, "droop (fitted)", "held out (held out)"]:
         assert text in page.texts
     assert says(page.text, "held out (held out):", "8.00 mm", "2.00 mm", "10.0 %")
-    (area,) = (own for own in page.of("canvas") if own["id"] == "view-area")
+    (area,) = (canvas for canvas in page.of("canvas") if canvas["id"] == "view-area")
     assert area["tabindex"] == "0"
     assert area["aria-label"]
-    ids = {own["id"] for _, own in page.elements if "id" in own}
+    ids = {attrs["id"] for _, attrs in page.elements if "id" in attrs}
     assert set(area["aria-describedby"].split()) <= ids
-    assert all(own["aria-label"] for own in page.of("button"))
-    names = {own["id"].removeprefix("view-") for own in page.of("input")}
+    assert all(button["aria-label"] for button in page.of("button"))
+    names = {box["id"].removeprefix("view-") for box in page.of("input")}
     assert names == {"mesh", "rest", "markers", "names"}
     # Nothing of it shows before the script has found that it can draw.
-    (view,) = (own for own in page.of("figure") if own.get("id") == "view")
+    (view,) = (figure for figure in page.of("figure") if figure.get("id") == "view")
     assert "hidden" in view
 
 
@@ -185,7 +185,7 @@ def test_without_an_equilibrium_nothing_looks_like_one(tmp_path):
         assert field["values"][0] is not None
         assert field["values"][1:] in ([], [None])
     assert "lane 1 - no equilibrium" in page.texts
-    words = [own for own in page.of("p") if own.get("class") == "stop"]
+    words = [p for p in page.of("p") if p.get("class") == "stop"]
     assert len(words) == 1
     assert says(page.text, "lane 1: no equilibrium ... inverted")
     assert says(page.text, "drawn at rest")
@@ -257,9 +257,9 @@ def test_writing_it_compiles_nothing_beside_the_bodies(tmp_path):
     model = small_model(order=2)
     result = make_result(model=model, fits=fits_of(model))
     errors = _write._field_errors(result)
-    for own in result.configurations:
+    for fit in result.configurations:
         path = tmp_path / "body.vtu"
-        write_vtu(path, model, own.displacement, standard_errors=errors)
+        write_vtu(path, model, fit.displacement, standard_errors=errors)
     with Compilations() as compiled:
         body_view(result, errors)
     assert compiled.programs == []
@@ -276,8 +276,8 @@ def test_edges_of_a_box_are_sharp():
         # All sides of the triangles of the mesh, none within a face.
         faces = tessellate(mesh, parts=1).triangles
         sides = {
-            tuple(sorted(own[[i, j]]))
-            for own in faces
+            tuple(sorted(face[[i, j]]))
+            for face in faces
             for i, j in ((0, 1), (1, 2), (0, 2))
         }
         corners = tessellate(mesh, parts=1).interpolate(mesh.points)
@@ -301,8 +301,8 @@ def test_fibres_move_with_the_material():
     shown = [still, moved]
     data = view_data(model, shown, surface, fields_of(model, shown, surface))
     rest, after = (
-        positions(data, own["fibres"]).reshape(-1, 2, 3)
-        for own in data["configurations"]
+        positions(data, pose["fibres"]).reshape(-1, 2, 3)
+        for pose in data["configurations"]
     )
     np.testing.assert_allclose(after, rest @ A.T, atol=4 * data["step"])
     along = rest[:, 1] - rest[:, 0]
@@ -321,16 +321,16 @@ def robot(tmp_path_factory):
 
 def test_actuators_and_frames(robot):
     """Each with its name and what drives it, where the pictures have it."""
-    for own in robot.configurations:
-        data = robot_data(robot.model, own)
-        if not own.converged:
+    for pose in robot.configurations:
+        data = robot_data(robot.model, pose)
+        if not pose.converged:
             assert not any(data[key] for key in ("cables", "frames", "motors"))
             continue
-        assert own.robot is not None
+        assert pose.robot is not None
         (cable,) = data["cables"]
         assert cable["name"].startswith("left: ")
         (motor,) = data["motors"]
-        bodies = {b.name: 1e3 * b.position for b in own.robot.bodies}
+        bodies = {b.name: 1e3 * b.position for b in pose.robot.bodies}
         np.testing.assert_allclose(motor["at"], bodies["arm"], atol=1e-3)
         frames = [f for f in data["frames"] if f["kind"] == "frame"]
         assert {f["name"] for f in frames} == set(bodies)
@@ -349,14 +349,14 @@ def test_rigid_faces_have_no_value_of_the_law(robot):
     assert np.array_equal(surface.rigid, ends)
     fields = fields_of(robot.model, robot.configurations, surface)
     for field in fields:
-        for own in field.values if field.place == "face" else ():
-            if own is not None:
-                assert np.array_equal(np.isnan(own), surface.rigid)
+        for values in field.values if field.place == "face" else ():
+            if values is not None:
+                assert np.array_equal(np.isnan(values), surface.rigid)
 
 
 def test_loads_and_gravity_point_where_they_act():
     model = small_model()
     posed = Configuration("hung", "x_min", gravity=(0.0, 0.0, -9.81))
-    own = dataclasses.replace(make_fit(model.mesh), posed=posed)
-    assert robot_data(model, own)["gravity"] == [0.0, 0.0, -1.0]
+    fit = dataclasses.replace(make_fit(model.mesh), posed=posed)
+    assert robot_data(model, fit)["gravity"] == [0.0, 0.0, -1.0]
     assert robot_data(model, make_fit(model.mesh))["gravity"] is None

@@ -27,7 +27,7 @@ def page(tmp_path_factory):
         pytest.skip(str(error))
     folder = tmp_path_factory.mktemp("page") / "out"
     model = small_model(order=2)
-    draw = lambda model, own, path, **_: Image.new("RGB", (40, 30)).save(path)
+    draw = lambda model, fit, path, **_: Image.new("RGB", (40, 30)).save(path)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_write, "rendering_problem", lambda: None)
         patch.setattr(_write, "render_configuration", draw)

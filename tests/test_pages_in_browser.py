@@ -75,22 +75,22 @@ def simulate(folder: Path) -> Path:
 
 
 def identify(folder: Path) -> Path:
-    found = assess(make_result()).identifiability
-    written = write_identifiability(found, make_ranking(), folder / "out")
+    outlook = assess(make_result()).identifiability
+    written = write_identifiability(outlook, make_ranking(), folder / "out")
     return written / "report.html"
 
 
 def compare(folder: Path) -> Path:
     best, other = score("neo", [1.0, 1.1, 0.9]), score("gent", [9.0, 9.2, 8.9], (1,))
-    found = ModelComparison.ranked([other, best])
-    return write_comparison(found, folder / "out") / "report.html"
+    comparison = ModelComparison.ranked([other, best])
+    return write_comparison(comparison, folder / "out") / "report.html"
 
 
 def sweep(folder: Path) -> Path:
     """Rows for words, a scatter for numbers, and trials that do not count."""
 
-    def trial(own):
-        E, few = own["material.E"], own["layout"] == "few"
+    def trial(point):
+        E, few = point["material.E"], point["layout"] == "few"
         error = 1e-3 * (abs(E / 3e5 - 0.8) + 0.3 * few)
         figures = {"held-out rms [m]": error, "E [Pa]": E * (1.0 + 0.01 * few)}
         if E > 2.9e5:
@@ -105,8 +105,8 @@ def sweep(folder: Path) -> Path:
 
 
 def inverse(folder: Path) -> Path:
-    found = searched_arm()
-    return write_inverse(found, folder / "out", notes=["Take care."]) / "report.html"
+    result = searched_arm()
+    return write_inverse(result, folder / "out", notes=["Take care."]) / "report.html"
 
 
 def searched_arm():
@@ -129,7 +129,7 @@ def searched_arm():
 PAGES = [calibrate, simulate, identify, compare, sweep, inverse]
 
 
-@pytest.mark.parametrize("make", PAGES, ids=lambda own: own.__name__)
+@pytest.mark.parametrize("make", PAGES, ids=lambda make: make.__name__)
 def test_a_page(make, tmp_path, monkeypatch):
     """Nothing is asked of the network, nothing fails, nothing is cut off."""
     monkeypatch.setattr(_write, "rendering_problem", lambda: "no OpenGL here")
@@ -158,6 +158,6 @@ def test_what_is_wrong_is_found(tmp_path):
         tab.ask(f"{axe}; 0")
         tab.resize(WIDTHS[0])
         assert tab.ask(_TOO_WIDE) > 0
-        found = " ".join(tab.ask(_AXE))
+        violations = " ".join(tab.ask(_AXE))
     for rule in ("color-contrast", "document-title", "image-alt", "html-has-lang"):
-        assert f"{rule}:" in found
+        assert f"{rule}:" in violations

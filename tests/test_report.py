@@ -198,7 +198,7 @@ def test_a_simulation_draws_what_has_an_equilibrium(tmp_path):
     tables = ["report.html", "markers.csv", "configurations.pvd"]
     assert data["files"] == [*tables, *pictures]
     reader = pyvista.PVDReader(tmp_path / "out" / "configurations.pvd")
-    assert [own.path for own in reader.datasets] == ["lane_0.vtu", "lane_2.vtu"]
+    assert [dataset.path for dataset in reader.datasets] == ["lane_0.vtu", "lane_2.vtu"]
     failed = data["configurations"][1]
     assert failed["files"] == []
     assert "inverted" in failed["outcome"]
@@ -233,15 +233,15 @@ def test_summary_in_80_columns():
 
 def test_what_the_others_predict_fits_in_80_columns():
     """Where they do not determine a parameter of a pose, there is a dash."""
-    own = LeftOut("a pose with a name", 1e-3, 2e-4, 1e-2, 0.5, np.nan)
+    predicted = LeftOut("a pose with a name", 1e-3, 2e-4, 1e-2, 0.5, np.nan)
     blind = LeftOut("hidden", *[np.nan] * 5)
-    checks = ResidualChecks(("a", "b", "c"), None, (own, blind))
+    checks = ResidualChecks(("a", "b", "c"), None, (predicted, blind))
     text = printed(summary_table(make_result(checks=checks)))
     assert "…" not in text
     rows = [line.strip("│").split("│") for line in text.splitlines()]
-    found = {row[0].strip(): [cell.strip() for cell in row[1:]] for row in rows}
-    assert found["a pose with a name"] == ["1.00 mm", "0.20 mm"]
-    assert found["hidden"] == ["-", "-"]
+    table = {row[0].strip(): [cell.strip() for cell in row[1:]] for row in rows}
+    assert table["a pose with a name"] == ["1.00 mm", "0.20 mm"]
+    assert table["hidden"] == ["-", "-"]
 
 
 def test_summary_shows_intervals_and_their_kinds():
@@ -354,9 +354,9 @@ def test_many_blind_directions_are_counted():
 
 
 def test_an_outlook_as_a_folder(tmp_path):
-    found = judged([100.0, 0.0])
+    outlook = judged([100.0, 0.0])
     folder = write_identifiability(
-        found, make_ranking(), tmp_path / "out", name="beam", timing_s={"solve": 1.0}
+        outlook, make_ranking(), tmp_path / "out", name="beam", timing_s={"solve": 1.0}
     )
     words = ["identifiability.json", "identifiability.txt", "report.html"]
     assert names(folder) == words
@@ -365,11 +365,11 @@ def test_an_outlook_as_a_folder(tmp_path):
     assert data["files"] == ["report.html", "identifiability.txt"]
     assert data["identifiability"]["verdict"] == "not identifiable"
     text = (folder / "identifiability.txt").read_text()
-    assert text == f"beam\n\n{found}\n\n{make_ranking()}\n"
+    assert text == f"beam\n\n{outlook}\n\n{make_ranking()}\n"
 
     with pytest.raises(FileExistsError, match="--force"):
-        write_identifiability(found, None, folder)
-    write_identifiability(found, None, folder, force=True)
+        write_identifiability(outlook, None, folder)
+    write_identifiability(outlook, None, folder, force=True)
     assert json.loads((folder / "identifiability.json").read_text())["ranking"] is None
 
 

@@ -26,39 +26,39 @@ from softcal_jax.project import load_project
 
 def public_classes():
     """What the packages offer, without exceptions."""
-    found = {}
+    classes = {}
     for module in map(importlib.import_module, packages()):
         for name in public_names(module):
-            own = getattr(module, name)
-            if inspect.isclass(own) and not issubclass(own, BaseException):
-                found[own] = None
+            cls = getattr(module, name)
+            if inspect.isclass(cls) and not issubclass(cls, BaseException):
+                classes[cls] = None
     return [
-        own
-        for own in found
-        if issubclass(own, Module) and not own.__name__.startswith("Abstract")
+        cls
+        for cls in classes
+        if issubclass(cls, Module) and not cls.__name__.startswith("Abstract")
     ]
 
 
 PUBLIC = public_classes()
 
 
-def keys_of(own):
-    if dataclasses.is_dataclass(own):
-        return [field.name for field in dataclasses.fields(own)]
-    return getattr(own, "_fields", ())
+def keys_of(record):
+    if dataclasses.is_dataclass(record):
+        return [field.name for field in dataclasses.fields(record)]
+    return getattr(record, "_fields", ())
 
 
-def records_in(root, found):
+def records_in(root, by_class):
     """Adds all records of a tree, by class."""
     if keys_of(root):
-        found.setdefault(type(root), []).append(root)
+        by_class.setdefault(type(root), []).append(root)
         inner = [getattr(root, key) for key in keys_of(root)]
     else:
         inner = root.values() if isinstance(root, dict) else root
         inner = inner if isinstance(root, dict | list | tuple) else ()
-    for own in inner:
-        records_in(own, found)
-    return found
+    for child in inner:
+        records_in(child, by_class)
+    return by_class
 
 
 @pytest.fixture(scope="module")
@@ -71,19 +71,19 @@ def records(tmp_path_factory):
     return records_in(roots, {})
 
 
-def assert_one_line(text, own):
-    assert text.startswith(own.__name__)
+def assert_one_line(text, cls):
+    assert text.startswith(cls.__name__)
     assert len(text) <= 120
     assert text.isprintable()
 
 
 def test_records_of_a_robot_and_its_results(records):
     written = 0
-    for own, found in records.items():
-        for record in found:
+    for cls, instances in records.items():
+        for record in instances:
             text = repr(record)
-            if own in PUBLIC:
-                assert_one_line(text, own)
+            if cls in PUBLIC:
+                assert_one_line(text, cls)
                 written += 1
     assert written > 80
     assert len(records.keys() & set(PUBLIC)) > 40
@@ -107,17 +107,17 @@ CONTENTS = {
 @pytest.mark.parametrize("content", CONTENTS.values(), ids=CONTENTS)
 def test_whatever_the_fields_hold(content):
     """As trees of arrays are mapped to something else, or records are half-built."""
-    for own in PUBLIC:
-        record = object.__new__(own)
-        for key in keys_of(own):
+    for cls in PUBLIC:
+        record = object.__new__(cls)
+        for key in keys_of(cls):
             object.__setattr__(record, key, content)
-        assert_one_line(repr(record), own)
+        assert_one_line(repr(record), cls)
 
 
 def test_half_built():
     """As a traceback out of `__init__` shows it."""
-    for own in PUBLIC:
-        assert_one_line(repr(object.__new__(own)), own)
+    for cls in PUBLIC:
+        assert_one_line(repr(object.__new__(cls)), cls)
 
 
 def cable_finger():
@@ -133,7 +133,7 @@ def cable_finger():
 
 
 @pytest.mark.parametrize(
-    ("own", "texts"),
+    ("make", "texts"),
     [
         (lambda: sc.NeoHookean(150e3, 0.49), ["NeoHookean", "E = 150 kPa", "nu = 0.4"]),
         (
@@ -174,8 +174,8 @@ def cable_finger():
         (make_result, ["CalibrationResult", "4 steps", "240.0 ± 6.0 kPa", "nu = 0.44"]),
     ],
 )
-def test_class_name_and_values_with_units(own, texts):
-    record = own()
+def test_class_name_and_values_with_units(make, texts):
+    record = make()
     assert_one_line(repr(record), type(record))
     assert all(text in repr(record) for text in texts)
 

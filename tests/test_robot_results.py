@@ -144,21 +144,21 @@ def test_robot_csv(robot):
 
 def test_robot_vtu(robot):
     """Cable, forces, faces and frames, at rest and moved."""
-    found = meshio.read(robot[1] / "up_robot.vtu")
-    assert [block.type for block in found.cells] == ["vertex", "line", "triangle"]
-    vertices, lines, faces = (block.data for block in found.cells)
+    mesh = meshio.read(robot[1] / "up_robot.vtu")
+    assert [block.type for block in mesh.cells] == ["vertex", "line", "triangle"]
+    vertices, lines, faces = (block.data for block in mesh.cells)
     # Two bodies; motor, point force, surface force. One segment; a side of 3 x 1 cells.
     assert (len(vertices), len(lines), len(faces)) == (5, 1, 6)
-    moved = found.points + found.point_data["displacement"]
-    np.testing.assert_allclose(found.points[lines[0, 0]], [0, 0.01, 0.03])
+    moved = mesh.points + mesh.point_data["displacement"]
+    np.testing.assert_allclose(mesh.points[lines[0, 0]], [0, 0.01, 0.03])
     np.testing.assert_allclose(moved[lines[0, 0]], [0, 0.01, 0.03])
-    actuator, force = found.cell_data["actuator"], found.cell_data["lambda_a"]
+    actuator, force = mesh.cell_data["actuator"], mesh.cell_data["lambda_a"]
     assert (actuator[1].item(), force[1].item()) == (2.0, 0.3)
     np.testing.assert_array_equal(force[2], 300.0)
-    np.testing.assert_array_equal(found.cell_data["rigid_body"][0], [1, 2, 0, 0, 0])
+    np.testing.assert_array_equal(mesh.cell_data["rigid_body"][0], [1, 2, 0, 0, 0])
     # The arm turns about -y; its third axis is the hinge, its second one turns.
-    np.testing.assert_allclose(found.point_data["axis_3"][0], [0, -1, 0], atol=1e-9)
-    first = found.point_data["axis_1"][0]
+    np.testing.assert_allclose(mesh.point_data["axis_3"][0], [0, -1, 0], atol=1e-9)
+    first = mesh.point_data["axis_1"][0]
     rest = robot[0].model.mechanism.bodies.axes[0, 0]
     turned = Rotation.from_rotvec([0, -np.deg2rad(20.0), 0]).apply(rest)
     np.testing.assert_allclose(first, turned, atol=1e-9)
@@ -304,8 +304,8 @@ def test_the_cable_beam_from_its_project_file(tmp_path, capsys):
     assert says(capsys.readouterr().out, "No candidate")
     assert main(["calibrate", path, "-o", str(tmp_path / "out")]) == 0
     text = capsys.readouterr().out
-    told = " ".join(text.split())
-    assert re.search(r"Held-out.* wound up: 0\.1\d* mm .* 1 6-D sensor", told)
+    words = " ".join(text.split())
+    assert re.search(r"Held-out.* wound up: 0\.1\d* mm .* 1 6-D sensor", words)
     data = json.loads((tmp_path / "out" / "result.json").read_text())
     (E,) = data["parameters"]
     # The law and the mesh of the recordings are others: 1 %.

@@ -140,8 +140,8 @@ def block(*configurations, solver=None):
 def test_a_body_that_nothing_holds_is_singular_in_its_lane_alone():
     """Its stiffness is of whole numbers times 1 / 24: KLU meets a pivot of zero."""
     pytest.importorskip("klujax", reason="not installed on this platform")
-    own = [hanging(name, 1e-4) for name in ("held", "loose", "held too")]
-    model, lanes = block(*own, solver="klu")
+    poses = [hanging(name, 1e-4) for name in ("held", "loose", "held too")]
+    model, lanes = block(*poses, solver="klu")
     fixed = np.asarray(lanes.fixed) & (np.arange(3) != 1)[:, None, None]
     solution = solve(model, eqx.tree_at(lambda c: c.fixed, lanes, fixed))
     np.testing.assert_array_equal(solution.converged, [True, False, True])

@@ -84,14 +84,14 @@ def test_small_tension_bends_and_shortens_as_beam_theory_says():
     for tension in (2e-3 * EI, 1e-3 * EI):
         _, tip, delta = under(tension)
         moment, strain = tension * OFFSET, tension / (E * AREA)
-        found = [tip.angle, tip.z, 1.0 - tip.x, delta]
+        computed = [tip.angle, tip.z, 1.0 - tip.x, delta]
         expected = [
             moment / EI,
             moment / (2.0 * EI),
             strain,
             strain + moment * OFFSET / EI,
         ]
-        error.append(np.array(found) / np.array(expected) - 1.0)
+        error.append(np.array(computed) / np.array(expected) - 1.0)
     # The theory is of first order in the load: halving it halves the difference, and
     # nothing of the mesh remains at none. (The bow retracts the tip by (T h L / EI)^2 /
     # 6, eight times the second order of the others.)

@@ -155,13 +155,13 @@ def test_a_step_on_the_factor_takes_a_solution_to_rounding(careful):
 def test_from_a_good_guess_in_a_few_steps(careful):
     """From the equilibrium under a tenth less weight."""
     done = continued(MODEL, lane(LANES, HEAVIER), careful.displacement[HANGING])
-    found = done.equilibrium
-    assert 1 < int(found.steps) <= 3 < int(careful.steps[HEAVIER])
-    assert float(found.residual) <= TIGHT.rtol
-    assert int(found.n_negative) == 0
-    assert (int(found.load_steps), float(found.load_reached)) == (1, 1.0)
+    solution = done.equilibrium
+    assert 1 < int(solution.steps) <= 3 < int(careful.steps[HEAVIER])
+    assert float(solution.residual) <= TIGHT.rtol
+    assert int(solution.n_negative) == 0
+    assert (int(solution.load_steps), float(solution.load_reached)) == (1, 1.0)
     np.testing.assert_allclose(
-        found.min_det_F, careful.min_det_F[HEAVIER], rtol=0, atol=1e-5
+        solution.min_det_F, careful.min_det_F[HEAVIER], rtol=0, atol=1e-5
     )
     # A slender body: rtol of the forces is some hundred times that of the shape.
     assert_same(done, HEAVIER, careful, rtol=1e-4)
@@ -292,10 +292,10 @@ def test_a_bad_guess_is_no_equilibrium(name, careful):
     fixed = np.asarray(LANES.fixed[HANGING])
     guess = GUESSES[name](careful.displacement[HANGING])
     guess = jnp.where(fixed, 0.0, guess)
-    found = continued(MODEL, lane(LANES, HANGING), guess).equilibrium
-    assert bool(found.result == RESULTS.max_steps)
-    assert int(found.steps) <= MAX_QUICK_STEPS
-    assert bool(jnp.all(jnp.isnan(found.displacement)))
+    solution = continued(MODEL, lane(LANES, HANGING), guess).equilibrium
+    assert bool(solution.result == RESULTS.max_steps)
+    assert int(solution.steps) <= MAX_QUICK_STEPS
+    assert bool(jnp.all(jnp.isnan(solution.displacement)))
 
 
 def test_a_guess_that_is_a_little_rough_is_closed_in_quick_steps(careful):
@@ -358,9 +358,9 @@ def test_one_factorization_is_enough_from_close_by(careful):
 
 def test_from_rest_one_step_is_all():
     """Several could end on another branch."""
-    found = continued(MODEL, lane(LANES, HANGING), jnp.zeros(SHAPE)).equilibrium
-    assert not bool(found.converged)
-    assert int(found.steps) == 1
+    solution = continued(MODEL, lane(LANES, HANGING), jnp.zeros(SHAPE)).equilibrium
+    assert not bool(solution.converged)
+    assert int(solution.steps) == 1
 
 
 def test_a_support_that_has_moved_since_the_guess(careful):
@@ -382,16 +382,16 @@ def shortened(factor):
 
 def test_an_unstable_guess_is_left():
     """Pressed beyond the limit point; full Newton steps would end right there."""
-    found = continued(MODEL, lane(LANES, UNSTABLE), shortened(0.4)).equilibrium
-    assert not bool(found.converged)
+    solution = continued(MODEL, lane(LANES, UNSTABLE), shortened(0.4)).equilibrium
+    assert not bool(solution.converged)
 
 
 def test_an_inverted_guess_does_not_pass_for_an_equilibrium():
     """Turned inside out this law has no stress: residual zero, tangent definite."""
     guess = shortened(-1.0)
-    found = continued(MODEL, lane(LANES, TURNED), guess).equilibrium
-    assert not bool(found.converged)
-    np.testing.assert_allclose(found.min_det_F, -1.0, rtol=1e-9)
+    solution = continued(MODEL, lane(LANES, TURNED), guess).equilibrium
+    assert not bool(solution.converged)
+    np.testing.assert_allclose(solution.min_det_F, -1.0, rtol=1e-9)
 
 
 def test_a_load_that_the_body_cannot_carry(careful):

@@ -32,10 +32,10 @@ def solved(support, force):
         effectors=[SupportReaction("reaction", "x_min", (0.0, 0.0, 0.0))],
     )
     lane = lane_of(configuration_arrays(MESH, [c], MODEL.mechanism))
-    found = solve_equilibrium(MODEL, lane)
-    assert bool(found.converged)
-    u = np.asarray(found.displacement)
-    state = found.displacement, found.multipliers
+    solution = solve_equilibrium(MODEL, lane)
+    assert bool(solution.converged)
+    u = np.asarray(solution.displacement)
+    state = solution.displacement, solution.multipliers
     return u, np.asarray(compiled_effectors(MODEL, lane, *state))[0]
 
 

@@ -105,12 +105,12 @@ def test_friction_makes_a_model_without_a_potential():
 def test_no_coefficient_is_no_friction(pulled):
     """The unsymmetric system at mu = 0 has the state of the symmetric one."""
     (plain, values, lane), _, _ = pulled
-    smooth, found = solve(rubbed(0.0), lane, None, TIGHT)
+    smooth, smooth_values = solve(rubbed(0.0), lane, None, TIGHT)
     # Both solved to 1e-12 of the forces; the softest mode is 1e3 times softer.
     np.testing.assert_allclose(
         smooth.displacement, plain.displacement, rtol=0, atol=1e-9 * LENGTH
     )
-    np.testing.assert_allclose(found, values, rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(smooth_values, values, rtol=1e-8, atol=1e-10)
 
 
 def test_pulling_bends_less_and_letting_go_bends_more(pulled):
@@ -211,11 +211,11 @@ def test_the_tangent_is_that_of_the_end_where_a_gap_was_to_close(pulled):
 
     def end(by):
         lane = arrays(PLAIN, driven(ImposedDisplacement(values[SHORTENING, 0] + by)))
-        found, lin = continue_equilibrium(
+        solution, lin = continue_equilibrium(
             PLAIN, lane, reference.displacement, settings=loose, precise=True
         )
-        exact = tangent(PLAIN, lane, found.displacement, found.multipliers)
-        assert int(found.steps) == 1
+        exact = tangent(PLAIN, lane, solution.displacement, solution.multipliers)
+        assert int(solution.steps) == 1
         off = np.max(np.abs(np.asarray(lin.system.values) - exact))
         return off / np.max(np.abs(exact))
 

@@ -109,14 +109,14 @@ def test_the_beam_becomes_an_arc(turn, off):
     # No load step turns the plate by more than half a radian, which crushes tets.
     assert int(solution.load_steps) >= angle / 0.5
     node = nearest_node(robot().mesh, MIDDLE)
-    found = (
+    position = (
         np.asarray(solution.displacement[node])
         + MIDDLE
         - np.array([0.0, 0.5 * SIDE, 0.5 * SIDE])
     )
     # Ten cells of quadratic tets, and a section that curves across, too.
     expected = arc(0.5 * angle, 0.5 * LENGTH)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=off * LENGTH)
+    np.testing.assert_allclose(position, expected, rtol=0, atol=off * LENGTH)
 
 
 def test_a_flat_strip_closes_to_a_ring():
@@ -132,11 +132,11 @@ def test_a_flat_strip_closes_to_a_ring():
     angle = 2.0 * np.pi * points[line, 0] / LENGTH
     radius = LENGTH / (2.0 * np.pi)
     ring = radius * np.stack([np.sin(angle), 0.0 * angle, 1.0 - np.cos(angle)], axis=1)
-    found = points[line] + np.asarray(solution.displacement)[line]
-    found = found - [0.0, SIDE, 0.25 * SIDE]
+    curve = points[line] + np.asarray(solution.displacement)[line]
+    curve = curve - [0.0, SIDE, 0.25 * SIDE]
     # As the arcs above; the mesh, no mirror image of itself, pushes it aside by less.
-    np.testing.assert_allclose(found, ring, rtol=0, atol=0.01 * LENGTH)
-    np.testing.assert_allclose(found[:, 1], 0.0, atol=0.001 * LENGTH)
+    np.testing.assert_allclose(curve, ring, rtol=0, atol=0.01 * LENGTH)
+    np.testing.assert_allclose(curve[:, 1], 0.0, atol=0.001 * LENGTH)
 
 
 def test_a_ring_of_a_square_rod_is_not_taken_for_solved():
@@ -175,9 +175,9 @@ def test_a_path_leads_there_too():
     node = nearest_node(robot().mesh, MIDDLE)
     half = path.load[1:, None] * 0.25 * np.pi
     x, _, z = np.stack([arc(float(a), 0.5 * LENGTH) for a in half[:, 0]]).T
-    found = path.displacement[1:, node]
-    np.testing.assert_allclose(found[:, 0] + MIDDLE[0], x, atol=0.01 * LENGTH)
-    np.testing.assert_allclose(found[:, 2], z, atol=0.01 * LENGTH)
+    motion = path.displacement[1:, node]
+    np.testing.assert_allclose(motion[:, 0] + MIDDLE[0], x, atol=0.01 * LENGTH)
+    np.testing.assert_allclose(motion[:, 2], z, atol=0.01 * LENGTH)
     np.testing.assert_array_equal(path.n_negative, 0)
 
 

@@ -45,11 +45,11 @@ def solved(model, configuration, seed):
     """Solutions at rest, and the largest error that is left in their equations."""
     shape = (2, *model.mesh.points.shape)
     rhs = jnp.asarray(np.random.default_rng(seed).normal(size=shape))
-    found = compiled(model, configuration, jnp.zeros(shape[1:]), rhs)
+    solution = compiled(model, configuration, jnp.zeros(shape[1:]), rhs)
     free = ~np.asarray(configuration.fixed).ravel()
     K = stiffness(model, jnp.zeros(shape[1:]))[np.ix_(free, free)]
-    x, b = (np.asarray(a).reshape(2, -1)[:, free] for a in (found.x, rhs))
-    return found, np.abs(x @ K.T - b).max()
+    x, b = (np.asarray(a).reshape(2, -1)[:, free] for a in (solution.x, rhs))
+    return solution, np.abs(x @ K.T - b).max()
 
 
 def test_two_patterns_in_turn_and_values_that_change():
@@ -61,18 +61,18 @@ def test_two_patterns_in_turn_and_values_that_change():
     for seed, (model, configuration) in enumerate(
         [short, (softer, short[1]), long, short, short, long]
     ):
-        found, left = solved(model, configuration, seed)
-        assert bool(found.ok)
-        assert int(found.n_negative) == 0
+        solution, left = solved(model, configuration, seed)
+        assert bool(solution.ok)
+        assert int(solution.n_negative) == 0
         assert left < 1e-8
 
 
 def test_a_tangent_that_is_not_symmetric_and_one_that_is_in_turn():
     other = built((4, 1, 1), ClassicalCorotational(Isotropic(YOUNG, POISSON)))
     for model, configuration in (built((4, 1, 1)), other, built((4, 1, 1))):
-        found, left = solved(model, configuration, 0)
-        assert bool(found.ok)
-        assert int(found.n_negative) == (0 if model.conservative else -1)
+        solution, left = solved(model, configuration, 0)
+        assert bool(solution.ok)
+        assert int(solution.n_negative) == (0 if model.conservative else -1)
         assert left < 1e-8
 
 

@@ -345,8 +345,8 @@ def test_actuator_compliance_is_positive_definite_and_what_it_says(start, by_for
         np.testing.assert_allclose(by_lambda, np.eye(3), atol=1e-12)
     if kind == "displacements":
         S = W[np.ix_([0, 2], [0, 2])]
-        found = by_lambda[np.ix_([0, 2], [0, 2])]
-        np.testing.assert_allclose(found @ S, np.eye(2), atol=1e-8)
+        stiffness = by_lambda[np.ix_([0, 2], [0, 2])]
+        np.testing.assert_allclose(stiffness @ S, np.eye(2), atol=1e-8)
         np.testing.assert_allclose(
             by_delta[np.ix_([0, 2], [0, 2])], np.eye(2), atol=1e-8
         )

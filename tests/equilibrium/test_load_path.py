@@ -55,10 +55,10 @@ def stretches(path):
 
 
 def test_the_path_is_the_closed_form_on_both_sides_of_the_limit(path):
-    found = stretches(path)
+    inner_stretch = stretches(path)
     assert path.load[0] == 0.0
-    assert found.max() > 2.4
-    exact = [neo_hookean_sphere(s).pressure * MU for s in found]
+    assert inner_stretch.max() > 2.4
+    exact = [neo_hookean_sphere(s).pressure * MU for s in inner_stretch]
     np.testing.assert_allclose(FULL * path.load, exact, rtol=MESH_ERROR, atol=1e-12)
 
 

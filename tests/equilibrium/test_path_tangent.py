@@ -65,7 +65,7 @@ def lane():
 @pytest.fixture(scope="module")
 def states(lane):
     """Three neighbours on the path, for each of two distances between them."""
-    no, found = jnp.asarray(False), {}
+    no, triples = jnp.asarray(False), {}
     start = _begin(MODEL, lane, TIGHT)
     middle = _step(MODEL, lane, start, jnp.asarray(0.5), no, TIGHT)
     for ds in (0.1, 0.05):
@@ -74,8 +74,8 @@ def states(lane):
             for sign in (-1.0, 1.0)
         )
         assert all(bool(state.ok) for state in (back, middle, on))
-        found[ds] = (back, middle, on)
-    return found
+        triples[ds] = (back, middle, on)
+    return triples
 
 
 def slope(states, of):

@@ -70,12 +70,12 @@ def solved(model, **actuation):
 
 def shell(model, solution) -> Shell:
     """Mean radial displacement of the nodes of both surfaces."""
-    X, found = model.mesh.points, []
+    X, means = model.mesh.points, []
     for surface in ("inner", "outer"):
         nodes = np.unique(model.mesh.faces(surface))
         radial = np.sum(np.asarray(solution.displacement)[nodes] * X[nodes], axis=1)
-        found.append(np.mean(radial / np.linalg.norm(X[nodes], axis=1)))
-    return Shell(*found)
+        means.append(np.mean(radial / np.linalg.norm(X[nodes], axis=1)))
+    return Shell(*means)
 
 
 def test_small_pressure_against_lame():
@@ -86,8 +86,8 @@ def test_small_pressure_against_lame():
     expected = np.array([*exact, 4.0 * np.pi * exact.inner])
     for n in (2, 4):
         solution, _, volume, _ = solved(ball(n), chamber=ImposedForce(p))
-        found = [*shell(ball(n), solution), volume]
-        error.append(np.abs(found / expected - 1.0))
+        computed = [*shell(ball(n), solution), volume]
+        error.append(np.abs(computed / expected - 1.0))
     # 3 % on the coarse mesh; quadratic tets gain a factor 8 by halving in the end.
     assert error[1].max() < 5e-3
     assert (error[0] / error[1])[1:].min() > 5.0
@@ -165,8 +165,8 @@ def test_large_inflation_of_an_incompressible_sphere(stretch):
     assert model.formulation == "mean-dilatation"
     growth = 4.0 / 3.0 * np.pi * (stretch**3 - 1.0)
     solution, p, _, _ = solved(model, chamber=ImposedDisplacement(growth))
-    found = [p / (E / 3.0), *(shell(model, solution) / np.array([1.0, 2.0]) + 1.0)]
+    computed = [p / (E / 3.0), *(shell(model, solution) / np.array([1.0, 2.0]) + 1.0)]
     # The mesh: at n = 2 it leaves 1.7 % of the pressure and of the inner stretch.
     expected = [exact.pressure, stretch, exact.outer_stretch]
-    np.testing.assert_allclose(found, expected, rtol=7e-3)
+    np.testing.assert_allclose(computed, expected, rtol=7e-3)
     assert int(solution.n_negative) == 0

@@ -97,13 +97,13 @@ def test_nodes_of_bodies_stay_rigid():
     x, X = positions(MODEL, solution), MODEL.mechanism.points
     n = MESH.n_nodes
     for k, nodes in enumerate((ROOT_NODES, PLATE_NODES, FIN_NODES, TIP_NODES)):
-        own = np.concatenate([nodes, n + 4 * k + np.arange(4)])
+        points = np.concatenate([nodes, n + 4 * k + np.arange(4)])
         # Exact but for the rounding of positions of size 0.1 m.
-        assert same_shape(x[own], X[own]) < 1e-16
+        assert same_shape(x[points], X[points]) < 1e-16
         R = turn_of(values, NAMES[k])
         origin = X[n + 4 * k]
-        there = moved_by(R, origin, values[k] - origin, X[own])
-        np.testing.assert_allclose(x[own], there, rtol=0, atol=1e-16)
+        there = moved_by(R, origin, values[k] - origin, X[points])
+        np.testing.assert_allclose(x[points], there, rtol=0, atol=1e-16)
     # All but the root have moved by much more.
     assert np.abs(np.asarray(solution.displacement)[TIP_NODES]).max() > 1e-3
 

@@ -64,4 +64,4 @@ def test_rounding_that_stopped_the_solve_is_said():
     result = simulation_result(body(1e6), POSES, uneven)
     of_hanging = f"converged at rounding (residual {uneven.residual[HANGING]:.1e})"
     words = [of_hanging, "converged", "converged at rounding"]
-    assert [own.outcome for own in result.configurations] == words
+    assert [pose.outcome for pose in result.configurations] == words

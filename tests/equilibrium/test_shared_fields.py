@@ -150,9 +150,9 @@ def test_a_shape_that_happens_to_fit_is_not_guessed():
     u = jnp.asarray(0.1 * MESH.points[:, ::-1] ** 2 / 0.1)
     bulk = jnp.linspace(8e4, 1e5, MESH.n_tets)
     expected = force(model_of(Separate(1e3 * MESH.n_tets, 0.0, bulk)), u)
-    found = force(model_of(Sum(many, bulk)), u)
+    computed = force(model_of(Sum(many, bulk)), u)
     size = np.max(np.abs(expected))
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13 * size)
+    np.testing.assert_allclose(computed, expected, rtol=0, atol=1e-13 * size)
 
 
 def test_a_vector_that_says_nothing_is_named():
@@ -164,8 +164,8 @@ def test_numbers_of_python_are_values():
     """And one program serves all of them."""
     model = model_of(Separate(1.7e4, 2e3, 1e5))
     expected = tip_by(separate)(C)
-    found = solve_equilibrium(model, HANG, settings=TIGHT).displacement[-1]
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    tip = solve_equilibrium(model, HANG, settings=TIGHT).displacement[-1]
+    np.testing.assert_allclose(tip, expected, rtol=1e-9)
     other = set_field(model, "c1", 2e4)
     with Compilations() as seen:
         solve_equilibrium(other, HANG)

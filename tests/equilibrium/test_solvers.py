@@ -147,7 +147,7 @@ def test_singular_matrices_are_flagged_in_their_lanes_alone(solver):
     pattern = from_entries(*np.indices((3, 3)).reshape(2, -1), 3, symmetric=True)
     matrices = np.stack([*regular, *SINGULAR.values()])
     values = jnp.asarray(matrices[:, pattern.rows, pattern.indices])
-    own = SOLVERS[solver].analyse(pattern)
+    analysed = SOLVERS[solver].analyse(pattern)
     rhs = jnp.array([[1.0, 2.0, -3.0], [1.0, 1.0, -2.0]])
     no_row, no_gap = jnp.zeros((0, 3)), jnp.zeros((2, 0))
 
@@ -155,15 +155,15 @@ def test_singular_matrices_are_flagged_in_their_lanes_alone(solver):
     @jax.vmap
     def solve_all(values):
         system = System(values, no_row, jnp.zeros(0, bool))
-        return system.solve(own, rhs, no_gap)
+        return system.solve(analysed, rhs, no_gap)
 
-    found = solve_all(values)
+    solution = solve_all(values)
     n = len(regular)
-    np.testing.assert_array_equal(found.ok, [True] * n + [False] * len(SINGULAR))
-    np.testing.assert_array_equal(found.x[n:], 0.0)
+    np.testing.assert_array_equal(solution.ok, [True] * n + [False] * len(SINGULAR))
+    np.testing.assert_array_equal(solution.x[n:], 0.0)
     exact = np.linalg.solve(np.stack(regular), rhs.T).swapaxes(1, 2)
     size = np.abs(exact).max(axis=(1, 2), keepdims=True)
-    np.testing.assert_allclose(found.x[:n] / size, exact / size, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(solution.x[:n] / size, exact / size, rtol=0, atol=1e-12)
 
 
 def test_no_singular_matrix_of_whole_numbers_makes_klu_raise():
@@ -182,8 +182,8 @@ def test_no_singular_matrix_of_whole_numbers_makes_klu_raise():
         one = lambda values, solver=solver: solver.factor_solve(
             values, jnp.ones((1, n))
         )
-        found = jax.jit(lambda values, one=one: jax.lax.map(one, values))(values)
-        assert not bool(jnp.any(found.ok))
+        solution = jax.jit(lambda values, one=one: jax.lax.map(one, values))(values)
+        assert not bool(jnp.any(solution.ok))
 
 
 @pytest.mark.parametrize("solver", ["pardiso", "klu", "pardiso-host"])

@@ -67,12 +67,12 @@ def deflections(path):
 
 def test_the_path_snaps_through_and_stiffens_again(path, limits):
     assert bool(path.result == RESULTS.converged), RESULTS[path.result]
-    found = deflections(path)
+    deflection = deflections(path)
     # Several states before the limit, between the limits and after them.
-    between = np.sum((found > limits[0]) & (found < limits[1]))
+    between = np.sum((deflection > limits[0]) & (deflection < limits[1]))
     assert between >= 3
-    assert np.sum(found > limits[1]) >= 3
-    expected = toggle_loads(found)
+    assert np.sum(deflection > limits[1]) >= 3
+    expected = toggle_loads(deflection)
     np.testing.assert_allclose(FULL * path.load, expected, rtol=MESH_ERROR, atol=1e-9)
 
 
@@ -92,6 +92,6 @@ def test_both_limits_are_where_the_beam_has_them(path, limits):
 
 
 def test_it_is_unstable_between_the_limits_alone(path, limits):
-    found = deflections(path)
-    between = (found > limits[0]) & (found < limits[1])
+    deflection = deflections(path)
+    between = (deflection > limits[0]) & (deflection < limits[1])
     np.testing.assert_array_equal(path.n_negative, between.astype(int))

@@ -57,10 +57,10 @@ def test_threads_give_what_one_gives_in_the_same_order(cantilever):
         assert workers.n == 3
         for _ in range(3):  # threads meet in another order each time
             solutions = workers.map(program, [(E,) for E in moduli])
-            for found, expected in zip(solutions, serial, strict=True):
-                assert found.converged
+            for solution, expected in zip(solutions, serial, strict=True):
+                assert solution.converged
                 np.testing.assert_allclose(
-                    found.displacement, expected.displacement, rtol=0, atol=1e-13
+                    solution.displacement, expected.displacement, rtol=0, atol=1e-13
                 )
     # The solver of the model still plans for all cores.
     again = solve(moduli[0])
@@ -99,9 +99,9 @@ def test_all_cores_share_large_factorizations(cantilever, monkeypatch):
             solutions = workers.map(program, 4 * [(MODULI[0],)])
     finally:
         _mkl().MKL_Domain_Set_Num_Threads(cores, _MKL_DOMAIN_PARDISO)
-    for found in solutions:
+    for solution in solutions:
         np.testing.assert_allclose(
-            found.displacement, serial.displacement, rtol=0, atol=1e-13
+            solution.displacement, serial.displacement, rtol=0, atol=1e-13
         )
 
 
@@ -174,13 +174,13 @@ def counting(workers, first, n_maps, seen):
 @pytest.mark.parametrize("n", [1, 2])
 def test_runs_that_end_leave_their_place_to_the_next(cantilever, n):
     """Each gets its own results, whatever else is under way, and few are at once."""
-    seen, told = [], []
+    seen, reported = [], []
     firsts = range(0, 100, 10)
     with Workers(cantilever[0], 8, n) as workers:
         runs = [partial(counting, workers, first, 3, seen) for first in firsts]
-        ends = workers.side_by_side(runs, lambda *end: told.append(end))
+        ends = workers.side_by_side(runs, lambda *end: reported.append(end))
     assert ends == [3 * first + 3 + 3 for first in firsts]
-    assert told == list(enumerate(ends))
+    assert reported == list(enumerate(ends))
     assert sorted(seen) == sorted(3 * list(firsts))
     # The first has long ended when the last begins.
     assert max(i for i, first in enumerate(seen) if first == 0) < seen.index(90)

@@ -162,7 +162,7 @@ def make_result(*, converged=True, fits=None, rejected=(), model=None, **changed
         "notes": ("nu ended on a bound.",),
     }
     fields |= changed
-    of = {own.name: own for own in fields.pop("intervals", ())}
+    of = {interval.name: interval for interval in fields.pop("intervals", ())}
     fields["parameters"] = tuple(
         dataclasses.replace(q, interval=of.get(q.name)) for q in fields["parameters"]
     )

@@ -61,9 +61,9 @@ def test_in_the_result_of_a_calibration(estimated, used):
     result = replaced(
         result, uncertainty=replaced(result.uncertainty, noise_scale=estimated)
     )
-    found = assess(result).identifiability
+    outlook = assess(result).identifiability
     data = result_dict(result)["identifiability"]
-    assert data == outlook_dict(found, None)["identifiability"]
+    assert data == outlook_dict(outlook, None)["identifiability"]
     assert [p["name"] for p in data["parameters"]] == ["E", "nu"]
     # Six coordinates of 100 per unit of ln E, at E = 240 kPa.
     assert data["parameters"][0]["data_only"] == pytest.approx(

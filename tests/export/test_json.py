@@ -58,8 +58,8 @@ def test_result_is_strict_json_with_all_its_keys(data):
 
 
 def test_intervals_are_in_si_and_a_missing_end_is_null():
-    found = ParameterInterval("E", 0.95, 2.1e5, np.nan, "likelihood", "not found", "Pa")
-    data = result_dict(make_result(intervals=(found,)))
+    E = ParameterInterval("E", 0.95, 2.1e5, np.nan, "likelihood", "not found", "Pa")
+    data = result_dict(make_result(intervals=(E,)))
     (entry,) = data["intervals"]
     assert entry == data["parameters"][0]["interval"]
     assert data["parameters"][1]["interval"] is None
@@ -119,10 +119,10 @@ def test_noise_and_checks_are_in_millimetres():
     offsets = [[0.5, 0.5, 0.5]] * 2
     assert data["noise"] == {"jitter": 1.5, "share": [0, 0.02], "offset_mm": offsets}
     assert data["checks"]["lack_of_fit"]["shares"] == [0.75, 0.25]
-    (own,) = data["checks"]["left_out"]
-    assert (own["rms_mm"], own["expected_mm"], own["by_scatter"]) == (1.0, 0.2, None)
-    (own,) = data["checks"]["recordings"]
-    assert (own["recording"], own["apart"]) == ("monday", -4.0)
+    (row,) = data["checks"]["left_out"]
+    assert (row["rms_mm"], row["expected_mm"], row["by_scatter"]) == (1.0, 0.2, None)
+    (row,) = data["checks"]["recordings"]
+    assert (row["recording"], row["apart"]) == ("monday", -4.0)
     off, far, alone = data["checks"]["reasons"]
     assert says(off, "Whole configurations ... of all beam")
     assert says(far, "held out ... not predicted ... 1.00 mm off, 10 % ... 0.2 mm")

@@ -87,15 +87,15 @@ def test_stress_and_stretches_in_simple_shear(model, tmp_path):
     g = 0.4
     F = np.array([[1.0, g, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     write_vtu(tmp_path / "a.vtu", model, model.mesh.points @ (F - np.eye(3)).T)
-    found = cells_of(tmp_path / "a.vtu")
+    cells = cells_of(tmp_path / "a.vtu")
     mu = np.asarray(model.law.E) / (2 * 1.4)
     expected = np.array([g * g, 0.0, 0.0, g, 0.0, 0.0])
     np.testing.assert_allclose(
-        found["cauchy_stress"], mu[:, None] * expected, rtol=1e-10, atol=1e-6
+        cells["cauchy_stress"], mu[:, None] * expected, rtol=1e-10, atol=1e-6
     )
     a = 0.5 * g + np.sqrt(1.0 + 0.25 * g * g)
     np.testing.assert_allclose(
-        found["principal_stretches"], np.tile([a, 1.0, 1.0 / a], (model.n_tets, 1))
+        cells["principal_stretches"], np.tile([a, 1.0, 1.0 / a], (model.n_tets, 1))
     )
 
 
@@ -170,24 +170,24 @@ def test_fibre_directions_of_each_tet(tmp_path):
     along = lambda t: np.stack([np.cos(t), 0.0 * t, np.sin(t)], axis=1)
     model = build_model(mesh, law, density=1e3)
     write_vtu(tmp_path / "a.vtu", model, sag(mesh))
-    found = cells_of(tmp_path / "a.vtu")
-    np.testing.assert_allclose(found["fibre_direction"], along(theta), atol=1e-12)
-    np.testing.assert_array_equal(found["theta"], theta)
+    cells = cells_of(tmp_path / "a.vtu")
+    np.testing.assert_allclose(cells["fibre_direction"], along(theta), atol=1e-12)
+    np.testing.assert_array_equal(cells["theta"], theta)
 
     wound = FibreReinforced(NeoHookean(2e5, 0.4), 1e6, Fibre(theta), families=2)
     write_vtu(tmp_path / "b.vtu", build_model(mesh, wound, density=1e3), sag(mesh))
-    found = cells_of(tmp_path / "b.vtu")
-    np.testing.assert_allclose(found["fibre_direction_2"], along(-theta), atol=1e-12)
+    cells = cells_of(tmp_path / "b.vtu")
+    np.testing.assert_allclose(cells["fibre_direction_2"], along(-theta), atol=1e-12)
 
 
 def test_standard_errors_stand_beside_their_fields(tmp_path):
     model = small_model()
     errors = {"E": np.linspace(1e3, 2e3, model.n_tets), "density": np.full(30, np.nan)}
     write_vtu(tmp_path / "a.vtu", model, sag(model.mesh), standard_errors=errors)
-    found = cells_of(tmp_path / "a.vtu")
-    np.testing.assert_array_equal(found["E_standard_error"], errors["E"])
-    assert np.isnan(found["density_standard_error"]).all()
-    assert "nu_standard_error" not in found
+    cells = cells_of(tmp_path / "a.vtu")
+    np.testing.assert_array_equal(cells["E_standard_error"], errors["E"])
+    assert np.isnan(cells["density_standard_error"]).all()
+    assert "nu_standard_error" not in cells
 
 
 def test_collection_of_configurations(tmp_path):
@@ -197,8 +197,8 @@ def test_collection_of_configurations(tmp_path):
         write_vtu(tmp_path / f"{name}.vtu", model, (k + 1) * sag(model.mesh))
     write_pvd(tmp_path / "all.pvd", [["a & b.vtu"], ["c.vtu", "c_robot.vtu"]])
     reader = pyvista.PVDReader(tmp_path / "all.pvd")
-    found = [(own.time, own.part) for own in reader.datasets]
-    assert found == [(0.0, 0), (1.0, 0), (1.0, 1)]
+    listed = [(dataset.time, dataset.part) for dataset in reader.datasets]
+    assert listed == [(0.0, 0), (1.0, 0), (1.0, 1)]
     reader.set_active_time_value(1.0)
     blocks = reader.read()
     assert len(blocks) == 2

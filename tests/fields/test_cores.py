@@ -57,15 +57,15 @@ def scaled(space, E_t, E_l, degrees):
 
 def fields(model, space, z):
     """E_t, E_l and theta of each tet."""
-    found = space.model_at(model, z).law.elasticity
-    return jnp.stack([found.E_t, found.E_l, found.fibre.theta])
+    law = space.model_at(model, z).law.elasticity
+    return jnp.stack([law.E_t, law.E_l, law.fibre.theta])
 
 
 def test_contrast_by_hand(model):
     """Moduli and rho from inverse squares of distances, in ordinary NumPy."""
     faded = space()
     E_t, E_l, degrees = [900.0, 700.0, 1200.0], [300.0, 350.0, 200.0], [70, -10, -40]
-    found = fields(model, faded, scaled(faded, E_t, E_l, degrees))
+    values = fields(model, faded, scaled(faded, E_t, E_l, degrees))
     places = np.asarray(POINTS.positions)
     w = 1.0 / np.sum((CENTROIDS[:, None] - places[None]) ** 2, axis=2)
     w /= w.sum(axis=1, keepdims=True)
@@ -75,23 +75,23 @@ def test_contrast_by_hand(model):
     assert rho.max() > 0.9
     left = rho * np.sqrt((1.0 + CORE**2) / (rho**2 + CORE**2))
     high, low = w @ E_t, w @ E_l
-    np.testing.assert_allclose(found[0] * found[1], high * low, rtol=1e-12)
-    contrast = np.log(found[0] / found[1])
+    np.testing.assert_allclose(values[0] * values[1], high * low, rtol=1e-12)
+    contrast = np.log(values[0] / values[1])
     np.testing.assert_allclose(contrast, left * np.log(high / low), rtol=1e-11)
-    np.testing.assert_allclose(found[2], 0.5 * np.angle(mixed), rtol=1e-11)
+    np.testing.assert_allclose(values[2], 0.5 * np.angle(mixed), rtol=1e-11)
 
 
 def test_axes_that_agree_have_their_full_contrast(model):
     faded = space()
-    found = fields(model, faded, scaled(faded, 900.0, 300.0, 25.0))
+    values = fields(model, faded, scaled(faded, 900.0, 300.0, 25.0))
     expected = np.array([[900.0], [300.0], [np.deg2rad(25.0)]])
-    np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape))
+    np.testing.assert_allclose(values, np.broadcast_to(expected, values.shape))
 
 
 def test_without_a_core_the_contrast_is_full(model):
     full = space(core=0.0)
-    found = fields(model, full, scaled(full, 900.0, 300.0, [70.0, -10.0, -40.0]))
-    np.testing.assert_allclose(found[0] / found[1], 3.0, rtol=1e-12)
+    values = fields(model, full, scaled(full, 900.0, 300.0, [70.0, -10.0, -40.0]))
+    np.testing.assert_allclose(values[0] / values[1], 3.0, rtol=1e-12)
 
 
 def test_half_way_between_right_angles_it_is_isotropic(model):
@@ -125,8 +125,8 @@ def test_derivatives_meet_differences_at_second_order(model):
 
     @jax.jit
     def size(z):
-        found = faded.model_at(model, z).law.elasticity
-        return jnp.sum(jnp.sin(found.E_t / 300.0)) + jnp.sum(jnp.cos(found.E_l / 100.0))
+        law = faded.model_at(model, z).law.elasticity
+        return jnp.sum(jnp.sin(law.E_t / 300.0)) + jnp.sum(jnp.cos(law.E_l / 100.0))
 
     slope = np.asarray(jax.jit(jax.grad(size))(z))
     forward = jax.jit(jax.jacfwd(size))(z)

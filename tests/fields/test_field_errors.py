@@ -48,12 +48,12 @@ def closed_form(weights, covariance):
 def test_two_control_points(scale):
     """Of a linear mix; dp/dz is the range of p, or on a log scale p itself."""
     space = spread(scale)
-    found = field_standard_errors(MODEL, space, space.start(), COVARIANCE)
+    errors = field_standard_errors(MODEL, space, space.start(), COVARIANCE)
     slopes = np.array([9e5, 9e5]) if scale == "linear" else np.array([2e5, 5e5])
     in_si = COVARIANCE * np.outer(slopes, slopes)
     expected = closed_form(shares(MESH.centroids), in_si)
-    assert set(found) == {"E"}
-    np.testing.assert_allclose(found["E"], expected, rtol=1e-12)
+    assert set(errors) == {"E"}
+    np.testing.assert_allclose(errors["E"], expected, rtol=1e-12)
 
 
 def test_regions_and_what_is_not_known():
@@ -67,16 +67,16 @@ def test_regions_and_what_is_not_known():
     )
     covariance = np.diag([0.01, 0.25, 0.0])
     covariance[2, :] = covariance[:, 2] = np.nan
-    found = field_standard_errors(MODEL, space, space.start(), covariance)
+    errors = field_standard_errors(MODEL, space, space.start(), covariance)
     left = MESH.centroids[:, 0] < 0.05
-    np.testing.assert_allclose(found["E"], np.where(left, 0.1 * 3e5, 0.0), rtol=1e-12)
-    np.testing.assert_allclose(found["nu"], 0.1 * 0.5, rtol=1e-12)
-    assert np.isnan(found["density"]).all()
+    np.testing.assert_allclose(errors["E"], np.where(left, 0.1 * 3e5, 0.0), rtol=1e-12)
+    np.testing.assert_allclose(errors["nu"], 0.1 * 0.5, rtol=1e-12)
+    assert np.isnan(errors["density"]).all()
 
 
 def test_all_unknown():
     """Nothing is known, nan everywhere, rather than zero."""
     space = spread("log")
     unknown = np.full((2, 2), np.nan)
-    found = field_standard_errors(MODEL, space, jnp.asarray(space.start()), unknown)
-    assert np.isnan(found["E"]).all()
+    errors = field_standard_errors(MODEL, space, jnp.asarray(space.start()), unknown)
+    assert np.isnan(errors["E"]).all()

@@ -41,7 +41,7 @@ def test_what_is_traced_is_not_kept():
     """Neither that of a traced object, nor what a trace makes of a concrete one."""
     one = Scaled(jnp.asarray(1.5, float))
     with jax.checking_leaks():
-        inside = jax.jit(lambda own: own.twice[0] + one.twice[0])(one)
+        inside = jax.jit(lambda scaled: scaled.twice[0] + one.twice[0])(one)
     assert float(inside) == 6.0
     assert "twice" not in vars(one)
     np.testing.assert_array_equal(one.twice[0], 3.0)

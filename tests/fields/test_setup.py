@@ -84,8 +84,8 @@ def test_compliances_against_differences(method):
     @jax.jit
     def values(z):
         model = SPACE.model_at(MODEL, z)
-        found = solve_equilibrium(model, one, settings=tight)
-        return effector_values(model, one, found.displacement), found.displacement
+        solution = solve_equilibrium(model, one, settings=tight)
+        return effector_values(model, one, solution.displacement), solution.displacement
 
     z = SPACE.start()
     u = values(z)[1]
@@ -113,9 +113,9 @@ def test_material_and_setup_are_told_apart():
     robot = SPACE.model_at(MODEL, z)
     data = simulated_measurements(robot, [pose("a", 0.0), pose("b", 0.8)])
     start = ParameterSpace((Parameter("E", "E", 4e5, 1e5, 2e6), *SPACE.entries[1:]))
-    found = calibrate(MODEL, start, data, noise="stated")
-    np.testing.assert_allclose(found.value("zero of m"), 0.02, rtol=1e-4)
-    np.testing.assert_allclose(found.value("E"), 5e5, rtol=1e-4)
+    result = calibrate(MODEL, start, data, noise="stated")
+    np.testing.assert_allclose(result.value("zero of m"), 0.02, rtol=1e-4)
+    np.testing.assert_allclose(result.value("E"), 5e5, rtol=1e-4)
     # Without the zero among the parameters, the modulus takes the blame.
     only = calibrate(MODEL, start.entries[0], data, noise="stated")
     assert abs(only.value("E") / 5e5 - 1.0) > 0.02

@@ -35,20 +35,20 @@ from softcal_jax.inference import independent
 @pytest.mark.parametrize("ratio", [1.1, 100.0])
 def test_thresholds(error, expected, ratio):
     """Relative standard errors at 10 and 30 %, whatever the bounds."""
-    found = judge([[1.0 / error]], modulus(ratio=ratio))
-    assert found.verdict == found.parameters[0].verdict == expected
-    assert found.directions[0].verdict == expected
-    assert found.parameters[0].relative == pytest.approx(error, rel=1e-9)
+    outlook = judge([[1.0 / error]], modulus(ratio=ratio))
+    assert outlook.verdict == outlook.parameters[0].verdict == expected
+    assert outlook.directions[0].verdict == expected
+    assert outlook.parameters[0].relative == pytest.approx(error, rel=1e-9)
 
 
 @pytest.mark.parametrize("upper", [1e5, 1e6])
 def test_a_constant_known_to_44_percent_is_not_identifiable(upper):
     """A constant of Mooney and Rivlin of 33 kPa, with bounds from zero."""
     c2 = Parameter("c2", "c2", 33e3, 0.0, upper, scale="linear", unit="Pa")
-    found = judge([[upper / (0.44 * 33e3)]], c2)
-    assert found.verdict == "not identifiable"
-    assert found.parameters[0].relative == pytest.approx(0.44)
-    assert "bounds" not in str(found).replace("Bounds do not count", "")
+    outlook = judge([[upper / (0.44 * 33e3)]], c2)
+    assert outlook.verdict == "not identifiable"
+    assert outlook.parameters[0].relative == pytest.approx(0.44)
+    assert "bounds" not in str(outlook).replace("Bounds do not count", "")
     # Somebody may ask for less.
     half = judge([[upper / (0.44 * 33e3)]], c2, precision=0.5)
     assert half.verdict == "identifiable"
@@ -65,11 +65,11 @@ def test_the_text_does_not_depend_on_the_bounds():
 def test_a_stated_prior_counts_like_a_measurement():
     """Known to 5 % before: identifiable, though no data see it, and it says so."""
     known = replace(modulus(), prior_std=jnp.asarray(0.05))
-    found = judge(np.zeros((3, 1)), known)
-    assert found.verdict == "identifiable"
-    assert found.parameters[0].data_only == np.inf
-    assert found.informed == 0
-    text = str(found)
+    outlook = judge(np.zeros((3, 1)), known)
+    assert outlook.verdict == "identifiable"
+    assert outlook.parameters[0].data_only == np.inf
+    assert outlook.informed == 0
+    text = str(outlook)
     assert says(text, "prior", "counts")
     assert "from data alone" in text
     assert "5 kPa (5 %)" in text
@@ -97,17 +97,17 @@ def test_what_is_asked_of_each_kind(entry, asked):
     """The table of `softcal_jax.fields._precision`, in SI units."""
     space = ParameterSpace((entry,))
     linear = independent(np.ones((1, 1)), tuple(space.names))
-    found = identifiability(linear, space, space.start())
-    assert found.parameters[0].asked == pytest.approx(asked)
+    outlook = identifiability(linear, space, space.start())
+    assert outlook.parameters[0].asked == pytest.approx(asked)
     finer = identifiability(linear, space, space.start(), precision=0.05)
     assert finer.parameters[0].asked == pytest.approx(0.5 * asked)
 
 
 def test_a_value_of_zero_has_no_relative_error():
     c2 = Parameter("c2", "c2", 0.0, 0.0, 1e5, scale="linear", unit="Pa")
-    found = judge([[10.0]], c2)
-    assert found.verdict == "not identifiable"
-    assert found.parameters[0].standard_error == pytest.approx(1e4)
+    outlook = judge([[10.0]], c2)
+    assert outlook.verdict == "not identifiable"
+    assert outlook.parameters[0].standard_error == pytest.approx(1e4)
 
 
 def test_informed_directions_are_those_that_data_see_better_than_the_prior():

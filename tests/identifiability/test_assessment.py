@@ -114,7 +114,7 @@ def test_a_default_std_states_nothing(model, data):
     stated = [replace(c, markers=Markers(names, POINTS, 1e-3)) for c in wrong]
     assert not unstated[0].states_noise
     assert stated[0].states_noise
-    verdicts = [assess(fit(model, space(), own)) for own in (unstated, stated)]
+    verdicts = [assess(fit(model, space(), posed)) for posed in (unstated, stated)]
     shown = [any("stated std" in reason for reason in v.reasons) for v in verdicts]
     assert shown == [False, True]
 
@@ -146,7 +146,7 @@ def test_what_the_stated_noise_explains_is_no_misfit(model):
     rough = poses(std=8e-3)
     noisy = synthetic_measurements(model, space(), rough, TARGET, noise=True, seed=2)
     stated = fit(model, space(), noisy, noise="stated")
-    assert max(own.rms_share for own in stated.configurations) > 0.25
+    assert max(c.rms_share for c in stated.configurations) > 0.25
     contradicted = lambda result: [
         reason for reason in assess(result).reasons if "contradicts" in reason
     ]
@@ -167,7 +167,7 @@ def test_another_optimum_that_fits_as_well_reaches_the_verdict(good):
         )
     )
     none = np.zeros((2, 2))
-    found = MultiStartResult(
+    starts = MultiStartResult(
         names=tuple(TARGET),
         starts=none,
         values=none,
@@ -178,9 +178,9 @@ def test_another_optimum_that_fits_as_well_reaches_the_verdict(good):
         errors=none,
         optima=optima(1.9),
     )
-    (reason,) = assess(replace(good, starts=found)).reasons
+    (reason,) = assess(replace(good, starts=starts)).reasons
     assert says(reason, "E of root 3e+05, E of tip 4e+04", "6.9", "best 5")
-    far = replace(good, starts=replace(found, optima=optima(1.95)))
+    far = replace(good, starts=replace(starts, optima=optima(1.95)))
     assert assess(far).identified
 
 
@@ -254,15 +254,15 @@ def test_what_is_held_fixed_counts_in_the_verdict(model, good, data):
     """The data are as good as before, but they are not all that there is to know."""
     result = fit(model, space(), data, noise="stated", uncertain=Uncertain())
     verdict = assess(result)
-    for own, alone, estimate in zip(
+    for param, alone, estimate in zip(
         verdict.identifiability.parameters,
         assess(good).identifiability.parameters,
         result.parameters,
         strict=True,
     ):
-        assert own.ratio > 3.0 * alone.ratio
+        assert param.ratio > 3.0 * alone.ratio
         # The one standard error that there is, in the verdict and in the table.
-        assert own.standard_error == pytest.approx(estimate.standard_error, rel=1e-6)
+        assert param.standard_error == pytest.approx(estimate.standard_error, rel=1e-6)
 
 
 def test_linear_tets_reach_the_verdict(good):

@@ -51,8 +51,8 @@ def information():
         for c in poses
     ]
     problem = build_problem(two_part_beam(), SPACE, posed)
-    found = evaluate(problem, SPACE.start())
-    W = np.asarray(found.rows.W)[:-2].reshape(len(poses), -1, 2)
+    evaluation = evaluate(problem, SPACE.start())
+    W = np.asarray(evaluation.rows.W)[:-2].reshape(len(poses), -1, 2)
     return {c.name: w.T @ w for c, w in zip(poses, W, strict=True)}
 
 
@@ -130,8 +130,8 @@ def test_a_repetition_in_words():
     model = two_part_beam()
     known = [pose("a", TIP, std=1e-5), pose("b", SWAP.markers.positions, clamp="x_max")]
     worse = pose("c", TIP, std=1e-3)
-    found = rank_configurations(model, SPACE, known, worse)
-    assert says(found.gains[0].words, "hardly")
+    ranked = rank_configurations(model, SPACE, known, worse)
+    assert says(ranked.gains[0].words, "hardly")
 
 
 def test_a_candidate_that_passes_on_more_error_than_it_tells():
@@ -144,25 +144,25 @@ def test_a_candidate_that_passes_on_more_error_than_it_tells():
     known = [pose("a", TIP, std=1e-4), other_end]
     unsure = replace(exactly_known(), loads=0.5)
     fine = replace(pose("fine", TIP, std=1e-5), loads=PULL.loads)
-    found = rank_with(model, SPACE, known, [fine], uncertain=unsure)
-    assert found.gains[0].d_gain < 0.0
-    assert says(found.headline, "No candidate", "held fixed")
-    blind = replace(found, blind_before=1).headline
+    ranked = rank_with(model, SPACE, known, [fine], uncertain=unsure)
+    assert ranked.gains[0].d_gain < 0.0
+    assert says(ranked.headline, "No candidate", "held fixed")
+    blind = replace(ranked, blind_before=1).headline
     assert says(blind, "held fixed", "fewer parameters")
-    assert says(found, "D gain below 0", "noise")
+    assert says(ranked, "D gain below 0", "noise")
 
 
 def test_with_nothing_known_a_candidate_gives_its_own_verdict():
     model = two_part_beam()
-    found = rank_configurations(model, SPACE, (), PULL)
+    ranked = rank_configurations(model, SPACE, (), PULL)
     alone = identify(model, SPACE, PULL)
-    index = SPACE.names.index(found.gains[0].parameter)
+    index = SPACE.names.index(ranked.gains[0].parameter)
     np.testing.assert_allclose(
-        found.gains[0].after, alone.parameters[index].standard_error, rtol=1e-9
+        ranked.gains[0].after, alone.parameters[index].standard_error, rtol=1e-9
     )
-    assert found.gains[0].before == np.inf
-    assert says(found.gains[0].words, "nothing saw before", "E of", "blind to")
-    assert found.blind_before == 2
+    assert ranked.gains[0].before == np.inf
+    assert says(ranked.gains[0].words, "nothing saw before", "E of", "blind to")
+    assert ranked.blind_before == 2
 
 
 def test_wrong_calls():
@@ -179,8 +179,8 @@ def test_a_candidate_cannot_tell_what_all_poses_share():
     """However many poses hang under their weight: its error stays in the moduli."""
     share = 0.05
     heavy = replace(exactly_known(), density=share)
-    found = rank_with(two_part_beam(), SPACE, HANG, [SWAP], uncertain=heavy)
-    (gain,) = found.gains
+    ranked = rank_with(two_part_beam(), SPACE, HANG, [SWAP], uncertain=heavy)
+    (gain,) = ranked.gains
     (exact,) = rank_configurations(two_part_beam(), SPACE, HANG, [SWAP]).gains
     assert gain.after > 0.99 * share * gain.value > exact.after
-    assert found.n_parameters == 2
+    assert ranked.n_parameters == 2

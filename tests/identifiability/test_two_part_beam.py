@@ -84,10 +84,10 @@ def test_w_pp_is_what_relaxation_takes_off_the_curvature_of_the_energy(lanes, in
     """W_pp = d2 Pi / dz2 at fixed u minus d2 (min_u Pi) / dz2, from energies alone."""
     model, lane = two_part_beam(), lane_of(lanes, index)
     u = solved(model, lane, START)
-    found = compliance(model, lane, START, u)
+    computed = compliance(model, lane, START, u)
     fixed = lambda z: float(potential(model, lane, z, u))
     least = lambda z: float(potential(model, lane, z, solved(model, lane, z)))
-    W = np.asarray(found.W_pp)
+    W = np.asarray(computed.W_pp)
     error = [
         np.max(np.abs(curvature_matrix(fixed, h) - curvature_matrix(least, h) - W))
         for h in (4e-2, 2e-2)
@@ -97,7 +97,7 @@ def test_w_pp_is_what_relaxation_takes_off_the_curvature_of_the_energy(lanes, in
     assert error[1] < 1e-3 * np.max(W)
     np.testing.assert_array_equal(W, W.T)
     assert np.all(np.linalg.eigvalsh(W) > 0.0)
-    assert bool(found.ok)
+    assert bool(computed.ok)
 
 
 def tip_of(model, lane, z):
@@ -125,8 +125,8 @@ def test_singular_values_are_those_of_measured_sensitivities(lanes):
             for i in range(3)
         ]
     )
-    found = identify(model, SPACE, [HANG, PULL, SWAP])
-    numbers = found.conditioning
+    outlook = identify(model, SPACE, [HANG, PULL, SWAP])
+    numbers = outlook.conditioning
     singular = np.linalg.svd(W / STD, compute_uv=False)
     # Differences err by their third derivative times h^2 / 6, and rtol of Newton.
     np.testing.assert_allclose(numbers.singular_values, singular, rtol=1e-5)
@@ -138,35 +138,35 @@ def test_singular_values_are_those_of_measured_sensitivities(lanes):
     np.testing.assert_allclose(
         numbers.condition_W_ep_W_pp, np.linalg.cond(W @ np.linalg.inv(W_pp)), rtol=1e-5
     )
-    assert found.n_data == 9
+    assert outlook.n_data == 9
 
 
 def test_a_marker_near_the_clamp_cannot_see_the_tip():
-    found = identify(two_part_beam(), SPACE, pose("near", ROOT, std=3e-5))
-    root, tip = found.parameters
-    assert found.verdict == tip.verdict == "not identifiable"
+    outlook = identify(two_part_beam(), SPACE, pose("near", ROOT, std=3e-5))
+    root, tip = outlook.parameters
+    assert outlook.verdict == tip.verdict == "not identifiable"
     assert root.verdict != "not identifiable"
-    assert [d.words for d in found.blind] == ["E of tip"]
+    assert [d.words for d in outlook.blind] == ["E of tip"]
     assert tip.prior is None
 
 
 def test_both_clamps_see_both_halves():
-    found = identify(two_part_beam(), SPACE, [HANG, SWAP])
-    assert found.verdict == "identifiable"
-    assert found.blind == ()
+    outlook = identify(two_part_beam(), SPACE, [HANG, SWAP])
+    assert outlook.verdict == "identifiable"
+    assert outlook.blind == ()
     # The two poses mirror each other, and so do the halves.
-    root, tip = found.parameters
+    root, tip = outlook.parameters
     assert root.standard_error == pytest.approx(tip.standard_error, rel=0.05)
 
 
 def test_one_pose_sees_a_mixture():
     """A tip that sags by one number cannot tell two moduli apart."""
-    found = identify(two_part_beam(), SPACE, pose("hang", TIP, axes="z"))
-    assert found.n_data == 1
-    assert found.verdict == "not identifiable"
-    assert found.conditioning.condition_weighted == np.inf
-    assert all(p.data_only == np.inf for p in found.parameters)
-    assert says(found, "1 more measured coordinate")
+    outlook = identify(two_part_beam(), SPACE, pose("hang", TIP, axes="z"))
+    assert outlook.n_data == 1
+    assert outlook.verdict == "not identifiable"
+    assert outlook.conditioning.condition_weighted == np.inf
+    assert all(p.data_only == np.inf for p in outlook.parameters)
+    assert says(outlook, "1 more measured coordinate")
 
 
 def test_measurements_are_not_looked_at():
@@ -179,9 +179,9 @@ def test_it_is_what_a_calibration_sees_at_its_start():
     posed = pose("hang", ROOT + TIP, measured=np.array(ROOT + TIP))
     problem = build_problem(two_part_beam(), SPACE, posed)
     W = evaluate(problem, START).rows.W
-    found = identify(two_part_beam(), SPACE, pose("hang", ROOT + TIP))
+    judged = identify(two_part_beam(), SPACE, pose("hang", ROOT + TIP))
     singular = np.linalg.svd(np.asarray(W), compute_uv=False)
-    np.testing.assert_allclose(found.conditioning.singular_values, singular, rtol=1e-6)
+    np.testing.assert_allclose(judged.conditioning.singular_values, singular, rtol=1e-6)
 
 
 def test_noise_and_place_can_be_chosen():
@@ -214,19 +214,19 @@ def test_markers_have_noise_of_their_own(std, information):
     ids=["no configuration", "no markers"],
 )
 def test_no_data_is_a_verdict(configurations):
-    found = identify(two_part_beam(), SPACE, configurations)
-    assert found.verdict == "not identifiable"
-    assert found.n_data == 0
-    assert len(found.blind) == 2
-    assert "Nothing is measured" in str(found)
-    assert "nan" not in str(found)
+    outlook = identify(two_part_beam(), SPACE, configurations)
+    assert outlook.verdict == "not identifiable"
+    assert outlook.n_data == 0
+    assert len(outlook.blind) == 2
+    assert "Nothing is measured" in str(outlook)
+    assert "nan" not in str(outlook)
 
 
 def test_one_parameter():
     E = Parameter("E", "E", 1e5, 3e4, 1e6, unit="Pa")
-    found = identify(two_part_beam(), E, HANG)
-    assert found.verdict == "identifiable"
-    assert found.conditioning.condition_W_ep_W_pp == pytest.approx(1.0)
+    outlook = identify(two_part_beam(), E, HANG)
+    assert outlook.verdict == "identifiable"
+    assert outlook.conditioning.condition_W_ep_W_pp == pytest.approx(1.0)
 
 
 def test_wrong_calls():
@@ -249,16 +249,16 @@ def test_weight_and_moduli_are_in_proportion():
     """A share of the density that nobody knows is one of both moduli, together."""
     share = 0.05
     only_density = replace(exactly_known(), density=share)
-    found = identify(two_part_beam(), SPACE, [HANG, SWAP], uncertain=only_density)
+    outlook = identify(two_part_beam(), SPACE, [HANG, SWAP], uncertain=only_density)
     alone = identify(two_part_beam(), SPACE, [HANG, SWAP])
     np.testing.assert_allclose(
-        found.covariance, alone.covariance + share**2, rtol=1e-2, atol=0
+        outlook.covariance, alone.covariance + share**2, rtol=1e-2, atol=0
     )
 
 
 def test_by_default_not_everything_is_known():
     poses = pose("a", ROOT + TIP), pose("b", OTHER_END + ROOT, clamp="x_max")
-    found = identify_with(two_part_beam(), SPACE, poses)
+    outlook = identify_with(two_part_beam(), SPACE, poses)
     alone = identify(two_part_beam(), SPACE, poses)
-    for own, exact in zip(found.parameters, alone.parameters, strict=True):
-        assert own.relative > 1.5 * exact.relative
+    for parameter, exact in zip(outlook.parameters, alone.parameters, strict=True):
+        assert parameter.relative > 1.5 * exact.relative

@@ -24,17 +24,17 @@ def one_way(seed, between, groups=6, members=5):
 @pytest.mark.parametrize(("seed", "between"), [(0, 2.0), (3, 0.7)])
 def test_a_balanced_one_way_layout_gives_the_analysis_of_variance(seed, between):
     """Searle, Casella and McCulloch, Variance Components, 1992, sec. 3.8."""
-    y, found, shared = one_way(seed, between)
+    y, linear, shared = one_way(seed, between)
     groups, members = y.shape
     mean = y.mean(axis=1, keepdims=True)
     within = np.sum((y - mean) ** 2) / (groups * (members - 1))
     among = members * np.var(mean, ddof=1)
     assert among > within
     expected = np.sqrt([within, (among - within) / members])
-    both = restricted_likelihood(found, [shared], [1.0, 1.0], [True, True])
+    both = restricted_likelihood(linear, [shared], [1.0, 1.0], [True, True])
     np.testing.assert_allclose(both, expected, rtol=1e-6)
     # From a first value that is far off as well.
-    far = restricted_likelihood(found, [shared], [1.0, 30.0], [True, True])
+    far = restricted_likelihood(linear, [shared], [1.0, 30.0], [True, True])
     np.testing.assert_allclose(far, expected, rtol=1e-6)
 
 
@@ -45,8 +45,8 @@ def test_groups_that_differ_less_than_their_members_show_nothing():
     """
     y, _, shared = one_way(0, 0.0)
     y = y - y.mean(axis=1, keepdims=True) + 0.01 * np.arange(len(y))[:, None]
-    own = errors(y.ravel(), np.ones((y.size, 1)))
-    both = restricted_likelihood(own, [shared], [1.0, 1.0], [True, True])
+    linear = errors(y.ravel(), np.ones((y.size, 1)))
+    both = restricted_likelihood(linear, [shared], [1.0, 1.0], [True, True])
     np.testing.assert_allclose(both, [np.std(y, ddof=1), 0.0], rtol=1e-6)
 
 
@@ -66,9 +66,9 @@ def test_a_prior_takes_part_of_a_degree_of_freedom():
     random = np.random.default_rng(2)
     n, tau = 8, 0.5
     r = 0.3 + random.standard_normal(n)
-    own = replace(errors(r, np.ones((n, 1))), prior_weights=np.array([1.0 / tau]))
-    (found,) = restricted_likelihood(own, [], [1.0], [True])
-    s = found * np.exp(np.array([-1e-4, 0.0, 1e-4]))
+    linear = replace(errors(r, np.ones((n, 1))), prior_weights=np.array([1.0 / tau]))
+    (scale,) = restricted_likelihood(linear, [], [1.0], [True])
+    s = scale * np.exp(np.array([-1e-4, 0.0, 1e-4]))
     total = s**2 / n + tau**2
     rest = np.sum((r - r.mean()) ** 2)
     likelihood = (n - 1) * np.log(s**2) + rest / s**2
@@ -77,13 +77,13 @@ def test_a_prior_takes_part_of_a_degree_of_freedom():
 
 
 def test_what_is_stated_stays():
-    _, found, shared = one_way(0, 2.0)
-    stated = restricted_likelihood(found, [shared], [1.3, 0.4], [False, True])
+    _, linear, shared = one_way(0, 2.0)
+    stated = restricted_likelihood(linear, [shared], [1.3, 0.4], [False, True])
     assert stated[0] == 1.3
-    stated = restricted_likelihood(found, [shared], [1.3, 0.4], [True, False])
+    stated = restricted_likelihood(linear, [shared], [1.3, 0.4], [True, False])
     assert stated[1] == 0.4
 
 
 def test_degrees_of_freedom_are_those_of_the_layout():
-    _, found, shared = one_way(0, 1.0)
-    assert freedom_between(found, shared) == (5, 24)
+    _, linear, shared = one_way(0, 1.0)
+    assert freedom_between(linear, shared) == (5, 24)

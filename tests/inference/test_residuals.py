@@ -102,15 +102,15 @@ def test_without_offsets_it_is_the_f_test_of_nested_models():
 def test_a_right_model_is_flagged_as_seldom_as_stated(offset):
     """300 draws; exact without offsets, and on the safe side with stated ones."""
     random = np.random.default_rng(3)
-    found = [
+    chances = [
         lack(*draw(random, offset), A=offset * OFFSETS).probability for _ in range(300)
     ]
     for level in (0.01, 0.1):
         # Three standard deviations of a count of 300.
         most = level + 3.0 * np.sqrt(level / 300)
-        assert np.mean(np.array(found) < level) < most
+        assert np.mean(np.array(chances) < level) < most
     if offset == 0.0:
-        assert np.mean(np.array(found) < 0.5) == pytest.approx(0.5, abs=0.09)
+        assert np.mean(np.array(chances) < 0.5) == pytest.approx(0.5, abs=0.09)
 
 
 def test_a_configuration_that_is_off_as_a_whole_is_named():
@@ -138,7 +138,7 @@ def test_a_left_out_configuration_is_that_of_a_fit_to_the_others():
     A, s = 0.5 * OFFSETS, 0.7
     W_c = np.random.default_rng(7).standard_normal((N, 2))
     linear = fit(r, W, A=A, W_c=W_c, jitter=s)
-    for c, found in enumerate(predicted_by_others(linear)):
+    for c, pose in enumerate(predicted_by_others(linear)):
         kept, out = LANE != c, LANE == c
         V = s**2 * np.eye(N) + A @ A.T
         inverse = np.linalg.inv(V[np.ix_(kept, kept)])
@@ -148,34 +148,34 @@ def test_a_left_out_configuration_is_that_of_a_fit_to_the_others():
         by_fixed = W_c[out] - W[out] @ gain @ W_c[kept]
         covariance = V[np.ix_(out, out)] + W[out] @ C @ W[out].T
         covariance += by_fixed @ by_fixed.T
-        np.testing.assert_allclose(found.error, predicted, atol=1e-10)
-        np.testing.assert_allclose(found.std, np.sqrt(np.diag(covariance)), rtol=1e-8)
+        np.testing.assert_allclose(pose.error, predicted, atol=1e-10)
+        np.testing.assert_allclose(pose.std, np.sqrt(np.diag(covariance)), rtol=1e-8)
         squares = predicted @ np.linalg.solve(covariance, predicted)
-        np.testing.assert_allclose(found.chi_squared, squares, rtol=1e-7)
-        assert found.degrees_of_freedom == 3 * MARKERS
+        np.testing.assert_allclose(pose.chi_squared, squares, rtol=1e-7)
+        assert pose.degrees_of_freedom == 3 * MARKERS
 
 
 def test_a_parameter_that_only_one_configuration_shows_cannot_be_predicted():
     r, W = draw(np.random.default_rng(8))
     W[LANE != 1, 1] = 0.0
-    found = predicted_by_others(fit(r, W, jitter=0.7))
-    assert np.isnan(found[1].error).any()
-    assert found[1].degrees_of_freedom == 3 * MARKERS - 1
-    assert not np.isnan(found[0].error).any()
+    predicted = predicted_by_others(fit(r, W, jitter=0.7))
+    assert np.isnan(predicted[1].error).any()
+    assert predicted[1].degrees_of_freedom == 3 * MARKERS - 1
+    assert not np.isnan(predicted[0].error).any()
 
 
 def test_right_predictions_are_flagged_as_seldom_as_stated():
-    random, found = np.random.default_rng(9), []
+    random, chances = np.random.default_rng(9), []
     for _ in range(200):
         r, W = draw(random, offset=0.5)
         linear, A = fit(r, W, A=0.5 * OFFSETS), 0.5 * OFFSETS
         jitter, _ = restricted_likelihood(linear, [A], [1.0, 1.0], [True, False])
-        for own in predicted_by_others(linear.with_jitter(jitter)):
-            n = own.degrees_of_freedom
-            squares = own.chi_squared
-            found.append(chance(squares, n, of=N - N_P, jitter_is_of_all=True))
+        for pose in predicted_by_others(linear.with_jitter(jitter)):
+            n = pose.degrees_of_freedom
+            squares = pose.chi_squared
+            chances.append(chance(squares, n, of=N - N_P, jitter_is_of_all=True))
     for level in (0.01, 0.1):
-        assert np.mean(np.array(found) < level) < level + 3.0 * np.sqrt(level / 800)
+        assert np.mean(np.array(chances) < level) < level + 3.0 * np.sqrt(level / 800)
 
 
 def test_a_right_std_is_flagged_as_seldom_as_stated():
@@ -186,16 +186,16 @@ def test_a_right_std_is_flagged_as_seldom_as_stated():
     """
     few = np.flatnonzero((np.arange(N) // 3 % MARKERS < 2) & (LANE < 3))
     A = 5.0 * OFFSETS[few][:, :9]
-    random, found = np.random.default_rng(10), []
+    random, chances = np.random.default_rng(10), []
     for _ in range(400):
         r, W = (x[few] for x in draw(random, offset=5.0, jitter=1.0))
         linear = fit(r, W, A=A, pose=LANE[few])
         dof = jitter_freedom(linear)
         assert 7.0 < dof < 9.1
         level, _ = restricted_likelihood(linear, [A], [1.0, 1.0], [True, False])
-        found.append(chdtrc(dof, dof * level**2))
+        chances.append(chdtrc(dof, dof * level**2))
     for limit in (0.01, 0.1):
-        assert np.mean(np.array(found) < limit) < limit + 3.0 * np.sqrt(limit / 400)
+        assert np.mean(np.array(chances) < limit) < limit + 3.0 * np.sqrt(limit / 400)
 
 
 def test_independent_residuals_all_tell_of_the_jitter():

@@ -96,11 +96,11 @@ def test_layouts_with_as_many_points_share_a_program(comparison, data):
     names = ["near", "far"]
     moved = on_axis(0.03, 0.08, nearest=1, names=names)
     with Compilations() as seen:
-        found = compare_layouts(
+        compared = compare_layouts(
             bar(CELLS), {"moved": moved}, data, make_parameters=moduli
         )
     assert seen.programs == []
-    assert found.best.name == "moved"
+    assert compared.best.name == "moved"
 
 
 @COMPARED
@@ -143,11 +143,11 @@ def test_fit_of_everything_and_its_identifiability(comparison, data):
     np.testing.assert_allclose(
         two.fit_rms, np.sqrt(np.mean(np.sum(errors**2, axis=1))), rtol=1e-3
     )
-    found = identify(
+    outlook = identify(
         bar(CELLS), moduli(points), data, at=whole.z, uncertain=exactly_known()
     )
     np.testing.assert_allclose(
-        two.identifiability.covariance, found.covariance, rtol=1e-2
+        two.identifiability.covariance, outlook.covariance, rtol=1e-2
     )
 
 
@@ -206,17 +206,17 @@ def soft_and_stiff(start=1e5):
 
 @COMPARED
 def test_a_pose_that_the_fit_cannot_carry_is_named():
-    found = soft_and_stiff()
-    (score,) = found.models
+    compared = soft_and_stiff()
+    (score,) = compared.models
     (failed,) = score.failed
     assert failed.held_out == "push"
     assert says(failed.failure, "no equilibrium")
     # It counts in no average.
     good = [f.rms for f in score.folds[:2]]
     np.testing.assert_allclose(score.held_out_rms, np.sqrt(np.mean(np.square(good))))
-    assert found.best is None
-    assert found.preferred is None
-    text = str(found)
+    assert compared.best is None
+    assert compared.preferred is None
+    text = str(compared)
     assert says(text, "none ... preferred")
     assert "1 of 3" in text
     assert says(text, "push ... no equilibrium")
@@ -229,8 +229,8 @@ def test_a_start_without_equilibrium_is_named():
         assert says(failure, "no equilibrium ... start")
     assert score.verdict == "not known"
     assert np.isnan(score.held_out_rms)
-    found = ModelComparison.ranked([score])
-    assert says(found, f"'one', all configurations ... {score.fit_failure}")
+    compared = ModelComparison.ranked([score])
+    assert says(compared, f"'one', all configurations ... {score.fit_failure}")
 
 
 @COMPARED
@@ -246,16 +246,16 @@ def test_a_fold_that_did_not_converge_is_named(comparison, data, monkeypatch):
         return fits
 
     monkeypatch.setattr(_cross_validation, "_fit", unfinished)
-    found = compare_layouts(bar(CELLS), LAYOUTS, data, make_parameters=moduli)
-    two = found.models[-1]
+    compared = compare_layouts(bar(CELLS), LAYOUTS, data, make_parameters=moduli)
+    two = compared.models[-1]
     assert two.name == "two"
     first, *others = [fold.failure for fold in two.folds]
     assert says(first, "not converge")
     assert others == ["", ""]
     rms = [f.rms for f in comparison.models[0].folds[1:]]
     np.testing.assert_allclose(two.held_out_rms, np.sqrt(np.mean(np.square(rms))))
-    assert found.best.name == "six"
-    assert says(found, "hang ... not converge")
+    assert compared.best.name == "six"
+    assert says(compared, "hang ... not converge")
 
 
 def score(name, n_parameters, squares):
@@ -272,10 +272,10 @@ def test_one_standard_error_rule():
     assert best.standard_error == pytest.approx(1.0)
     near = score("near", 4, [2.0, 2.0, 1.9])
     small = score("small", 2, [3.0, 3.0, 3.0])
-    found = ModelComparison.ranked([small, near, best])
-    assert [s.name for s in found.models] == ["best", "near", "small"]
-    assert found.best.name == "best"
-    assert found.preferred.name == "near"
+    compared = ModelComparison.ranked([small, near, best])
+    assert [s.name for s in compared.models] == ["best", "near", "small"]
+    assert compared.best.name == "best"
+    assert compared.preferred.name == "near"
 
 
 @pytest.mark.parametrize(

@@ -44,13 +44,13 @@ def worse(*by):
 def test_paired_differences_are_those_of_the_t_test():
     """Told apart where SciPy's paired test says so, at two-sided 95 %."""
     for by in ([1, 2, 1.5, 1, 2], [5, -1, 3, -2, 4], [0.1, 0.1, 0.1, 0.1, 0.11]):
-        found = PairedDifference.of(score("x", worse(*by)), score("best", ROOT))
-        np.testing.assert_allclose(found.difference, np.mean(by), rtol=1e-12)
+        pair = PairedDifference.of(score("x", worse(*by)), score("best", ROOT))
+        np.testing.assert_allclose(pair.difference, np.mean(by), rtol=1e-12)
         test = ttest_rel(worse(*by), ROOT)
-        assert found.told_apart == (test.pvalue < 0.05)
+        assert pair.told_apart == (test.pvalue < 0.05)
         interval = test.confidence_interval(0.95)
         np.testing.assert_allclose(
-            [found.difference - found.half_width, found.difference + found.half_width],
+            [pair.difference - pair.half_width, pair.difference + pair.half_width],
             [interval.low, interval.high],
             rtol=1e-9,
         )
@@ -60,24 +60,24 @@ def test_pairing_sees_what_the_errors_alone_hide():
     """A constant disadvantage far below the scatter of the errors."""
     near, best = score("near", worse(0.5, 0.6, 0.5, 0.4, 0.5)), score("best", ROOT)
     assert near.score - best.score < 0.5 * best.standard_error
-    found = ModelComparison.ranked([near, best])
-    assert [m.name for m in found.models] == ["best", "near"]
-    assert found.undecided == ()
-    assert says(found.verdict, "tell ... apart ... 'near'")
+    compared = ModelComparison.ranked([near, best])
+    assert [m.name for m in compared.models] == ["best", "near"]
+    assert compared.undecided == ()
+    assert says(compared.verdict, "tell ... apart ... 'near'")
 
 
 def test_the_verdict_names_what_is_undecided():
     best = score("yeoh", ROOT, n_parameters=3)
     close = score("neo-hookean", worse(5, -4, 3, -3, 4))
     bad = score("gent", worse(9, 9, 8, 9, 9), n_parameters=2)
-    found = ModelComparison.ranked([bad, close, best])
-    assert found.undecided == ("neo-hookean",)
+    result = ModelComparison.ranked([bad, close, best])
+    assert result.undecided == ("neo-hookean",)
     numbers, others = "1 mm, 2.53 times", "'neo-hookean' ... 'gent' ... 'neo-hookean'"
-    assert says(found.verdict, "'yeoh' ... best", numbers, "cannot", others, "fewest")
-    text = str(found)
-    assert text.splitlines()[0] == found.verdict
+    assert says(result.verdict, "'yeoh' ... best", numbers, "cannot", others, "fewest")
+    text = str(result)
+    assert text.splitlines()[0] == result.verdict
     assert "8.8 +- 0.56" in text  # 2.776 standard errors: four degrees of freedom
-    data = json.loads(json.dumps(comparison_dict(found), allow_nan=False))
+    data = json.loads(json.dumps(comparison_dict(result), allow_nan=False))
     assert data["best"] == "yeoh"
     assert [m["name"] for m in data["models"]] == ["yeoh", "neo-hookean", "gent"]
     assert [d["told_apart"] for d in data["differences"]] == [False, True]
@@ -86,10 +86,10 @@ def test_the_verdict_names_what_is_undecided():
 
 def test_failed_folds_rank_last_and_are_named():
     whole, broken = score("whole", worse(1, 1, 1, 1, 1)), score("broken", ROOT, 1, "b")
-    found = ModelComparison.ranked([broken, whole])
-    assert found.best.name == "whole"
-    assert says(found.verdict, "No other model")
-    assert says(found, "'broken', b ... no equilibrium")
+    compared = ModelComparison.ranked([broken, whole])
+    assert compared.best.name == "whole"
+    assert says(compared.verdict, "No other model")
+    assert says(compared, "'broken', b ... no equilibrium")
     none = ModelComparison.ranked([broken])
     assert none.best is None
     assert says(none.verdict, "No model")
@@ -99,26 +99,26 @@ def test_failed_folds_rank_last_and_are_named():
 
 def test_two_configurations_decide_little():
     """One degree of freedom: the interval is 12.7 standard errors wide."""
-    found = PairedDifference.of(score("x", [5.0, 12.0]), score("best", [4.0, 9.0]))
-    assert found.n == 2
-    factor = found.half_width / found.standard_error
+    pair = PairedDifference.of(score("x", [5.0, 12.0]), score("best", [4.0, 9.0]))
+    assert pair.n == 2
+    factor = pair.half_width / pair.standard_error
     np.testing.assert_allclose(factor, 12.706, rtol=1e-4)
-    assert not found.told_apart
+    assert not pair.told_apart
 
 
 E = Parameter("E", "E", 1e5, 3e4, 1e6, region="root")
 
 
 def measured(name, force, std=1e-4, off=0.0):
-    own = pose(name, (MID, TIP), force=force)
-    markers = Markers(own.markers.names, own.markers.positions, std)
-    return type(own)(
-        own.name,
-        own.supports,
-        own.gravity,
-        own.loads,
+    nominal = pose(name, (MID, TIP), force=force)
+    markers = Markers(nominal.markers.names, nominal.markers.positions, std)
+    return type(nominal)(
+        nominal.name,
+        nominal.supports,
+        nominal.gravity,
+        nominal.loads,
         markers,
-        np.asarray(own.markers.positions) + off,
+        np.asarray(nominal.markers.positions) + off,
     )
 
 
@@ -180,7 +180,7 @@ def test_command(tmp_path, capsys):
     data = json.loads((out / "comparison.json").read_text())
     assert data["best"] == "true"
     assert list(data["sources"]) == list(data["settings"]) == ["true", "soft"]
-    files = " ".join(own["project"]["file"] for own in data["sources"].values())
+    files = " ".join(source["project"]["file"] for source in data["sources"].values())
     assert f"softcal compare {files} -o repeated" in (out / "report.html").read_text()
     true, soft = data["models"]
     assert {f["held_out"] for f in true["folds"]} == {"weight", "pulled"}

@@ -80,9 +80,9 @@ def test_rows_follow_configuration_and_marker(sensitivities):
 def test_only_measured_axes_have_rows(sensitivities):
     bent, other = POSES
     upright = eqx.tree_at(lambda c: c.markers.axes, bent, "z")
-    found = tet_sensitivities(with_each(), (upright, other), FIELDS, newton=TIGHT)
+    measured = tet_sensitivities(with_each(), (upright, other), FIELDS, newton=TIGHT)
     rows = [2, 5, *range(6, 12)]
-    np.testing.assert_allclose(found["E"], sensitivities["E"][rows], rtol=1e-9)
+    np.testing.assert_allclose(measured["E"], sensitivities["E"][rows], rtol=1e-9)
 
 
 @pytest.mark.slow

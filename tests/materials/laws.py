@@ -174,8 +174,8 @@ def together(law, F) -> Together:
 
 def overriding(*methods: str):
     """Laws with an own form of one of these methods of `AbstractLaw`."""
-    own = lambda law, name: getattr(type(law), name) is not getattr(AbstractLaw, name)
-    return {k: law for k, law in LAWS.items() if any(own(law, m) for m in methods)}
+    has = lambda law, name: getattr(type(law), name) is not getattr(AbstractLaw, name)
+    return {k: law for k, law in LAWS.items() if any(has(law, m) for m in methods)}
 
 
 def energy(law, F):

@@ -72,9 +72,9 @@ def test_tangent_is_the_derivative_of_the_stress(law):
 def test_closed_forms_equal_automatic_differentiation(law):
     """What a law overrides against what `AbstractLaw` derives from its energy."""
     for F in GRADIENTS:
-        own, exact = at(law, F), derived(law, F)
-        np.testing.assert_allclose(own.stress, exact.stress, rtol=0, atol=1e-13)
-        np.testing.assert_allclose(own.tangent, exact.tangent, rtol=0, atol=1e-12)
+        closed, exact = at(law, F), derived(law, F)
+        np.testing.assert_allclose(closed.stress, exact.stress, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(closed.tangent, exact.tangent, rtol=0, atol=1e-12)
 
 
 @each_law
@@ -206,7 +206,7 @@ def test_what_is_computed_together_is_what_is_computed_alone(law):
 @each_with_shared_work
 def test_a_tabulated_law_is_the_same_law(law):
     for F in GRADIENTS:
-        own, table = at(law, F), together(law, F).table
-        np.testing.assert_allclose(table.energy, own.energy, rtol=1e-12)
-        np.testing.assert_allclose(table.stress, own.stress, rtol=0, atol=1e-14)
-        np.testing.assert_allclose(table.tangent, own.tangent, rtol=0, atol=1e-13)
+        plain, table = at(law, F), together(law, F).table
+        np.testing.assert_allclose(table.energy, plain.energy, rtol=1e-12)
+        np.testing.assert_allclose(table.stress, plain.stress, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(table.tangent, plain.tangent, rtol=0, atol=1e-13)

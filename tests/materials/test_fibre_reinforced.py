@@ -88,10 +88,10 @@ def test_small_strain_limit():
     """E_f u u u u for each family, beside Hooke's tensor."""
     u = [np.array([np.sin(a), 0.0, np.cos(a)]) for a in (0.6, -0.6)]
     # Local axes of `along` have any orientation about z, but the plane of both holds z.
-    found = [np.asarray(own.direction()) for own in TWO.fibres()]
-    np.testing.assert_allclose([v[2] for v in found], [v[2] for v in u], rtol=1e-14)
-    np.testing.assert_allclose(found[0] @ found[1], u[0] @ u[1], rtol=1e-14)
-    expected = sum(E_F * np.einsum("i,j,k,l->ijkl", v, v, v, v) for v in found)
+    fibres = [np.asarray(fibre.direction()) for fibre in TWO.fibres()]
+    np.testing.assert_allclose([v[2] for v in fibres], [v[2] for v in u], rtol=1e-14)
+    np.testing.assert_allclose(fibres[0] @ fibres[1], u[0] @ u[1], rtol=1e-14)
+    expected = sum(E_F * np.einsum("i,j,k,l->ijkl", v, v, v, v) for v in fibres)
     got = tangent(TWO, np.eye(3)) - tangent(MATRIX, np.eye(3))
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12)
 
@@ -120,15 +120,15 @@ def test_helix_hoop_and_axis():
     """By hand at one point of a tube around the line x = 1, z = 2 along y."""
     where, about = np.array([[1.0, 0.3, 5.0]]), ([0, 2.0, 0], [1.0, 0, 2.0])
     # Away from the axis is +z, so around it y x z = +x.
-    own = lambda fibre: np.ravel(fibre.direction())
-    np.testing.assert_allclose(own(Fibre.hoop(where, *about)), [1, 0, 0], atol=1e-15)
+    u = lambda fibre: np.ravel(fibre.direction())
+    np.testing.assert_allclose(u(Fibre.hoop(where, *about)), [1, 0, 0], atol=1e-15)
     c, s = np.cos(0.4), np.sin(0.4)
     helix = Fibre.helix(0.4, where, *about)
-    np.testing.assert_allclose(own(helix), [s, c, 0], atol=1e-15)
-    np.testing.assert_allclose(own(helix.mirrored()), [-s, c, 0], atol=1e-15)
-    turned = own(Fibre.hoop(where, *about, theta=0.4))
+    np.testing.assert_allclose(u(helix), [s, c, 0], atol=1e-15)
+    np.testing.assert_allclose(u(helix.mirrored()), [-s, c, 0], atol=1e-15)
+    turned = u(Fibre.hoop(where, *about, theta=0.4))
     np.testing.assert_allclose(turned, [c, s, 0], atol=1e-15)
-    np.testing.assert_allclose(own(Fibre.along(about[0])), [0, 1, 0], atol=1e-15)
+    np.testing.assert_allclose(u(Fibre.along(about[0])), [0, 1, 0], atol=1e-15)
 
 
 def test_bad_fibres():
@@ -188,7 +188,7 @@ def test_netting_of_a_tube_under_pressure(degrees):
 
     a, h = (1.0 + 1e-4) * np.asarray(expected)
     start = jnp.asarray([a, h, 1.0 / (a * h)])
-    found = root(residual, start, jac=jax.jit(jax.jacfwd(residual)))
-    np.testing.assert_allclose(residual(jnp.asarray(found.x)), 0.0, atol=1e-6)
+    solution = root(residual, start, jac=jax.jit(jax.jacfwd(residual)))
+    np.testing.assert_allclose(residual(jnp.asarray(solution.x)), 0.0, atol=1e-6)
     # The threads stretch by the load over their stiffness.
-    np.testing.assert_allclose(found.x[:2], expected, rtol=2e-4)
+    np.testing.assert_allclose(solution.x[:2], expected, rtol=2e-4)

@@ -58,13 +58,13 @@ def test_principal_stresses(name, kind, s):
     """
     stretches = STATES[kind](s)
     sigma = stress(LAWS[name], np.diag(stretches)) @ np.diag(stretches)
-    found, expected = np.diag(sigma), slopes(name, stretches)
-    np.testing.assert_allclose(sigma, np.diag(found), rtol=0, atol=1e-14)
+    principal, expected = np.diag(sigma), slopes(name, stretches)
+    np.testing.assert_allclose(sigma, np.diag(principal), rtol=0, atol=1e-14)
     np.testing.assert_allclose(
-        found - found.mean(), expected - expected.mean(), rtol=1e-12, atol=1e-13
+        principal - principal.mean(), expected - expected.mean(), rtol=1e-12, atol=1e-13
     )
     # No pressure at J = 1, but for the rounding of J times the bulk modulus of 200.
-    np.testing.assert_allclose(found.mean(), 0.0, atol=1e-12)
+    np.testing.assert_allclose(principal.mean(), 0.0, atol=1e-12)
 
 
 @each_law
@@ -77,9 +77,9 @@ def test_simple_shear(name, gamma):
     F = np.eye(3)
     F[0, 1] = gamma
     s = gamma / 2 + np.hypot(1.0, gamma / 2)
-    own = slopes(name, [s, 1.0 / s, 1.0])
+    slope = slopes(name, [s, 1.0 / s, 1.0])
     sigma = stress(LAWS[name], F) @ F.T
-    expected = gamma * (own[0] - own[1]) / (s**2 - s**-2)
+    expected = gamma * (slope[0] - slope[1]) / (s**2 - s**-2)
     np.testing.assert_allclose(sigma[0, 1], expected, rtol=1e-12)
     # Universal relation of Rivlin, whatever the law.
     np.testing.assert_allclose(
@@ -210,8 +210,8 @@ def nominal(law, kind, stretch):
 def misfit(law, kind):
     """Root mean square error of the stress [Pa]."""
     s, P = TRELOAR[kind]
-    found = np.array([nominal(law, kind, each) for each in s])
-    return np.sqrt(np.mean((found - P) ** 2))
+    computed = np.array([nominal(law, kind, each) for each in s])
+    return np.sqrt(np.mean((computed - P) ** 2))
 
 
 def test_ogden_fits_treloar_as_he_published():
@@ -244,8 +244,8 @@ def test_mooney_rivlin_fits_one_test_each(kind):
         "equibiaxial": (2 * (s - s**-5), s**2),
     }[kind]
     columns = np.stack([factor, factor * i2], axis=1)
-    found = np.array([nominal(law, kind, each) for each in s])
-    np.testing.assert_allclose(found, columns @ [c["c10"], c["c01"]], rtol=1e-9)
+    computed = np.array([nominal(law, kind, each) for each in s])
+    np.testing.assert_allclose(computed, columns @ [c["c10"], c["c01"]], rtol=1e-9)
     best, *_ = np.linalg.lstsq(columns, P)
     least = np.sqrt(np.mean((columns @ best - P) ** 2))
     assert misfit(law, kind) < (1.4 if kind == "uniaxial" else 1.05) * least

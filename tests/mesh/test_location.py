@@ -36,28 +36,28 @@ def _linear_field(x):
 )
 def test_inside_and_outside_a_box(mesh):
     points = np.random.default_rng(0).uniform(-0.01, BOX + 0.01, (60, 3))
-    found = locate(mesh, points, max_distance=0.02)
+    place = locate(mesh, points, max_distance=0.02)
     # The distance to a box has a closed form.
     gap = np.linalg.norm(points - np.clip(points, 0.0, BOX), axis=1)
     assert 0 < (gap > 0).sum() < 60
-    np.testing.assert_allclose(found.distance, gap, rtol=1e-12, atol=1e-16)
-    np.testing.assert_allclose(found.weights.sum(axis=1), 1.0, rtol=1e-12)
-    np.testing.assert_allclose(found.interpolate(mesh.points), points, atol=1e-15)
+    np.testing.assert_allclose(place.distance, gap, rtol=1e-12, atol=1e-16)
+    np.testing.assert_allclose(place.weights.sum(axis=1), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(place.interpolate(mesh.points), points, atol=1e-15)
     np.testing.assert_allclose(
-        found.interpolate(_linear_field(mesh.points)), _linear_field(points), rtol=1e-12
+        place.interpolate(_linear_field(mesh.points)), _linear_field(points), rtol=1e-12
     )
-    inside = found.barycentric.min(axis=1) >= -1e-9
+    inside = place.barycentric.min(axis=1) >= -1e-9
     np.testing.assert_array_equal(inside, gap == 0)
-    np.testing.assert_array_equal(found.nodes, mesh.tets[found.tet])
+    np.testing.assert_array_equal(place.nodes, mesh.tets[place.tet])
 
 
 def test_quadratic_field_is_exact_inside_a_quadratic_tet():
     mesh = beam(*BOX, (3, 1, 2), order=2)
     field = lambda x: x[:, 0] ** 2 - 3.0 * x[:, 1] * x[:, 2]
     points = np.random.default_rng(1).uniform(0.0, BOX, (20, 3))
-    found = locate(mesh, points, max_distance=0.0)
+    place = locate(mesh, points, max_distance=0.0)
     np.testing.assert_allclose(
-        found.interpolate(field(mesh.points)), field(points), rtol=0, atol=1e-16
+        place.interpolate(field(mesh.points)), field(points), rtol=0, atol=1e-16
     )
 
 
@@ -69,9 +69,9 @@ def test_outside_follows_the_tangent_not_the_parabola():
     """
     mesh = beam(*BOX, (3, 1, 2), order=2)
     foot, h = np.array([0.047, 0.008, 0.03]), 0.02
-    found = locate(mesh, foot[None] + np.array([0.0, 0.0, h]), max_distance=0.021)
-    np.testing.assert_allclose(found.distance, [h], rtol=1e-12)
-    x2, z2 = found.interpolate(mesh.points[:, [0, 2]] ** 2)[0]
+    place = locate(mesh, foot[None] + np.array([0.0, 0.0, h]), max_distance=0.021)
+    np.testing.assert_allclose(place.distance, [h], rtol=1e-12)
+    x2, z2 = place.interpolate(mesh.points[:, [0, 2]] ** 2)[0]
     np.testing.assert_allclose(x2, 0.047**2, rtol=1e-12)
     np.testing.assert_allclose(z2, 0.03**2 + 2 * 0.03 * h, rtol=1e-12)
 
@@ -83,10 +83,10 @@ def test_every_curved_tet_finds_its_own_points():
     barycentric = rng.dirichlet(np.ones(4), mesh.n_tets)
     N = shape_functions(barycentric, 10)
     points = np.einsum("na,nai->ni", N, mesh.points[mesh.tets])
-    found = locate(mesh, points, max_distance=0.0)
-    np.testing.assert_array_equal(found.tet, tet)
-    np.testing.assert_allclose(found.barycentric, barycentric, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(found.weights, N, rtol=0, atol=1e-10)
+    place = locate(mesh, points, max_distance=0.0)
+    np.testing.assert_array_equal(place.tet, tet)
+    np.testing.assert_allclose(place.barycentric, barycentric, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(place.weights, N, rtol=0, atol=1e-10)
 
 
 def test_outside_a_curved_mesh():
@@ -94,21 +94,21 @@ def test_outside_a_curved_mesh():
     mesh = _bent()
     lower, upper = mesh.points.min(axis=0), mesh.points.max(axis=0)
     points = np.random.default_rng(3).uniform(lower - 0.01, upper + 0.01, (40, 3))
-    found = locate(mesh, points, max_distance=0.1)
-    outside = found.distance > 0
+    place = locate(mesh, points, max_distance=0.1)
+    outside = place.distance > 0
     assert 10 < outside.sum() < 40
     n = 40
     grid = [(i, j, n - i - j) for i in range(n + 1) for j in range(n + 1 - i)]
     N = shape_functions(np.array(grid) / n, 6)
     surface = (N @ mesh.points[boundary_faces(mesh)]).reshape(-1, 3)
     sampled, _ = KDTree(surface).query(points[outside])
-    assert (found.distance[outside] <= sampled + 1e-15).all()
+    assert (place.distance[outside] <= sampled + 1e-15).all()
     # Faces are about 15 mm wide, so samples are 0.4 mm apart, and a foot between them
     # is at most 0.3 mm from the next: farther by at most sqrt(d^2 + 0.3^2).
-    assert (sampled <= np.hypot(found.distance[outside], 3e-4)).all()
-    np.testing.assert_allclose(found.interpolate(mesh.points), points, atol=1e-14)
+    assert (sampled <= np.hypot(place.distance[outside], 3e-4)).all()
+    np.testing.assert_allclose(place.interpolate(mesh.points), points, atol=1e-14)
     np.testing.assert_allclose(
-        found.interpolate(_linear_field(mesh.points)), _linear_field(points), rtol=1e-11
+        place.interpolate(_linear_field(mesh.points)), _linear_field(points), rtol=1e-11
     )
 
 
@@ -123,31 +123,31 @@ def test_inside_a_bulge_beyond_every_node():
     barycentric = np.array([[0.249, 0.749, 0.001, 0.001]])
     point = shape_functions(barycentric, 10)[0] @ points[mesh.tets[0]]
     assert point[2] < points[:, 2].min() - 0.03
-    found = locate(bulged, [point], max_distance=0.0)
-    np.testing.assert_allclose(found.barycentric, barycentric, rtol=0, atol=1e-12)
+    place = locate(bulged, [point], max_distance=0.0)
+    np.testing.assert_allclose(place.barycentric, barycentric, rtol=0, atol=1e-12)
 
 
 def test_a_node_an_edge_and_a_corner():
     mesh = beam(*BOX, (2, 2, 2))
     points = np.vstack([mesh.points[13], BOX, BOX + np.array([0.003, 0.004, 0.0])])
-    found = locate(mesh, points, max_distance=0.01)
-    np.testing.assert_allclose(found.distance, [0.0, 0.0, 0.005], atol=1e-15)
-    np.testing.assert_allclose(found.interpolate(mesh.points), points, atol=1e-15)
-    one = found.weights[0].argmax()
-    assert found.nodes[0, one] == 13
-    np.testing.assert_allclose(found.weights[0, one], 1.0, rtol=1e-12)
+    place = locate(mesh, points, max_distance=0.01)
+    np.testing.assert_allclose(place.distance, [0.0, 0.0, 0.005], atol=1e-15)
+    np.testing.assert_allclose(place.interpolate(mesh.points), points, atol=1e-15)
+    one = place.weights[0].argmax()
+    assert place.nodes[0, one] == 13
+    np.testing.assert_allclose(place.weights[0, one], 1.0, rtol=1e-12)
 
 
 def test_jax_fields_are_taken():
     mesh = beam(*BOX, (2, 2, 2))
-    found = locate(mesh, [BOX / 3.0], max_distance=0.0)
-    value = found.interpolate(jnp.asarray(mesh.points[:, 0]))
+    place = locate(mesh, [BOX / 3.0], max_distance=0.0)
+    value = place.interpolate(jnp.asarray(mesh.points[:, 0]))
     np.testing.assert_allclose(value, BOX[0] / 3.0, rtol=1e-6)
 
 
 def test_no_points():
-    found = locate(beam(*BOX, (1, 1, 1)), np.empty((0, 3)), max_distance=0.0)
-    assert found.weights.shape == (0, 4)
+    place = locate(beam(*BOX, (1, 1, 1)), np.empty((0, 3)), max_distance=0.0)
+    assert place.weights.shape == (0, 4)
 
 
 def test_far_points_are_named():

@@ -302,7 +302,7 @@ def test_unlikely_unit(tmp_path):
 def test_millimetres_that_are_read_as_metres_are_told_once(tmp_path):
     raw = meshio.Mesh(1e3 * BEAM.points, [("tetra", BEAM.tets)])
     path, law = _write(tmp_path, raw, ".vtu"), NeoHookean(1e5, 0.3)
-    with pytest.warns(MeshWarning) as told:
+    with pytest.warns(MeshWarning) as caught:
         build_model(read_mesh(path, length_unit="m"), law, density=1.0, solver="none")
-    (warning,) = told
+    (warning,) = caught
     assert says(warning.message, "100 m across", 'length_unit = "mm"')

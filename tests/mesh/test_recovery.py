@@ -44,8 +44,8 @@ def test_polynomials_of_the_order_are_kept(order):
     if order == 2:
         square = lambda x: np.sum(x * x, axis=-1) + x[..., 0] * x[..., 2]
         mesh = bent(2)
-        found = recovered(mesh, square(at_points(mesh)))
-        np.testing.assert_allclose(found, square(mesh.points[mesh.tets]), atol=1e-12)
+        nodal = recovered(mesh, square(at_points(mesh)))
+        np.testing.assert_allclose(nodal, square(mesh.points[mesh.tets]), atol=1e-12)
 
 
 @each_order
@@ -55,8 +55,8 @@ def test_parts_are_recovered_apart(order):
     of_tet = np.where(first, 1.0, 5.0)
     mesh = mesh.with_tet_group("first", np.flatnonzero(first))
     n_qp = len(at_points(mesh)) // mesh.n_tets
-    found = recovered(mesh, np.repeat(of_tet, n_qp))
-    np.testing.assert_allclose(found, np.broadcast_to(of_tet[:, None], found.shape))
+    nodal = recovered(mesh, np.repeat(of_tet, n_qp))
+    np.testing.assert_allclose(nodal, np.broadcast_to(of_tet[:, None], nodal.shape))
 
 
 @each_order
@@ -67,8 +67,8 @@ def test_rigid_tets_take_no_part(order):
     x = at_points(mesh)
     n_qp = len(x) // mesh.n_tets
     values = np.where(np.repeat(soft, n_qp), x[:, 1], np.nan)
-    found = recovered(mesh, values, soft)[soft]
-    np.testing.assert_allclose(found, mesh.points[mesh.tets[soft]][:, :, 1], atol=1e-15)
+    nodal = recovered(mesh, values, soft)[soft]
+    np.testing.assert_allclose(nodal, mesh.points[mesh.tets[soft]][:, :, 1], atol=1e-15)
     r = recovery(mesh, soft)
     assert np.all(r.volumes[~soft] == 0.0)
     assert np.all(soft[r.face_tet])
@@ -102,8 +102,8 @@ def test_a_part_too_small_for_a_patch(order, n):
     """Recovered as well as its points allow: four of them give a linear field."""
     mesh = beam(0.1, 0.03, 0.03, (4, 2, 2), order=order)
     small = np.arange(n)
-    found = recovered(mesh.with_tet_group("small", small), at_points(mesh)[:, 0])
-    assert np.all(np.isfinite(found))
+    nodal = recovered(mesh.with_tet_group("small", small), at_points(mesh)[:, 0])
+    assert np.all(np.isfinite(nodal))
     if order == 2:
         exact = mesh.points[mesh.tets[small]][:, :, 0]
-        np.testing.assert_allclose(found[small], exact, atol=1e-15)
+        np.testing.assert_allclose(nodal[small], exact, atol=1e-15)

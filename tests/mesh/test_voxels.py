@@ -22,13 +22,13 @@ def test_voxels_lie_where_points_are_located(order):
     owner = np.full((N,) * 3, -1)
     owner[tuple(filled.voxels[filled.inside].T)] = filled.tets[filled.inside]
     voxels = np.random.default_rng(5).integers(0, N, (150, 3))
-    found = locate(mesh, grid.centres(voxels), max_distance=1.0)
-    inside = found.distance == 0.0
+    place = locate(mesh, grid.centres(voxels), max_distance=1.0)
+    inside = place.distance == 0.0
     assert 0.2 < inside.mean() < 0.8
     np.testing.assert_array_equal(owner[tuple(voxels.T)] >= 0, inside)
     # A centre on a face between two tets may be in either.
-    clear = inside & (found.barycentric.min(axis=1) > 1e-6)
-    np.testing.assert_array_equal(owner[tuple(voxels[clear].T)], found.tet[clear])
+    clear = inside & (place.barycentric.min(axis=1) > 1e-6)
+    np.testing.assert_array_equal(owner[tuple(voxels[clear].T)], place.tet[clear])
 
 
 def test_centres_and_the_voxels_at_them():
@@ -68,8 +68,8 @@ def test_voxels_that_are_filled_in_part(order):
     assert 0 < filled.inside.mean() < 0.7
     columns = np.unique(filled.voxels[:, :2], axis=0)
     assert len(columns) == N * N
-    found = locate(plate, filled.places[::7], max_distance=1e-9)
-    assert found.barycentric.min() > -1e-9
+    place = locate(plate, filled.places[::7], max_distance=1e-9)
+    assert place.barycentric.min() > -1e-9
     np.testing.assert_array_equal(grid.voxels_at(filled.places), filled.voxels)
     middle = grid.centres(filled.voxels)[filled.inside]
     np.testing.assert_array_equal(filled.places[filled.inside], middle)

@@ -23,8 +23,8 @@ def test_what_is_read_again_is_the_same(tmp_path, order):
     for name, faces in mesh.surface_groups.items():
         assert rows(np.sort(again.faces(name))) == rows(np.sort(faces))
         np.testing.assert_array_equal(again.nodes(name), mesh.nodes(name))
-    own = again.tets[again.tets_of("left")]
-    assert rows(own) == rows(mesh.tets[mesh.tets_of("left")])
+    left = again.tets[again.tets_of("left")]
+    assert rows(left) == rows(mesh.tets[mesh.tets_of("left")])
     assert again.nodes("corner").tolist() == [0]
 
 

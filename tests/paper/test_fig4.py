@@ -13,7 +13,7 @@ def test_every_start_reaches_p_target():
     ends = paper_fig4.runs_from_random(paper_fig4.WAYS[""], "xy", CELLS, 6)
     assert ends.found.all()
     # One optimum with all runs, at a cost of rounding.
-    (optimum,) = [found for found in ends.result.optima if found.starts]
+    (optimum,) = [o for o in ends.result.optima if o.starts]
     assert len(optimum.starts) == 6
     assert optimum.cost < 1e-6
 

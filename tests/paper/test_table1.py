@@ -46,5 +46,5 @@ def test_a_broken_ordering_is_named():
 @pytest.mark.parametrize("paper", [True, False], ids=["the paper's loop", "ours"])
 def test_calibrations_of_the_best_designs_converge(paper):
     wanted = [Design(FOUR, 4, 6), Design("all", 4, 6)]
-    found = paper_table1.calibrations((4, 1, 1), "xy", paper, wanted)
-    assert all(course.startswith("converged") for course in found.values()), found
+    courses = paper_table1.calibrations((4, 1, 1), "xy", paper, wanted)
+    assert all(course.startswith("converged") for course in courses.values()), courses

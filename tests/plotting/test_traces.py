@@ -35,8 +35,8 @@ def figure_of(monkeypatch):
 
 
 def line(axes, label):
-    (own,) = [entry for entry in axes.lines if entry.get_label() == label]
-    return own.get_xydata()
+    (curve,) = [entry for entry in axes.lines if entry.get_label() == label]
+    return curve.get_xydata()
 
 
 def test_distances_and_gaps(figure_of):

@@ -170,12 +170,12 @@ def test_any_checkpoint(tmp_path, n):
         at, new, cut = change
         path.write_bytes((whole[:at] + new + whole[at + len(new) :])[:cut])
         read = lambda: read_checkpoint(path, "mark")
-        found, text = result_or_refusal(ValueError, read)
-        if found is None:
+        loaded, text = result_or_refusal(ValueError, read)
+        if loaded is None:
             assert str(path) in text
         else:
-            np.testing.assert_array_equal(found.arrays["state_0"], np.arange(3.0))
-            assert found.history == ()
+            np.testing.assert_array_equal(loaded.arrays["state_0"], np.arange(3.0))
+            assert loaded.history == ()
 
     ends = st.just(len(whole)) | st.integers(0, len(whole))
     places = st.integers(0, len(whole))

@@ -94,8 +94,8 @@ def test_its_constants_are_keys_and_can_be_calibrated(tmp_path, install):
     np.testing.assert_allclose([law.c1, law.c2, law.bulk], [30e3, 1e3, 5e5], rtol=1e-12)
     np.testing.assert_allclose([law.skew, law.fibre.theta], [0.5, np.pi / 9])
     F = jnp.diag(jnp.asarray([1.2, 0.9, 1.0]))
-    own = type(law)(30e3, 1e3, 5e5, power=3)
-    np.testing.assert_allclose(law.stress(F), own.stress(F), rtol=1e-12)
+    expected = type(law)(30e3, 1e3, 5e5, power=3)
+    np.testing.assert_allclose(law.stress(F), expected.stress(F), rtol=1e-12)
     (c1,) = project.parameters
     assert (c1.name, c1.unit, c1.scale) == ("c1", "Pa", "log")
     np.testing.assert_allclose([c1.start, c1.lower], [30e3, 10e3], rtol=1e-12)

@@ -145,9 +145,9 @@ def test_common_units_are_those_of_pint():
     registry = _quantities._registry()
     for si, units in _quantities._COMMON.items():
         for unit, factor in units.items():
-            own = registry.Quantity(1.0, registry.parse_units(unit)).to(si).magnitude
+            exact = registry.Quantity(1.0, registry.parse_units(unit)).to(si).magnitude
             # pint multiplies its prefixes, each with a rounding error.
-            assert factor == pytest.approx(own, rel=1e-15), unit
+            assert factor == pytest.approx(exact, rel=1e-15), unit
 
 
 def test_a_quantity_of_any_dimension():

@@ -129,11 +129,11 @@ def by_hand():
     return model, space, configurations
 
 
-def assert_same(found, wanted):
+def assert_same(read, wanted):
     """Equal up to the rounding of units."""
     host = lambda leaf: np.asarray(leaf) if eqx.is_array(leaf) else leaf
-    found, wanted = (jax.tree.map(host, tree) for tree in (found, wanted))
-    assert eqx.tree_equal(found, wanted, rtol=1e-12, atol=1e-15), (found, wanted)
+    read, wanted = (jax.tree.map(host, tree) for tree in (read, wanted))
+    assert eqx.tree_equal(read, wanted, rtol=1e-12, atol=1e-15), (read, wanted)
 
 
 def test_every_table_is_what_the_python_api_makes(tmp_path):
@@ -158,10 +158,10 @@ def test_the_cable_beam_is_the_one_of_the_python_api():
     project, model = load_project(FOLDER / "project.toml"), cable_beam()
     assert_same(project.model.mechanism, model.mechanism)
     arrays = lambda m, c: configuration_arrays(m.mesh, c, m.mechanism)
-    found = arrays(project.model, project.configurations)
+    loaded = arrays(project.model, project.configurations)
     wanted = arrays(model, poses())
-    assert_same(found.actuation, wanted.actuation)
-    assert_same(found.fixed, wanted.fixed)
+    assert_same(loaded.actuation, wanted.actuation)
+    assert_same(loaded.fixed, wanted.fixed)
     assert [c.name for c in project.configurations] == list(ASKED)
     pulled = project.calibration[1]
     assert pulled.effectors[1].measured == pytest.approx(1.96e-3)
@@ -180,9 +180,9 @@ def sensor_of(folder, measured, frame="", configurations=1):
         'supports = [{ group = "x_min" }]\n'
         f'[[configurations]]\nname = "a"\nmeasured.effectors.sensor = {measured}\n'
     )
-    found = load_project(write(folder, text)).calibration
-    assert len(found) == configurations
-    (effector,) = found[0].effectors
+    calibration = load_project(write(folder, text)).calibration
+    assert len(calibration) == configurations
+    (effector,) = calibration[0].effectors
     np.testing.assert_array_equal(effector.point, POINT)
     return effector.measured
 
@@ -204,8 +204,8 @@ def test_a_pose_is_seen_through_base_and_mounting_of_the_sensor(tmp_path):
     )
     # At rest the base sees Rz(-90) Rx(90); the plate has turned by 30 degrees about z.
     pose = '{ position = "(-10, -115, 10) mm", azimuth = "-60 deg", roll = "90 deg" }'
-    found = sensor_of(tmp_path, pose, frame)
-    assert_motion(found, [0.01, 0.0, 0.0], [0.0, 0.0, np.pi / 6])
+    motion = sensor_of(tmp_path, pose, frame)
+    assert_motion(motion, [0.01, 0.0, 0.0], [0.0, 0.0, np.pi / 6])
 
 
 @pytest.mark.parametrize(
@@ -218,9 +218,9 @@ def test_a_pose_is_seen_through_base_and_mounting_of_the_sensor(tmp_path):
 )
 def test_forms_of_an_orientation(tmp_path, form):
     pose = f'{{ position = "(105, 10, 10) mm", {form} }}'
-    found = sensor_of(tmp_path, pose)
+    motion = sensor_of(tmp_path, pose)
     # Of unit length to five digits.
-    np.testing.assert_allclose(found.rotation_vector, [0, 0, np.pi / 2], atol=1e-5)
+    np.testing.assert_allclose(motion.rotation_vector, [0, 0, np.pi / 2], atol=1e-5)
 
 
 READINGS = """\
@@ -235,13 +235,13 @@ now,b,9,9,9,0,0,0
 def test_the_motion_between_two_readings_needs_no_place_of_the_sensor(tmp_path):
     """The mean of two readings, less the one at rest, in the turned base."""
     (tmp_path / "readings.csv").write_text(READINGS)
-    found = sensor_of(
+    motion = sensor_of(
         tmp_path,
         '{ file = "readings.csv", sensor = "a", select = { pose = "now" }, '
         'displacement_from = { pose = "rest" } }',
         'base = { azimuth = "90 deg" }\norientation = { roll = "33 deg" }',
     )
-    assert_motion(found, [0.0, 0.002, 0.0], [0.0, 0.0, np.pi / 6])
+    assert_motion(motion, [0.0, 0.002, 0.0], [0.0, 0.0, np.pi / 6])
 
 
 def test_a_sensor_may_refer_to_a_simulated_pose(tmp_path):
@@ -259,12 +259,12 @@ measured = {{ displacement_from = "a", effectors = {{ sensor = {pose} }} }}
 
 def test_the_bare_text_of_a_tracker(tmp_path):
     (tmp_path / "tracker.txt").write_text("1 4.2 0.4 0.4 0 0 0\n2 0 0 0 90 0 0\n")
-    found = sensor_of(
+    motion = sensor_of(
         tmp_path,
         '{ file = "tracker.txt", format = "polhemus", length_unit = "inch", '
         "station = 1 }",
     )
-    assert_motion(found, np.array([4.2, 0.4, 0.4]) * 0.0254 - POINT, np.zeros(3))
+    assert_motion(motion, np.array([4.2, 0.4, 0.4]) * 0.0254 - POINT, np.zeros(3))
 
 
 def test_a_chamber_of_a_mesh_file(tmp_path):

@@ -116,12 +116,12 @@ def test_every_kind_becomes_parameters(tmp_path):
         "stiffness of x_min",
         "friction of tendon",
     ]
-    own = {q.name: q for e in entries for q in e.parameters}
-    np.testing.assert_allclose(own["first tilt of gravity"].prior_std, np.pi / 180)
-    np.testing.assert_allclose(own["turn z in c"].upper, 3 * np.pi / 180)
-    np.testing.assert_allclose(own["factor of tendon"].upper, 1.5)
-    np.testing.assert_allclose(own["stiffness of x_min"].start, 1e9)
-    np.testing.assert_allclose(own["friction of tendon"].lower, 0.1)
+    by_name = {q.name: q for e in entries for q in e.parameters}
+    np.testing.assert_allclose(by_name["first tilt of gravity"].prior_std, np.pi / 180)
+    np.testing.assert_allclose(by_name["turn z in c"].upper, 3 * np.pi / 180)
+    np.testing.assert_allclose(by_name["factor of tendon"].upper, 1.5)
+    np.testing.assert_allclose(by_name["stiffness of x_min"].start, 1e9)
+    np.testing.assert_allclose(by_name["friction of tendon"].lower, 0.1)
     b = project.configurations[1]
     assert b.recording == "monday"
     assert b.actuation["tendon"].releasing

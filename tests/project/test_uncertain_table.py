@@ -18,12 +18,12 @@ def read(folder, *lines):
 
 
 def test_without_the_table_the_defaults_count(tmp_path):
-    own = load_project(write_small_project(tmp_path)).uncertain
-    assert vars(own) == vars(Uncertain())
+    std = load_project(write_small_project(tmp_path)).uncertain
+    assert vars(std) == vars(Uncertain())
 
 
 def test_every_key(tmp_path):
-    own = read(
+    std = read(
         tmp_path,
         "nu = 0.02",
         'density = "3.5 %"',
@@ -51,7 +51,7 @@ def test_every_key(tmp_path):
         "mesh": 0.5,
     }
     assert set(expected) == {field.name for field in fields(Uncertain)}
-    assert vars(own) == pytest.approx(expected, rel=1e-12)
+    assert vars(std) == pytest.approx(expected, rel=1e-12)
 
 
 def test_offsets_of_recordings_may_be_estimated(tmp_path):
@@ -75,9 +75,9 @@ def test_creep_is_no_length(tmp_path):
 
 
 def test_zero_needs_no_unit(tmp_path):
-    own = read(tmp_path, "nu = 0.0", "density = 0", "clamp = 0", "gravity = 0.0")
-    assert (own.nu, own.density, own.clamp, own.gravity) == (0.0, 0.0, 0.0, 0.0)
-    assert own.loads == Uncertain().loads
+    std = read(tmp_path, "nu = 0.0", "density = 0", "clamp = 0", "gravity = 0.0")
+    assert (std.nu, std.density, std.clamp, std.gravity) == (0.0, 0.0, 0.0, 0.0)
+    assert std.loads == Uncertain().loads
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,7 @@ def test_poses(project):
     assert names(project.calibration) == ["rest", "100 mbar", "200 mbar", "300 mbar"]
     assert names(project.validation) == [f"{p} mbar" for p in (150, 250, 350, 400)]
     # Calibrated base markers leave a millimetre or so of their nominal places.
-    assert max(found.rms for found in project.registrations.values()) < 3e-3
+    assert max(fit.rms for fit in project.registrations.values()) < 3e-3
 
 
 @pytest.mark.parametrize(
@@ -90,8 +90,8 @@ def gent(step, kpa):
     i1 = stretch**2 + 2.0 / stretch - 3.0
     stress = lambda mu, J_m: mu * (stretch - stretch**-2) / (1.0 - i1 / J_m)
     unknown = lambda x: (np.exp(x[0]), i1.max() + np.exp(x[1]))
-    found = least_squares(lambda x: stress(*unknown(x)) - kpa, [4.0, 2.0])
-    return unknown(found.x)
+    fit = least_squares(lambda x: stress(*unknown(x)) - kpa, [4.0, 2.0])
+    return unknown(fit.x)
 
 
 def test_silicone_is_known_from_a_pull_test(project):

@@ -62,22 +62,22 @@ markers_at = eqx.filter_jit(marker_positions)
 
 def solved(z, model, lanes):
     """Displacements, and the markers there."""
-    changed, found = model_at(model, jnp.asarray(z)), []
+    changed, states = model_at(model, jnp.asarray(z)), []
     for index in range(2):
         lane = lane_of(lanes, index)
         solution = solve_equilibrium(changed, lane, settings=TIGHT)
-        found.append((solution.displacement, markers_at(changed, lane, solution)))
-    return tuple(np.stack(part) for part in zip(*found, strict=True))
+        states.append((solution.displacement, markers_at(changed, lane, solution)))
+    return tuple(np.stack(part) for part in zip(*states, strict=True))
 
 
 def compliances(z, model, lanes, u, method="direct"):
-    found = [
+    responses = [
         parameter_compliance(
             model, lane_of(lanes, k), jnp.asarray(u[k]), SPACE, z, method=method
         )
         for k in range(2)
     ]
-    return np.stack([each.W_ep for each in found])
+    return np.stack([each.W_ep for each in responses])
 
 
 def ways(model, lanes):

@@ -129,24 +129,24 @@ def point():
 @jax.jit
 def values(z):
     model, lane = SPACE.apply(MODEL, LANE, z)
-    found = solve_equilibrium(model, lane, settings=NewtonSettings(rtol=1e-12))
-    u = found.displacement
-    return effector_values(model, lane, u, found.multipliers).ravel(), u
+    solution = solve_equilibrium(model, lane, settings=NewtonSettings(rtol=1e-12))
+    u = solution.displacement
+    return effector_values(model, lane, u, solution.multipliers).ravel(), u
 
 
 @cache
-def found():
+def compliance():
     z = point()
     return energy_compliance(MODEL, LANE, values(z)[1], SPACE, z)
 
 
 def test_all_kinds_are_here():
-    own = {e.kind for e in SPACE.entries if isinstance(e, SetupParameter)}
-    assert own == set(QUANTITIES)
+    kinds = {e.kind for e in SPACE.entries if isinstance(e, SetupParameter)}
+    assert kinds == set(QUANTITIES)
 
 
 def test_sensitivities_meet_differences_at_second_order():
-    z, W = point(), np.asarray(found().W_ep)
+    z, W = point(), np.asarray(compliance().W_ep)
     errors = []
     for h in (0.3, 0.1):
         columns = [
@@ -171,7 +171,7 @@ def test_direct_and_adjoint_side_agree():
     """Two ways through one factorization: rounding of the solve."""
     z = point()
     at = (MODEL, LANE, values(z)[1], SPACE, z)
-    W = np.asarray(found().W_ep)
+    W = np.asarray(compliance().W_ep)
     direct = parameter_compliance(*at, method="direct")
     np.testing.assert_allclose(W, direct.W_ep, rtol=1e-8, atol=1e-12)
     adjoint = parameter_compliance(*at, method="adjoint")
@@ -185,7 +185,7 @@ def test_direct_and_adjoint_side_agree():
 @pytest.mark.slow
 def test_forward_equals_reverse():
     """Of the equilibrium itself, differentiated by JAX through every kind."""
-    z, W = point(), found().W_ep
+    z, W = point(), compliance().W_ep
     tangent = jnp.asarray(np.random.default_rng(0).normal(size=W.shape[1]))
     cotangent = jnp.asarray(np.random.default_rng(1).normal(size=W.shape[0]))
     _, e_dot, pulled = both_ways(lambda z: values(z)[0])(z, tangent, cotangent)
@@ -198,8 +198,8 @@ def test_forward_equals_reverse():
 
 
 def test_energy_compliance_is_symmetric_and_positive():
-    W = np.asarray(found().W_pp)
-    assert bool(found().ok)
+    W = np.asarray(compliance().W_pp)
+    assert bool(compliance().ok)
     np.testing.assert_array_equal(W, W.T)
     assert np.linalg.eigvalsh(W[:2, :2]).min() > 0.0
 
@@ -223,12 +223,12 @@ def test_finite_differences_of_the_paper_show_second_order_for_forces():
 class Forgotten(AbstractEntry):
     """A kind whose author forgot what it sets; `lie` has it claim a field."""
 
-    own: Parameter
+    param: Parameter
     lie: bool = False
 
     @property
     def parameters(self):
-        return (self.own,)
+        return (self.param,)
 
     @property
     def fields(self):
@@ -240,12 +240,12 @@ class Forgotten(AbstractEntry):
 
     @property
     def label(self):
-        return self.own.name
+        return self.param.name
 
     def apply(self, model, configuration, values):
         if self.lie:
             return gravity_tilt(**KNOWN)[0].apply(
-                model, configuration, {"first tilt of gravity": values[self.own.name]}
+                model, configuration, {"first tilt of gravity": values[self.param.name]}
             )
         return model, configuration
 
@@ -321,15 +321,15 @@ def test_relaxation_of_a_modulus_does_not_depend_on_other_parameters():
     u = jax.jit(solve_equilibrium)(hanging, lane).displacement
     E, tilt = Parameter("E", "E", 5e5, 1e5, 2e6), gravity_tilt(**KNOWN)
 
-    def found(*entries):
+    def relaxation(*entries):
         space = ParameterSpace((E, *entries))
         at = (hanging, lane, u, space, space.start())
         response = parameter_compliance(*at, method="direct")
         work = jnp.einsum("ink,jnk->ij", parameter_forces(*at), response.displacement)
         return energy_compliance(*at).W_pp, work
 
-    alone, _ = eqx.filter_jit(found)()
-    beside, work = eqx.filter_jit(found)(*tilt)
+    alone, _ = eqx.filter_jit(relaxation)()
+    beside, work = eqx.filter_jit(relaxation)(*tilt)
     np.testing.assert_allclose(beside[0, 0], alone[0, 0], rtol=1e-10)
     # Nothing that is held moves: it is the work of the forces on what they move.
     size = np.sqrt(np.outer(np.diag(work), np.diag(work)))

@@ -104,10 +104,10 @@ def test_faces_under_a_load_are_not_free():
     with pytest.MonkeyPatch.context() as patch:
         seen = lambda model, u: jnp.asarray(np.where(carried[:, None], 1.0, 0.0))
         patch.setattr(_mesh_row, "internal_force", seen)
-        found = at_free_faces(jnp.zeros((model.n_points, 3)))
+        marked = at_free_faces(jnp.zeros((model.n_points, 3)))
     faces = np.asarray(patches.face_nodes)
     free = ~carried[faces].any(axis=1)
     expected = np.unique(np.asarray(patches.face_tet)[free])
-    touched = np.flatnonzero(np.any(np.asarray(found) != 0.0, axis=(1, 2, 3)))
+    touched = np.flatnonzero(np.any(np.asarray(marked) != 0.0, axis=(1, 2, 3)))
     np.testing.assert_array_equal(touched, expected)
     assert len(expected) > 0

@@ -111,7 +111,7 @@ def respond(case, z, guess):
 
 
 @cache
-def found(name):
+def reference(name):
     """Equilibria, W_ep and dx/dz at values that are not the start's."""
     c, z = case("plain" if name == "KLU" else name), values(name)  # the same body
     model, lanes = c.space.model_at(c.model, z), []
@@ -130,12 +130,12 @@ def values(name):
 
 
 def rest(name):
-    return jnp.zeros(found(name)[0].shape)
+    return jnp.zeros(reference(name)[0].shape)
 
 
 def assert_same(name, response, lanes=slice(None), *, rtol):
     """To the residual: rtol of the forces is a hundred times that of the shape."""
-    u, W, dx = (a[lanes] for a in found(name))
+    u, W, dx = (a[lanes] for a in reference(name))
     assert bool(jnp.all(response.ok))
     assert bool(jnp.all(response.equilibrium.converged))
     ours = response.equilibrium.displacement
@@ -153,7 +153,7 @@ def assert_same(name, response, lanes=slice(None), *, rtol):
 
 def near(name):
     """Guess: equilibria with moduli that are 2 % off, to first order."""
-    u, _, dx = found(name)
+    u, _, dx = reference(name)
     return jnp.asarray(u + 0.02 * np.sum(dx, axis=1))
 
 
@@ -238,7 +238,7 @@ def test_supports_that_moved_take_their_nodes_along():
 
 
 def test_a_bad_guess_costs_steps_and_nothing_else():
-    guess = jnp.asarray(-2.0 * found("plain")[0])
+    guess = jnp.asarray(-2.0 * reference("plain")[0])
     response = respond(case("plain"), values("plain"), guess)
     assert_same("plain", response, rtol=1e-5)
     free = [0, 1]

@@ -46,23 +46,23 @@ def test_kill_a_worker_and_the_driver_of_a_cluster(cluster, tmp_path):
     assert 8 <= len(left.rows) < 24
 
     ended = {row.key: row.ended for row in left.rows}
-    found = run_sweep(
+    result = run_sweep(
         cheap.slowly, cheap.POINTS, path, repeats=["draw"], scheduler=address
     )
-    assert substance(found) == substance(expected)
-    assert all(row.ended == ended[row.key] for row in found.rows if row.key in ended)
+    assert substance(result) == substance(expected)
+    assert all(row.ended == ended[row.key] for row in result.rows if row.key in ended)
     # The cluster did the work, and a new process took the place of the killed one.
     now = processes(address)
     assert before[0] not in now
-    ran = {int(row.worker.split()[1]) for row in found.rows}
+    ran = {int(row.worker.split()[1]) for row in result.rows}
     assert ran & set(now)
     assert os.getpid() not in ran
 
     # Workers of a cluster compute as this process does, too.
     points = grid({"a": [1, 2, 3]})
-    found = run_sweep(cheap.where, points, tmp_path / "t.sqlite", scheduler=address)
-    assert set(found.numbers("float64")) == {1.0}
-    assert set(found.numbers("cores")) == {1.0}
+    result = run_sweep(cheap.where, points, tmp_path / "t.sqlite", scheduler=address)
+    assert set(result.numbers("float64")) == {1.0}
+    assert set(result.numbers("cores")) == {1.0}
 
 
 def test_no_scheduler_there(tmp_path, monkeypatch):

@@ -28,13 +28,13 @@ def test_all_parts_have_the_rows_of_one_database(tmp_path):
     for k in reversed(range(OF)):  # in any order
         part(tmp_path / "parts", k)
     assert len(os.listdir(tmp_path / "parts")) == OF
-    found = read(tmp_path / "parts").sort_by("number").to_pydict()
-    assert found["number"] == list(range(len(cheap.POINTS)))
+    columns = read(tmp_path / "parts").sort_by("number").to_pydict()
+    assert columns["number"] == list(range(len(cheap.POINTS)))
     for i, row in enumerate(expected.rows):
-        assert {axis: found[axis][i] for axis in row.point} == row.point
-        assert found["state"][i] == row.state
-        assert found["reason"][i] == row.reason
-        assert found["E found [Pa]"][i] == row.figures.get("E found [Pa]")
+        assert {axis: columns[axis][i] for axis in row.point} == row.point
+        assert columns["state"][i] == row.state
+        assert columns["reason"][i] == row.reason
+        assert columns["E found [Pa]"][i] == row.figures.get("E found [Pa]")
 
 
 def test_points_without_an_index_are_refused(tmp_path, unchecked):

@@ -46,12 +46,12 @@ def test_workers_give_the_same_rows(undisturbed, tmp_path, monkeypatch):
     backwards, place = cheap.POINTS[::-1], tmp_path / "meeting"
     place.mkdir()
     monkeypatch.setenv("SWEEP_MEETING", str(place))
-    found = run_sweep(cheap.together, backwards, tmp_path / "s.sqlite", workers=2)
-    assert sorted(map(str, substance(found))) == sorted(
+    result = run_sweep(cheap.together, backwards, tmp_path / "s.sqlite", workers=2)
+    assert sorted(map(str, substance(result))) == sorted(
         map(str, substance(undisturbed))
     )
-    assert len({row.worker for row in found.rows}) == 2
-    assert str(os.getpid()) not in {row.worker.split()[1] for row in found.rows}
+    assert len({row.worker for row in result.rows}) == 2
+    assert str(os.getpid()) not in {row.worker.split()[1] for row in result.rows}
 
 
 def test_resuming_runs_only_what_is_missing(undisturbed, tmp_path):
@@ -61,9 +61,9 @@ def test_resuming_runs_only_what_is_missing(undisturbed, tmp_path):
         cheap.measure, cheap.POINTS, path, repeats=["draw"], workers=0,
         progress=progress.append,
     )  # fmt: skip
-    found = read_sweep(path)
-    assert substance(found) == substance(undisturbed)
-    assert [row.ended for row in found.rows[:10]] == [row.ended for row in first.rows]
+    result = read_sweep(path)
+    assert substance(result) == substance(undisturbed)
+    assert [row.ended for row in result.rows[:10]] == [row.ended for row in first.rows]
     assert (progress[0].before, progress[0].row) == (10, None)
     assert [now.ended for now in progress] == list(range(10, 25))
     assert "left" not in str(progress[-1])
@@ -133,41 +133,41 @@ def test_kill_a_worker_and_then_the_driver(undisturbed, tmp_path):
     assert len(left.missing) == 24 - len(left.rows)
     assert set(map(str, substance(left))) <= set(map(str, substance(undisturbed)))
     done = {row.key: row.ended for row in left.rows}
-    found = run_sweep(cheap.slowly, cheap.POINTS, path, repeats=["draw"], workers=2)
-    assert substance(found) == substance(undisturbed)
-    assert all(row.ended == done[row.key] for row in found.rows if row.key in done)
+    result = run_sweep(cheap.slowly, cheap.POINTS, path, repeats=["draw"], workers=2)
+    assert substance(result) == substance(undisturbed)
+    assert all(row.ended == done[row.key] for row in result.rows if row.key in done)
 
 
 @pytest.mark.slow
 def test_a_worker_ends_in_the_middle_of_a_trial_with_its_driver(tmp_path):
     """A trial may take hours, which nobody waits for when the driver is gone."""
-    told, path = tmp_path / "worker", tmp_path / "s.sqlite"
+    pid_file, path = tmp_path / "worker", tmp_path / "s.sqlite"
     program = (
         "import cheap, softcal_jax.sweeps as s\n"
-        f"s.run_sweep(cheap.asleep, [{{'file': {str(told)!r}}}], {str(path)!r}, "
+        f"s.run_sweep(cheap.asleep, [{{'file': {str(pid_file)!r}}}], {str(path)!r}, "
         "workers=1)"
     )
     driver = subprocess.Popen([sys.executable, "-c", program])
-    while not (told.exists() and told.read_text()):
+    while not (pid_file.exists() and pid_file.read_text()):
         assert driver.poll() is None
         time.sleep(0.05)
     driver.kill()
     driver.wait()
     end = time.monotonic() + 60.0
-    while is_alive(int(told.read_text())) and time.monotonic() < end:
+    while is_alive(int(pid_file.read_text())) and time.monotonic() < end:
         time.sleep(0.05)
-    assert not is_alive(int(told.read_text()))
+    assert not is_alive(int(pid_file.read_text()))
 
 
 @pytest.mark.slow
 def test_a_trial_that_kills_its_worker_fails_alone(undisturbed, tmp_path):
     points = [p for p in cheap.POINTS if p["E"] == 2e5 and p["kind"] == "u"]
-    found = run_sweep(cheap.deadly, points, tmp_path / "s.sqlite", workers=2)
-    assert [row.state for row in found.rows] == [
+    result = run_sweep(cheap.deadly, points, tmp_path / "s.sqlite", workers=2)
+    assert [row.state for row in result.rows] == [
         "converged", "converged", "failed", "converged", "not converged", "converged",
     ]  # fmt: skip
-    assert says(found.rows[2].reason, "died 2 times: SIGKILL")
-    others = [row for row in found.rows if row.state != "failed"]
+    assert says(result.rows[2].reason, "died 2 times: SIGKILL")
+    others = [row for row in result.rows if row.state != "failed"]
     expected = {row.key: row.figures for row in undisturbed.rows}
     assert all(row.figures == expected[row.key] for row in others)
 
@@ -175,13 +175,13 @@ def test_a_trial_that_kills_its_worker_fails_alone(undisturbed, tmp_path):
 def test_workers_compute_as_this_process_does(tmp_path):
     """float64 as here, and one thread each; a program serves all trials of a shape."""
     points = grid({"length": [5, 6], "draw": [1, 2, 3]})
-    found = run_sweep(cheap.compiled, points, tmp_path / "s.sqlite", workers=1)
-    assert set(found.numbers("float64")) == {1.0}
-    assert set(found.numbers("cores")) == {1.0}
-    assert len(set(found.numbers("process"))) == 1
+    result = run_sweep(cheap.compiled, points, tmp_path / "s.sqlite", workers=1)
+    assert set(result.numbers("float64")) == {1.0}
+    assert set(result.numbers("cores")) == {1.0}
+    assert len(set(result.numbers("process"))) == 1
     assert "OMP_NUM_THREADS" not in os.environ
-    assert [*found.numbers("sum")] == [30.0] * 3 + [55.0] * 3
-    compiled = [row.compile_seconds > 0.0 for row in found.rows]
+    assert [*result.numbers("sum")] == [30.0] * 3 + [55.0] * 3
+    compiled = [row.compile_seconds > 0.0 for row in result.rows]
     assert compiled == [True, False, False] * 2
 
 
@@ -196,8 +196,8 @@ def test_functions_that_cannot_be_sent(tmp_path):
     with pytest.raises(ValueError, match=r"cannot be sent .*workers=0"):
         run_sweep(lambda trial: {"x": 1}, points, path, workers=1)
     # In this process it can be anything.
-    found = run_sweep(lambda trial: {"x": 1}, points, tmp_path / "t.sqlite", workers=0)
-    assert found.numbers("x") == [1.0]
+    result = run_sweep(lambda trial: {"x": 1}, points, tmp_path / "t.sqlite", workers=0)
+    assert result.numbers("x") == [1.0]
 
 
 def test_functions_that_cannot_be_imported(tmp_path, monkeypatch):
@@ -216,11 +216,11 @@ def test_functions_that_cannot_be_imported(tmp_path, monkeypatch):
     ],
 )
 def test_wrong_returns_are_failures(returned, reason, tmp_path):
-    found = run_sweep(
+    result = run_sweep(
         lambda trial: returned, grid({"a": [1]}), tmp_path / "s.sqlite", workers=0
     )
-    assert found.rows[0].state == "failed"
-    assert says(found.rows[0].reason, reason)
+    assert result.rows[0].state == "failed"
+    assert says(result.rows[0].reason, reason)
 
 
 def test_figures_that_do_not_exist_and_warnings(tmp_path):
@@ -251,10 +251,10 @@ def test_half_a_compiled_program_is_thrown_away(tmp_path):
         return {"x": 1}
 
     try:
-        found = run_sweep(function, grid({"a": [1]}), tmp_path / "s.sqlite", workers=0)
+        result = run_sweep(function, grid({"a": [1]}), tmp_path / "s.sqlite", workers=0)
     finally:
         jax.config.update("jax_compilation_cache_dir", before)
-    assert found.rows[0].notes == ()
+    assert result.rows[0].notes == ()
     assert list(folder.iterdir()) == [other]
 
 

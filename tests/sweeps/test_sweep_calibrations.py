@@ -117,8 +117,8 @@ def check_rows(swept):
     assert {r.state for p, r in by_point.items() if p[1] == CRUSHED} == {"failed"}
 
     # The start of a trial is that of a calibration which is told to start there.
-    told = Trial(row(1, 0).point, sweep_seed=7)
-    z = random_starts(project.space, 1, seed=told.seed_of("start"))[0]
+    started = Trial(row(1, 0).point, sweep_seed=7)
+    z = random_starts(project.space, 1, seed=started.seed_of("start"))[0]
     elsewhere = project.calibrate(start=z)
     assert elsewhere.parameters[0].start == float(project.space.from_scaled(z)[0])
     assert elsewhere.history[0].values["E"] == elsewhere.parameters[0].start != 200e3
@@ -249,8 +249,8 @@ def test_calibrations_do_not_depend_on_workers_or_kills(tmp_path):
     driver.kill()
     driver.wait()
     assert 5 <= len(read_sweep(path).rows) < 24
-    found = sweep.run(path, workers=2)
-    assert json.dumps(substance(found)) == json.dumps(substance(expected))
+    result = sweep.run(path, workers=2)
+    assert json.dumps(substance(result)) == json.dumps(substance(expected))
 
 
 @pytest.mark.parametrize(

@@ -16,12 +16,12 @@ def page_of(result, database, **options):
     """The page of a sweep, read; what holds for all of them is checked."""
     path = write_sweep(result, database, **options)
     assert path.name == f"{database.stem}_report.html"
-    assert [own.name for own in database.parent.glob(".softcal*")] == []
+    assert [file.name for file in database.parent.glob(".softcal*")] == []
     page = Read(path.read_text(encoding="utf-8"))
     assert page.of("script") == []
-    assert all(own["src"].startswith("data:") for own in page.of("img"))
-    ids = [own["id"] for _, own in page.elements if "id" in own]
-    links = [own["href"] for own in page.of("a")]
+    assert all(image["src"].startswith("data:") for image in page.of("img"))
+    ids = [attrs["id"] for _, attrs in page.elements if "id" in attrs]
+    links = [a["href"] for a in page.of("a")]
     assert {link for link in links if link[0] != "#"} == {database.name}
     assert {link[1:] for link in links if link[0] == "#"} == set(ids)
     assert "nan" not in re.findall(r"\w+", page.text)
@@ -61,19 +61,19 @@ def test_the_numbers_are_those_of_the_rows(measured):
     assert rows[2][:3] == ["draw", "repetition", "6"]
     head, *rows = page.tables["Means"]
     for row in rows:
-        own = found_at(result, E=float(row[0]), kind=row[1])
+        E = found_at(result, E=float(row[0]), kind=row[1])
         assert number(row[head.index("E found [kPa]")]) == pytest.approx(
-            own.mean() / 1e3, abs=0.5
+            E.mean() / 1e3, abs=0.5
         )
     (_, n, mean, least, median, most), _ = page.tables["Figures of the trials"][1:]
-    own = found_at(result) / 1e3
-    assert int(n) == own.size == 18
-    assert number(mean) == pytest.approx(own.mean(), abs=0.5)
+    E = found_at(result) / 1e3
+    assert int(n) == E.size == 18
+    assert number(mean) == pytest.approx(E.mean(), abs=0.5)
     ends = [float(value) for value in (least, median, most)]
-    assert ends == pytest.approx([own.min(), np.median(own), own.max()], rel=1e-4)
+    assert ends == pytest.approx([E.min(), np.median(E), E.max()], rel=1e-4)
     # E found over three axes; the other never varies.
     over = [f"E found [kPa] over {axis}" for axis in ("E", "kind", "draw")]
-    assert [own["alt"] for own in page.of("img")] == over
+    assert [image["alt"] for image in page.of("img")] == over
     head, *rows = page.tables["Trials"]
     assert [row[head.index("outcome")] for row in rows] == [
         row.state for row in result.rows
@@ -123,7 +123,7 @@ def test_a_sweep_that_was_stopped_and_goes_on(tmp_path):
     result = read_sweep(database)
     page = page_of(result, database)
     assert says(page.text, "1 of 3 trials", "1 failed")
-    assert any("verdict bad" in own["class"] for own in page.of("section"))
+    assert any("verdict bad" in section["class"] for section in page.of("section"))
     assert says(page.text, "2 trials are left")
     assert says(page.text, "No trial has converged")
     result = run_sweep(measure, points, database, workers=0)

@@ -71,9 +71,9 @@ def considered_at_start(problem, configurations):
 
 def both_by_pose(problem, configurations):
     """Readings at the start, and what the mesh is said to do to them."""
-    read, found = considered_at_start(problem, configurations)
+    read, errors = considered_at_start(problem, configurations)
     n_c = len(configurations)
-    of_mesh = found.in_std(n_c, np.ones(np.shape(read))).of(MESH)
+    of_mesh = errors.in_std(n_c, np.ones(np.shape(read))).of(MESH)
     return read, of_mesh.reshape(n_c, -1)
 
 
@@ -91,8 +91,8 @@ def errors_of(problem, configurations):
 )
 def test_the_exact_solution_is_within_two_standard_deviations(formulation):
     """And the error is not overstated."""
-    own, std = errors_of(*posed(NeoHookean(265e3, 0.499), formulation))
-    off = own[2] + REFERENCE
+    tip, std = errors_of(*posed(NeoHookean(265e3, 0.499), formulation))
+    off = tip[2] + REFERENCE
     assert 0.5 * abs(std[2]) < abs(off) < 2.0 * abs(std[2])
     # One is too stiff, the other too soft.
     assert np.sign(off) == (1.0 if formulation == "displacement" else -1.0)
@@ -115,8 +115,8 @@ def test_it_is_of_the_order_of_the_element():
 @pytest.mark.parametrize("cells", [(10, 4, 4), (14, 4, 4)])
 def test_it_is_right_to_a_factor_of_two(cells, nu, order):
     """Linear tets a fifth too stiff, quadratic ones some permille stiff or soft."""
-    own, std = errors_of(*posed(NeoHookean(265e3, nu), cells=cells, order=order))
-    off = {0.3: 7.0236, 0.499: REFERENCE}[nu] + own[2]
+    tip, std = errors_of(*posed(NeoHookean(265e3, nu), cells=cells, order=order))
+    off = {0.3: 7.0236, 0.499: REFERENCE}[nu] + tip[2]
     assert 0.5 < std[2] / -off < 2.0
 
 
@@ -124,12 +124,12 @@ def test_it_is_right_to_a_factor_of_two(cells, nu, order):
 def test_so_it_is_under_large_loads():
     """Bent by over a quarter of its length, where a linear body shows no error in x."""
     pushed = {"loads": [SurfaceForce("x_max", (0.0, 0.0, -1.1))], "at": (0.1, 0.0, 0.0)}
-    (own, std), (fine, _) = (
+    (tip, std), (fine, _) = (
         errors_of(*posed(NeoHookean(265e3, 0.3), cells=cells, **pushed))
         for cells in ((4, 1, 1), (16, 4, 4))
     )
-    assert np.linalg.norm(own) > 25.0
-    apart = fine - own
+    assert np.linalg.norm(tip) > 25.0
+    apart = fine - tip
     assert 0.5 < np.linalg.norm(std) / np.linalg.norm(apart) < 2.0
     assert std @ apart > 0.95 * np.linalg.norm(std) * np.linalg.norm(apart)
 
@@ -199,8 +199,8 @@ def test_a_robot_without_a_tet_that_deforms_has_no_error():
     )
     density = Parameter("density", "density", 1000.0, 500.0, 2000.0, unit="kg/m3")
     problem = build_problem(model, ParameterSpace([density]), [pose])
-    _, found = considered_at_start(problem, [pose])
-    assert MESH not in found.in_std(1, np.ones((1, 1, 3))).causes
+    _, errors = considered_at_start(problem, [pose])
+    assert MESH not in errors.in_std(1, np.ones((1, 1, 3))).causes
 
 
 TIP_BODY = RigidBody("tip", "x_max")
@@ -210,7 +210,7 @@ LEANING = Fibre(0.4, plane="xz")
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("order", "told"),
+    ("order", "setup"),
     [
         (1, {"gravity": (0.0, 0.0, -9.81)}),
         (2, {"gravity": (0.0, 0.0, -9.81)}),
@@ -221,7 +221,7 @@ LEANING = Fibre(0.4, plane="xz")
         (2, {"bodies": {"tip": Pose((0.0, 0.0, 0.0), (0.3, 0.0, 0.0))}}),
     ],
 )
-def test_readings_change_like_this_on_a_finer_mesh(order, told):
+def test_readings_change_like_this_on_a_finer_mesh(order, setup):
     """Whatever loads or moves: fibres askew, a graded modulus, a body at the end.
 
     Markers where no motion is imposed, and the force there where one is.
@@ -229,23 +229,23 @@ def test_readings_change_like_this_on_a_finer_mesh(order, told):
     coarse = beam(0.1, 0.02, 0.02, (6, 2, 2), order=order)
     fine = refine(to_quadratic(coarse)) if order == 1 else refine(coarse)
     E_t = 3e5 * (1.0 + coarse.centroids[:, 0] / 0.15)
-    driven = told.get("actuation", {}).get("cable")
-    imposed = "bodies" in told or isinstance(driven, ImposedDisplacement)
+    driven = setup.get("actuation", {}).get("cable")
+    imposed = "bodies" in setup or isinstance(driven, ImposedDisplacement)
     force = (
         SupportReaction("force", "x_min")
-        if "bodies" in told
+        if "bodies" in setup
         else ActuatorForce("force", "cable")
     )
     pose = Configuration(
         "pose",
         "x_min",
-        told.get("gravity", (0.0, 0.0, 0.0)),
-        told.get("loads", ()),
+        setup.get("gravity", (0.0, 0.0, 0.0)),
+        setup.get("loads", ()),
         Markers(["m", "n"], [(0.05, 0.0, 0.02), (0.08, 0.02, 0.0)], 1e-4),
         np.zeros((2, 3)),
         effectors=[force],
-        bodies=told.get("bodies", {}),
-        actuation=told.get("actuation", {}),
+        bodies=setup.get("bodies", {}),
+        actuation=setup.get("actuation", {}),
     )
     problems = []
     for mesh in (coarse, fine):
@@ -255,11 +255,11 @@ def test_readings_change_like_this_on_a_finer_mesh(order, told):
         model = build_model(mesh, law, density=1000.0, **robot)
         space = ParameterSpace([Parameter("E_l", "E_l", 6e5, 1e5, 1e6, unit="Pa")])
         problems.append(build_problem(model, space, [pose]))
-    (own, std), (exact, _) = (
+    (read, std), (exact, _) = (
         [np.ravel(rows) for rows in both_by_pose(p, [pose])] for p in problems
     )
     seen = slice(6, 9) if imposed else slice(0, 6)
-    off, std = (exact - own)[seen], std[seen]
+    off, std = (exact - read)[seen], std[seen]
     size, said = np.linalg.norm(off), np.linalg.norm(std)
     assert 0.5 * said < size < 2.0 * said
     assert off @ std > 0.95 * size * said
@@ -277,7 +277,7 @@ TURNED = {"at": (0.05, 0.015, 0.03), "loads": TWIST}
 @pytest.mark.slow
 @pytest.mark.parametrize("cells", [(5, 1, 1), (6, 2, 2), (10, 2, 2)])
 @pytest.mark.parametrize(
-    ("law", "axis", "told"),
+    ("law", "axis", "setup"),
     [
         (NeoHookean(265e3, 0.3), 1, TURNED),
         (STIFF_ALONG, 1, TURNED),
@@ -286,11 +286,11 @@ TURNED = {"at": (0.05, 0.015, 0.03), "loads": TWIST}
     ],
     ids=["torsion", "torsion of stiff fibres", "stiff fibres", "no potential"],
 )
-def test_what_is_no_locking_of_the_volume_is_seen(law, axis, told, cells):
+def test_what_is_no_locking_of_the_volume_is_seen(law, axis, setup, cells):
     """One and two tets across against four: up to 18 % too stiff."""
-    (own, std), (exact, _) = (
-        errors_of(*posed(law, cells=own, **told)) for own in (cells, (20, 4, 4))
+    (tip, std), (exact, _) = (
+        errors_of(*posed(law, cells=grid, **setup)) for grid in (cells, (20, 4, 4))
     )
-    off = exact[axis] - own[axis]
+    off = exact[axis] - tip[axis]
     assert abs(off) > 0.005 * abs(exact[axis])
     assert 0.5 < std[axis] / off < 2.0

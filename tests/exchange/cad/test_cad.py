@@ -113,14 +113,14 @@ def test_solids_that_touch_share_their_nodes(tmp_path):
         shape.addBox(0, 0, 0, 10, 10, 10)
         shape.addBox(10, 0, 0, 20, 10, 10)
     mesh = mesh_cad(tmp_path / "two.step", size=SIZE)
-    own = {name: volumes(mesh)[tets].sum() for name, tets in mesh.tet_groups.items()}
-    assert own == {
+    volume = {name: volumes(mesh)[tets].sum() for name, tets in mesh.tet_groups.items()}
+    assert volume == {
         "solid 1": pytest.approx(box(10, 10, 10)),
         "solid 2": pytest.approx(box(20, 10, 10)),
     }
     # The eleven faces but the one between them, which bounds nothing.
     assert len(mesh.surface_groups) == 10
-    shared = np.intersect1d(*(mesh.tets[own] for own in mesh.tet_groups.values()))
+    shared = np.intersect1d(*(mesh.tets[name] for name in mesh.tet_groups.values()))
     np.testing.assert_allclose(mesh.points[shared, 0], 10 * MM, rtol=1e-9)
 
 

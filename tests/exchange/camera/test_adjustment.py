@@ -48,9 +48,9 @@ def known(lens, share=1.0):
     return CameraModel(values, np.diag(std**2))
 
 
-def error(found, true):
-    turn = Rotation.from_matrix(true.R @ found.R.T).as_rotvec()
-    return np.concatenate([true.p - found.p, turn])
+def error(placement, true):
+    turn = Rotation.from_matrix(true.R @ placement.R.T).as_rotvec()
+    return np.concatenate([true.p - placement.p, turn])
 
 
 def adjusted(seed, n):
@@ -63,8 +63,8 @@ def adjusted(seed, n):
     off = np.linalg.cholesky(exact.covariance) @ rng.normal(size=8)
     camera = exact._replace(values=exact.values + off)
     near = lambda place: place.moved(1e-3 * rng.normal(size=6))
-    found = adjust(seen, camera, [near(v) for v in views], [near(target)])
-    return found, error(found.targets[0], target)
+    fit = adjust(seen, camera, [near(v) for v in views], [near(target)])
+    return fit, error(fit.targets[0], target)
 
 
 def test_projection_is_that_of_opencv():
@@ -82,15 +82,15 @@ def test_projection_is_that_of_opencv():
 
 
 def test_noise_is_found_and_what_was_known_of_the_camera_improves():
-    found, off = adjusted(0, 12)
-    assert found.noise == pytest.approx(NOISE, rel=0.15)
+    fit, off = adjusted(0, 12)
+    assert fit.noise == pytest.approx(NOISE, rel=0.15)
     assert np.linalg.norm(off[:3]) < 0.3e-3
     before = np.diag(known(phone()).covariance)
     # But for the factor of Student's distribution, whose freedom is about 100.
-    assert np.all(np.diag(found.camera.covariance) <= 1.03 * before)
+    assert np.all(np.diag(fit.camera.covariance) <= 1.03 * before)
     # 16 coordinates on each photograph, less six for its pose and six for the target.
     free = 1.0 - (6 * 12 + 6) / (16 * 12)
-    rms = float(np.sqrt(np.mean(found.rms**2)))
+    rms = float(np.sqrt(np.mean(fit.rms**2)))
     assert rms == pytest.approx(NOISE * np.sqrt(2.0 * free), rel=0.1)
 
 
@@ -98,7 +98,7 @@ def test_covariance_is_that_of_the_errors():
     """Their squares over it add up to a chi-squared number, in 99.9 % of all draws."""
     n = 12
     pairs = [adjusted(seed, 3) for seed in range(n)]
-    total = sum(off @ np.linalg.solve(found.covariance, off) for found, off in pairs)
+    total = sum(off @ np.linalg.solve(fit.covariance, off) for fit, off in pairs)
     low, high = chi2.ppf([0.0005, 0.9995], 6 * n)
     assert low < total < high
 
@@ -106,8 +106,8 @@ def test_covariance_is_that_of_the_errors():
 def coverage(n_trials, n_photos):
     squares = []
     for seed in range(n_trials):
-        found, off = adjusted(seed, n_photos)
-        squares.append(off @ np.linalg.solve(found.covariance, off))
+        fit, off = adjusted(seed, n_photos)
+        squares.append(off @ np.linalg.solve(fit.covariance, off))
     return int(np.sum(np.array(squares) < chi2.ppf(0.95, 6)))
 
 

@@ -39,10 +39,10 @@ def photos():
 
 def test_the_board_gives_the_camera(photos):
     start = CameraModel.unknown(LENS.size, 0.8 * LENS.size[0])
-    found = _photos._camera_of(photos[0], [start])
-    off = found.values - np.array([LENS.focal, *LENS.middle, *LENS.distortion])
-    std = np.sqrt(np.diag(found.covariance))
-    assert off @ np.linalg.solve(found.covariance, off) < chi2.ppf(0.999, 8)
+    camera = _photos._camera_of(photos[0], [start])
+    off = camera.values - np.array([LENS.focal, *LENS.middle, *LENS.distortion])
+    std = np.sqrt(np.diag(camera.covariance))
+    assert off @ np.linalg.solve(camera.covariance, off) < chi2.ppf(0.999, 8)
     # To a pixel, and 1e-3 of the distortion, from a start that knows nothing.
     assert np.all(std[:3] < 1.0)
     assert np.all(std[3:5] < [2e-3, 2e-2])
@@ -50,13 +50,13 @@ def test_the_board_gives_the_camera(photos):
 
 def test_a_pose_has_the_camera_of_the_board(photos, monkeypatch):
     """Three photographs of two tags alone hardly say what the focal length is."""
-    every = {str(own.path): own for own in [*photos[0], *photos[1]]}
+    every = {str(shot.path): shot for shot in [*photos[0], *photos[1]]}
     monkeypatch.setattr(_photos, "read_photo", lambda path: every[str(path)])
-    boards, poses = ([own.path for own in part] for part in photos)
+    boards, poses = ([shot.path for shot in part] for part in photos)
     one = {"tag": 3, "base_tag": 0, "size": SIZE}
     alone, helped = tag_pose(poses, **one), tag_pose(poses, **one, board=boards)
     assert abs(helped.focal - LENS.focal) < 2.0 < abs(alone.focal - LENS.focal)
-    before, after = (np.sqrt(np.diag(own.covariance)) for own in (alone, helped))
+    before, after = (np.sqrt(np.diag(pose.covariance)) for pose in (alone, helped))
     assert np.all(after < 1.1 * before)
     assert np.all(after[:3] < 0.1e-3)
     off = difference(helped, TARGET)

@@ -61,16 +61,16 @@ def test_corners(pose):
 
 def test_pose(pose):
     """The camera is unknown: the tags alone calibrate it."""
-    found = tag_pose(pose[0], tag=TAG, base_tag=BASE, size=SIZE)
-    off = difference(found, MOVED)
+    estimate = tag_pose(pose[0], tag=TAG, base_tag=BASE, size=SIZE)
+    off = difference(estimate, MOVED)
     assert np.linalg.norm(off[:3]) < 0.3e-3
     assert np.rad2deg(np.linalg.norm(off[3:])) < 0.3
-    square = off @ np.linalg.solve(found.covariance, off)
+    square = off @ np.linalg.solve(estimate.covariance, off)
     assert square < chi2.ppf(0.999, 6)
-    std = np.sqrt(np.diag(found.covariance))
+    std = np.sqrt(np.diag(estimate.covariance))
     assert np.all(std[:3] < 0.3e-3)
-    assert found.noise < 0.1
-    assert found.focal == pytest.approx(LENS.focal, rel=0.05)
+    assert estimate.noise < 0.1
+    assert estimate.focal == pytest.approx(LENS.focal, rel=0.05)
 
 
 @pytest.mark.slow
@@ -78,8 +78,8 @@ def test_a_base_tag_of_another_size(pose, tmp_path):
     rng = np.random.default_rng(4)
     both = {BASE: (HERE, 1.5 * SIZE), TAG: (MOVED, SIZE)}
     paths = photographs(tmp_path, both, pose[1][:3], LENS, rng)
-    found = tag_pose(paths, tag=TAG, base_tag=BASE, size=SIZE, base_size=1.5 * SIZE)
-    assert np.linalg.norm(difference(found, MOVED)[:3]) < 0.5e-3
+    estimate = tag_pose(paths, tag=TAG, base_tag=BASE, size=SIZE, base_size=1.5 * SIZE)
+    assert np.linalg.norm(difference(estimate, MOVED)[:3]) < 0.5e-3
 
 
 def test_a_photograph_of_another_pose_is_told(pose, tmp_path):
@@ -144,18 +144,18 @@ def test_a_project_with_photographs(pose, tmp_path):
     project = load_project(path)
     (weight,) = project.calibration
     (sensor,) = weight.effectors
-    found = tag_pose(pose[0], tag=TAG, base_tag=BASE, size=SIZE)
+    estimate = tag_pose(pose[0], tag=TAG, base_tag=BASE, size=SIZE)
     turn = Rotation.from_euler("z", 90.0, degrees=True).as_matrix()
-    position = turn @ found.position + [0.01, 0.02, 0.03]
+    position = turn @ estimate.position + [0.01, 0.02, 0.03]
     np.testing.assert_allclose(
         sensor.measured.translation, position - [0.06, 0.01, 0.01], atol=1e-12
     )
     np.testing.assert_allclose(
-        sensor.measured.matrix, turn @ found.rotation, atol=1e-12
+        sensor.measured.matrix, turn @ estimate.rotation, atol=1e-12
     )
-    own = np.sqrt(np.diag(found.covariance))
-    np.testing.assert_allclose(sensor.std, own[[1, 0, 2]], rtol=1e-9)
-    np.testing.assert_allclose(sensor.std_angle, own[[4, 3, 5]], rtol=1e-9)
+    std = np.sqrt(np.diag(estimate.covariance))
+    np.testing.assert_allclose(sensor.std, std[[1, 0, 2]], rtol=1e-9)
+    np.testing.assert_allclose(sensor.std_angle, std[[4, 3, 5]], rtol=1e-9)
     assert shots / "0.jpg" in project.files
 
     stated = (
@@ -164,7 +164,7 @@ def test_a_project_with_photographs(pose, tmp_path):
     )
     project = load_project(write_small_project(tmp_path, stated, changes[1]))
     ((sensor,),) = [c.effectors for c in project.calibration]
-    np.testing.assert_allclose(sensor.std, np.hypot(1e-3, own[[1, 0, 2]]), rtol=1e-9)
+    np.testing.assert_allclose(sensor.std, np.hypot(1e-3, std[[1, 0, 2]]), rtol=1e-9)
 
     for old, new, message in (
         ("tag = 3", "tag = 7", "measured.effectors.sensor: photograph ... tag 7"),
@@ -283,10 +283,10 @@ def test_a_modulus_comes_back_from_photographs(tmp_path):
     text = DROOPING.replace('E = "300 kPa"', 'E = "200 kPa"')
     keys = 'photos = "droop/*.jpg", tag = 3, base_tag = 0, size = "20 mm"'
     path.write_text(f"{text}measured.effectors.sensor = {{ {keys} }}\n")
-    found = load_project(path).calibrate()
-    assert found.converged
+    result = load_project(path).calibrate()
+    assert result.converged
     # The tip sinks by a centimetre, and photographs are good to 0.1 mm.
-    assert found.parameters[0].value == pytest.approx(300e3, rel=0.02)
+    assert result.parameters[0].value == pytest.approx(300e3, rel=0.02)
 
 
 @pytest.mark.slow
@@ -304,11 +304,11 @@ def test_twelve_megapixels(tmp_path):
         true = Placement(turn, np.array([0.06, 0.02, 0.015]) + aside)
         views = clear_views(rng, sheet(true), 6, away=0.4)
         paths = photographs(tmp_path / str(trial), sheet(true), views, lens, rng)
-        found = tag_pose(paths, tag=TAG, base_tag=BASE, size=SIZE, board=of_board)
-        off = difference(found, true)
+        estimate = tag_pose(paths, tag=TAG, base_tag=BASE, size=SIZE, board=of_board)
+        off = difference(estimate, true)
         both = np.linalg.norm(off.reshape(2, 3), axis=1)
         worst = np.maximum(worst, [1e3 * both[0], np.rad2deg(both[1])])
-        inside += off @ np.linalg.solve(found.covariance, off) < chi2.ppf(0.95, 6)
+        inside += off @ np.linalg.solve(estimate.covariance, off) < chi2.ppf(0.95, 6)
         for path in paths:
             path.unlink()
     print(f"worst {worst[0]:.3f} mm, {worst[1]:.3f} deg; {inside} of {n} inside")

@@ -36,7 +36,7 @@ def test_tags_are_those_of_the_family():
         assert not cells[:, [0, -1]].any()
         published = np.array(list(f"{code:036b}")).reshape(6, 6) == "1"
         turned = [np.rot90(published, k) for k in range(4)]
-        assert any(np.array_equal(cells[1:-1, 1:-1], own) for own in turned)
+        assert any(np.array_equal(cells[1:-1, 1:-1], pattern) for pattern in turned)
     with pytest.raises(ValueError, match=r"no tag 587.* 0 to 586"):
         tag_cells(587)
 
@@ -54,11 +54,11 @@ def printed(page, path):
 def test_tags_are_printed_to_scale(tmp_path, paper):
     (page,) = tag_pages(20e-3, count=12, first=3, paper=paper)
     np.testing.assert_allclose(page.get_size_inches() * INCH, PAPERS[paper])
-    found = printed(page, tmp_path / "page.png").corners
-    assert sorted(found) == list(range(3, 15))
+    tags = printed(page, tmp_path / "page.png").corners
+    assert sorted(tags) == list(range(3, 15))
     side = 20e-3 / INCH * DPI
     # The scanner mixes codes of sRGB, not light, on the borders of the squares.
-    for corners in found.values():
+    for corners in tags.values():
         edges = np.roll(corners, -1, axis=0) - corners
         np.testing.assert_allclose(np.linalg.norm(edges, axis=1), side, atol=0.5)
         # Upright: the first edge is the top one, to the right.
@@ -66,12 +66,12 @@ def test_tags_are_printed_to_scale(tmp_path, paper):
 
 
 def test_the_board_is_where_it_is_said_to_be(tmp_path):
-    found = printed(board_page("letter"), tmp_path / "page.png").corners
-    assert sorted(found) == list(BOARD_IDS)
-    origin = found[FIRST_OF_BOARD].mean(axis=0)
-    for number, corners in found.items():
-        own = board_corners(number)[:, :2] * [1.0, -1.0] / INCH * DPI
-        np.testing.assert_allclose(corners - origin, own, atol=0.5)
+    tags = printed(board_page("letter"), tmp_path / "page.png").corners
+    assert sorted(tags) == list(BOARD_IDS)
+    origin = tags[FIRST_OF_BOARD].mean(axis=0)
+    for number, corners in tags.items():
+        expected = board_corners(number)[:, :2] * [1.0, -1.0] / INCH * DPI
+        np.testing.assert_allclose(corners - origin, expected, atol=0.5)
 
 
 def test_more_tags_take_more_pages(tmp_path):

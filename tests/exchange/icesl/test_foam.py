@@ -13,12 +13,12 @@ SHRINK = 0.2
 def test_the_published_samples_are_met():
     rows = [(12e6 * f.Ex, 6e6 * (f.Ey + f.Ez)) for f in ORTHOTROPIC_FOAM]
     foam = published_foam()
-    found = foam.moduli(DENSITIES, np.full(4, SHRINK))
-    np.testing.assert_allclose(found, rows, rtol=1e-9)
+    moduli = foam.moduli(DENSITIES, np.full(4, SHRINK))
+    np.testing.assert_allclose(moduli, rows, rtol=1e-9)
     density = np.array([0.0901, 0.1534, 0.2323, 0.3297])
     E = 12e6 * np.array([0.0247, 0.0436, 0.0738, 0.1244])
-    found = foam.moduli(density, np.ones(4))
-    np.testing.assert_allclose(found, np.stack([E, E], axis=1), rtol=1e-9)
+    moduli = foam.moduli(density, np.ones(4))
+    np.testing.assert_allclose(moduli, np.stack([E, E], axis=1), rtol=1e-9)
 
 
 def test_the_foam_of_the_robot():
@@ -38,13 +38,13 @@ def test_the_foam_of_the_robot():
         for ours, theirs in (("nu_t", "nu_yz"), ("nu_tl", "nu_zx"))
     ]
     np.testing.assert_allclose(by_ratio, 0.150, atol=1e-4)
-    found = published_foam().find(
+    foam = published_foam().find(
         np.array([1e3 * robot.E_l]), np.array([1e3 * robot.E_t])
     )
-    np.testing.assert_allclose(found.density, by_ratio[0], rtol=0.01)
-    np.testing.assert_allclose(found.anisotropy, SHRINK, rtol=0.01)
+    np.testing.assert_allclose(foam.density, by_ratio[0], rtol=0.01)
+    np.testing.assert_allclose(foam.anisotropy, SHRINK, rtol=0.01)
     # The robot's are linear between samples, ours powers of the density.
-    assert found.error < 0.01
+    assert foam.error < 0.01
 
 
 def test_moduli_are_proportional_to_those_of_the_solid():
@@ -67,10 +67,10 @@ def test_the_search_inverts_the_table(table):
     lowest = table.anisotropy.min()
     anisotropy = random.uniform(lowest, 1.0, 500)
     density = random.uniform(0.1, 0.3, 500)
-    found = table.find(*table.moduli(density, anisotropy).T)
-    assert found.error.max() < 1e-9
-    np.testing.assert_allclose(found.density, density, rtol=1e-7)
-    np.testing.assert_allclose(found.anisotropy, anisotropy, rtol=1e-7, atol=1e-7)
+    foam = table.find(*table.moduli(density, anisotropy).T)
+    assert foam.error.max() < 1e-9
+    np.testing.assert_allclose(foam.density, density, rtol=1e-7)
+    np.testing.assert_allclose(foam.anisotropy, anisotropy, rtol=1e-7, atol=1e-7)
 
 
 def test_between_levels_phasor_is_linear_in_its_isotropy():
@@ -85,7 +85,7 @@ def test_what_is_out_of_reach_gets_the_nearest():
     asked = np.array(
         [(5e3, 5e5), (3e4, 3e6), (9e5, 9e5 * 1.01), (4e6, 8e6), (9e4, 2e6)]
     )
-    found = table.find(*asked.T)
+    foam = table.find(*asked.T)
     shrink = np.geomspace(0.2, 1.0, 200)
     for i, pair in enumerate(asked):
         best = np.inf
@@ -95,16 +95,16 @@ def test_what_is_out_of_reach_gets_the_nearest():
             high = (1 - s) * np.log(0.3422) + s * np.log(0.3297)
             moduli = table.moduli(np.exp(low + t * (high - low)), shrink)
             best = min(best, np.linalg.norm(np.log(moduli / pair), axis=1).min())
-        got = np.log([found.E_soft[i], found.E_stiff[i]]) - np.log(pair)
+        got = np.log([foam.E_soft[i], foam.E_stiff[i]]) - np.log(pair)
         assert np.linalg.norm(got) < best + 1e-9
-        np.testing.assert_allclose(found.error[i], np.abs(got).max(), rtol=1e-12)
+        np.testing.assert_allclose(foam.error[i], np.abs(got).max(), rtol=1e-12)
 
 
 def test_one_level_is_a_curve():
     table = FoamTable("Polyfoam", [0.1, 0.4], [0.1, 0.1], [1e4, 1.6e5], [1e5, 1.6e6])
-    found = table.find(np.array([4e4]), np.array([4e5]))
-    np.testing.assert_allclose(found.density, 0.2, rtol=1e-8)
-    np.testing.assert_allclose(found.anisotropy, 0.1, rtol=1e-12)
+    foam = table.find(np.array([4e4]), np.array([4e5]))
+    np.testing.assert_allclose(foam.density, 0.2, rtol=1e-8)
+    np.testing.assert_allclose(foam.anisotropy, 0.1, rtol=1e-12)
 
 
 @pytest.mark.usefixtures("unchecked")

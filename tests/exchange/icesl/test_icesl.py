@@ -142,10 +142,10 @@ def wanted():
     """Settings by voxel of the field in closed form."""
     places = np.stack(np.meshgrid(*(centres(FINE),) * 3, indexing="ij"), axis=-1) * SIZE
     E_t, E_l, theta = closed_form(places)
-    found = published_foam().find(1e3 * E_l.ravel(), 1e3 * E_t.ravel())
-    assert found.error.max() < 1e-9
+    foam = published_foam().find(1e3 * E_l.ravel(), 1e3 * E_t.ravel())
+    assert foam.error.max() < 1e-9
     shape = (FINE, FINE, FINE)
-    return found.density.reshape(shape), found.anisotropy.reshape(shape), theta
+    return foam.density.reshape(shape), foam.anisotropy.reshape(shape), theta
 
 
 def test_textures_read_back_give_the_field(graded, wanted):
@@ -212,11 +212,11 @@ def test_what_was_written_is_told(graded):
         "n": FINE, "filled": FINE**3, "beyond": 0, "tilted": 0, "across": 0
     }  # fmt: skip
     assert about["files"] == ["robot.lua", "robot.stl", "foam.csv"]
-    shown = {own["name"]: own for own in about["settings"]}
+    shown = {setting["name"]: setting for setting in about["settings"]}
     for name, texture in slicer.textures.items():
-        own, full = shown[name.removesuffix("_0")], RANGES[name]
-        np.testing.assert_allclose(own["lowest"], full * texture.values.min())
-        np.testing.assert_allclose(own["highest"], full * texture.values.max())
+        setting, full = shown[name.removesuffix("_0")], RANGES[name]
+        np.testing.assert_allclose(setting["lowest"], full * texture.values.min())
+        np.testing.assert_allclose(setting["highest"], full * texture.values.max())
     # Half a step of 1/255 in the density alone is 1.6 % at 0.12, and E goes about
     # with its power of 1.1.
     assert 0.01 < written.rounding < 0.04
@@ -273,12 +273,10 @@ def test_clockwise_and_offset(tmp_path):
     np.testing.assert_allclose(settings["infill_angle_0"], 25.0)
 
 
-def told(written):
+def settings_of(written):
     """Settings by voxel, as shares of their ranges; the script holds the same."""
     voxels = np.argwhere(np.ones((COARSE,) * 3, bool))
-    return {
-        own.name: own.values(voxels).reshape((COARSE,) * 3) for own in written.settings
-    }
+    return {s.name: s.values(voxels).reshape((COARSE,) * 3) for s in written.settings}
 
 
 def unreachable(written):
@@ -303,7 +301,7 @@ def test_what_the_foam_does_not_reach_is_listed(tmp_path):
     assert (float(row["E_t_kPa"]), float(row["E_l_kPa"])) == (1e3, 40.0)
     assert says(row["why"], "moduli beyond ... table")
     # The softest foams are those of the shrink 0.2.
-    density = told(written)["infill_percentage"][-1, 0, 0]
+    density = settings_of(written)["infill_percentage"][-1, 0, 0]
     given = published_foam().moduli(np.array([density]), np.array([0.2]))[0]
     given *= 1e-3
     np.testing.assert_allclose(float(row["nearest_E_l_kPa"]), given[0], rtol=0.03)
@@ -323,7 +321,7 @@ def test_fields_per_tet_are_those_of_the_tet(tmp_path):
     law = NeoHookean(jnp.asarray(E), 0.3)
     model = build_model(mesh, law, density=400.0)
     written = export_icesl(model, tmp_path / "print")
-    read = told(written)
+    read = settings_of(written)
     np.testing.assert_allclose(read["kgon_x_shrink"], 1.0, atol=1e-6)
     assert not read["infill_angle"].any()
     E = 3e5 * 1.3 ** np.floor(6 * centres(COARSE))
@@ -358,7 +356,7 @@ def test_a_region_of_another_plane(tmp_path):
     top = np.array(bed["rotation"]) @ [0.0, 50.0, 0.0] + bed["shift_mm"]
     assert top[2] == pytest.approx(10.0)
     # Angles count from x to z of the mesh, which are x and y of the bed.
-    angle = 360.0 * told(written)["infill_angle"]
+    angle = 360.0 * settings_of(written)["infill_angle"]
     at = centres(COARSE)
     x, z = np.meshgrid(60.0 * at, 30.0 * at, indexing="ij")
     off = axis_apart(angle[:, :, 8], np.rad2deg(np.arctan2(z, x)))
@@ -373,7 +371,7 @@ def test_a_parameter_of_one_region(tmp_path):
     space = two_points("root half")
     model = foam_model(1e6, 3e5, 0.3, mesh=mesh)
     written = write_start(tmp_path / "print", model, space)
-    angle = 360.0 * told(written)["infill_angle"]
+    angle = 360.0 * settings_of(written)["infill_angle"]
     assert axis_apart(angle[9:], np.rad2deg(0.3)).max() < 0.8
     places = (
         np.stack(np.meshgrid(*(centres(COARSE),) * 3, indexing="ij"), axis=-1) * SIZE
@@ -393,7 +391,7 @@ def test_outside_of_the_part_the_nearest_voxel_repeats(tmp_path):
     E_t = 8e5 + 1e7 * part.centroids[:, 2]
     written = export_icesl(foam_model(E_t, 2e5, mesh=part), tmp_path / "print")
     assert written.n_voxels == COARSE**3 * 3 // 4
-    density = told(written)["infill_percentage"]
+    density = settings_of(written)["infill_percentage"]
     np.testing.assert_array_equal(density[9:, :, 8:], density[9:, :, [7] * 8])
 
 
@@ -407,7 +405,7 @@ def test_a_wall_thinner_than_the_voxels(tmp_path):
     mesh = mesh.with_node_group("glue", np.flatnonzero((x == 0.06) | (x == 0.068)))
     E_t = np.where(mesh.centroids[:, 0] > 0.06, 1.5e6, 8e5)
     model = foam_model(E_t, 2e5, mesh=mesh, bodies=[RigidBody("glue", "glue")])
-    density = told(export_icesl(model, tmp_path / "print"))["infill_percentage"]
+    density = settings_of(export_icesl(model, tmp_path / "print"))["infill_percentage"]
     thick, thin = (
         published_foam().find(np.array([2e5, 2e5]), np.array([8e5, 1.5e6])).density
     )

@@ -61,7 +61,7 @@ class Block(NamedTuple):
 
 def blocks_of(path):
     """Read an input file by its rules: keyword lines, data lines, comments."""
-    found, going_on = [], False
+    blocks, going_on = [], False
     for line in path.read_text().splitlines():
         assert len(line) <= 256
         if line.startswith("**"):
@@ -69,16 +69,16 @@ def blocks_of(path):
         if line.startswith("*"):
             name, *options = [part.strip() for part in line[1:].split(",")]
             pairs = (option.partition("=") for option in options)
-            found.append(Block(name, {k: v for k, _, v in pairs}, []))
+            blocks.append(Block(name, {k: v for k, _, v in pairs}, []))
             going_on = False
             continue
         cells = [cell.strip() for cell in line.split(",")]
-        rows = found[-1].rows
+        rows = blocks[-1].rows
         values = [cell for cell in cells if cell]
-        assert all(len(value) <= 20 for value in values) or len(found) == 1
+        assert all(len(value) <= 20 for value in values) or len(blocks) == 1
         rows[-1:] = [rows[-1] + values] if going_on else [*rows[-1:], values]
         going_on = cells[-1] == ""
-    return found
+    return blocks
 
 
 def only(blocks, keyword, **options):
@@ -117,9 +117,9 @@ def test_mid_nodes_stand_where_the_manual_has_them(tmp_path):
     (nodes,), (tets,) = only(blocks, "NODE"), only(blocks, "ELEMENT", TYPE="C3D10")
     x = {int(i): np.array(at, float) for i, *at in nodes.rows}
     pairs = [(1, 2), (2, 3), (1, 3), (1, 4), (2, 4), (3, 4)]
-    for _, *own in tets.rows:
-        corner = {k + 1: x[int(node)] for k, node in enumerate(own[:4])}
-        for node, (a, b) in zip(own[4:], pairs, strict=True):
+    for _, *numbers in tets.rows:
+        corner = {k + 1: x[int(node)] for k, node in enumerate(numbers[:4])}
+        for node, (a, b) in zip(numbers[4:], pairs, strict=True):
             middle = 0.5 * (corner[a] + corner[b])
             np.testing.assert_allclose(x[int(node)], middle, atol=1e-12)
 
@@ -151,8 +151,8 @@ def test_supports_and_loads(tmp_path):
     slid = set(model.mesh.node_groups["x_max"] + 1)
     expected = {(node, axis, axis, 0.0) for node in clamped for axis in (1, 2, 3)}
     expected |= {(node, 2, 2, 2e-3) for node in slid}
-    found = {tuple(map(float, row)) for row in held.rows}
-    assert found == expected
+    conditions = {tuple(map(float, row)) for row in held.rows}
+    assert conditions == expected
 
 
 def test_elastic_supports_are_springs(tmp_path):
@@ -240,9 +240,9 @@ K = 2 * 1.45 / (3 * 0.1)
     ],
 )
 def test_constants_of_the_laws(law, line, constants, tmp_path):
-    found = card_of(law, tmp_path)
-    assert found[0] == line
-    np.testing.assert_allclose(found[1], constants, rtol=1e-11)
+    card = card_of(law, tmp_path)
+    assert card[0] == line
+    np.testing.assert_allclose(card[1], constants, rtol=1e-11)
 
 
 def test_ogden_of_three_terms_takes_two_lines(tmp_path):
@@ -271,11 +271,11 @@ def test_anisotropic_constants_stand_in_the_order_of_the_manual(tmp_path):
     S[5, 5] = 2 * (1 + nu_t) / E_t  # 23
     C = np.linalg.inv(S)
     law = TransverseIsotropic(E_t, E_l, nu_t, nu_tl, mu_l, Fibre(0.0))
-    line, found, _ = card_of(Corotational(law), tmp_path)
+    line, constants, _ = card_of(Corotational(law), tmp_path)
     assert line == "*ELASTIC, TYPE=ANISO"
     # D1111, D1122, D2222, D1133, D2233, D3333, D1112, ..., columns of the triangle.
     expected = [C[i, j] for j in range(6) for i in range(j + 1)]
-    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-6)
+    np.testing.assert_allclose(constants, expected, rtol=1e-10, atol=1e-6)
     blocks = blocks_of(tmp_path / "job.inp")
     (section,) = only(blocks, "SOLID SECTION")
     (axes,) = only(blocks, "ORIENTATION")
@@ -354,12 +354,12 @@ def test_pressure_acts_on_the_wall(order, tmp_path):
     blocks = blocks_of(tmp_path / "job.inp")
     (tets,), (loads,) = only(blocks, "ELEMENT"), only(blocks, "DLOAD")
     nodes = {row[0]: [int(n) for n in row[1:]] for row in tets.rows}
-    found = set()
+    faces = set()
     for tet, face, value in loads.rows:
         assert float(value) == 2e3
-        found.add(frozenset(nodes[tet][k - 1] - 1 for k in FACES[face]))
+        faces.add(frozenset(nodes[tet][k - 1] - 1 for k in FACES[face]))
     wall = model.mesh.surface_groups["cavity"][:, :3]
-    assert found == {frozenset(face) for face in wall.tolist()}
+    assert faces == {frozenset(face) for face in wall.tolist()}
     assert len(loads.rows) == len(wall)
     assert not only(blocks, "DENSITY")
 
@@ -402,9 +402,9 @@ ALLOWED = {
 @needs_calculix
 @pytest.mark.parametrize("name", [*SAME, *SIMILAR])
 def test_calculix_bends_a_bar_as_we_do(name, tmp_path):
-    found, motion = difference(tmp_path, *bent_bar({**SAME, **SIMILAR}[name]()))
+    off, motion = difference(tmp_path, *bent_bar({**SAME, **SIMILAR}[name]()))
     assert motion > 0.2 * SIZE[0]
-    assert found < ALLOWED.get(name, 1e-3)
+    assert off < ALLOWED.get(name, 1e-3)
 
 
 @pytest.mark.slow
@@ -415,16 +415,16 @@ def test_calculix_bends_a_bar_as_we_do(name, tmp_path):
 def test_calculix_with_nearly_incompressible_tets(order, formulation, tmp_path):
     """Without the mean change of volume, both lock alike."""
     body = bent_bar(incompressible(), order, formulation=formulation)
-    found, _ = difference(tmp_path, *body)
-    assert found < 1e-3
+    off, _ = difference(tmp_path, *body)
+    assert off < 1e-3
 
 
 @pytest.mark.slow
 @needs_calculix
 def test_calculix_locks_where_we_do_not(tmp_path):
     """The reason that the note gives: C3D10 has no mean change of volume."""
-    found, _ = difference(tmp_path, *bent_bar(incompressible()))
-    assert 0.02 < found < 0.3
+    off, _ = difference(tmp_path, *bent_bar(incompressible()))
+    assert 0.02 < off < 0.3
 
 
 @pytest.mark.slow
@@ -439,9 +439,9 @@ def test_calculix_inflates_a_cube_as_we_do(order, pressure, allowed, tmp_path):
     On curved faces the product of area vector and shape functions is of degree 4, for
     which CalculiX has too few points: the difference falls with the curvature.
     """
-    found, motion = difference(tmp_path, *inflated(order, isotropic(), pressure))
+    off, motion = difference(tmp_path, *inflated(order, isotropic(), pressure))
     assert motion > 1e-3
-    assert found < allowed
+    assert off < allowed
 
 
 @pytest.mark.slow
@@ -449,6 +449,6 @@ def test_calculix_inflates_a_cube_as_we_do(order, pressure, allowed, tmp_path):
 def test_calculix_on_elastic_supports(tmp_path):
     soft = Support("x_min", stiffness=2e8)
     rigid = difference(tmp_path, *bent_bar(isotropic()))
-    found = difference(tmp_path, *bent_bar(isotropic(), supports=soft))
-    assert found[0] < 1e-3
-    assert found[1] > 1.02 * rigid[1]
+    elastic = difference(tmp_path, *bent_bar(isotropic(), supports=soft))
+    assert elastic[0] < 1e-3
+    assert elastic[1] > 1.02 * rigid[1]

@@ -8,14 +8,14 @@ from benchmarks._sofa_tets import Piece
 
 def _elasticity(root, X, tets):
     (elastic,) = [
-        own
+        component
         for name in (
             "TetrahedronFEMForceField",
             "CorotationalFEMForceField",
             "TetrahedronHyperelasticityFEMForceField",
             "TetrahedronAnisotropicForceField",
         )
-        for own in root.find(name)
+        for component in root.find(name)
     ]
     data = elastic.data
     if elastic.component == "TetrahedronHyperelasticityFEMForceField":
@@ -145,7 +145,7 @@ def _carried(X, tets, points):
 def solve(root, load_steps=4):
     """Positions of the nodes at equilibrium, and at rest."""
     (state,) = (
-        own for own in root.find("MechanicalObject") if own.data.get("name") == "state"
+        m for m in root.find("MechanicalObject") if m.data.get("name") == "state"
     )
     (container,) = root.find("TetrahedronSetTopologyContainer")
     X = np.array(state.data["rest_position"])
@@ -162,13 +162,13 @@ def solve(root, load_steps=4):
         pieces.append(_cable(X, tets, points.data["position"], cable.data, dt))
     (mass,) = root.find("DiagonalMass")
     load = np.array(mass.data["vertexMass"])[:, None] * np.array(root.gravity.value)
-    for own in root.find("ConstantForceField"):
-        np.add.at(load, np.array(own.data["indices"]), np.array(own.data["forces"]))
+    for force in root.find("ConstantForceField"):
+        np.add.at(load, np.array(force.data["indices"]), np.array(force.data["forces"]))
     free = np.ones(X.shape, bool)
-    for own in root.find("FixedProjectiveConstraint"):
-        free[own.data["indices"]] = False
-    for own in root.find("PartialFixedProjectiveConstraint"):
-        held = np.ix_(own.data["indices"], np.flatnonzero(own.data["fixedDirections"]))
+    for fix in root.find("FixedProjectiveConstraint"):
+        free[fix.data["indices"]] = False
+    for fix in root.find("PartialFixedProjectiveConstraint"):
+        held = np.ix_(fix.data["indices"], np.flatnonzero(fix.data["fixedDirections"]))
         free[held] = False
     start = np.array(state.data["position"])
     x = _sofa_tets.equilibrium(

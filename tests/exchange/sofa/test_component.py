@@ -23,13 +23,13 @@ MM = SCALES["mm-kg-s"]
 FIBRE = sc.Fibre(0.3)
 
 
-def found(law, choice="same", rotation="edge", release="v26.06"):
-    own = law_for_sofa(law, MESH, choice=choice, rotation=rotation)
-    return component_of(own, MESH.n_tets, release, MM)
+def exported(law, choice="same", rotation="edge", release="v26.06"):
+    sofa_law = law_for_sofa(law, MESH, choice=choice, rotation=rotation)
+    return component_of(sofa_law, MESH.n_tets, release, MM)
 
 
 def test_corotational_tets():
-    component = found(sc.Corotational(sc.Isotropic(2e5, 0.3)))
+    component = exported(sc.Corotational(sc.Isotropic(2e5, 0.3)))
     assert component.component == "TetrahedronFEMForceField"
     assert component.data == {
         "method": "polar",
@@ -37,29 +37,29 @@ def test_corotational_tets():
         "poissonRatio": [0.3],
     }
     law = ClassicalCorotational(sc.Isotropic(2e5, 0.3))
-    assert found(law, rotation="large").data["method"] == "large"
-    component = found(law, rotation="procrustes")
+    assert exported(law, rotation="large").data["method"] == "large"
+    component = exported(law, rotation="procrustes")
     assert component.component == "CorotationalFEMForceField"
     assert component.data["template"] == "Vec3,Tetrahedron"
     with pytest.raises(ValueError, match=r"procrustes.* v26\.06; .* v25\.12"):
-        found(law, rotation="procrustes", release="v25.12")
+        exported(law, rotation="procrustes", release="v25.12")
 
 
 def test_hyperelastic_laws():
-    component = found(sc.NeoHookean(3e5, 0.25))
+    component = exported(sc.NeoHookean(3e5, 0.25))
     assert component.component == "TetrahedronHyperelasticityFEMForceField"
     assert component.data["materialName"] == "NeoHookean"
     # mu = E / 2.5 and lambda = E / 2.5 at nu = 1/4.
     np.testing.assert_allclose(component.data["ParameterSet"], [120.0, 120.0])
-    component = found(StVenantKirchhoff(sc.Isotropic(3e5, 0.25)))
+    component = exported(StVenantKirchhoff(sc.Isotropic(3e5, 0.25)))
     assert component.data["materialName"] == "StVenantKirchhoff"
-    instead = found(sc.NeoHookean(3e5, 0.25), choice="corotational")
+    instead = exported(sc.NeoHookean(3e5, 0.25), choice="corotational")
     assert instead.data["youngModulus"] == [300.0]
 
 
 def test_a_law_with_a_fibre_needs_the_plugin():
     full = TransverseIsotropic(7e5, 4e5, 0.3, 0.35, 2e5, FIBRE)
-    component = found(sc.Corotational(full))
+    component = exported(sc.Corotational(full))
     assert component.plugin == "Anisotropy"
     assert component.data["elasticitySymmetry"] == "transverseIsotropic"
     assert component.data["youngModulus"] == [700.0] * MESH.n_tets
@@ -70,10 +70,10 @@ def test_a_law_with_a_fibre_needs_the_plugin():
         component.data["anisotropyDirections"][-1], [np.cos(0.3), 0.0, np.sin(0.3)]
     )
     reduced = sc.ReducedTransverseIsotropic(4e5, 1e5, 0.3, FIBRE)
-    component = found(sc.Corotational(reduced))
+    component = exported(sc.Corotational(reduced))
     np.testing.assert_allclose(component.data["anisotropyParameters"][0][2], 0.6)
     with pytest.raises(ValueError, match=r"nu_tl is 0, .*Anisotropy"):
-        found(sc.Corotational(TransverseIsotropic(7e5, 4e5, 0.3, 0.0, 2e5, FIBRE)))
+        exported(sc.Corotational(TransverseIsotropic(7e5, 4e5, 0.3, 0.0, 2e5, FIBRE)))
 
 
 def test_the_plugin_is_isotropic_where_the_moduli_are():
@@ -99,15 +99,15 @@ REFUSED = {
 def test_laws_without_a_counterpart_say_why(name):
     law, message = REFUSED[name]
     with pytest.raises(ValueError, match=message):
-        found(law)
+        exported(law)
 
 
 def test_only_the_law_of_sofa_is_written():
-    own = law_for_sofa(
+    law = law_for_sofa(
         sc.Corotational(sc.Isotropic(2e5, 0.3)), MESH, choice="same", rotation="edge"
     )
-    assert isinstance(own, SofaCorotational)
-    assert not own.conservative
+    assert isinstance(law, SofaCorotational)
+    assert not law.conservative
 
 
 @pytest.mark.parametrize(

@@ -42,8 +42,8 @@ def results(tmp_path_factory, no_pictures):
     """Results of the small project with quadratic tets, and with linear ones."""
     folder = tmp_path_factory.mktemp("sofa")
     changes = {"quadratic": (QUICK, QUADRATIC, COROTATIONAL), "linear": (QUICK,)}
-    for name, own in changes.items():
-        path = write_small_project(folder / f"{name}_project", *own)
+    for name, edits in changes.items():
+        path = write_small_project(folder / f"{name}_project", *edits)
         with pytest.warns(_write.PictureWarning):
             write_results(load_project(path).calibrate(), folder / name)
     return folder
@@ -68,14 +68,14 @@ def test_the_command_calibrates_again_for_the_linear_mesh(results, tmp_path, cap
     assert 0.3 < 1e3 * E / calibrated < 0.9
     readme = (scene / "README.md").read_text()
     assert pulled in readme.split("\n")
-    _, calibrated, copied, own = map(float, re.findall(r" (\d+\.?\d*) mm", pulled))
-    assert own < 0.5 * copied
-    assert own < 3.0 * calibrated + 0.05
-    for name, told in data["configurations"].items():
+    _, calibrated, copied, refit = map(float, re.findall(r" (\d+\.?\d*) mm", pulled))
+    assert refit < 0.5 * copied
+    assert refit < 3.0 * calibrated + 0.05
+    for name, pose in data["configurations"].items():
         root, monitor = run(scene, "v26.06", name=name)
         x, _ = solve(root)
         monitor.state.position.value = x.tolist()
-        predicted = np.array([own["predicted"] for own in told["effectors"]])
+        predicted = np.array([effector["predicted"] for effector in pose["effectors"]])
         np.testing.assert_allclose(monitor.positions(), predicted, rtol=0, atol=1e-6)
 
 
@@ -128,14 +128,14 @@ def test_a_beam_with_a_fibre_takes_what_the_plugin_computes(tmp_path, no_picture
     path.write_text(text[:first] + "[settings]\nintervals = 0\n\n" + text[last:])
     with pytest.warns(_write.PictureWarning):
         write_results(load_project(path).calibrate(), tmp_path / "results")
-    found = export_sofa(tmp_path / "results", tmp_path / "scene")
-    assert found.component == "TetrahedronAnisotropicForceField"
-    assert says(found.notes[0], "E_t ... C13 ... no material constants")
+    exported = export_sofa(tmp_path / "results", tmp_path / "scene")
+    assert exported.component == "TetrahedronAnisotropicForceField"
+    assert says(exported.notes[0], "E_t ... C13 ... no material constants")
     readme = (tmp_path / "scene" / "README.md").read_text()
     assert says(readme, "built from source ... -l Anisotropy")
     root, monitor = run(tmp_path / "scene", "v26.06")
     x, X = solve(root)
     monitor.state.position.value = x.tolist()
-    predicted = [own["predicted"] for own in monitor.effectors]
+    predicted = [effector["predicted"] for effector in monitor.effectors]
     off = np.abs(np.array(monitor.positions()) - predicted).max()
     assert off < 1e-6 * np.abs(x - X).max()

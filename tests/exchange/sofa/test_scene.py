@@ -36,13 +36,13 @@ def bent_beam():
     return posed(edge_law(), CONFIGURATIONS)
 
 
-def assert_same_equilibrium(own, folder, release, units):
+def assert_same_equilibrium(scene, folder, release, units):
     """The stand-in meets the package's effectors and nodes to 1e-6 of the motion."""
-    for c, u in zip(own.configurations, own.displacement, strict=True):
+    for c, u in zip(scene.configurations, scene.displacement, strict=True):
         root, monitor = run(folder, release, name=c.name)
         x, X = solve(root)
         factor = FACTORS[units]
-        np.testing.assert_allclose(X, factor * own.model.mesh.points, rtol=1e-15)
+        np.testing.assert_allclose(X, factor * scene.model.mesh.points, rtol=1e-15)
         motion = np.abs(u).max()
         assert motion > 1e-4
         np.testing.assert_allclose((x - X) / factor, u, rtol=0, atol=1e-6 * motion)
@@ -64,9 +64,9 @@ def assert_same_equilibrium(own, folder, release, units):
 )
 def test_what_sofa_is_given_is_the_model(bent_beam, release, units, tmp_path):
     """Moduli per tet, loads, clamps, sliding, moved and elastic supports, gravity."""
-    own = bent_beam
-    own.write(tmp_path / "scene", release=release, units=units)
-    assert_same_equilibrium(own, tmp_path / "scene", release, units)
+    scene = bent_beam
+    scene.write(tmp_path / "scene", release=release, units=units)
+    assert_same_equilibrium(scene, tmp_path / "scene", release, units)
     readme = (tmp_path / "scene" / "README.md").read_text()
     assert "runSofa -l SofaPython3 -g batch -n 1 scene.py" in readme
     assert "SoftRobots" not in readme
@@ -124,9 +124,9 @@ def test_the_stand_in_knows_both_releases():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(LAWS)[1:])
 def test_other_laws(name, tmp_path):
-    own = posed(LAWS[name](), CONFIGURATIONS[:1])
-    own.write(tmp_path / "scene")
-    assert_same_equilibrium(own, tmp_path / "scene", "v26.06", "mm-kg-s")
+    scene = posed(LAWS[name](), CONFIGURATIONS[:1])
+    scene.write(tmp_path / "scene")
+    assert_same_equilibrium(scene, tmp_path / "scene", "v26.06", "mm-kg-s")
 
 
 @pytest.mark.slow
@@ -135,12 +135,12 @@ def test_cables_and_chambers(tmp_path):
     mesh, (actuators, configurations) = hollow_beam(), actuated()
     *configurations, _ = configurations
     law = SofaCorotational.of_mesh(mesh, sc.Isotropic(2e5, 0.3), "edge")
-    own = posed(law, configurations, mesh=mesh, actuators=actuators)
-    np.testing.assert_allclose(own.displacement[0], own.displacement[1], atol=1e-12)
-    own.write(tmp_path / "scene")
+    scene = posed(law, configurations, mesh=mesh, actuators=actuators)
+    np.testing.assert_allclose(scene.displacement[0], scene.displacement[1], atol=1e-12)
+    scene.write(tmp_path / "scene")
     readme = (tmp_path / "scene" / "README.md").read_text()
     assert "-l SoftRobots -g batch -n 100" in readme
-    assert_same_equilibrium(own, tmp_path / "scene", "v26.06", "mm-kg-s")
+    assert_same_equilibrium(scene, tmp_path / "scene", "v26.06", "mm-kg-s")
 
 
 def written(configuration, *actuators, mesh=None):
@@ -149,7 +149,7 @@ def written(configuration, *actuators, mesh=None):
     law = SofaCorotational.of_mesh(mesh, sc.Isotropic(2e5, 0.3), "edge")
     model = sc.build_model(mesh, law, density=1.0, actuators=actuators)
     space = densities()
-    found = scene_configurations(
+    configurations = scene_configurations(
         model,
         space,
         space.start(),
@@ -157,7 +157,7 @@ def written(configuration, *actuators, mesh=None):
         [np.zeros(mesh.points.shape)],
         SCALES["mm-kg-s"],
     )
-    return found[configuration.name]
+    return configurations[configuration.name]
 
 
 def test_imposed_lengths_and_volumes():
@@ -167,8 +167,8 @@ def test_imposed_lengths_and_volumes():
         "cavity": sc.ImposedDisplacement(1e-7),
     }
     asked = sc.Configuration("wound", "x_min", actuation=imposed)
-    found = written(asked, cable, sc.Chamber("cavity", "cavity"))
-    (rope,), (cavity,) = found["cables"], found["chambers"]
+    scene = written(asked, cable, sc.Chamber("cavity", "cavity"))
+    (rope,), (cavity,) = scene["cables"], scene["chambers"]
     assert (rope["value"], rope["value type"]) == (2.0, "displacement")
     assert rope["pull point"] == [-10.0, 10.0, 20.0]
     np.testing.assert_allclose(rope["points"], [[100.0, 10.0, 20.0]])
