@@ -56,7 +56,8 @@ def levels(layers: int) -> np.ndarray:
     first = RADII[0] * (RADII[1] / RADII[0]) ** (np.arange(layers + 1) / layers)
     link_1 = np.interp(-first, -RADII[:2], LENGTHS[:2])
     height = link_1[-1] - link_1[-2]
-    link_2 = np.linspace(*LENGTHS[1:], int(np.ceil(np.diff(LENGTHS)[1] / height)) + 1)
+    n = int(np.ceil((LENGTHS[2] - LENGTHS[1]) / height)) + 1
+    link_2 = np.linspace(LENGTHS[1], LENGTHS[2], n)
     return np.concatenate([link_1, link_2[1:]])
 
 

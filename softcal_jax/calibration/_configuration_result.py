@@ -295,8 +295,7 @@ def displaced(
 ) -> ConfigurationLanes:
     """Move measured values by the offsets of effectors whose displacement counts.
 
-    What is left between measured and simulated values is the error of the displacement.
-    The errors, which tell the offsets, are those of the first configurations.
+    Then errors are those of displacements. `delta_e` is of the first configurations.
     """
     weight, errors = np.asarray(lanes.arrays.effectors.inverse_std), np.asarray(delta_e)
     attached = attachments(configurations, lanes.effectors, weight.shape[1])
@@ -315,10 +314,9 @@ def simulation_result(
     solution: EquilibriumSolution,
     lanes: ConfigurationLanes | None = None,
 ) -> SimulationResult:
-    """Describe a forward simulation; a result without equilibrium says why.
+    """Describe a forward simulation, and compare what was measured.
 
-    What was measured is compared with it. By default the `lanes` are those of the
-    configurations, without parameters.
+    A result without equilibrium says why. The `lanes` may have calibrated parameters.
     """
     lanes = lanes or configuration_lanes(model.mesh, configurations, model.mechanism)
     arrays = lanes.arrays

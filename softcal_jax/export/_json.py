@@ -174,6 +174,10 @@ def _simulated(result: ConfigurationResult) -> dict[str, Any]:
         entry["robot"] = RobotEntry.model_validate(result.robot).model_dump()
     if result.role == "simulation":  # nothing was measured
         entry |= {"rms_after_mm": None, "motion_mm": None}
+    if not result.converged:
+        entry |= {"largest_displacement_mm": None, "rms_after_mm": None}
+        for reading in (*entry["markers"], *entry["effectors"]):
+            reading |= dict.fromkeys(reading.keys() & {"simulated_mm", "simulated"})
     return entry
 
 

@@ -276,8 +276,6 @@ class Project(Module):
     ) -> tuple[SimulationResult, EquilibriumSolution]:
         """Solve the equilibria of all `configurations`, and compare what was measured.
 
-        `check_converged` raises where one has no equilibrium.
-
         Args:
             values: Values of all parameters by name, in SI units, such as those of
                 `load_values`; by default their start.
