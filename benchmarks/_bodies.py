@@ -196,10 +196,10 @@ def _law(name: str, constants: dict[str, np.ndarray]) -> AbstractLaw:
     if name == "st-venant-kirchhoff":
         return StVenantKirchhoff(Isotropic(**constants))
     if name == "transverse":
-        own = {k: v for k, v in constants.items() if k != "phi"}
+        arguments = {k: v for k, v in constants.items() if k != "phi"}
         fibre = Fibre(constants["phi"], plane="xy")
-        return Corotational(TransverseIsotropic(**own, fibre=fibre))
+        return Corotational(TransverseIsotropic(**arguments, fibre=fibre))
     law = _LAWS[name]
     # The oracle has the shear modulus of every rubber, also where it follows.
-    own = {k: v for k, v in constants.items() if k in law.__dataclass_fields__}
-    return law(**own)
+    arguments = {k: v for k, v in constants.items() if k in law.__dataclass_fields__}
+    return law(**arguments)

@@ -42,12 +42,12 @@ def browser() -> str:
     Raises:
         NoBrowser: If there is none.
     """
-    found = next(filter(None, map(shutil.which, PROGRAMS)), None)
-    if found is None:
+    path = next(filter(None, map(shutil.which, PROGRAMS)), None)
+    if path is None:
         raise NoBrowser(
             f"this needs one of {', '.join(PROGRAMS)}: apt-get install chromium"
         )
-    return found
+    return path
 
 
 def visit(page: Path) -> Visit:
@@ -97,9 +97,9 @@ class Tab:
         requests, errors = [], []
         for domain in ("Network", "Runtime", "Log", "Page"):
             self._call(f"{domain}.enable")
-        told = self._call("Page.navigate", url=address)
-        if "errorText" in told:
-            raise RuntimeError(f"{address}: {told['errorText']}")
+        reply = self._call("Page.navigate", url=address)
+        if "errorText" in reply:
+            raise RuntimeError(f"{address}: {reply['errorText']}")
         for event, about in chromium.events():
             if event == "Network.requestWillBeSent":
                 url = about["request"]["url"]
@@ -108,7 +108,7 @@ class Tab:
             elif event == "Runtime.exceptionThrown":
                 errors.append(about["exceptionDetails"]["text"])
             elif event == "Runtime.consoleAPICalled" and about["type"] == "error":
-                values = (str(own.get("value", own)) for own in about["args"])
+                values = (str(arg.get("value", arg)) for arg in about["args"])
                 errors.append(" ".join(values))
             elif event == "Log.entryAdded" and about["entry"]["level"] == "error":
                 errors.append(about["entry"]["text"])
@@ -133,12 +133,12 @@ class Tab:
             RuntimeError: If it fails.
         """
         how = {"awaitPromise": True, "returnByValue": True}
-        told = self._call("Runtime.evaluate", expression=expression, **how)
-        if "exceptionDetails" in told:
-            about = told["exceptionDetails"]
+        reply = self._call("Runtime.evaluate", expression=expression, **how)
+        if "exceptionDetails" in reply:
+            about = reply["exceptionDetails"]
             said = about.get("exception", {}).get("description", about["text"])
             raise RuntimeError(f"the page could not answer: {said}")
-        return told["result"].get("value")
+        return reply["result"].get("value")
 
     def screenshot(self, selector: str) -> bytes:
         """Draw an element, however long it is, as a PNG.
@@ -173,12 +173,12 @@ class _Chromium:
         message |= {"sessionId": session} if session else {}
         os.write(self._to, json.dumps(message).encode() + b"\0")
         deadline = time.monotonic() + LONGEST_S
-        while (told := self._next(deadline)) is not None:
-            if told.get("id") == self._n:
-                if "error" in told:
-                    raise RuntimeError(f"{method}: {told['error']}")
-                return told["result"]
-            self._waiting.append(told)
+        while (reply := self._next(deadline)) is not None:
+            if reply.get("id") == self._n:
+                if "error" in reply:
+                    raise RuntimeError(f"{method}: {reply['error']}")
+                return reply["result"]
+            self._waiting.append(reply)
         raise RuntimeError(f"Chromium did not answer {method} in {LONGEST_S:g} s.")
 
     def events(self) -> Iterator[tuple[str, Mapping[str, Any]]]:
@@ -189,15 +189,15 @@ class _Chromium:
         """
         deadline, loaded = time.monotonic() + LONGEST_S, False
         while True:
-            told = self._waiting.pop(0) if self._waiting else self._next(deadline)
-            if told is None:
+            message = self._waiting.pop(0) if self._waiting else self._next(deadline)
+            if message is None:
                 if loaded:
                     return
                 raise RuntimeError(f"the page did not load in {LONGEST_S:g} s.")
-            if told.get("method") == "Page.loadEventFired":
+            if message.get("method") == "Page.loadEventFired":
                 deadline, loaded = time.monotonic() + SETTLED_S, True
-            if "method" in told:
-                yield told["method"], told["params"]
+            if "method" in message:
+                yield message["method"], message["params"]
 
     def _next(self, deadline: float) -> dict[str, Any] | None:
         """Read a message; None if there is none before the deadline."""

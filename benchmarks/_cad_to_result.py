@@ -117,9 +117,9 @@ def run(count: int, say: Callable[[str], None]) -> dict[str, Figure]:
                 )
                 return {}
             say(f"cad_to_result: {number + 1} of {count}")
-            took, found = go(Path(folder), say)
+            took, values = go(Path(folder), say)
         seconds.append(took)
-        error = max(error, *(abs(found[name] / TRUE[name] - 1.0) for name in TRUE))
+        error = max(error, *(abs(values[name] / TRUE[name] - 1.0) for name in TRUE))
     return {
         "cad_to_result_s": min(seconds),
         "cad_modulus_error_percent": 100.0 * error,
@@ -149,7 +149,7 @@ def go(folder: Path, say: Callable[[str], None]) -> tuple[float, Mapping[str, fl
             _as_measured(folder / "true" / "markers.csv", folder / "measured.csv")
     _sofa.run(folder / "scene", "v26.06")
     result = json.loads((folder / "results" / "result.json").read_text("utf-8"))
-    return seconds, {own["name"]: own["value"] for own in result["parameters"]}
+    return seconds, {p["name"]: p["value"] for p in result["parameters"]}
 
 
 def _softcal(folder: Path, arguments: list[str]) -> None:
@@ -173,8 +173,8 @@ def _softcal(folder: Path, arguments: list[str]) -> None:
         check=False,
     )
     if done.returncode != 0:
-        told = f"{done.stdout}\n{done.stderr}"[-2000:]
-        raise RuntimeError(f"softcal {' '.join(arguments)} failed:\n{told}")
+        output = f"{done.stdout}\n{done.stderr}"[-2000:]
+        raise RuntimeError(f"softcal {' '.join(arguments)} failed:\n{output}")
 
 
 def _as_measured(simulated: Path, measured: Path) -> None:

@@ -85,9 +85,9 @@ def run(count: int, say: Callable[[str], None]) -> dict[str, Figure]:
         worst = 0.0
         for name, body in list(bodies.items())[:count]:
             with tempfile.TemporaryDirectory() as folder:
-                found = difference(Path(folder), *body())
-            say(f"calculix: {name}: {found}")
-            worst = max(worst, 100.0 * found.apart)
+                gap = difference(Path(folder), *body())
+            say(f"calculix: {name}: {gap}")
+            worst = max(worst, 100.0 * gap.apart)
         figures[figure] = worst
     return figures
 
@@ -132,10 +132,10 @@ def solved_by_calculix(folder: Path, n_nodes: int) -> np.ndarray:
         raise RuntimeError(f"CalculiX failed: {done.stdout[-2000:]}")
     text = (folder / "job.dat").read_text()
     head = "displacements (vx,vy,vz) for set NALL and time  0.1000000E+01"
-    _, found, last = text.rpartition(head)
+    _, separator, last = text.rpartition(head)
     rows = [line.split() for line in last.splitlines() if line.split()]
     u = np.array(rows[:n_nodes], float)
-    if not found or not np.array_equal(u[:, 0], np.arange(1, n_nodes + 1)):
+    if not separator or not np.array_equal(u[:, 0], np.arange(1, n_nodes + 1)):
         raise RuntimeError("CalculiX wrote no displacements of the whole step.")
     return u[:, 1:]
 

@@ -112,7 +112,7 @@ def fresh_files(paths: Sequence[Path]) -> list[Path]:
     Raises:
         BadRecord: If a folder holds none, or is not there.
     """
-    found: list[Path] = []
+    records: list[Path] = []
     for path in paths:
         files = sorted(path.glob("*.json")) if path.is_dir() else [path]
         if not files:
@@ -120,8 +120,8 @@ def fresh_files(paths: Sequence[Path]) -> list[Path]:
                 f"{path} holds no records; `python -m benchmarks run --all` writes "
                 "one per problem."
             )
-        found += files
-    return found
+        records += files
+    return records
 
 
 def compare(before: Mapping[str, Any], now: Mapping[str, Any]) -> Comparison:
@@ -222,23 +222,23 @@ def _allowed(name: str, before: Mapping[str, Any], now: Mapping[str, Any]) -> fl
 
 def _spread(name: str, samples: Mapping[str, Sequence[float]]) -> float | None:
     """Half the quartile range of the samples of that name over their median [-]."""
-    own = samples.get(name)
-    if own is None or len(own) < 2:
+    values = samples.get(name)
+    if values is None or len(values) < 2:
         return None
-    low, middle, high = statistics.quantiles(own, n=4, method="inclusive")
+    low, middle, high = statistics.quantiles(values, n=4, method="inclusive")
     return 0.5 * (high - low) / abs(middle) if middle else None
 
 
 def _warnings(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    found = []
+    warnings = []
     for what in ("hardware", "versions"):
         for key in sorted({*before[what], *now[what]} - {"load_before", "commit"}):
             old, new = (record[what].get(key) for record in (before, now))
             if old != new:
-                found.append(f"{what}: {key} is {new}, was {old}")
+                warnings.append(f"{what}: {key} is {new}, was {old}")
     load, cores = now["hardware"].get("load_before"), now["hardware"]["cores"]
     if load is not None and load > 0.5 * cores:
-        found.append(
+        warnings.append(
             f"the machine was busy before the run: load {load:.1f} on {cores} cores"
         )
-    return found
+    return warnings

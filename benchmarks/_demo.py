@@ -49,7 +49,7 @@ def _edited(text: str, variant: Variant) -> str:
         r"(?m)^\[material\]$": f'[material]\nformulation = "{variant.formulation}"',
     }
     for pattern, new in changes.items():
-        text, found = re.subn(pattern, new, text)
-        if found != 1:
-            raise RuntimeError(f"{pattern} occurs {found} times in the project file.")
+        text, count = re.subn(pattern, new, text)
+        if count != 1:
+            raise RuntimeError(f"{pattern} occurs {count} times in the project file.")
     return text

@@ -38,8 +38,8 @@ def main() -> None:
     with Compilations() as seen:
         for call in calls:
             jax.block_until_ready(call(1.1e5))
-    told = {"first_gradient_s": seconds, "second_calls": len(seen.programs)}
-    print(json.dumps(told))
+    figures = {"first_gradient_s": seconds, "second_calls": len(seen.programs)}
+    print(json.dumps(figures))
 
 
 if __name__ == "__main__":

@@ -76,7 +76,7 @@ class FelupeBeam:
     def solve(self, solver: Solver, tol: float) -> FelupeSolution:
         """Equilibrium from rest."""
         self.field[0].values[:] = 0.0
-        found = fem.newtonraphson(
+        solution = fem.newtonraphson(
             x0=self.field.copy(),
             items=self.items,
             dof0=self.held,
@@ -87,7 +87,7 @@ class FelupeBeam:
             kwargs={"parallel": self.parallel},
         )
         # A copy: FElupe links the array to the field, and the next solve resets it.
-        return FelupeSolution(found.x[0].values.copy(), found.iterations)
+        return FelupeSolution(solution.x[0].values.copy(), solution.iterations)
 
 
 def mixed_hexahedra(problem: Beam, cells: tuple[int, int, int]) -> np.ndarray:

@@ -63,8 +63,8 @@ local function tex3d_r8f(x, y, z)
 end
 local Shape, Box = {}, {}
 Box.__index = function(box, key)
-  if key == 'min_corner' then return function(own) return own.low end end
-  if key == 'max_corner' then return function(own) return own.high end end
+  if key == 'min_corner' then return function(self) return self.low end end
+  if key == 'max_corner' then return function(self) return self.high end end
   error('a box has no ' .. tostring(key))
 end
 local function load(path) return setmetatable({path = path}, Shape) end

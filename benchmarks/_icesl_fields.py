@@ -77,8 +77,8 @@ def run(count: int, say: Callable[[str], None]) -> dict[str, Figure]:
             steps = max(
                 steps, distance(field, Slicer(Path(folder) / "print/robot.lua"))
             )
-            off, own = compare_list(field, written)
-        unlisted, listed = unlisted + off, listed + own
+            off, length = compare_list(field, written)
+        unlisted, listed = unlisted + off, listed + length
     return {
         "icesl_roundtrip_steps": steps,
         "icesl_unlisted_voxels": unlisted,

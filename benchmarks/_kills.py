@@ -73,9 +73,9 @@ def run(count: int, say: Callable[[str], None]) -> tuple[dict[str, Figure], list
     with tempfile.TemporaryDirectory() as folder:
         home = Path(folder)
         for kill, n in ((_calibrations, count), (_sweeps, (count + 1) // 2)):
-            for found, text in kill(home, n, say):
-                counts.update(found)
-                lines += [text] if any(found[k] for k in _COUNTED[:-1]) else []
+            for outcome, text in kill(home, n, say):
+                counts.update(outcome)
+                lines += [text] if any(outcome[k] for k in _COUNTED[:-1]) else []
     return {f"kills_{name}": value for name, value in counts.items()}, lines
 
 
@@ -221,14 +221,14 @@ def _left(session: int) -> int:
 
 def _members(session: int) -> int:
     """Number of processes of a session that run."""
-    found = 0
+    running = 0
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
             state, *numbers = stat.read_text().rpartition(")")[2].split()[:4]
         except OSError:
             continue  # it has just ended
-        found += int(numbers[2]) == session and state != "Z"
-    return found
+        running += int(numbers[2]) == session and state != "Z"
+    return running
 
 
 def _values(out: Path) -> dict[str, float] | None:

@@ -36,13 +36,13 @@ def run(count: int, say: Callable[[str], None]) -> tuple[dict[str, Figure], list
     with tempfile.TemporaryDirectory() as folder:
         say("malformed_inputs: a project, its checkpoint and its database")
         run_process([*_MODULE, folder])
-        for found in _tried(Path(folder), count):
-            if found["index"] % 100 == 0:
-                say(f"malformed_inputs: {found['index']} of {count}")
-            wrong = faults(found)
+        for outcome in _tried(Path(folder), count):
+            if outcome["index"] % 100 == 0:
+                say(f"malformed_inputs: {outcome['index']} of {count}")
+            wrong = faults(outcome)
             counts.update(wrong)
             if wrong:
-                lines.append(f"{', '.join(wrong)}: {_described(found)}")
+                lines.append(f"{', '.join(wrong)}: {_described(outcome)}")
     figures: dict[str, Figure] = {**counts, "kinds": min(count, len(names()))}
     return {f"malformed_inputs_{name}": value for name, value in figures.items()}, lines
 
@@ -50,23 +50,23 @@ def run(count: int, say: Callable[[str], None]) -> tuple[dict[str, Figure], list
 _COUNTED = ("tracebacks", "hangs", "over_4_gb", "accepted_silently")
 
 
-def faults(found: dict[str, Any]) -> list[str]:
+def faults(outcome: dict[str, Any]) -> list[str]:
     """What is wrong with the end of an input, by names of figures."""
-    if found.get("hangs"):
+    if outcome.get("hangs"):
         return ["hangs"]
     checks = {
-        "tracebacks": bool(found["traceback"]),
-        "over_4_gb": found["peak_gb"] > MOST_GB,
-        "accepted_silently": found["silent"],
+        "tracebacks": bool(outcome["traceback"]),
+        "over_4_gb": outcome["peak_gb"] > MOST_GB,
+        "accepted_silently": outcome["silent"],
     }
     return [name for name, wrong in checks.items() if wrong]
 
 
-def _described(found: dict[str, Any]) -> str:
-    last = (found.get("traceback") or found.get("said") or "").strip().splitlines()
-    words = " ".join(found.get("words", []))
+def _described(outcome: dict[str, Any]) -> str:
+    last = (outcome.get("traceback") or outcome.get("said") or "").strip().splitlines()
+    words = " ".join(outcome.get("words", []))
     end = last[-1][:300] if last else ""
-    return f"input {found['index']}, {found['kind']}: softcal {words}: {end}"
+    return f"input {outcome['index']}, {outcome['kind']}: softcal {words}: {end}"
 
 
 def _tried(folder: Path, count: int) -> Iterator[dict[str, Any]]:
@@ -85,9 +85,9 @@ def _tried(folder: Path, count: int) -> Iterator[dict[str, Any]]:
         try:
             for line in _lines(process):
                 if line.startswith("{"):
-                    found = json.loads(line)
-                    start = found["index"] + 1
-                    yield found
+                    outcome = json.loads(line)
+                    start = outcome["index"] + 1
+                    yield outcome
         finally:
             process.kill()
             process.wait()

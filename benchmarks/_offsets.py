@@ -46,10 +46,10 @@ class Offsets(NamedTuple):
         """The share for each parameter."""
         rows = []
         for name, truth in self.truth.items():
-            own = [i for fit in self.fits for i in fit if i.name == name]
-            shown = [i.off(truth) <= 1.0 for i in own if i.kind != "none"]
+            intervals = [i for fit in self.fits for i in fit if i.name == name]
+            shown = [i.off(truth) <= 1.0 for i in intervals if i.kind != "none"]
             share = f"{100 * np.mean(shown):.0f} %" if shown else "none"
-            rows.append([name, f"{len(shown)} of {len(own)}", share])
+            rows.append([name, f"{len(shown)} of {len(intervals)}", share])
         title = f"{1e3 * STD:g} mm of jitter, recordings off by {1e3 * OFFSET:g} mm"
         columns = ["parameter", "intervals", "hold p_target"]
         return Table(title, columns, rows)

@@ -358,7 +358,7 @@ def _newton(assembly: Assembly, u: np.ndarray, load: np.ndarray) -> np.ndarray:
         small = size <= 1e-9 * scale + np.linalg.norm(now.rounding)
         return np.linalg.norm(dx), size, small
 
-    found = fem.newtonraphson(
+    solution = fem.newtonraphson(
         x0=u[free],
         fun=lambda x: (assembly.balance(moved(x)).internal - load)[free],
         jac=lambda x: assembly.on_free(moved(x)),
@@ -368,4 +368,4 @@ def _newton(assembly: Assembly, u: np.ndarray, load: np.ndarray) -> np.ndarray:
         verbose=0,
         plugins=[fem.LinesearchPlugin(admissible=False, residual=False)],
     )
-    return moved(found.x)
+    return moved(solution.x)

@@ -94,8 +94,8 @@ def subset(
     """
     n = problem.configurations.gravity.shape[0]
     take = np.array([*lanes, *[lanes[0]] * (n - len(lanes))])
-    own = lambda leaf: np.asarray(leaf)[take]
-    kept = jax.device_put(jax.tree.map(own, problem.configurations))
+    pick = lambda leaf: np.asarray(leaf)[take]
+    kept = jax.device_put(jax.tree.map(pick, problem.configurations))
     weight = np.array(kept.effectors.inverse_std)
     weight[len(lanes) :] = 0.0
     if markers is not None:

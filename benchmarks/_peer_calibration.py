@@ -49,7 +49,7 @@ class Residuals:
         self.peer, self.by_adjoint = peer, by_adjoint
         self.deadline = time.perf_counter() + limit_s
         self.count = 0
-        self.found: list[Response | None] = [None] * len(peer.job.poses)
+        self.responses: list[Response | None] = [None] * len(peer.job.poses)
 
     def __call__(self, z: HostArray) -> HostArray:
         """Errors of the markers; huge without equilibrium [-]."""
@@ -60,18 +60,18 @@ class Residuals:
         errors = []
         for i, pose in enumerate(poses):
             try:
-                found = self._response(i, fields)
+                response = self._response(i, fields)
             except NoEquilibrium:
                 # least_squares takes no NaN; such a point is only very bad.
                 errors.append(np.full(3, 1e6))
                 continue
-            self.found[i] = found
-            moved = found.displacement[pose.marker]
+            self.responses[i] = response
+            moved = response.displacement[pose.marker]
             errors.append((moved - pose.measured) / STD)
         return np.concatenate(errors)
 
     def _response(self, pose: int, fields: HostArray) -> Response:
-        last = self.found[pose]
+        last = self.responses[pose]
         if last is not None and self.peer.takes_guess:
             try:
                 return self._from(pose, fields, last.displacement)
@@ -90,12 +90,12 @@ class Residuals:
         job = self.peer.job
         by_parameter = job.field_rows(z) if self.by_adjoint else None
         rows = []
-        for i, found in enumerate(self.found):
-            assert found is not None
+        for i, response in enumerate(self.responses):
+            assert response is not None
             if by_parameter is not None:
-                rows.append(marker_rows(found, by_parameter))
+                rows.append(marker_rows(response, by_parameter))
             else:
-                rows.append(marker_differences(self.peer, i, z, found.displacement))
+                rows.append(marker_differences(self.peer, i, z, response.displacement))
         return np.concatenate(rows) / STD
 
 

@@ -68,7 +68,7 @@ class FelupePeer(AbstractPeer):
         self.field[0].values[:] = 0.0 if guess is None else guess
         held, free = self.partitions[pose]
         try:
-            found = fem.newtonraphson(
+            solution = fem.newtonraphson(
                 x0=self.field.copy(),
                 items=[self.body, self.weight],
                 dof0=held,
@@ -82,4 +82,4 @@ class FelupePeer(AbstractPeer):
         except fem.tools.NewtonConvergenceError as error:
             raise NoEquilibrium(str(error)) from error
         # A copy: FElupe links the array to the field, and the next solve resets it.
-        return np.array(found.x[0].values)
+        return np.array(solution.x[0].values)

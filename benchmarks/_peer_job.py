@@ -152,8 +152,8 @@ def peer_job(cells: Cells = CELLS) -> Job:
 
 def lane_of(problem: CalibrationProblem, pose: int) -> ConfigurationArrays:
     """One configuration, without the leading axis."""
-    own = lambda leaf: np.asarray(leaf)[pose]
-    return jax.device_put(jax.tree.map(own, problem.configurations))
+    pick = lambda leaf: np.asarray(leaf)[pose]
+    return jax.device_put(jax.tree.map(pick, problem.configurations))
 
 
 def our_static(job: Job, pose: int, z: HostArray) -> EquilibriumSolution:

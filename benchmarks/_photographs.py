@@ -163,10 +163,10 @@ def squares(sheet: Sheet) -> tuple[np.ndarray, np.ndarray]:
         for row in range(10):
             for column in range(10):
                 x, y = grid[column : column + 2], -grid[row : row + 2]
-                own = np.array(
+                square = np.array(
                     [[x[i], y[j], 0.0] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
                 )
-                corners.append(own @ place.R.T + place.p)
+                corners.append(square @ place.R.T + place.p)
         white.append(cells.ravel())
     return np.array(corners), np.concatenate(white)
 
@@ -198,7 +198,7 @@ def draw(sheet: Sheet, view: Placement, lens: Lens) -> list[Part]:
     Raises:
         ValueError: If a tag is outside of the photograph.
     """
-    return [_draw(own, box, view, lens) for own, box in _apart(sheet, view, lens)]
+    return [_draw(tags, box, view, lens) for tags, box in _apart(sheet, view, lens)]
 
 
 Box = tuple[np.ndarray, np.ndarray]
@@ -209,17 +209,17 @@ def _apart(sheet: Sheet, view: Placement, lens: Lens) -> list[tuple[Sheet, Box]]
     """Tags and the part of the photograph that each is on; together if they overlap."""
     groups: list[tuple[Sheet, Box]] = []
     for number, tag in sheet.items():
-        own: dict[int, tuple[Placement, float]] = {number: tag}
-        box = _box(own, view, lens)
+        tags: dict[int, tuple[Placement, float]] = {number: tag}
+        box = _box(tags, view, lens)
         while True:
             near = [g for g in groups if _overlap(g[1], box)]
             if not near:
                 break
             groups = [g for g in groups if not _overlap(g[1], box)]
             for other, theirs in near:
-                own |= other
+                tags |= other
                 box = np.minimum(box[0], theirs[0]), np.maximum(box[1], theirs[1])
-        groups.append((own, box))
+        groups.append((tags, box))
     return groups
 
 
@@ -268,10 +268,10 @@ def _draw(sheet: Sheet, box: Box, view: Placement, lens: Lens) -> Part:
     frames = Rotation.from_rotvec(aside / JITTER / focal).as_matrix() @ axes
     for k, picture in enumerate(scene.pictures(frames)):
         x, y, z = frames[k] @ ray.T
-        slopes = [frames[k] @ own.T for own in along]
-        own = np.array([k % 2, k // 2])  # which of each 2 x 2 parts of a pixel
+        slopes = [frames[k] @ change.T for change in along]
+        quarter = np.array([k % 2, k // 2])  # which of each 2 x 2 parts of a pixel
         for step in np.ndindex(fineness // 2, fineness // 2):
-            a, b = (2 * np.array(step) + own + 0.5) / fineness - 0.5
+            a, b = (2 * np.array(step) + quarter + 0.5) / fineness - 0.5
             dx, dy, dz = a * slopes[0] + b * slopes[1]
             # The middle of the first pixel of VTK is half a pixel from its border.
             row, column = (
@@ -391,6 +391,6 @@ def board() -> Sheet:
     """The printed board."""
     corners = {number: board_corners(number) for number in BOARD_IDS}
     return {
-        number: (Placement(np.eye(3), own.mean(axis=0)), float(own[1, 0] - own[0, 0]))
-        for number, own in corners.items()
+        number: (Placement(np.eye(3), tag.mean(axis=0)), float(tag[1, 0] - tag[0, 0]))
+        for number, tag in corners.items()
     }

@@ -49,12 +49,14 @@ def printed(result: CalibrationResult) -> tuple[Printed, ...]:
     Args:
         result: The fit.
     """
-    found = []
+    entries = []
     for p in result.parameters:
         assert p.interval is not None
-        own, turn = p.interval, np.pi if p.unit == "rad" else 0.0
-        found.append(Printed(p.name, own.lower, own.upper, own.kind, turn))
-    return tuple(found)
+        interval, turn = p.interval, np.pi if p.unit == "rad" else 0.0
+        entries.append(
+            Printed(p.name, interval.lower, interval.upper, interval.kind, turn)
+        )
+    return tuple(entries)
 
 
 def share_percent(flags: Sequence[bool]) -> float | str:

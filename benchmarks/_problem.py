@@ -78,10 +78,10 @@ class Goal(NamedTuple):
     @classmethod
     def read(cls, text: str) -> "Goal":
         """The goal that `str` wrote, as records hold it."""
-        found = re.fullmatch(r"(at least|at most|between) (\S+?)(?: and (\S+))?", text)
-        if found is None:
+        match = re.fullmatch(r"(at least|at most|between) (\S+?)(?: and (\S+))?", text)
+        if match is None:
             raise ValueError(f"{text!r} is no goal, like 'at least 3'.")
-        sense, bound, upper = found.groups()
+        sense, bound, upper = match.groups()
         senses: dict[str, Sense] = {known: known for known in get_args(Sense)}
         return cls(senses[sense], float(bound), float(upper or math.inf))
 
@@ -184,12 +184,12 @@ def discover(package: ModuleType) -> dict[str, str]:
     Returns:
         Name to first line of the docstring, sorted by name.
     """
-    found = {}
+    summaries = {}
     for folder in package.__path__:
         for path in Path(folder).glob("[!_]*.py"):
             text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-            found[path.stem] = text.partition("\n")[0]
-    return dict(sorted(found.items()))
+            summaries[path.stem] = text.partition("\n")[0]
+    return dict(sorted(summaries.items()))
 
 
 class Problem(NamedTuple):

@@ -30,18 +30,18 @@ class Profiles(NamedTuple):
 
     Attributes:
         inside: Whether the interval of each parameter in each draw holds p_target.
-        found: Whether it has both ends.
+        both_ends: Whether it has both ends.
         again: Calibrations that were begun again.
     """
 
     inside: HostArray
-    found: HostArray
+    both_ends: HostArray
     again: int
 
     @property
     def coverage(self) -> float:
         """Share of the intervals with both ends that hold p_target [-]."""
-        return float(np.mean(self.inside[self.found]))
+        return float(np.mean(self.inside[self.both_ends]))
 
 
 def profiles(
@@ -62,14 +62,14 @@ def profiles(
     """
     rows, again = [], 0
     for number, draw in enumerate(measured, start=1):
-        own = eqx.tree_at(_measured, problem, jnp.asarray(draw))
+        drawn = eqx.tree_at(_measured, problem, jnp.asarray(draw))
         z, tries = target, 0
         while True:
-            z, converged, linear = _fit(own, z)
+            z, converged, linear = _fit(drawn, z)
             try:
                 ends = (
                     profile_ends(
-                        own,
+                        drawn,
                         SETTINGS,
                         z=z,
                         linear=linear,
@@ -86,12 +86,12 @@ def profiles(
                 ends = None
             break
         again += tries
-        rows.append(_row(own, target - z, ends))
+        rows.append(_row(drawn, target - z, ends))
         if number % 10 == 0:
             options.say(f"  intervals of {number} draws")
-    found = np.array([[np.isfinite(a + b) for a, b, _ in row] for row in rows])
+    both_ends = np.array([[np.isfinite(a + b) for a, b, _ in row] for row in rows])
     inside = np.array([[-a <= gap <= b for a, b, gap in row] for row in rows])
-    return Profiles(inside, found, again)
+    return Profiles(inside, both_ends, again)
 
 
 def _measured(problem: CalibrationProblem):

@@ -45,8 +45,8 @@ def shown(
         angles: Angles of the motors, one row per pose [degrees].
         first: The model whose equilibria serve as guesses.
     """
-    found = simulated_measurements(model, posed(robot, angles), first=first)
-    effectors = [c.effectors[0] for c in found]
+    poses = simulated_measurements(model, posed(robot, angles), first=first)
+    effectors = [c.effectors[0] for c in poses]
     return [e.measured for e in effectors if isinstance(e, BodyFrame) and e.measured]
 
 

@@ -31,8 +31,8 @@ def components(release: str) -> dict[str, tuple[str | None, set[str]]]:
     common = set(_NAMES["of all"].split())
     known = _NAMES["both"] | _NAMES[release]
     return {
-        name: (own["plugin"], common | set(own["data"].split()))
-        for name, own in known.items()
+        name: (entry["plugin"], common | set(entry["data"].split()))
+        for name, entry in known.items()
     }
 
 
@@ -119,7 +119,7 @@ class Node:
             data |= read_vtk(data["filename"])
         made = Object(component, {k: self._linked(v) for k, v in data.items()})
         if "name" in data:
-            taken = made.name in [own.name for own in self.objects]
+            taken = made.name in [other.name for other in self.objects]
             _check(not taken, f"there are two objects {made.name}")
         self.objects.append(made)
         if component == "RequiredPlugin":
@@ -133,10 +133,10 @@ class Node:
         if component not in known:
             self._note(f"SOFA {self.release} has no component {component}")
             return
-        plugin, own = known[component]
+        plugin, data = known[component]
         if plugin is not None and plugin not in self.root.plugins:
             self._note(f"{component} needs the plugin {plugin}")
-        for name in sorted(names - own):
+        for name in sorted(names - data):
             self._note(f"{component} has no data {name}")
 
     def _note(self, text: str) -> None:
@@ -150,14 +150,14 @@ class Node:
         if not (isinstance(value, str) and value.startswith("@")):
             return value
         name, _, field = value[1:].partition(".")
-        owners = [own for own in self.objects if own.name == name]
+        owners = [o for o in self.objects if o.name == name]
         _check(len(owners) == 1, f"the link {value} leads nowhere")
         return owners[0].data[field] if field else value
 
     def find(self, component: str) -> list[Any]:
         """All components of a class in this node and below."""
-        own = [o for o in self.objects if getattr(o, "component", None) == component]
-        return own + [o for child in self.children for o in child.find(component)]
+        hits = [o for o in self.objects if getattr(o, "component", None) == component]
+        return hits + [o for child in self.children for o in child.find(component)]
 
 
 def read_vtk(path: str) -> dict[str, list]:
@@ -215,7 +215,7 @@ def run(
         spec.loader.exec_module(scene)
         root = Node("root", release, unknown=unknown)
         scene.createScene(root)
-    (monitor,) = [own for own in root.objects if isinstance(own, Controller)]
+    (monitor,) = [o for o in root.objects if isinstance(o, Controller)]
     return root, monitor
 
 
@@ -226,9 +226,9 @@ def _sofa_installed() -> Iterator[None]:
     core.__dict__["Controller"] = Controller
     sofa = types.ModuleType("Sofa")
     sofa.__dict__["Core"] = core
-    own = {"Sofa": sofa, "Sofa.Core": core}
-    before = {name: sys.modules.get(name) for name in own}
-    sys.modules.update(own)
+    modules = {"Sofa": sofa, "Sofa.Core": core}
+    before = {name: sys.modules.get(name) for name in modules}
+    sys.modules.update(modules)
     try:
         yield
     finally:

@@ -135,12 +135,12 @@ def run(count: int, say: Callable[[str], None]) -> dict[str, Figure]:
                 path = Path(folder) / "scene"
                 robot.write(path, release=release, units=units)
                 for configuration in robot.configurations:
-                    found: list[str] = []
-                    own = configuration.name
-                    _sofa.run(path, release, name=own, unknown=found)
-                    for text in found:
-                        say(f"not known: {name}, {release}, {own}: {text}")
-                    unknown, n = unknown + found, n + 1
+                    texts: list[str] = []
+                    pose = configuration.name
+                    _sofa.run(path, release, name=pose, unknown=texts)
+                    for text in texts:
+                        say(f"not known: {name}, {release}, {pose}: {text}")
+                    unknown, n = unknown + texts, n + 1
     return {"sofa_scene_names_unknown": len(unknown), "sofa_scenes": n}
 
 
@@ -173,17 +173,17 @@ def posed(
     model = build_model(mesh, law, density=DENSITY, actuators=tuple(actuators))
     lanes = configuration_arrays(mesh, configurations, model.mechanism)
     newton = NewtonSettings(rtol=1e-12)
-    found = jax.vmap(lambda c: solve_equilibrium(model, c, settings=newton))(lanes)
-    if not np.all(jax.device_get(found.converged)):
+    solution = jax.vmap(lambda c: solve_equilibrium(model, c, settings=newton))(lanes)
+    if not np.all(jax.device_get(solution.converged)):
         raise RuntimeError("a configuration has no equilibrium.")
-    u = np.asarray(found.displacement)[:, : mesh.n_nodes]
+    u = np.asarray(solution.displacement)[:, : mesh.n_nodes]
     return Posed(model, tuple(configurations), u)
 
 
 def densities() -> ParameterSpace:
     """Space of one parameter, which scenes do not depend on."""
-    own = sc.Parameter("density", "density", start=DENSITY, lower=1.0, upper=1e4)
-    return ParameterSpace([own])
+    density = sc.Parameter("density", "density", start=DENSITY, lower=1.0, upper=1e4)
+    return ParameterSpace([density])
 
 
 def edge_law(nu: float = 0.3) -> SofaCorotational:
@@ -193,8 +193,8 @@ def edge_law(nu: float = 0.3) -> SofaCorotational:
 
 def _with_fibre() -> SofaCorotational:
     fibre = sc.Fibre(0.5 + 5.0 * MESH.centroids[:, 0])
-    own = PluginElasticity(sc.ReducedTransverseIsotropic(2 * E, E, 0.3, fibre))
-    return SofaCorotational.of_mesh(MESH, own, "large")
+    law = PluginElasticity(sc.ReducedTransverseIsotropic(2 * E, E, 0.3, fibre))
+    return SofaCorotational.of_mesh(MESH, law, "large")
 
 
 LAWS: dict[str, Callable[[], AbstractLaw]] = {
@@ -239,13 +239,13 @@ def actuated() -> tuple[list[Any], list[Configuration]]:
         "pulled at the other end": (0.0, 0.3, 0.0, 0.0),
         "all": (0.1, 0.0, 0.2, 2e3),
     }
-    names = [own.name for own in actuators]
+    names = [a.name for a in actuators]
     configurations = [
         Configuration(
             name,
             actuation={
-                own: sc.ImposedForce(value)
-                for own, value in zip(names, values, strict=True)
+                actuator: sc.ImposedForce(value)
+                for actuator, value in zip(names, values, strict=True)
             },
             **common,
         )

@@ -103,12 +103,12 @@ def assembled(pieces: Sequence[Piece], x: np.ndarray) -> np.ndarray:
 def _tangent(pieces: Sequence[Piece], x, step):
     rows, columns, values = [], [], []
     for piece in pieces:
-        own, (n, m) = x[piece.nodes], piece.nodes.shape
+        x_e, (n, m) = x[piece.nodes], piece.nodes.shape
         dof = (3 * piece.nodes[:, :, None] + np.arange(3)).reshape(n, 3 * m)
         for k in range(3 * m):
             change = np.zeros((m, 3))
             change.flat[k] = step
-            slope = (piece.force(own + change) - piece.force(own - change)) / (2 * step)
+            slope = (piece.force(x_e + change) - piece.force(x_e - change)) / (2 * step)
             rows.append(dof.ravel())
             columns.append(np.repeat(dof[:, k], 3 * m))
             values.append(slope.ravel())

@@ -69,10 +69,10 @@ def by_package(mesh: TetMesh, law: AbstractLaw) -> np.ndarray:
         RuntimeError: If there is no equilibrium.
     """
     model = build_model(mesh, law, density=DENSITY)
-    found = solve_equilibrium(model, HANGING, settings=NewtonSettings(rtol=1e-12))
-    if not found.converged:
+    solution = solve_equilibrium(model, HANGING, settings=NewtonSettings(rtol=1e-12))
+    if not solution.converged:
         raise RuntimeError("the hanging beam has no equilibrium.")
-    return np.asarray(found.displacement)
+    return np.asarray(solution.displacement)
 
 
 def by_numpy(mesh: TetMesh, kind: str, E: np.ndarray | float = E) -> np.ndarray:

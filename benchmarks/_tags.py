@@ -94,8 +94,8 @@ def run(count: int, say: Callable[[str], None]) -> dict[str, Figure]:
         ) as pool,
     ):
         ends = [min(start + POSES_OF_A_BOARD, count) for start in starts]
-        for found in pool.map(photograph_poses, starts, ends):
-            for error in found:
+        for batch in pool.map(photograph_poses, starts, ends):
+            for error in batch:
                 errors.append(error)
                 say(f"tags: pose {len(errors)} of {count}: {_words(error)}")
     apart, turn, square = np.array(errors).T
@@ -157,24 +157,24 @@ def photograph_pose(folder: Path, of_board: list[Path], lens: Lens, draw: int) -
     sheet = {BASE: (HERE, SIZE), TAG: (true, SIZE)}
     views = clear_views(rng, sheet, OF_POSE, away=AWAY)
     paths = photographs(folder, sheet, views, lens, rng)
-    found = tag_pose(paths, tag=TAG, base_tag=BASE, size=SIZE, board=of_board)
+    pose = tag_pose(paths, tag=TAG, base_tag=BASE, size=SIZE, board=of_board)
     for path in paths:
         path.unlink()
-    return error_of(found, true)
+    return error_of(pose, true)
 
 
-def error_of(found: TagPose, true: Placement) -> Error:
+def error_of(pose: TagPose, true: Placement) -> Error:
     """Compare a pose with the truth."""
-    off = difference(found, true)
-    square = off @ np.linalg.solve(found.covariance, off)
+    off = difference(pose, true)
+    square = off @ np.linalg.solve(pose.covariance, off)
     position, turn = np.linalg.norm(off.reshape(2, 3), axis=1)
     return Error(float(position), float(turn), float(square))
 
 
-def difference(found: TagPose, true: Placement) -> np.ndarray:
+def difference(pose: TagPose, true: Placement) -> np.ndarray:
     """Errors of position [m] and of orientation [rad], in the axes of the base."""
-    turn = Rotation.from_matrix(true.R @ found.rotation.T).as_rotvec()
-    return np.concatenate([true.p - found.position, turn])
+    turn = Rotation.from_matrix(true.R @ pose.rotation.T).as_rotvec()
+    return np.concatenate([true.p - pose.position, turn])
 
 
 def _words(error: Error) -> str:

@@ -55,8 +55,8 @@ def run(options: Options) -> Outcome:
     for i in range(ROUNDS):
         options.say(f"evaluations on all cores and on one, {i + 1} of {ROUNDS}")
         for which in ("all", "one"):
-            told = json.loads(run_process([*COMMAND, which]).splitlines()[-1])
-            for lanes, seconds in told.items():
+            by_lanes = json.loads(run_process([*COMMAND, which]).splitlines()[-1])
+            for lanes, seconds in by_lanes.items():
                 samples.setdefault(f"{which}_{lanes}_s", []).extend(seconds)
         samples.setdefault(f"two_{OF_TWO}_s", []).extend(seconds_of_two())
     figures: dict[str, Figure] = {"cores": usable_cores()}
@@ -92,8 +92,8 @@ def loaded(measured: MeasuredBeam, n: int) -> CalibrationProblem:
     weight = jnp.linspace(0.8, 1.2, n)[:, None]
     lanes = eqx.tree_at(lambda c: c.gravity, lanes, weight * lanes.gravity)
     # The noise of the beam is of its own configurations.
-    own = measured.problem.with_noise(None)
-    return eqx.tree_at(lambda p: p.configurations, own, lanes)
+    problem = measured.problem.with_noise(None)
+    return eqx.tree_at(lambda p: p.configurations, problem, lanes)
 
 
 def evaluation_seconds(
@@ -182,7 +182,7 @@ if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     beam = measured_beam(CELLS, plane="xy")
     if which in ("first", "last"):
-        found = evaluation_seconds(beam, OF_TWO, 2 * REPEATS, _told_to_begin)
+        times = evaluation_seconds(beam, OF_TWO, 2 * REPEATS, _told_to_begin)
     else:
-        found = {n: evaluation_seconds(beam, n, REPEATS) for n in LANES}
-    print(json.dumps(found))
+        times = {n: evaluation_seconds(beam, n, REPEATS) for n in LANES}
+    print(json.dumps(times))

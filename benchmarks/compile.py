@@ -58,7 +58,7 @@ _DEMO = """
 import runpy, sys, time
 begin = time.perf_counter()
 import jax
-told, spans = {"answer": None, "tracing": 0.0}, []
+times, spans = {"answer": None, "tracing": 0.0}, []
 parts = ("trace_duration", "module_duration", "cache_retrieval_time_sec")
 def add(event, seconds, **_):
     if event.endswith(parts):
@@ -67,7 +67,7 @@ jax.monitoring.register_event_duration_secs_listener(add)
 write = sys.stdout.write
 def seen(text):
     if "So far" in text:
-        told["answer"] = time.perf_counter() - begin
+        times["answer"] = time.perf_counter() - begin
     return write(text)
 sys.stdout.write = seen
 sys.argv[0] = "softcal"
@@ -76,12 +76,12 @@ try:
 except SystemExit as end:
     assert not end.code, end.code
 import json
-told["total"] = time.perf_counter() - begin
+times["total"] = time.perf_counter() - begin
 until = 0.0
 for first, last in sorted(spans):  # of several threads, and one in another
-    told["tracing"] += max(0.0, last - max(first, until))
+    times["tracing"] += max(0.0, last - max(first, until))
     until = max(until, last)
-write("\\n" + json.dumps(told))
+write("\\n" + json.dumps(times))
 """
 """A demo that tells when its answer was there, and for how long anything was traced,
 lowered or read back [s]."""
@@ -105,8 +105,8 @@ def run(options: Options) -> Outcome:
     samples: dict[str, list[float]] = {}
     figures: dict[str, Figure] = {}
     for part, count in (options.counts or COUNTS).items():
-        own, more = _PARTS[part](count, options.say)
-        samples |= own
+        times, more = _PARTS[part](count, options.say)
+        samples |= times
         figures |= more
     figures |= {
         name: int(max(values)) if name in COUNTED else statistics.median(values)
@@ -131,9 +131,9 @@ def starts(count: int, say: Say) -> Found:
     with tree_before() as tree:
         for i in range(count):
             say(f"softcal demo, the beam and the trunk, {i + 1} of {count}")
-            for folder, own in ((ROOT, samples), (tree, before)):
-                _add(own, demo_starts(folder) | beam_starts(CELLS, folder))
-                _add(own, trunk_starts(folder))
+            for folder, times in ((ROOT, samples), (tree, before)):
+                _add(times, demo_starts(folder) | beam_starts(CELLS, folder))
+                _add(times, trunk_starts(folder))
     return samples, over_before(samples, before)
 
 
@@ -146,8 +146,8 @@ def gradients(count: int, say: Say) -> Found:
     return samples, {}
 
 
-def _add(samples: dict[str, list[float]], found: dict[str, float]) -> None:
-    for name, value in found.items():
+def _add(samples: dict[str, list[float]], values: dict[str, float]) -> None:
+    for name, value in values.items():
         samples.setdefault(name, []).append(value)
 
 
@@ -187,7 +187,7 @@ def over_before(
     now: dict[str, list[float]], before: dict[str, list[float]]
 ) -> dict[str, Figure]:
     """Ratios of medians to those of `BEFORE`."""
-    median = lambda own, name: statistics.median(own[name])
+    median = lambda samples, name: statistics.median(samples[name])
     ratio = lambda name, old: median(now, name) / median(before, old)
     figures: dict[str, Figure] = {
         f"{what}_{start}_over_before": ratio(f"{what}_{start}_s", f"demo_{start}_s")
@@ -205,7 +205,7 @@ def over_before(
 
 def demo_starts(folder: Path = ROOT) -> dict[str, float]:
     """Wall times of a demo, cold and then warm, and its own account of them [s]."""
-    found: dict[str, float] = {}
+    figures: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as home:
         for start in ("cold", "warm"):
             results = Path(home) / start
@@ -213,14 +213,14 @@ def demo_starts(folder: Path = ROOT) -> dict[str, float]:
             said = json.loads(
                 run_process(command, at_home(home, folder), folder).splitlines()[-1]
             )
-            found[f"demo_{start}_s"] = said["total"]
-            found[f"answer_{start}_s"] = said["answer"] or said["total"]
-            found[f"tracing_{start}_s"] = said["tracing"]
-            told = json.loads((results / "result.json").read_text(encoding="utf-8"))
-            for part, seconds in told["timing_s"].items():
+            figures[f"demo_{start}_s"] = said["total"]
+            figures[f"answer_{start}_s"] = said["answer"] or said["total"]
+            figures[f"tracing_{start}_s"] = said["tracing"]
+            result = json.loads((results / "result.json").read_text(encoding="utf-8"))
+            for part, seconds in result["timing_s"].items():
                 name = re.sub(r"[^a-z0-9]+", "_", part.lower())
-                found[f"demo_{start}_{name}_s"] = seconds
-    return found
+                figures[f"demo_{start}_{name}_s"] = seconds
+    return figures
 
 
 def beam_starts(cells: Cells, folder: Path = ROOT) -> dict[str, float]:
@@ -233,21 +233,21 @@ def beam_starts(cells: Cells, folder: Path = ROOT) -> dict[str, float]:
     Raises:
         RuntimeError: If its calibration does not converge.
     """
-    found: dict[str, float] = {}
+    figures: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as home:
         for start in ("cold", "warm"):
             command = [sys.executable, "-m", "benchmarks._first_result"]
             command += [str(time.time()), *map(str, cells)]
-            told = json.loads(run_process(command, at_home(home, folder), folder))
-            if not told["converged"]:
+            report = json.loads(run_process(command, at_home(home, folder), folder))
+            if not report["converged"]:
                 raise RuntimeError("the calibration of the beam did not converge.")
             for part in ("first_result", "calibration", "compile"):
-                found[f"beam_{start}_{part}_s"] = told[f"{part}_s"]
+                figures[f"beam_{start}_{part}_s"] = report[f"{part}_s"]
             again = "recompilations_after_first_step"
-            found[again] = max(found.get(again, 0), told[again])
-    found["beam_programs"] = told["programs"]
-    found["beam_programs_not_kept"] = told["programs"] - told["from_disk"]
-    return found
+            figures[again] = max(figures.get(again, 0), report[again])
+    figures["beam_programs"] = report["programs"]
+    figures["beam_programs_not_kept"] = report["programs"] - report["from_disk"]
+    return figures
 
 
 def trunk_starts(folder: Path = ROOT) -> dict[str, float]:
@@ -256,16 +256,16 @@ def trunk_starts(folder: Path = ROOT) -> dict[str, float]:
     Raises:
         RuntimeError: If it does not converge to the modulus of its measurements.
     """
-    found: dict[str, float] = {}
+    figures: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as home:
         for start in ("cold", "warm"):
             command = [sys.executable, str(ROOT / "benchmarks" / "_trunk.py")]
             command.append(str(time.time()))
-            told = json.loads(run_process(command, at_home(home, folder), folder))
-            if not (told["converged"] and told["recovered"]):
+            report = json.loads(run_process(command, at_home(home, folder), folder))
+            if not (report["converged"] and report["recovered"]):
                 raise RuntimeError("the calibration of the trunk did not converge.")
-            found[f"trunk_{start}_calibration_s"] = told["calibration_s"]
-    return found
+            figures[f"trunk_{start}_calibration_s"] = report["calibration_s"]
+    return figures
 
 
 def eager_starts() -> dict[str, float]:
@@ -274,10 +274,10 @@ def eager_starts() -> dict[str, float]:
     with tempfile.TemporaryDirectory() as home:
         for start in ("cold", "warm"):
             command = [sys.executable, "-m", "benchmarks._eager", str(time.time())]
-            told = json.loads(run_process(command, at_home(home)).splitlines()[-1])
-            figures[f"first_gradient_{start}_s"] = told["first_gradient_s"]
+            report = json.loads(run_process(command, at_home(home)).splitlines()[-1])
+            figures[f"first_gradient_{start}_s"] = report["first_gradient_s"]
             again = "second_eager_call_compiles"
-            figures[again] = max(figures.get(again, 0), told["second_calls"])
+            figures[again] = max(figures.get(again, 0), report["second_calls"])
     return figures
 
 
@@ -287,8 +287,8 @@ def mesh_errors(count: int, say: Say) -> Found:
     for robot in count * ROBOTS:
         say(f"error of the mesh, {robot}")
         command = [sys.executable, "-m", "benchmarks._mesh_error", robot]
-        told = json.loads(run_process(command).splitlines()[-1])
-        for what, value in told.items():
+        report = json.loads(run_process(command).splitlines()[-1])
+        for what, value in report.items():
             for name in (f"mesh_error_{what}", f"{robot}_mesh_error_{what}"):
                 figures[name] = max(figures.get(name, 0.0), value)
     return {}, figures

@@ -95,8 +95,8 @@ def check_seconds(repeats: int) -> tuple[list[float], int]:
     times, programs = [], 0
     for _ in range(repeats + 1):
         with tempfile.TemporaryDirectory() as home:
-            own = Path(home)
-            picture, kept = own / "check.png", own / "jax"
+            folder = Path(home)
+            picture, kept = folder / "check.png", folder / "jax"
             environment = _COMPILED | {
                 "XDG_CACHE_HOME": home,
                 "MPLCONFIGDIR": home,

@@ -76,10 +76,10 @@ def run(options: Options) -> Outcome:
         "largest_calibration_s": calibration[-1]["seconds"],
         "calibration_ended_by": ended,
     }
-    found = {"solve": solve, "calibration": calibration}
+    by_kind = {"solve": solve, "calibration": calibration}
     samples = {
         f"{kind}_{name}": [row[name] for row in rows]
-        for kind, rows in found.items()
+        for kind, rows in by_kind.items()
         for name in COLUMNS
     }
     tables = [
@@ -88,7 +88,7 @@ def run(options: Options) -> Outcome:
             list(COLUMNS.values()),
             [[f"{row[name]:.3g}" for name in COLUMNS] for row in rows],
         )
-        for kind, rows in found.items()
+        for kind, rows in by_kind.items()
     ]
     better: dict[str, Better] = dict.fromkeys(
         (name for name in figures if "exponent" in name), "lower"
@@ -106,18 +106,18 @@ def _series(options: Options, kind: str) -> tuple[list[Row], str]:
     Raises:
         RuntimeError: If fewer than two could be measured.
     """
-    found: list[Row] = []
+    rows: list[Row] = []
     for across in ACROSS[kind]:
         options.say(f"{kind}, {across} cells across the beam")
         command = [sys.executable, "-m", "benchmarks.growth", kind, str(across)]
         try:
-            found.append(json.loads(run_process(command).splitlines()[-1]))
+            rows.append(json.loads(run_process(command).splitlines()[-1]))
         except RuntimeError as error:
-            if len(found) < 2:
+            if len(rows) < 2:
                 raise
             last = str(error).splitlines()[-1]
-            return found, f"{across} cells across failed: {last}"
-    return found, "the largest mesh that was asked for"
+            return rows, f"{across} cells across failed: {last}"
+    return rows, "the largest mesh that was asked for"
 
 
 def exponent(nodes: Sequence[float], cost: Sequence[float]) -> float:
@@ -162,10 +162,10 @@ def prepared_calibration(across: int) -> Prepared:
 
     def steps() -> int:
         forget_starts()
-        found = one_run(problem, CalibrationSettings(), space.start())
-        if not recovered(parameter_errors(space, found.z, target)):
+        end = one_run(problem, CalibrationSettings(), space.start())
+        if not recovered(parameter_errors(space, end.z, target)):
             raise RuntimeError(f"{across} cells across: p_target was not recovered.")
-        return found.steps
+        return end.steps
 
     # A run that begins where it ends compiles what others consist of.
     one_run(problem, CalibrationSettings(), target)

@@ -104,18 +104,18 @@ def closed_form(rubber: Rubber, kind: str, s: float, fibres: float = 0.0) -> flo
     bulk = 2.0 * mu * (1.0 + NU) / (3.0 * (1.0 - 2.0 * NU))
 
     def tau(stretches: list[float]) -> np.ndarray:
-        own = np.asarray(stretches)
-        J = np.prod(own)
-        slopes = rubber.slopes(c, own * J ** (-1.0 / 3.0))
+        lam = np.asarray(stretches)
+        J = np.prod(lam)
+        slopes = rubber.slopes(c, lam * J ** (-1.0 / 3.0))
         return slopes - slopes.mean() + 0.5 * bulk * (J * J - 1.0)
 
     if kind == "simple_shear":
-        own = s / 2.0 + np.hypot(1.0, s / 2.0)
-        first, second, _ = tau([own, 1.0 / own, 1.0])
-        return float(s * (first - second) / (own**2 - own**-2))
+        stretch = s / 2.0 + np.hypot(1.0, s / 2.0)
+        first, second, _ = tau([stretch, 1.0 / stretch, 1.0])
+        return float(s * (first - second) / (stretch**2 - stretch**-2))
     of = FREE[kind]
-    found = root_scalar(lambda b: tau(of(s, b))[2], bracket=(0.2, 1.5), xtol=1e-15)
-    return float(tau(of(s, found.root))[0] / s + fibres * (s - 1.0))
+    solution = root_scalar(lambda b: tau(of(s, b))[2], bracket=(0.2, 1.5), xtol=1e-15)
+    return float(tau(of(s, solution.root))[0] / s + fibres * (s - 1.0))
 
 
 def solved(law: AbstractLaw, kind: str, s: float) -> float:
@@ -195,14 +195,14 @@ def fit(rubber: Rubber, start: Constants) -> dict[str, float]:
         return np.concatenate(parts)
 
     lower = [0.7 if name == "J_m" else -np.inf for name in names]
-    found = least_squares(
+    solution = least_squares(
         residual,
         np.array(list(start.values())) / scale,
         bounds=(lower, np.inf),
         xtol=1e-14,
         ftol=1e-14,
     )
-    return dict(zip(names, (float(v) for v in found.x * scale), strict=True))
+    return dict(zip(names, (float(v) for v in solution.x * scale), strict=True))
 
 
 def run(options: Options) -> Outcome:
@@ -211,9 +211,9 @@ def run(options: Options) -> Outcome:
     goals: dict[str, Goal] = {}
     rows = []
 
-    def compare(name: str, kind: str, found: float, expected: float) -> None:
+    def compare(name: str, kind: str, value: float, expected: float) -> None:
         key = f"{name}_{kind}_relative_error"
-        figures[key] = abs(found / expected - 1.0)
+        figures[key] = abs(value / expected - 1.0)
         goals[key] = Goal("at most", 1e-8)
         rows.append([name, kind, f"{expected:.6g}", f"{figures[key]:.1e}"])
 
@@ -249,14 +249,14 @@ def _treloar(figures: dict[str, Figure], goals: dict[str, Goal]) -> Table:
     def against(name: str, rubber: Rubber, by_test: Mapping[str, Constants]) -> None:
         row = [name]
         for kind, c in by_test.items():
-            own = _rms(_of_law(rubber.law(**c), kind), kind)
+            rms = _rms(_of_law(rubber.law(**c), kind), kind)
             formula = _rms(nominal(rubber, c, kind), kind)
             key = f"{name}_treloar_{kind.replace(' ', '_')}"
-            figures[f"{key}_rms_kpa"] = 1e-3 * own
-            figures[f"{key}_rms_off_formula"] = abs(own / formula - 1.0)
+            figures[f"{key}_rms_kpa"] = 1e-3 * rms
+            figures[f"{key}_rms_off_formula"] = abs(rms / formula - 1.0)
             goals[f"{key}_rms_off_formula"] = Goal("at most", 1e-8)
-            share = own / TRELOAR[kind].stress.max()
-            row.append(f"{1e-3 * own:.1f} ({100.0 * share:.1f} %)")
+            share = rms / TRELOAR[kind].stress.max()
+            row.append(f"{1e-3 * rms:.1f} ({100.0 * share:.1f} %)")
         rows.append(row)
 
     ogden = RUBBERS["ogden_3"]

@@ -93,10 +93,10 @@ def run(options: Options) -> Outcome:
     rows = []
     for n, size in SIZES.items():
         options.say(f"beam of about {n} free degrees of freedom")
-        found, seconds = one_size(size)
-        figures |= {f"n{n}_{name}": value for name, value in found.items()}
+        values, seconds = one_size(size)
+        figures |= {f"n{n}_{name}": value for name, value in values.items()}
         samples |= {f"n{n}_{name}_s": times for name, times in seconds.items()}
-        rows.append([str(found["free_dof"]), *(f"{found[c]:.3g}" for c in COLUMNS)])
+        rows.append([str(values["free_dof"]), *(f"{values[c]:.3g}" for c in COLUMNS)])
     name = "sensitivity_vs_pardiso"
     figures[f"{name}_n20000"] = figures.pop(f"n20000_{name}")
     options.say("errors of iterations")
@@ -111,8 +111,8 @@ def run(options: Options) -> Outcome:
     figures["kept_steps"] = len(counted)
     table = Table("Against the limit, medians", ["free dof", *COLUMNS.values()], rows)
     heads = ["iterations", "largest error / largest displacement"]
-    told = Table("Convergence of Newton's method", heads, falls)
-    return Outcome(figures, samples, GOALS, [table, told])
+    convergence = Table("Convergence of Newton's method", heads, falls)
+    return Outcome(figures, samples, GOALS, [table, convergence])
 
 
 COLUMNS = {

@@ -79,8 +79,8 @@ def run(options: Options) -> Outcome:
             halved = [tips[cells, nu] for cells in HALVED]
             figures[f"{element}_nu{nu}_order"] = observed_order(halved)
             if element != "tet4":
-                own = _percent(extrapolate(halved), reference[nu])
-                figures[f"{element}_nu{nu}_extrapolated_off_percent"] = own
+                extrapolated = _percent(extrapolate(halved), reference[nu])
+                figures[f"{element}_nu{nu}_extrapolated_off_percent"] = extrapolated
     figures["smallest_estimate_over_error"] = min(ratios)
     figures["largest_estimate_over_error"] = max(ratios)
     figures["median_estimate_over_error"] = float(np.median(ratios))

@@ -130,7 +130,7 @@ def run(options: Options) -> Outcome:
                 for parameter, errors in zip(names, levels[std].error.T, strict=True)
             }
         if design == "p4":
-            inside = np.concatenate([found.inside for found in levels.values()])
+            inside = np.concatenate([draws.inside for draws in levels.values()])
             figures["coverage_95"] = _share(inside)
         picture = options.folder() / f"noise_coverage_{design}.png"
         plot(levels, names, picture)
@@ -139,10 +139,10 @@ def run(options: Options) -> Outcome:
         if design == "p6":
             std = max(LEVELS)
             options.say(f"{design}: profiles of {DRAWS} draws with {1e3 * std:g} mm")
-            own, measured = noisy(problem, std, DRAWS)
-            found = profiles(own, target, measured, QUANTILE, options)
-            figures |= _profile_figures(found)
-            tables.append(_profile_table(found, names, std))
+            weighed, measured = noisy(problem, std, DRAWS)
+            profiled = profiles(weighed, target, measured, QUANTILE, options)
+            figures |= _profile_figures(profiled)
+            tables.append(_profile_table(profiled, names, std))
     options.say(f"p4: {DRAWS} draws with offsets of recordings")
     off = with_offsets(CELLS, DESIGNS["p4"], BOUNDS, draws=DRAWS, options=options)
     figures["coverage_95_offsets"] = off.coverage
@@ -164,14 +164,14 @@ def clean_problem(
     return problem, space.to_scaled(p)
 
 
-def _figures(found: Draws, name: str) -> dict[str, Figure]:
+def _figures(draws: Draws, name: str) -> dict[str, Figure]:
     figures: dict[str, Figure] = {
-        f"coverage_95_{name}": _share(found.inside),
-        f"not_converged_{name}": int(np.sum(~found.converged)),
-        f"on_a_bound_{name}": int(np.sum(found.on_bound)),
+        f"coverage_95_{name}": _share(draws.inside),
+        f"not_converged_{name}": int(np.sum(~draws.converged)),
+        f"on_a_bound_{name}": int(np.sum(draws.on_bound)),
     }
-    if found.usable.any():
-        figures[f"error_over_predicted_{name}"] = float(np.mean(_ratios(found)))
+    if draws.usable.any():
+        figures[f"error_over_predicted_{name}"] = float(np.mean(_ratios(draws)))
     return figures
 
 
@@ -198,12 +198,12 @@ def draw(
     space = problem.space
     p_target = np.asarray(space.from_scaled(target))
     errors, standard, on_bound = [], [], []
-    for own, run in zip(draws, runs, strict=True):
+    for drawn, run in zip(draws, runs, strict=True):
         z = jnp.asarray(run.z)
         down, up = map(np.asarray, space.room(z))
         at_bound = (down >= -1e-9) | (up <= 1e-9)
         errors.append(_wrapped(space, np.asarray(space.from_scaled(z)) - p_target))
-        standard.append(_standard_errors(own, z, at_bound))
+        standard.append(_standard_errors(drawn, z, at_bound))
         on_bound.append(at_bound.any())
     none = np.zeros(len(space.names), bool)
     predicted = _standard_errors(problem, target, none)
@@ -245,18 +245,18 @@ def _wrapped(space: ParameterSpace, gap: HostArray) -> HostArray:
     return np.where(angles, turn, gap)
 
 
-def _ratios(found: Draws) -> HostArray:
+def _ratios(draws: Draws) -> HostArray:
     """Root mean square error over the standard error predicted at p_target."""
-    size = np.sqrt(np.mean(found.error[found.usable] ** 2, axis=0))
-    return size / found.predicted
+    size = np.sqrt(np.mean(draws.error[draws.usable] ** 2, axis=0))
+    return size / draws.predicted
 
 
 def _table(levels: dict[float, Draws], names: list[str]) -> Table:
     rows = []
-    for std, found in levels.items():
-        if not found.usable.any():
+    for std, draws in levels.items():
+        if not draws.usable.any():
             continue
-        shares, ratios = found.inside.mean(axis=0), _ratios(found)
+        shares, ratios = draws.inside.mean(axis=0), _ratios(draws)
         for i, name in enumerate(names):
             angle = "theta" in name
             size = np.rad2deg(1.0) if angle else 1e-3
@@ -264,7 +264,7 @@ def _table(levels: dict[float, Draws], names: list[str]) -> Table:
                 [
                     f"{1e3 * std:g} mm",
                     name,
-                    f"{size * found.predicted[i]:.3g} {'deg' if angle else 'kPa'}",
+                    f"{size * draws.predicted[i]:.3g} {'deg' if angle else 'kPa'}",
                     f"{ratios[i]:.2f}",
                     f"{100 * shares[i]:.0f} %",
                 ]
@@ -279,12 +279,12 @@ def _lost(levels: dict[float, Draws], n_parameters: int) -> Table:
     rows = [
         [
             f"{1e3 * std:g} mm",
-            str(int(found.usable.sum())),
-            _listed(~found.converged),
-            _listed(found.on_bound),
-            _percent(found.inside),
+            str(int(draws.usable.sum())),
+            _listed(~draws.converged),
+            _listed(draws.on_bound),
+            _percent(draws.inside),
         ]
-        for std, found in levels.items()
+        for std, draws in levels.items()
     ]
     columns = ["noise", "fits used", "not converged (draws)", "on a bound (draws)"]
     title = f"{n_parameters} parameters: draws and coverage"
@@ -295,26 +295,26 @@ def _percent(inside: HostArray) -> str:
     return f"{100 * np.mean(inside):.1f} %" if inside.size else "none"
 
 
-def _profile_figures(found: Profiles) -> dict[str, Figure]:
+def _profile_figures(profiled: Profiles) -> dict[str, Figure]:
     return {
-        "coverage_95_profile": found.coverage,
-        "profile_intervals_found": int(found.found.sum()),
-        "profile_intervals_asked": int(found.found.size),
-        "profile_calibrated_again": found.again,
+        "coverage_95_profile": profiled.coverage,
+        "profile_intervals_found": int(profiled.both_ends.sum()),
+        "profile_intervals_asked": int(profiled.both_ends.size),
+        "profile_calibrated_again": profiled.again,
     }
 
 
-def _profile_table(found: Profiles, names: list[str], std: float) -> Table:
+def _profile_table(profiled: Profiles, names: list[str], std: float) -> Table:
     rows = [
         [
             name,
-            str(int(found.found[:, i].sum())),
-            _percent(found.inside[found.found[:, i], i]),
+            str(int(profiled.both_ends[:, i].sum())),
+            _percent(profiled.inside[profiled.both_ends[:, i], i]),
         ]
         for i, name in enumerate(names)
     ]
     columns = ["parameter", "intervals with both ends", "hold p_target"]
-    title = f"Profile likelihood, {1e3 * std:g} mm, {len(found.inside)} draws"
+    title = f"Profile likelihood, {1e3 * std:g} mm, {len(profiled.inside)} draws"
     return Table(title, columns, rows)
 
 
@@ -331,8 +331,8 @@ def plot(levels: dict[float, Draws], names: list[str], path: Path) -> None:
 
     drawing = Drawing(figsize=(14.0, 5.2), dpi=100, layout="constrained")
     panels = drawing.subplots(1, len(levels), sharey=True, squeeze=False)[0]
-    for axes, (std, found) in zip(panels, levels.items(), strict=True):
-        scaled = found.error[found.usable] / found.standard_error[found.usable]
+    for axes, (std, draws) in zip(panels, levels.items(), strict=True):
+        scaled = draws.error[draws.usable] / draws.standard_error[draws.usable]
         n = len(scaled)
         expected = np.sqrt(2.0) * _erfinv(2.0 * (np.arange(n) + 0.5) / n - 1.0)
         for i, (name, colour) in enumerate(zip(names, SERIES, strict=False)):
@@ -341,7 +341,7 @@ def plot(levels: dict[float, Draws], names: list[str], path: Path) -> None:
             )
         axes.plot([-3, 3], [-3, 3], color=TEXT, lw=1.2, label="as predicted")
         axes.set_title(
-            f"{1e3 * std:g} mm: {_percent(found.inside)} covered", fontsize=15
+            f"{1e3 * std:g} mm: {_percent(draws.inside)} covered", fontsize=15
         )
         axes.set_xlabel("quantile of the normal law", fontsize=13)
         axes.grid(True, color="#dddddd", lw=0.8)

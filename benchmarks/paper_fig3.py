@@ -112,13 +112,13 @@ def descend(
     counts: Sequence[int] = COUNTS,
 ) -> dict[int, Curve]:
     """A run from `START` for each number of configurations."""
-    found = {}
+    curves = {}
     for n in counts:
         problem = subset(measured.problem, range(n))
         end = one_run(problem, settings or CalibrationSettings(), problem.space.start())
         errors = parameter_errors(problem.space, end.z, measured.target)
-        found[n] = Curve(error_curve(end), np.asarray(end.z), errors)
-    return found
+        curves[n] = Curve(error_curve(end), np.asarray(end.z), errors)
+    return curves
 
 
 def verdict_at_end(measured: MeasuredBeam, curve: Curve) -> Identifiability:
@@ -153,12 +153,12 @@ def _table(title: str, measured: MeasuredBeam, curves: Mapping[int, Curve]) -> T
     return Table(f"Fig. 3, print plane {title}", columns, rows)
 
 
-def _verdict_table(found: Identifiability) -> Table:
-    rows = [[d.words, percent(d.ratio), d.verdict] for d in found.directions]
+def _verdict_table(outlook: Identifiability) -> Table:
+    rows = [[d.words, percent(d.ratio), d.verdict] for d in outlook.directions]
     columns = ["direction", "standard error over the asked one", "verdict"]
     return Table(
-        f"1 configuration, where its run ended: {found.verdict} ({found.n_data} data, "
-        f"{found.n_parameters} parameters)",
+        f"1 configuration, where its run ended: {outlook.verdict} ({outlook.n_data} "
+        f"data, {outlook.n_parameters} parameters)",
         columns,
         rows,
     )

@@ -101,7 +101,7 @@ class Ends(NamedTuple):
     errors: HostArray
 
     @property
-    def found(self) -> HostArray:
+    def hits(self) -> HostArray:
         """Which runs ended at p_target."""
         return np.array([recovered(row) for row in self.errors])
 
@@ -112,23 +112,23 @@ def run(options: Options) -> Outcome:
     ours = runs_from_random(WAYS[""], "xy", CELLS, STARTS)
     seconds = _timed(ours.measured)
     options.say("ours, print plane xz")
-    found = {"": ours, "_xz": runs_from_random(WAYS[""], "xz", CELLS, STARTS)}
+    runs = {"": ours, "_xz": runs_from_random(WAYS[""], "xz", CELLS, STARTS)}
     for suffix in ("_without", "_paper"):
         options.say(f"{WAYS[suffix].title}, print plane xy")
-        found[suffix] = runs_from_random(WAYS[suffix], "xy", CELLS, STARTS)
+        runs[suffix] = runs_from_random(WAYS[suffix], "xy", CELLS, STARTS)
     figures: dict[str, Figure] = {
-        f"recovered_of_30{suffix}": int(ends.found.sum())
-        for suffix, ends in found.items()
+        f"recovered_of_30{suffix}": int(ends.hits.sum())
+        for suffix, ends in runs.items()
     }
     figures["seconds_30_starts"] = seconds
     for suffix in ("", "_xz"):
-        result = found[suffix].result
-        figures[f"optima{suffix}"] = sum(bool(own.starts) for own in result.optima)
+        result = runs[suffix].result
+        figures[f"optima{suffix}"] = sum(bool(o.starts) for o in result.optima)
         figures[f"median_steps{suffix}"] = float(np.median(result.steps))
         figures[f"most_steps{suffix}"] = int(result.steps.max())
-        figures[f"search_over_all_alone{suffix}"] = _over_alone(found[suffix].measured)
+        figures[f"search_over_all_alone{suffix}"] = _over_alone(runs[suffix].measured)
     picture = options.folder() / "fig4.png"
-    plot({WAYS[s].title: found[s] for s in ("", "_without")}, picture)
+    plot({WAYS[s].title: runs[s] for s in ("", "_without")}, picture)
     options.say(f"picture: {picture}")
     titles = {
         "": "ours, print plane xy",
@@ -136,10 +136,10 @@ def run(options: Options) -> Outcome:
         "_without": "without the cures, print plane xy",
         "_paper": "the paper's loop, print plane xy",
     }
-    tables = [_table(titles[suffix], ends) for suffix, ends in found.items()]
+    tables = [_table(titles[suffix], ends) for suffix, ends in runs.items()]
     samples = {
         f"largest_error{suffix}": [float(e.max()) for e in ends.errors]
-        for suffix, ends in found.items()
+        for suffix, ends in runs.items()
     }
     return Outcome(figures, samples, GOALS, tables)
 
@@ -189,7 +189,7 @@ def _table(title: str, ends: Ends) -> Table:
     for optimum in result.optima:
         if not optimum.starts:  # only passed on the way to another one
             continue
-        at_target = bool(ends.found[optimum.starts[0]])
+        at_target = bool(ends.hits[optimum.starts[0]])
         rows.append(
             [
                 "p_target"
@@ -204,7 +204,7 @@ def _table(title: str, ends: Ends) -> Table:
         finite = result.cost[lost][np.isfinite(result.cost[lost])]
         lowest = f"{finite.min():.1e} or more" if finite.size else "infinite"
         rows.append(["not converged", lowest, str(lost.size)])
-    title = f"Fig. 4, {title}: {ends.found.sum()} of {len(ends.found)} reach p_target"
+    title = f"Fig. 4, {title}: {ends.hits.sum()} of {len(ends.hits)} reach p_target"
     return Table(title, ["optimum", "cost", "starts"], rows)
 
 
@@ -220,14 +220,14 @@ def plot(rows: Mapping[str, Ends], path: Path) -> None:
     drawing = Drawing(figsize=(15.0, 4.2 * len(rows)), dpi=100, layout="constrained")
     panels = drawing.subplots(len(rows), len(names), squeeze=False)
     for line, (title, ends) in zip(panels, rows.items(), strict=True):
-        found = ends.found
+        hits = ends.hits
         for i, (axes, name) in enumerate(zip(line, names, strict=True)):
             angle = "theta" in name
             factor = np.rad2deg(1.0) if angle else 1e-3
             pairs = factor * np.stack(
                 [ends.result.starts[:, i], ends.result.values[:, i]], axis=1
             )
-            for pair, good in zip(pairs, found, strict=True):
+            for pair, good in zip(pairs, hits, strict=True):
                 axes.plot(
                     [0, 1],
                     pair,
@@ -243,7 +243,7 @@ def plot(rows: Mapping[str, Ends], path: Path) -> None:
             axes.set_xticks([0, 1], ["start", "end"], fontsize=12)
             axes.set_title(f"{name} [{'deg' if angle else 'kPa'}]", fontsize=12)
         line[0].set_ylabel(
-            f"{title}:\n{found.sum()} of {len(found)} reach p_target", fontsize=14
+            f"{title}:\n{hits.sum()} of {len(hits)} reach p_target", fontsize=14
         )
     handles = [
         Line2D([], [], color=GOOD, marker="o", label="ends at p_target"),

@@ -161,9 +161,9 @@ def all_markers(
 def _compliances(problem: CalibrationProblem, z):
     model, lanes = problem.at(z)
 
-    def lane(own, posed):
+    def lane(nominal, posed):
         u = solve_equilibrium(model, posed, settings=problem.newton).displacement
-        return energy_compliance(problem.model, own, u, problem.space, z)
+        return energy_compliance(problem.model, nominal, u, problem.space, z)
 
     return jax.vmap(lane)(problem.configurations, lanes)
 
@@ -176,12 +176,12 @@ def condition_numbers(
     measured = synthetic_measurements(beam.model, beam.space, poses, beam.target)
     problem = build_problem(beam.model, beam.space, measured)
     p = jnp.asarray([beam.target[name] for name in beam.space.names])
-    found = _compliances(problem, beam.space.to_scaled(p))
-    if not bool(jnp.all(found.ok)):
+    compliances = _compliances(problem, beam.space.to_scaled(p))
+    if not bool(jnp.all(compliances.ok)):
         raise RuntimeError("a configuration has no equilibrium at p_target.")
     n_c, n_markers, _ = problem.configurations.effectors.measured.shape
-    W_ep = np.asarray(found.W_ep).reshape(n_c, n_markers, 3, -1)
-    W_pp = np.asarray(found.W_pp)
+    W_ep = np.asarray(compliances.W_ep).reshape(n_c, n_markers, 3, -1)
+    W_pp = np.asarray(compliances.W_pp)
     fields = [q.field for q in beam.space.parameters]
     return {
         design: _condition(W_ep, W_pp, fields, design) for design in designs([*FIELDS])
@@ -288,7 +288,7 @@ def calibrations(
         if paper
         else CalibrationSettings(max_steps=STEPS)
     )
-    found = {}
+    courses = {}
     for design in wanted or designs((FOUR, "all")):
         space = with_known(beam.space, FIELDS[design.fields], beam.target)
         whole = build_problem(beam.model, space, poses)
@@ -297,8 +297,8 @@ def calibrations(
         )
         end = one_run(problem, settings, space.start())
         target = space.to_scaled(jnp.asarray([beam.target[n] for n in space.names]))
-        found[design] = _course(end, parameter_errors(space, end.z, target))
-    return found
+        courses[design] = _course(end, parameter_errors(space, end.z, target))
+    return courses
 
 
 def _course(end: Run, errors: HostArray) -> str:

@@ -46,22 +46,22 @@ GOALS = {
 def run(options: Options) -> Outcome:
     """Calibrate against every robot in both ways, and compare errors."""
     robot, alone = model_robot(), model_robot(setup=None)
-    found: dict[str, list[CalibrationResult]] = {"": [], "_material": []}
+    fits: dict[str, list[CalibrationResult]] = {"": [], "_material": []}
     picture = options.folder() / "fig6.png"
     picture.unlink(missing_ok=True)
     for seed in range(ROBOTS):
         options.say(f"robot {seed + 1} of {ROBOTS}")
         measured = measured_robot(robot, seed)
-        found[""].append(calibrated(robot, measured))
+        fits[""].append(calibrated(robot, measured))
         if seed < ROBOTS_ALONE:
-            found["_material"].append(calibrated(alone, measured))
-        if found[""][-1].converged and not picture.exists():
+            fits["_material"].append(calibrated(alone, measured))
+        if fits[""][-1].converged and not picture.exists():
             truth = measured.printed.parameters
-            calibrated_to = values_of(found[""][-1])
+            calibrated_to = values_of(fits[""][-1])
             plot(robot, {"calibrated": calibrated_to, "printed": truth}, picture)
             options.say(f"picture: {picture}")
     figures, samples, tables = {}, {}, []
-    for suffix, every in found.items():
+    for suffix, every in fits.items():
         results = [result for result in every if result.converged]
         figures[f"converged{suffix}"] = len(results)
         figures[f"robots{suffix}"] = len(every)

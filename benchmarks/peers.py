@@ -109,8 +109,8 @@ def _compare(
     figures = our_end(job)
     for name, peer in peers.items():
         options.say(f"agreement of {name}")
-        found = (peer.process.ask(tips), peer.process.ask(by_parameter))
-        figures |= _prefixed(name, agreement(job, name, *found))
+        answers = (peer.process.ask(tips), peer.process.ask(by_parameter))
+        figures |= _prefixed(name, agreement(job, name, *answers))
     options.say("static and gradient")
     seconds = {
         "static": interleave(_calls(job, peers, our_pose, static), STATIC_REPEATS),
@@ -185,10 +185,10 @@ def opened(
 def tips(peer: AbstractPeer) -> HostArray:
     """Displacement of the marker in all poses at p_target, by a peer [m]."""
     fields = peer.job.fields(peer.job.target)
-    found = [
+    moved = [
         peer.solve(i, fields)[pose.marker] for i, pose in enumerate(peer.job.poses)
     ]
-    return np.stack(found)
+    return np.stack(moved)
 
 
 def static(peer: AbstractPeer) -> None:

@@ -59,12 +59,12 @@ def run(options: Options) -> Outcome:
         "wound_called_identified": int(assessment.identified),
         "wound_converged": int(wound.converged),
     }
-    found = {p.name: p for p in wound.parameters}
+    fitted = {p.name: p for p in wound.parameters}
     for key, name, unit in (("mu_kPa", "mu", 1e3), ("E_f_kPa", "E_f_wall", 1e3)):
-        figures[key] = found[name].value / unit
-        figures[f"{key[:-4]}_standard_error_kPa"] = found[name].standard_error / unit
-    figures["J_m"] = found["J_m"].value
-    figures["J_m_standard_error"] = found["J_m"].standard_error
+        figures[key] = fitted[name].value / unit
+        figures[f"{key[:-4]}_standard_error_kPa"] = fitted[name].standard_error / unit
+    figures["J_m"] = fitted["J_m"].value
+    figures["J_m_standard_error"] = fitted["J_m"].standard_error
     options.say("plain silicone")
     with tempfile.TemporaryDirectory() as folder:
         path = pneumatic_arm_path()
@@ -128,8 +128,8 @@ def plain(text: str) -> str:
         r'\[\[parameters\]\]\nfield = "E_f"\n(.+\n)+': "",
     }
     for pattern, new in changes.items():
-        text, found = re.subn(pattern, new, text)
-        if not found:
+        text, count = re.subn(pattern, new, text)
+        if not count:
             raise RuntimeError(f"{pattern} does not occur in the project file.")
     return text
 
@@ -146,11 +146,11 @@ def _in_words(result: CalibrationResult) -> str:
 
 def _predicted(poses: Sequence[ConfigurationResult], names: Sequence[str]) -> Figure:
     """Error of some poses; in words where one of them has no equilibrium."""
-    found = [pose for pose in poses if pose.name in names]
-    missing = set(names) - {pose.name for pose in found}
+    named = [pose for pose in poses if pose.name in names]
+    missing = set(names) - {pose.name for pose in named}
     if missing:
         return f"no equilibrium at {', '.join(sorted(missing))}"
-    return _percent(found)
+    return _percent(named)
 
 
 def _percent(poses: Sequence[ConfigurationResult]) -> float:

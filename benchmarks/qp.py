@@ -36,8 +36,8 @@ def run(options: Options) -> Outcome:
             for _ in range(count // len(KINDS))
         ]
         problems = jax.tree.map(lambda *a: jnp.asarray(np.stack(a)), *drawn)
-        found = np.split(np.asarray(_stages(problems)), len(KINDS))
-        for kind, rows in zip(KINDS, found, strict=True):
+        kkt = np.split(np.asarray(_stages(problems)), len(KINDS))
+        for kind, rows in zip(KINDS, kkt, strict=True):
             residuals[kind].append(rows)
         jax.block_until_ready(_steps(problems))  # compiles
         begin = time.perf_counter()
@@ -46,8 +46,8 @@ def run(options: Options) -> Outcome:
     by_kind = {kind: np.concatenate(rows) for kind, rows in residuals.items()}
     by_kind["any"] = np.concatenate(list(by_kind.values()))
     table = []
-    for kind, found in by_kind.items():
-        share = np.mean(found <= KKT_TOLERANCE, axis=0).tolist()
+    for kind, kkt in by_kind.items():
+        share = np.mean(kkt <= KKT_TOLERANCE, axis=0).tolist()
         table.append([kind, *(f"{100 * value:.2f} %" for value in share)])
         for stage, value in zip(STAGES, share, strict=True):
             figures[f"{kind}_solved_by_{stage}"] = value

@@ -208,16 +208,16 @@ def _shares(trials: Sequence[Trial]) -> Table:
     rows = []
     for layout in dict.fromkeys(t.layout for t in trials):
         for noise in dict.fromkeys(t.noise for t in trials):
-            own = [t for t in trials if (t.layout, t.noise) == (layout, noise)]
-            asked = sum(len(t.intervals) for t in own)
+            group = [t for t in trials if (t.layout, t.noise) == (layout, noise)]
+            asked = sum(len(t.intervals) for t in group)
             rows.append(
                 [
                     layout,
                     noise,
-                    f"{len(_held(own))} of {asked}",
-                    _percent(_held(own)),
-                    _percent([t.identified for t in own]),
-                    str(sum(not t.converged for t in own)),
+                    f"{len(_held(group))} of {asked}",
+                    _percent(_held(group)),
+                    _percent([t.identified for t in group]),
+                    str(sum(not t.converged for t in group)),
                 ]
             )
     columns = ["beam", "noise", "intervals", "hold the truth"]
@@ -229,9 +229,9 @@ def _kinds(trials: Sequence[Trial]) -> Table:
     """How the kinds of intervals do."""
     rows = []
     for kind in get_args(IntervalKind):
-        own = [(t, i) for t in trials for i in t.intervals if i.kind == kind]
-        held = [i.off(t.truth[i.name]) <= 1.0 for t, i in own if kind != "none"]
-        rows.append([kind, str(len(own)), _percent(held)])
+        pairs = [(t, i) for t in trials for i in t.intervals if i.kind == kind]
+        held = [i.off(t.truth[i.name]) <= 1.0 for t, i in pairs if kind != "none"]
+        rows.append([kind, str(len(pairs)), _percent(held)])
     columns = ["kind", "intervals", "hold the truth"]
     return Table("Kinds of intervals", columns, rows)
 
@@ -239,9 +239,9 @@ def _kinds(trials: Sequence[Trial]) -> Table:
 def _again(again: Sequence[Trial]) -> Table:
     rows = []
     for number in dict.fromkeys(t.number for t in again):
-        own = [t for t in again if t.number == number]
-        values = readable(list(own[0].truth), np.array([*own[0].truth.values()]))
-        rows.append([str(number), own[0].layout, values, _percent(_held(own))])
+        group = [t for t in again if t.number == number]
+        values = readable(list(group[0].truth), np.array([*group[0].truth.values()]))
+        rows.append([str(number), group[0].layout, values, _percent(_held(group))])
     columns = ["truth", "beam", "values", "hold the truth"]
     return Table("The worst truths, measured again", columns, rows)
 

@@ -44,8 +44,8 @@ def run(options: Options) -> Outcome:
     """Do the parts that are asked for, or all."""
     figures: dict[str, Figure] = {}
     for part, count in (options.counts or COUNTS).items():
-        found, lines = _PARTS[part](count, options.say)
-        figures |= found
+        counted, lines = _PARTS[part](count, options.say)
+        figures |= counted
         for line in lines:
             options.say(f"did not hold: {line}")
     goals = {name: goal for name, goal in GOALS.items() if name in figures}

@@ -80,13 +80,13 @@ class Commanded(NamedTuple):
     """What came of the goals that a model was asked for.
 
     Attributes:
-        found: The commands of the model.
+        results: The commands of the model.
         angles: Their motor angles [degrees].
         mm: How far the printed robot ended off the goals [mm].
         deg: The same of the orientation [degrees].
     """
 
-    found: list[InverseResult]
+    results: list[InverseResult]
     angles: Float[HostArray, "n_goals 6"]
     mm: list[float]
     deg: list[float]
@@ -94,12 +94,12 @@ class Commanded(NamedTuple):
     @property
     def met(self) -> int:
         """Goals that the model itself meets."""
-        return sum(result.met for result in self.found)
+        return sum(result.met for result in self.results)
 
     @property
     def left(self) -> list[float]:
         """How far the model itself stays off the goals [mm]."""
-        return [1e3 * float(np.linalg.norm(r.goals[0].residual)) for r in self.found]
+        return [1e3 * float(np.linalg.norm(r.goals[0].residual)) for r in self.results]
 
 
 def run(options: Options) -> Outcome:
@@ -109,13 +109,13 @@ def run(options: Options) -> Outcome:
     measured = measured_robot(read, SEED)
     printed = measured.printed
     options.say("its own poses")
-    own = commands(robot, robot.model, own_poses(robot, OWN_ANGLES))
-    met = sum(result.met for result in own)
+    results = commands(robot, robot.model, own_poses(robot, OWN_ANGLES))
+    met = sum(result.met for result in results)
     figures: dict[str, Figure] = {
         "own_poses_reached_of_100": met,
-        "own_poses_met_from_the_start": sum(len(r.attempts) == 1 for r in own),
+        "own_poses_met_from_the_start": sum(len(r.attempts) == 1 for r in results),
     }
-    options.say(f"{met} of {len(own)} met; calibrating")
+    options.say(f"{met} of {len(results)} met; calibrating")
     models = {
         "uncalibrated": robot.model,
         "calibrated": fitted(robot, measured).model,
@@ -131,7 +131,7 @@ def run(options: Options) -> Outcome:
         figures |= _figures(name, one)
         samples |= {f"{name}_mm": one.mm, f"{name}_deg": one.deg}
         samples[f"{name}_model_off_mm"] = one.left
-        for result in one.found:
+        for result in one.results:
             if not result.met:
                 options.say(result.message)
     before, after = done["uncalibrated"], done["calibrated"]
@@ -172,7 +172,7 @@ def _tables(
     for name, one in done.items():
         mean = (np.mean(one.mm), np.mean(one.deg))
         cells = (*mean, max(one.mm), max(one.deg), np.mean(one.left))
-        met = f"{one.met} of {len(one.found)}"
+        met = f"{one.met} of {len(one.results)}"
         rows.append([name, *(f"{v:.3f}" for v in cells), met])
     for name, both in parts.items():
         mean = [f"{np.mean(values):.3f}" for values in both]
@@ -187,13 +187,13 @@ def _tables(
 def commanded(
     robot: ParallelRobot,
     printed: PrintedRobot,
-    found: list[InverseResult],
+    results: list[InverseResult],
     goals: Sequence[Pose],
 ) -> Commanded:
     """Errors of the printed robot at the commands of a model."""
-    angles = np.rad2deg([result.inputs for result in found])
+    angles = np.rad2deg([result.inputs for result in results])
     there = shown(robot, printed.model, angles, first=printed.first)
-    return Commanded(found, angles, *differences(there, goals))
+    return Commanded(results, angles, *differences(there, goals))
 
 
 def causes(
@@ -214,22 +214,22 @@ def causes(
     there = shown(robot, printed.model, at["true"], first=printed.first)
     on_mesh = shown(robot, coarse.model, at["true"], first=coarse.first)
     by_law = shown(robot, coarse.first, at["true"])
-    found = {
+    parts = {
         "true_by_mesh": differences(on_mesh, there),
         "true_by_law": differences(by_law, on_mesh),
         "true_between_points": differences(shown(robot, true, at["true"]), by_law),
     }
     known = at["calibrated"]
     shows = shown(robot, printed.model, known, first=printed.first)
-    own = shown(robot, coarse.first, known)
+    modelled = shown(robot, coarse.first, known)
     exact = read_exactly(measured, printed.model, first=printed.first)
     noise_free = shown(robot, fitted(robot, exact).model, known)
     exact = read_exactly(measured, coarse.first)
     own_law = shown(robot, fitted(robot, exact).model, known)
-    return found | {
+    return parts | {
         "error_calibrated_noise_free": differences(noise_free, shows),
-        "error_calibrated_own_law": differences(own_law, own),
-        "error_law_alone": differences(own, shows),
+        "error_calibrated_own_law": differences(own_law, modelled),
+        "error_law_alone": differences(modelled, shows),
     }
 
 

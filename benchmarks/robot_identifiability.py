@@ -54,19 +54,19 @@ def run(options: Options) -> Outcome:
     for tracker, (std, std_angle) in TRACKERS.items():
         for n in POSES:
             options.say(f"{tracker}, {n} poses")
-            found = outlook(n, std, std_angle)
+            alone = outlook(n, std, std_angle)
             with_setup = outlook(n, std, std_angle, setup=SETUP)
             name = f"{tracker}_c{n}"
-            figures[f"informed_directions_{name}"] = found.informed
+            figures[f"informed_directions_{name}"] = alone.informed
             figures[f"informed_directions_{name}_setup"] = with_setup.informed
-            left = [spread_left(f) for f in (found, with_setup)]
+            left = [spread_left(f) for f in (alone, with_setup)]
             figures[f"spread_left_percent_{name}"] = left[0]
             figures[f"spread_left_percent_{name}_setup"] = left[1]
-            cells = [str(f.informed) for f in (found, with_setup)]
+            cells = [str(f.informed) for f in (alone, with_setup)]
             cells += [f"{value:.0f}" for value in left]
             rows.append([tracker, str(n), *cells])
             if name == "polhemus_c7":
-                options.say(str(found))
+                options.say(str(alone))
     titles = ["tracker", "poses", "informed of 36", "of 60, with setup"]
     titles += ["spread left of the 36 [%]", "with setup"]
     tables = [Table("Directions", titles, rows)]
@@ -94,9 +94,9 @@ def outlook(
     return identify(robot.model, robot.space, posed, uncertain=exactly_known())
 
 
-def spread_left(found: Identifiability) -> float:
+def spread_left(forecast: Identifiability) -> float:
     """Mean standard error of the material over that of its prior [percent]."""
-    material = [p for p in found.parameters if p.name.startswith(("E_", "theta"))]
+    material = [p for p in forecast.parameters if p.name.startswith(("E_", "theta"))]
     left = [p.standard_error / p.prior for p in material if p.prior is not None]
     return 100.0 * float(np.mean(left))
 
@@ -144,12 +144,12 @@ def parameter_errors(
     result: CalibrationResult, printed: PrintedRobot
 ) -> tuple[float, float]:
     """Root-mean-square errors: of the moduli [percent], and of theta [degrees]."""
-    found = values_of(result)
+    values = values_of(result)
     moduli, theta = [], []
     for name, true in printed.parameters.items():
         if name.startswith(("E_t", "E_l")):
-            moduli.append(np.log(found[name] / true))
+            moduli.append(np.log(values[name] / true))
         elif name.startswith("theta"):
-            theta.append(np.mod(found[name] - true + np.pi / 2, np.pi) - np.pi / 2)
+            theta.append(np.mod(values[name] - true + np.pi / 2, np.pi) - np.pi / 2)
     rms = lambda errors: float(np.sqrt(np.mean(np.square(errors))))
     return 100.0 * rms(moduli), float(np.rad2deg(rms(theta)))

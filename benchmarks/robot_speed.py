@@ -107,15 +107,15 @@ def control_figures() -> dict[str, Figure]:
     solve = lambda: _timed_inverse(robot, at_work, start, goal)
     solve()
     runs = [solve() for _ in range(REPEATS)]
-    found = runs[0][1]
-    steps, newton_steps = len(found.steps), sum(s.newton_steps for s in found.steps)
+    result = runs[0][1]
+    steps, newton_steps = len(result.steps), sum(s.newton_steps for s in result.steps)
     whole = statistics.median(seconds for seconds, _ in runs) / newton_s
     return {
         "inverse_step_over_newton_iteration": (whole - newton_steps) / steps,
         "whole_inverse_step_over_newton_iteration": whole / steps,
         "inverse_steps": steps,
         "inverse_newton_steps": newton_steps,
-        "inverse_met": int(found.met),
+        "inverse_met": int(result.met),
         "newton_iteration_ms": 1e3 * newton_s,
     }
 
@@ -124,11 +124,11 @@ def _timed_inverse(robot: ParallelRobot, at_work, start, goal):
     begin = time.perf_counter()
     # One descent, whose steps are counted.
     direct = ControlSettings(other_starts=0)
-    found = solve_inverse(
+    result = solve_inverse(
         robot.model, at_work, goals=goal, guess=start, settings=direct
     )
-    jax.block_until_ready(found.solution.displacement)
-    return time.perf_counter() - begin, found
+    jax.block_until_ready(result.solution.displacement)
+    return time.perf_counter() - begin, result
 
 
 def _newton_iteration(robot: ParallelRobot):

@@ -133,11 +133,11 @@ def fit(problem: Problem, error: str, size: float, seed: int) -> Trial:
     real = Wrong(**{error: size}) if error in Wrong._fields else Wrong()
     # The error of linear tets is what it is: a larger one is one that is known less.
     # Quadratic ones have none, since the data are computed with them.
-    told = replace(WIDTHS, mesh=1.0 / size if order == 1 else 0.0)
+    widths = replace(WIDTHS, mesh=1.0 / size if order == 1 else 0.0)
     measured = problem.measured(real, seed)
     model = problem.fitted_model(order)
-    found = calibrate(model, problem.space, measured, uncertain=told)
-    return Trial(problem, error, size, printed(found), assess(found))
+    result = calibrate(model, problem.space, measured, uncertain=widths)
+    return Trial(problem, error, size, printed(result), assess(result))
 
 
 def outcome(wrong: Sequence[Trial], right: Sequence[Trial]) -> Outcome:
@@ -171,14 +171,14 @@ def interval_over_needed(trials: Sequence[Trial]) -> list[float]:
     ratios = []
     for title in dict.fromkeys(t.problem.title for t in trials):
         for linear in (False, True):
-            own = [
+            group = [
                 t
                 for t in trials
                 if t.problem.title == title and (t.error == LINEAR) == linear
             ]
-            for name in own[0].problem.space.names if own else ():
-                truth = own[0].problem.truth[name]
-                shown = [i for t in own for i in t.shown if i.name == name]
+            for name in group[0].problem.space.names if group else ():
+                truth = group[0].problem.truth[name]
+                shown = [i for t in group for i in t.shown if i.name == name]
                 errors = [i.error(truth) for i in shown]
                 needed = float(np.sqrt(np.mean(np.square(errors)))) if shown else 1.0
                 ratios += [i.half_width / needed for i in shown]

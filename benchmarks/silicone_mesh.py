@@ -34,9 +34,9 @@ def run(options: Options) -> Outcome:
     for variant in [*REFINED, *OTHERS]:
         options.say(variant.name)
         result = _calibrate(variant)
-        found = _figures(result)
-        figures |= {f"{variant.name}_{key}": value for key, value in found.items()}
-        rows.append([variant.name, *(f"{value:.5g}" for value in found.values())])
+        values = _figures(result)
+        figures |= {f"{variant.name}_{key}": value for key, value in values.items()}
+        rows.append([variant.name, *(f"{value:.5g}" for value in values.values())])
     E = [float(figures[f"{variant.name}_E_kPa"]) for variant in REFINED]
     figures["E_change_of_last_refinement_percent"] = 100.0 * abs(E[-1] / E[-2] - 1.0)
     for variant in OTHERS:

@@ -77,10 +77,10 @@ def run(options: Options) -> Outcome:
     rows = []
     for n, size in SIZES.items():
         options.say(f"beam of {n} nodes")
-        found, seconds = _one_size(n, size)
-        figures |= found
+        values, seconds = _one_size(n, size)
+        figures |= values
         samples |= {f"n{n}_{name}_s": times for name, times in seconds.items()}
-        rows.append(_row(n, found))
+        rows.append(_row(n, values))
     options.say("memory, in processes of their own")
     figures |= _memory()
     columns = ["nodes", "ours ms", "steps", "FElupe ms", "steps", "FElupe/ours"]
@@ -95,11 +95,11 @@ def run(options: Options) -> Outcome:
     return Outcome(figures, samples, GOALS, [table], peers)
 
 
-def _row(n: int, found: dict[str, Figure]) -> list[str]:
+def _row(n: int, values: dict[str, Figure]) -> list[str]:
     names = ["ours_ms", "steps", "felupe_ms", "felupe_steps", "vs_felupe"]
     names += ["vs_felupe_tuned"]
     names += ["newton_ms", "pardiso_ms", "newton_vs_pardiso"]
-    return [str(n), *(f"{found[f'n{n}_{name}']:.4g}" for name in names)]
+    return [str(n), *(f"{values[f'n{n}_{name}']:.4g}" for name in names)]
 
 
 def _one_size(n: int, size: Size) -> tuple[dict[str, Figure], dict[str, list[float]]]:
@@ -181,15 +181,15 @@ def _fastest_peer(model: Model, solvers: dict[str, Solver]) -> Peer:
         for name, solver in solvers.items():
             call = _felupe_call(built, solver)
             begin = time.perf_counter()
-            found = call()
+            solution = call()
             once = time.perf_counter() - begin
             if best is not None and once > 2.0 * best[0]:
                 continue  # hopeless, and a second trial of SuperLU takes seconds
             trial = min(once, *interleave({name: call}, 1)[name])
             if best is None or trial < best[0]:
                 label = f"{name}, {'threads' if parallel else 'no threads'}"
-                where = found.displacement[at_tip]
-                best = trial, Peer(label, call, setup, found.iterations, where)
+                where = solution.displacement[at_tip]
+                best = trial, Peer(label, call, setup, solution.iterations, where)
     assert best is not None
     return best[1]
 
@@ -213,14 +213,14 @@ def _memory() -> dict[str, Figure]:
     previous = None
     for n, size in SIZES.items():
         command = [sys.executable, "-m", "benchmarks._memory", *map(str, size.cells)]
-        found = json.loads(run_process(command))
-        figures[f"n{n}_model_bytes_per_tet"] = found["model_bytes"] / found["n_tets"]
-        figures[f"n{n}_peak_mb"] = found["peak_after_solve"] / 1e6
+        memory = json.loads(run_process(command))
+        figures[f"n{n}_model_bytes_per_tet"] = memory["model_bytes"] / memory["n_tets"]
+        figures[f"n{n}_peak_mb"] = memory["peak_after_solve"] / 1e6
         if previous is not None:
             m, before = previous
-            growth = found["peak_after_solve"] - before["peak_after_solve"]
+            growth = memory["peak_after_solve"] - before["peak_after_solve"]
             figures[f"peak_bytes_per_tet_n{m}_to_n{n}"] = growth / (
-                found["n_tets"] - before["n_tets"]
+                memory["n_tets"] - before["n_tets"]
             )
-        previous = n, found
+        previous = n, memory
     return figures

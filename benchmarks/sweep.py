@@ -284,8 +284,8 @@ def rates_in_turn(options: Options) -> dict[str, list[float]]:
                 folder.mkdir(parents=True)
                 command = [sys.executable, "-c", _RATE, str(folder), str(ROUND_TRIALS)]
                 environment = at_home(str(folder.parent), root)
-                told = run_process(command, environment, root)
-                seconds[name].append(3600.0 / float(told.splitlines()[-1]))
+                output = run_process(command, environment, root)
+                seconds[name].append(3600.0 / float(output.splitlines()[-1]))
     return seconds
 
 
@@ -318,13 +318,13 @@ def plot(swept: Sequence[Swept], path: Path) -> None:
 
     drawing = Drawing(figsize=(9.0, 5.5), dpi=100, layout="constrained")
     axes = drawing.subplots()
-    for n, (found, colour) in enumerate(zip(swept, SERIES, strict=False), start=1):
-        label = f"{n} worker{'s' * (n > 1)}: {found.per_hour:.0f} trials per hour"
+    for n, (curve, colour) in enumerate(zip(swept, SERIES, strict=False), start=1):
+        label = f"{n} worker{'s' * (n > 1)}: {curve.per_hour:.0f} trials per hour"
         if n == 1:
             label += ", nothing compiled before"
-        ended, counts = [0.0, *found.ended], range(len(found.ended) + 1)
+        ended, counts = [0.0, *curve.ended], range(len(curve.ended) + 1)
         axes.step(ended, counts, where="post", color=colour, lw=2, label=label)
-    most = max(len(found.ended) for found in swept)
+    most = max(len(curve.ended) for curve in swept)
     axes.set(xlim=(0, None), ylim=(0, 1.25 * most))  # room for the legend
     axes.set_xlabel("time [s]", fontsize=14)
     axes.set_ylabel("rows in the database", fontsize=14)

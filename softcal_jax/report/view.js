@@ -23,10 +23,10 @@
   const triangles = indices(data.triangles), edges = indices(data.edges);
   const rest = places(data.rest), rigid = bytes(data.rigid);
   const nTriangles = triangles.length / 3, nPoints = rest.length / 3;
-  for (const own of data.configurations) {
-    own.x = places(own.points);
-    own.lines = places(own.fibres);
-    own.walls = own.walls && bytes(own.walls);
+  for (const configuration of data.configurations) {
+    configuration.x = places(configuration.points);
+    configuration.lines = places(configuration.fibres);
+    configuration.walls = configuration.walls && bytes(configuration.walls);
   }
 
   // ---- Vectors
@@ -56,11 +56,11 @@
     uniform sampler2D map; uniform vec3 grey;
     in vec3 n; in float v; out vec4 colour;
     void main() {
-      vec3 own = v < 0.0 ? grey : texture(map, vec2(v, 0.5)).rgb;
+      vec3 base = v < 0.0 ? grey : texture(map, vec2(v, 0.5)).rgb;
       vec3 m = normalize(n);
       if (m.z < 0.0) m = -m;
       float light = 0.74 + 0.3 * max(dot(m, normalize(vec3(-0.3, 0.5, 0.8))), 0.0);
-      colour = vec4(own * light, 1.0);
+      colour = vec4(base * light, 1.0);
     }`;
   const PLAIN = `#version 300 es
     precision highp float;
@@ -82,14 +82,14 @@
   };
   const body = program(BODY), plain = program(PLAIN);
   if (!body || !plain) return;
-  const at = (own, name) => gl.getUniformLocation(own, name);
+  const at = (made, name) => gl.getUniformLocation(made, name);
   const buffer = () => gl.createBuffer();
-  const fill = (own, values, target = gl.ARRAY_BUFFER) => {
-    gl.bindBuffer(target, own);
+  const fill = (into, values, target = gl.ARRAY_BUFFER) => {
+    gl.bindBuffer(target, into);
     gl.bufferData(target, values, gl.STATIC_DRAW);
   };
-  const attribute = (own, k, size) => {
-    gl.bindBuffer(gl.ARRAY_BUFFER, own);
+  const attribute = (source, k, size) => {
+    gl.bindBuffer(gl.ARRAY_BUFFER, source);
     gl.enableVertexAttribArray(k);
     gl.vertexAttribPointer(k, size, gl.FLOAT, false, 0, 0);
   };
@@ -100,12 +100,12 @@
   attribute(normals, 1, 3);
   attribute(values, 2, 1);
   const indexed = (x, list) => { // points that share an index
-    const own = { array: gl.createVertexArray(), x: buffer(), list: buffer() };
-    gl.bindVertexArray(own.array);
-    if (x) fill(own.x, x);
-    attribute(own.x, 0, 3);
-    fill(own.list, list, gl.ELEMENT_ARRAY_BUFFER);
-    return own;
+    const mesh = { array: gl.createVertexArray(), x: buffer(), list: buffer() };
+    gl.bindVertexArray(mesh.array);
+    if (x) fill(mesh.x, x);
+    attribute(mesh.x, 0, 3);
+    fill(mesh.list, list, gl.ELEMENT_ARRAY_BUFFER);
+    return mesh;
   };
   const atRest = indexed(rest, edges), lines = indexed(null, edges);
   const walls = indexed(null, new Uint16Array(0));
@@ -142,49 +142,49 @@
       n.set(w, 3 * t);
       size[t] = Math.hypot(...w) || 1;
     }
-    const found = new Float32Array(9 * nTriangles);
+    const averaged = new Float32Array(9 * nTriangles);
     for (let k = 0; k < triangles.length; k++) {
-      const own = Math.floor(k / 3), p = triangles[k], all = [0, 0, 0];
+      const tri = Math.floor(k / 3), p = triangles[k], all = [0, 0, 0];
       for (let i = around.first[p]; i < around.first[p + 1]; i++) {
         const t = around.list[i];
-        const turn = n[3 * own] * n[3 * t] + n[3 * own + 1] * n[3 * t + 1]
-          + n[3 * own + 2] * n[3 * t + 2];
-        if (turn < 0.866 * size[own] * size[t]) continue;
+        const turn = n[3 * tri] * n[3 * t] + n[3 * tri + 1] * n[3 * t + 1]
+          + n[3 * tri + 2] * n[3 * t + 2];
+        if (turn < 0.866 * size[tri] * size[t]) continue;
         for (let j = 0; j < 3; j++) all[j] += n[3 * t + j];
       }
-      found.set(all, 3 * k);
+      averaged.set(all, 3 * k);
     }
-    return found;
+    return averaged;
   };
   const setPose = () => {
-    const own = pose(), all = new Float32Array(9 * nTriangles);
-    triangles.forEach((p, k) => all.set(own.x.subarray(3 * p, 3 * p + 3), 3 * k));
-    own.normals ||= smooth(own.x);
+    const shown = pose(), all = new Float32Array(9 * nTriangles);
+    triangles.forEach((p, k) => all.set(shown.x.subarray(3 * p, 3 * p + 3), 3 * k));
+    shown.normals ||= smooth(shown.x);
     fill(corners, all);
-    fill(normals, own.normals);
-    fill(lines.x, own.x);
-    if (own.walls) {
+    fill(normals, shown.normals);
+    fill(lines.x, shown.x);
+    if (shown.walls) {
       const list = [];
       triangles.forEach((p, k) => {
-        if (own.walls[Math.floor(k / 3 / data.perFace)]) list.push(p);
+        if (shown.walls[Math.floor(k / 3 / data.perFace)]) list.push(p);
       });
-      fill(walls.x, own.x);
+      fill(walls.x, shown.x);
       gl.bindVertexArray(walls.array);
       fill(walls.list, data.wide ? Uint32Array.from(list) : Uint16Array.from(list),
         gl.ELEMENT_ARRAY_BUFFER);
       gl.bindVertexArray(null);
-      own.nWalls = list.length;
+      shown.nWalls = list.length;
     }
     setField();
   };
   const setField = () => {
-    const own = field(), all = new Float32Array(3 * nTriangles).fill(-1);
-    const packed = pose().drawn && own.place !== "marker" ? ofPose(own.values) : null;
+    const scalar = field(), all = new Float32Array(3 * nTriangles).fill(-1);
+    const packed = pose().drawn && scalar.place !== "marker" ? ofPose(scalar.values) : null;
     if (packed) {
       const of = shorts(packed);
       for (let k = 0; k < all.length; k++) {
         const face = Math.floor(k / 3 / data.perFace);
-        const raw = of[own.place === "face" ? face : triangles[k]];
+        const raw = of[scalar.place === "face" ? face : triangles[k]];
         if (raw !== NONE && !rigid[face]) all[k] = (raw + 0.5) / NONE;
       }
     }
@@ -215,10 +215,10 @@
       if (t < low[i]) low[i] = t;
       if (t > high[i]) high[i] = t;
     });
-    for (const x of [rest, ...data.configurations.map((own) => own.x)])
+    for (const x of [rest, ...data.configurations.map((c) => c.x)])
       for (let k = 0; k < x.length; k += 3) see(x[k], x[k + 1], x[k + 2]);
-    for (const own of data.configurations)
-      for (const mark of own.markers)
+    for (const configuration of data.configurations)
+      for (const mark of configuration.markers)
         for (const p of [mark.measured, mark.simulated]) if (p) see(...p);
     data.view.more.forEach((p) => see(...p));
     centre = [0, 1, 2].map((i) =>
@@ -266,9 +266,9 @@
   const render = () => {
     const w = area.clientWidth, h = area.clientHeight, dpr = window.devicePixelRatio || 1;
     if (!w || !h) return;
-    for (const own of [area, over]) {
-      own.width = Math.round(w * dpr);
-      own.height = Math.round(h * dpr);
+    for (const canvas of [area, over]) {
+      canvas.width = Math.round(w * dpr);
+      canvas.height = Math.round(h * dpr);
     }
     gl.viewport(0, 0, area.width, area.height);
     gl.clearColor(1, 1, 1, 1);
@@ -277,12 +277,12 @@
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     const s = perMm(), type = data.wide ? gl.UNSIGNED_INT : gl.UNSIGNED_SHORT;
     const shift = [2 * state.shift[0] / w, -2 * state.shift[1] / h];
-    for (const own of [body, plain]) {
-      gl.useProgram(own);
+    for (const made of [body, plain]) {
+      gl.useProgram(made);
       const columns = [0, 1, 2].flatMap((k) => frame.map((axis) => axis[k]));
-      gl.uniformMatrix3fv(at(own, "frame"), false, columns);
-      gl.uniform3fv(at(own, "centre"), centre);
-      gl.uniform4f(at(own, "scale"), 2 * s / w, 2 * s / h, ...shift);
+      gl.uniformMatrix3fv(at(made, "frame"), false, columns);
+      gl.uniform3fv(at(made, "centre"), centre);
+      gl.uniform4f(at(made, "scale"), 2 * s / w, 2 * s / h, ...shift);
     }
     const flat = (hex, strength) => {
       gl.useProgram(plain);
@@ -325,7 +325,7 @@
 
   // ---- Marks and names
   const mark = (w, h, dpr, s) => {
-    const pen = over.getContext("2d"), own = pose(), names = [];
+    const pen = over.getContext("2d"), shown = pose(), names = [];
     pen.setTransform(dpr, 0, 0, dpr, 0, 0);
     pen.clearRect(0, 0, w, h);
     pen.lineCap = "round";
@@ -364,18 +364,18 @@
       }
       names.push([name, start]);
     };
-    if (own.drawn && on("fibres")) {
+    if (shown.drawn && on("fibres")) {
       pen.beginPath();
-      for (let k = 0; k < own.lines.length; k += 6) {
-        pen.moveTo(...project(own.lines.subarray(k, k + 3)));
-        pen.lineTo(...project(own.lines.subarray(k + 3, k + 6)));
+      for (let k = 0; k < shown.lines.length; k += 6) {
+        pen.moveTo(...project(shown.lines.subarray(k, k + 3)));
+        pen.lineTo(...project(shown.lines.subarray(k + 3, k + 6)));
       }
       pen.strokeStyle = paint.fibre;
       pen.lineWidth = 1.3;
       pen.stroke();
     }
     if (on("robot")) {
-      for (const cable of own.cables) {
+      for (const cable of shown.cables) {
         let longest = [0, null];
         for (const segment of cable.segments) {
           const ends = segment.map(project);
@@ -386,20 +386,20 @@
         }
         names.push([cable.name, longest[1]]);
       }
-      own.wallNames.forEach((wall) => names.push([wall.name, project(wall.at)]));
-      for (const motor of own.motors) {
+      shown.wallNames.forEach((wall) => names.push([wall.name, project(wall.at)]));
+      for (const motor of shown.motors) {
         const ends = [-30, 30].map((t) => project(sum(motor.at, motor.axis, t / s)));
         path(ends, paint.motor, 2.5, [8, 3, 2, 3]);
         names.push([motor.name, project(motor.at)]);
       }
-      own.arrows.filter((a) => a.kind === "force").forEach((a) =>
+      shown.arrows.filter((a) => a.kind === "force").forEach((a) =>
         arrow(a.tip, a.towards, 46, paint.force, a.name));
     }
     if (on("loads"))
-      own.arrows.filter((a) => a.kind === "load").forEach((a) =>
+      shown.arrows.filter((a) => a.kind === "load").forEach((a) =>
         arrow(a.tip, a.towards, 46, paint.force, a.name));
     if (on("frames"))
-      for (const f of own.frames) {
+      for (const f of shown.frames) {
         const colour = paint[f.kind];
         const dash = f.kind === "frame" ? [4, 4] : [];
         f.axes.forEach((axis) =>
@@ -412,7 +412,7 @@
   };
   const drawMarkers = (pen, path) => {
     const names = [], marks = [];
-    const own = field(), of = own.place === "marker" && ofPose(own.values);
+    const scalar = field(), of = scalar.place === "marker" && ofPose(scalar.values);
     const shares = of ? shorts(of) : null;
     pose().markers.forEach((marker, k) => {
       const a = marker.measured && project(marker.measured);
@@ -446,9 +446,9 @@
         }
       let name = marker.name;
       if (shares && shares[k] !== NONE) {
-        const [low, high] = own.range;
+        const [low, high] = scalar.range;
         const value = low + (high - low) * shares[k] / (NONE - 1);
-        name += `: ${digits(value, high - low)} ${own.unit}`;
+        name += `: ${digits(value, high - low)} ${scalar.unit}`;
       }
       const place = a || b;
       if (place) marks.push(place);
@@ -529,13 +529,13 @@
     return value.toFixed(decimals);
   };
   const tell = () => {
-    const own = field(), [low, high] = own.range, unit = own.unit && " " + own.unit;
-    const constant = high === low, name = own.label.replace(/ \[[^\]]*\]$/, "");
+    const scalar = field(), [low, high] = scalar.range, unit = scalar.unit && " " + scalar.unit;
+    const constant = high === low, name = scalar.label.replace(/ \[[^\]]*\]$/, "");
     const stops = [0, 32, 64, 96, 128, 160, 192, 224, 255].map((c) =>
       `rgb(${colours.subarray(3 * c, 3 * c + 3).join()})`);
     byId("colours").style.background =
       constant ? stops[0] : `linear-gradient(to right, ${stops.join()})`;
-    byId("title").textContent = constant ? `${name}: ${digits(low, low)}${unit}` : own.label;
+    byId("title").textContent = constant ? `${name}: ${digits(low, low)}${unit}` : scalar.label;
     [...byId("ticks").children].forEach((tick, k) => {
       tick.textContent = constant ? "" : digits(low + 0.25 * k * (high - low), high - low);
     });
@@ -547,11 +547,11 @@
     words.forEach((p, k) => { p.hidden = k !== state.pose; });
     let text = "";
     if (pose().drawn) {
-      const largest = ofPose(own.largest);
-      text = own.note;
+      const largest = ofPose(scalar.largest);
+      text = scalar.note;
       if (!constant && largest !== null)
         text = `Up to ${digits(largest, high - low)}${unit} here. ${text}`;
-      if (own.values.length > 1 && data.configurations.length > 1)
+      if (scalar.values.length > 1 && data.configurations.length > 1)
         text += " The colours mean the same in all configurations.";
     }
     document.querySelector("#view-words > [role]").textContent = text;

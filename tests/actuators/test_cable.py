@@ -110,11 +110,11 @@ def test_clique_nodes_are_unique_but_for_padding(order):
     (nodes,) = clique_nodes(arrays)
     x = jnp.asarray(bent(mesh.points))
     (entries,) = curvature_entries(arrays, x, jnp.ones(1))
-    own, first = np.unique(nodes[0], return_index=True)
+    distinct, first = np.unique(nodes[0], return_index=True)
     carriers = locate(mesh, ends, max_distance=0.0).nodes
-    assert own.size < carriers.size
+    assert distinct.size < carriers.size
     # Padding adds no node: the tangent would couple it to the cable.
-    np.testing.assert_array_equal(own, np.unique(carriers))
+    np.testing.assert_array_equal(distinct, np.unique(carriers))
     padding = np.delete(np.arange(nodes.shape[1]), first)
     blocks = np.asarray(entries).reshape(nodes.shape[1], 3, nodes.shape[1], 3)
     assert not blocks[padding].any()

@@ -152,7 +152,7 @@ def test_equilibrium_is_that_of_a_closed_twin(order):
     closed = TetMesh(tall.points - [2 * SIDE, 0, 0], tall.tets, {}, tall.surface_groups)
     mesh = channel(0, 3, order)
     _, twin = KDTree(closed.points).query(mesh.points)
-    found = []
+    moved = []
     for body, chamber in ((mesh, SEALED), (closed, Chamber("c", "cavity"))):
         held = sc.select_nodes(body, lambda X: X[:, 0] < 1e-9)
         model = sc.build_model(
@@ -167,11 +167,11 @@ def test_equilibrium_is_that_of_a_closed_twin(order):
         lanes = configuration_arrays(model.mesh, [pose], model.mechanism)
         lane = jax.tree.map(lambda leaf: leaf[0], lanes)
         solve = eqx.filter_jit(sc.solve_equilibrium)
-        found.append(np.asarray(solve(model, lane).displacement)[: body.n_nodes])
-    assert np.abs(found[0]).max() > 0.01
+        moved.append(np.asarray(solve(model, lane).displacement)[: body.n_nodes])
+    assert np.abs(moved[0]).max() > 0.01
     # Far above the tolerance of the equilibrium, 1e-8.
-    largest = np.abs(found[0]).max()
-    np.testing.assert_allclose(found[0], found[1][twin], rtol=0, atol=1e-6 * largest)
+    largest = np.abs(moved[0]).max()
+    np.testing.assert_allclose(moved[0], moved[1][twin], rtol=0, atol=1e-6 * largest)
 
 
 def test_a_closed_wall_needs_no_seal():

@@ -45,8 +45,8 @@ def judged(old, **figures):
         now.get("better", {}).setdefault(name, "lower")
         if value is None:
             del now["figures"][name]
-    found = _compare.compare(old, now)
-    return {c.figure: c.verdict for c in found.changes if c.verdict != "same"}
+    comparison = _compare.compare(old, now)
+    return {c.figure: c.verdict for c in comparison.changes if c.verdict != "same"}
 
 
 def test_nothing_changed(old):

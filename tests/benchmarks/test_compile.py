@@ -8,18 +8,18 @@ from benchmarks._compilations import Compilations
 
 @pytest.mark.slow  # compiles the calibration of an anisotropic beam
 def test_a_warm_start_takes_every_program_from_the_disk():
-    found = starts.beam_starts((3, 1, 1))
-    assert found["beam_programs"] > 50
-    assert found["beam_programs_not_kept"] == 0
-    assert found["recompilations_after_first_step"] == 0
-    assert found["beam_warm_compile_s"] < 0.5 * found["beam_cold_compile_s"]
-    assert found["beam_warm_first_result_s"] < found["beam_cold_first_result_s"]
+    figures = starts.beam_starts((3, 1, 1))
+    assert figures["beam_programs"] > 50
+    assert figures["beam_programs_not_kept"] == 0
+    assert figures["recompilations_after_first_step"] == 0
+    assert figures["beam_warm_compile_s"] < 0.5 * figures["beam_cold_compile_s"]
+    assert figures["beam_warm_first_result_s"] < figures["beam_cold_first_result_s"]
 
 
 @pytest.mark.slow  # compiles the calibration of a robot with cables and a body
 def test_the_trunk_starts_cold_and_warm():
-    found = starts.trunk_starts()
-    assert found["trunk_warm_calibration_s"] < found["trunk_cold_calibration_s"]
+    figures = starts.trunk_starts()
+    assert figures["trunk_warm_calibration_s"] < figures["trunk_cold_calibration_s"]
 
 
 def test_the_table_has_cold_beside_warm():

@@ -13,11 +13,11 @@ from softcal_jax.exchange.camera._adjustment import Placement
 def run(folder, **counts):
     """Figures, and what was said."""
     said = []
-    found = exchange.run(Options(folder, said.append, counts))
-    assert set(found.goals) <= set(found.figures)
-    for name, goal in found.goals.items():
-        assert goal.met(found.figures[name]), f"{name}: {found.figures[name]}"
-    return found.figures, said
+    outcome = exchange.run(Options(folder, said.append, counts))
+    assert set(outcome.goals) <= set(outcome.figures)
+    for name, goal in outcome.goals.items():
+        assert goal.met(outcome.figures[name]), f"{name}: {outcome.figures[name]}"
+    return outcome.figures, said
 
 
 def test_every_part_has_a_count_and_every_goal_a_part():
@@ -45,7 +45,7 @@ def test_a_pose_within_what_is_stated():
     std, angle = 1e-4, 1e-3
     covariance = np.diag([std] * 3 + [angle] * 3) ** 2
     for shift, inside in ((2.0, True), (4.0, False)):
-        found = TagPose(
+        pose = TagPose(
             np.array([shift * std, 0.0, 0.0]),
             np.eye(3),
             covariance,
@@ -53,7 +53,7 @@ def test_a_pose_within_what_is_stated():
             np.ones(1),
             1.0,
         )
-        error = _tags.error_of(found, Placement(np.eye(3), np.zeros(3)))
+        error = _tags.error_of(pose, Placement(np.eye(3), np.zeros(3)))
         assert error.inside is inside
         np.testing.assert_allclose(error[:2], [shift * std, 0.0], atol=1e-15)
 

@@ -20,8 +20,8 @@ def test_keeps_every_part_as_it_was(parts):
     assert mesh.n_nodes == sum(part.n_nodes for part in parts.values())
     np.testing.assert_allclose(volumes(mesh).sum(), 2 * np.prod(BOX), rtol=1e-12)
     for name, part in parts.items():
-        own = mesh.tets[mesh.tets_of(name)]
-        np.testing.assert_array_equal(mesh.points[own], part.points[part.tets])
+        tets = mesh.tets[mesh.tets_of(name)]
+        np.testing.assert_array_equal(mesh.points[tets], part.points[part.tets])
     assert not np.intersect1d(mesh.nodes("a"), mesh.nodes("b")).size
 
 

@@ -102,12 +102,12 @@ def test_our_gradient_is_that_of_the_error(job):
         u = np.asarray(our_static(job, 1, z).displacement)[pose.marker]
         return 0.5 * np.sum((u - pose.measured) ** 2) / STD**2
 
-    found = our_gradient(job, 1, z)
-    np.testing.assert_allclose(found.value, error(z), rtol=1e-7)
+    gradient = our_gradient(job, 1, z)
+    np.testing.assert_allclose(gradient.value, error(z), rtol=1e-7)
     steps = h * np.eye(len(z))
     change = [(error(z + step) - error(z - step)) / (2.0 * h) for step in steps]
-    size = np.abs(found.by_parameter).max()
-    np.testing.assert_allclose(found.by_parameter, change, rtol=0, atol=1e-5 * size)
+    size = np.abs(gradient.by_parameter).max()
+    np.testing.assert_allclose(gradient.by_parameter, change, rtol=0, atol=1e-5 * size)
 
 
 def test_the_law_of_the_peers_is_ours():
@@ -130,8 +130,8 @@ def test_the_law_of_the_peers_is_ours():
             of_energy, of_stress = ours(field, F[:, :, point, tet])
             np.testing.assert_allclose(P[:, :, point, tet], of_energy, rtol=1e-9)
             # Some entries are differences of moduli.
-            found = A[..., point, tet]
-            np.testing.assert_allclose(found, of_stress, rtol=1e-9, atol=1e-9 * 9e5)
+            tangent = A[..., point, tet]
+            np.testing.assert_allclose(tangent, of_stress, rtol=1e-9, atol=1e-9 * 9e5)
 
 
 def test_adjoint_and_differences_give_one_gradient(job):
@@ -187,8 +187,8 @@ def test_a_peer_that_solves_another_problem_is_refused(job):
     moved = np.stack([pose.measured for pose in job.poses])
     with pytest.raises(RuntimeError, match=r"(?s)gradient .*same problem"):
         peers.agreement(job, "other", moved, gradient)
-    found = peers.agreement(job, "same", moved, ours)
-    assert found == {
+    agreement = peers.agreement(job, "same", moved, ours)
+    assert agreement == {
         "tip_difference": pytest.approx(0.0, abs=1e-9),
         "gradient_difference": 0.0,
     }
@@ -223,8 +223,8 @@ LIBRARIES = {
 
 
 def test_an_absent_peer_is_reported():
-    with peers.opened(LIBRARIES, Unopened) as (found, absent):
-        assert [peer.label for peer in found.values()] == ["with adjoint"]
+    with peers.opened(LIBRARIES, Unopened) as (present, absent):
+        assert [peer.label for peer in present.values()] == ["with adjoint"]
         assert list(absent) == ["gone"]
         assert says(absent["gone"], "torch ... softcal-jax[peers]")
 

@@ -78,8 +78,8 @@ def test_ends_and_centre(shape):
         s, t = in_branch(mesh, k, n)
         there = (s > length - end - 1e-9) & (np.abs(t) < width / 2 + 1e-9)
         np.testing.assert_array_equal(mesh.nodes(f"end {k}"), np.flatnonzero(there))
-        own = volume[mesh.tets_of(f"end {k}")].sum()
-        np.testing.assert_allclose(own, end * width * thickness, rtol=1e-12)
+        filled = volume[mesh.tets_of(f"end {k}")].sum()
+        np.testing.assert_allclose(filled, end * width * thickness, rtol=1e-12)
     radius, _ = polar(mesh)
     there = radius < shape.get("centre_radius", 0.0075) + 1e-9
     np.testing.assert_array_equal(mesh.nodes("centre"), np.flatnonzero(there))

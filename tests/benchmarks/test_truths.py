@@ -28,9 +28,9 @@ def test_distance_from_an_interval_in_half_widths():
 
 def test_an_axis_is_counted_modulo_half_a_turn():
     """An axis at 91 degrees is the one at -89."""
-    own = interval(*np.deg2rad([89.0, 93.0]), turn=np.pi)
-    assert own.off(np.deg2rad(-89.0)) == pytest.approx(0.0, abs=1e-12)
-    assert own.off(np.deg2rad(-86.0)) == pytest.approx(1.5)
+    axis = interval(*np.deg2rad([89.0, 93.0]), turn=np.pi)
+    assert axis.off(np.deg2rad(-89.0)) == pytest.approx(0.0, abs=1e-12)
+    assert axis.off(np.deg2rad(-86.0)) == pytest.approx(1.5)
 
 
 def truth_trial(number, offs, identified=True, kind: IntervalKind = "first-order"):
@@ -78,9 +78,9 @@ def test_noise_has_the_stated_sizes():
         for _ in range(200):
             drawn: Any = _random_beams.noisy(_measured(poses, 0.01), noise, random)
             errors += [c.measured - c.markers.positions - 0.01 for c in drawn]
-        own = np.array(errors) if noise is quiet else np.mean(errors, axis=1)
+        scatter = np.array(errors) if noise is quiet else np.mean(errors, axis=1)
         # Of 800 recordings the standard deviation is known to 1 / sqrt(1600).
-        assert np.std(own) == pytest.approx(expected, rel=0.1)
+        assert np.std(scatter) == pytest.approx(expected, rel=0.1)
 
 
 def _measured(poses, moved):
@@ -173,10 +173,10 @@ def test_an_error_that_is_put_in_is_a_width_of_the_budget(one_modulus, error, ca
     problem, right = one_modulus
     wrong = fitted(problem, Wrong(**{error: SMALL}))
     moved = abs(float(wrong.z[0] - right.z[0])) / SMALL
-    (own,) = [c.deviations[0] for c in right.budget.causes if c.name == cause]
+    (dz,) = [c.deviations[0] for c in right.budget.causes if c.name == cause]
     # Gravity is tilted half about each of two axes.
-    expected = abs(own.sum()) if len(own) == 1 else np.abs(own[0] + own[1]) / 2**0.5
-    other = expected if len(own) == 1 else np.abs(own[0] - own[1]) / 2**0.5
+    expected = abs(dz.sum()) if len(dz) == 1 else np.abs(dz[0] + dz[1]) / 2**0.5
+    other = expected if len(dz) == 1 else np.abs(dz[0] - dz[1]) / 2**0.5
     nearest = min(expected, other, key=lambda size: abs(size - moved))
     assert moved == pytest.approx(nearest, rel=0.1)
 
@@ -185,9 +185,9 @@ def test_an_error_that_is_put_in_is_a_width_of_the_budget(one_modulus, error, ca
 def test_a_small_run_of_random_truths(tmp_path):
     trials = random_truths.study(range(2), draws=[0], options=Options(tmp_path))
     assert len(trials) == 2 * len(random_truths.NOISES)
-    found = random_truths.outcome(trials, trials[:2])
-    assert found.figures["fits"] == len(trials) + 2
-    assert set(found.goals) <= set(found.figures)
+    outcome = random_truths.outcome(trials, trials[:2])
+    assert outcome.figures["fits"] == len(trials) + 2
+    assert set(outcome.goals) <= set(outcome.figures)
 
 
 @pytest.mark.slow  # compiles two calibrations
@@ -195,6 +195,6 @@ def test_a_small_run_of_silent_errors():
     problem, *_ = _wrong_models.problems()
     wrong = silent_errors.with_errors(problem, (1.0,))
     assert len(wrong) == 6
-    found = silent_errors.outcome(wrong, [silent_errors.fit(problem, "", 0.0, 0)])
-    assert Goal("at least", 80.0).met(found.figures["covered_percent"])
-    assert found.figures["right_models"] == 1
+    outcome = silent_errors.outcome(wrong, [silent_errors.fit(problem, "", 0.0, 0)])
+    assert Goal("at least", 80.0).met(outcome.figures["covered_percent"])
+    assert outcome.figures["right_models"] == 1

@@ -221,11 +221,11 @@ def problems(family: str, count: int) -> list[Problem]:
 
 def steps(drawn: list[Problem]):
     """The steps of all problems, and their KKT residuals."""
-    found = []
+    results = []
     for problem in drawn:
         *box, A, b = (jnp.asarray(part) for part in problem)
-        found.append(bounded_step(*box, A=A, b=b, damping=DAMPING))
-    return tuple(np.stack(part) for part in zip(*found, strict=True))
+        results.append(bounded_step(*box, A=A, b=b, damping=DAMPING))
+    return tuple(np.stack(part) for part in zip(*results, strict=True))
 
 
 def exact_step(problem: Problem) -> np.ndarray:

@@ -17,7 +17,7 @@ SCALES_UNKNOWN = replace(exactly_known(), loads=0.1)
 
 
 @pytest.fixture(scope="module")
-def told():
+def full():
     """What a calibration says, in order, and its result at the end."""
     said = []
     result = calibrate(
@@ -48,8 +48,8 @@ def quick():
     return result
 
 
-def test_the_answer_is_by_the_noise_alone(told):
-    (answer, budget, *intervals), result = told
+def test_the_answer_is_by_the_noise_alone(full):
+    (answer, budget, *intervals), result = full
     assert says(budget, "error budget ... fit took")
     assert any("intervals" in text for text in intervals)
     assert answer.left_out == ("the error budget",)
@@ -93,8 +93,8 @@ def test_what_is_compiled_ahead_is_what_is_run(monkeypatch, task, programs):
     assert set(ahead) <= set(ran)
 
 
-def test_quick_stops_there_and_the_verdict_says_so(told, quick):
-    answer = told[0][0]
+def test_quick_stops_there_and_the_verdict_says_so(full, quick):
+    answer = full[0][0]
     assert quick.left_out == ("the error budget", "the intervals")
     assert quick.intervals == ()
     assert [str(p) for p in quick.parameters] == [str(p) for p in answer.parameters]
@@ -103,4 +103,4 @@ def test_quick_stops_there_and_the_verdict_says_so(told, quick):
     assert any(
         says(r, "noise alone", "error budget", "intervals") for r in verdict.reasons
     )
-    assert not any("left out" in reason for reason in assess(told[1]).reasons)
+    assert not any("left out" in reason for reason in assess(full[1]).reasons)

@@ -47,8 +47,8 @@ def fitted(start, upper, **more):
 
 def test_a_start_that_is_too_soft_is_raised_and_said():
     """At E = 0.4 the bar carries 51 % of the load, at 0.8 all of it."""
-    told = []
-    result = fitted(0.4, 10.0, equilibrium_progress=told.append)
+    progress = []
+    result = fitted(0.4, 10.0, equilibrium_progress=progress.append)
     assert result.converged
     # The data are exact, so Newton's tolerance of 1e-8 is all that is left.
     assert result.value("E") == pytest.approx(1.0, rel=1e-6)
@@ -59,13 +59,13 @@ def test_a_start_that_is_too_soft_is_raised_and_said():
     # The last equilibrium is at most one smallest load step, 0.1 %, below the limit.
     assert carried - 0.2 <= float(note.split("carries ")[1].split(" %")[0]) <= carried
     # Said while it ran, too: configuration, load, step and the factor on the moduli.
-    assert {p.configuration for p in told} == {"pushed"}
-    assert {p.stiffer for p in told} == {1.0, 2.0}
-    assert told[-1].load == 1.0
-    assert max(p.load for p in told if p.stiffer == 1.0) == pytest.approx(
+    assert {p.configuration for p in progress} == {"pushed"}
+    assert {p.stiffer for p in progress} == {1.0, 2.0}
+    assert progress[-1].load == 1.0
+    assert max(p.load for p in progress if p.stiffer == 1.0) == pytest.approx(
         carried / 100.0, abs=2e-3
     )
-    assert says(told[-1], "pushed", "100 %", "moduli 2 times")
+    assert says(progress[-1], "pushed", "100 %", "moduli 2 times")
 
 
 def test_without_being_told_the_fit_is_the_same():
@@ -80,11 +80,11 @@ def test_a_start_that_stands_is_not_touched():
     assert not any("No equilibrium" in note for note in result.notes)
 
 
-@pytest.mark.parametrize("told", [None, lambda progress: None])
-def test_bounds_that_are_too_soft_are_named(told):
+@pytest.mark.parametrize("progress", [None, lambda progress: None])
+def test_bounds_that_are_too_soft_are_named(progress):
     """At the upper bound of 0.5 Pa the bar carries 64 % of the load."""
     with pytest.raises(RuntimeError) as error:
-        fitted(0.4, 0.5, equilibrium_progress=told)
+        fitted(0.4, 0.5, equilibrium_progress=progress)
     text = str(error.value)
     assert re.search("no equilibrium.*'pushed'.*limit point.*51.* %", text, re.S)
     assert says(text, "stiffer moduli", "bounds", "E = 0.5 Pa")

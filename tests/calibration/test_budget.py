@@ -125,8 +125,8 @@ def refitted(model=None, configurations=None, measured=None):
     """ln E with something changed, where the data are those of `data`."""
     configurations = configurations or poses()
     seen = [
-        replace(c, measured=own.measured)
-        for c, own in zip(configurations, measured or data(), strict=True)
+        replace(c, measured=read.measured)
+        for c, read in zip(configurations, measured or data(), strict=True)
     ]
     result = calibrate(
         model or robot(),
@@ -196,9 +196,9 @@ CHANGES = {
 def deviations():
     """Change of ln E per standard deviation of each error."""
     return {
-        error: float(own)
+        error: float(change)
         for cause in fitted().budget.causes
-        for error, own in zip(cause.errors, cause.deviations[0], strict=True)
+        for error, change in zip(cause.errors, cause.deviations[0], strict=True)
     }
 
 
@@ -213,10 +213,10 @@ def test_recalibration_moves_as_the_budget_says(error):
     """Central differences; what is left is of second order in a tenth of a std."""
     change = CHANGES[error]
     moved = (change(STEP) - change(-STEP)) / (2.0 * STEP)
-    own = deviations()[error]
+    predicted = deviations()[error]
     largest = max(map(abs, deviations().values()))
-    np.testing.assert_allclose(own, moved, rtol=2e-3, atol=1e-6 * largest)
-    assert abs(own) > 1e-6, "it should matter here"
+    np.testing.assert_allclose(predicted, moved, rtol=2e-3, atol=1e-6 * largest)
+    assert abs(predicted) > 1e-6, "it should matter here"
 
 
 L = 0.1
@@ -242,8 +242,8 @@ PULLED = Configuration(
 @cache
 def cantilever(name):
     pose = {"hang": HANGING, "pull": PULLED}[name]
-    own = simulated_measurements(CANTILEVER, [pose])
-    return calibrate(CANTILEVER, WIDE, own, noise="stated", uncertain=SAME_MESH)
+    measured = simulated_measurements(CANTILEVER, [pose])
+    return calibrate(CANTILEVER, WIDE, measured, noise="stated", uncertain=SAME_MESH)
 
 
 def relative(result):
@@ -297,7 +297,7 @@ def test_the_standard_error_is_the_root_of_the_sum_of_squares():
 
 def test_it_says_what_to_measure_first():
     result = cantilever("hang")
-    parts = {c: 100.0 * own for c, own in relative(result).items()}
+    parts = {c: 100.0 * share for c, share in relative(result).items()}
     (line,) = str(result.budget).splitlines()
     assert f" {line}" in str(result)
     begin, _, advice = line.partition(": measure ")
@@ -323,18 +323,18 @@ ON_PLAIN = replace(PULLED, gravity=(0.0, 0.0, -9.81), recording="tuesday")
 
 def plain_fit(*parameters, configurations=(), **settings):
     measured = simulated_measurements(PLAIN, configurations or [ON_PLAIN])
-    told = {"uncertain": SAME_MESH} | settings
-    return calibrate(PLAIN, (WIDE, *parameters), measured, noise="stated", **told)
+    options = {"uncertain": SAME_MESH} | settings
+    return calibrate(PLAIN, (WIDE, *parameters), measured, noise="stated", **options)
 
 
 @pytest.mark.parametrize("cause", CAUSES)
 def test_zero_switches_a_cause_off(cause):
     known = recalibrated(uncertain=replace(SAME_MESH, **{cause: 0.0}))
-    left = {own.name for own in known.budget.causes}
+    left = {c.name for c in known.budget.causes}
     assert left == set(CAUSES) - {cause}
     # Offsets of recordings weigh the data: without them all others change.
     whole = known if cause == "recordings" else fitted()
-    kept = [own.variance for own in whole.budget.causes if own.name != cause]
+    kept = [c.variance for c in whole.budget.causes if c.name != cause]
     expected = sum(kept) + np.diag(known.budget.noise)
     np.testing.assert_allclose(
         np.diag(known.budget.covariance), expected, rtol=1e-5, atol=0
@@ -356,18 +356,18 @@ def all_errors(*parameters):
     lanes = configuration_lanes(PLAIN.mesh, measured, PLAIN.mechanism)
     setting = Setting(problem.model, problem.space, measured, lanes, SAME_MESH)
     every = unknowns(setting)
-    held = [own.groups(1) for own in every if own.role == "considered"]
-    return set(of_noise) | {name for own in held for name, _ in own}
+    held = [unknown.groups(1) for unknown in every if unknown.role == "considered"]
+    return set(of_noise) | {name for groups in held for name, _ in groups}
 
 
 def test_what_is_calibrated_is_not_considered_as_well():
-    own = [
+    calibrated = [
         *gravity_tilt(limit=0.3, prior_std=0.02),
         load_factor(prior_std=0.02),
         *recording_offset(limit=5e-3, prior_std=1e-3, each=["tuesday"]),
     ]
     assert all_errors() == names(plain_fit())
-    assert all_errors() - all_errors(*own) == {
+    assert all_errors() - all_errors(*calibrated) == {
         "gravity_tilt first",
         "gravity_tilt second",
         "load_factor loads",
@@ -381,7 +381,7 @@ def test_a_field_that_is_calibrated_in_a_part_is_considered_in_the_rest():
     of_group = {"scale": "linear", "region": "near"}
     near = Parameter("nu", "nu", 0.3, 0.0, 0.45, **of_group)
     only_nu = replace(exactly_known(), nu=0.05)
-    parts = [plain_fit(*own, uncertain=only_nu) for own in ((), (near,))]
+    parts = [plain_fit(*parameters, uncertain=only_nu) for parameters in ((), (near,))]
     whole, rest = (result.budget.by_cause()["nu"][0] for result in parts)
     assert 0.0 < rest
     assert rest != pytest.approx(whole, rel=1e-3)
@@ -405,8 +405,8 @@ def test_errors_of_configurations_that_are_posed_alike_add_up():
     """One error of gravity for two recordings that state the same; two otherwise."""
     assert "gravity_tilt first" in names(fitted())
     other = replace(ON_PLAIN, name="other", gravity=(0.0, -9.81, 0.0))
-    own = names(plain_fit(configurations=[ON_PLAIN, other]))
-    assert {"gravity_tilt first in group 1", "gravity_tilt first in group 2"} <= own
+    errors = names(plain_fit(configurations=[ON_PLAIN, other]))
+    assert {"gravity_tilt first in group 1", "gravity_tilt first in group 2"} <= errors
 
 
 @pytest.mark.parametrize("value", [-0.1, float("nan"), float("inf")])

@@ -70,16 +70,16 @@ def cost_along(result):
 
 def test_where_first_order_is_wrong_the_profile_is_printed(result):
     """Its ends are those of a scan of the same cost; those of +- are far off."""
-    found = result.parameters[0].interval
-    assert found.kind == "profile"
+    interval = result.parameters[0].interval
+    assert interval.kind == "profile"
     cost, E = cost_along(result), result.value("E")
     higher = lambda other: cost(other) - cost(E) - norm.ppf(0.975) ** 2
     ends = [brentq(higher, 0.2 * E, E), brentq(higher, E, 5.0 * E)]
-    np.testing.assert_allclose([found.lower, found.upper], ends, rtol=CLOSE)
+    np.testing.assert_allclose([interval.lower, interval.upper], ends, rtol=CLOSE)
     reach = 1.96 * result.parameters[0].standard_error
     assert np.max(np.abs(np.array([E - reach, E + reach]) - ends)) > 0.1 * E
     assert "±" not in str(result.parameters[0])
-    assert str(found) in str(result)
+    assert str(interval) in str(result)
     assert "+-" not in str(result).split("\n")[1]
 
 
@@ -98,9 +98,9 @@ def test_an_error_is_printed_where_it_holds(error, ends, text):
     if ends is not None:
         low, high = (1e5 * end for end in ends)
         both = {"lower_end": "likelihood", "upper_end": "likelihood"}
-        own = {"name": "E", "unit": "Pa", "level": 0.95, "kind": "first-order"}
-        interval = ParameterInterval(lower=low, upper=high, **own, **both)
-    own = ParameterEstimate(
+        common = {"name": "E", "unit": "Pa", "level": 0.95, "kind": "first-order"}
+        interval = ParameterInterval(lower=low, upper=high, **common, **both)
+    estimate = ParameterEstimate(
         name="E",
         value=1e5,
         standard_error=error,
@@ -111,8 +111,8 @@ def test_an_error_is_printed_where_it_holds(error, ends, text):
         at_bound=False,
         interval=interval,
     )
-    assert str(own) == text
-    given = replace(own, given=("nu",))
+    assert str(estimate) == text
+    given = replace(estimate, given=("nu",))
     assert says(given, text, "nu on a bound")
 
 
@@ -130,11 +130,11 @@ def test_where_it_is_right_it_stays(monkeypatch):
     alone = len(counted)
     result = calibrate(MODEL, unknowns(), precise, **EXACTLY)
     assert len(counted) == 2 * alone + 2 * 2
-    found = result.parameters[0].interval
-    assert [own.kind for own in result.intervals] == ["first-order"] * 2
+    interval = result.parameters[0].interval
+    assert [i.kind for i in result.intervals] == ["first-order"] * 2
     s = 1e-2 * relative_error(result)
     ends = result.value("E") * np.exp(1.959964 * s * np.array([-1.0, 1.0]))
-    np.testing.assert_allclose([found.lower, found.upper], ends, rtol=1e-5)
+    np.testing.assert_allclose([interval.lower, interval.upper], ends, rtol=1e-5)
     assert "±" in str(result.parameters[0])
 
 
@@ -156,10 +156,10 @@ def test_at_a_bound_one_side_is_known(poses):
 
 def bare(kind, **values):
     """An object of a kind with a few of its attributes alone."""
-    own = object.__new__(kind)
+    instance = object.__new__(kind)
     for name, value in values.items():
-        object.__setattr__(own, name, value)
-    return own
+        object.__setattr__(instance, name, value)
+    return instance
 
 
 SPACE = ParameterSpace(
@@ -246,13 +246,13 @@ def test_a_standard_error_may_not_rest_on_a_bound(slope, good):
     x, y = SPACE.parameters
     space = ParameterSpace([x, replace(y, lower=jnp.asarray(0.0))])
     J = [[1.0, -slope], [0.0, 0.6]]
-    found = holds(
+    verdict = holds(
         lambda x, y: np.array(J) @ [x, y] + [0.0, 0.1],
         lambda x, y: J,
         on_bound=True,
         space=space,
     )
-    assert found == good
+    assert verdict == good
 
 
 def test_a_lower_cost_is_told():
@@ -283,10 +283,10 @@ def never(*_):
 def test_there_is_none_without_a_fit_or_noise(result, poses, changed, why):
     spread = replace(result.uncertainty, noise_scale=changed.get("noise_scale", 1.0))
     converged = changed.get("converged", True)
-    own = replace(result, converged=converged, uncertainty=spread)
-    found = with_intervals(of_problem(own, poses), 0.95, never, never)
-    assert {interval.kind for interval in found.intervals} == {"none"}
-    assert all(why in str(interval) for interval in found.intervals)
+    fit = replace(result, converged=converged, uncertainty=spread)
+    completed = with_intervals(of_problem(fit, poses), 0.95, never, never)
+    assert {interval.kind for interval in completed.intervals} == {"none"}
+    assert all(why in str(interval) for interval in completed.intervals)
 
 
 @pytest.mark.parametrize("times", [1, MOST_RETURNS])
@@ -295,12 +295,12 @@ def test_a_lower_cost_is_gone_on_from(result, poses, monkeypatch, times):
     intervals = [no_interval(q, level=0.95, why="-") for q in result.space.parameters]
     lower = iter(range(times))
 
-    def found(*_):
+    def falls(*_):
         if next(lower, None) is not None:
             raise LowerCostFound(result.z, 1.0, 2.0)
         return intervals
 
-    monkeypatch.setattr("softcal_jax.calibration._checked_intervals._intervals", found)
+    monkeypatch.setattr("softcal_jax.calibration._checked_intervals._intervals", falls)
     last, none = result.history[-1], np.zeros((0, 2))
     starts = MultiStartResult(
         names=tuple(result.space.names),
@@ -314,9 +314,9 @@ def test_a_lower_cost_is_gone_on_from(result, poses, monkeypatch, times):
         optima=(Optimum(last.cost, last.values, (0,)),),
     )
     # Nothing but the cost of an evaluation is asked for, in the same units.
-    own = "softcal_jax.calibration._checked_intervals.weighed"
+    path = "softcal_jax.calibration._checked_intervals.weighed"
     monkeypatch.setattr(
-        own, lambda problem, z, response: SimpleNamespace(cost=response)
+        path, lambda problem, z, response: SimpleNamespace(cost=response)
     )
     at = lambda cost: SimpleNamespace(cost=cost, response=cost)
     fitted = of_problem(replace(result, starts=starts), poses)
@@ -344,13 +344,13 @@ def test_a_lower_cost_is_gone_on_from(result, poses, monkeypatch, times):
 
 
 def test_kinds_and_reasons():
-    own, z = Parameter("E", "E", 2e5, 1e5, 4e5, unit="Pa"), jnp.asarray(np.log(2.0))
-    z = own.to_scaled(jnp.asarray(2e5))
+    E, z = Parameter("E", "E", 2e5, 1e5, 4e5, unit="Pa"), jnp.asarray(np.log(2.0))
+    z = E.to_scaled(jnp.asarray(2e5))
     far, bound = ProfileEnd(0.1, "likelihood"), ProfileEnd(np.log(2.0), "bound")
     lost = ProfileEnd(np.nan, "not found")
-    kind = lambda *ends: interval_between(own, z, ends, level=0.95)
+    kind = lambda *ends: interval_between(E, z, ends, level=0.95)
     assert kind(far, far).kind == "profile"
-    assert interval_between(own, z, (far, far), level=0.9, first_order=True).kind == (
+    assert interval_between(E, z, (far, far), level=0.9, first_order=True).kind == (
         "first-order"
     )
     assert str(kind(far, bound)) == "181 to 400 (bound) kPa"

@@ -94,8 +94,8 @@ def assert_same_history(ours, theirs):
 def test_stopped_and_resumed_it_ends_where_it_would_have(tmp_path, fit, whole, n):
     assert len(whole.history) > 6
     path = interrupted(fit, tmp_path / "fit.npz", n)
-    told = []
-    resumed = fit(path, progress=told.append)
+    entries = []
+    resumed = fit(path, progress=entries.append)
     assert resumed.converged
     np.testing.assert_array_equal(resumed.z, whole.z)
     np.testing.assert_allclose(
@@ -103,7 +103,7 @@ def test_stopped_and_resumed_it_ends_where_it_would_have(tmp_path, fit, whole, n
     )
     assert_same_history(resumed.history, whole.history)
     # Only what is new is told.
-    assert [e.step for e in told] == list(range(n + 1, len(whole.history)))
+    assert [e.step for e in entries] == list(range(n + 1, len(whole.history)))
     for ours, theirs in zip(resumed.configurations, whole.configurations, strict=True):
         for a, b in zip(ours.points, theirs.points, strict=True):
             before = a.simulated_before, b.simulated_before
@@ -125,11 +125,11 @@ def test_a_finished_calibration_is_only_read(tmp_path, fit):
     path = tmp_path / "fit.npz"
     first = fit(path)
     before = path.read_bytes()
-    told = []
-    again = fit(path, progress=told.append)
+    entries = []
+    again = fit(path, progress=entries.append)
     assert first.converged
     assert again.converged
-    assert told == []
+    assert entries == []
     assert path.read_bytes() == before
     assert_same_history(again.history, first.history)
     np.testing.assert_allclose(again.z, first.z, rtol=0, atol=1e-12)
@@ -268,21 +268,21 @@ class Evaluations:
 class Searched(NamedTuple):
     """From several starts, without any interruption.
 
-    `told` is what was told of them, and `n` counts evaluations.
+    `progress` is what was told of them, and `n` counts evaluations.
     """
 
     result: CalibrationResult
-    told: list[SearchProgress]
+    progress: list[SearchProgress]
     n: int
 
 
 @pytest.fixture(scope="module")
 def searched(fit):
-    told = []
+    progress = []
     with pytest.MonkeyPatch.context() as patch:
         every = Evaluations(patch)
-        result = fit(starts=STARTS, search_progress=told.append)
-    return Searched(result, told, every.n)
+        result = fit(starts=STARTS, search_progress=progress.append)
+    return Searched(result, progress, every.n)
 
 
 def same_search(ours, theirs):
@@ -292,14 +292,14 @@ def same_search(ours, theirs):
 
 def test_a_search_says_how_far_it_is(searched):
     """Each step, counted from each image on; several starts take turns."""
-    result, told, _ = searched
+    result, progress, _ = searched
     for start in range(STARTS):
-        own = [p for p in told if p.start == start]
-        for before, now in pairwise(own):
+        run = [p for p in progress if p.start == start]
+        for before, now in pairwise(run):
             assert now.step == (before.step + 1 if now.image == before.image else 1)
-        assert own[0].step == 1
-        assert len(own) == result.starts.steps[start]
-    assert {p.starts for p in told} == {STARTS}
+        assert run[0].step == 1
+        assert len(run) == result.starts.steps[start]
+    assert {p.starts for p in progress} == {STARTS}
     line = str(SearchProgress(1, 6, 2, 4, 1.5e-3))
     assert says(line, "start 2 of 6", "image 2", "step 4", "1.500 mm")
 
@@ -312,20 +312,20 @@ def test_a_stopped_search_ends_as_if_nothing_had_stopped_it(
 ):
     """Wherever it stops; what had ended is not run again."""
     path, whole = tmp_path / "fit.npz", searched.result
-    told, resumed_told = [], []
+    progress, resumed_progress = [], []
     with monkeypatch.context() as patch:
         before = Evaluations(patch, stop_at=int(share * searched.n))
         with pytest.raises(Stopped):
-            fit(path, starts=STARTS, search_progress=told.append)
+            fit(path, starts=STARTS, search_progress=progress.append)
     with monkeypatch.context() as patch:
         after = Evaluations(patch)
-        resumed = fit(path, starts=STARTS, search_progress=resumed_told.append)
+        resumed = fit(path, starts=STARTS, search_progress=resumed_progress.append)
     same_search(resumed.starts, whole.starts)
     np.testing.assert_array_equal(resumed.z, whole.z)
     assert_same_history(resumed.history, whole.history)
     # Only images that were under way are repeated: the first start runs alone.
-    twice = {p[:3] for p in told} & {p[:3] for p in resumed_told}
-    under_way = 1 if {p.start for p in told} == {0} else STARTS - 1
+    twice = {p[:3] for p in progress} & {p[:3] for p in resumed_progress}
+    under_way = 1 if {p.start for p in progress} == {0} else STARTS - 1
     assert len(twice) <= under_way
     most = under_way * (FROM_ANYWHERE.max_steps + 1) + 1  # and the first of all
     assert before.n + after.n <= searched.n + most

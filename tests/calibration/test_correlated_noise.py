@@ -59,19 +59,19 @@ def clean():
 def measured(seed=0, *, offset=OFFSET, share=0.0, jitter=STD, **changed):
     """Data with an offset of each pose, a share of its motion, and jitter."""
     random = np.random.default_rng(seed)
-    found = []
+    data = []
     for c in clean():
         motion = c.measured - MARKERS.positions
         read = c.measured + offset * random.standard_normal((1, 3))
         read = read + share * random.standard_normal() * motion
         read = read + jitter * random.standard_normal(read.shape)
-        found.append(replace(c, measured=read, **changed))
-    return found
+        data.append(replace(c, measured=read, **changed))
+    return data
 
 
 def fit(data, uncertain=ONLY_OFFSETS, noise="stated", **changed):
-    told = {"noise": noise, "uncertain": uncertain, "intervals": None}
-    return calibrate(MODEL, E, data, **told, **changed)
+    options = {"noise": noise, "uncertain": uncertain, "intervals": None}
+    return calibrate(MODEL, E, data, **options, **changed)
 
 
 def covariance_of(data, offset, *, share=0.0, jitter=STD, motion=None):
@@ -81,7 +81,7 @@ def covariance_of(data, offset, *, share=0.0, jitter=STD, motion=None):
     V = np.zeros((len(data) * n, len(data) * n))
     if motion is None:
         motion = [c.measured - MARKERS.positions for c in data]
-    moved = [np.ravel(own) for own in motion]
+    moved = [np.ravel(shift) for shift in motion]
     for i in range(len(V)):
         for k in range(len(V)):
             (c, a), (d, b) = divmod(i, n), divmod(k, n)
@@ -141,21 +141,21 @@ def test_without_correlated_noise_errors_are_divided_by_their_std():
 
 def test_a_second_optimiser_ends_at_the_same_place():
     data = measured(relative_std=0.03, share=0.03)
-    found = fit(data)
-    problem = build_problem(MODEL, E, data).with_noise(found.noise)
+    result = fit(data)
+    problem = build_problem(MODEL, E, data).with_noise(result.noise)
     z, ok = levenberg_marquardt(problem)
     assert ok
-    np.testing.assert_allclose(z, found.z, atol=1e-5)
+    np.testing.assert_allclose(z, result.z, atol=1e-5)
 
 
 def test_the_estimated_jitter_is_that_of_the_residuals_beside_stated_offsets():
     """The stated 0.1 mm are half of what the data have."""
-    found = [
+    jitters = [
         float(fit(measured(seed, jitter=2e-4), noise="estimated").noise.jitter)
         for seed in range(4)
     ]
     # 4 x 9 - 12 - 1 degrees of freedom each.
-    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(2.0, abs=0.35)
+    assert np.sqrt(np.mean(np.square(jitters))) == pytest.approx(2.0, abs=0.35)
     result = fit(measured(0, jitter=2e-4), noise="estimated")
     assert result.uncertainty.noise_scale == float(result.noise.jitter)
     V = covariance_of(measured(0), OFFSET, jitter=STD * float(result.noise.jitter))
@@ -190,9 +190,9 @@ def test_creep_is_estimated_where_asked():
     shares = []
     for seed in range(4):
         data = measured(seed, offset=0.0, share=0.1, relative_std="estimated")
-        found = fit(data, exactly_known()).noise.share
-        assert np.ptp(found) == 0.0
-        shares.append(float(found[0]))
+        share = fit(data, exactly_known()).noise.share
+        assert np.ptp(share) == 0.0
+        shares.append(float(share[0]))
     # Some 3 degrees of freedom each.
     assert np.sqrt(np.mean(np.square(shares))) == pytest.approx(0.1, rel=0.6)
 
@@ -208,12 +208,12 @@ def test_a_left_out_pose_is_that_of_a_fit_to_the_others():
     """The linearised prediction against a calibration without the pose."""
     data = measured(5, offset=0.0, jitter=2e-5)
     result = fit(data, exactly_known())
-    for i, own in enumerate(result.checks.left_out):
+    for i, pose in enumerate(result.checks.left_out):
         others = fit(data[:i] + data[i + 1 :], exactly_known())
         at = evaluate(build_problem(MODEL, E, data), others.z)
         distance = np.linalg.norm(np.asarray(at.delta_e)[i], axis=1)
-        assert own.name == data[i].name
-        np.testing.assert_allclose(own.rms, np.sqrt(np.mean(distance**2)), rtol=2e-2)
+        assert pose.name == data[i].name
+        np.testing.assert_allclose(pose.rms, np.sqrt(np.mean(distance**2)), rtol=2e-2)
 
 
 def test_a_pose_with_a_wrong_load_is_named_with_either_noise():
@@ -233,18 +233,18 @@ def test_recordings_that_agree_and_one_that_does_not():
     data = measured(7, jitter=2e-5, offset=2e-5)
     known = replace(exactly_known(), recordings=2e-5)
     result = fit(data, known)
-    found = {e.recording: e for e in result.checks.recordings}
-    assert list(found) == [c.name for c in data]
+    estimates = {e.recording: e for e in result.checks.recordings}
+    assert list(estimates) == [c.name for c in data]
     for c in data:
-        alone, own = fit([c], known), found[c.name]
-        np.testing.assert_allclose(own.value, alone.value("E"), rtol=1e-3)
+        alone, estimate = fit([c], known), estimates[c.name]
+        np.testing.assert_allclose(estimate.value, alone.value("E"), rtol=1e-3)
         std = alone.parameters[0].standard_error
-        np.testing.assert_allclose(own.standard_error, std, rtol=2e-2)
+        np.testing.assert_allclose(estimate.standard_error, std, rtol=2e-2)
         # Hausman: the difference from the better of two has the smaller variance.
         both = std**2 - result.parameters[0].standard_error ** 2
-        apart = (own.value - own.fit) / np.sqrt(both)
-        np.testing.assert_allclose(own.apart, apart, rtol=5e-2, atol=5e-2)
-        assert abs(own.apart) < 3.0
+        apart = (estimate.value - estimate.fit) / np.sqrt(both)
+        np.testing.assert_allclose(estimate.apart, apart, rtol=5e-2, atol=5e-2)
+        assert abs(estimate.apart) < 3.0
     assert "they agree" in result.checks.agreement[0]
     assert result.checks.agreement[0] in str(result)
     data[3] = replace(data[3], loads=poses()[2].loads)
@@ -260,7 +260,7 @@ def test_an_error_that_all_recordings_share_cancels_in_their_difference():
     data = measured(7, jitter=2e-5, offset=2e-5)
     known = replace(exactly_known(), recordings=2e-5)
     loads = replace(known, loads=0.05)
-    few, more = (fit(data[1:], own).checks.recordings for own in (known, loads))
+    few, more = (fit(data[1:], widths).checks.recordings for widths in (known, loads))
     for a, b in zip(few, more, strict=True):
         assert b.standard_error > 1.1 * a.standard_error
         np.testing.assert_allclose(b.apart, a.apart, rtol=0.5, atol=0.1)
@@ -276,10 +276,10 @@ def test_before_measuring_the_outlook_is_that_after_it():
     data = measured(recording="monday", relative_std=0.03)
     result = fit(data)
     before = identify(MODEL, E, data, at=result.z, uncertain=ONLY_OFFSETS)
-    (own,), (after,) = before.parameters, assess(result).identifiability.parameters
-    np.testing.assert_allclose(own.standard_error, after.standard_error, rtol=2e-2)
+    (ahead,), (after,) = before.parameters, assess(result).identifiability.parameters
+    np.testing.assert_allclose(ahead.standard_error, after.standard_error, rtol=2e-2)
     alone = identify(MODEL, E, data, at=result.z, uncertain=exactly_known())
-    assert own.standard_error > 1.05 * alone.parameters[0].standard_error
+    assert ahead.standard_error > 1.05 * alone.parameters[0].standard_error
 
 
 def test_another_recording_tells_more_than_another_pose_of_the_same():
@@ -301,12 +301,12 @@ def test_a_held_out_recording_is_asked_too():
     data = measured(7, jitter=2e-5, offset=2e-5)
     known = replace(exactly_known(), recordings=2e-5)
     result, alone = fit(data[:3], known, validation=data[3:]), fit(data[3:], known)
-    (own,) = [e for e in result.checks.recordings if e.recording == "load 3"]
+    (estimate,) = [e for e in result.checks.recordings if e.recording == "load 3"]
     stds = [r.parameters[0].standard_error for r in (result, alone)]
-    np.testing.assert_allclose(own.value, alone.value("E"), rtol=1e-3)
-    apart = (own.value - result.value("E")) / np.hypot(*stds)
-    np.testing.assert_allclose(own.apart, apart, rtol=3e-2, atol=3e-2)
-    assert abs(own.apart) < 3.0
+    np.testing.assert_allclose(estimate.value, alone.value("E"), rtol=1e-3)
+    apart = (estimate.value - result.value("E")) / np.hypot(*stds)
+    np.testing.assert_allclose(estimate.apart, apart, rtol=3e-2, atol=3e-2)
+    assert abs(estimate.apart) < 3.0
     assert not any("alone gives" in reason for reason in assess(result).reasons)
 
 

@@ -65,8 +65,8 @@ def positions(value):
     model = set_field(MODEL, "E", value)
 
     def one(c):
-        found = solve_equilibrium(model, c, settings=TIGHT)
-        return compiled_effectors(model, c, found.displacement, found.multipliers)
+        state = solve_equilibrium(model, c, settings=TIGHT)
+        return compiled_effectors(model, c, state.displacement, state.multipliers)
 
     return np.stack([np.asarray(one(c)).ravel() for c in LANES])
 
@@ -81,8 +81,8 @@ def data():
 
 def measured(data, reference="rest"):
     return [
-        replace(c, measured=own.reshape(2, 3))
-        for c, own in zip(poses(reference), data, strict=True)
+        replace(c, measured=row.reshape(2, 3))
+        for c, row in zip(poses(reference), data, strict=True)
     ]
 
 
@@ -131,8 +131,8 @@ def test_it_is_the_fit_of_differences_made_by_hand(data, result):
 
 
 def test_the_truth_is_found_and_positions_would_miss_it(data, result):
-    own = result.parameters[0]
-    assert abs(own.value - E_TRUE) < 3.0 * own.standard_error
+    estimate = result.parameters[0]
+    assert abs(estimate.value - E_TRUE) < 3.0 * estimate.standard_error
     plain = [replace(c, displacement_from=None) for c in measured(data)[:3]]
     # The glue holds the tip up by nearly as much as its weight pulls it down.
     assert fitted(plain).parameters[0].at_bound
@@ -166,9 +166,9 @@ def test_what_it_would_tell_is_known_before(result):
     outlook = identify(
         MODEL, there, poses()[:3], newton=TIGHT, uncertain=exactly_known()
     )
-    (own,) = outlook.parameters
+    (predicted,) = outlook.parameters
     expected = result.parameters[0].standard_error
-    np.testing.assert_allclose(own.standard_error, expected, rtol=1e-5)
+    np.testing.assert_allclose(predicted.standard_error, expected, rtol=1e-5)
 
 
 def test_the_noise_is_estimated_from_displacements(data):
@@ -228,8 +228,8 @@ def test_held_out_poses_are_scored_without_glue(data):
         "right": (MODEL, E),
         "stiff": (MODEL, Parameter("E", "E", 700e3, 600e3, 1e6)),
     }
-    found = compare_laws(laws, measured(data)[:3], newton=TIGHT)
-    right, stiff = found.models
+    comparison = compare_laws(laws, measured(data)[:3], newton=TIGHT)
+    right, stiff = comparison.models
     assert (right.name, stiff.name) == ("right", "stiff")
     side = data[2] - data[0]
 

@@ -20,11 +20,11 @@ def fitted(**more):
 def ctrl_c_at(step):
     """A callback that is interrupted as a user would do it."""
 
-    def told(entry):
+    def interrupt(entry):
         if entry.step == step:
             signal.raise_signal(signal.SIGINT)
 
-    return told
+    return interrupt
 
 
 @pytest.fixture(scope="module")
@@ -57,10 +57,10 @@ def test_before_the_first_step_there_is_nothing_to_return():
 def test_a_search_leaves_the_best_end_so_far(whole):
     """Two runs of three have ended, or one; all of them find the same optimum."""
 
-    def told(search):
+    def interrupt(search):
         signal.raise_signal(signal.SIGINT)
 
-    result = fitted(starts=3, search_progress=told)
+    result = fitted(starts=3, search_progress=interrupt)
     assert result.interrupted
     assert not result.converged
     assert len(result.history) == 1
@@ -71,11 +71,11 @@ def test_a_search_leaves_the_best_end_so_far(whole):
 def interrupted_in(part):
     """A fit that a user ends who does not wait for a later stage."""
 
-    def told(text):
+    def interrupt(text):
         if part in text:
             signal.raise_signal(signal.SIGINT)
 
-    result = fitted(intervals=0.95, stage=told)
+    result = fitted(intervals=0.95, stage=interrupt)
     assert result.interrupted
     assert result.converged
     assert says(result.notes[-1], "Interrupted")
@@ -87,11 +87,11 @@ def test_an_interrupted_prediction_leaves_those_before(whole, monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     held_out = [replace(pose, name=f"{pose.name} again") for pose in measured()]
 
-    def told(now):
+    def interrupt(now):
         if now.configuration == held_out[1].name:
             signal.raise_signal(signal.SIGINT)
 
-    result = fitted(validation=held_out, equilibrium_progress=told)
+    result = fitted(validation=held_out, equilibrium_progress=interrupt)
     assert result.interrupted
     assert result.converged
     assert result.value("E") == pytest.approx(whole.value("E"), rel=1e-9)

@@ -44,20 +44,20 @@ def result(poses):
 
 def test_of_a_compliance_it_is_symmetric_in_its_inverse(result):
     """1 / E_end = (1 +- 1.96 s) / E, where s knows nothing of the density."""
-    (found,) = profile_intervals(result, parameters="E")
+    (interval,) = profile_intervals(result, parameters="E")
     s = relative_error(result)
     assert 0.1 < s < 0.4  # far from where a first-order interval would hold
     expected = result.value("E") / (1.0 + np.array([1.0, -1.0]) * 1.959964 * s)
-    np.testing.assert_allclose([found.lower, found.upper], expected, rtol=CLOSE)
-    assert (found.lower_end, found.upper_end) == ("likelihood", "likelihood")
-    assert (found.name, found.level, found.unit) == ("E", 0.95, "Pa")
+    np.testing.assert_allclose([interval.lower, interval.upper], expected, rtol=CLOSE)
+    assert (interval.lower_end, interval.upper_end) == ("likelihood", "likelihood")
+    assert (interval.name, interval.level, interval.unit) == ("E", 0.95, "Pa")
 
 
 def test_level_widens_it(result):
-    (found,) = profile_intervals(result, parameters=["E"], level=0.6826895)
+    (interval,) = profile_intervals(result, parameters=["E"], level=0.6826895)
     s = relative_error(result)
     expected = result.value("E") / (1.0 + np.array([1.0, -1.0]) * s)
-    np.testing.assert_allclose([found.lower, found.upper], expected, rtol=CLOSE)
+    np.testing.assert_allclose([interval.lower, interval.upper], expected, rtol=CLOSE)
 
 
 def test_what_is_held_fixed_widens_it(result):
@@ -70,8 +70,8 @@ def test_what_is_held_fixed_widens_it(result):
         W_c = result.linear.W @ np.array([[size], [0.0]])
         considered = ErrorColumns(W_c, ("loads",), ("load",))
         known = replace(result, linear=replace(result.linear, considered=considered))
-        (found,) = profile_intervals(known, parameters="E")
-        return found
+        (interval,) = profile_intervals(known, parameters="E")
+        return interval
 
     wider = with_error(0.3)
     reach = 1.959964 * 0.3
@@ -87,35 +87,35 @@ def test_estimated_noise_takes_the_law_of_student(factor):
     """Six coordinates and two parameters leave four; only ratios of `std` count."""
     poses = measured(std=factor * STD)
     result = calibrate(MODEL, unknowns(), poses)
-    (found,) = profile_intervals(result, parameters="E")
+    (interval,) = profile_intervals(result, parameters="E")
     scale = factor * result.uncertainty.noise_scale
     reach = t.ppf(0.975, 4) * scale * relative_error(result)
     expected = result.value("E") / (1.0 + np.array([1.0, -1.0]) * reach)
-    np.testing.assert_allclose([found.lower, found.upper], expected, rtol=CLOSE)
+    np.testing.assert_allclose([interval.lower, interval.upper], expected, rtol=CLOSE)
 
 
 @pytest.mark.slow  # with a prior it is another program
 def test_prior_counts_as_a_datum(poses):
     """One that leaves the data nothing to say: 1.96 of its own standard deviations."""
     result = calibrate(MODEL, unknowns(1e-3), poses, noise="stated")
-    (found,) = profile_intervals(result, parameters="E")
-    ends = np.log([found.lower, found.upper]) - np.log(result.value("E"))
+    (interval,) = profile_intervals(result, parameters="E")
+    ends = np.log([interval.lower, interval.upper]) - np.log(result.value("E"))
     np.testing.assert_allclose(ends, [-1.96e-3, 1.96e-3], rtol=1e-2)
 
 
 def test_estimated_noise_is_weighed_against_a_prior():
     """As if the noise that was found had been stated, whatever has been."""
-    found = {}
+    by_factor = {}
     for factor in (1.0, 30.0):
         poses = measured(std=factor * STD)
         result = calibrate(MODEL, unknowns(0.1), poses)
         scale = factor * result.uncertainty.noise_scale
         (interval,) = profile_intervals(result, parameters="E")
         errors = [p.standard_error for p in result.parameters]
-        found[factor] = scale, result.value("E"), *errors, interval.lower
+        by_factor[factor] = scale, result.value("E"), *errors, interval.lower
     # The noise is not followed below changes of 1 %.
-    np.testing.assert_allclose(found[30.0], found[1.0], rtol=1e-2)
-    scale, value, error, *_ = found[1.0]
+    np.testing.assert_allclose(by_factor[30.0], by_factor[1.0], rtol=1e-2)
+    scale, value, error, *_ = by_factor[1.0]
     stated = calibrate(MODEL, unknowns(0.1), measured(std=scale * STD), noise="stated")
     np.testing.assert_allclose(stated.value("E"), value, rtol=1e-3)
     np.testing.assert_allclose(stated.parameters[0].standard_error, error, rtol=1e-3)
@@ -123,13 +123,13 @@ def test_estimated_noise_is_weighed_against_a_prior():
 
 def test_it_ends_at_a_bound_that_the_data_do_not_exclude(poses):
     result = calibrate(MODEL, unknowns(upper=410e3), poses, noise="stated")
-    (found,) = profile_intervals(result, parameters="E")
-    assert found.upper_end == "bound"
-    np.testing.assert_allclose(found.upper, 410e3, rtol=1e-12)
-    assert found.lower_end == "likelihood"
-    assert "410 (bound) kPa" in str(found)
-    own = replace(result.parameters[0], interval=found)
-    assert str(found) in str(replace(result, parameters=(own,)))
+    (interval,) = profile_intervals(result, parameters="E")
+    assert interval.upper_end == "bound"
+    np.testing.assert_allclose(interval.upper, 410e3, rtol=1e-12)
+    assert interval.lower_end == "likelihood"
+    assert "410 (bound) kPa" in str(interval)
+    estimate = replace(result.parameters[0], interval=interval)
+    assert str(interval) in str(replace(result, parameters=(estimate,)))
 
 
 def test_a_lower_cost_is_no_interval(result, poses):
@@ -161,17 +161,17 @@ def test_fits_that_do_not_converge_give_no_end(result, monkeypatch):
         return replace(run, converged=False, errors=run.errors[:1])
 
     monkeypatch.setattr("softcal_jax.calibration._profile.minimise", given_up)
-    (found,) = profile_intervals(result, parameters="E")
-    assert np.isnan([found.lower, found.upper]).all()
-    assert (found.lower_end, found.upper_end) == ("not found", "not found")
-    assert found.kind == "none"
-    assert "do not converge" in str(found)
+    (interval,) = profile_intervals(result, parameters="E")
+    assert np.isnan([interval.lower, interval.upper]).all()
+    assert (interval.lower_end, interval.upper_end) == ("not found", "not found")
+    assert interval.kind == "none"
+    assert "do not converge" in str(interval)
 
 
 def test_an_angle_that_the_data_do_not_see():
     ends = ("bound", "bound")
-    found = ParameterInterval("theta", 0.95, -1.0, np.pi - 1.0, *ends, "rad")
-    assert str(found) == "any angle"
+    interval = ParameterInterval("theta", 0.95, -1.0, np.pi - 1.0, *ends, "rad")
+    assert str(interval) == "any angle"
 
 
 class Valleys:
@@ -210,9 +210,9 @@ class Valleys:
     ("end", "other"), [(2.3, 1.0), (1.2, 1.3), (2.3, 2.0), (6.0, 1.0)]
 )
 def test_a_fit_in_another_valley_is_repeated_from_inside(end, other):
-    found = _end(Valleys(end, other))
-    assert found.why == "likelihood"
-    np.testing.assert_allclose(found.distance, end, rtol=1e-3)
+    reached = _end(Valleys(end, other))
+    assert reached.why == "likelihood"
+    np.testing.assert_allclose(reached.distance, end, rtol=1e-3)
 
 
 @pytest.mark.usefixtures("unchecked")
@@ -220,9 +220,9 @@ def test_a_profile_that_jumps_ends_there():
     """Beyond 1 the cost is far too high, from wherever a fit begins."""
     jumps = Valleys(20.0, 1.0)
     jumps.value = lambda distance: 50.0 if distance > 1.0 else -1.0
-    found = _end(jumps)
-    assert found.why == "likelihood"
-    np.testing.assert_allclose(found.distance, 1.0, rtol=1e-3)
+    reached = _end(jumps)
+    assert reached.why == "likelihood"
+    np.testing.assert_allclose(reached.distance, 1.0, rtol=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -242,9 +242,9 @@ def test_an_end_is_found_in_few_fits(excess, most):
         value = excess(distance)
         return 0.0 if abs(value) < 1e-3 else value
 
-    found, same = root(rounded, 0.0, 2.0)
-    assert found == same
-    assert rounded(found) == 0.0
+    end, same = root(rounded, 0.0, 2.0)
+    assert end == same
+    assert rounded(end) == 0.0
     assert len(set(tried)) <= most  # a profile remembers its fits
 
 
@@ -307,9 +307,9 @@ def test_where_both_moduli_meet_an_end_is_found():
         start=setup.space.to_scaled(start),
     )
     name = next(name for name in setup.space.names if name.startswith("E_t"))
-    (found,) = profile_intervals(result, parameters=[name])
-    assert found.lower_end == "likelihood"
-    assert found.lower < result.value(name) < found.upper
+    (interval,) = profile_intervals(result, parameters=[name])
+    assert interval.lower_end == "likelihood"
+    assert interval.lower < result.value(name) < interval.upper
 
 
 def test_plain_steps_keep_the_order_of_the_moduli():

@@ -73,8 +73,8 @@ def simulated(value):
     model = set_field(MODEL, "E", value)
 
     def one(c):
-        found = solve_equilibrium(model, c, settings=TIGHT)
-        return compiled_effectors(model, c, found.displacement, found.multipliers)
+        state = solve_equilibrium(model, c, settings=TIGHT)
+        return compiled_effectors(model, c, state.displacement, state.multipliers)
 
     return np.stack([one(c) for c in LANES])
 
@@ -141,18 +141,18 @@ def test_it_is_the_fit_with_a_free_mounting(share, off):
     start = np.concatenate([[np.log(E_TRUE)], mounted])
     best = least_squares(error, start, x_scale="jac", diff_step=1e-5, xtol=1e-12)
     spread = np.sqrt(np.linalg.inv(best.jac.T @ best.jac)[0, 0])
-    own = result.parameters[0]
-    relative = own.standard_error / own.value
+    estimate = result.parameters[0]
+    relative = estimate.standard_error / estimate.value
     np.testing.assert_allclose(relative, spread, rtol=off)
     close = {"rtol": 0, "atol": off * spread}
-    np.testing.assert_allclose(np.log(own.value), best.x[0], **close)
+    np.testing.assert_allclose(np.log(estimate.value), best.x[0], **close)
     np.testing.assert_allclose(result.history[-1].cost, best.cost, rtol=off)
     assert result.uncertainty.degrees_of_freedom == 3 * 6 - 6 - 1
 
 
 def test_poses_themselves_would_miss_it(result):
-    own = result.parameters[0]
-    assert abs(own.value - E_TRUE) < 3.0 * own.standard_error
+    estimate = result.parameters[0]
+    assert abs(estimate.value - E_TRUE) < 3.0 * estimate.standard_error
     plain = [replace(c, displacement_from=None) for c in measured()]
     off = fitted(plain).parameters[0]
     assert off.at_bound or abs(off.value - E_TRUE) > 20.0 * off.standard_error
@@ -160,20 +160,22 @@ def test_poses_themselves_would_miss_it(result):
 
 def test_the_reference_may_be_any_pose(result):
     other = fitted(measured(reference="up")).parameters[0]
-    own = result.parameters[0]
-    np.testing.assert_allclose(other.value, own.value, rtol=1e-6)
-    np.testing.assert_allclose(other.standard_error, own.standard_error, rtol=1e-6)
+    estimate = result.parameters[0]
+    np.testing.assert_allclose(other.value, estimate.value, rtol=1e-6)
+    np.testing.assert_allclose(other.standard_error, estimate.standard_error, rtol=1e-6)
 
 
 @pytest.mark.slow
 def test_what_it_would_tell_is_known_before():
     """The columns are then those of the simulated poses, not of the measured ones."""
     there = replace(E, start=E_TRUE)
-    (own,) = identify(
+    (predicted,) = identify(
         MODEL, there, poses(), newton=TIGHT, uncertain=exactly_known()
     ).parameters
     exact = fitted(measured(noise=0.0, mounted=np.zeros(6))).parameters[0]
-    np.testing.assert_allclose(own.standard_error, exact.standard_error, rtol=1e-5)
+    np.testing.assert_allclose(
+        predicted.standard_error, exact.standard_error, rtol=1e-5
+    )
 
 
 def test_an_unknown_reference_is_named_before_solving():

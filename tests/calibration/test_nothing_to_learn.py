@@ -65,8 +65,8 @@ def test_a_region_that_is_held():
     law = NeoHookean(np.full(mesh.n_tets, 1e5), 0.3)
     model = build_model(mesh, law, density=1e3)
     cell = np.flatnonzero(mesh.points[:, 0] < 0.026)
-    own = Parameter("E of first", "E", 1e5, 3e4, 1e6, region="first", unit="Pa")
-    refused(model, own, pose(held=cell), "'E of first'.* tets of 'first' .*held")
+    modulus = Parameter("E of first", "E", 1e5, 3e4, 1e6, region="first", unit="Pa")
+    refused(model, modulus, pose(held=cell), "'E of first'.* tets of 'first' .*held")
 
 
 @pytest.mark.parametrize(
@@ -96,8 +96,8 @@ def test_a_body_without_any_load_is_refused_at_its_first_equilibrium(model):
     still = pose(gravity=(0.0, 0.0, 0.0))
     refused(model, E, still, "nothing to learn of 'E'.*Check .*load")
     # The question what it would tell has an answer.
-    found = identify(model, E, still, uncertain=exactly_known())
-    assert found.verdict == "not identifiable"
+    outlook = identify(model, E, still, uncertain=exactly_known())
+    assert outlook.verdict == "not identifiable"
 
 
 @pytest.mark.slow  # blind_direction of test_calibrate is not

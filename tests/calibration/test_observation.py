@@ -107,16 +107,16 @@ def test_a_point_that_is_observed_is_what_a_marker_is():
     options = {"noise": "stated", "uncertain": exactly_known(), "intervals": None}
     expected = calibrate(MODEL, E, seen, validation=held_out, **options)
     for poses in (observed, [observed[0], seen[1]]):
-        found = calibrate(MODEL, E, poses, validation=held_out, **options)
-        assert found.converged
-        assert found.value("E") == pytest.approx(expected.value("E"), rel=1e-8)
-        errors = (r.parameters[0].standard_error for r in (found, expected))
+        result = calibrate(MODEL, E, poses, validation=held_out, **options)
+        assert result.converged
+        assert result.value("E") == pytest.approx(expected.value("E"), rel=1e-8)
+        errors = (r.parameters[0].standard_error for r in (result, expected))
         assert next(errors) == pytest.approx(next(errors), rel=1e-8)
-    predicted = found.configurations[-1]
+    predicted = result.configurations[-1]
     assert predicted.name == "held out"
     assert np.linalg.norm(predicted.effectors[0].residual) < 5.0 * STD
-    assert result_dict(found)["configurations"]
-    (record,) = found.configurations[0].effectors
+    assert result_dict(result)["configurations"]
+    (record,) = result.configurations[0].effectors
     assert (record.name, record.unit) == ("tip", "m")
     np.testing.assert_allclose(record.residual, record.simulated - seen[0].measured[0])
 
@@ -125,15 +125,15 @@ BLIND = replace(STORED, name="blind", function=lambda model, configuration, stat
 
 
 def test_what_it_tells_is_identified():
-    told, nothing = (
-        str(identify(MODEL, E, posed("hang", -9.81, *own), uncertain=exactly_known()))
-        for own in (
+    telling, nothing = (
+        str(identify(MODEL, E, posed("hang", -9.81, *pair), uncertain=exactly_known()))
+        for pair in (
             (replace(STORED, std=1e-8), BLIND),
             (replace(STORED, std=1e9), replace(BLIND, std=1e-8)),
         )
     )
     assert nothing.startswith("Not identifiable")
-    assert not told.startswith("Not identifiable")
+    assert not telling.startswith("Not identifiable")
 
 
 def test_what_it_would_add_is_ranked():
@@ -154,9 +154,9 @@ def root(model, configuration, state):
 def test_what_another_pose_does_not_have_is_not_computed_there():
     at_rest = Markers(("tip",), MESH.points[TIP][None], std=STD)
     still = posed("still", 0.0, markers=at_rest, measured=at_rest.positions)
-    own = Observation("root", root, "m", measured=0.07, std=1e-3)
+    observed = Observation("root", root, "m", measured=0.07, std=1e-3)
     options = {"noise": "stated", "uncertain": exactly_known(), "intervals": None}
-    hang = posed("hang", -9.81, own)
+    hang = posed("hang", -9.81, observed)
     alone = calibrate(MODEL, E, hang, validation=still, **options)
     beside = calibrate(MODEL, E, [hang, still], **options)
     assert beside.converged
@@ -170,10 +170,10 @@ def test_a_checkpoint_of_another_function_is_refused(tmp_path):
     path = tmp_path / "c.npz"
 
     def fit(factor):
-        own = lambda model, configuration, state: (
+        scaled = lambda model, configuration, state: (
             factor * energy(model, configuration, state)
         )
-        seen = replace(STORED, function=own, measured=1e-4)
+        seen = replace(STORED, function=scaled, measured=1e-4)
         return calibrate(
             MODEL,
             E,

@@ -38,14 +38,14 @@ def modulus(prior_std, start=300e3):
 def test_a_weak_prior_leaves_the_data_alone_and_a_strong_one_wins():
     data = simulated_measurements(MODEL, [POSE])
     known = {"noise": "stated", "uncertain": exactly_known()}
-    found = {
+    moduli = {
         std: calibrate(MODEL, modulus(std), data, **known).value("E")
         for std in (None, 10.0, 1e-5)
     }
-    np.testing.assert_allclose(found[None], 400e3, rtol=1e-5)
+    np.testing.assert_allclose(moduli[None], 400e3, rtol=1e-5)
     # The weight of the prior against that of the data is the square of their ratio.
-    np.testing.assert_allclose(found[10.0], 400e3, rtol=1e-4)
-    np.testing.assert_allclose(found[1e-5], 300e3, rtol=1e-3)
+    np.testing.assert_allclose(moduli[10.0], 400e3, rtol=1e-4)
+    np.testing.assert_allclose(moduli[1e-5], 300e3, rtol=1e-3)
 
 
 @pytest.mark.slow  # it compiles a calibration of its own
@@ -65,9 +65,9 @@ def test_the_optimum_is_the_weighted_mean_in_a_linear_problem():
 def test_a_parameter_that_only_the_prior_knows_has_its_standard_deviation():
     W = np.array([[2.0, 0.0], [1.0, 0.0]])
     linear = replace(independent(W, ("a", "b")), prior_weights=np.array([0.0, 4.0]))
-    found = uncertainty(linear, "stated")
-    np.testing.assert_allclose(found.covariance, np.diag([0.2, 1 / 16]), rtol=1e-12)
-    assert found.degrees_of_freedom == 1  # the second takes none
+    spread = uncertainty(linear, "stated")
+    np.testing.assert_allclose(spread.covariance, np.diag([0.2, 1 / 16]), rtol=1e-12)
+    assert spread.degrees_of_freedom == 1  # the second takes none
 
 
 @pytest.mark.parametrize("known", ["both", "one", "none"])

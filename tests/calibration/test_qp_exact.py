@@ -11,8 +11,8 @@ OF_SIX = [name for name in FAMILIES if not name.endswith(("parameter", "paramete
 def check(family, count):
     """Every step keeps its limits and costs what the exact one costs."""
     drawn = problems(family, count)
-    found, kkt = steps(drawn)
-    for k, (problem, step) in enumerate(zip(drawn, found, strict=True)):
+    solutions, kkt = steps(drawn)
+    for k, (problem, step) in enumerate(zip(drawn, solutions, strict=True)):
         exact = cost(problem, exact_step(problem))
         scale = exact + 0.5 * np.sum(problem.error**2)
         np.testing.assert_allclose(

@@ -184,17 +184,17 @@ def test_runs_that_have_ended_cost_nothing_more(measured, monkeypatch):
         return real(evaluate, *args)
 
     monkeypatch.setattr(Evaluator, "__call__", count)
-    found = multi_start(measured.problem, measured.starts, mirror=False)
+    result = multi_start(measured.problem, measured.starts, mirror=False)
     together = len(counted)
     alone = [
         multi_start(measured.problem, start[None], mirror=False).steps[0]
         for start in measured.starts
     ]
-    assert found.steps[0] == alone[0]
-    assert found.steps[1] < alone[1]  # it leads to the end of the first
-    assert found.steps[2] == alone[2]  # to another one
+    assert result.steps[0] == alone[0]
+    assert result.steps[1] < alone[1]  # it leads to the end of the first
+    assert result.steps[2] == alone[2]  # to another one
     # One for each start and step, but for the last of a run, which only confirms.
-    assert together <= len(found.steps) + found.steps.sum()
+    assert together <= len(result.steps) + result.steps.sum()
 
 
 def test_a_search_ends_once_enough_starts_agree(measured):
@@ -245,7 +245,7 @@ def test_which_runs_lead_to_a_known_optimum(measured, plain):
 
 def test_an_axis_at_zero_is_its_own_mirror_image(measured):
     """Its start is run once, and not again for each of its images."""
-    beam, told = measured.beam, []
+    beam, tried = measured.beam, []
     noisy = synthetic_measurements(
         beam.model, beam.space, beam.configurations, beam.target, noise=True
     )
@@ -260,10 +260,10 @@ def test_an_axis_at_zero_is_its_own_mirror_image(measured):
                 images=images_of(beam.space, True),
                 note_step=lambda image, _, images=images: images.add(image),
             )
-        told.append(images)
-    assert told[0] >= {0, 1, 5}
-    assert told[0].isdisjoint({2, 3, 4})
-    assert told[1] >= {0, 1, 2, 3, 4, 5}
+        tried.append(images)
+    assert tried[0] >= {0, 1, 5}
+    assert tried[0].isdisjoint({2, 3, 4})
+    assert tried[1] >= {0, 1, 2, 3, 4, 5}
 
 
 def test_other_starts_and_data_are_the_same_program(measured, mirrored):
@@ -276,10 +276,10 @@ def test_other_starts_and_data_are_the_same_program(measured, mirrored):
     )
     problem = build_problem(measured.beam.model, renamed, data)
     with Compilations() as seen:
-        found = multi_start(problem, 2, seed=3)
+        result = multi_start(problem, 2, seed=3)
     assert seen.programs == []
-    assert found.names == tuple(renamed.names)
-    assert "E_t of left" in found.optima[0].values
+    assert result.names == tuple(renamed.names)
+    assert "E_t of left" in result.optima[0].values
 
 
 def with_other_points(space, names):
@@ -344,11 +344,11 @@ def test_which_of_two_ends_counts():
 
     done, almost = end(2.0, True), end(2.0 - 1e-9, False)
     for first, second in ((done, almost), (almost, done)):
-        found = better(first, second)
-        assert found.converged
-        assert found.cost == 2.0
-        assert found.steps == 6
-        np.testing.assert_array_equal(found.errors, first.errors)
+        chosen = better(first, second)
+        assert chosen.converged
+        assert chosen.cost == 2.0
+        assert chosen.steps == 6
+        np.testing.assert_array_equal(chosen.errors, first.errors)
     # It shows that the other is not the best optimum, and is continued.
     lower = end(1.0, False)
     for first, second in ((done, lower), (lower, done)):
@@ -392,22 +392,22 @@ def test_calibrate_goes_on_from_the_best_of_several_starts(measured, monkeypatch
     alone = fit(starts=1, intervals=None)
     assert alone.starts is None
     assert alone.history[-1].cost > 1e-3
-    found = fit(seed=5)
-    assert found.converged
+    result = fit(seed=5)
+    assert result.converged
     # Data of the model itself show no noise, so that first order cannot be wrong.
-    assert {own.kind for own in found.intervals} == {"first-order"}
-    values = [found.value(name) for name in space.names]
+    assert {i.kind for i in result.intervals} == {"first-order"}
+    values = [result.value(name) for name in space.names]
     np.testing.assert_allclose(values, target(measured), rtol=1e-5)
     # Its own start and two random ones.
     expected = jnp.stack([space.start(), *random_starts(space, 2, seed=5)])
     np.testing.assert_allclose(
-        found.starts.starts, jax.vmap(space.from_scaled)(expected), rtol=1e-12
+        result.starts.starts, jax.vmap(space.from_scaled)(expected), rtol=1e-12
     )
     # The history is that of the fit, which begins where the search ended.
-    assert found.history[0].cost < 1e-6 * alone.history[0].cost
-    assert [entry.step for entry in found.history] == list(range(len(found.history)))
-    assert len(found.history) <= 4
-    assert found.parameters[0].start == pytest.approx(float(p[0]))
+    assert result.history[0].cost < 1e-6 * alone.history[0].cost
+    assert [entry.step for entry in result.history] == list(range(len(result.history)))
+    assert len(result.history) <= 4
+    assert result.parameters[0].start == pytest.approx(float(p[0]))
 
 
 def test_several_starts_where_there_may_be_several_optima():
@@ -424,11 +424,11 @@ def test_several_starts_where_there_may_be_several_optima():
 
 
 def test_only_a_few_optima_are_listed():
-    found = ends(list(range(10, 80, 10)), list(range(7)))
-    lines = str(found).splitlines()
+    result = ends(list(range(10, 80, 10)), list(range(7)))
+    lines = str(result).splitlines()
     assert sum(line.startswith("  cost") for line in lines) == 5
     assert lines[-1] == "  and 2 more."
-    assert found.second_best is found.optima[1]
+    assert result.second_best is result.optima[1]
     assert ends([10.0], [1.0]).second_best is None
 
 
@@ -470,38 +470,38 @@ def ends(thetas, costs, converged=None):
 
 def test_optima_on_both_sides_of_the_seam_are_one():
     """An axis at 89.99 degrees is at -89.99 degrees, almost; 88 is another."""
-    found = ends([89.99, -89.99, 88.0], [2.0, 1.0, 3.0]).optima
-    assert [optimum.starts for optimum in found] == [(0, 1), (2,)]
+    optima = ends([89.99, -89.99, 88.0], [2.0, 1.0, 3.0]).optima
+    assert [optimum.starts for optimum in optima] == [(0, 1), (2,)]
     # The lower of the two stands for both.
-    assert found[0].cost == 1.0
-    assert found[0].values["theta of CP 1"] == pytest.approx(np.deg2rad(-89.99))
-    assert found[0].values["E_t of CP 2"] == pytest.approx(7e5)
+    assert optima[0].cost == 1.0
+    assert optima[0].values["theta of CP 1"] == pytest.approx(np.deg2rad(-89.99))
+    assert optima[0].values["E_t of CP 2"] == pytest.approx(7e5)
 
 
 def test_optima_come_with_the_lowest_cost_first():
-    found = ends([10.0, 20.0, 10.01, 20.0], [5.0, 2.0, 4.0, np.inf]).optima
-    assert [(o.cost, o.starts) for o in found] == [(2.0, (1, 3)), (4.0, (0, 2))]
-    assert isinstance(found[0], Optimum)
+    optima = ends([10.0, 20.0, 10.01, 20.0], [5.0, 2.0, 4.0, np.inf]).optima
+    assert [(o.cost, o.starts) for o in optima] == [(2.0, (1, 3)), (4.0, (0, 2))]
+    assert isinstance(optima[0], Optimum)
 
 
 def test_unfinished_runs_are_no_optima_and_not_the_best():
     """However low they are; unless there is nothing else."""
-    found = ends([10.0, 20.0, 30.0], [5.0, 0.1, np.inf], [True, False, False])
-    assert [optimum.starts for optimum in found.optima] == [(0,)]
-    assert found.best == 0
+    result = ends([10.0, 20.0, 30.0], [5.0, 0.1, np.inf], [True, False, False])
+    assert [optimum.starts for optimum in result.optima] == [(0,)]
+    assert result.best == 0
     none = ends([10.0, 20.0], [5.0, 0.1], [False, False])
     assert none.optima == ()
     assert none.best == 1
 
 
 def test_report_lists_optima_unfinished_and_lost_runs():
-    found = ends(
+    result = ends(
         [10.0, 20.0, 10.0, 40.0, 50.0, 60.0],
         [5.0, 2.0, 5.0, 3.25, 4.0, np.inf],
         [True, True, True, False, False, False],
     )
     values = "E_t of CP 1 8e+05, E_t of CP 2 7e+05, E_l of CP 1 3e+05, E_l of CP 2 2e"
-    whole, best, worse, unfinished, lost = str(found).splitlines()
+    whole, best, worse, unfinished, lost = str(result).splitlines()
     assert says(whole, "6 starts", "3 converged", "2 distinct")
     assert says(best, "cost 2", "1 starts", f"{values}+05, theta of CP 1 0.3491")
     assert says(worse, "cost 5", "2 starts", f"{values}+05, theta of CP 1 0.1745")

@@ -23,8 +23,8 @@ def test_windows_count_from_the_step(tmp_path):
     assert recording.step_of("tip") == pytest.approx(0.21)  # 6 of 60 mm: above 5 %
     both = recording.between(0.1, 0.12, after_step_of="tip")
     expected = [1e-3 * np.mean([36.0, 39.0, 42.0]), 3e-3]
-    found = both.positions_of(["tip", "base"])[:, 2]
-    np.testing.assert_allclose(found, expected, rtol=1e-6)
+    heights = both.positions_of(["tip", "base"])[:, 2]
+    np.testing.assert_allclose(heights, expected, rtol=1e-6)
     before = recording.between(-0.2, -0.1, after_step_of="tip")
     np.testing.assert_allclose(before.positions_of(["tip"]), np.zeros((1, 3)))
     absolute = recording.between(0.31, 0.33)
@@ -135,10 +135,10 @@ def test_scatter_over_a_window():
     positions[307, 0] = 0.0
     recording = Recording(NAMES, recording.times, positions, "run")
     table = recording.between(3.0, 3.39)
-    own = positions[300:340, 1]
-    own = own[np.isfinite(own).all(axis=1)]
+    window = positions[300:340, 1]
+    window = window[np.isfinite(window).all(axis=1)]
     np.testing.assert_allclose(
-        table.covariances_of(["tip"])[0], np.cov(own.T), rtol=1e-9
+        table.covariances_of(["tip"])[0], np.cov(window.T), rtol=1e-9
     )
     assert table.window == pytest.approx((3.0, 3.39))
     with pytest.raises(ValueError, match=r"scatter .*'base' .*longer window"):

@@ -100,13 +100,13 @@ def tips(configuration: Configuration, inputs):
     """Positions of the tip at other inputs, each by a simulation from rest."""
     lane, names = arrays(configuration), arm().mechanism.actuators.names
     commanded = [names.index(name) for name in configuration.actuation]
-    value, found = np.array(lane.actuation.value), []
-    for own in inputs:
-        value[commanded] = own
+    value, reached = np.array(lane.actuation.value), []
+    for drive in inputs:
+        value[commanded] = drive
         solution, state = solved(arm(), lane, jnp.array(value))
         assert solution.converged
-        found.append(state.effectors[0])
-    return np.stack(found)
+        reached.append(state.effectors[0])
+    return np.stack(reached)
 
 
 def check_only(texts, words):

@@ -31,7 +31,7 @@ HANGING = (2.0, 0.0, -0.5)
 UNITS = jnp.array([0.1, 0.1, 0.1])
 
 
-def found(drive):
+def driven_by(drive):
     configuration = arrays(pose(HANGING, effectors=EFFECTORS, **DRIVES[drive]))
     solution, state = solved(arm(), configuration, configuration.actuation.value)
     assert solution.converged
@@ -43,7 +43,7 @@ def found(drive):
 @pytest.mark.parametrize("drive", ["tensions and an angle", "shortenings and a torque"])
 def test_responses_meet_differences_at_second_order(drive):
     """Of effectors, forces and displacements, along each input."""
-    configuration, state, response = found(drive)
+    configuration, state, response = driven_by(drive)
     by_input = [
         response.W_ea.reshape(*state.effectors.shape, -1),
         response.by_force,
@@ -74,7 +74,7 @@ def test_responses_meet_differences_at_second_order(drive):
 
 def test_W_aa_is_symmetric_positive_definite():
     """Solved for as W by_force = by_displacement, which knows of no symmetry."""
-    _, _, response = found("tensions and an angle")
+    _, _, response = driven_by("tensions and an angle")
     W = np.asarray(response.W_aa)
     raw = np.linalg.solve(response.by_force.T, response.by_displacement.T).T
     np.testing.assert_allclose(raw, raw.T, rtol=0, atol=1e-9 * np.abs(raw).max())
@@ -95,7 +95,7 @@ def driven(configuration, state, by_displacement):
 
 def test_W_aa_is_the_same_however_it_is_driven():
     """The state of two tensions and an angle, driven by all other pairs, too."""
-    configuration, state, response = found("tensions and an angle")
+    configuration, state, response = driven_by("tensions and an angle")
     for by_displacement in ([True, True, True], [True, False, False]):
         other = driven(configuration, state, by_displacement)
         np.testing.assert_allclose(other.W_aa, response.W_aa, rtol=1e-6)
@@ -169,7 +169,7 @@ def test_no_equilibrium_no_derivative():
 
 def test_energy_of_a_robot_that_its_motors_hold():
     """W_aa without a positive eigenvalue: sizes count, and nothing is divided by 0."""
-    _, _, response = found("tensions and an angle")
+    _, _, response = driven_by("tensions and an angle")
     start = pose(HANGING, effectors=EFFECTORS, **DRIVES["tensions and an angle"])
     settings = ControlSettings(epsilon=1e-3)
     goals = {"tip": (0.1, 0.01, 0.02)}

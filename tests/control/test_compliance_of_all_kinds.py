@@ -139,7 +139,7 @@ DRIVES = {
 }
 
 
-def found(drive):
+def driven_by(drive):
     """The same state, some displacements imposed in place of forces."""
     _, _, state = reference()
     forces = {name: ImposedForce(force) for name, force in FORCES.items()}
@@ -155,7 +155,7 @@ def found(drive):
 
 @pytest.mark.parametrize("drive", DRIVES)
 def test_displacements_imposed_give_back_the_forces(drive):
-    _, solution, state, _ = found(drive)
+    _, solution, state, _ = driven_by(drive)
     _, free, before = reference()
     np.testing.assert_allclose(state.forces, before.forces, rtol=1e-7)
     np.testing.assert_allclose(
@@ -166,7 +166,7 @@ def test_displacements_imposed_give_back_the_forces(drive):
 
 @pytest.mark.parametrize("drive", DRIVES)
 def test_responses_of_all_kinds_meet_differences_at_second_order(drive):
-    lane, _, state, response = found(drive)
+    lane, _, state, response = driven_by(drive)
     exact = [
         np.asarray(part)
         for part in (
@@ -209,10 +209,10 @@ def test_responses_of_all_kinds_meet_differences_at_second_order(drive):
 
 def test_W_aa_is_the_same_however_it_is_driven():
     """Symmetric but for the following pressure, which has no displacement."""
-    of_forces = found("forces")[-1].W_aa
+    of_forces = driven_by("forces")[-1].W_aa
     assert np.linalg.eigvalsh(of_forces[:3, :3]).min() > 0.0
     for drive in list(DRIVES)[1:]:
-        W = found(drive)[-1].W_aa
+        W = driven_by(drive)[-1].W_aa
         np.testing.assert_allclose(W[:3, :3], of_forces[:3, :3], rtol=1e-6)
 
 
@@ -227,7 +227,7 @@ SPACE = ParameterSpace(
 @pytest.mark.parametrize("drive", DRIVES)
 def test_parameters_move_all_effectors_as_W_ep_says(drive):
     """With pressures imposed, and with volumes; by differences of second order."""
-    lane, solution, state, _ = found(drive)
+    lane, solution, state, _ = driven_by(drive)
     z = SPACE.start()
     of = eqx.filter_jit(parameter_compliance)
     W = np.asarray(of(block(), lane, solution.displacement, SPACE, z).W_ep)

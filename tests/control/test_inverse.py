@@ -98,11 +98,11 @@ def test_unreachable_goal_ends_at_the_nearest_point(goal, limits):
     inputs = np.stack(np.meshgrid(top, motor), axis=-1).reshape(-1, 2)
     distance = lambda tip: np.linalg.norm(tip - np.array(goal), axis=-1)
     off = distance(tips(start, inputs))
-    found = distance(result.goals[0].reached)
-    np.testing.assert_allclose(found, np.linalg.norm(result.goals[0].residual))
-    assert 1e-3 < found <= off.min() + 1e-12
+    nearest = distance(result.goals[0].reached)
+    np.testing.assert_allclose(nearest, np.linalg.norm(result.goals[0].residual))
+    assert 1e-3 < nearest <= off.min() + 1e-12
     # And the grid is fine enough to see the same minimum.
-    assert off.min() < found + 2e-3
+    assert off.min() < nearest + 2e-3
     for name, limit in limits.items():
         assert any(repr(name) in text for text in result.active_limits), limit
 

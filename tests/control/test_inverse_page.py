@@ -26,17 +26,17 @@ def no_opengl(monkeypatch):
 
 def in_si(text):
     """The value of a cell like "1.5 N (imposed)" in SI."""
-    found = re.match(r"(\S+) (N mm|N m|\w+)", text)
-    assert found
-    value, unit = found.groups()
+    match = re.match(r"(\S+) (N mm|N m|\w+)", text)
+    assert match
+    value, unit = match.groups()
     return float(value) * FACTOR[unit]
 
 
 def searched(goal, **limits):
     start = pose((0.0, 0.0, 0.0), EFFECTORS, top=0.1, motor=0.1)
     settings = ControlSettings(other_starts=2)
-    own = {"goals": {"bend": goal}, "limits": limits, "settings": settings}
-    return solve_inverse(arm(), start, **own)
+    options = {"goals": {"bend": goal}, "limits": limits, "settings": settings}
+    return solve_inverse(arm(), start, **options)
 
 
 @pytest.fixture(scope="module")
@@ -53,17 +53,17 @@ def missed():
 
 def check_actuators(rows, data):
     """Name, kind, force and displacement, each in a unit that reads well."""
-    for row, own in zip(rows, data["actuators"], strict=True):
+    for row, actuator in zip(rows, data["actuators"], strict=True):
         name, kind, force, displacement = row
-        assert name == own["name"]
-        assert kind.startswith(own["kind"])
-        assert ("not commanded" in kind) != own["commanded"]
+        assert name == actuator["name"]
+        assert kind.startswith(actuator["kind"])
+        assert ("not commanded" in kind) != actuator["commanded"]
         zero = 1e-4  # four digits are shown
-        assert in_si(force) == pytest.approx(own["force"], rel=1e-3, abs=zero)
+        assert in_si(force) == pytest.approx(actuator["force"], rel=1e-3, abs=zero)
         assert in_si(displacement) == pytest.approx(
-            own["displacement"], rel=1e-3, abs=zero
+            actuator["displacement"], rel=1e-3, abs=zero
         )
-        imposed = force if own["imposed"] == "force" else displacement
+        imposed = force if actuator["imposed"] == "force" else displacement
         assert "(imposed)" in imposed
 
 
@@ -97,10 +97,10 @@ def test_the_numbers_are_those_of_inverse_json(met, tmp_path):
     assert motor["displacement_unit"] == "rad"
     assert rows[2][3].endswith("deg (imposed)")
     _, *rows = page.tables["Descents"]
-    for row, own in zip(rows, point["attempts"], strict=True):
-        assert row[0] == own["way"]
-        assert int(row[1]) == own["n_steps"]
-        assert number(row[2]) == pytest.approx(own["error"], rel=1e-2)
+    for row, attempt in zip(rows, point["attempts"], strict=True):
+        assert row[0] == attempt["way"]
+        assert int(row[1]) == attempt["n_steps"]
+        assert number(row[2]) == pytest.approx(attempt["error"], rel=1e-2)
     assert "made in Python" in page.text
     assert [row[0] for row in page.tables["Files"]] == data["files"]
     assert "command.vtu" in data["files"]
@@ -146,7 +146,7 @@ def test_a_trajectory(met, missed, tmp_path):
     _, *rows = page.tables["Commands"]
     for row, point in zip(rows, data["points"], strict=True):
         top, motor = (part.split(" = ")[1] for part in row[1].split(", "))
-        forces = {own["name"]: own for own in point["actuators"]}
+        forces = {actuator["name"]: actuator for actuator in point["actuators"]}
         assert in_si(top) == pytest.approx(forces["top"]["force"], rel=1e-3)
         assert in_si(motor) == pytest.approx(forces["motor"]["displacement"], rel=1e-3)
     assert {"goal_1.vtu", "goal_2.vtu", "configurations.pvd"} <= set(data["files"])

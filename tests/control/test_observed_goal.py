@@ -70,7 +70,7 @@ def tip(model, configuration, state):
 @pytest.mark.slow
 def test_it_is_brought_where_the_same_effector_is():
     goal = (0.098, 0.01, 0.016)
-    usual, own = (
+    usual, observed = (
         solve_inverse(
             arm(),
             pose(effectors=effectors, top=0.1, bottom=0.1, motor=0.0),
@@ -83,14 +83,14 @@ def test_it_is_brought_where_the_same_effector_is():
             [Observation("tip", tip, "m", std=np.full(3, 1e-3))],
         )
     )
-    assert own.outcome == usual.outcome
-    found, expected = (
+    assert observed.outcome == usual.outcome
+    inputs, expected = (
         {name: a.value for name, a in result.configuration.actuation.items()}
-        for result in (own, usual)
+        for result in (observed, usual)
     )
-    assert found.keys() == expected.keys()
+    assert inputs.keys() == expected.keys()
     for name, value in expected.items():
-        assert found[name] == pytest.approx(value, rel=1e-5, abs=1e-7)
+        assert inputs[name] == pytest.approx(value, rel=1e-5, abs=1e-7)
     assert max(map(abs, expected.values())) > 0.01
-    u = own.solution.displacement
+    u = observed.solution.displacement
     np.testing.assert_allclose(u, usual.solution.displacement, atol=1e-8)

@@ -51,13 +51,13 @@ def test_a_goal_on_the_other_side_of_a_fold_is_met():
     assert local.outcome == OUTCOMES.nearest
     check_only(local.held_by, "displacement ... 'motor' ... lower")
     assert len(local.attempts) == 1
-    found = run(ControlSettings())
-    assert found.met
-    np.testing.assert_allclose(found.inputs, [0.5], rtol=1e-3)
-    assert found.attempts[0].outcome != OUTCOMES.met
-    assert found.attempts[-1].way.startswith("other start")
-    assert found.held_by == ()
-    assert found.blind is None
+    result = run(ControlSettings())
+    assert result.met
+    np.testing.assert_allclose(result.inputs, [0.5], rtol=1e-3)
+    assert result.attempts[0].outcome != OUTCOMES.met
+    assert result.attempts[-1].way.startswith("other start")
+    assert result.held_by == ()
+    assert result.blind is None
 
 
 def test_a_direction_that_nothing_moves_is_named():
