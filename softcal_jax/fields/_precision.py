@@ -46,9 +46,9 @@ def asked_errors(
     check_precision(precision)
     values = np.asarray(space.from_scaled(jax.device_put(z)))
     pairs = [(entry, q) for entry in space.entries for q in entry.parameters]
-    asked = []
+    kinds, asked = kinds_by_name(), []
     for (entry, parameter), value in zip(pairs, values, strict=True):
-        in_si = precision * _unit(entry, parameter, abs(float(value)))
+        in_si = precision * _unit(entry, parameter, abs(float(value)), kinds)
         log = parameter.scale == "log"
         asked.append(in_si / (float(value) if log else float(parameter.unit_step)))
     return np.maximum(asked, _LEAST)
@@ -63,13 +63,13 @@ def check_precision(precision: float) -> None:
         )
 
 
-def _unit(entry: AbstractEntry, parameter: Parameter, size: float) -> float:
+def _unit(entry: AbstractEntry, q: Parameter, size: float, kinds: dict) -> float:
     """Return the standard error asked for by a precision of 1, in SI units."""
     if isinstance(entry, SetupParameter):
         if entry.quantity.relative:
             return size
         usual = entry.quantity.uncertain
         return getattr(Uncertain(), usual) / PRECISION if usual else 1.0
-    usual = ANGLE if parameter.unit == "rad" else UNREMARKABLE
-    kind = kinds_by_name().get(parameter.field.rpartition(".")[2], usual)
+    usual = ANGLE if q.unit == "rad" else UNREMARKABLE
+    kind = kinds.get(q.field.rpartition(".")[2], usual)
     return size if kind.asked is None else kind.asked

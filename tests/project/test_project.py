@@ -5,6 +5,8 @@ import pytest
 from small_project import E_TRUE, write_small_project
 from wording import says
 
+from softcal_jax.calibration._configuration_result import displaced
+from softcal_jax.configurations import configuration_lanes
 from softcal_jax.materials import Corotational, NeoHookean, StVenantKirchhoff
 from softcal_jax.mesh import beam
 from softcal_jax.project import ProjectError, load_project
@@ -80,6 +82,22 @@ def test_displacements_from_a_configuration(tmp_path):
     predicted, _ = project.simulate({"E": E_TRUE})
     for pose in (*result.configurations, *predicted.configurations):
         assert pose.rms_after < 1e-8
+
+
+def test_glue_is_told_by_poses_that_have_an_equilibrium(tmp_path):
+    """An offset of 1 mm in one of two poses that share it; the other has none."""
+    changes = [
+        ('displacement_from = { phase = "rest" }\n', 'displacement_from = "weight"\n'),
+        ('role = "validation"', 'role = "calibration"'),
+    ]
+    project = load_project(write_small_project(tmp_path, *changes))
+    posed, model = project.configurations, project.model
+    lanes = configuration_lanes(model.mesh, posed, model.mechanism)
+    errors = np.full(np.shape(lanes.arrays.effectors.measured), np.nan)
+    errors[0] = 1e-3
+    moved = displaced(posed, lanes, errors).effectors
+    for before, after in zip(lanes.effectors, moved, strict=True):
+        np.testing.assert_allclose(after[0].measured - before[0].measured, 1e-3)
 
 
 def test_calibrate_and_simulate(tmp_path):
