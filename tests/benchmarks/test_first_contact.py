@@ -15,7 +15,6 @@ def page(tmp_path):
     return tmp_path / "page.html"
 
 
-@pytest.mark.slow
 def test_a_page_that_asks_the_network_and_fails_is_found_out(page):
     page.write_text(
         "<!DOCTYPE html><link rel=icon href=data:,>"
@@ -29,7 +28,6 @@ def test_a_page_that_asks_the_network_and_fails_is_found_out(page):
     assert "Uncaught" in errors
 
 
-@pytest.mark.slow
 def test_a_page_of_its_own_is_clean(page):
     page.write_text(
         "<!DOCTYPE html><title>a</title><p>b<script>console.log(1)</script>"
@@ -39,7 +37,6 @@ def test_a_page_of_its_own_is_clean(page):
     assert figures == {"report_requests": 0, "report_console_errors": 0}
 
 
-@pytest.mark.slow
 def test_an_open_page_answers(page):
     viewport = "<meta name=viewport content=width=device-width>"
     page.write_text(f"<!DOCTYPE html>{viewport}<title>a</title><p>b")

@@ -75,7 +75,6 @@ def test_rows_of_the_fields_are_their_derivative(job):
         np.testing.assert_allclose(change, rows, rtol=1e-8, atol=1e-8 * rows.max())
 
 
-@pytest.mark.slow
 def test_the_fields_are_those_of_the_law(job):
     """At the start both control points have the same values."""
     fields = job.fields(job.start)
@@ -179,7 +178,6 @@ def test_a_run_out_of_time_counts_as_its_limit(job):
     assert end == (0.0, 0, False)
 
 
-@pytest.mark.slow
 def test_a_peer_that_solves_another_problem_is_refused(job):
     ours, gradient = peers.our_slope(job), peers.by_parameter(Adjoint(job))
     with pytest.raises(RuntimeError, match=r"other .*tip by"):
@@ -254,7 +252,6 @@ def test_a_module_of_ours_that_is_missing_is_not_hidden():
         pass
 
 
-@pytest.mark.slow
 def test_a_run_without_peers_tells_ours(job, monkeypatch, tmp_path):
     monkeypatch.setattr(peers, "peer_job", lambda: job)
     monkeypatch.setattr(peers, "our_end", lambda job: {"ours_recovered": 1})

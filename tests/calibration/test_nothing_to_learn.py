@@ -100,7 +100,6 @@ def test_a_body_without_any_load_is_refused_at_its_first_equilibrium(model):
     assert outlook.verdict == "not identifiable"
 
 
-@pytest.mark.slow  # blind_direction of test_calibrate is not
 def test_one_blind_parameter_among_others_is_no_error(model):
     """The load pulls at the clamp, where no factor of it moves anything."""
     clamped = pose(loads=[SurfaceForce("x_min", (0.0, 0.0, 1.0))])

@@ -178,9 +178,7 @@ def readings(mu, lane):
     return solve(rubbed(mu), lane, None, TIGHT)[1]
 
 
-@pytest.mark.parametrize(
-    "by", ["force", pytest.param("displacement", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("by", ["force", "displacement"])
 def test_derivatives_by_the_coefficient_of_friction(pulled, by):
     """Forward = reverse, and differences of second order; tip, shortening and pull."""
     solution, values, lane = pulled[1]

@@ -135,7 +135,6 @@ class OnAnyPlatform(AbstractLinearSolver):
         return self._factor_solve(values, rhs)[0]
 
 
-@pytest.mark.slow
 def test_what_is_around_the_solver_lowers_for_cuda(calibration):
     """A step of a calibration: nothing in its programs is of the CPU alone."""
     model = calibration.model

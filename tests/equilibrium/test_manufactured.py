@@ -54,11 +54,9 @@ def l2_error(cells, order, formulation):
 @pytest.mark.parametrize(
     ("order", "formulation", "cells", "expected", "margin"),
     [
-        pytest.param(*(1, "displacement", (6, 9), 2.0, 0.1), marks=pytest.mark.slow),
+        (1, "displacement", (6, 9), 2.0, 0.1),
         (2, "displacement", (6, 8), 3.0, 0.2),
-        pytest.param(
-            *(2, "mean-dilatation", (6, 8), 2.0, 0.25), marks=pytest.mark.slow
-        ),
+        (2, "mean-dilatation", (6, 8), 2.0, 0.25),
     ],
 )
 def test_order_in_l2(order, formulation, cells, expected, margin):

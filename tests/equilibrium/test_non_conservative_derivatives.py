@@ -89,7 +89,6 @@ def direction(lane, name: str) -> Inputs:
     return jax.tree.map(np.zeros_like, lane.inputs)._replace(**{name: part})
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("index", [0, 1])
 @pytest.mark.parametrize("name", Inputs._fields)
 def test_implicit_derivative_is_second_order_against_differences(name, index):

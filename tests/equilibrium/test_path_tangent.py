@@ -24,8 +24,6 @@ from softcal_jax.equilibrium import build_model
 from softcal_jax.equilibrium._path import _begin, _step
 from softcal_jax.materials import NeoHookean
 
-pytestmark = pytest.mark.slow  # the closed form of test_load_path is not
-
 MESH = strip(3)
 MIDDLE = (LENGTH / 3, SIDE, SIDE)
 MODEL = build_model(

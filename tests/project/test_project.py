@@ -57,7 +57,6 @@ def test_measured_positions(tmp_path):
     np.testing.assert_allclose(offset, [[0, 0, 1e-3], [0, 0, 0]], atol=1e-11)
 
 
-@pytest.mark.slow
 def test_displacements_from_a_configuration(tmp_path):
     """The glue offset of 1 mm stays in the positions, and out of the fit."""
     line = 'displacement_from = { phase = "rest" }\n'

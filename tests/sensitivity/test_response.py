@@ -187,7 +187,6 @@ def test_both_at_once_are_what_the_two_solves_give(name):
     assert bool(jnp.all(again.equilibrium.residual <= NewtonSettings().rtol))
 
 
-@pytest.mark.slow  # a program that no fast test shares
 def test_compliance_without_a_potential_is_not_that_of_the_symmetric_part():
     """The tangent is 0.1 % off symmetric here; the tolerance above tells it."""
     c = case("no potential")

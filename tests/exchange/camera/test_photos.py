@@ -73,7 +73,6 @@ def test_pose(pose):
     assert estimate.focal == pytest.approx(LENS.focal, rel=0.05)
 
 
-@pytest.mark.slow
 def test_a_base_tag_of_another_size(pose, tmp_path):
     rng = np.random.default_rng(4)
     both = {BASE: (HERE, 1.5 * SIZE), TAG: (MOVED, SIZE)}
@@ -178,7 +177,6 @@ def test_a_project_with_photographs(pose, tmp_path):
             load_project(write_small_project(tmp_path, changes[0], text))
 
 
-@pytest.mark.slow
 def test_motion_between_two_poses(pose, tmp_path):
     """The mounting of the tag cancels, and both covariances count."""
     from softcal_jax.project._sensors import FrameTable, OrientationTable, PhotosTable
