@@ -23,6 +23,7 @@ from softcal_jax.calibration._problem import (
 from softcal_jax.configurations import Configuration, ConfigurationArrays
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
+    Known,
     Model,
     Program,
     Report,
@@ -247,10 +248,19 @@ class Evaluator:
         report: Report | None = None,
         *,
         lanes: Sequence[int] | None = None,
+        known: EquilibriumSolution | None = None,
         **more: Any,
     ) -> EquilibriumSolution:
-        """Solve equilibria, by default from rest: see the function of this name."""
+        """Solve equilibria, by default from rest: see the function of this name.
+
+        `known` are equilibria of the first lanes, at these parameters.
+        """
         (model, configurations), newton = self.posed(z), self.problem.newton
+        if known is not None:
+            more["known"] = [
+                Known(configurations[c], lane_of(known.displacement, c))
+                for c in np.flatnonzero(np.asarray(known.converged)).tolist()
+            ]
         if lanes is not None:
             configurations = lane_of(configurations, np.asarray(lanes))
         run = self.workers, model, configurations, newton

@@ -25,10 +25,9 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import (
     EquilibriumSolution,
-    LoadPath,
     Model,
     Report,
-    solve_equilibrium,
+    other_ways,
 )
 from softcal_jax.fields import ParameterSpace, SetupParameter
 from softcal_jax.sensitivity import Response
@@ -89,13 +88,16 @@ class _AllLanes(NamedTuple):
     solved: dict[int, EquilibriumSolution]
     closed: dict[int, Response]
 
-    def solve(self, lanes: Sequence[int], report: Report | None) -> None:
-        """Solve lanes from rest; with rigid bodies, from the last fitted one."""
+    def solve(
+        self, lanes: Sequence[int], report: Report | None, *, arc_length: bool = False
+    ) -> None:
+        """Solve lanes from rest, or from those near to them that were fitted."""
         self.evaluate.equilibria(
             self.z,
             report or (lambda *_: None),  # a few iterations at a time, for Ctrl-C
             lanes=lanes,
-            start=lane_of(self.fitted.equilibrium.displacement, -1),
+            known=self.fitted.equilibrium,
+            arc_length=arc_length,
             ended=lambda k, solution: self.solved.update({lanes[k]: solution}),
         )
 
@@ -126,56 +128,31 @@ def _solve_held_out(
 ) -> tuple[list[str], bool]:
     """Solve held-out configurations with the parameters at the end and at the start.
 
-    Near a limit point Newton may find no equilibrium from rest: then the path of the
-    configuration is followed by arc length, and Newton starts again from its end. A
-    configuration without equilibrium is left out with a note, as it must
+    A configuration without equilibrium is left out with a note, as it must
     neither count as a prediction nor cost the user the fit; so are those that Ctrl-C
     cuts off. Returns the notes, and whether Ctrl-C ended it.
     """
-    carried: dict[int, float] = {}
     interrupted = False
     lanes = range(len(task.fitted), len(task.configurations))
     if not lanes:
         return [], False
     try:
-        solve = partial(last.solve, lanes, report), partial(first.solve, lanes, None)
+        solve_last = partial(last.solve, lanes, report, arc_length=True)
+        solve = solve_last, partial(first.solve, lanes, None)
         last.evaluate.workers.side_by_side(solve)
-        _follow_paths(last, carried)
         last.close()
         first.close()
     except KeyboardInterrupt:
         interrupted = True
     notes = []
     for lane, pose in zip(lanes, task.held_out, strict=True):
-        if lane in last.solved and last.solved[lane].converged:
-            continue
-        why = "with the calibrated parameters it has no equilibrium"
-        if lane in carried:
-            share = f"{100.0 * carried[lane]:.3g} % of its load"
-            why += f". Along its path (`LoadPath`) it carries at most {share}"
-        elif interrupted:
-            why = "this was interrupted"
-        notes.append(f"{pose.name} is not predicted: {why}.")
+        if lane not in last.solved:
+            notes.append(f"{pose.name} is not predicted: this was interrupted.")
+        elif not last.solved[lane].converged:
+            why = "with the calibrated parameters it has no equilibrium"
+            ways = other_ways(last.solved[lane])
+            notes.append(f"{pose.name} is not predicted: {why}.{ways}")
     return notes + unscoped_notes(task.space, task.held_out), interrupted
-
-
-def _follow_paths(last: _AllLanes, carried: dict[int, float]) -> None:
-    """Follow the path of each lane that did not converge from rest, along its load.
-
-    `carried` receives the largest share of its load that each of these carries.
-    """
-    evaluate, newton = last.evaluate, last.evaluate.problem.newton
-    model, arrays = evaluate.posed(last.z)
-    for lane, solution in last.solved.items():
-        if solution.converged:
-            continue
-        pose = lane_of(arrays, lane)
-        path = solve_equilibrium(model, pose, settings=newton, path=LoadPath())
-        carried[lane] = min(float(np.max(path.load)), 1.0)
-        if carried[lane] == 1.0:
-            guess = jax.device_put(path.displacement[-1:])
-            again = evaluate.equilibria(last.z, lanes=[lane], guess=guess)
-            last.solved[lane] = lane_of(again, 0)
 
 
 def unscoped_notes(

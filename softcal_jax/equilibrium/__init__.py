@@ -1,6 +1,7 @@
 """Static equilibrium: model, tangent, sparse solver, Newton (paper Eqs. 1 to 3)."""
 
 from softcal_jax._results import RESULTS as RESULTS
+from softcal_jax.equilibrium._approach import Known as Known
 from softcal_jax.equilibrium._assembly import (
     TetStates as TetStates,
     add_weighted as add_weighted,
@@ -72,6 +73,7 @@ from softcal_jax.equilibrium._solution import (
     EquilibriumSolution as EquilibriumSolution,
     check_converged as check_converged,
     no_equilibrium as no_equilibrium,
+    other_ways as other_ways,
 )
 from softcal_jax.equilibrium._solve import (
     lanes as lanes,

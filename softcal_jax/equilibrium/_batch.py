@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
@@ -12,19 +13,25 @@ import numpy as np
 from softcal_jax._lanes import stacked
 from softcal_jax._typing import Array, Float
 from softcal_jax.configurations import ConfigurationArrays
+from softcal_jax.equilibrium._approach import Known, approach, distances, unloaded
 from softcal_jax.equilibrium._effectors import effector_values
-from softcal_jax.equilibrium._model import Model
-from softcal_jax.equilibrium._newton import NewtonSettings
+from softcal_jax.equilibrium._model import Model, Nodal
+from softcal_jax.equilibrium._newton import NewtonSettings, NewtonState
+from softcal_jax.equilibrium._path import LoadPath, trace
 from softcal_jax.equilibrium._solution import EquilibriumSolution
 from softcal_jax.equilibrium._solve import (
     begin_newton,
     continue_newton,
+    resumed,
     without_readings,
 )
 from softcal_jax.equilibrium._workers import Program, Workers
 
 STEPS_BETWEEN = 2
 """Newton iterations of a configuration between two reports."""
+
+AT_ONCE = 8
+"""Newton iterations within which the first step to a configuration must close in."""
 
 FORESEEN_S = 5.0
 """Time after which the share of the load predicts how long the rest takes [s]."""
@@ -85,7 +92,8 @@ def equilibria(
     newton: NewtonSettings,
     *,
     guess: Float[Array, "n_c n_points 3"] | None = None,
-    start: Float[Array, "n_points 3"] | None = None,
+    known: Sequence[Known] = (),
+    arc_length: bool = False,
     report: Report | None = None,
     ended: Callable[[int, EquilibriumSolution], None] = lambda *_: None,
 ) -> EquilibriumSolution:
@@ -95,39 +103,191 @@ def equilibria(
     `solve_equilibrium` solves a batch; `Evaluator` adds the errors and compliances of a
     calibration.
 
-    By default each solve begins at rest; with rigid bodies, at the solution of the
-    configuration before (the first at `start`), because poses of a robot lie near each
-    other and far from its state before mounting. A guess that is not finite counts as
-    rest. `report` is called after every few iterations of a configuration, from its
-    thread; `ended` in the order of the configurations, with index and solution.
+    With a `guess`, each solve begins there; one that is not finite counts as rest. By
+    default it begins at rest. Where that does not lead to the full load in one step,
+    `approach` leads there from the nearest equilibrium: of another configuration, of
+    one that is `known`, or rest. If that fails there are load steps from rest and, with
+    `arc_length`, the path along the load (see `LoadPath`). With rigid bodies each
+    begins at the nearest equilibrium, because poses of a robot lie near each other and
+    far from its state before mounting.
+
+    `report` is called after every few iterations of a configuration, from its thread;
+    `ended` with the index and solution of each that has ended.
     """
-    lanes = list(map(without_readings, configurations))
-    settings, most = newton.as_arrays(), int(newton.max_steps)
-    steps = jnp.asarray(most if report is None else STEPS_BETWEEN)
-    first = Program(begin_newton, model, settings)
-    program = Program(continue_newton, model, settings, steps)
+    lanes = _Lanes(workers, model, configurations, newton, report)
+    each, solutions = lanes.each, {}
+    known = [k._replace(configuration=without_readings(k.configuration)) for k in known]
+    begun: dict[int, NewtonState | None] = dict.fromkeys(range(len(each)))
 
-    def solve(c: int, u: Float[Array, "n_points 3"] | None) -> EquilibriumSolution:
-        (state,) = workers.map(first, [(lanes[c], u)])
+    def end(c: int, solution: EquilibriumSolution) -> None:
+        solutions[c] = solution
+        begun.pop(c)
+        ended(c, solution)
+
+    def tried(c: int, new: tuple[NewtonState, EquilibriumSolution]) -> None:
+        begun[c] = new[0]
+        if new[1].converged:
+            end(c, new[1])
+
+    if guess is not None:
+        workers.side_by_side(
+            (partial(lanes.solve, c, u) for c, u in enumerate(guess)), end
+        )
+    elif model.mechanism.bodies.n_bodies == 0:
+        workers.side_by_side((partial(lanes.begin, c) for c in range(len(each))), tried)
+        known += [Known(each[c], solutions[c].displacement) for c in solutions]
+        known += [unloaded(each[c]) for c in begun]
+    if begun:
+        _from_nearest(lanes, begun, known, end, arc_length=arc_length)
+    return stacked([solutions[c] for c in range(len(each))])
+
+
+def _from_nearest(
+    lanes: "_Lanes",
+    begun: dict[int, NewtonState | None],
+    known: Sequence[Known],
+    end: Callable[[int, EquilibriumSolution], None],
+    *,
+    arc_length: bool,
+) -> None:
+    """Solve the lanes of `begun` from the nearest equilibrium.
+
+    Those go side by side that have no other to wait for: one that is nearer to what is
+    known, and nearer to them than that. So the order does not depend on the cores.
+    """
+    first, each = len(known), [*begun]
+    states = dict(enumerate(known))
+    of_known = [state.configuration for state in known]
+    apart = distances([*of_known, *(lanes.each[c] for c in each)])
+    waiting = list(range(first, len(apart)))
+    while waiting:
+        to_known = apart[np.ix_([*states], waiting)]
+        nearest = np.min(to_known, axis=0, initial=np.inf)
+        beside = apart[np.ix_(waiting, waiting)]
+        waits = (nearest[:, None] < nearest) & (beside < nearest)
+        ready = np.flatnonzero(~waits.any(axis=0) & np.isfinite(nearest))
+        calls = []
+        for k in ready:
+            near = states[[*states][int(np.argmin(to_known[:, k]))]]
+            c = each[waiting[k] - first]
+            calls.append(partial(lanes.from_known, c, near, begun[c]))
+        if not calls:  # nothing to begin at
+            c = each[waiting[0] - first]
+            ready, calls = [0], [partial(lanes.solve, c, begun=begun[c])]
+        solutions = lanes.workers.side_by_side(calls)
+        for row, solution in zip([waiting[k] for k in ready], solutions, strict=True):
+            c = each[row - first]
+            waiting.remove(row)
+            if arc_length and not solution.converged:
+                solution = lanes.along_path(c, solution)
+            if solution.converged:
+                states[row] = Known(lanes.each[c], solution.displacement)
+            end(c, solution)
+
+
+class _Lanes:
+    """The configurations of a batch, and ways to solve one of them."""
+
+    def __init__(
+        self,
+        workers: Workers,
+        model: Model,
+        configurations: Iterable[ConfigurationArrays],
+        newton: NewtonSettings,
+        report: Report | None,
+    ):
+        configurations = list(configurations)
+        self.workers, self.each = workers, list(map(without_readings, configurations))
+        settings = newton.as_arrays()
+        self._to_trace = lambda c: (model, configurations[c], LoadPath(), settings)
+        self._most, self._report = int(newton.max_steps), report
+        steps = jnp.asarray(self._most if report is None else STEPS_BETWEEN)
+        # It ends where the first step fails, in place of going back to rest.
+        at_most = min(int(newton.max_steps_per_load), AT_ONCE)
+        once = {"smallest_load_step": 1.0, "max_steps_per_load": at_most}
+        at_once = replace(newton, **once)
+        self._from_anywhere, self._at_once = (
+            (
+                Program(begin_newton, model, settings),
+                Program(continue_newton, model, settings, steps),
+            )
+            for settings in (settings, at_once.as_arrays())
+        )
+
+    def begin(self, c: int) -> tuple[NewtonState, EquilibriumSolution]:
+        """Take the full load from rest in one step."""
+        (state,) = self.workers.map(self._at_once[0], [(self.each[c], None)])
+        return self._run(self._at_once[1], self.each[c], state, partial(self._say, c))
+
+    def solve(
+        self, c: int, u: Nodal | None = None, *, begun: NewtonState | None = None
+    ) -> EquilibriumSolution:
+        """Solve a lane by load steps, from a guess, rest, or what `begin` returned."""
+        begin, go_on = self._from_anywhere
+        if begun is None:
+            (state,) = self.workers.map(begin, [(self.each[c], u)])
+        else:
+            state = resumed(begun)
+        return self._run(go_on, self.each[c], state, partial(self._say, c))[1]
+
+    def from_known(
+        self, c: int, near: Known, begun: NewtonState | None
+    ) -> EquilibriumSolution:
+        """Solve a lane from an equilibrium; failing that, by load steps from rest."""
+        before = 0 if begun is None else int(begun.step)
+
+        def at_once(lane: ConfigurationArrays, u: Nodal) -> EquilibriumSolution:
+            (state,) = self.workers.map(self._at_once[0], [(lane, u)])
+            return self._run(self._at_once[1], lane, state)[1]
+
+        from_rest = not np.any(near.displacement)  # where `begin` has tried it
+        way = approach(
+            at_once,
+            near,
+            self.each[c],
+            first=0.5 if from_rest else 1.0,
+            most=self._most,
+            report=lambda share, steps: self._say(c, share, before + steps),
+        )
+        if way.solution is not None:
+            self._say(c, way.share, before + way.steps)
+            return _with_steps(way.solution, before + way.steps)
+        solution = self.solve(c, begun=begun)
+        of_way = lambda s: s.approached
+        solution = eqx.tree_at(of_way, solution, jnp.asarray(way.share))
+        return _with_steps(solution, int(solution.steps) + way.steps)
+
+    def along_path(self, c: int, failed: EquilibriumSolution) -> EquilibriumSolution:
+        """Follow the path of a lane along its load, and solve it from the end."""
+        path = trace(*self._to_trace(c))
+        share = min(float(np.max(path.load)), 1.0)
+        if share == 1.0:
+            found = self.solve(c, jnp.asarray(path.displacement[-1]))
+            if found.converged:
+                return _with_steps(found, int(failed.steps) + int(found.steps))
+        return eqx.tree_at(lambda s: s.along_path, failed, jnp.asarray(share))
+
+    def _say(self, c: int, load: float, steps: int) -> None:
+        if self._report is not None:
+            self._report(c, load, steps)
+
+    def _run(
+        self,
+        go_on: Program,
+        lane: ConfigurationArrays,
+        state: NewtonState,
+        say: Callable[[float, int], None] = lambda *_: None,
+    ) -> tuple[NewtonState, EquilibriumSolution]:
+        """Iterate until Newton's method is done, or out of steps."""
         while True:
-            ((state, solution),) = workers.map(program, [(lanes[c], state)])
-            if report is not None:
-                report(c, float(state.load_ok), int(state.step))
-            if bool(state.done) or int(state.step) >= most:
-                return solution
+            ((state, solution),) = self.workers.map(go_on, [(lane, state)])
+            say(float(state.load_ok), int(state.step))
+            if bool(state.done) or int(state.step) >= self._most:
+                return state, solution
 
-    if guess is None and model.mechanism.bodies.n_bodies > 0:
-        solutions: list[EquilibriumSolution] = []
-        for c in range(len(lanes)):
-            solutions.append(solve(c, start))
-            ended(c, solutions[c])
-            if solutions[c].converged:
-                start = solutions[c].displacement
-    else:
-        rest = [None] * len(lanes)
-        each = enumerate(rest if guess is None else guess)
-        solutions = workers.side_by_side((partial(solve, c, u) for c, u in each), ended)
-    return stacked(solutions)
+
+def _with_steps(solution: EquilibriumSolution, steps: int) -> EquilibriumSolution:
+    return replace(solution, steps=jnp.asarray(steps, solution.steps.dtype))
 
 
 compiled_effectors = eqx.filter_jit(effector_values)  # one program for all callers

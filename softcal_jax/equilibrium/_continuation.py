@@ -174,6 +174,8 @@ class _QuickSteps(NamedTuple):
                 at_rounding=no,
                 min_det_F=point.min_det_F,
                 n_negative=count,
+                approached=zero + jnp.nan,
+                along_path=zero + jnp.nan,
             ),
             point=point,
             before=jnp.where(size <= SHORT, point.u, before),
@@ -248,6 +250,8 @@ class _QuickSteps(NamedTuple):
             at_rounding=residual.at_rounding(rtol),
             min_det_F=new.min_det_F,
             n_negative=factor.n_negative,
+            approached=solution.approached,
+            along_path=solution.along_path,
         )
         taken = sound & (falls | anew)
         # Extrapolate the fall of the residual: will a few chord steps be enough?

@@ -1,9 +1,8 @@
 """What the solve of an equilibrium returns, and the error where there is none."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._lanes import lane_of
 from softcal_jax._module import Module
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, Int
@@ -30,6 +29,10 @@ class EquilibriumSolution(Module):
             state; at a limit point the fewest of any iterate beyond it; -1 if unknown,
             because the linear solver does not count them or the model is not
             conservative.
+        approached: Share of the way from the nearest equilibrium that was found where
+            it did not lead to the end, see `equilibria`; nan if none was tried [-].
+        along_path: Share of the load that its path carries where it does not lead to
+            the end, see `LoadPath`; nan if none was followed [-].
     """
 
     displacement: Float[Array, "*batch n_points 3"]
@@ -43,6 +46,8 @@ class EquilibriumSolution(Module):
     at_rounding: Bool[Array, "*batch"]
     min_det_F: Float[Array, "*batch"]
     n_negative: Int[Array, "*batch"]
+    approached: Float[Array, "*batch"]
+    along_path: Float[Array, "*batch"]
 
     @property
     def converged(self) -> Array:
@@ -58,27 +63,39 @@ class EquilibriumSolution(Module):
         return f"{good.sum()} of {good.size} converged; at most {how}"
 
 
+def other_ways(solution: EquilibriumSolution) -> str:
+    """Say which ways failed beside load steps from rest, in sentences."""
+    ways = [
+        (
+            solution.approached,
+            "The way from the nearest equilibrium led {:.3g} % there",
+        ),
+        (
+            solution.along_path,
+            "Along its path (`LoadPath`) it carries at most {:.3g} %",
+        ),
+    ]
+    tried = [text.format(100.0 * share) for share, text in ways if np.isfinite(share)]
+    return "".join(f" {text}." for text in tried)
+
+
 def no_equilibrium(solution: EquilibriumSolution, names: tuple[str, ...]) -> str:
     """Say which lanes of a batch have no equilibrium, and why; empty if none."""
-    bad = np.flatnonzero(~np.atleast_1d(np.asarray(solution.converged)))
+    bad = np.flatnonzero(~np.asarray(solution.converged)).tolist()
 
     def why(lane):
-        of = lambda leaf: np.atleast_1d(np.asarray(leaf))[lane]
-        result = jax.tree.map(lambda a: jnp.asarray(of(a)), solution.result)
-        negative = int(of(solution.n_negative))
-        count = f"{negative} negative eigenvalue{'s' * (negative != 1)}"
-        if negative < 0:  # so a limit point would not be noticed
+        one = solution if solution.steps.ndim == 0 else lane_of(solution, lane)
+        count = f"{one.n_negative} negative eigenvalue{'s' * int(one.n_negative != 1)}"
+        if one.n_negative < 0:  # so a limit point would not be noticed
             count = "negative eigenvalues unknown"
         return (
-            f"configuration {names[lane]!r}: {RESULTS[result]} "
-            f"({100 * of(solution.load_reached):.3g} % of the load carried, {count}, "
-            f"{of(solution.steps)} Newton steps, residual "
-            f"{of(solution.residual):.1e} with rounding at "
-            f"{of(solution.rounding):.1e}, smallest det F "
-            f"{of(solution.min_det_F):.3g})"
+            f"configuration {names[lane]!r}: {RESULTS[one.result]} "
+            f"({100 * one.load_reached:.3g} % of the load carried, {count}, "
+            f"{one.steps} Newton steps, residual {one.residual:.1e} with rounding at "
+            f"{one.rounding:.1e}, smallest det F {one.min_det_F:.3g}).{other_ways(one)}"
         )
 
-    return "\n".join(["no equilibrium found.", *map(why, bad)]) if bad.size else ""
+    return "\n".join(["no equilibrium found.", *map(why, bad)]) if bad else ""
 
 
 def check_converged(solution: EquilibriumSolution, names: tuple[str, ...]) -> None:

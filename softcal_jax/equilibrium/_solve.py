@@ -46,6 +46,8 @@ def as_solution(state: NewtonState, settings: NewtonSettings) -> EquilibriumSolu
         at_rounding=carried & state.residual.at_rounding(settings.rtol),
         min_det_F=state.point.min_det_F,
         n_negative=jnp.where(beyond, state.limit, state.n_negative),
+        approached=jnp.full_like(state.load_ok, jnp.nan),
+        along_path=jnp.full_like(state.load_ok, jnp.nan),
     )
 
 
@@ -80,6 +82,13 @@ def continue_newton(
     most = jnp.minimum(state.step + steps, settings.max_steps)
     state = loop.run(state, most)
     return state, as_solution(state, settings)
+
+
+def resumed(state: NewtonState) -> NewtonState:
+    """Return a state that gave up its first step, to go on by load steps from rest."""
+    beyond = state.result == RESULTS.limit_point
+    result = RESULTS.where(beyond, RESULTS.limit_point, RESULTS.max_steps)
+    return state._replace(result=result, done=jnp.zeros((), bool))
 
 
 @eqx.filter_custom_jvp

@@ -297,9 +297,8 @@ class Project(Module):
             lanes = lanes._replace(arrays=arrays)
         report = reports_of(progress, [c.name for c in posed])
         with Workers(model, len(posed)) as workers:
-            solved = equilibria(
-                workers, model, lanes.arrays, self.newton, report=report
-            )
+            run = workers, model, lanes.arrays, self.newton
+            solved = equilibria(*run, arc_length=True, report=report)
         return simulation_result(model, posed, solved, lanes), solved
 
     def _scaled(self, values: Mapping[str, float]) -> Float[Array, " n_p"]:

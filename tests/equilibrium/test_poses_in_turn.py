@@ -1,49 +1,156 @@
-"""Poses of a robot with rigid bodies are solved in turn, each from the one before."""
+"""Poses that are hard to reach from rest are solved from the nearest equilibrium."""
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from bodies import lane
+from wording import says
 
 from softcal_jax.bodies import BodyState, Pose, RigidBody
-from softcal_jax.configurations import Configuration, configuration_lanes
-from softcal_jax.equilibrium import NewtonSettings, Workers, build_model, equilibria
-from softcal_jax.materials import NeoHookean
+from softcal_jax.configurations import (
+    Configuration,
+    Support,
+    SurfaceForce,
+    configuration_lanes,
+)
+from softcal_jax.equilibrium import (
+    Known,
+    NewtonSettings,
+    Workers,
+    build_model,
+    equilibria,
+    no_equilibrium,
+    solve_equilibrium,
+)
+from softcal_jax.equilibrium._approach import approach, distances, unloaded
+from softcal_jax.equilibrium._solve import without_readings
+from softcal_jax.materials import Isotropic, NeoHookean, StVenantKirchhoff
 from softcal_jax.mesh import beam
 
+NONE = (0.0, 0.0, 0.0)
 MESH = beam(0.06, 0.01, 0.01, (6, 1, 1))
-TIP = RigidBody("tip", "x_max")
-MODEL = build_model(MESH, NeoHookean(2e5, 0.3), density=1000.0, bodies=(TIP,))
-BENT = BodyState("held", Pose((0.0, 0.0, 0.02)))
-POSE = Configuration("bent", "x_min", gravity=(0.0, 0.0, 0.0), bodies={"tip": BENT})
+LAW = NeoHookean(2e5, 0.3)
+GRIPPED = build_model(MESH, LAW, density=1e3, bodies=(RigidBody("tip", "x_max"),))
+SLENDER = build_model(MESH, LAW, density=1e3)
+HARD = 1.2
+"""A force on the end that bends the slender beam far beyond one step of Newton [N]."""
 
 
-@pytest.fixture(scope="module")
-def solve():
-    """Solve a pose twice; returns solutions, and (lane, iterations) as each ends."""
-    poses = [POSE, replace(POSE, name="bent again")]
-    lanes = configuration_lanes(MESH, poses, MODEL.mechanism).arrays
-
-    def solved(**more):
-        ends = []
-        note = lambda c, solution: ends.append((c, int(solution.steps)))
-        with Workers(MODEL, len(poses)) as workers:
-            run = workers, MODEL, lanes, NewtonSettings()
-            return equilibria(*run, ended=note, **more), ends
-
-    return solved
+def bent(name, height):
+    """The tip held higher than at rest."""
+    held = {"tip": BodyState("held", Pose((0.0, 0.0, height)))}
+    return Configuration(name, "x_min", gravity=NONE, bodies=held)
 
 
-def test_a_pose_begins_where_the_one_before_ended(solve):
-    solution, ends = solve()
+def pulled(name, force):
+    return Configuration(name, "x_min", NONE, SurfaceForce("x_max", (0.0, 0.0, force)))
+
+
+def solved(model, poses, cores=None, known=(), **more):
+    """Solve poses; `known` are indices of some of them with their displacements."""
+    lanes = configuration_lanes(model.mesh, poses, model.mechanism).arrays
+    more["known"] = [Known(lane(lanes, c), u) for c, u in known]
+    with Workers(model, len(poses), cores) as workers:
+        return equilibria(workers, model, lanes, NewtonSettings(), **more)
+
+
+def test_poses_of_a_robot_begin_at_the_nearest_one():
+    """The farthest waits for the one between, in whatever order they are given."""
+    low, middle, high = bent("low", 0.01), bent("middle", 0.019), bent("high", 0.02)
+    ended = []
+    note = lambda c, solution: ended.append((c, int(solution.steps)))
+    solution = solved(GRIPPED, [low, high, middle], ended=note)
     assert np.all(solution.converged)
-    first, second = map(int, solution.steps)
-    assert second < first
-    assert ends == [(0, first), (1, second)]
+    assert [c for c, _ in ended] == [0, 2, 1]
+    first, second, third = (steps for _, steps in ended)
+    assert third < second <= first
 
 
-def test_the_first_one_begins_at_a_start(solve):
-    rest, _ = solve()
-    again, _ = solve(start=rest.displacement[0])
+def test_the_first_one_begins_where_one_is_known():
+    rest = solved(GRIPPED, [bent("once", 0.02)])
+    again = solved(GRIPPED, [bent("again", 0.02)], known=[(0, rest.displacement[0])])
     assert int(again.steps[0]) < int(rest.steps[0])
     np.testing.assert_allclose(again.displacement, rest.displacement, atol=1e-9)
+
+
+def test_a_far_pose_takes_fewer_steps_and_is_the_same():
+    """Than by load steps from rest, which find it too; on one core and on two."""
+    poses = [pulled("hard", HARD), pulled("harder", 1.1 * HARD)]
+    lanes = configuration_lanes(MESH, poses, SLENDER.mechanism).arrays
+    one, two = (solved(SLENDER, poses, cores) for cores in (1, 2))
+    np.testing.assert_array_equal(one.displacement, two.displacement)
+    for c in (0, 1):
+        alone = solve_equilibrium(SLENDER, lane(lanes, c))
+        assert bool(alone.converged)
+        assert int(one.steps[c]) < 0.8 * int(alone.steps)
+        np.testing.assert_allclose(one.displacement[c], alone.displacement, atol=1e-8)
+    assert int(one.steps[1]) < 0.5 * int(one.steps[0])
+    assert np.all(np.isnan(one.approached))
+
+
+def test_how_far_a_way_led_is_told():
+    """The bar in compression of `test_begin`: it carries 0.19245 E at most."""
+    mesh, push = beam(2.0, 1.0, 1.0, (2, 1, 1)), 0.3
+    model = build_model(mesh, StVenantKirchhoff(Isotropic(1.0, 0.0)), density=1.0)
+    supports = Support("x_min"), Support(np.arange(12), axes="yz")
+    load = SurfaceForce("x_max", (-push, 0.0, 0.0))
+    pose = Configuration("pushed", supports, NONE, load)
+    share = 0.19245 / push
+    solution = solved(model, [pose])
+    assert float(solution.approached[0]) == pytest.approx(share, abs=1 / 32)
+    assert np.isnan(solution.along_path[0])
+    solution = solved(model, [pose], arc_length=True)
+    assert float(solution.along_path[0]) == pytest.approx(share, rel=0.02)
+    text = no_equilibrium(solution, ("pushed",))
+    assert says(text, "'pushed'", "nearest equilibrium", "Along its path", "at most")
+
+
+def test_only_poses_that_hold_the_same_are_near():
+    first = pulled("first", 1.0)
+    other = replace(first, name="other", supports=(Support("x_max"),))
+    poses = [first, replace(first, name="same"), pulled("half", 0.5), other]
+    each = list(configuration_lanes(MESH, poses, SLENDER.mechanism).arrays)
+    apart = distances([unloaded(each[0]).configuration, *each])
+    rest, same, half, held_elsewhere = apart[1, [0, 2, 3, 4]]
+    assert same == 0.0
+    assert rest == pytest.approx(2.0 * half) == 1.0
+    assert held_elsewhere == np.inf
+
+
+def test_a_way_is_followed_on_a_parabola():
+    """Once three states are known, those of a parabola are guessed exactly."""
+    lanes = configuration_lanes(MESH, [pulled("end", 1.0)], SLENDER.mechanism).arrays
+    end, guesses = without_readings(lane(lanes, 0)), []
+    curve = lambda s: np.full(end.imposed.shape, 0.3 * s - 0.2 * s**2)
+    whole = solve_equilibrium(SLENDER, end)
+
+    def at_once(pose, guess):
+        share = float(np.max(pose.loads.force) / np.max(end.loads.force))
+        guesses.append(np.max(np.abs(guess - curve(share))))
+        refused = share > 0.2 and len(guesses) < 4
+        steps = jnp.asarray(4)
+        good = replace(whole, displacement=jnp.asarray(curve(share)), steps=steps)
+        return solved_nothing if refused else good
+
+    solved_nothing = replace(
+        solve_equilibrium(SLENDER, end, settings=NewtonSettings(max_steps=1)),
+        steps=jnp.asarray(8),
+    )
+    told = []
+    way = approach(
+        at_once,
+        unloaded(end),
+        end,
+        first=1.0,
+        most=100,
+        report=lambda *now: told.append(now),
+    )
+    assert way.solution is not None
+    assert way.steps == sum(8 if k < 3 else 4 for k in range(len(guesses)))
+    np.testing.assert_allclose(guesses[5:], 0.0, atol=1e-12)
+    assert guesses[4] > 1e-3  # by two states alone
+    shares = [share for share, _ in told]
+    assert shares[:4] == [0.0] * 4
+    assert shares[4:] == pytest.approx(np.arange(1, 8) / 8)

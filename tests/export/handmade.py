@@ -257,6 +257,8 @@ def make_simulation(model, outcomes=(True, False)):
         at_rounding=jnp.zeros(n, bool),
         min_det_F=jnp.where(jnp.array(outcomes), 0.9, -0.1),
         n_negative=jnp.zeros(n, int),
+        approached=jnp.full(n, jnp.nan),
+        along_path=jnp.full(n, jnp.nan),
     )
     return configurations, solution
 
