@@ -1,8 +1,8 @@
 """Make arm.msh, the mesh of the pneumatic arm, with gmsh.
 
-    python make_mesh.py [--size MM] [-o arm.msh]
+    python -m benchmarks._arm_mesh [--size MM] [-o arm.msh]
 
-The dimensions are those of README.md beside this file. Needs gmsh: pip install
+The dimensions are those of the README.md beside arm.msh. Needs gmsh: pip install
 'softcal-jax[cad]'.
 """
 
