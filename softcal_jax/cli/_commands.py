@@ -3,6 +3,7 @@
 import argparse
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -242,3 +243,53 @@ The files have the same configurations with the same measured values, and differ
     add_path(command, "--output", "DIR", "folder for the results")
     add_output(command, force="replace earlier results in that folder")
     command.set_defaults(run=compare)
+
+
+_TRANSFER = """\
+examples:
+  softcal transfer results_of_beam arm/project.toml
+
+exit codes: 0 compared, whatever the verdict, 1 the calibration of B did not converge, 2
+bad input
+"""
+
+
+def transfer(args: argparse.Namespace, show: Display) -> None:
+    from softcal_jax import report
+
+    project = load(args.project, show)
+    with bad_input():
+        project.check_calibration()
+        of_a = report.load_result(args.result)
+    project = replace(project, intervals=None)  # standard errors are compared
+    show.now("first equilibrium")
+    with bad_input(), no_equilibrium("There is nothing to compare."):
+        result = project.calibrate(
+            progress=step_lines(project, show),
+            equilibrium_progress=equilibrium_lines(show),
+            stage=show.now,
+        )
+        if not result.converged:
+            raise Stop(NOT_CONVERGED, "the calibration of B did not converge.")
+        show.now("the poses of B with the values of A")
+        found = report.transfer(of_a, project, result)
+    show.line()
+    show.line(str(found))
+    show.document(found.as_dict())
+
+
+def add_transfer(commands: "argparse._SubParsersAction") -> None:
+    command = commands.add_parser(
+        "transfer",
+        help="do the values of one robot hold for another?",
+        description="""\
+Calibrates robot B, and compares the values of the material with those that were
+calibrated on robot A: do they agree within their errors, in which direction do they
+not, and does A predict the poses of B as well as its own fit? Parameters are those of
+the same names; those of the setup belong to each robot.""",
+        epilog=_TRANSFER,
+    )
+    add_path(command, "result", "RESULTS", "folder of softcal calibrate, of A")
+    add_path(command, "project", "PROJECT.toml", "the project file of B")
+    add_output(command)
+    command.set_defaults(run=transfer)

@@ -14,7 +14,14 @@ import shtab
 
 from softcal_jax.cli._calibrated import add_export, add_inverse
 from softcal_jax.cli._check import add_check, add_mesh
-from softcal_jax.cli._commands import add_compare, calibrate, demo, identify, simulate
+from softcal_jax.cli._commands import (
+    add_compare,
+    add_transfer,
+    calibrate,
+    demo,
+    identify,
+    simulate,
+)
 from softcal_jax.cli._display import (
     Display,
     PlainConsole,
@@ -48,6 +55,7 @@ examples:
   softcal identify my_robot/project.toml  would the data suffice? before measuring
   softcal mesh finger.step -o finger.msh  from CAD to tets, with a picture
   softcal compare a.toml b.toml           which law or mesh predicts best?
+  softcal transfer results b/project.toml   do its values hold for another robot?
   softcal inverse results --goal tip="(60, 8, 2) mm" -o command   which pressure?
   softcal export inp results -o job.inp   the calibrated model for CalculiX, Abaqus
   softcal export sofa results -o scene    a scene of SOFA, calibrated again for it
@@ -193,6 +201,7 @@ ranked by what measuring them as well would add.""",
     add_check(commands)
     add_mesh(commands)
     add_compare(commands)
+    add_transfer(commands)
     add_inverse(commands)
     add_export(commands, formats)
     add_sweep(commands)

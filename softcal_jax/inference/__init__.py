@@ -1,5 +1,10 @@
 """Statistics of a fit: one linear model of all unknowns, and what follows from it."""
 
+from softcal_jax.inference._difference import (
+    Difference as Difference,
+    Estimate as Estimate,
+    difference as difference,
+)
 from softcal_jax.inference._linear_model import (
     ATTACHMENTS as ATTACHMENTS,
     NOISE as NOISE,

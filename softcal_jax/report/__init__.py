@@ -29,6 +29,7 @@ from softcal_jax.report._sweep_page import (
     write_sweep as write_sweep,
 )
 from softcal_jax.report._tables import simulation_table as simulation_table
+from softcal_jax.report._transfer import Transfer as Transfer, transfer as transfer
 from softcal_jax.report._write import (
     PictureWarning as PictureWarning,
     write_comparison as write_comparison,

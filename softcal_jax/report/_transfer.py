@@ -1,0 +1,114 @@
+"""Do the values that one robot gave predict the poses of another?"""
+
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._module import Module
+from softcal_jax._text_table import text_table
+from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import readable, readable_estimate
+from softcal_jax.calibration import CalibrationResult, ConfigurationResult
+from softcal_jax.equilibrium import check_converged
+from softcal_jax.export import plain
+from softcal_jax.inference import Difference, Estimate, difference
+from softcal_jax.project import Project
+from softcal_jax.report._load import LoadedResult
+
+
+class Transfer(Module):
+    """Values of the material from a robot A, asked of a robot B.
+
+    Attributes:
+        difference: Of the values that both gave.
+        poses: The configurations of B.
+        motion: How far their points move [m].
+        rms_own: How far they are off by the fit to B, rms [m].
+        rms_of_a: The same with the values of A, and all others fitted to B [m].
+    """
+
+    difference: Difference
+    poses: tuple[str, ...]
+    motion: Float[HostArray, " n_c"]
+    rms_own: Float[HostArray, " n_c"]
+    rms_of_a: Float[HostArray, " n_c"]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all of it for JSON, in SI; None where a number is not known."""
+        d = self.difference
+        judged = {"probability": d.probability, "agree": d.agree, "verdict": d.verdict}
+        return {**plain(self), **judged}
+
+    def __str__(self) -> str:
+        """Write both tables and the verdict."""
+        d = self.difference
+        each = zip(d.names, d.units, d.of_a, d.std_a, d.of_b, d.std_b, strict=True)
+        values = [
+            [name, readable_estimate(a, std_a, u), readable_estimate(b, std_b, u)]
+            for name, u, a, std_a, b, std_b in each
+        ]
+        for row, unit, size in zip(values, d.units, d.unseen, strict=True):
+            row.append(readable(float(f"{size:.2g}"), unit))
+        mm = lambda x: f"{1e3 * x:.3g} mm" if np.isfinite(x) else "-"
+        errors = [
+            [name, *map(mm, row)]
+            for name, *row in zip(
+                self.poses, self.motion, self.rms_own, self.rms_of_a, strict=True
+            )
+        ]
+        titles = "parameter", "from A", "from B", "hardly seen below"
+        lines = text_table("", titles, values).lines()
+        titles = "pose of B", "motion", "error of its own fit", "with the values of A"
+        lines += ["", *text_table("", titles, errors).lines()]
+        return "\n".join([*lines, "", d.verdict])
+
+
+def transfer(a: LoadedResult, b: Project, result: CalibrationResult) -> Transfer:
+    """Compare a calibration of robot A with that of robot B, and predict B with it.
+
+    Args:
+        a: The calibration of A.
+        b: The project of B.
+        result: Its calibration.
+
+    Raises:
+        ValueError: If no parameter of the material has a standard error in both.
+        RuntimeError: If a configuration has no equilibrium with the values of A.
+    """
+    of_b = Estimate(result.space, result.z, result.budget.covariance)
+    found = difference(Estimate(a.space, a.z, a.covariance), of_b)
+    with_a = _predicted(b, result, dict(zip(found.names, found.of_a, strict=True)))
+    own = {c.name: c.rms_after for c in result.configurations}
+    return Transfer(
+        difference=found,
+        poses=tuple(c.name for c in with_a),
+        motion=np.array([c.motion for c in with_a]),
+        rms_own=np.array([own[c.name] for c in with_a]),
+        rms_of_a=np.array([c.rms_after for c in with_a]),
+    )
+
+
+def _predicted(
+    b: Project, result: CalibrationResult, of_a: dict[str, float]
+) -> tuple[ConfigurationResult, ...]:
+    """Solve B with values of A; its other parameters follow, to first order."""
+    space, linear, z = result.space, result.linear, np.asarray(result.z)
+    values = np.array(space.from_scaled(result.z))
+    taken = np.isin(space.names, [*of_a])
+    values[taken] = [of_a[name] for name in space.names if name in of_a]
+    at_a = space.to_scaled(jnp.asarray(values))
+    to_a = np.asarray(space.shorter(at_a - result.z))
+    moved = replace(
+        linear,
+        r=linear.r + linear.W @ to_a,
+        from_prior=linear.from_prior + linear.prior_weights * to_a,
+        held=linear.held | taken,
+    )
+    others = jnp.asarray(z + np.nan_to_num(moved.step()))
+    others = space.from_scaled(jnp.clip(others, space.lower(), space.upper()))
+    values = np.where(taken, values, np.asarray(others))
+    simulated, solution = b.simulate(dict(zip(space.names, values, strict=True)))
+    check_converged(solution, tuple(c.name for c in simulated.configurations))
+    return simulated.configurations

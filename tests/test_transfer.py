@@ -1,0 +1,83 @@
+"""The values of one robot asked of another, by `softcal transfer`."""
+
+import json
+
+import numpy as np
+import pytest
+from small_project import E_TRUE, write_small_project
+from wording import says
+
+from softcal_jax.cli import main
+
+QUICK = (
+    "[shared]\n",
+    '[settings]\nintervals = 0\nnoise = "stated"\n\n'
+    "[uncertain]\nmesh = 0\nrecordings = 0\nclamp = 0\n\n[shared]\n",
+)
+"""Standard errors by the noise, and no intervals by profile likelihood."""
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """A calibration of the small project."""
+    folder = tmp_path_factory.mktemp("a")
+    path = write_small_project(folder, QUICK)
+    assert main(["calibrate", str(path), "-o", str(folder / "out"), "-q"]) == 0
+    return folder / "out"
+
+
+def asked(results, path, capsys):
+    capsys.readouterr()
+    assert main(["transfer", str(results), str(path), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_the_same_robot_agrees_with_itself(results, tmp_path, capsys):
+    path = write_small_project(tmp_path, QUICK)
+    found = asked(results, path, capsys)
+    assert found["agree"]
+    assert found["difference"]["names"] == ["E"]
+    assert found["difference"]["of_b"] == pytest.approx([E_TRUE], rel=1e-3)
+    assert found["poses"] == ["weight", "pulled"]
+    np.testing.assert_allclose(found["rms_of_a"], found["rms_own"], atol=1e-9)
+    # Frames and displacements are known to 0.2 mm; so far both may be off.
+    assert max(found["rms_own"]) < 2e-4
+
+
+def test_a_robot_under_another_load_than_stated_does_not(results, tmp_path, capsys):
+    """Twice the density, and so twice the modulus."""
+    heavier = ('density = "1 g/cm^3"', 'density = "2 g/cm^3"')
+    path = write_small_project(tmp_path, QUICK, heavier)
+    found = asked(results, path, capsys)
+    assert not found["agree"]
+    d = found["difference"]
+    variance = d["std_a"][0] ** 2 + d["std_b"][0] ** 2
+    apart = d["of_b"][0] - d["of_a"][0]
+    assert apart == pytest.approx(E_TRUE, rel=0.05)
+    assert d["worst"] == pytest.approx([apart], rel=0.5)
+    assert d["chi_squared"] > 0.2 * apart**2 / variance
+    assert found["rms_of_a"][0] > 5.0 * found["rms_own"][0]
+    assert says(found["verdict"], "do not agree", "E by", "standard errors")
+
+
+def test_other_parameters_follow_the_values_of_the_first(results, tmp_path, capsys):
+    """A load is stated as half of what acts; its factor makes up for it."""
+    half = ('force = "(20, 0, -50) mN"', 'force = "(10, 0, -25) mN"')
+    fitted = ('role = "validation"\n', "")
+    factor = (
+        '[markers]\nstd = "0.1 mm"\n',
+        '[[setup]]\nload_factor = true\nlimit = 4.0\n\n[markers]\nstd = "0.1 mm"\n',
+    )
+    path = write_small_project(tmp_path, QUICK, half, fitted, factor)
+    found = asked(results, path, capsys)
+    assert found["difference"]["names"] == ["E"]
+    assert found["agree"]
+    np.testing.assert_allclose(found["rms_of_a"], found["rms_own"], atol=1e-5)
+
+
+def test_robots_that_share_no_parameter(results, tmp_path, capsys):
+    path = write_small_project(
+        tmp_path, QUICK, ('field = "E"\n', 'field = "E"\nname = "modulus"\n')
+    )
+    assert main(["transfer", str(results), str(path), "-q"]) == 2
+    assert says(capsys.readouterr().err, "no parameter of the material", "modulus")
