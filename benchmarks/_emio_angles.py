@@ -25,9 +25,6 @@ from benchmarks._emio_robot import MOTORS, pose, robot
 from softcal_jax.control import actuator_compliance, with_inputs
 from softcal_jax.equilibrium import Model
 
-DOWN = 0.5 * np.pi
-"""Angle of a motor whose leg hangs straight down, where the scene has its zero [rad]."""
-
 TOLERANCE = 1e-6
 """Distance from the scene's position at which the angles are accepted [m]."""
 
@@ -55,7 +52,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("source", type=Path)
     parser.add_argument("-o", "--output", type=Path, default=Path("poses.csv"))
-    parser.add_argument("--cells", type=int, default=24, help="along a leg")
+    parser.add_argument("--cells", type=int, default=32, help="along a leg")
     options = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     sc.use_compilation_cache()
@@ -78,10 +75,10 @@ def read_source(file: Path) -> Source:
 def recover(model: Model, places: np.ndarray) -> list[Angles]:
     """Find the angles for places of the centre part [mm], each from its nearest one."""
     found: dict[int, Angles] = {}
-    lane = sc.lanes(model, pose("scene", np.full(4, DOWN)))[0]
+    lane = sc.lanes(model, pose("scene", np.zeros(4)))[0]
     rest = sc.solve_equilibrium(model, lane)
     home = np.asarray(actuator_compliance(model, lane, rest).state.effectors)[0]
-    known = [(1e3 * home, np.full(4, DOWN), rest.displacement)]
+    known = [(1e3 * home, np.zeros(4), rest.displacement)]
     left = set(range(len(places)))
     while left:
         distances = {
@@ -146,9 +143,9 @@ def write(file: Path, source: Source, angles: np.ndarray) -> None:
     columns = [source.target, source.simulation, angles, source.polhemus]
     with file.open("w", newline="") as stream:
         lines = csv.writer(stream, lineterminator="\n")
-        lines.writerow(["pose", *names])
+        lines.writerow(["pose", "marker", *names])
         for k, row in enumerate(np.concatenate(columns, axis=1)):
-            lines.writerow([f"pose {k + 1}", *(f"{value:.4f}" for value in row)])
+            lines.writerow([f"pose {k + 1}", "sensor", *(f"{v:.4f}" for v in row)])
 
 
 if __name__ == "__main__":

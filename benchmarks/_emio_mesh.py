@@ -3,9 +3,9 @@
     python -m benchmarks._emio_mesh [--cells N] [-o emio.msh]
 
 A leg is a strip of 10 x 5 mm: an arc about the axis of its motor, and a straight part.
-The legs stand around the centre part as they are printed, straight outwards, with their
-far ends in it; what bends them down to the motors is the mounting of the motors. Bricks
-are cut into six tets each, in a mirrored pattern.
+The legs hang straight down from their motors, as printed; what bends them is the mounting
+of their far ends in the centre part. Two small blocks stand for that part and for the
+sensor on it. Bricks are cut into six tets each, in a mirrored pattern.
 """
 
 import argparse
@@ -17,16 +17,22 @@ import numpy as np
 
 LEGS = ("leg 1", "leg 2", "leg 3", "leg 4")
 
+SOFT = ("hubs", "strips", "sockets")
+"""Parts of all legs that deform: in the hubs, between, and in the centre part."""
+
 AZIMUTHS = np.deg2rad([0.0, 90.0, 180.0, 270.0])
 """Of the motors about the vertical axis y, from z to x [rad]."""
 
 HOME = np.array([0.0, -130.0, 0.0])
-"""Where the centre part is in the mesh: the middle of the poses [mm]."""
+"""Where the block of the centre part is: the middle of the poses [mm]."""
 
 WIDTH, THICKNESS, END = 10.0, 5.0, 205.0
 
-SENSOR = 5.0
-"""Half the edge of the block that carries the sensor [mm]."""
+SENSOR = np.array([0.0, -160.0, 0.0])
+"""Where the block of the sensor is in the mesh [mm]."""
+
+BLOCK = 5.0
+"""Half the edge of the blocks [mm]."""
 
 
 class Leg(NamedTuple):
@@ -34,25 +40,31 @@ class Leg(NamedTuple):
 
     Attributes:
         radius: Distance of its centre line from the axis of the motor.
-        held: Where the motor lets go of it.
+        root: Up to where the hub of the motor holds it firmly; negative on its arc.
+        held: Where the hub lets go of it.
         clamped: Where the centre part takes it.
-        inside: Distance of that place from the middle of the centre part.
+        firm: From where the centre part holds it firmly.
+        inside: Distance of `clamped` from the middle of the centre part.
         above: Height of the leg above the origin of the centre part.
         circle: Distance of the motors from the middle of the robot.
     """
 
     radius: float
+    root: float
     held: float
     clamped: float
+    firm: float
     inside: float
     above: float
     circle: float
 
 
-BUILT = Leg(22.5, 2.0, 191.5, 18.5, 1.6, 97.5)
-"""As the files of the parts have it: sockets of the centre part from 5 mm to 18.5 mm."""
+BUILT = Leg(22.5, -12.0, 0.0, 191.5, 203.0, 18.5, 1.6, 97.5)
+"""As the files of the parts have it: sockets of the centre part from 5 mm to 18.5 mm.
 
-SCENE = Leg(22.0, 0.0, 202.44, 10.0, 3.0, 100.0)
+Slots and sockets hold the legs with some give: material of its own in both."""
+
+SCENE = Leg(22.0, 0.0, 0.0, 202.44, 202.44, 10.0, 3.0, 100.0)
 """As the authors' scene has its beams: free up to the last point of the centre line."""
 
 
@@ -66,22 +78,25 @@ def main() -> None:
     mesh.write(options.output, file_format="gmsh22", binary=False)
 
 
-def emio(leg: Leg, cells: int, across: tuple[int, int] = (1, 1)) -> meshio.Mesh:
+def emio(leg: Leg, cells: int, across: tuple[int, int] = (2, 1)) -> meshio.Mesh:
     """Four legs around the centre part, and the block of the sensor [mm]."""
     s = levels(leg, cells)
     strip, tets = bricks((across[0], len(s) - 1, across[1]))
     y = s[np.rint(strip[:, 1] * (len(s) - 1)).astype(int)]
     curved = bend(leg, np.column_stack([strip[:, 0] - 0.5, y, strip[:, 2] - 0.5]))
     middle = y[tets].mean(axis=1)
-    part = np.select([middle < leg.held, middle > leg.clamped], [1, 2], 0)
+    edges = [leg.root, leg.held, leg.clamped, leg.firm]
+    part = np.searchsorted(edges, middle)
     cube, of_cube = bricks((1, 1, 1))
-    points = [HOME + SENSOR * (2.0 * cube - 1.0)]
-    cells_of, tags = [of_cube], [np.ones(len(of_cube), dtype=int)]
+    points = [block + BLOCK * (2.0 * cube - 1.0) for block in (HOME, SENSOR)]
+    cells_of = [of_cube, of_cube + len(cube)]
+    tags = [np.repeat([1, 2], len(of_cube))]
+    ends = [f"{name}/{end}" for name in LEGS for end in ("motor", "tip")]
+    names = ["centre", "sensor", *SOFT, *ends]
     for k, azimuth in enumerate(AZIMUTHS):
-        cells_of.append(tets + len(cube) + k * len(strip))
+        cells_of.append(tets + 2 * len(cube) + k * len(strip))
         points.append(place(leg, azimuth, curved))
-        tags.append(2 + 3 * k + part)
-    names = ["sensor", *(f"{n}{e}" for n in LEGS for e in ("", "/motor", "/centre"))]
+        tags.append(np.array([6 + 2 * k, 3, 4, 5, 7 + 2 * k])[part])
     all_points, all_tets = np.concatenate(points), np.concatenate(cells_of)
     physical = [np.concatenate(tags)]
     return meshio.Mesh(
@@ -94,9 +109,12 @@ def emio(leg: Leg, cells: int, across: tuple[int, int] = (1, 1)) -> meshio.Mesh:
 
 def levels(leg: Leg, cells: int) -> np.ndarray:
     """Return lengths along a leg [mm]; those of its arc are negative."""
-    arc = -0.5 * np.pi * leg.radius * np.linspace(1.0, 0.0, 5)
-    free = np.linspace(leg.held, leg.clamped, cells + 1)
-    return np.unique(np.concatenate([arc, free, [END]]))
+    start = -0.5 * np.pi * leg.radius
+    ends = np.array([start, leg.root, leg.held, leg.clamped, leg.firm, END])
+    pieces = [3, 2, cells, 2, 1]
+    between = zip(ends[:-1], ends[1:], pieces, strict=True)
+    lengths = [np.linspace(a, b, n + 1) for a, b, n in between if b > a]
+    return np.unique(np.round(np.concatenate(lengths), 9))
 
 
 def bend(leg: Leg, strip: np.ndarray) -> np.ndarray:
@@ -109,12 +127,10 @@ def bend(leg: Leg, strip: np.ndarray) -> np.ndarray:
 
 
 def place(leg: Leg, azimuth: float, points: np.ndarray) -> np.ndarray:
-    """Bring a leg from its frame to the centre part, straight outwards [mm]."""
+    """Bring a leg from its frame to its motor, from which it hangs [mm]."""
     outwards, up, across = axes(azimuth)
-    x, y, z = points.T
-    out = leg.inside + leg.clamped - y
-    height = leg.above + leg.radius - z
-    return HOME + x[:, None] * across + out[:, None] * outwards + height[:, None] * up
+    x, y, z = points.T[..., None]
+    return x * across + (leg.circle + z) * outwards - y * up
 
 
 def axes(azimuth: float) -> np.ndarray:

@@ -12,8 +12,9 @@ from softcal_jax.equilibrium import Model
 
 MOTORS = ("motor 1", "motor 2", "motor 3", "motor 4")
 
-CENTRE_KG = 5.28e-3
-"""Mass of the centre part: volume of bluepart.stl, at the density of the legs."""
+CENTRE_KG = 4.06e-3
+"""Mass of the centre part [kg]: the volume of bluepart.stl at the density of the legs,
+less that of its block in the mesh."""
 
 
 def robot(
@@ -24,17 +25,24 @@ def robot(
         file = Path(folder) / "emio.msh"
         legs.emio(leg, cells, across).write(file, file_format="gmsh22", binary=False)
         mesh = sc.read_mesh(file, length_unit="mm", order=2, parts="linked")
-    home = 1e-3 * legs.HOME
+    home, sensor = 1e-3 * legs.HOME, 1e-3 * legs.SENSOR
+    to_home = sc.Pose(home - sensor)
     bodies = [
-        sc.RigidBody("centre", centre_groups(), origin=home, mass=CENTRE_KG),
-        sc.RigidBody("sensor", "sensor", origin=home, tied_to="centre"),
+        sc.RigidBody("centre", "centre", home, mass=CENTRE_KG),
+        sc.RigidBody("sensor", "sensor", sensor, mounting=to_home, tied_to="centre"),
     ]
     for motor, name, azimuth in zip(MOTORS, legs.LEGS, legs.AZIMUTHS, strict=True):
-        origin, mounted = motor_axis(leg, azimuth)
-        axes = hinge_axes(tuple(legs.axes(azimuth)[2]))
-        shift = sc.Pose(1e-3 * (mounted - origin))
-        body = sc.RigidBody(motor, f"{name}/motor", 1e-3 * origin, axes, shift)
-        bodies.append(body)
+        out, up, axis = legs.axes(azimuth)
+        origin, hinge = 1e-3 * leg.circle * out, hinge_axes(tuple(axis))
+        bodies.append(sc.RigidBody(motor, f"{name}/motor", origin, hinge))
+        origin = (leg.circle + leg.radius) * out - leg.clamped * up
+        mounted = legs.HOME + leg.inside * out + leg.above * up
+        motion = sc.Pose(1e-3 * (mounted - origin), -0.5 * np.pi * axis)
+        group = f"{name}/tip"
+        tip = sc.RigidBody(
+            group, group, 1e-3 * origin, mounting=motion, tied_to="centre"
+        )
+        bodies.append(tip)
     return sc.build_model(
         mesh,
         sc.Corotational(sc.Isotropic(E, 0.45)),
@@ -42,19 +50,6 @@ def robot(
         bodies=bodies,
         actuators=[sc.Motor(motor, motor) for motor in MOTORS],
     )
-
-
-def centre_groups() -> list[str]:
-    """Groups of nodes that the centre part holds."""
-    return [f"{name}/centre" for name in legs.LEGS]
-
-
-def motor_axis(leg: legs.Leg, azimuth: float) -> tuple[np.ndarray, np.ndarray]:
-    """Where a motor's axis is in the mesh, and where it is mounted [mm]."""
-    out, up, _ = legs.axes(azimuth)
-    distance = leg.inside + leg.clamped
-    mesh = legs.HOME + distance * out + (leg.above + leg.radius) * up
-    return mesh, leg.circle * out
 
 
 def pose(name: str, angles: np.ndarray) -> sc.Configuration:

@@ -68,7 +68,7 @@ def test_ready_made_robots_are_complete(tmp_path, capsys, robot):
     project.check_identify()
     assert project.validation
     assert guesses_left(project.path) == ()
-    measured = robot in ("beam", "pneumatic-arm", "tentacle")
+    measured = robot in ("beam", "pneumatic-arm", "tentacle", "emio")
     readme = (folder / "README.md").read_text()
     assert measured != ("**the readings" in readme and "computed" in readme)
     assert main(["check", str(folder / "project.toml"), "--no-pictures"]) == 0

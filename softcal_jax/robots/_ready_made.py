@@ -12,6 +12,7 @@ READY_MADE = {
     "pneumatic-arm": "pneumatic_arm",
     "parallel-robot": "parallel_robot",
     "tentacle": "soft_tentacle",
+    "emio": "emio",
 }
 """Folders of this package, by the names of the robots that users type."""
 
@@ -19,8 +20,8 @@ READY_MADE = {
 def ready_made_path(name: str) -> Path:
     """Return the project file of a ready-made robot, by its name in `READY_MADE`.
 
-    The readings of "beam", "pneumatic-arm" and "tentacle" were measured, those of the
-    others computed; README.md beside each says how.
+    The readings of "beam", "pneumatic-arm", "tentacle" and "emio" were measured, those
+    of the others computed; README.md beside each says how.
 
     Raises:
         ValueError: If there is no such robot; the text suggests the closest name.
