@@ -97,7 +97,10 @@ def posed(project: Project, row: dict[str, str]) -> Configuration:
 def near_to_near(rows: list[dict[str, str]]) -> list[dict[str, str]]:
     """Order poses so that each is near to the one before, from which it is solved."""
     left, path = list(rows), [rows[0]]
-    places = {row["pose"]: columns([row], *(f"scene_{a}_mm" for a in "xyz"))[0] for row in rows}
+    places = {
+        row["pose"]: columns([row], *(f"scene_{a}_mm" for a in "xyz"))[0]
+        for row in rows
+    }
     while left:
         here = places[path[-1]["pose"]]
         path.append(min(left, key=lambda r: np.linalg.norm(places[r["pose"]] - here)))
