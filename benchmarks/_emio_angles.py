@@ -1,11 +1,13 @@
 """Recover the motor angles of Emio's poses, which the authors did not record.
 
-    python -m benchmarks._emio_angles SOURCE.csv [-o poses.csv]
+    python -m benchmarks._emio_angles SOURCE.csv -o poses.csv
+    python -m benchmarks._emio_angles SOURCE.csv --tets -o camera.csv
 
-SOURCE.csv is blueleg_beam_polhemus_sphere.csv of Emio.validation. The robot was driven
-open loop by a SOFA scene, whose model put the centre part at the column "Simulation".
-The same robot (`SCENE` of _emio_mesh.py: beams of 35 MPa, which quadratic tets stand in
-for) is brought there. Of the four angles, three follow; the fourth is that of
+The sources are blueleg_beam_polhemus_sphere.csv and blueleg_tetra_camera_sphere.csv of
+Emio.validation. The robot was driven open loop by a SOFA scene, whose model put the
+centre part at the column "Simulation". The same robot is brought there: with beams of
+35 MPa (`SCENE` of _emio_mesh.py; quadratic tets stand in for them), or with the
+authors' linear tets of 7 MPa. Of the four angles, three follow; the fourth is that of
 least energy, as the scene's solver minimises the energy of the motors as well: where
 turning the motors without moving the centre takes no work.
 """
@@ -21,7 +23,7 @@ import numpy as np
 
 import softcal_jax as sc
 from benchmarks._emio_mesh import SCENE
-from benchmarks._emio_robot import MOTORS, pose, robot
+from benchmarks._emio_robot import MOTORS, pose, robot, robot_of_linear_tets
 from softcal_jax.control import actuator_compliance, with_inputs
 from softcal_jax.equilibrium import Model
 
@@ -39,7 +41,7 @@ class Source(NamedTuple):
 
 
 class Angles(NamedTuple):
-    """Angles of a pose [rad], torques [N m], and Newton iterations of all its solves."""
+    """Angles of a pose [rad], torques [N m], and Newton iterations of all solves."""
 
     angles: np.ndarray
     torques: np.ndarray
@@ -53,11 +55,13 @@ def main() -> None:
     parser.add_argument("source", type=Path)
     parser.add_argument("-o", "--output", type=Path, default=Path("poses.csv"))
     parser.add_argument("--cells", type=int, default=32, help="along a leg")
+    parser.add_argument("--tets", action="store_true", help="the authors' linear tets")
     options = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     sc.use_compilation_cache()
     source = read_source(options.source)
-    found = recover(robot(SCENE, options.cells), source.simulation)
+    model = robot_of_linear_tets() if options.tets else robot(SCENE, options.cells)
+    found = recover(model, source.simulation)
     steps = [f.newton_steps for f in found]
     print(f"{np.mean(steps):.0f} Newton iterations a pose, at most {max(steps)}")
     print(f"misses follow the torques: {following(source, found):.3f}")
@@ -140,7 +144,8 @@ def write(file: Path, source: Source, angles: np.ndarray) -> None:
         *(f"{motor.replace(' ', '_')}_deg" for motor in MOTORS),
         *(f"{axis}_mm" for axis in "xyz"),
     ]
-    columns = [source.target, source.simulation, angles, source.polhemus]
+    seen = source.polhemus if source.polhemus.any() else source.camera
+    columns = [source.target, source.simulation, angles, seen]
     with file.open("w", newline="") as stream:
         lines = csv.writer(stream, lineterminator="\n")
         lines.writerow(["pose", "marker", *names])

@@ -8,6 +8,7 @@ are those of the authors' boxes.
 
 from typing import NamedTuple
 
+import meshio
 import numpy as np
 
 import softcal_jax as sc
@@ -38,18 +39,22 @@ class Stiffness(NamedTuple):
 
 def stiffnesses() -> list[Stiffness]:
     """Linear tets, finer and finer, then quadratic ones, likewise."""
-    path = ready_made_path("emio").parent / "blueleg.vtk"
-    coarse = sc.read_mesh(path, length_unit="mm", order=1)
-    coarse = TetMesh(coarse.points, coarse.tets)
+    coarse = authors_mesh()
     finer = refine(coarse)
     finest = refine(finer)
     return [
-        _stiffness("linear", coarse),
-        _stiffness("linear, 8 times as many", finer),
-        _stiffness("linear, 64 times as many", finest),
-        _stiffness("quadratic", to_quadratic(coarse)),
-        _stiffness("quadratic, 8 times as many", to_quadratic(finer)),
+        stiffness("linear", coarse),
+        stiffness("linear, 8 times as many", finer),
+        stiffness("linear, 64 times as many", finest),
+        stiffness("quadratic", to_quadratic(coarse)),
+        stiffness("quadratic, 8 times as many", to_quadratic(finer)),
     ]
+
+
+def authors_mesh() -> TetMesh:
+    """Read the leg of the authors' scene."""
+    file = meshio.read(ready_made_path("emio").parent / "blueleg.vtk")
+    return TetMesh(1e-3 * file.points, file.cells_dict["tetra"])
 
 
 def refine(mesh: TetMesh) -> TetMesh:
@@ -75,7 +80,8 @@ def held(mesh: TetMesh) -> tuple[np.ndarray, np.ndarray]:
     return np.flatnonzero(motor), np.flatnonzero(y >= 190.0)
 
 
-def _stiffness(elements: str, mesh: TetMesh) -> Stiffness:
+def stiffness(elements: str, mesh: TetMesh) -> Stiffness:
+    """Shift the far end a little, and compute the force that it takes."""
     law = sc.Corotational(sc.Isotropic(E, NU))
     model = sc.build_model(mesh, law, density=1220.0)
     motor, tip = held(mesh)
@@ -90,5 +96,8 @@ def _stiffness(elements: str, mesh: TetMesh) -> Stiffness:
             effectors=[SupportReaction("force", tip)],
         )
         (reading,) = sc.simulated_measurements(model, [pose])
-        forces.append(reading.effectors[0].measured[axis] / SHIFT)
+        (force,) = reading.effectors
+        assert isinstance(force, SupportReaction)
+        assert force.measured is not None
+        forces.append(force.measured[axis] / SHIFT)
     return Stiffness(elements, mesh.n_nodes, *map(float, forces))

@@ -3,9 +3,9 @@
     python -m benchmarks._emio_mesh [--cells N] [-o emio.msh]
 
 A leg is a strip of 10 x 5 mm: an arc about the axis of its motor, and a straight part.
-The legs hang straight down from their motors, as printed; what bends them is the mounting
-of their far ends in the centre part. Two small blocks stand for that part and for the
-sensor on it. Bricks are cut into six tets each, in a mirrored pattern.
+The legs hang straight down from their motors, as printed; what bends them is the
+mounting of their far ends in the centre part. Two small blocks stand for that part and
+for the sensor on it. Bricks are cut into six tets each, in a mirrored pattern.
 """
 
 import argparse
@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import meshio
 import numpy as np
+from numpy.typing import ArrayLike
 
 LEGS = ("leg 1", "leg 2", "leg 3", "leg 4")
 
@@ -98,7 +99,7 @@ def emio(leg: Leg, cells: int, across: tuple[int, int] = (2, 1)) -> meshio.Mesh:
         points.append(place(leg, azimuth, curved))
         tags.append(np.array([6 + 2 * k, 3, 4, 5, 7 + 2 * k])[part])
     all_points, all_tets = np.concatenate(points), np.concatenate(cells_of)
-    physical = [np.concatenate(tags)]
+    physical: list[ArrayLike] = [np.concatenate(tags)]
     return meshio.Mesh(
         all_points,
         [("tetra", oriented(all_points, all_tets))],

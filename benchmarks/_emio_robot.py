@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 import softcal_jax as sc
-from benchmarks import _emio_mesh as legs
+from benchmarks import _emio_leg, _emio_mesh as legs
 from softcal_jax.bodies import hinge_axes
 from softcal_jax.equilibrium import Model
 
@@ -46,6 +46,61 @@ def robot(
     return sc.build_model(
         mesh,
         sc.Corotational(sc.Isotropic(E, 0.45)),
+        density=1220.0,
+        bodies=bodies,
+        actuators=[sc.Motor(motor, motor) for motor in MOTORS],
+    )
+
+
+def robot_of_linear_tets() -> Model:
+    """The authors' scene with their own tets (`blueleg.vtk`), and 0.2 times their E.
+
+    The scene holds the nodes of its boxes, and brings the middle of those at the far
+    end of a leg to where the ends of its beams are.
+    """
+    leg = _emio_leg.authors_mesh()
+    motor, tip = _emio_leg.held(leg)
+    cube, of_cube = legs.bricks((1, 1, 1))
+    middle = 1e3 * leg.points[tip].mean(axis=0)
+    blocks = [b + legs.BLOCK * (2.0 * cube - 1.0) for b in (legs.HOME, legs.SENSOR)]
+    points, tets = [*blocks], [of_cube, of_cube + len(cube)]
+    home, sensor = 1e-3 * legs.HOME, 1e-3 * legs.SENSOR
+    first, second = np.arange(len(cube)), np.arange(len(cube)) + len(cube)
+    bodies = [
+        sc.RigidBody("centre", first, home, mass=CENTRE_KG),
+        sc.RigidBody(
+            "sensor",
+            second,
+            sensor,
+            mounting=sc.Pose(home - sensor),
+            tied_to="centre",
+        ),
+    ]
+    for k, azimuth in enumerate(legs.AZIMUTHS):
+        out, up, axis = legs.axes(azimuth)
+        start = sum(map(len, points))
+        points.append(legs.place(legs.SCENE, azimuth, 1e3 * leg.points))
+        tets.append(leg.tets + start)
+        (origin,) = legs.place(legs.SCENE, azimuth, middle[None])
+        mounted = legs.HOME + legs.SCENE.inside * out + legs.SCENE.above * up
+        hinge = hinge_axes(tuple(axis))
+        at = 1e-3 * legs.SCENE.circle * out
+        motion = sc.Pose(1e-3 * (mounted - origin), -0.5 * np.pi * axis)
+        bodies += [
+            sc.RigidBody(MOTORS[k], motor + start, at, hinge),
+            sc.RigidBody(
+                f"tip {k + 1}",
+                tip + start,
+                1e-3 * origin,
+                mounting=motion,
+                tied_to="centre",
+            ),
+        ]
+    all_points = 1e-3 * np.concatenate(points)
+    mesh = sc.TetMesh(all_points, legs.oriented(all_points, np.concatenate(tets)))
+    return sc.build_model(
+        mesh,
+        sc.Corotational(sc.Isotropic(7e6, 0.45)),
         density=1220.0,
         bodies=bodies,
         actuators=[sc.Motor(motor, motor) for motor in MOTORS],

@@ -1,13 +1,13 @@
 """A real robot on four soft legs: how well are 248 poses predicted from twelve?
 
-The packaged robot `emio` (Compliance Robotics): fitted are twelve of 260 poses, held out
-all others. The robot was driven open loop; its authors' model of beams is off by
+The packaged robot `emio` (Compliance Robotics): fitted are twelve of 260 poses, held
+out all others. The robot was driven open loop; its authors' model of beams is off by
 `authors_rms_mm` on the poses that are held out, without any fit, and by
 `authors_moved_rms_mm` if the frame of the tracker is fitted to the same twelve.
 
-And why do the authors multiply E by 0.2 where they use linear tets? The force across one
-clamped leg is compared among elements of the same E (`_emio_leg.py`): `factor_...` is
-what E has to be multiplied by.
+And why do the authors multiply E by 0.2 where they use linear tets? The force across
+one clamped leg is compared among elements of the same E (`_emio_leg.py`): `factor_...`
+is what E has to be multiplied by.
 """
 
 import csv
@@ -124,7 +124,7 @@ def coverage(result: CalibrationResult, fits: Sequence[ConfigurationResult]) -> 
         assert fit.W_ep is not None
         rows = fit.W_ep[marker.index]
         variance = np.sum(rows @ result.budget.covariance * rows, axis=1)
-        noise = marker.std * result.uncertainty.scale
+        noise = marker.std * result.uncertainty.level
         inside.append(np.abs(fit.error_after[0]) < 1.96 * np.sqrt(variance + noise**2))
     return float(np.mean(inside))
 
@@ -147,7 +147,7 @@ def _authors(fitted: Sequence[str]) -> dict[str, float]:
     seen = columns(rows, "x_mm", "y_mm", "z_mm")
     used = np.array([row["pose"] in fitted for row in rows])
     middle, there = scene[used].mean(axis=0), seen[used].mean(axis=0)
-    turn, _ = Rotation.align_vectors(seen[used] - there, scene[used] - middle)
+    turn = Rotation.align_vectors(seen[used] - there, scene[used] - middle)[0]
     moved = turn.apply(scene - middle) + there
     return {
         **_sizes("authors", (scene - seen)[~used]),

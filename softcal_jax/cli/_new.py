@@ -131,8 +131,8 @@ def add_new(commands: "argparse._SubParsersAction") -> None:
         description="""\
 Writes a new folder with a commented project file and all that it needs.
 
-With --robot, that is a ready-made robot: beam, pneumatic-arm, tentacle, emio (measured),
-cable-beam, pneumatic-finger or parallel-robot (synthetic readings).
+With --robot, that is a ready-made robot: beam, pneumatic-arm, tentacle, emio
+(measured), cable-beam, pneumatic-finger or parallel-robot (synthetic readings).
 
 With --model, the project is for your own mesh or CAD model. Groups of the file are
 listed in it; the unit, what is held, loads and moduli are proposed where no file tells.
