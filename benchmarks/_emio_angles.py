@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import softcal_jax as sc
@@ -106,7 +107,7 @@ def approach(model: Model, lane, known, place: np.ndarray):
     _, angles, u = known
     steps = 0
     for _ in range(30):
-        posed = with_inputs(lane, angles)
+        posed = with_inputs(lane, jnp.asarray(angles))
         solution = sc.solve_equilibrium(model, posed, guess=u)
         steps += int(solution.steps)
         if not solution.converged:

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks import _emio_leg
 from benchmarks._emio_robot import MOTORS
-from benchmarks._problem import Figure, Goal, Options, Outcome, Table
+from benchmarks._problem import Better, Figure, Goal, Options, Outcome, Table
 from softcal_jax.calibration import CalibrationResult, ConfigurationResult
 from softcal_jax.configurations import Configuration, ImposedDisplacement
 from softcal_jax.identifiability import WEAK_UP_TO, assess
@@ -28,51 +28,87 @@ from softcal_jax.robots import ready_made_path
 
 GOALS = {
     "held_out_rms_mm": Goal("at most", 2.0),
+    "camera_held_out_rms_mm": Goal("at most", 4.0),
     "coverage_95_of_held_out": Goal("between", 0.92, 0.98),
     "unidentifiable_called_identified": Goal("at most", 0),
 }
 
+SENSORS = {"polhemus": ("", "poses.csv"), "camera": ("camera_", "camera.csv")}
+"""Prefix of the figures, and table of the poses."""
+
+BETTER: dict[str, Better] = {
+    f"{prefix}authors_{what}_mm": "either"
+    for prefix, _ in SENSORS.values()
+    for what in ("rms", "mean", "max", "moved_rms", "moved_mean", "moved_max")
+}
+
+COUNTS = {"polhemus": 1, "camera": 1, "leg": 1}
+
 
 def run(options: Options) -> Outcome:
-    """One calibration, the prediction of all other poses, and one leg."""
-    options.say("fit of twelve poses, prediction of 248")
-    project = load_project(ready_made_path("emio"))
-    fitted = [c.name for c in project.calibration]
-    asked = [row for row in poses() if row["pose"] not in fitted]
-    held_out = [posed(project, row) for row in near_to_near(asked)]
-    result = replace(project, validation=tuple(held_out)).calibrate()
-    by_role = {
-        role: [c for c in result.configurations if c.role == role]
+    """A calibration and the prediction of all other poses by each sensor, and a leg."""
+    figures: dict[str, Figure] = {}
+    values: dict[str, Sequence[float]] = {}
+    tables: list[Table] = []
+    for part in options.counts or COUNTS:
+        options.say(part)
+        if part == "leg":
+            leg = _emio_leg.stiffnesses()
+            figures |= _factors(leg)
+            tables.append(_elements(leg))
+            continue
+        prefix, file = SENSORS[part]
+        result = predicted(load_project(ready_made_path("emio")), poses(file))
+        named = {prefix + name: value for name, value in found(result, file).items()}
+        figures |= named
+        values[f"{part}_parameters"] = [p.value for p in result.parameters]
+        tables.append(_parameters(part, result))
+    goals = {name: goal for name, goal in GOALS.items() if name in figures}
+    better = {name: way for name, way in BETTER.items() if name in figures}
+    return Outcome(figures, values, goals=goals, tables=tables, better=better)
+
+
+def predicted(project: Project, rows: list[dict[str, str]]) -> CalibrationResult:
+    """Fit the poses of the project, as a table has them, and predict all others."""
+    names = [c.name for c in project.calibration]
+    by_name = {row["pose"]: row for row in rows}
+    fitted = [posed(project, by_name[name]) for name in names]
+    asked = near_to_near([row for row in rows if row["pose"] not in names])
+    held_out = [posed(project, row) for row in asked]
+    several = replace(project, calibration=tuple(fitted), validation=tuple(held_out))
+    return several.calibrate()
+
+
+def found(result: CalibrationResult, file: str) -> dict[str, Figure]:
+    """How far off fitted poses and all others are, and what the tool says."""
+    fitted, held_out = (
+        [c for c in result.configurations if c.role == role]
         for role in ("calibration", "validation")
-    }
-    options.say("one leg")
-    leg = _emio_leg.stiffnesses()
-    figures: dict[str, Figure] = {
-        **_sizes("fitted", errors_mm(by_role["calibration"])),
-        **_sizes("held_out", errors_mm(by_role["validation"])),
-        **_authors(fitted),
-        "coverage_95_of_held_out": coverage(result, by_role["validation"]),
+    )
+    ours = _sizes("held_out", errors_mm(held_out))
+    authors = _authors(file, [c.name for c in fitted])
+    rms = ours["held_out_rms_mm"]
+    return {
+        **_sizes("fitted", errors_mm(fitted)),
+        **ours,
+        **authors,
+        "authors_over_ours": authors["authors_rms_mm"] / rms,
+        "authors_moved_over_ours": authors["authors_moved_rms_mm"] / rms,
+        "coverage_95_of_held_out": coverage(result, held_out),
         "newton_iterations_per_pose": float(
-            np.mean([c.newton_steps for c in by_role["validation"]])
+            np.mean([c.newton_steps for c in held_out])
         ),
         "unidentifiable_called_identified": called_identified(result),
         "converged": int(result.converged),
         "called_identified": int(assess(result).identified),
         **{f"{p.name}_MPa": p.value / 1e6 for p in result.parameters[:3]},
-        **_factors(leg),
     }
-    figures["authors_over_ours"] = _ratio(figures, "authors_rms_mm")
-    figures["authors_moved_over_ours"] = _ratio(figures, "authors_moved_rms_mm")
-    values = {"parameters": [p.value for p in result.parameters]}
-    return Outcome(
-        figures, values, goals=GOALS, tables=[_parameters(result), _elements(leg)]
-    )
 
 
-def poses() -> list[dict[str, str]]:
-    """All poses that were measured, as poses.csv has them."""
-    file = ready_made_path("emio").parent / "poses.csv"
-    with file.open(newline="", encoding="utf-8") as stream:
+def poses(file: str = "poses.csv") -> list[dict[str, str]]:
+    """All poses that were measured by a sensor."""
+    path = ready_made_path("emio").parent / file
+    with path.open(newline="", encoding="utf-8") as stream:
         return list(csv.DictReader(stream))
 
 
@@ -140,9 +176,9 @@ def called_identified(result: CalibrationResult) -> int:
     )
 
 
-def _authors(fitted: Sequence[str]) -> dict[str, float]:
+def _authors(file: str, fitted: Sequence[str]) -> dict[str, float]:
     """Errors of the authors' model on the poses that are held out."""
-    rows = poses()
+    rows = poses(file)
     scene = columns(rows, "scene_x_mm", "scene_y_mm", "scene_z_mm")
     seen = columns(rows, "x_mm", "y_mm", "z_mm")
     used = np.array([row["pose"] in fitted for row in rows])
@@ -164,26 +200,29 @@ def _sizes(which: str, errors: np.ndarray) -> dict[str, float]:
     }
 
 
-def _ratio(figures: dict[str, Figure], authors: str) -> float:
-    return float(figures[authors]) / float(figures["held_out_rms_mm"])
-
-
 def _factors(leg: list[_emio_leg.Stiffness]) -> dict[str, float]:
     """What E has to be multiplied by, to be as soft as the finest mesh."""
     names = ("linear", "linear_8", "linear_64", "quadratic")
-    finest = leg[-1].across
+    *others, finest = leg
+    across = {
+        name: row.across / finest.across
+        for name, row in zip(names, others, strict=True)
+    }
     return {
-        f"factor_{name}": finest / row.across
-        for name, row in zip(names, leg, strict=False)
+        **{f"factor_{name}": 1.0 / stiffer for name, stiffer in across.items()},
+        **{f"stiffer_{name}": stiffer for name, stiffer in across.items()},
+        "stiffer_linear_width": leg[0].width / finest.width,
     }
 
 
-def _parameters(result: CalibrationResult) -> Table:
+def _parameters(part: str, result: CalibrationResult) -> Table:
     rows = [
         [p.name, f"{p.value:.4g}", f"{p.standard_error:.2g}", p.unit]
         for p in result.parameters
     ]
-    return Table("Parameters", ["parameter", "value", "standard error", "unit"], rows)
+    return Table(
+        f"Parameters, {part}", ["parameter", "value", "standard error", "unit"], rows
+    )
 
 
 def _elements(leg: list[_emio_leg.Stiffness]) -> Table:
