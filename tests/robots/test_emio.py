@@ -98,7 +98,7 @@ def test_body(project):
 @pytest.mark.parametrize("k", range(4))
 def test_legs_meet_the_centre_part(tables, k):
     """`mounting` brings a tip into its socket, and turns the leg to point inwards."""
-    leg, azimuth = _emio_mesh.BUILT, _emio_mesh.AZIMUTHS[k]
+    leg, azimuth = _emio_mesh.BUILT, float(_emio_mesh.AZIMUTHS[k])
     out, up, axis = _emio_mesh.axes(azimuth)
     motor = tables["bodies"][f"motor {k + 1}"]
     np.testing.assert_allclose(millimetres(motor["origin"]), leg.circle * out)
