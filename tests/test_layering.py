@@ -42,8 +42,11 @@ LAYERS = [
     {"project"},
     {"sweeps"},
     {"report"},
-    {"exchange._refusals"},
-    {"exchange.icesl", "exchange.inp", "exchange.proposal", "exchange.sofa"},
+    {"exchange._recalibrated", "exchange._refusals"},
+    {
+        *("exchange.icesl", "exchange.inp", "exchange.mujoco"),
+        *("exchange.proposal", "exchange.sofa"),
+    },
     {"exchange.exporters"},
     {"cli"},
     {"__main__"},

@@ -1,8 +1,10 @@
 """What several formats cannot hold of a robot."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from softcal_jax.actuators import free_rim_nodes
+from softcal_jax.actuators import AbstractActuator, free_rim_nodes
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Model
 
@@ -17,6 +19,20 @@ def check_no_bodies(model: Model, format: str) -> None:
             "A plate that only carries markers: leave it out, give [markers] "
             "`max_distance` and `base_radius`, and calibrate again."
         )
+
+
+def check_actuators(
+    model: Model, known: Sequence[type[AbstractActuator]], format: str
+) -> None:
+    """Raise ValueError if an actuator is of no known type, or has friction."""
+    actuators, kinds = model.mechanism.actuators, [actuator.kind for actuator in known]
+    every = zip(actuators.names, actuators.kinds, actuators.has_friction, strict=True)
+    for name, kind, rough in every:
+        if rough or kind not in kinds:
+            raise ValueError(
+                f"the {kind.noun}{' with friction' * rough} {name!r} has no "
+                f"counterpart in {format}. Take it out of the project."
+            )
 
 
 def check_rim(

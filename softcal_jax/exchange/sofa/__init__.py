@@ -1,5 +1,6 @@
 """Scenes of SOFA: a calibrated robot, calibrated again for what SOFA will run."""
 
+from softcal_jax.exchange._recalibrated import NotConvergedError as NotConvergedError
 from softcal_jax.exchange.sofa._component import (
     PluginElasticity as PluginElasticity,
     SofaLaw as SofaLaw,
@@ -7,7 +8,6 @@ from softcal_jax.exchange.sofa._component import (
     SofaUnits as SofaUnits,
 )
 from softcal_jax.exchange.sofa._export import (
-    NotConvergedError as NotConvergedError,
     SofaExport as SofaExport,
     export_sofa as export_sofa,
 )

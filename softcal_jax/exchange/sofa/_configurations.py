@@ -8,11 +8,11 @@ import numpy as np
 
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import (
+    Cable,
     CableSegments,
     Chamber,
-    ChamberFaces,
     ChamberLids,
-    PressureFaces,
+    SurfacePressure,
 )
 from softcal_jax.configurations import (
     Configuration,
@@ -21,7 +21,12 @@ from softcal_jax.configurations import (
     configuration_lanes,
 )
 from softcal_jax.equilibrium import Model
-from softcal_jax.exchange._refusals import check_no_bodies, check_rim
+from softcal_jax.exchange._recalibrated import vertex_masses
+from softcal_jax.exchange._refusals import (
+    check_actuators,
+    check_no_bodies,
+    check_rim,
+)
 from softcal_jax.exchange.sofa._component import Scale
 from softcal_jax.export import plain
 from softcal_jax.fields import ParameterSpace
@@ -41,20 +46,12 @@ _IMPOSED = {
 def check_robot(model: Model) -> None:
     """Raise ValueError unless a scene can hold what is attached to the body."""
     check_no_bodies(model, "a scene of SOFA")
-    actuators = model.mechanism.actuators
-    known = (CableSegments, ChamberFaces, ChamberLids, PressureFaces)
-    for group in actuators.groups:
-        if isinstance(group, known):
-            continue
-        owner = int(np.asarray(group.owner)[0])
-        kind = actuators.kinds[owner].noun
-        if actuators.has_friction[owner]:
-            kind += " with friction"
-        raise ValueError(
-            f"the {kind} {actuators.names[owner]!r} has no counterpart in SOFA or its "
-            "plugin SoftRobots; scenes hold cables without friction, chambers and "
-            "surface pressures. Take it out of the project."
-        )
+    check_actuators(
+        model,
+        (Cable, Chamber, SurfacePressure),
+        "SOFA or its plugin SoftRobots; scenes hold cables without friction, chambers "
+        "and surface pressures",
+    )
 
 
 def scene_configurations(
@@ -94,14 +91,6 @@ def scene_configurations(
             "stop at residual": _stop(model, lane, scale),
         }
     return written
-
-
-def vertex_masses(model: Model) -> Float[HostArray, " n_nodes"]:
-    """Compute the mass of each node, a quarter of that of each of its tets [kg]."""
-    density = np.broadcast_to(np.asarray(model.density), (model.n_tets,))
-    mass = density[:, None] * np.asarray(model.node_volumes)
-    nodes = model.mesh.tets.ravel()
-    return np.bincount(nodes, mass.ravel(), model.mesh.n_nodes)
 
 
 def _supports(

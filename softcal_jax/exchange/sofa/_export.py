@@ -2,17 +2,21 @@
 
 import os
 from collections.abc import Callable
-from dataclasses import replace
-from math import isfinite, nan
 from pathlib import Path
 from typing import get_args
 
 from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
-from softcal_jax._text_table import text_table
-from softcal_jax._units import readable_estimate
-from softcal_jax.calibration import CalibrationResult, HistoryEntry, calibrate
+from softcal_jax.calibration import CalibrationResult, HistoryEntry
 from softcal_jax.equilibrium import Model, model_for_law
+from softcal_jax.exchange._recalibrated import (
+    left_out,
+    linear_project,
+    lines_of_both,
+    recalibrate,
+    vertex_masses,
+    with_equilibrium,
+)
 from softcal_jax.exchange.sofa._component import (
     SCALES,
     PluginElasticity,
@@ -25,20 +29,12 @@ from softcal_jax.exchange.sofa._component import (
 from softcal_jax.exchange.sofa._configurations import (
     check_robot,
     scene_configurations,
-    vertex_masses,
 )
 from softcal_jax.exchange.sofa._write import Scene, write_scene
 from softcal_jax.export import check_results_folder
-from softcal_jax.fields import exactly_known
 from softcal_jax.materials import SofaRotation
-from softcal_jax.project import Project, load_project
+from softcal_jax.project import Project
 from softcal_jax.report import LoadedResult, load_result
-
-_MODELS = ("calibrated model", "SOFA, same values", "SOFA, own values")
-
-
-class NotConvergedError(RuntimeError):
-    """The model of SOFA could not be calibrated, so nothing is written."""
 
 
 class SofaExport(Module):
@@ -67,13 +63,7 @@ class SofaExport(Module):
     @property
     def lines(self) -> list[str]:
         """The values of both models, and a table of what they predict."""
-        lines, values = [], self.calibrated.values
-        for fitted in self.result.parameters:
-            before = readable_estimate(values[fitted.name], nan, fitted.unit)
-            now = readable_estimate(fitted.value, nan, fitted.unit)
-            bound = " (on a bound: widen it, and calibrate again)" * fitted.at_bound
-            lines.append(f"{fitted.name}: {before} calibrated, {now} for SOFA{bound}")
-        return [*lines, "", *_table(self)]
+        return lines_of_both(self.calibrated, self.result, "SOFA")
 
 
 def export_sofa(
@@ -132,18 +122,12 @@ def export_sofa(
     folder = Path(directory)
     check_results_folder(folder, force=force)
     loaded = result if isinstance(result, LoadedResult) else load_result(result)
-    project = loaded.project
-    if project.model.mesh.order == 2:  # which SOFA does not run
-        changes = {**project.source.changes, "mesh.element": "linear"}
-        project = load_project(project.path, changes=changes)
+    project = linear_project(loaded)  # SOFA does not run quadratic tets
     check_robot(project.model)
     model = _model_of_sofa(project, law, rotation)
     component_of(model.law, model.n_tets, release, scale)  # before the work is done
-    refitted = _recalibrate(loaded, project, model, progress)
-    solved = {c.name: c for c in refitted.configurations if c.converged}
-    posed = [c for c in project.configurations if c.name in solved]
-    if not posed:
-        raise RuntimeError("no configuration has an equilibrium in the model of SOFA.")
+    refitted = recalibrate(loaded, project, model, "SOFA", progress=progress)
+    posed, displacements = with_equilibrium(project, refitted)
     scene = Scene(
         name=project.name,
         release=release,
@@ -156,7 +140,7 @@ def export_sofa(
             refitted.space,
             refitted.z,
             posed,
-            [solved[c.name].displacement for c in posed],
+            displacements,
             scale,
         ),
     )
@@ -186,48 +170,8 @@ def _model_of_sofa(project: Project, law: SofaLaw, rotation: SofaRotation) -> Mo
     return model_for_law(model, sofa_law)
 
 
-def _recalibrate(
-    result: LoadedResult,
-    project: Project,
-    model: Model,
-    progress: Callable[[HistoryEntry], None] | None,
-) -> CalibrationResult:
-    """Fit the model of SOFA to the same measurements, from the calibrated values.
-
-    Standard errors are left out, since the values make up for errors of the mesh.
-    """
-    assert project.space is not None  # it has been calibrated
-    refitted = calibrate(
-        model,
-        project.space,
-        project.calibration,
-        validation=project.validation,
-        noise=project.noise,
-        uncertain=replace(exactly_known(), recordings=project.uncertain.recordings),
-        precision=project.precision,
-        settings=project.settings,
-        newton=project.newton,
-        start=result.z,
-        intervals=None,
-        progress=progress,
-    )
-    if not refitted.converged:
-        raise NotConvergedError(
-            f"the calibration of the model of SOFA did not converge after "
-            f"{len(refitted.history) - 1} steps: "
-            f"{' '.join(refitted.notes) or 'raise max_steps under [settings].'}"
-        )
-    return refitted
-
-
 def _notes(refitted: CalibrationResult, scene: Scene) -> tuple[str, ...]:
-    notes = []
-    lost = [c.name for c in refitted.configurations if not c.converged]
-    if lost:
-        notes.append(
-            "Without an equilibrium in the model of SOFA, and so left out: "
-            f"{', '.join(lost)}."
-        )
+    notes = left_out(refitted, "SOFA")
     others = [
         f"{effector.name} ({c.name})"
         for c in refitted.configurations
@@ -245,19 +189,3 @@ def _notes(refitted: CalibrationResult, scene: Scene) -> tuple[str, ...]:
             "are no material constants."
         )
     return tuple(notes)
-
-
-def _table(export: SofaExport) -> list[str]:
-    """Tabulate what the models predict of each configuration, as rms of distances.
-
-    Columns: how far the points move, then the errors of the calibrated model, of SOFA's
-    model with the same values, and of SOFA's model calibrated itself.
-    """
-    mm = lambda value: f"{1e3 * value:.3g} mm" if isfinite(value) else "-"
-    rows = []
-    for c in export.result.configurations:
-        errors = export.calibrated.errors[c.name], c.rms_before, c.rms_after
-        rows.append([c.name, c.role, *map(mm, (c.motion, *errors))])
-    title = "Distances of points from where they were measured, rms:"
-    table = text_table(title, ("configuration", "role", "moved", *_MODELS), rows)
-    return [title, *table.lines()]

@@ -1,0 +1,130 @@
+"""What the formats share that calibrate once more for the element of a program."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from math import isfinite, nan
+
+import numpy as np
+
+from softcal_jax._text_table import text_table
+from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import readable_estimate
+from softcal_jax.calibration import CalibrationResult, HistoryEntry, calibrate
+from softcal_jax.configurations import Configuration
+from softcal_jax.equilibrium import Model
+from softcal_jax.fields import exactly_known
+from softcal_jax.project import Project, load_project
+from softcal_jax.report import LoadedResult
+
+
+class NotConvergedError(RuntimeError):
+    """The model of another program could not be calibrated, so nothing is written."""
+
+
+def linear_project(result: LoadedResult) -> Project:
+    """Return the project of a result with linear tets."""
+    project = result.project
+    if project.model.mesh.order == 1:
+        return project
+    changes = {**project.source.changes, "mesh.element": "linear"}
+    return load_project(project.path, changes=changes)
+
+
+def recalibrate(
+    result: LoadedResult,
+    project: Project,
+    model: Model,
+    program: str,
+    *,
+    progress: Callable[[HistoryEntry], None] | None,
+) -> CalibrationResult:
+    """Fit the model of a program to the same measurements, from calibrated values.
+
+    Standard errors are left out, since the values make up for errors of the mesh.
+
+    Raises:
+        NotConvergedError: If the calibration does not converge.
+        RuntimeError: If no configuration has an equilibrium.
+    """
+    assert project.space is not None  # it has been calibrated
+    refitted = calibrate(
+        model,
+        project.space,
+        project.calibration,
+        validation=project.validation,
+        noise=project.noise,
+        uncertain=replace(exactly_known(), recordings=project.uncertain.recordings),
+        precision=project.precision,
+        settings=project.settings,
+        newton=project.newton,
+        start=result.z,
+        intervals=None,
+        progress=progress,
+    )
+    if not refitted.converged:
+        raise NotConvergedError(
+            f"the calibration of the model of {program} did not converge after "
+            f"{len(refitted.history) - 1} steps: "
+            f"{' '.join(refitted.notes) or 'raise max_steps under [settings].'}"
+        )
+    if not any(c.converged for c in refitted.configurations):
+        raise RuntimeError(
+            f"no configuration has an equilibrium in the model of {program}."
+        )
+    return refitted
+
+
+def with_equilibrium(
+    project: Project, refitted: CalibrationResult
+) -> tuple[list[Configuration], list[Float[HostArray, "n_nodes 3"]]]:
+    """Return the configurations that have an equilibrium, and displacements [m]."""
+    solved = {c.name: c for c in refitted.configurations if c.converged}
+    posed = [c for c in project.configurations if c.name in solved]
+    return posed, [np.asarray(solved[c.name].displacement) for c in posed]
+
+
+def left_out(refitted: CalibrationResult, program: str) -> list[str]:
+    """Say which configurations have no equilibrium, in at most one sentence."""
+    lost = [c.name for c in refitted.configurations if not c.converged]
+    text = f"Without an equilibrium in the model of {program}, and so left out: "
+    return [f"{text}{', '.join(lost)}."] if lost else []
+
+
+def lines_of_both(
+    calibrated: LoadedResult, refitted: CalibrationResult, program: str
+) -> list[str]:
+    """Write the values of both models, and a table of what they predict."""
+    lines, values = [], calibrated.values
+    for fitted in refitted.parameters:
+        before = readable_estimate(values[fitted.name], nan, fitted.unit)
+        now = readable_estimate(fitted.value, nan, fitted.unit)
+        bound = " (on a bound: widen it, and calibrate again)" * fitted.at_bound
+        lines.append(f"{fitted.name}: {before} calibrated, {now} for {program}{bound}")
+    return [*lines, "", *_table(calibrated, refitted, program)]
+
+
+def _table(
+    calibrated: LoadedResult, refitted: CalibrationResult, program: str
+) -> Sequence[str]:
+    """Tabulate what the models predict of each configuration, as rms of distances.
+
+    Columns: how far the points move, then the errors of the calibrated model, of the
+    program's model with the same values, and of the program's model calibrated itself.
+    """
+    mm = lambda value: f"{1e3 * value:.3g} mm" if isfinite(value) else "-"
+    rows = []
+    for c in refitted.configurations:
+        errors = calibrated.errors[c.name], c.rms_before, c.rms_after
+        rows.append([c.name, c.role, *map(mm, (c.motion, *errors))])
+    models = "calibrated model", f"{program}, same values", f"{program}, own values"
+    title = "Distances of points from where they were measured, rms:"
+    table = text_table(title, ("configuration", "role", "moved", *models), rows)
+    return [title, *table.lines()]
+
+
+def vertex_masses(model: Model) -> Float[HostArray, " n_nodes"]:
+    """Compute the mass of each node, a quarter of that of each of its tets [kg]."""
+    density = np.broadcast_to(np.asarray(model.density), (model.n_tets,))
+    mass = density[:, None] * np.asarray(model.node_volumes)
+    nodes = model.mesh.tets.ravel()
+    return np.bincount(nodes, mass.ravel(), model.mesh.n_nodes)
