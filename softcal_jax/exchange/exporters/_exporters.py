@@ -268,7 +268,7 @@ class MujocoExporter(AbstractExporter):
         model = export_mujoco(
             source, output, force=options.force, progress=progress.step
         )
-        progress.computed(str(model))
+        progress.computed("\n".join(model.lines))
         return ()
 
 

@@ -22,7 +22,6 @@ from softcal_jax.exchange._recalibrated import (
     with_equilibrium,
 )
 from softcal_jax.exchange._refusals import check_actuators, check_no_bodies
-from softcal_jax.exchange.mujoco._flex import law_for_mujoco
 from softcal_jax.exchange.mujoco._mjcf import Pose, mjcf
 from softcal_jax.export import (
     check_results_folder,
@@ -31,6 +30,14 @@ from softcal_jax.export import (
     write_json,
 )
 from softcal_jax.fields import ParameterSpace
+from softcal_jax.materials import (
+    AbstractLaw,
+    ClassicalCorotational,
+    Corotational,
+    Isotropic,
+    NeoHookean,
+    StVenantKirchhoff,
+)
 from softcal_jax.report import LoadedResult, load_result
 
 
@@ -38,27 +45,14 @@ class MujocoExport(Module):
     """What was written for MuJoCo.
 
     Attributes:
-        folder: The folder of the model.
         files: The file of each configuration, which is a keyframe there.
-        calibrated: The calibration that was exported.
         result: Calibration of the model of MuJoCo, whose values the files have.
-        notes: What to know of the model, in sentences.
+        lines: Values and predictions of both models, and notes.
     """
 
-    folder: Path
     files: dict[str, str]
-    calibrated: LoadedResult
     result: CalibrationResult
-    notes: tuple[str, ...]
-
-    def __str__(self) -> str:
-        """Write parameters, predictions and notes, line by line."""
-        return "\n".join([*self.lines, "", *self.notes]).strip()
-
-    @property
-    def lines(self) -> list[str]:
-        """The values of both models, and a table of what they predict."""
-        return lines_of_both(self.calibrated, self.result, "MuJoCo")
+    lines: tuple[str, ...]
 
 
 def export_mujoco(
@@ -98,50 +92,59 @@ def export_mujoco(
     loaded = result if isinstance(result, LoadedResult) else load_result(result)
     project = linear_project(loaded)
     model = model_for_law(project.model, law_for_mujoco(project.model.law))
-    check_robot(model)
     assert project.space is not None  # it has been calibrated
     at_rest = [np.zeros_like(model.mesh.points)] * len(project.configurations)
-    posed = project.configurations
-    mujoco_poses(model, project.space, loaded.z, posed, at_rest)  # refuses early
+    every = project.configurations, at_rest
+    mujoco_poses(model, project.space, loaded.z, *every)  # refused before the work
     refitted = recalibrate(loaded, project, model, "MuJoCo", progress=progress)
-    posed = with_equilibrium(project, refitted)
-    poses = mujoco_poses(refitted.model, refitted.space, refitted.z, *posed)
-    files = _files(poses)
-    export = MujocoExport(
-        folder=folder,
-        files=files,
-        calibrated=loaded,
-        result=refitted,
-        notes=(*left_out(refitted, "MuJoCo"), _ON_DAMPING),
+    solved = with_equilibrium(project, refitted)
+    poses = mujoco_poses(refitted.model, refitted.space, refitted.z, *solved)
+    lines = lines_of_both(loaded, refitted, "MuJoCo")
+    lines += ["", *left_out(refitted, "MuJoCo")]
+    lines.append(
+        "Damping and time step only bring the body to rest: neither was calibrated, "
+        "and motions take another time."
     )
+    alike = len({_surroundings(pose) for pose in poses}) == 1
+    stems = ["robot"] * len(poses) if alike else file_stems([p.name for p in poses])
+    files = {pose.name: f"{stem}.xml" for pose, stem in zip(poses, stems, strict=True)}
     with results_folder(folder, force=force) as partial:
         for file in set(files.values()):
-            alike = [pose for pose in poses if files[pose.name] == file]
-            text = mjcf(project.name, refitted.model, alike, str(export).split("\n"))
+            within = [pose for pose in poses if files[pose.name] == file]
+            text = mjcf(project.name, refitted.model, within, lines)
             (partial / file).write_text(text, encoding="utf-8")
         index = {"format": "softcal_jax.mujoco/1", "configurations": files}
-        names = sorted(set(files.values()))
-        write_json(partial / "robot.json", {**index, "files": names})
-    return export
-
-
-_ON_DAMPING = (
-    "Damping and time step only bring the body to rest: neither was calibrated, and "
-    "motions take another time."
-)
-
-
-def check_robot(model: Model) -> None:
-    """Raise ValueError unless MuJoCo can hold the body and what is attached to it."""
-    check_no_bodies(model, "a model of MuJoCo")
-    known = Cable, ForceActuator, SurfaceForceActuator
-    holds = "cables without friction and forces of fixed direction"
-    check_actuators(model, known, f"MuJoCo; its models hold {holds}")
-    if np.any(vertex_masses(model) <= 0.0):
-        raise ValueError(
-            "parts of the body have no mass, and MuJoCo moves masses: give `density` "
-            "in [material]."
+        write_json(
+            partial / "robot.json", {**index, "files": sorted(set(files.values()))}
         )
+    return MujocoExport(files, refitted, tuple(lines))
+
+
+def _surroundings(pose: Pose) -> bytes:
+    """Return what the poses of one file have in common: supports and gravity."""
+    lane = pose.lane
+    parts = lane.fixed, lane.springs.coefficients(), lane.acceleration
+    return b"".join(np.asarray(part).tobytes() for part in parts)
+
+
+def law_for_mujoco(law: AbstractLaw) -> StVenantKirchhoff:
+    """Return the law that a flex computes in place of another with E and nu.
+
+    Raises:
+        ValueError: If the law has other constants; the text says what to do.
+    """
+    linear = StVenantKirchhoff, Corotational, ClassicalCorotational
+    constants = law.elasticity if isinstance(law, linear) else law
+    if isinstance(constants, NeoHookean | Isotropic):
+        return StVenantKirchhoff(Isotropic(constants.E, constants.nu))
+    name = type(law).__name__
+    if constants is not law:
+        name += f" with {type(constants).__name__}"
+    raise ValueError(
+        f"{name} has no counterpart in MuJoCo, whose flex has one law, with E and nu: "
+        "calibrate an isotropic StVenantKirchhoff law or a NeoHookean one, and export "
+        "that."
+    )
 
 
 def mujoco_poses(
@@ -154,42 +157,35 @@ def mujoco_poses(
     """Return configurations with the fitted parameters, of scaled values `z`.
 
     Raises:
-        ValueError: If MuJoCo cannot hold a support or an imposed displacement.
+        ValueError: If MuJoCo cannot hold the robot, a support, or a displacement of an
+            actuator; the text says why, and what to do.
     """
+    check_no_bodies(model, "a model of MuJoCo")
+    known = Cable, ForceActuator, SurfaceForceActuator
+    holds = "cables without friction and forces of fixed direction"
+    check_actuators(model, known, f"MuJoCo; its models hold {holds}")
+    if np.any(vertex_masses(model) <= 0.0):
+        raise ValueError(
+            "parts of the body have no mass, and MuJoCo moves masses: give `density` "
+            "in [material]."
+        )
     lanes = configuration_lanes(model.mesh, configurations, model.mechanism).arrays
     poses = []
     for i, (c, u) in enumerate(zip(configurations, displacements, strict=True)):
         _, lane = space.apply(model, lanes[i], z)
-        if np.any(np.asarray(lane.imposed)) or np.any(np.asarray(lane.springs.rest)):
+        if np.any(lane.imposed) or np.any(lane.springs.rest):
             raise ValueError(
                 f"configuration {c.name!r}: a support that is moved is not written to "
                 "MuJoCo, whose flex is at rest where it is built. Leave its "
                 "displacement out."
             )
-        moved = np.flatnonzero(np.asarray(lane.actuation.by_displacement))
-        for actuator in moved:
-            kind = model.mechanism.actuators.kinds[actuator].noun
+        moved = np.flatnonzero(lane.actuation.by_displacement)
+        if moved.size:
             raise ValueError(
-                f"configuration {c.name!r}: the displacement of the {kind} "
-                f"{lane.actuation.names[actuator]!r} is imposed, and controls of the "
+                f"configuration {c.name!r}: the displacement of the actuator "
+                f"{lane.actuation.names[moved[0]]!r} is imposed, and controls of the "
                 "model of MuJoCo are forces. Impose the force that the equilibrium "
                 "has (robot.csv)."
             )
         poses.append(Pose(c.name, lane, u))
     return poses
-
-
-def _files(poses: Sequence[Pose]) -> dict[str, str]:
-    """Return the file of each pose: one for all, if supports and gravity are alike."""
-    of_body = [
-        (pose.lane.fixed, pose.lane.springs.coefficients(), pose.lane.acceleration)
-        for pose in poses
-    ]
-    first, names = of_body[0], [pose.name for pose in poses]
-    alike = all(
-        np.array_equal(a, b)
-        for other in of_body
-        for a, b in zip(first, other, strict=True)
-    )
-    stems = ["robot"] * len(poses) if alike else file_stems(names)
-    return {name: f"{stem}.xml" for name, stem in zip(names, stems, strict=True)}

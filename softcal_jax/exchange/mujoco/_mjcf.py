@@ -1,27 +1,24 @@
 """A model of MuJoCo as XML (MJCF): body, actuators, loads, and a keyframe per pose."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
-from xml.etree.ElementTree import Comment, Element, indent, tostring
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.actuators import Cable, CableSegments, actuator_rows
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Model
-from softcal_jax.exchange.mujoco._flex import (
-    add,
-    add_body,
-    add_point,
-    add_slide,
-    constants_of_flex,
-    joint_name,
-)
+from softcal_jax.exchange._recalibrated import vertex_masses
+from softcal_jax.materials import StVenantKirchhoff
 
 OPTION = {"timestep": 0.002, "integrator": "discrete", "solver": "Newton"}
 """With the one integrator that is implicit in the stiffness of a flex."""
+
+DAMPING = 0.02
+"""Damping over stiffness of a flex, so that bodies come to rest within seconds [s]."""
 
 TIE = 10.0
 """Stiffness between a guide and its place in the body, over E times the size of a tet.
@@ -34,7 +31,7 @@ GUIDE_MASS = 0.05
 """Mass of a guide over the mean mass of a node, so that it hardly adds to it [-]."""
 
 _ON_NODE = 1e-9
-"""Weight of a node below which a guide does not depend on it [-]."""
+"""Weight below which a guide does not depend on a node [-]."""
 
 
 class Pose(NamedTuple):
@@ -43,48 +40,6 @@ class Pose(NamedTuple):
     name: str
     lane: ConfigurationArrays
     displacement: Float[HostArray, "n_nodes 3"]
-
-
-class _Robot(NamedTuple):
-    """A model of MuJoCo while it is written.
-
-    Attributes:
-        root: The whole model.
-        bodies: The body of each node.
-        points: The nodes at rest [m].
-        fixed: Which of their coordinates are held.
-        guide_mass: Mass of the guides that are no nodes [kg].
-        tie: Stiffness that ties them to nodes [N/m].
-        tied: Rows of the displacements of their joints, by nodes.
-    """
-
-    root: Element
-    bodies: list[Element]
-    points: Float[HostArray, "n_nodes 3"]
-    fixed: Bool[HostArray, "n_nodes 3"]
-    guide_mass: float
-    tie: float
-    tied: list[Float[HostArray, "n_nodes 3"]]
-
-    def section(self, name: str) -> Element:
-        """Return the part of the model of some name, which is added at first use."""
-        known = self.root.find(name)
-        return add(self.root, name) if known is None else known
-
-    def add_combination(
-        self, name: str, coefficients: Float[HostArray, "n_nodes 3"], **more: float
-    ) -> Element:
-        """Add a tendon whose length is a sum of the displacements of nodes."""
-        tendon = add(self.section("tendon"), "fixed", name=name, **more)
-        for node, axis in np.argwhere((coefficients != 0.0) & ~self.fixed):
-            joint = joint_name(self.bodies[node], axis)
-            add(tendon, "joint", joint=joint, coef=coefficients[node, axis])
-        return tendon
-
-    def add_motor(self, tendon: str, gear: float = 1.0) -> None:
-        """Let a control pull at a tendon."""
-        section = self.section("actuator")
-        add(section, "motor", name=tendon, tendon=tendon, gear=gear)
 
 
 def mjcf(name: str, model: Model, poses: Sequence[Pose], remarks: Sequence[str]) -> str:
@@ -97,90 +52,170 @@ def mjcf(name: str, model: Model, poses: Sequence[Pose], remarks: Sequence[str])
     """
     lane, root = poses[0].lane, Element("mujoco", model=name)
     root.append(Comment("\n".join(["", *remarks, ""]).replace("--", "- -")))
-    add(root, "option", gravity=lane.acceleration, **OPTION)
-    fixed, springs = np.asarray(lane.fixed), np.asarray(lane.springs.coefficients())
-    bodies = add_body(root, model, fixed=fixed, stiffness=springs)
-    mass = GUIDE_MASS * model.mass / len(bodies)
-    E, _ = constants_of_flex(model)
-    size = np.cbrt(model.node_volumes.sum() / model.n_tets)
-    tie = TIE * float(E.mean() * size)
-    robot = _Robot(root, bodies, model.mesh.points, fixed, mass, tie, [])
+    _add(root, "option", gravity=lane.acceleration, **OPTION)
+    for section in ("worldbody", "deformable", "tendon", "actuator", "keyframe"):
+        _add(root, section)
+    fixed = np.asarray(lane.fixed)
+    _add_body(root, model, fixed, np.asarray(lane.springs.coefficients()))
+    guides: list[Float[HostArray, "n_nodes 3"]] = []
     actuators = model.mechanism.actuators
     rows = actuator_rows(actuators, jnp.asarray(model.mechanism.points))
-    every = zip(actuators.names, actuators.kinds, np.asarray(rows), strict=True)
-    for owner, (actuator, kind, row) in enumerate(every):
-        if kind == Cable.kind:
-            _add_cable(robot, actuator, _guides(model, owner))
+    for owner, (actuator, row) in enumerate(zip(actuators.names, rows, strict=True)):
+        if actuators.kinds[owner] == Cable.kind:
+            guides += _add_cable(root, model, fixed, owner)
         else:
-            robot.add_combination(actuator, row)
-            robot.add_motor(actuator)
+            _add_sum(root, actuator, np.where(fixed, 0.0, row))
+            _add_motor(root, actuator)
     loads = {pose.name: np.where(fixed, 0.0, pose.lane.dead_loads) for pose in poses}
-    loads = {name: load for name, load in loads.items() if load.any()}
-    for loaded, load in loads.items():
-        robot.add_combination(f"loads of {loaded}", load)
-        robot.add_motor(f"loads of {loaded}")
-    keys = robot.section("keyframe")
+    loads = {loaded: force for loaded, force in loads.items() if force.any()}
+    for loaded, force in loads.items():
+        _add_sum(root, f"loads of {loaded}", force)
+        _add_motor(root, f"loads of {loaded}")
     for pose in poses:
         u = np.asarray(pose.displacement)
-        q = [*u[~fixed], *(np.sum(row * u) for row in robot.tied)]
+        q = [*u[~fixed], *(np.sum(row * u) for row in guides)]
         forces = np.asarray(pose.lane.actuation.forces)
         control = [*forces, *(float(loaded == pose.name) for loaded in loads)]
-        add(keys, "key", name=pose.name, qpos=q, ctrl=control)
+        _add(root.find("keyframe"), "key", name=pose.name, qpos=q, ctrl=control)
     indent(root)
     return tostring(root, encoding="unicode") + "\n"
 
 
-class _Guide(NamedTuple):
-    """A point that a cable runs through: nodes, weights, and its place at rest [m]."""
-
-    nodes: Int[HostArray, " m"]
-    weights: Float[HostArray, " m"]
-    point: Float[HostArray, "3"]
-
-
-def _guides(model: Model, owner: int) -> list[_Guide]:
-    """Return the guides of a cable in order; those on the ground have no nodes."""
-    guides: list[_Guide] = []
-    groups = model.mechanism.actuators.groups
-    (cable,) = (g for g in groups if isinstance(g, CableSegments))
-    for segment in np.flatnonzero(np.asarray(cable.owner) == owner):
-        nodes = np.asarray(cable.nodes)[segment]
-        both = np.asarray(cable.weights)[segment], np.asarray(cable.fixed)[segment]
-        for weights, ground in zip(*both, strict=True):
-            used = weights > _ON_NODE
-            point = weights @ model.mesh.points[nodes] + ground
-            if not guides or not np.allclose(point, guides[-1].point, rtol=1e-9):
-                guides.append(_Guide(nodes[used], weights[used], point))
-    return guides
+def _add(parent: Element | None, tag: str, **attributes: Any) -> Element:
+    """Add an element; numbers and arrays are written in full precision."""
+    assert parent is not None
+    element = SubElement(parent, tag)
+    for name, value in attributes.items():
+        if not isinstance(value, str):
+            value = " ".join(map(repr, np.asarray(value).ravel().tolist()))
+        element.set(name, value)
+    return element
 
 
-def _add_cable(robot: _Robot, name: str, guides: Sequence[_Guide]) -> None:
-    sites = []
-    for k, guide in enumerate(guides):
-        sites.append(f"{name}, guide {k}")
-        carrier, at = robot.section("worldbody"), guide.point
-        if robot.fixed[guide.nodes].all():
-            pass  # on the ground, or held
-        elif len(guide.nodes) == 1:
-            carrier, at = robot.bodies[guide.nodes[0]], np.zeros(3)
-        else:
-            carrier, at = _tied_point(robot, sites[-1], guide), np.zeros(3)
-        add(carrier, "site", name=sites[-1], pos=at, size=0.001)
-    path = add(robot.section("tendon"), "spatial", name=name)
-    for site in sites:
-        add(path, "site", site=site)
-    robot.add_motor(name, gear=-1.0)  # a tension shortens it
+def _add_body(
+    root: Element,
+    model: Model,
+    fixed: Bool[HostArray, "n_nodes 3"],
+    stiffness: Float[HostArray, "n_nodes 3"],
+) -> None:
+    """Add the nodes as point masses on slide joints, and the flexes between them.
+
+    `stiffness` is that of elastic supports along the axes [N/m]. A node that is held in
+    all directions is a point of the world. Tets of equal constants share a flex.
+    """
+    points, held = model.mesh.points, np.asarray(fixed.all(axis=1))
+    for i, mass in enumerate(vertex_masses(model)):
+        if not held[i]:
+            springs = {axis: stiffness[i, axis] for axis in np.flatnonzero(~fixed[i])}
+            _add_point(root, f"node{i}", points[i], mass, springs)
+    distinct, of_tet = np.unique(_constants(model), axis=1, return_inverse=True)
+    for k in range(distinct.shape[1]):
+        E, nu = distinct[:, k]
+        tets = model.mesh.tets[of_tet.ravel() == k]
+        nodes, vertices = np.unique(tets, return_inverse=True)
+        flex = _add(
+            root.find("deformable"),
+            "flex",
+            name=f"tets{k}",
+            dim=3,
+            radius=0,
+            body=" ".join("world" if held[i] else f"node{i}" for i in nodes),
+            vertex=np.where(held[nodes, None], points[nodes], 0.0),
+            element=vertices,
+        )
+        _add(flex, "elasticity", young=E, poisson=nu, damping=DAMPING)
+        _add(flex, "contact", contype=0, conaffinity=0, selfcollide="none")
 
 
-def _tied_point(robot: _Robot, name: str, guide: _Guide) -> Element:
-    """Add a point that moves with the nodes that carry it."""
-    world = robot.section("worldbody")
-    body = add_point(world, name, guide.point, robot.guide_mass, gravcomp=1.0)
-    for axis in np.flatnonzero(~robot.fixed[guide.nodes].all(axis=0)).tolist():
-        row = np.zeros_like(robot.points)
-        row[guide.nodes, axis] = guide.weights
-        joint = add_slide(body, axis)
-        tie = robot.add_combination(joint, row, stiffness=robot.tie, springlength=0.0)
-        add(tie, "joint", joint=joint, coef=-1.0)
-        robot.tied.append(row)
+def _add_point(
+    root: Element,
+    name: str,
+    at: Float[HostArray, "3"],
+    mass: float,
+    springs: dict[Any, float],
+    **more: Any,
+) -> Element:
+    """Add a point mass that slides along axes; its inertia must be, but has no part."""
+    body = _add(root.find("worldbody"), "body", name=name, pos=at, **more)
+    _add(body, "inertial", mass=mass, pos=np.zeros(3), diaginertia=np.full(3, 1e-9))
+    for axis, stiffness in springs.items():
+        spring = {"stiffness": stiffness} if stiffness else {}
+        joint = {"name": f"{name}.{axis}", "axis": np.eye(3)[axis]}
+        _add(body, "joint", type="slide", **joint, **spring)
     return body
+
+
+def _add_sum(
+    root: Element, name: str, row: Float[HostArray, "n_nodes 3"], **more: float
+) -> Element:
+    """Add a tendon whose length is a sum of displacements of nodes by weights."""
+    tendon = _add(root.find("tendon"), "fixed", name=name, **more)
+    for node, axis in np.argwhere(row):
+        _add(tendon, "joint", joint=f"node{node}.{axis}", coef=row[node, axis])
+    return tendon
+
+
+def _add_motor(root: Element, tendon: str, gear: float = 1.0) -> None:
+    _add(root.find("actuator"), "motor", name=tendon, tendon=tendon, gear=gear)
+
+
+def _constants(model: Model) -> Float[HostArray, "2 n_tets"]:
+    """Return E [Pa] and nu [-] of each tet."""
+    assert isinstance(model.law, StVenantKirchhoff)
+    C: Any = model.law.elasticity
+    return np.stack([np.broadcast_to(c, model.n_tets) for c in (C.E, C.nu)])
+
+
+def _add_cable(
+    root: Element, model: Model, fixed: Bool[HostArray, "n_nodes 3"], owner: int
+) -> list[Float[HostArray, "n_nodes 3"]]:
+    """Add a cable; return the displacements of guides that are no nodes, as sums."""
+    cable, sums = model.mechanism.actuators.names[owner], []
+    world, path = (
+        root.find("worldbody"),
+        _add(root.find("tendon"), "spatial", name=cable),
+    )
+    assert world is not None
+    mass = GUIDE_MASS * model.mass / model.mesh.n_nodes
+    size = np.cbrt(model.node_volumes.sum() / model.n_tets)
+    stiffness = TIE * _constants(model)[0].mean() * size
+    for k, (point, weights) in enumerate(_guides(model, owner)):
+        name, nodes = f"{cable}, guide {k}", np.flatnonzero(weights)
+        if fixed[nodes].all():  # on the ground, or held
+            _add(world, "site", name=name, pos=point, size=0.001)
+        elif nodes.size == 1:
+            node = world.find(f"body[@name='node{nodes[0]}']")
+            _add(node, "site", name=name, size=0.001)
+        else:
+            axes = np.flatnonzero(~fixed[nodes].all(axis=0))
+            free = dict.fromkeys(axes, 0.0)
+            body = _add_point(root, name, point, mass, free, gravcomp=1.0)
+            _add(body, "site", name=name, size=0.001)
+            for axis in axes:
+                row = weights[:, None] * ~fixed * (np.arange(3) == axis)
+                tie = {"stiffness": stiffness, "springlength": 0.0}
+                tendon = _add_sum(root, f"{name}.{axis}", row, **tie)
+                _add(tendon, "joint", joint=f"{name}.{axis}", coef=-1.0)
+                sums.append(row)
+        _add(path, "site", site=name)
+    _add_motor(root, cable, gear=-1.0)  # a tension shortens it
+    return sums
+
+
+def _guides(
+    model: Model, owner: int
+) -> Iterator[tuple[Float[HostArray, "3"], Float[HostArray, " n_nodes"]]]:
+    """Return place at rest [m] and weights of nodes of each guide, 0 on the ground."""
+    groups, points = model.mechanism.actuators.groups, model.mesh.points
+    (segments,) = (group for group in groups if isinstance(group, CableSegments))
+    last = None
+    for i in np.flatnonzero(np.asarray(segments.owner) == owner):
+        ends = np.asarray(segments.weights[i]), np.asarray(segments.fixed[i])
+        for share, ground in zip(*ends, strict=True):
+            weights = np.zeros(len(points))
+            np.add.at(weights, np.asarray(segments.nodes[i]), share)
+            weights[np.abs(weights) < _ON_NODE] = 0.0
+            point = weights @ points + ground
+            if last is None or not np.allclose(point, last, rtol=1e-9):
+                yield point, weights
+            last = point
