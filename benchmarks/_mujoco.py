@@ -1,5 +1,6 @@
 """Robots in MuJoCo: is the tip at rest where the model has it?"""
 
+import importlib
 import importlib.util
 import shutil
 import tempfile
@@ -91,8 +92,7 @@ def exported(robot: str, folder: Path) -> MujocoExport:
 
 def tip_at_rest(folder: Path, export: MujocoExport, pose: str) -> Tip:
     """Run an exported robot from its shape without loads to rest in a pose."""
-    import mujoco
-
+    mujoco: Any = importlib.import_module("mujoco")
     # It tells of each solve of its iterative solver that stops early, in a file.
     mujoco.set_mju_user_warning(lambda text: None)
     model = mujoco.MjModel.from_xml_path(str(folder / export.files[pose]))

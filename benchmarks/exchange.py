@@ -1,6 +1,6 @@
 """What goes to other programs: does it arrive as it was?
 
-Six parts, each with a count:
+Seven parts, each with a count:
 
 - `sofa_tip` hangs a beam of SOFA's tets, whose tip is known, with so many rotations.
 - `sofa_scenes` runs scenes of so many kinds by a strict stand-in for SOFA, which knows
@@ -9,6 +9,7 @@ Six parts, each with a count:
 - `icesl` writes so many random fields of moduli as graded foam, and reads the textures
   back through a Lua interpreter with the functions of the slicer.
 - `tags` finds so many poses of a tag on rendered photographs.
+- `mujoco` runs so many ready-made robots to rest by MuJoCo, calibrated for it.
 - `cad_to_result` takes a finger from a STEP file to other programs, by commands alone.
 
 `run exchange --count icesl=1` does one part, and one of it.
@@ -18,6 +19,7 @@ from benchmarks import (
     _cad_to_result,
     _calculix,
     _icesl_fields,
+    _mujoco,
     _sofa_scenes,
     _sofa_tip,
     _tags,
@@ -30,6 +32,7 @@ COUNTS = {
     "calculix": 11,
     "icesl": 6,
     "tags": 30,
+    "mujoco": 2,
     "cad_to_result": 1,
 }
 """The parts, and how many of each are done if nothing else is asked for."""
@@ -40,6 +43,7 @@ _PARTS = {
     "calculix": _calculix.run,
     "icesl": _icesl_fields.run,
     "tags": _tags.run,
+    "mujoco": _mujoco.run,
     "cad_to_result": _cad_to_result.run,
 }
 
@@ -52,6 +56,7 @@ GOALS = {
     "tag_position_error_mm": Goal("at most", 0.3),
     "tag_orientation_error_deg": Goal("at most", 0.3),
     "tag_coverage_95": Goal("at least", 0.9),
+    "mujoco_tip_percent": Goal("at most", 1),
     "cad_modulus_error_percent": Goal("at most", 1),
 }
 

@@ -37,7 +37,6 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.exchange.icesl import export_icesl as export_icesl
 from softcal_jax.exchange.inp import export_inp as export_inp
-from softcal_jax.exchange.mujoco import export_mujoco as export_mujoco
 from softcal_jax.exchange.sofa import export_sofa as export_sofa
 from softcal_jax.fields import (
     ControlPointParameters as ControlPointParameters,

@@ -152,14 +152,15 @@ _EXPORT = """\
 examples:
   softcal export inp results -o job.inp --configuration droop
   softcal export sofa results -o scene
+  softcal export mujoco results -o model    a flex in MuJoCo, calibrated again for it
   softcal export icesl results -o print     graded foam, for the slicer IceSL
   softcal export icesl project.toml -o print   the start values: a designed field
 
 RESULTS is the folder of softcal calibrate; project file, mesh and measurements must be
 where and what they were.
 
-exit codes: 0 written (what differs is said), 1 the calibration for SOFA did not
-converge, so that nothing was written, 2 bad input
+exit codes: 0 written (what differs is said), 1 the calibration for SOFA or
+MuJoCo did not converge, so that nothing was written, 2 bad input
 """
 
 

@@ -342,7 +342,8 @@ def _commands(project: Project) -> Rows:
             rows += [("", other) for other in others]
     bodies = project.model.mechanism.bodies.names
     if bodies:
-        plain = f"not for SOFA, CalculiX or Abaqus: rigid bodies ({', '.join(bodies)})"
+        programs = "SOFA, MuJoCo, CalculiX or Abaqus"
+        plain = f"not for {programs}: rigid bodies ({', '.join(bodies)})"
         rows.append(("softcal export", plain))
     return rows
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from wording import says
 
-from benchmarks import _cad_to_result, _calculix, _tags, exchange
+from benchmarks import _cad_to_result, _calculix, _mujoco, _tags, exchange
 from benchmarks._problem import Options
 from softcal_jax.exchange.camera import TagPose
 from softcal_jax.exchange.camera._adjustment import Placement
@@ -22,7 +22,7 @@ def run(folder, **counts):
 
 def test_every_part_has_a_count_and_every_goal_a_part():
     assert set(exchange.COUNTS) == set(exchange._PARTS)
-    starts = {"sofa", "calculix", "icesl", "tag", "cad"}
+    starts = {"sofa", "calculix", "icesl", "tag", "cad", "mujoco"}
     assert {name.partition("_")[0] for name in exchange.GOALS} == starts
 
 
@@ -38,6 +38,13 @@ def test_without_calculix_it_says_what_to_install(tmp_path, monkeypatch):
     figures, said = run(tmp_path, calculix=1)
     assert figures == {}
     assert says(said[0], "install ... calculix-ccx")
+
+
+def test_without_mujoco_it_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setattr(_mujoco, "missing", lambda: True)
+    figures, said = run(tmp_path, mujoco=1)
+    assert figures == {}
+    assert says(said[0], "Install mujoco")
 
 
 def test_a_pose_within_what_is_stated():
@@ -83,6 +90,14 @@ def test_the_tip_of_a_beam_of_sofa(tmp_path):
 def test_calculix(tmp_path):
     figures, _ = run(tmp_path, calculix=1)
     assert 2 < figures["calculix_incompressible_difference_percent"] < 30
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(_mujoco.missing(), reason="MuJoCo is not installed")
+def test_a_robot_in_mujoco(tmp_path):
+    figures, said = run(tmp_path, mujoco=1)
+    assert figures["mujoco_tip_percent"] < 0.01
+    assert says(said[0], "beam, gravity")
 
 
 @pytest.mark.slow

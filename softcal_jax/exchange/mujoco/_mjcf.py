@@ -59,13 +59,15 @@ def mjcf(name: str, model: Model, poses: Sequence[Pose], remarks: Sequence[str])
     _add_body(root, model, fixed, np.asarray(lane.springs.coefficients()))
     guides: list[Float[HostArray, "n_nodes 3"]] = []
     actuators = model.mechanism.actuators
-    rows = actuator_rows(actuators, jnp.asarray(model.mechanism.points))
-    for owner, (actuator, row) in enumerate(zip(actuators.names, rows, strict=True)):
+    rows = np.asarray(actuator_rows(actuators, jnp.asarray(model.mechanism.points)))
+    motors = [owner for owner, row in enumerate(rows) if np.any(row[~fixed])]
+    for owner in motors:
         if actuators.kinds[owner] == Cable.kind:
             guides += _add_cable(root, model, fixed, owner)
         else:
-            _add_sum(root, actuator, np.where(fixed, 0.0, row))
-            _add_motor(root, actuator)
+            row = np.where(fixed, 0.0, rows[owner])
+            _add_sum(root, actuators.names[owner], row)
+            _add_motor(root, actuators.names[owner])
     loads = {pose.name: np.where(fixed, 0.0, pose.lane.dead_loads) for pose in poses}
     loads = {loaded: force for loaded, force in loads.items() if force.any()}
     for loaded, force in loads.items():
@@ -74,7 +76,7 @@ def mjcf(name: str, model: Model, poses: Sequence[Pose], remarks: Sequence[str])
     for pose in poses:
         u = np.asarray(pose.displacement)
         q = [*u[~fixed], *(np.sum(row * u) for row in guides)]
-        forces = np.asarray(pose.lane.actuation.forces)
+        forces = np.asarray(pose.lane.actuation.forces)[motors]
         control = [*forces, *(float(loaded == pose.name) for loaded in loads)]
         _add(root.find("keyframe"), "key", name=pose.name, qpos=q, ctrl=control)
     indent(root)

@@ -63,7 +63,7 @@ def test_help_lists_what_is_installed(capsys):
     with pytest.raises(SystemExit):
         main(["export", "--help"])
     text = capsys.readouterr().out
-    for name in ("inp", "sofa", "icesl"):
+    for name in ("inp", "sofa", "mujoco", "icesl"):
         assert f"    {name} " in text
     assert "names of the parameters" in text
     with pytest.raises(SystemExit):
@@ -114,4 +114,4 @@ def test_what_cannot_be_used_is_left_out(install, name, value, reason):
     install({name: value})
     with pytest.warns(ExporterWarning, match=rf"'{name}' .*left out.*{reason}"):
         known = exporters()
-    assert list(known) == ["inp", "sofa", "icesl"]
+    assert list(known) == ["inp", "sofa", "mujoco", "icesl"]
