@@ -242,7 +242,7 @@ def test_every_command_has_its_help():
         re.findall(r"(?m)^ {4}([a-z]\w*(?: show)?)(?: |$)", help_text(command))
     )
     exports = {f"export {kind}" for kind in named("export")}
-    assert len(exports) == 3
+    assert len(exports) == 4
     assert shown == {""} | (named("") - {"export"}) | exports
     assert "--checkpoint" in help_text("calibrate")
 
