@@ -77,8 +77,7 @@ def predicted(project: Project, rows: list[dict[str, str]]) -> CalibrationResult
     names = [c.name for c in project.calibration]
     by_name = {row["pose"]: row for row in rows}
     fitted = [posed(project, by_name[name]) for name in names]
-    asked = near_to_near([row for row in rows if row["pose"] not in names])
-    held_out = [posed(project, row) for row in asked]
+    held_out = [posed(project, row) for row in rows if row["pose"] not in names]
     several = replace(project, calibration=tuple(fitted), validation=tuple(held_out))
     return several.calibrate()
 
@@ -132,20 +131,6 @@ def posed(project: Project, row: dict[str, str]) -> Configuration:
         actuation=dict(zip(MOTORS, imposed, strict=True)),
         measured=1e-3 * columns([row], "x_mm", "y_mm", "z_mm"),
     )
-
-
-def near_to_near(rows: list[dict[str, str]]) -> list[dict[str, str]]:
-    """Order poses so that each is near to the one before, from which it is solved."""
-    left, path = list(rows), [rows[0]]
-    places = {
-        row["pose"]: columns([row], *(f"scene_{a}_mm" for a in "xyz"))[0]
-        for row in rows
-    }
-    while left:
-        here = places[path[-1]["pose"]]
-        path.append(min(left, key=lambda r: np.linalg.norm(places[r["pose"]] - here)))
-        left.remove(path[-1])
-    return path[1:]
 
 
 def errors_mm(fits: Sequence[ConfigurationResult]) -> np.ndarray:
