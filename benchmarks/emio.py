@@ -30,7 +30,7 @@ from softcal_jax.robots import ready_made_path
 GOALS = {
     "held_out_rms_mm": Goal("at most", 2.0),
     "camera_held_out_rms_mm": Goal("at most", 4.0),
-    "coverage_95_of_held_out": Goal("between", 0.92, 0.98),
+    "coverage_95_of_held_out": Goal("between", 0.85, 0.99),
     "unidentifiable_called_identified": Goal("at most", 0),
 }
 

@@ -256,11 +256,13 @@ bad input
 
 def transfer(args: argparse.Namespace, show: Display) -> None:
     from softcal_jax import report
+    from softcal_jax.inference import Estimate
 
     project = load(args.project, show)
     with bad_input():
         project.check_calibration()
-        of_a = report.load_result(args.result)
+        loaded = report.load_result(args.result)
+        of_a = Estimate(loaded.space, loaded.z, loaded.covariance)
     project = replace(project, intervals=None)  # standard errors are compared
     show.now("first equilibrium")
     with bad_input(), no_equilibrium("There is nothing to compare."):

@@ -15,7 +15,6 @@ from softcal_jax.equilibrium import check_converged
 from softcal_jax.export import plain
 from softcal_jax.inference import Difference, Estimate, difference
 from softcal_jax.project import Project
-from softcal_jax.report._load import LoadedResult
 
 
 class Transfer(Module):
@@ -65,11 +64,11 @@ class Transfer(Module):
         return "\n".join([*lines, "", d.verdict])
 
 
-def transfer(a: LoadedResult, b: Project, result: CalibrationResult) -> Transfer:
+def transfer(a: Estimate, b: Project, result: CalibrationResult) -> Transfer:
     """Compare a calibration of robot A with that of robot B, and predict B with it.
 
     Args:
-        a: The calibration of A.
+        a: What the calibration of A found.
         b: The project of B.
         result: Its calibration.
 
@@ -78,7 +77,7 @@ def transfer(a: LoadedResult, b: Project, result: CalibrationResult) -> Transfer
         RuntimeError: If a configuration has no equilibrium with the values of A.
     """
     of_b = Estimate(result.space, result.z, result.budget.covariance)
-    found = difference(Estimate(a.space, a.z, a.covariance), of_b)
+    found = difference(a, of_b)
     with_a = _predicted(b, result, dict(zip(found.names, found.of_a, strict=True)))
     own = {c.name: c.rms_after for c in result.configurations}
     return Transfer(
