@@ -7,6 +7,13 @@ from softcal_jax.calibration import FLAT, NOT_TAKEN, CalibrationResult
 from softcal_jax.identifiability import Assessment
 
 
+SCOPE = (
+    "The values hold for these loads and this shape; whether they are the material's, a "
+    "second robot tells (softcal transfer)."
+)
+"""For what calibrated values hold."""
+
+
 class RunVerdict(NamedTuple):
     """The verdict with which the page of a run begins.
 
@@ -29,10 +36,10 @@ def verdict_of(result: CalibrationResult, assessment: Assessment) -> RunVerdict:
         text = f"NOT CONVERGED after {taken}: do not use these values."
         return RunVerdict(text, "bad")
     if assessment.identified:
-        text = f"Converged in {taken}, and nothing speaks against the values."
+        text = f"Converged in {taken}, and nothing speaks against the values. {SCOPE}"
         return RunVerdict(text, "good")
     text = f"Converged in {taken}, but take the values with care:"
-    return RunVerdict(text, "doubtful", assessment.reasons)
+    return RunVerdict(text, "doubtful", (*assessment.reasons, SCOPE))
 
 
 def end_of(result: CalibrationResult) -> str:
