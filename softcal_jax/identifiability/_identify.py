@@ -266,7 +266,7 @@ def survey(
     with Workers(model, len(names)) as workers:
         compile_considered(workers, setting, z)
         evaluator = Evaluator(problem, workers)
-        solution = evaluator.equilibria(z, reports_of(progress, names), arc_length=True)
+        solution = evaluator.equilibria(z, reports_of(progress, names))
         moved = evaluator.effectors(z, solution)
         if required:
             check_converged(lane_of(solution, slice(required)), names)

@@ -298,7 +298,9 @@ class Project(Module):
         report = reports_of(progress, [c.name for c in posed])
         with Workers(model, len(posed)) as workers:
             run = workers, model, lanes.arrays, self.newton
-            solved = equilibria(*run, arc_length=True, report=report)
+            # Start values may be far too soft, and a path takes longer than all else.
+            calibrated = values is not None
+            solved = equilibria(*run, arc_length=calibrated, report=report)
         return simulation_result(model, posed, solved, lanes), solved
 
     def _scaled(self, values: Mapping[str, float]) -> Float[Array, " n_p"]:

@@ -6,10 +6,9 @@ from softcal_jax._text_table import Tone
 from softcal_jax.calibration import FLAT, NOT_TAKEN, CalibrationResult
 from softcal_jax.identifiability import Assessment
 
-
 SCOPE = (
-    "The values hold for these loads and this shape; whether they are the material's, a "
-    "second robot tells (softcal transfer)."
+    "The values hold for these loads and this shape; whether they are those of the "
+    "material, a second robot tells (softcal transfer)."
 )
 """For what calibrated values hold."""
 
