@@ -176,7 +176,8 @@ def _asked(part: str, name: str, a: Project, b: Project) -> dict[str, Figure]:
     found = transfer(_estimate(of_a), b, of_b)
     d = found.difference
     i = d.names.index(name)
-    squares = lambda rms: float(1e3 * np.sqrt(np.mean(rms**2)))
+    both = np.isfinite(found.rms_own) & np.isfinite(found.rms_of_a)
+    squares = lambda rms: float(1e3 * np.sqrt(np.mean(rms[both] ** 2)))
     return {
         f"{part}_{name}_first_kPa": float(d.of_a[i] / 1e3),
         f"{part}_{name}_first_standard_error_kPa": float(d.std_a[i] / 1e3),
@@ -184,6 +185,7 @@ def _asked(part: str, name: str, a: Project, b: Project) -> dict[str, Figure]:
         f"{part}_{name}_second_standard_error_kPa": float(d.std_b[i] / 1e3),
         f"{part}_chi_squared": d.chi_squared,
         f"{part}_agree": int(d.agree),
+        f"{part}_poses_lost": len(found.lost),
         f"{part}_rms_of_second_mm": squares(found.rms_own),
         f"{part}_rms_of_second_by_first_mm": squares(found.rms_of_a),
     }

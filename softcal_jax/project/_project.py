@@ -297,10 +297,9 @@ class Project(Module):
             lanes = lanes._replace(arrays=arrays)
         report = reports_of(progress, [c.name for c in posed])
         with Workers(model, len(posed)) as workers:
-            run = workers, model, lanes.arrays, self.newton
-            # Start values may be far too soft, and a path takes longer than all else.
-            calibrated = values is not None
-            solved = equilibria(*run, arc_length=calibrated, report=report)
+            solved = equilibria(
+                workers, model, lanes.arrays, self.newton, report=report
+            )
         return simulation_result(model, posed, solved, lanes), solved
 
     def _scaled(self, values: Mapping[str, float]) -> Float[Array, " n_p"]:

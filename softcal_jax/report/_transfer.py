@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
+from softcal_jax._names import listed
 from softcal_jax._text_table import text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable, readable_estimate
 from softcal_jax.calibration import CalibrationResult, ConfigurationResult
-from softcal_jax.equilibrium import check_converged
 from softcal_jax.export import plain
 from softcal_jax.inference import Difference, Estimate, difference
 from softcal_jax.project import Project
@@ -26,6 +26,7 @@ class Transfer(Module):
         motion: How far their points move [m].
         rms_own: How far they are off by the fit to B, rms [m].
         rms_of_a: The same with the values of A, and all others fitted to B [m].
+        lost: Configurations that have no equilibrium with the values of A.
     """
 
     difference: Difference
@@ -33,6 +34,7 @@ class Transfer(Module):
     motion: Float[HostArray, " n_c"]
     rms_own: Float[HostArray, " n_c"]
     rms_of_a: Float[HostArray, " n_c"]
+    lost: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
         """Return all of it for JSON, in SI; None where a number is not known."""
@@ -61,7 +63,8 @@ class Transfer(Module):
         lines = text_table("", titles, values).lines()
         titles = "pose of B", "motion", "error of its own fit", "with the values of A"
         lines += ["", *text_table("", titles, errors).lines()]
-        return "\n".join([*lines, "", d.verdict])
+        lost = f"With the values of A there is no equilibrium of {listed(self.lost)}."
+        return "\n".join([*lines, "", d.verdict, *([lost] if self.lost else [])])
 
 
 def transfer(a: Estimate, b: Project, result: CalibrationResult) -> Transfer:
@@ -74,7 +77,6 @@ def transfer(a: Estimate, b: Project, result: CalibrationResult) -> Transfer:
 
     Raises:
         ValueError: If no parameter of the material has a standard error in both.
-        RuntimeError: If a configuration has no equilibrium with the values of A.
     """
     of_b = Estimate(result.space, result.z, result.budget.covariance)
     found = difference(a, of_b)
@@ -84,8 +86,9 @@ def transfer(a: Estimate, b: Project, result: CalibrationResult) -> Transfer:
         difference=found,
         poses=tuple(c.name for c in with_a),
         motion=np.array([c.motion for c in with_a]),
-        rms_own=np.array([own[c.name] for c in with_a]),
+        rms_own=np.array([own.get(c.name, np.nan) for c in with_a]),
         rms_of_a=np.array([c.rms_after for c in with_a]),
+        lost=tuple(c.name for c in with_a if not c.converged),
     )
 
 
@@ -108,6 +111,5 @@ def _predicted(
     others = jnp.asarray(z + np.nan_to_num(moved.step()))
     others = space.from_scaled(jnp.clip(others, space.lower(), space.upper()))
     values = np.where(taken, values, np.asarray(others))
-    simulated, solution = b.simulate(dict(zip(space.names, values, strict=True)))
-    check_converged(solution, tuple(c.name for c in simulated.configurations))
+    simulated, _ = b.simulate(dict(zip(space.names, values, strict=True)))
     return simulated.configurations
