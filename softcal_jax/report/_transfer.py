@@ -63,8 +63,11 @@ class Transfer(Module):
         lines = text_table("", titles, values).lines()
         titles = "pose of B", "motion", "error of its own fit", "with the values of A"
         lines += ["", *text_table("", titles, errors).lines()]
-        lost = f"With the values of A there is no equilibrium of {listed(self.lost)}."
-        return "\n".join([*lines, "", d.verdict, *([lost] if self.lost else [])])
+        lines += ["", d.verdict]
+        if self.lost:
+            lost = listed(self.lost)
+            lines.append(f"With the values of A there is no equilibrium of {lost}.")
+        return "\n".join(lines)
 
 
 def transfer(a: Estimate, b: Project, result: CalibrationResult) -> Transfer:
