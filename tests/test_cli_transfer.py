@@ -8,6 +8,8 @@ from small_project import E_TRUE, write_small_project
 from wording import says
 
 from softcal_jax.cli import main
+from softcal_jax.inference import Difference
+from softcal_jax.report import Transfer
 
 QUICK = (
     "[shared]\n",
@@ -81,3 +83,20 @@ def test_robots_that_share_no_parameter(results, tmp_path, capsys):
     )
     assert main(["transfer", str(results), str(path), "-q"]) == 2
     assert says(capsys.readouterr().err, "no parameter of the material", "modulus")
+
+
+def test_poses_that_the_values_of_the_first_do_not_carry_are_named():
+    one = np.ones(1)
+    found = Transfer(
+        difference=Difference(
+            ("E",), ("Pa",), 1e5 * one, 2e5 * one, 1e3 * one, 1e3 * one, 1e4, one, 100.0
+        ),
+        poses=("low", "high"),
+        motion=np.array([1e-3, np.nan]),
+        rms_own=np.array([1e-4, 2e-4]),
+        rms_of_a=np.array([1.1e-3, np.nan]),
+        lost=("high",),
+    )
+    assert says(found, "high", "0.2 mm", "-", "no equilibrium of high")
+    assert found.as_dict()["lost"] == ["high"]
+    assert found.as_dict()["rms_of_a"] == [1.1e-3, None]
