@@ -166,8 +166,8 @@ def sessions(count: int) -> dict[str, Figure]:
     """The tentacle in one session, and in the other."""
     del count
     first = load_project(ready_made_path("tentacle"))
-    second = replace(first, calibration=first.validation, validation=first.calibration)
-    return _asked("sessions", "E", first, second)
+    second = replace(first, calibration=first.validation, validation=())
+    return _asked("sessions", "E", replace(first, validation=()), second)
 
 
 def _asked(part: str, name: str, a: Project, b: Project) -> dict[str, Figure]:
