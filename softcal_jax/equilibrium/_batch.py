@@ -171,9 +171,9 @@ def _from_nearest(
             near = states[[*states][int(np.argmin(to_known[:, k]))]]
             c = each[waiting[k] - first]
             calls.append(partial(lanes.from_known, c, near, begun[c]))
-        if not calls:  # nothing to begin at
-            c = each[waiting[0] - first]
-            ready, calls = [0], [partial(lanes.solve, c, begun=begun[c])]
+        if not calls:  # none holds and imposes the same: the last one is a guess
+            last = [*states.values()][-1].displacement if states else None
+            ready, calls = [0], [partial(lanes.solve, each[waiting[0] - first], last)]
         solutions = lanes.workers.side_by_side(calls)
         for row, solution in zip([waiting[k] for k in ready], solutions, strict=True):
             c = each[row - first]

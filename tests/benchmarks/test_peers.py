@@ -90,7 +90,9 @@ def test_poses_are_plain_arrays(job):
         assert 1e-3 < np.linalg.norm(pose.measured) < 0.1
     u = np.asarray(our_static(job, 3, job.target).displacement)
     pose = job.poses[3]
-    np.testing.assert_allclose(u[pose.marker], pose.measured, rtol=1e-9)
+    # Measured along another way; both are left at 1e-8 of the largest force.
+    atol = 1e-8 * np.linalg.norm(pose.measured)
+    np.testing.assert_allclose(u[pose.marker], pose.measured, rtol=0.0, atol=atol)
 
 
 @pytest.mark.slow  # programs of a peer's job that no other test needs
@@ -187,7 +189,7 @@ def test_a_peer_that_solves_another_problem_is_refused(job):
         peers.agreement(job, "other", moved, gradient)
     agreement = peers.agreement(job, "same", moved, ours)
     assert agreement == {
-        "tip_difference": pytest.approx(0.0, abs=1e-9),
+        "tip_difference": pytest.approx(0.0, abs=1e-8),  # that of the equilibria
         "gradient_difference": 0.0,
     }
 
