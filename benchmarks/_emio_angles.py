@@ -21,6 +21,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.distance import cdist
 
 import softcal_jax as sc
 from benchmarks._emio_mesh import SCENE
@@ -84,14 +85,11 @@ def recover(model: Model, places: np.ndarray) -> list[Angles]:
     rest = sc.solve_equilibrium(model, lane)
     home = np.asarray(actuator_compliance(model, lane, rest).state.effectors)[0]
     known = [(1e3 * home, np.zeros(4), rest.displacement)]
-    left = set(range(len(places)))
+    left = list(range(len(places)))
     while left:
-        distances = {
-            (k, near): float(np.linalg.norm(places[k] - place))
-            for k in left
-            for near, (place, _, _) in enumerate(known)
-        }
-        k, near = min(distances, key=distances.__getitem__)
+        distances = cdist(places[left], [place for place, _, _ in known])
+        row, near = np.unravel_index(np.argmin(distances), distances.shape)
+        k = left[row]
         found[k], u = approach(model, lane, known[near], places[k])
         known.append((places[k], found[k].angles, u))
         left.remove(k)

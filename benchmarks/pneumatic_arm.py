@@ -11,8 +11,7 @@ published pull test (README.md of the arm) and is calibrated beside that. That a
 which does not stiffen fails at 400 mbar was known when this one was taken, and one
 other value of J_m had been tried there; the prior is that of the pull test alone.
 
-A pose that is not found from rest is followed along its path, see `predict`; one that
-the arm does not carry is none of the predictions, and named.
+A pose that is not found, see `equilibria`, is none of the predictions, and named.
 """
 
 import re

@@ -149,7 +149,7 @@ def _solve_held_out(
         if lane not in last.solved:
             notes.append(f"{pose.name} is not predicted: this was interrupted.")
         elif not last.solved[lane].converged:
-            why = "with the calibrated parameters it has no equilibrium"
+            why = "with the calibrated parameters no equilibrium was found"
             ways = other_ways(last.solved[lane])
             notes.append(f"{pose.name} is not predicted: {why}.{ways}")
     return notes + unscoped_notes(task.space, task.held_out), interrupted

@@ -266,7 +266,7 @@ class _Lanes:
 
     def along_path(self, c: int, failed: EquilibriumSolution) -> EquilibriumSolution:
         """Follow the path of a lane along its load, and solve it from the end."""
-        path = trace(*self._to_trace(c))
+        path = trace(*self._to_trace(c), check=self.workers.check)
         share = min(float(np.max(path.load)), 1.0)
         if share == 1.0:
             found = self.solve(c, jnp.asarray(path.displacement[-1]))

@@ -13,6 +13,7 @@ weight w makes a unit of t as long as the displacement that the full load would 
 the undeformed body if it stayed linear, so that ds has no unit.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -291,10 +292,12 @@ def trace(
     configuration: ConfigurationArrays,
     path: LoadPath,
     settings: NewtonSettings,
+    check: Callable[[], None] = lambda: None,
 ) -> EquilibriumPath:
     """Trace the equilibria of a configuration from rest along its load.
 
-    Not under `jit`: how many states a path has is only known while it is followed.
+    `check` is called before each state, and may raise to end it. Not under `jit`: how
+    many states a path has is only known while it is followed.
     """
     if any(map(is_traced, jax.tree.leaves((model, configuration)))):
         raise ValueError(
@@ -306,6 +309,7 @@ def trace(
     ds = first = path.first * float(state.length)
     full, result = jnp.asarray(True), RESULTS.states_used_up
     while bool(state.ok) and len(states) <= path.states:
+        check()
         length = jnp.asarray(ds, float)  # typed as the first: one program
         new = _step(model, configuration, state, length, ~full, settings)
         last = bool(new.ok) and float(new.load) >= 1.0

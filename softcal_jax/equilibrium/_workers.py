@@ -234,6 +234,11 @@ class Workers:
         if usable_cores() > 1:
             self._ahead.submit(compile_first)
 
+    def check(self) -> None:
+        """Raise CancelledError in a run whose result is no longer wanted."""
+        if _THREAD.run is not None:
+            _THREAD.run.check()
+
     def map(self, program: Program, lanes: Iterable[Sequence[Any]]) -> list[Any]:
         """Run all lanes of a program and return their results in order."""
         lanes, run = list(lanes), _THREAD.run

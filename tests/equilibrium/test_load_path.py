@@ -4,6 +4,8 @@ A thick, nearly incompressible neo-Hookean sphere carries at most p = 0.81 mu, a
 inner stretch of 1.9 (`neo_hookean_sphere`).
 """
 
+from concurrent.futures import CancelledError
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -147,3 +149,17 @@ def test_a_path_is_refused_where_it_cannot_be_followed(lane):
 def test_bad_settings_of_a_path(wrong, message):
     with pytest.raises(ValueError, match=message):
         LoadPath(**wrong)
+
+
+def test_a_path_ends_where_its_check_raises(lane):
+    """So Ctrl-C need not wait for its end, in a thread."""
+    states = []
+
+    def check():
+        states.append(None)
+        if len(states) == 3:
+            raise CancelledError
+
+    with pytest.raises(CancelledError):
+        _path.trace(model(), lane, LoadPath(), TIGHT.as_arrays(), check)
+    assert len(states) == 3
