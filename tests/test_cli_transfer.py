@@ -89,7 +89,16 @@ def test_poses_that_the_values_of_the_first_do_not_carry_are_named():
     one = np.ones(1)
     found = Transfer(
         difference=Difference(
-            ("E",), ("Pa",), 1e5 * one, 2e5 * one, 1e3 * one, 1e3 * one, 1e4, one, 100.0
+            ("E",),
+            ("Pa",),
+            1e5 * one,
+            2e5 * one,
+            1e3 * one,
+            1e3 * one,
+            1e4,
+            1,
+            one,
+            100.0,
         ),
         poses=("low", "high"),
         motion=np.array([1e-3, np.nan]),
@@ -97,6 +106,6 @@ def test_poses_that_the_values_of_the_first_do_not_carry_are_named():
         rms_of_a=np.array([1.1e-3, np.nan]),
         lost=("high",),
     )
-    assert says(found, "high", "0.2 mm", "-", "no equilibrium of high")
+    assert says(found, "high", "0.2 mm", "-", "no equilibrium was found of high")
     assert found.as_dict()["lost"] == ["high"]
     assert found.as_dict()["rms_of_a"] == [1.1e-3, None]

@@ -43,6 +43,8 @@ class Difference(Module):
         std_a: Their standard errors from A, by all causes.
         std_b: Those from B.
         chi_squared: Of all differences together [-].
+        directions: Number of independent differences: fewer than parameters where some
+            of these vary together without a rest.
         worst: Change from A to B along the direction in which they differ most.
         worst_size: Its size in standard errors [-].
     """
@@ -54,6 +56,7 @@ class Difference(Module):
     std_a: Float[HostArray, " n"]
     std_b: Float[HostArray, " n"]
     chi_squared: float
+    directions: int
     worst: Float[HostArray, " n"]
     worst_size: float
 
@@ -65,7 +68,7 @@ class Difference(Module):
     @property
     def probability(self) -> float:
         """Probability of differences as large, if both are of one material [-]."""
-        return float(chdtrc(len(self.names), self.chi_squared))
+        return float(chdtrc(self.directions, self.chi_squared))
 
     @property
     def agree(self) -> bool:
@@ -75,7 +78,7 @@ class Difference(Module):
     @property
     def verdict(self) -> str:
         """What the values hold for, in a sentence or two."""
-        found = f"chi-squared {self.chi_squared:.3g} for {len(self.names)}"
+        found = f"chi-squared {self.chi_squared:.3g} for {self.directions}"
         readable_by = lambda i, by: readable(float(f"{by:.2g}"), self.units[i])
         if self.agree:
             size = np.where(np.array(self.units) == "rad", 1.0, np.abs(self.of_a))
@@ -136,6 +139,7 @@ def difference(a: Estimate, b: Estimate) -> Difference:
         std_a=std(a)[of_a],
         std_b=std(b)[of_b],
         chi_squared=float(np.sum(along**2 / size)),
+        directions=len(size),
         worst=slopes * apart * Q[:, most] * along[most],
         worst_size=float(abs(along[most]) / np.sqrt(size[most])),
     )

@@ -26,7 +26,7 @@ class Transfer(Module):
         motion: How far their points move [m].
         rms_own: How far they are off by the fit to B, rms [m].
         rms_of_a: The same with the values of A, and all others fitted to B [m].
-        lost: Configurations that have no equilibrium with the values of A.
+        lost: Configurations of which no equilibrium was found with the values of A.
     """
 
     difference: Difference
@@ -66,7 +66,7 @@ class Transfer(Module):
         lines += ["", d.verdict]
         if self.lost:
             lost = listed(self.lost)
-            lines.append(f"With the values of A there is no equilibrium of {lost}.")
+            lines.append(f"With the values of A no equilibrium was found of {lost}.")
         return "\n".join(lines)
 
 

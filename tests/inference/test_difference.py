@@ -75,3 +75,12 @@ def test_agreement_that_says_little_is_not_praised():
     assert found.agree
     assert says(found.verdict, "agree", "could hide", "E by 57 kPa")
     assert "material" not in found.verdict
+
+
+def test_parameters_that_vary_together_count_once():
+    a = estimate(1e5, 300.0, 0.3, 0.003, rho=1.0, scale="linear")
+    b = estimate(1.006e5, 300.0, 0.306, 0.003, rho=1.0, scale="linear")
+    found = difference(a, b)
+    assert found.directions == 1
+    assert found.chi_squared == pytest.approx(2.0, rel=1e-6)
+    assert found.probability == pytest.approx(chi2.sf(2.0, 1), rel=1e-6)
