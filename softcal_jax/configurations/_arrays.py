@@ -59,25 +59,43 @@ class EffectorArrays(Module):
 
     Attributes:
         nodes: Nodes that carry each point.
-        weights: Their weights [-]; position = sum of weights times node positions.
+        weights: Their weights at the nominal place of the point on the body [-].
+        slopes: Change of the weights where the point lies elsewhere on it [1/m].
+        which: Index in `movable` of each point that has slopes.
+        offset: How far the `movable` points lie from their nominal places [m]; 0 unless
+            they are parameters.
         turn_body: Body of each turn.
         turn_reference: Orientation from which each turn is counted, as a matrix [-].
         measured: Measured values, or goals, of all rows.
         inverse_std: 1 / standard deviation per coordinate; 0 where not measured.
         base: Offset of the frame of the recording.
         is_observed: Which of the observations this configuration has.
+        movable: Names of the markers and frames whose place can be a parameter.
         observed: Functions of the observations, the same in all configurations.
     """
 
     nodes: Int[AnyArray, "*batch n_points n_carriers"]
     weights: Float[AnyArray, "*batch n_points n_carriers"]
+    slopes: Float[AnyArray, "*batch n_points n_carriers 3"]
+    which: Int[AnyArray, "*batch n_points"]
+    offset: Float[AnyArray, "*batch n_movable 3"]
     turn_body: Int[AnyArray, "*batch n_turns"]
     turn_reference: Float[AnyArray, "*batch n_turns 3 3"]
     measured: Float[AnyArray, "*batch n_rows 3"]
     inverse_std: Float[AnyArray, "*batch n_rows 3"]
     base: RecordingBase
     is_observed: Bool[AnyArray, "*batch n_observed"]
+    movable: tuple[str, ...] = eqx.field(static=True, default=())
     observed: tuple[Observed, ...] = eqx.field(static=True, default=())
+
+    @property
+    def shares(self) -> Float[Array, "n_points n_carriers"]:
+        """Weights at the places of the points; position = sum of them times nodes."""
+        if not self.movable:
+            return jnp.asarray(self.weights)
+        offset = jnp.asarray(self.offset)[jnp.asarray(self.which)]
+        change = jnp.sum(jnp.asarray(self.slopes) * offset[:, None, :], axis=2)
+        return jnp.asarray(self.weights) + change
 
 
 class ActuationArrays(Module):

@@ -32,7 +32,8 @@ class Unstated(float):
 class EffectorRow(NamedTuple):
     """Up to three coordinates of an effector, as the solver sees them.
 
-    A point is carried by nodes with weights [-]; a turn has the index of its body and
+    A point is carried by nodes with weights [-], and `slopes` by which these change
+    where it lies elsewhere [1/m], if it can; a turn has the index of its body and
     the reference from which it is counted. Other quantities have a function, like that
     of `Observation`, and the number of its values. Measured values are NaN where there
     is none, and `inverse_std` is 0 for a coordinate that does not count.
@@ -45,6 +46,7 @@ class EffectorRow(NamedTuple):
     inverse_std: Float[HostArray, "3"] = np.zeros(3)
     nodes: Int[HostArray, " n"] = np.zeros(0, np.int32)
     weights: Float[HostArray, " n"] = np.zeros(0)
+    slopes: Float[HostArray, "n 3"] = np.zeros((0, 3))
     body: int = 0
     reference: Float[HostArray, "3 3"] = np.eye(3)
     function: Callable[..., Any] | None = None
@@ -233,11 +235,16 @@ def stack_effectors(lanes: Sequence[Rows]) -> list[tuple[EffectorArrays, list[in
     # A function has the same row in all lanes, as it is part of their program.
     observed = tuple(dict.fromkeys(o for o in (r.observed for r in rows) if o))
     widest = max((row.nodes.size for row in rows), default=0)
-    return [_stack(lane, ends, widest, observed) for lane in lanes]
+    movable = tuple(dict.fromkeys(row.name for row in rows if row.slopes.size))
+    return [_stack(lane, ends, widest, movable, observed) for lane in lanes]
 
 
 def _stack(
-    lane: Rows, ends: Sequence[int], widest: int, observed: tuple[Observed, ...]
+    lane: Rows,
+    ends: Sequence[int],
+    widest: int,
+    movable: tuple[str, ...],
+    observed: tuple[Observed, ...],
 ) -> tuple[EffectorArrays, list[int]]:
     """Fill in rows of points, turns and observations, which begin at the `ends`."""
     following = {"point": count(ends[0]), "turn": count(ends[1])}
@@ -249,23 +256,31 @@ def _stack(
     indices = [index(row) for row in lane]
     total = ends[2] + len(observed)
     nodes, weights = np.zeros((total, widest), np.int32), np.zeros((total, widest))
+    slopes, which = np.zeros((total, widest, 3)), np.zeros(total, np.int32)
     body, reference = np.zeros(total, np.int32), np.tile(np.eye(3), (total, 1, 1))
     measured, inverse_std = np.zeros((2, total, 3))
     for i, row in zip(indices, lane, strict=True):
         nodes[i, : row.nodes.size] = row.nodes
         weights[i, : row.weights.size] = row.weights
+        if row.slopes.size:
+            slopes[i, : len(row.slopes)] = row.slopes
+            which[i] = movable.index(row.name)
         body[i], reference[i] = row.body, row.reference
         measured[i], inverse_std[i] = np.nan_to_num(row.measured), row.inverse_std
     points, turns = slice(ends[1]), slice(*ends[1:])
     arrays = EffectorArrays(
         nodes=nodes[points],
         weights=weights[points],
+        slopes=slopes[points],
+        which=which[points],
+        offset=np.zeros((len(movable), 3)),
         turn_body=body[turns],
         turn_reference=reference[turns],
         measured=measured,
         inverse_std=inverse_std,
         base=RecordingBase(np.zeros(3), np.zeros(3)),
         is_observed=np.isin(np.arange(ends[2], total), indices),
+        movable=movable,
         observed=observed,
     )
     return arrays, indices

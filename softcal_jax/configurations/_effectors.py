@@ -84,8 +84,11 @@ class BodyFrame(AbstractEffector):
         bodies = mechanism.bodies
         k, point = self._place(bodies)
         nodes = (mesh.n_nodes + 4 * k + np.arange(4)).astype(np.int32)
-        weights = bodies.at(k, point[None])[0]
-        row = EffectorRow(self.name, "point", "m", nodes=nodes, weights=weights)
+        weights, *along = bodies.at(k, point + np.eye(4, 3, -1))
+        slopes = np.array(along).T - weights[:, None]
+        row = EffectorRow(
+            self.name, "point", "m", nodes=nodes, weights=weights, slopes=slopes
+        )
         turn = EffectorRow(self.name, "turn", "rad", body=k)
         weight_angle = inverse_std(self.name, "std_angle", self.std_angle, "rad")
         if self.measured is None:

@@ -1,6 +1,7 @@
 """Markers: material points whose positions are measured, and nodes that carry them."""
 
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -116,10 +117,16 @@ def marker_rows(
     ]
 
 
-def _carriers(
-    mesh: TetMesh, markers: Markers
-) -> list[tuple[Int[HostArray, " n"], Float[HostArray, " n"]]]:
-    """Find the nodes that carry each marker, and their weights [-]."""
+class _Carriers(NamedTuple):
+    """Nodes of an `EffectorRow`."""
+
+    nodes: Int[HostArray, " n"]
+    weights: Float[HostArray, " n"]
+    slopes: Float[HostArray, "n 3"]
+
+
+def _carriers(mesh: TetMesh, markers: Markers) -> list[_Carriers]:
+    """Find the nodes that carry each marker."""
     places = locate(
         mesh,
         markers.positions,
@@ -127,7 +134,8 @@ def _carriers(
         names=[f"marker {name!r}" for name in markers.names],
     )
     if markers.base_radius == 0.0:
-        return list(zip(places.nodes, places.weights, strict=True))
+        each = zip(places.nodes, places.weights, places.slopes, strict=True)
+        return [_Carriers(*carriers) for carriers in each]
     # The volume of each tet is shared evenly among its nodes: integrals of quadratic
     # shape functions would give corners a negative share.
     volume = np.zeros(mesh.n_nodes)
@@ -137,7 +145,7 @@ def _carriers(
 
 
 def _patch(mesh, volume, foot, position, name, *, radius):
-    """Return nodes within a radius of the foot, and weights of their affine motion."""
+    """Return nodes within a radius of the foot, which carry by their affine motion."""
     nodes = np.flatnonzero(np.linalg.norm(mesh.points - foot, axis=1) <= radius)
     share = np.sqrt(volume[nodes])
     centre = mesh.points[nodes].mean(axis=0) if nodes.size else foot
@@ -150,5 +158,6 @@ def _patch(mesh, volume, foot, position, name, *, radius):
             f"{readable(radius, 'm')} of its foot, too few to carry a post. Refine the "
             "mesh there, or raise base_radius above the edge length."
         )
-    at_marker = np.concatenate([[1.0], (position - centre) / radius])
-    return nodes, at_marker @ np.linalg.pinv(share[:, None] * A) * share
+    fit = np.linalg.pinv(share[:, None] * A) * share
+    weights = fit[0] + (position - centre) / radius @ fit[1:]
+    return _Carriers(nodes, weights, fit[1:].T / radius)

@@ -129,8 +129,7 @@ def _placed(
 ) -> Float[Array, "n_points_and_turns 3"]:
     """Compute the rows that a recording sees: points and turns."""
     x = model.positions(u)
-    weights = jnp.asarray(effectors.weights)
-    points = jnp.sum(weights[:, :, None] * x[effectors.nodes], axis=1)
+    points = jnp.sum(effectors.shares[:, :, None] * x[effectors.nodes], axis=1)
     centre = jnp.mean(jnp.asarray(model.mesh.points), axis=0)
     points = effectors.base.point(points, centre)
     if effectors.turn_body.shape[0] == 0:

@@ -41,6 +41,7 @@ from softcal_jax.fields._setup_parameters import (
     friction as friction,
     gravity_tilt as gravity_tilt,
     load_factor as load_factor,
+    marker_offset as marker_offset,
     motor_zero as motor_zero,
     mounting as mounting,
     recording_offset as recording_offset,

@@ -8,7 +8,8 @@ For a precision p, 0.1 by default, the asked standard error is
     Poisson's ratios                                 p / 2
     friction                                         p, a tenth of a pull per radian
     zeros of motors, mountings, tilts of gravity,
-    offsets and turns of a recording                 10 p times the default `Uncertain`
+    offsets of markers, offsets and turns of a recording
+                                                     10 p times the default `Uncertain`
 
 so that an error of the setup counts as known once its standard error is as small as
 after careful work. Bounds do not enter: they are typed, not measured.

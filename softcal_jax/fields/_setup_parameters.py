@@ -335,6 +335,32 @@ def recording_offset(
     return made
 
 
+QUANTITIES["marker_offset"] = Quantity(
+    "offset {axis} of {of}",
+    entry_of("effectors.offset"),
+    noun="marker or 6-D sensor",
+    names=attrgetter("effectors.movable"),
+    components=_XYZ,
+    unit="m",
+    of_configuration=True,
+    uncertain="mountings",  # placed by the same hands
+    role="none",
+)
+
+
+def marker_offset(
+    marker: str, *, limit: float, prior_std: float | None
+) -> tuple[SetupParameter, ...]:
+    """Make the place of a marker or 6-D sensor on the body three parameters.
+
+    They are its offset from the nominal place along the axes of the mesh at rest. It
+    moves and turns with what carries the marker: to first order, with the tet or the
+    affine motion of `Markers.base_radius`. `limit` is the largest offset per axis [m],
+    `prior_std` None if not known [m].
+    """
+    return setup_parameters("marker_offset", marker, limit=limit, prior_std=prior_std)
+
+
 QUANTITIES["clamp_stiffness"] = Quantity(
     "stiffness of {of}",
     entry_of("springs.stiffness"),

@@ -28,6 +28,7 @@ class MaterialPoints(Module):
         foot: Nearest point of the mesh, the point itself where that is inside [m].
         nodes: Nodes of the tet.
         weights: Weights of these nodes [-]; rows sum to one.
+        slopes: Change of the weights where the point lies elsewhere [1/m].
     """
 
     tet: Int[HostArray, " n"]
@@ -36,6 +37,7 @@ class MaterialPoints(Module):
     foot: Float[HostArray, "n 3"]
     nodes: Int[HostArray, "n n_en"]
     weights: Float[HostArray, "n n_en"]
+    slopes: Float[HostArray, "n n_en 3"]
 
     def interpolate(
         self, field: Float[Array | HostArray, "n_nodes ..."]
@@ -75,7 +77,7 @@ def locate(
 
     tet, b = tets_at(mesh, p)
     n_en = mesh.tets.shape[1]
-    weights = shape_functions(b, n_en)
+    weights, dN = shape_functions(b, n_en), shape_gradients(b, n_en)
     distance, foot = np.zeros(len(p)), p.copy()
     outside = np.flatnonzero(tet < 0)
     if outside.size:
@@ -83,15 +85,17 @@ def locate(
         for i in outside:
             tet[i], b0, distance[i] = boundary.nearest(p[i])
             X = mesh.points[mesh.tets[tet[i]]]
-            N, dN = shape_functions(b0, n_en), shape_gradients(b0, n_en)
+            N, dN[i] = shape_functions(b0, n_en), shape_gradients(b0, n_en)
             foot[i] = N @ X
-            step = np.linalg.solve(X.T @ dN, p[i] - foot[i])
+            step = np.linalg.solve(X.T @ dN[i], p[i] - foot[i])
             b[i] = b0 + np.concatenate([[-step.sum()], step])
-            weights[i] = N + dN @ step
+            weights[i] = N + dN[i] @ step
     if (distance > max_distance).any():
         labels = names or [f"point {i}" for i in range(len(p))]
         raise _too_far(p, distance, max_distance, labels)
-    return MaterialPoints(tet, b, distance, foot, mesh.tets[tet], weights)
+    nodes = mesh.tets[tet]
+    slopes = dN @ np.linalg.inv(np.swapaxes(mesh.points[nodes], 1, 2) @ dN)
+    return MaterialPoints(tet, b, distance, foot, nodes, weights, slopes)
 
 
 def tets_at(mesh: TetMesh, points: HostArray) -> tuple[HostArray, HostArray]:

@@ -17,10 +17,12 @@ from softcal_jax.fields import (
     friction,
     gravity_tilt,
     load_factor,
+    marker_offset,
     motor_zero,
     mounting,
     recording_offset,
 )
+from softcal_jax.project._effectors import BodyFrameTable
 from softcal_jax.project._mechanism import CableTable, MotorTable
 from softcal_jax.project._problems import known_name
 from softcal_jax.project._quantities import (
@@ -119,6 +121,20 @@ class FrictionTable(SetupTable):
         tables = project.actuators.items()
         cables = {k: table for k, table in tables if isinstance(table, CableTable)}
         return {k: (cable.friction,) for k, cable in cables.items() if cable.friction}
+
+
+class MarkerOffsetTable(SetupTable):
+    makes = marker_offset
+    measures = LENGTH
+    noun = "marker or 6-D sensor"
+    section = "[markers.positions] or [effectors]"
+    marker_offset: Names
+
+    def subjects(self, project: WholeFile) -> Subjects:
+        tables = project.effectors.items()
+        frames = [name for name, table in tables if isinstance(table, BodyFrameTable)]
+        markers = project.markers.positions if project.markers else ()
+        return dict.fromkeys([*markers, *frames], ())
 
 
 Each = Annotated[
@@ -225,6 +241,7 @@ AnySetup = Annotated[
     | LoadFactorTable
     | ActuatorFactorTable
     | ClampStiffnessTable
+    | MarkerOffsetTable
     | FrictionTable,
     Choice(by_keys),
 ]

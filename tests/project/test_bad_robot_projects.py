@@ -241,7 +241,8 @@ CASES = {
     "an empty setup": (
         (WOUND, f'[[setup]]\nlimit = "3 mm"\n{WOUND}'),
         "setup[1]: ... one of motor_zero, mounting, gravity_tilt, recording_offset, "
-        "load_factor, actuator_factor, clamp_stiffness, friction; got none",
+        "load_factor, actuator_factor, clamp_stiffness, marker_offset, "
+        "friction; got none",
     ),
     "an absolute prior on a log scale": (
         ("# prior_std = 0.3", 'prior_std = "50 kPa"'),

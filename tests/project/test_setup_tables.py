@@ -35,6 +35,9 @@ type = "actuator-displacement"
 actuator = "tendon"
 std = "0.1 mm"
 
+[markers.positions]
+tip = "(60, 5, 5) mm"
+
 [shared]
 gravity = "(0, 0, -9.81) m/s^2"
 supports = [{ group = "x_min", stiffness = "1 GPa/m" }]
@@ -93,6 +96,11 @@ prior_std = 0.5
 [[setup]]
 friction = "tendon"
 limit = 0.1
+
+[[setup]]
+marker_offset = "tip"
+limit = "2 mm"
+prior_std = "0.5 mm"
 """
 
 
@@ -115,6 +123,7 @@ def test_every_kind_becomes_parameters(tmp_path):
         *(f"turn {axis} in {r}" for axis in "xyz" for r in ("monday", "c")),
         "stiffness of x_min",
         "friction of tendon",
+        *(f"offset {axis} of tip" for axis in "xyz"),
     ]
     by_name = {q.name: q for e in entries for q in e.parameters}
     np.testing.assert_allclose(by_name["first tilt of gravity"].prior_std, np.pi / 180)
@@ -147,6 +156,7 @@ def test_a_recording_may_be_turned_alone(tmp_path):
         ('friction = "rope"\nlimit = 0.1', "cable .* .rope."),
         ('actuator_factor = "rope"', "no actuator .rope."),
         ("recording_offset = true", "needs limit.* turn_limit"),
+        ('marker_offset = "top"\nlimit = "1 mm"', "no marker or 6-D sensor .top.* tip"),
     ],
 )
 def test_what_the_project_does_not_have(tmp_path, table, message):

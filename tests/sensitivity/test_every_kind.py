@@ -46,6 +46,7 @@ from softcal_jax.fields import (
     friction,
     gravity_tilt,
     load_factor,
+    marker_offset,
     motor_zero,
     mounting,
     recording_offset,
@@ -113,6 +114,8 @@ SPACE = ParameterSpace(
         friction("c", 0.2, limit=0.15, **KNOWN),
         *recording_offset(limit=5e-3, turn_limit=0.2, each=["tuesday"], **KNOWN),
         clamp_stiffness("x_max", 2e6, **KNOWN),
+        *marker_offset("a", limit=5e-3, **KNOWN),
+        *marker_offset("sensor", limit=5e-3, **KNOWN),
     )
 )
 LANES = configuration_arrays(MESH, [POSE], MODEL.mechanism)
@@ -274,6 +277,7 @@ def test_a_forgotten_kind_fails_loudly(lie, message):
     [
         (actuator_factor("d", **KNOWN), r"actuator .*'factor of d' 'd'.*'c'"),
         (clamp_stiffness("z_min", 1e6, **KNOWN), r"support with a stiffness.*'x_max'"),
+        (marker_offset("c", limit=1.0, **KNOWN)[0], r"6-D sensor .*'c'.*'a'.*'b'"),
     ],
 )
 def test_what_no_configuration_has_is_refused(entry, message):

@@ -208,8 +208,8 @@ def _effectors(
     scale: Scale,
 ) -> list[dict[str, Any]]:
     """Write markers and other points: nodes, weights, and predicted positions."""
-    arrays = lane.effectors
-    nodes, weights = np.asarray(arrays.nodes), np.asarray(arrays.weights)
+    nodes = np.asarray(lane.effectors.nodes)
+    weights = np.asarray(lane.effectors.shares)
     written = []
     for record in records:
         if record.quantity != "point":
