@@ -147,7 +147,8 @@ def render_body(
     x = model.mesh.points + u
     if posed is not None:
         more.append(load_points(posed, model.mesh, x))
-    view = choose_view(model.mesh.points, u, np.concatenate(more))
+    gravity = () if posed is None else posed.gravity
+    view = choose_view(model.mesh.points, u, np.concatenate(more), gravity)
     width = _WIDTH - _SIDE
     scale, height = fit_body(view, width, _MARGIN, _LOWEST, _HIGHEST)
     largest = 1e3 * float(np.linalg.norm(u, axis=1).max())
@@ -177,6 +178,7 @@ def render_body(
     drawn += robots.draw_sensors(body, view, sensors)
     flat = view.project(measured), view.project(simulated)
     annotations.draw_markers(body, *flat, marker_names)
+    annotations.separate_names(body)
     bar = (_WIDTH - _SIDE + 20, _BOTTOM + 0.06 * height, 28, 0.88 * height)
     annotations.draw_colour_scale(add_axes(figure, *bar), largest)
     words = {"title": title, "subtitle": subtitle, "warning": warning}

@@ -1,5 +1,6 @@
 """The view of a body, chosen from its shape and its motion, and what is seen in it."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -45,12 +46,14 @@ def choose_view(
     points: Float[HostArray, "n_nodes 3"],
     displacement: Float[HostArray, "n_nodes 3"],
     more: Float[HostArray, "n 3"],
+    gravity: Sequence[float] | Float[HostArray, "3"] = (0.0, 0.0, -1.0),
 ) -> View:
     """Look across the plane of longest axis and motion, slightly from above.
 
-    The part that moves most is on the right, nearer to the viewer. Points of `more`,
-    like markers, are visible too.
+    The part that moves most is on the right, nearer to the viewer, and gravity points
+    down. Points of `more`, like markers, are visible too.
     """
+    above = _unit(-np.asarray(gravity, float)) if np.any(gravity) else np.eye(3)[2]
     centred = points - points.mean(axis=0)
     _, _, axes = np.linalg.svd(centred, full_matrices=False)
     axis, across = axes[0], axes[1]
@@ -59,9 +62,12 @@ def choose_view(
         motion = np.linalg.svd(displacement, full_matrices=False)[2][0]
     motion = motion - (motion @ axis) * axis
     if np.linalg.norm(motion) < 0.3:  # no motion, or along the axis
-        motion = across if abs(axis[2]) > 0.9 else np.eye(3)[2] - axis[2] * axis
+        upright = abs(axis @ above) > 0.9
+        motion = across if upright else above - (axis @ above) * axis
     normal = _unit(np.cross(axis, motion))
-    vertical = np.eye(3)[2 if abs(normal[2]) < 0.9 else 1]
+    vertical = above
+    if abs(normal @ above) >= 0.9:  # seen from above
+        vertical = np.eye(3)[1 if abs(normal[1]) < 0.9 else 2]
     right = _unit(np.cross(vertical, normal))
     weight = np.linalg.norm(displacement, axis=1)
     side = weight @ (centred @ right)

@@ -179,7 +179,8 @@ def _first_view(
     most = max(drawn, key=lambda pose: pose.largest_displacement, default=None)
     u = np.zeros_like(X) if most is None else most.displacement
     everything = np.concatenate([X, *(X + pose.displacement for pose in drawn)])
-    view = choose_view(X, u, everything)
+    posed = next((pose.posed for pose in shown if pose.posed is not None), None)
+    view = choose_view(X, u, everything, () if posed is None else posed.gravity)
     axes = {k: getattr(view, k).tolist() for k in ("right", "up", "towards")}
     return {**axes, "more": [place for robot in robots for place in robot["reach"]]}
 

@@ -69,3 +69,14 @@ def test_all_of_it_is_seen(turn):
     half = 0.5 * np.array([view.width, view.height])
     np.testing.assert_allclose(flat.max(axis=0), half, rtol=1e-9)
     np.testing.assert_allclose(flat.min(axis=0), -half, rtol=1e-9)
+
+
+def test_gravity_points_down():
+    """Also where it is not along -z, and none is like -z."""
+    mesh = beam(0.1, 0.02, 0.02, (5, 1, 1))
+    sideways = bent(mesh, 0, np.array([0.0, -1.0, 0.0]))
+    view = choose_view(mesh.points, sideways, NONE, (0.0, -9.81, 0.0))
+    assert view.up[1] > 0.9
+    rest = np.zeros_like(mesh.points)
+    for none in ((), np.zeros(3)):
+        assert choose_view(mesh.points, rest, NONE, none).up[2] > 0.9
