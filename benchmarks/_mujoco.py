@@ -16,9 +16,20 @@ from softcal_jax.project import load_project
 from softcal_jax.report import write_results
 from softcal_jax.robots import ready_made_path
 
+_FRICTIONLESS = {
+    **{f"actuators.tendon {k}.friction": None for k in (1, 2)},
+    **{f"actuators.tendon {k}.pulled_from": None for k in (1, 2)},
+    "setup": [
+        {"actuator_factor": ["tendon 1", "tendon 2"], "limit": 1.5, "prior_std": 0.1},
+        {"gravity_tilt": True, "limit": "15 deg", "prior_std": "2 deg"},
+        {"recording_offset": True, "limit": "30 mm", "prior_std": "10 mm"},
+    ],
+}
+"""The tentacle as MuJoCo can hold it, and without offsets of markers."""
+
 ROBOTS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
     "beam": (("gravity", "load101"), {"mesh.beam.cells": [6, 2, 2]}),
-    "tentacle": (("m1u01", "m2u01"), {}),
+    "tentacle": (("m1u01", "m2u01"), _FRICTIONLESS),
 }
 """Ready-made robots, the poses that are kept, and what else differs from their files.
 """
