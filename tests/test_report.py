@@ -25,12 +25,13 @@ from softcal_jax.calibration import (
     ResidualChecks,
 )
 from softcal_jax.fields import Parameter, ParameterSpace
-from softcal_jax.identifiability import identifiability
+from softcal_jax.identifiability import assess, identifiability
 from softcal_jax.inference import independent
 from softcal_jax.plotting import rendering_problem
 from softcal_jax.report import (
     PictureWarning,
     _write,
+    answer_of,
     simulation_table,
     summary_table,
     write_identifiability,
@@ -52,6 +53,11 @@ def printed(table):
     console = Console(width=80, file=io.StringIO())
     console.print(table)
     return console.file.getvalue()
+
+
+def answered(result):
+    """What a command prints last."""
+    return "\n".join(answer_of(result, assess(result)).lines())
 
 
 @pytest.fixture
@@ -226,7 +232,6 @@ def test_summary_in_80_columns():
             role,
             *numbers,
         ]
-    assert says(text, "Converged in 4 ... with care")
     assert "Note: nu ended on a bound." in text
     assert "…" not in text
 
@@ -317,28 +322,55 @@ def test_summary_names_what_the_data_do_not_see():
     assert says(flat, "asked standard error ... 0.1 ... 3 times")
     assert says(flat, "W_ep ... inf")
     assert says(flat, "1 of 2 directions ... theta (blind)")
-    assert says(text, "Converged in 4 ... with care")
     assert "…" not in text
 
 
 @pytest.mark.parametrize(
     ("angle", "words"),
     [
-        (100.0, "No combination"),
+        (100.0, "every check passed"),
         (20.0, "only weakly"),
         (10.0, "hardly see 1 of 2 directions"),
     ],
 )
-def test_summary_of_what_they_see(angle, words):
-    text = printed(summary_table(axis_result([100.0, 0.0], [0.0, angle])))
+def test_the_answer_says_what_the_data_see(angle, words):
+    text = answered(axis_result([100.0, 0.0], [0.0, angle]))
     assert words in text
     assert ("hardly see" in text) == (angle == 10.0)
     assert ("with care" in text) == (angle < 100.0)
 
 
 def test_what_is_doubtful_comes_with_its_reason():
-    text = printed(summary_table(make_result()))  # with a parameter on its bound
+    text = answered(make_result())  # with a parameter on its bound
     assert says(text, "with care: ... nu ended on a bound")
+
+
+def test_the_answer_has_few_lines_in_the_order_of_reading():
+    """Value and interval, verdict, held-out error, what to do next."""
+    interval = ParameterInterval(
+        "E", 0.95, 2.3e5, 2.5e5, *2 * ["likelihood"], "Pa", "first-order"
+    )
+    E = ParameterEstimate("E", 2.4e5, 6e3, 2e5, 1e5, 1e6, "Pa", False)
+    result = make_result(parameters=(E,), intervals=(interval,))
+    lines = answered(result).splitlines()
+    assert len(lines) <= 8
+    assert lines[0] == "E = 240.0 ± 6.0 kPa (95 % interval 230 to 250 kPa)"
+    order = [line.split()[0] for line in lines if not line.startswith(" ")]
+    assert order == ["E", "Trust", "Held-out", "Next:", "The"]
+    assert says(lines[2], "held out ... 2.00 mm ... 10.0 %")
+    assert says(lines[3], "more poses ... E is uncertain by 2 % through noise")
+
+
+def test_many_values_and_reasons_are_counted():
+    result = make_result(
+        parameters=tuple(
+            ParameterEstimate(f"E {k}", 2e5, 1e3, 2e5, 1e5, 1e6, "Pa", True)
+            for k in range(12)
+        )
+    )
+    text = answered(result)
+    assert says(text, "E 7 = ... and 4 more parameters")
+    assert says(text, "E 2 ended on a bound ... and 9 more")
 
 
 def test_many_blind_directions_are_counted():
@@ -385,10 +417,25 @@ def test_a_verdict_goes_into_the_results(tmp_path):
     assert names(folder) == words
 
 
-def test_summary_says_that_it_did_not_converge():
-    text = printed(summary_table(make_result(converged=False)))
-    assert says(text, "NOT CONVERGED after 4 steps")
-    assert "Converged in" not in text
+def test_the_answer_says_that_the_fit_did_not_converge():
+    text = answered(make_result(converged=False))
+    assert says(text, "Do not use ... did not converge ... Next: ... max_steps")
+
+
+@pytest.mark.parametrize(
+    ("role", "missed", "outcome"),
+    [
+        ("validation", 0.6, "do not use"),
+        ("validation", 0.4, "take with care"),
+        ("calibration", 0.6, "take with care"),
+    ],
+)
+def test_what_misses_held_out_poses_by_far_is_not_to_be_used(role, missed, outcome):
+    error = (missed * 0.02, 0.0, 0.0)  # the markers move by 20 mm
+    fits = [make_fit(small_model().mesh, "pose", role, error)]
+    assessment = assess(make_result(fits=fits))
+    assert assessment.outcome == outcome
+    assert assessment.contradicted
 
 
 def test_names_are_no_markup():

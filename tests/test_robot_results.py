@@ -244,7 +244,7 @@ def test_a_calibration_shows_them():
     console = Console(width=100, file=io.StringIO())
     console.print(summary_table(make_result(fits=[fit_with_robot()])))
     text = console.file.getvalue()
-    assert "Rms angle " in text
+    assert "Residuals of the orientations" in text
     assert "11.46 deg" in text  # 0.2 rad
     assert "5.73 deg" in text
     (line,) = [line for line in text.splitlines() if " length " in line]

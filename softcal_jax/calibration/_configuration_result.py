@@ -144,10 +144,10 @@ class ConfigurationResult(Module):
 
     @property
     def off(self) -> str:
-        """Marker distances, like "1.06 mm off, 6 % of how far they moved"."""
+        """Distance of its markers, like "1.06 mm off, 6 % of its motion"."""
         text = f"{1e3 * self.rms_after:.2f} mm off"
         if self.motion > 0.0:
-            text += f", {100.0 * self.rms_share:.0f} % of how far they moved"
+            text += f", {100.0 * self.rms_share:.0f} % of its motion"
         return text
 
     def _chance(

@@ -97,19 +97,18 @@ class ResidualChecks(Module):
         reasons = []
         if self.probability < UNLIKELY:
             reasons.append(
-                f"The residuals are {self.level:.3g} times as large as the stated std "
-                f"(probability {self.probability:.1g}): the model cannot match "
-                "the data that well, or they were measured worse than stated."
+                f"The residuals are {self.level:.3g} times the stated std (p = "
+                f"{self.probability:.1g}): the model cannot match the data that well, "
+                "or they were measured worse than stated."
             )
         test = self.lack_of_fit
         if test is not None and test.probability < UNLIKELY:
             worst = self.names[int(np.argmax(test.shares))]
             reasons.append(
-                "Whole configurations are off, not single markers: the scatter between "
-                f"them is {test.ratio:.3g} times that expected from the scatter within "
-                f"(F with {test.between} and {test.within} degrees of freedom, "
-                f"probability {test.probability:.1g}), most of all {worst}. Check its "
-                "load and supports, or the law."
+                f"The markers of a pose err together, most of all in {worst} (F = "
+                f"{test.ratio:.3g} with {test.between} and {test.within} degrees of "
+                f"freedom, p = {test.probability:.1g}): check its load and supports, "
+                "or the law."
             )
         allowed = UNLIKELY / max(len(self.left_out), 1)
         for pose in self.left_out:
@@ -118,18 +117,16 @@ class ResidualChecks(Module):
                 share = ""
                 if pose.motion > 0.0:
                     percent = 100.0 * pose.rms / pose.motion
-                    share = f", {percent:.0f} % of how far they moved"
+                    share = f", {percent:.0f} % of its motion"
                 reasons.append(
-                    f"{pose.name} is not predicted by the others: its markers would be "
-                    f"{1e3 * pose.rms:.2f} mm off{share}, and {1e3 * pose.expected:.2g}"
-                    " mm is what errors explain."
+                    f"The other poses predict {pose.name} {1e3 * pose.rms:.2f} mm off"
+                    f"{share}; known errors explain {1e3 * pose.expected:.2g} mm."
                 )
         for one in disagreeing(self.recordings):
             value, fit = (readable_values([v], one.unit) for v in (one.value, one.fit))
             reasons.append(
                 f"{one.recording} alone gives {one.parameter} = {value}, "
-                f"{abs(one.apart):.1f} standard errors from the fit's {fit}: they "
-                "contradict each other."
+                f"{abs(one.apart):.1f} standard errors from the fit's {fit}."
             )
         return tuple(reasons)
 
@@ -225,7 +222,7 @@ def result_notes(
     spread: Uncertainty,
 ) -> list[str]:
     """Collect the notes on fits, parameters, their standard errors and the mesh."""
-    notes = _misfit_notes(fits, spread) + _rounding_notes(fits)
+    notes = _rounding_notes(fits)
     notes += order_notes(problem.space, z)
     notes += uncertainty_notes(problem, spread)
     if problem.model.mesh.order == 1:
@@ -253,18 +250,6 @@ def fit_notes(state: CalibrationState, settings: CalibrationSettings) -> list[st
         f"Not converged: after {int(state.step)} steps lambda_p is still {size:.1e} "
         f"(tol {settings.tol:g}). Do not use these values; raise max_steps or look at "
         "the history."
-    ]
-
-
-def _misfit_notes(
-    fits: Sequence[ConfigurationResult], spread: Uncertainty
-) -> list[str]:
-    """Name configurations that the calibrated model does not explain."""
-    return [
-        f"{fit.name} is not explained by the model: after calibration its markers are "
-        f"still {fit.off}. Check its load, supports, gravity, units and marker names."
-        for fit in fits
-        if fit.misfit(spread.noise, spread.level)
     ]
 
 
@@ -322,13 +307,6 @@ def uncertainty_notes(problem: CalibrationProblem, spread: Uncertainty) -> list[
         notes.append(
             f"Standard errors rest on the noise estimated from the residuals ({dof} "
             "degrees of freedom), which holds model error as well."
-        )
-    elif spread.misfits:
-        notes.append(
-            f"The residuals are larger than the stated noise: chi-squared "
-            f"{spread.chi_squared:.0f} for {dof} degrees of freedom. The model cannot "
-            "match the data that well, or the noise is larger than stated; standard "
-            "errors are too small."
         )
     return notes
 

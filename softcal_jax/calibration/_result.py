@@ -355,6 +355,30 @@ class CalibrationResult(Result):
         return tuple(p.interval for p in self.parameters if p.interval is not None)
 
     @property
+    def doubts(self) -> tuple[str, ...]:
+        """Where the model contradicts the data, one sentence each; empty if nowhere.
+
+        They are by chi-squared of a stated noise, by `checks`, and by each pose.
+        """
+        spread, doubts = self.uncertainty, []
+        if spread.misfits:
+            level = np.sqrt(spread.chi_squared / spread.degrees_of_freedom)
+            doubts.append(
+                f"The residuals are {level:.2g} times the stated noise (chi-squared "
+                f"{spread.chi_squared:.4g} for {spread.degrees_of_freedom} degrees of "
+                "freedom): the model cannot match the data. Check the law, the mesh, "
+                "the control points and the stated noise."
+            )
+        doubts += self.checks.reasons if self.checks is not None else ()
+        done = {"calibration": "fitted", "validation": "predicted"}
+        return tuple(doubts) + tuple(
+            f"{fit.name} is {done[fit.role]} {fit.off}: check its load, supports, "
+            "gravity, units and marker names."
+            for fit in self.configurations
+            if fit.misfit(spread.noise, spread.level)
+        )
+
+    @property
     def _end(self) -> str:
         """How it ended."""
         verdict = "converged" if self.converged else "NOT CONVERGED"
@@ -382,7 +406,7 @@ class CalibrationResult(Result):
             lines += [f"  {line}" for line in str(self.starts).splitlines()]
         if self.checks is not None:
             lines += [f"  {line}" for line in self.checks.agreement]
-            lines += [f"  Doubt: {reason}" for reason in self.checks.reasons]
+        lines += [f"  Doubt: {reason}" for reason in self.doubts]
         return "\n".join(lines + [f"  Note: {note}" for note in self.notes])
 
     def value(self, name: str) -> float:

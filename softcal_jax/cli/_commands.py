@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from softcal_jax.cli._shared import (
     INTERRUPTED,
     NOT_CONVERGED,
+    NOT_TO_USE,
     Display,
     Stop,
     add_output,
@@ -82,9 +83,11 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> None:
         )
     show.lap("solve", compiling=result.timing_s["compile"])
     assessment = assess(result)
-    held_out = report.held_out_sentences(result.configurations)
-    for part in ("", report.summary_table(result, assessment), *held_out):
-        show.line(part)
+    show.line()
+    if args.verbose:
+        show.line(report.summary_table(result, assessment))
+    for text in report.answer_of(result, assessment).lines():
+        show.line(text)
     more = {"name": project.name, "traces": project.traces}
     more |= pictures_with_a_bar(args, show)
     write = partial(report.write_results, result, assessment=assessment, **more)
@@ -98,8 +101,8 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> None:
     if not result.converged:
         text = f"not converged after {steps} steps: do not use the values."
         raise Stop(NOT_CONVERGED, text)
-    if not assessment.identified:
-        show.line("Take the values with care: " + " ".join(assessment.reasons))
+    if assessment.outcome == "do not use":
+        raise Stop(NOT_TO_USE, f"do not use the values: {' '.join(assessment.reasons)}")
 
 
 def simulate(args: argparse.Namespace, show: Display) -> None:

@@ -68,6 +68,7 @@ exit codes:
     0  done: the numbers are those of a converged solve
     1  not converged, no equilibrium, or a goal that is not met: do not use the values
     2  bad input; nothing was solved or written, unless the message says so
+    3  calibrated, but the values must not be used: the model misses the data by far
   130  interrupted by Ctrl-C or SIGTERM; the message says what stands
 """
 
@@ -192,6 +193,8 @@ ranked by what measuring them as well would add.""",
         needed = command is not outlook
         add_path(command, "--output", "DIR", where, required=needed)
     for command in (beam, fit):
+        text = "print the tables of the report, too"
+        command.add_argument("--verbose", "-v", action="store_true", help=text)
         text = "stop at the first answer: no error budget, intervals or pictures"
         command.add_argument("--quick", action="store_true", help=text)
     for command in (beam, fit, forward, outlook):

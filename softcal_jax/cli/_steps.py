@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 MOST_IN_FIELD = 4
 """Most values of one field that a step shows one by one."""
 
+MOST_NAMED = 4
+"""Most fields and other parameters that a step shows."""
+
 
 def write_results(
     write: Callable[..., Path], args: argparse.Namespace, show: Display, *, index: str
@@ -43,10 +46,9 @@ def write_results(
     show.lap("results and pictures")
     if show.as_json:
         show.document(json.loads((where / index).read_text(encoding="utf-8")))
-    files = sorted(p.name for p in where.iterdir())
-    show.line(f"Results in {where}: {', '.join(files)}")
-    show.line(f"Open {where / 'report.html'} in a browser to read them.")
     show.times()
+    more = " --verbose prints its tables." * (not getattr(args, "verbose", True))
+    show.line(f"Results in {where}: open {where / 'report.html'} in a browser.{more}")
 
 
 def pictures_with_a_bar(args: argparse.Namespace, show: Display) -> dict[str, Any]:
@@ -118,7 +120,7 @@ def step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], N
 
 
 def so_far(result: "CalibrationResult", show: Display) -> None:
-    """Print the answer before the error budget, intervals and pictures."""
+    """Print the values before the error budget, intervals and pictures."""
     from softcal_jax.export import readable_estimate
     from softcal_jax.report import held_out_sentences
 
@@ -170,4 +172,5 @@ def _values(parameters: "Sequence[Parameter]", values: Mapping[str, float]) -> s
             low, high = factor * min(numbers), factor * max(numbers)
             text = f"{low:{digits}} to {high:{digits}}"
         texts.append(f"{name} = {text} {unit}".rstrip())
-    return "; ".join(texts)
+    more = len(texts) - MOST_NAMED
+    return "; ".join(texts[:MOST_NAMED] + [f"{more} more"] * (more > 0))

@@ -188,7 +188,8 @@ class AssessmentEntry(Entry):
     """Whether the values may be trusted."""
 
     of = Assessment
-    identified: Plain = None
+    outcome: Plain = None
+    contradicted: Plain = None
     reasons: list[str]
     misfit_probability: Plain = None
     predictions: Annotated[Any, Keys(Prediction, "name role std_mm")] = None

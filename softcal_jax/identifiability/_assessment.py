@@ -1,6 +1,7 @@
 """Assess what a finished calibration may claim: converged, consistent, identified."""
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from scipy.special import chdtri
@@ -14,8 +15,23 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.identifiability._identify import identifiability
 from softcal_jax.identifiability._result import Identifiability
+from softcal_jax.identifiability._spread import Verdict
 from softcal_jax.inference import ErrorBudget
 from softcal_jax.unknowns import MESH
+
+Outcome = Literal["trust", "take with care", "do not use"]
+
+HEADLINES: dict[Outcome, str] = {
+    "trust": "Trust these values: the fit converged, and every check passed.",
+    "take with care": "Take these values with care:",
+    "do not use": "Do not use these values:",
+}
+
+MISSED = 0.5
+"""Error of the held-out poses over their motion beyond which values are useless [-]."""
+
+FAR_OUT = 10.0
+"""Size of the residuals over the stated noise beyond which values are useless [-]."""
 
 
 class Prediction(Module):
@@ -58,22 +74,31 @@ class Assessment(Result):
     """Verdict on a calibration.
 
     Attributes:
-        identified: Whether all parameters may be trusted: the fit and its noise
+        outcome: "trust" if no check speaks against the values: the fit and its noise
             converged, its residuals are no larger than the stated noise, every
             configuration is explained, no parameter sits on a bound, no other optimum
-            fits as well, tets do not lock, and all are known as well as was asked.
-        reasons: Why not, one sentence each; empty if identified.
+            fits as well, tets do not lock, and all are known as well as was asked. "do
+            not use" if it did not converge, or misses the data by far, see `MISSED` and
+            `FAR_OUT`. Otherwise "take with care".
+        reasons: Why it is no more than that, the weightiest first.
+        contradicted: Whether the model contradicts the data.
         misfit_probability: Probability of residuals this large if model and stated
             noise are right; None if the noise was estimated from them [-].
         identifiability: Which parameters and directions the data see.
         predictions: What the uncertainty of the parameters does to each pose.
     """
 
-    identified: bool
+    outcome: Outcome
     reasons: tuple[str, ...]
+    contradicted: bool
     misfit_probability: float | None
     identifiability: Identifiability
     predictions: tuple[Prediction, ...] = ()
+
+    @property
+    def identified(self) -> bool:
+        """Whether the values may be trusted."""
+        return self.outcome == "trust"
 
     @property
     def prediction(self) -> str:
@@ -84,18 +109,23 @@ class Assessment(Result):
             if errors:
                 std = float(np.sqrt(np.mean(np.square(errors))))
                 off = f"{1e3 * std:.2g} mm" if np.isfinite(std) else "an unknown amount"
-                parts.append(f"the {words} poses by {off}")
+                parts.append(f"{off} in the {words} poses")
         if not parts:
             return ""
         return (
-            f"The uncertainty of the parameters moves the markers of "
-            f"{' and of '.join(parts)} (one standard error)."
+            "The standard errors of the parameters make the markers uncertain by "
+            f"{' and '.join(parts)}."
         )
 
     @property
     def headline(self) -> str:
         """The verdict; it ends with a colon where reasons follow."""
-        return "Identified." if self.identified else "Not identified:"
+        return HEADLINES[self.outcome]
+
+    def seen(self, verdict: Verdict) -> str:
+        """Write what the data tell of a parameter, if the model is not contradicted."""
+        doubtful = self.contradicted and verdict != "not identifiable"
+        return f"{verdict} if the model is right" if doubtful else verdict
 
     def _words(self) -> str:
         return " ".join([self.headline, *self.reasons])
@@ -127,52 +157,79 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
         result.z,
         precision=result.precision if precision is None else precision,
     )
-    reasons = []
-    if not result.converged:
-        reasons.append("The calibration did not converge.")
-    if not result.noise_settled:
-        reasons.append(
-            "The noise did not settle beside the fit, so neither the weights of the "
-            "data nor the standard errors can be trusted."
-        )
-    if spread.misfits:
-        reasons.append(
-            "The model cannot match the data within the stated noise: chi-squared "
-            f"{spread.chi_squared:.4g} for {spread.degrees_of_freedom} degrees of "
-            "freedom. Parameters of a wrong model are not properties of the material: "
-            "change the law, the element, the control points or the stated noise."
-        )
+    fatal = _fatal(result)
+    checks = [*fatal, *result.doubts]
+    checks += [f"{p.name} ended on a bound." for p in result.parameters if p.at_bound]
+    if result.model.mesh.order == 1:
+        checks += _locking(result.budget, report)
+    checks += [*_unseen(report), *_wide(report, result)]
+    checks += _rivals(result.starts, spread.level)
     if result.left_out:
-        reasons.append(
+        checks.append(
             "The standard errors are those by the noise alone: left out were "
             f"{listed(result.left_out)}."
         )
-    reasons += result.checks.reasons if result.checks is not None else ()
-    reasons += _contradictions(result)
-    reasons += [f"{p.name} ended on a bound." for p in result.parameters if p.at_bound]
-    if result.model.mesh.order == 1:
-        reasons += _locking(result.budget, report)
-    reasons += _wide(report, result)
-    reasons += _rivals(result.starts, spread.level)
+    useless = fatal or _size_of_residuals(result) > FAR_OUT
+    return Assessment(
+        outcome="do not use" if useless else "take with care" if checks else "trust",
+        reasons=tuple(checks),
+        contradicted=bool(result.doubts) or _missed(result) > MISSED,
+        misfit_probability=spread.misfit_probability,
+        identifiability=report,
+        predictions=_predictions(result.configurations, report),
+    )
+
+
+def _fatal(result: CalibrationResult) -> list[str]:
+    """Say why the values must not be used, if so."""
+    fatal = []
+    if not result.converged:
+        fatal.append("The fit did not converge.")
+    if not result.noise_settled:
+        fatal.append(
+            "The estimate of the noise did not settle, so that weights and standard "
+            "errors are wrong."
+        )
+    missed = _missed(result)
+    if missed > MISSED:
+        fatal.append(
+            f"Held-out poses are missed by {100 * missed:.0f} % of their motion."
+        )
+    return fatal
+
+
+def _size_of_residuals(result: CalibrationResult) -> float:
+    """Return the residuals over the stated noise; nan where none is stated [-]."""
+    spread = result.uncertainty
+    if spread.noise == "stated" and spread.degrees_of_freedom > 0:
+        return float(np.sqrt(spread.chi_squared / spread.degrees_of_freedom))
+    return float("nan") if result.checks is None else result.checks.level
+
+
+def _missed(result: CalibrationResult) -> float:
+    """Return the error of all held-out poses over their motion; 0 without any [-]."""
+    poses = [c for c in result.configurations if c.role == "validation" and c.points]
+    squares = [(c.rms_after**2, c.motion**2) for c in poses if c.converged]
+    error, motion = np.sum(squares, axis=0) if squares else (0.0, 0.0)
+    return float(np.sqrt(error / motion)) if motion > 0.0 else 0.0
+
+
+def _unseen(report: Identifiability) -> list[str]:
+    """Name the parameters that the data do not determine as well as was asked."""
+    unseen = []
     for verdict, words in (
         ("not identifiable", "The data do not determine"),
         ("weakly identifiable", "The data determine only weakly"),
     ):
         named = [p.name for p in report.parameters if p.verdict == verdict]
         if named:
-            reasons.append(f"{words}: {', '.join(named)}.")
+            unseen.append(f"{words}: {', '.join(named)}.")
     if report.blind:
-        reasons.append(
+        unseen.append(
             f"The data hardly see {len(report.blind)} of {report.n_parameters} "
             "directions of the parameters."
         )
-    return Assessment(
-        identified=not reasons,
-        reasons=tuple(reasons),
-        misfit_probability=spread.misfit_probability,
-        identifiability=report,
-        predictions=_predictions(result.configurations, report),
-    )
+    return unseen
 
 
 def _locking(budget: ErrorBudget, report: Identifiability) -> list[str]:
@@ -197,17 +254,6 @@ def _wide(report: Identifiability, result: CalibrationResult) -> list[str]:
         "data."
         for p, bounds in pairs
         if float(bounds.upper - bounds.lower) < p.standard_error < np.inf
-    ]
-
-
-def _contradictions(result: CalibrationResult) -> list[str]:
-    """Name the configurations that the calibrated model does not explain."""
-    done = {"calibration": "fitted", "validation": "predicted"}
-    return [
-        f"{fit.name} is {done[fit.role]} with its markers {fit.off}: the model "
-        "contradicts it."
-        for fit in result.configurations
-        if fit.misfit(result.uncertainty.noise, result.uncertainty.level)
     ]
 
 

@@ -306,9 +306,7 @@ def agreement_sentences(estimates: Sequence[RecordingEstimate]) -> list[str]:
             for e in of_name
         )
         far = [e.recording for e in of_name if e in doubtful]
-        verdict = "they agree"
-        if far:
-            verdict = f"{listed(far)} disagree{'s' * (len(far) == 1)} with it"
-        head = f"{name} from each recording alone" + f" [{unit}]" * bool(unit)
-        sentences.append(f"{head}: {each}: {verdict}.")
+        differ = f"; {listed(far)} disagree{'s' * (len(far) == 1)}" if far else ""
+        head = f"{name} by each recording alone" + f" [{unit}]" * bool(unit)
+        sentences.append(f"{head}: {each}{differ}.")
     return sentences

@@ -27,11 +27,22 @@ UNLIKELY = 0.01
 EXACT = 1e-3
 """Ratio of residuals to noise below which the residuals are no sample of it [-]."""
 
-LESS_NOISE = ": measure more poses, or with less noise"
-"""What helps where the noise is the largest of several causes."""
-
-REMEDIES = {"locking": "use quadratic tets", "refinement": "take a finer mesh"}
-"""What helps against the error of the mesh: that of linear tets, of quadratic ones."""
+REMEDIES = {
+    NOISE: "measure more poses, or with less noise",
+    "locking": "use quadratic tets",
+    "refinement": "take a finer mesh",
+    "nu": "measure nu",
+    "density": "weigh the body",
+    "gravity": "level the robot",
+    "loads": "weigh the loads",
+    "actuators": "calibrate the sensors of the actuators",
+    "clamp": "measure how deep the clamp grips",
+    "supports": "measure how far the supports give way",
+    "recordings": "register the recordings better",
+    "zeros": "calibrate the zeros of the motors",
+    "mountings": "measure where the bodies are mounted",
+}
+"""What helps against a cause; that of the mesh is named by its error."""
 
 SMALL = 0.1
 """Share of the standard error below which a sentence leaves a cause out [-]."""
@@ -208,12 +219,21 @@ class ErrorBudget(Module):
         shown = [c for c in errors if c == NOISE or errors[c] >= SMALL * total]
         shown.sort(key=lambda c: (c != NOISE, -errors[c]))
         parts = [f"{cause} {self.readable(i, errors[cause])}" for cause in shown]
-        text = ", ".join(parts)
-        worst = max(errors, key=lambda c: errors[c])
-        if worst == NOISE:
-            return text + LESS_NOISE * (len(shown) > 1)
-        (names,) = [cause.errors for cause in self.causes if cause.name == worst]
-        return f"{text}: {REMEDIES.get(names[0], f'measure {worst} first')}"
+        return ", ".join(parts)
+
+    def advice(self, name: str) -> str:
+        """Say what would lower the error of a parameter most, and by what it is so."""
+        i = self.names.index(name)
+        errors = {cause: float(std[i]) for cause, std in self.by_cause().items()}
+        worst = max(errors, key=lambda c: np.nan_to_num(errors[c]))
+        first = {cause.name: cause.errors[0] for cause in self.causes}
+        remedies = (REMEDIES.get(key) for key in (first.get(worst, ""), worst))
+        remedy = next(filter(None, remedies), f"measure {worst} better")
+        total, by = (
+            self.readable(i, e) for e in (self.standard_errors[i], errors[worst])
+        )
+        alone = f"{name} is uncertain by {by} through {worst} alone"
+        return f"{remedy}. {alone}, by {total} in all."
 
     def readable(self, i: int, std: float) -> str:
         """Write an error, given in SI: in percent, but for angles and offsets."""

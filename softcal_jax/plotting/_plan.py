@@ -85,7 +85,8 @@ def plot_plan(
         more += [p.at_rest for p in points]
         more += [place for place, _ in _measured(model, points)]
     gravity = shown[0].gravity if shown else ()
-    view = choose_view(mesh.points, np.zeros_like(mesh.points), np.vstack(more), gravity)
+    still = np.zeros_like(mesh.points)
+    view = choose_view(mesh.points, still, np.vstack(more), gravity)
     n = len(shown)
     columns = max(range(1, n + 1), key=lambda columns: _fit(view, n, columns)[0])
     width, rows = _WIDTH // columns, math.ceil(n / columns)

@@ -30,6 +30,7 @@ from softcal_jax.report._sweep_page import (
 )
 from softcal_jax.report._tables import simulation_table as simulation_table
 from softcal_jax.report._transfer import Transfer as Transfer, transfer as transfer
+from softcal_jax.report._verdict import answer_of as answer_of
 from softcal_jax.report._write import (
     PictureWarning as PictureWarning,
     write_comparison as write_comparison,

@@ -17,8 +17,8 @@ from softcal_jax.equilibrium import Model
 from softcal_jax.export import readable_unit
 from softcal_jax.identifiability import Assessment, Identifiability, assess, percent
 from softcal_jax.report._held_out import listed_fits
-from softcal_jax.report._tables import HEADS, distance, robot_tables
-from softcal_jax.report._verdict import verdict_of
+from softcal_jax.report._tables import distance, robot_tables
+from softcal_jax.report._verdict import TONES, value_of
 
 if TYPE_CHECKING:
     import rich.console
@@ -31,13 +31,6 @@ MOST_CORRELATED = 12
 
 MOST_PAIRS = 20
 """Most pairs of parameters listed where there are too many for a matrix."""
-
-TONES: dict[str, Tone] = {
-    "identifiable": "good",
-    "weakly identifiable": "doubtful",
-    "not identifiable": "bad",
-}
-"""Tone of each verdict on what the data tell about a parameter."""
 
 
 def model_words(model: Model) -> str:
@@ -55,16 +48,11 @@ def parameter_table(result: CalibrationResult, outlook: Identifiability) -> Text
     title = "Parameters" + ("" if result.intervals else ", ± not checked")
     rows = []
     for q in result.parameters:
-        text = q.estimate
-        if q.at_bound:
-            text += " (on a bound)"
-        elif q.given:
-            text += f" (with {', '.join(q.given)} on a bound)"
         factor, unit = readable_unit([q.value], q.unit)
         bounds = f"{readable(q.lower, q.unit)} to {readable(q.upper, q.unit)}"
         sound = result.converged and not q.at_bound and q.name not in blind
         start = f"{q.start * factor:.4g} {unit}".rstrip()
-        value = Cell(text, "strong" if sound else "bad")
+        value = Cell(value_of(q), "strong" if sound else "bad")
         rows.append((q.name, value, start, bounds))
     return text_table(
         title, ("parameter", "value ± std. error", "start", "bounds"), rows
@@ -112,15 +100,16 @@ def error_tables(
             turns.append((*first, before, Cell(after, "strong")))
     shown = []
     if any(fit.points for fit in fits):
-        shown.append(text_table("Rms distance of the markers", columns, points))
+        shown.append(text_table("Residuals of the markers, rms", columns, points))
     left_out = [] if checks is None else checks.left_out
     rows = [(c.name, distance(c.rms), distance(c.expected)) for c in left_out]
     if rows:
-        heads = ("configuration", "off by", "errors explain")
-        title = "Rms distance of a configuration left out"
+        heads = ("configuration", "residual", "known errors explain")
+        title = "Each configuration, predicted by the others"
         shown.append(text_table(title, heads, rows))
     if turns:
-        shown.append(text_table("Rms angle of the orientations", columns[:4], turns))
+        title = "Residuals of the orientations, rms"
+        shown.append(text_table(title, columns[:4], turns))
     return shown
 
 
@@ -128,10 +117,11 @@ def outlook_table(assessment: Assessment) -> TextTable:
     """Tabulate what the data tell about each parameter."""
     rows = []
     for p in assessment.identifiability.parameters:
-        verdict = Cell(p.verdict, outlook_tone(p.verdict, assessment))
+        tone = outlook_tone(p.verdict, assessment)
+        verdict = Cell(assessment.seen(p.verdict), tone)
         rows.append((p.name, percent(p.ratio), verdict))
-    columns = "parameter", "std. error over asked", "verdict"
-    return text_table("What the data tell", columns, rows)
+    columns = "parameter", "standard error / asked", "verdict"
+    return text_table("What the data determine", columns, rows)
 
 
 def outlook_tone(verdict: str, assessment: Assessment) -> Tone:
@@ -216,13 +206,13 @@ def summary_table(
 ) -> "rich.console.Group":
     """Tabulate a calibration for the terminal; without `assessment`, it is assessed.
 
-    Parameters come first, then configurations, identifiability, verdict and notes.
+    Parameters come first, then configurations, identifiability and notes.
     """
     from rich.console import Group
     from rich.text import Text
 
     assessment = assessment or assess(result)
-    outlook, verdict = assessment.identifiability, verdict_of(result, assessment)
+    outlook = assessment.identifiability
     shown = result.configurations
     style = STYLES[outlook_tone(outlook.verdict, assessment)]
     tables = [
@@ -238,7 +228,6 @@ def summary_table(
         Text(outlook_legend(outlook)),
         Text("\n  ".join(blindness(outlook)), style=style),
         *([Text(assessment.prediction)] if assessment.prediction else []),
-        Text("\n  ".join([verdict.sentence, *verdict.reasons]), HEADS[verdict.tone]),
         *([] if result.starts is None else [Text(str(result.starts))]),
         *(Text(line) for line in (result.checks.agreement if result.checks else ())),
         *(Text(f"Note: {note}", style="yellow") for note in result.notes),

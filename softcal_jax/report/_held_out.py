@@ -26,51 +26,49 @@ def listed_fits(fits: Sequence[ConfigurationResult]) -> list[ConfigurationResult
 
 
 def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
-    """Say how far off predicted configurations are, as far as it is known."""
+    """Say how well configurations are predicted that were not fitted, in a sentence."""
     asked = ("validation", "prediction")
-    held_out = [fit for fit in fits if fit.role in asked and fit.converged]
-    if len(held_out) > MOST_LISTED and all(fit.points for fit in held_out):
-        return [_together(held_out)]
-    lines = []
-    for fit in held_out:
-        texts = []
-        if fit.points:
-            texts.append(f"{1e3 * fit.rms_after:.2f} mm rms over {_points(fit)}")
-        if fit.points and math.isfinite(fit.rms_share):
-            share = f"{100 * fit.rms_share:.1f} % of how far they moved"
-            texts[0] += f", {share} ({1e3 * fit.motion:.1f} mm)"
-        if math.isfinite(fit.turn_after):
-            texts.append(f"{math.degrees(fit.turn_after):.2f} deg rms of orientations")
-        if texts:
-            lines.append(f"{_error(fit)}, {fit.name}: {'; '.join(texts)}.")
-    return lines
+    poses = [fit for fit in fits if fit.role in asked and fit.converged]
+    points = [fit for fit in poses if fit.points]
+    turns = [fit.turn_after for fit in poses if math.isfinite(fit.turn_after)]
+    if not (points or turns):
+        return []
+    parts = []
+    if points:
+        rms = [_rms([p.rms_after for p in points]), _rms([p.motion for p in points])]
+        parts.append(f"{1e3 * rms[0]:.2f} mm rms over {_points(points)}")
+        if rms[1] > 0.0:
+            parts[0] += f", {100.0 * rms[0] / rms[1]:.1f} % of the motion"
+    if turns:
+        parts.append(f"{math.degrees(_rms(turns)):.2f} deg rms of orientations")
+    held_out = poses[0].role == "validation"
+    head = "Held-out error" if held_out else "Prediction error"
+    of = poses[0].name if len(poses) == 1 else f"{len(poses)} poses"
+    seen = " that the fit has not seen" * (held_out and len(poses) > 1)
+    return [f"{head} of {of}{seen}: {'; '.join(parts)}{_range(points)}."]
 
 
-def _together(fits: Sequence[ConfigurationResult]) -> str:
-    """Sum up the errors of many held-out configurations."""
-    errors = 1e3 * np.array([fit.rms_after for fit in fits])
-    moved = 1e3 * np.array([fit.motion for fit in fits])
-    rms = lambda values: float(np.sqrt(np.mean(np.square(values))))
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _range(poses: Sequence[ConfigurationResult]) -> str:
+    """Name the poses that are predicted best and worst, and quantiles of many."""
+    if len(poses) < 2:
+        return ""
+    errors = 1e3 * np.array([pose.rms_after for pose in poses])
+    best, worst = poses[int(np.argmin(errors))], poses[int(np.argmax(errors))]
+    ends = f"{errors.min():.2f} mm ({best.name})"
+    ends += f" to {errors.max():.2f} mm ({worst.name})"
+    if len(poses) <= MOST_LISTED:
+        return f"; {ends}"
     half, most = np.quantile(errors, [0.5, 0.95])
-    best, worst = fits[int(np.argmin(errors))], fits[int(np.argmax(errors))]
-    turns = np.degrees([f.turn_after for f in fits if math.isfinite(f.turn_after)])
-    turned = f"; {rms(turns):.2f} deg rms of orientations" if len(turns) else ""
-    share = f" ({100 * rms(errors) / rms(moved):.1f} % of how far they moved)"
-    return (
-        f"{_error(worst)} of {len(fits)} configurations: {rms(errors):.2f} mm rms"
-        f"{share if rms(moved) > 0.0 else ''}; half below {half:.2f} mm, 95 % below "
-        f"{most:.2f} mm; the largest is {errors.max():.2f} mm ({worst.name}), the "
-        f"smallest {errors.min():.2f} mm ({best.name}){turned}."
-    )
+    return f"; {ends}, half below {half:.2f} mm, 95 % below {most:.2f} mm"
 
 
-def _error(fit: ConfigurationResult) -> str:
-    return "Prediction error" if fit.role == "prediction" else "Held-out error"
-
-
-def _points(fit: ConfigurationResult) -> str:
-    """Count the markers and the 6-D sensors of a configuration, in words."""
-    turning = {turn.name for turn in fit.turns}
-    sensors = sum(point.name in turning for point in fit.points)
-    counts = {"marker": len(fit.points) - sensors, "6-D sensor": sensors}
+def _points(poses: Sequence[ConfigurationResult]) -> str:
+    """Count the markers and the 6-D sensors of a pose, in words."""
+    turning = {turn.name for pose in poses for turn in pose.turns}
+    names = {point.name for pose in poses for point in pose.points}
+    counts = {"marker": len(names - turning), "6-D sensor": len(names & turning)}
     return listed([f"{n} {what}{'s' * (n > 1)}" for what, n in counts.items() if n])

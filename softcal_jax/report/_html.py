@@ -14,13 +14,22 @@ from typing import Any, NamedTuple
 from softcal_jax._machine import installed_version
 from softcal_jax._text import escaped
 from softcal_jax._text_table import TextTable, text_table
-from softcal_jax.report._verdict import RunVerdict
+from softcal_jax.report._verdict import (
+    MOST_REASONS,
+    MOST_VALUES,
+    SCOPE,
+    Answer,
+    RunVerdict,
+)
 
 MOST_PICTURES = 3_400_000
 """Most bytes of pictures in a page: base64 adds a third, which is still below 5 MB."""
 
 REPEATED = "repeated"
 """Folder that the command to repeat a run writes to."""
+
+_LARGE = 3
+"""Most values that are written in large type."""
 
 _KINDS = {
     ".vtu": "for ParaView",
@@ -49,11 +58,25 @@ class Html(str):
 
 
 class Section(NamedTuple):
-    """A part of a page with a heading; links lead to its id."""
+    """A part of a page with a heading; links lead to its id.
+
+    A `folded` one shows only its heading until it is opened, and what is `viewed` hides
+    where the view of the robot runs.
+    """
 
     id: str
     title: str
     content: Sequence[Html]
+    folded: bool = False
+    viewed: bool = False
+
+    @property
+    def html(self) -> Html:
+        head, more = node("h2", self.title), joined(self.content)
+        if self.folded:
+            return node("details", node("summary", head), more, id=self.id)
+        kind = {"class_": "viewed"} if self.viewed else {}
+        return node("section", head, more, id=self.id, **kind)
 
 
 def node(name: str, *content: str, **attributes: str) -> Html:
@@ -142,22 +165,21 @@ def page(
     index: str,
     units: str = "SI and mm",
     script: str = "",
+    first: Html | None = None,
+    robot: Html | None = None,
 ) -> str:
     """Write a whole page.
 
     `kind` is what was done, like "Calibration". Sections without content are left out.
     `index` is the file with the same numbers in `units`. `script` is the text of the
-    only script that the page may run.
+    only script that the page may run. The page begins with what is `first`, which is by
+    default the verdict, beside a picture of the `robot`.
     """
     policy = _POLICY
     if script:
         digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
         policy += f"; script-src 'sha256-{digest}'"
     shown = [part for part in sections if any(part.content)]
-    parts = (
-        node("section", node("h2", part.title), joined(part.content), id=part.id)
-        for part in shown
-    )
     head = node(
         "head",
         node("meta", charset="utf-8"),
@@ -166,16 +188,23 @@ def page(
         node("title", f"{name}: {kind.lower()}"),
         node("style", _style()),
     )
-    links = (node("li", node("a", part.title, href=f"#{part.id}")) for part in shown)
+    links = (
+        node("li", node("a", part.title, href=f"#{part.id}"))
+        for part in shown
+        if not (part.folded or part.viewed)
+    )
+    begins = _verdict(verdict) if first is None else first
+    if robot is not None:
+        begins = node("div", begins, node("div", robot), class_="first")
     when = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
     body = node(
         "body",
         node("header", node("p", kind, class_="kind"), node("h1", name)),
         node(
             "main",
-            _verdict(verdict),
+            begins,
             node("nav", node("ul", *links), aria_label="Contents"),
-            *parts,
+            *(part.html for part in shown),
         ),
         node(
             "footer",
@@ -209,6 +238,28 @@ def _verdict(verdict: RunVerdict) -> Html:
     said = node("p", node("strong", verdict.sentence)), bullets(verdict.reasons)
     head = node("h2", "Verdict")
     return node("section", head, *said, class_=f"verdict {verdict.tone}")
+
+
+def answer_html(answer: Answer) -> Html:
+    """Write the answer of a calibration, its values in large type."""
+    values = [
+        node("div", node("dt", name), node("dd", value, node("small", interval)))
+        for name, value, interval in answer.values[:MOST_VALUES]
+    ]
+    size = "values" if len(answer.values) <= _LARGE else "values many"
+    content = [node("dl", *values, class_=size)]
+    left = len(answer.values) - MOST_VALUES
+    if left > 0:
+        content.append(node("p", node("a", f"{left} more", href="#parameters")))
+    sentence, tone, reasons = answer.verdict
+    said = [node("p", node("strong", sentence)), bullets(reasons[:MOST_REASONS])]
+    if len(reasons) > MOST_REASONS:
+        more = node("summary", f"{len(reasons) - MOST_REASONS} more")
+        said.append(node("details", more, bullets(reasons[MOST_REASONS:])))
+    head = node("h2", "Verdict")
+    content.append(node("section", head, *said, class_=f"verdict {tone}"))
+    content += sentences([*answer.held_out, f"Next: {answer.next_step}"])
+    return node("div", *content, node("p", SCOPE, class_="kind"), class_="answer")
 
 
 def closing(
@@ -253,8 +304,8 @@ def closing(
         table = text_table("Files that were read", ("file", "SHA-256"), rows)
         content.append(table_html(table))
     return [
-        Section("repeat", "Repeat it", content),
-        Section("made", "Settings, versions and times", _made_html(data)),
+        Section("repeat", "Repeat it", content, folded=True),
+        Section("made", "Settings, versions and times", _made_html(data), folded=True),
     ]
 
 

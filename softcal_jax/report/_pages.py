@@ -10,7 +10,6 @@ from softcal_jax.calibration import CalibrationResult, SimulationResult
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.layouts import ModelComparison
 from softcal_jax.report._calibration import (
-    TONES,
     blindness,
     budget_table,
     error_tables,
@@ -33,6 +32,7 @@ from softcal_jax.report._html import (
     MOST_PICTURES,
     Html,
     Section,
+    answer_html,
     bullets,
     closing,
     facts_html,
@@ -46,7 +46,7 @@ from softcal_jax.report._html import (
 )
 from softcal_jax.report._outline import ROLES
 from softcal_jax.report._tables import robot_tables, simulation_tables
-from softcal_jax.report._verdict import RunVerdict, verdict_of
+from softcal_jax.report._verdict import TONES, RunVerdict, answer_of, verdict_of
 from softcal_jax.report._view import PageView
 
 REPORT = "report.html"
@@ -67,22 +67,26 @@ def calibration_page(
     agreement = result.checks.agreement if result.checks else ()
     course = [*course_charts(result), table_html(history_table(result))]
     sections = [
-        Section("notes", "Notes", [bullets(data["notes"])]),
-        Section("subject", "What was calibrated", [_subject(result, assessment)]),
-        Section("errors", "Before and after", _errors(result, assessment)),
+        Section("errors", "Residuals", _errors(result, assessment)),
         Section("parameters", "Parameters", _parameters(result, assessment)),
-        Section("agreement", "Do the recordings agree?", [bullets(agreement)]),
-        Section("data", "What the data tell", _outlook(assessment)),
-        Section("next", "What to measure next", sentences(outlook.advice)),
-        Section("pictures", "Pictures", _pictures(data, folder, view)),
+        Section("data", "What the data determine", _outlook(assessment)),
+        Section("agreement", "Each recording by itself", [bullets(agreement)]),
+        Section("notes", "Notes", [bullets(data["notes"])]),
+        *_pictures(data, folder, view),
         Section("robot", "Robot", [*map(table_html, robot_tables(listed_fits(fits)))]),
-        Section("fit", "Course of the fit", course),
+        Section("fit", "Course of the fit", course, folded=True),
+        Section("subject", "What was calibrated", [_subject(result, assessment)], True),
         _inner(outlook),
         *closing("calibrate", data, [data["source"]]),
     ]
-    about = {"index": "result.json", "script": view.script if view else ""}
-    verdict = verdict_of(result, assessment)
-    return page(data["name"], "Calibration", verdict, sections, **about)
+    answer = answer_of(result, assessment)
+    about = {"index": "result.json", "first": answer_html(answer), **_robot(view)}
+    return page(data["name"], "Calibration", answer.verdict, sections, **about)
+
+
+def _robot(view: PageView | None) -> dict[str, Any]:
+    """Return the view of the robot and its script, as arguments of `page`."""
+    return {} if view is None else {"robot": view.content, "script": view.script}
 
 
 def simulation_page(
@@ -96,14 +100,14 @@ def simulation_page(
     options = [] if values is None else ["--values", values["file"]]
     errors = held_out_sentences(poses)
     sections = [
-        Section("notes", "Notes", [bullets(data["notes"])]),
-        Section("model", "Model", [node("p", f"{model_words(result.model)}.")]),
         Section("errors", "Errors", sentences(errors)),
         Section("states", "States", [*map(table_html, simulation_tables(result))]),
-        Section("pictures", "Pictures", _pictures(data, folder, view)),
+        Section("notes", "Notes", [bullets(data["notes"])]),
+        *_pictures(data, folder, view),
+        Section("model", "Model", [node("p", f"{model_words(result.model)}.")]),
         *closing("simulate", data, [data["source"]], options=options),
     ]
-    about = {"index": "simulation.json", "script": view.script if view else ""}
+    about = {"index": "simulation.json", **_robot(view)}
     verdict = _simulation_verdict(result)
     return page(data["name"], "Simulation", verdict, sections, **about)
 
@@ -165,13 +169,13 @@ def _blindness(outlook: Identifiability) -> list[Html]:
 
 def _inner(outlook: Identifiability) -> Section:
     tables = [*map(table_html, inner_tables(outlook))]
-    return Section("inner", "Correlation and singular values", tables)
+    return Section("inner", "Correlation and singular values", tables, folded=True)
 
 
 def _pictures(
     data: Mapping[str, Any], folder: Path, view: PageView | None
-) -> list[Html]:
-    """Show a view of the body that can be turned, and pictures of the configurations.
+) -> list[Section]:
+    """Show pictures of the configurations.
 
     The view hides the pictures of what it shows, except in print or without scripts.
     """
@@ -186,10 +190,10 @@ def _pictures(
             captions[name] = f"{posed} ({role}): {shown}"
             if view is not None and posed in view.names:
                 viewed.append(name)
-    if view is None:
-        return shown_pictures(captions, folder)
-    taken = 3 * view.size // 4  # base64 makes pictures a third larger
-    return [view.content, *shown_pictures(captions, folder, taken, viewed)]
+    taken = 0 if view is None else 3 * view.size // 4  # base64 adds a third
+    shown = shown_pictures(captions, folder, taken, viewed)
+    drawn = [name for name in captions if name.endswith((".png", ".svg"))]
+    return [Section("pictures", "Pictures", shown, viewed=set(drawn) <= {*viewed})]
 
 
 def shown_pictures(
@@ -310,16 +314,15 @@ def _calibration_cell(result: CalibrationResult) -> Html:
         *budget_chart(result),
         bullets(result.notes),
     ]
-    return output(verdict_of(result, assessment), content)
+    return output(verdict_of(assessment), content)
 
 
 @notebook_html.register
 def _assessment_cell(assessment: Assessment) -> Html:
-    tone: Tone = "good" if assessment.identified else "doubtful"
     outlook = assessment.identifiability
     content = [*sentences([outlook.headline]), *_known(outlook)]
     content += sentences([assessment.prediction or ""])
-    return output(RunVerdict(assessment.headline, tone, assessment.reasons), content)
+    return output(verdict_of(assessment), content)
 
 
 @notebook_html.register

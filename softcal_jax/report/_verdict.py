@@ -1,16 +1,40 @@
-"""The verdict on a run, and how its fit ended: what a page says first."""
+"""The answer of a calibration: values, verdict, held-out error, what to do next."""
 
 from typing import NamedTuple
 
+import numpy as np
+
 from softcal_jax._text_table import Tone
-from softcal_jax.calibration import FLAT, NOT_TAKEN, CalibrationResult
+from softcal_jax.calibration import (
+    FLAT,
+    NOT_TAKEN,
+    CalibrationResult,
+    ParameterEstimate,
+)
 from softcal_jax.identifiability import Assessment
+from softcal_jax.report._held_out import held_out_sentences
 
 SCOPE = (
-    "The values hold for these loads and this shape; whether they are those of the "
-    "material, a second robot tells (softcal transfer)."
+    "The values hold for these loads and this shape; a second robot tells whether they "
+    "are those of the material (softcal transfer)."
 )
 """For what calibrated values hold."""
+
+MOST_REASONS = 3
+"""Most reasons of a verdict that stand in the first screen."""
+
+MOST_VALUES = 8
+"""Most parameters whose values stand in the first screen."""
+
+TONES: dict[str, Tone] = {
+    "trust": "good",
+    "take with care": "doubtful",
+    "do not use": "bad",
+    "identifiable": "good",
+    "weakly identifiable": "doubtful",
+    "not identifiable": "bad",
+}
+"""Tone of each outcome, and of each verdict on what the data tell of a parameter."""
 
 
 class RunVerdict(NamedTuple):
@@ -27,18 +51,82 @@ class RunVerdict(NamedTuple):
     reasons: tuple[str, ...] = ()
 
 
-def verdict_of(result: CalibrationResult, assessment: Assessment) -> RunVerdict:
+class Answer(NamedTuple):
+    """What a calibration answers, in the order in which it is read.
+
+    Attributes:
+        values: Name, value and interval of each parameter.
+        verdict: Whether the values can be used.
+        held_out: How well poses are predicted that were not fitted, in sentences.
+        next_step: What to do next.
+    """
+
+    values: tuple[tuple[str, str, str], ...]
+    verdict: RunVerdict
+    held_out: tuple[str, ...]
+    next_step: str
+
+    def lines(self) -> list[str]:
+        """Write it for a terminal."""
+        lines = []
+        for name, value, interval in self.values[:MOST_VALUES]:
+            lines.append(f"{name} = {value}{f' ({interval})' if interval else ''}")
+        if len(self.values) > MOST_VALUES:
+            lines.append(f"and {len(self.values) - MOST_VALUES} more parameters.")
+        lines.append(self.verdict.sentence)
+        lines += [f"  {text}" for text in self.verdict.reasons[:MOST_REASONS]]
+        more = len(self.verdict.reasons) - MOST_REASONS
+        lines += [f"  and {more} more."] if more > 0 else []
+        return [*lines, *self.held_out, f"Next: {self.next_step}", SCOPE]
+
+
+def answer_of(result: CalibrationResult, assessment: Assessment) -> Answer:
+    """Collect what a calibration answers."""
+    values = tuple((p.name, value_of(p), _interval_of(p)) for p in result.parameters)
+    held_out = held_out_sentences(result.configurations)
+    none = "Held-out error: unknown, since every pose was fitted."
+    return Answer(
+        values=values,
+        verdict=verdict_of(assessment),
+        held_out=tuple(held_out or [none]),
+        next_step=_next_step(result, assessment),
+    )
+
+
+def value_of(parameter: ParameterEstimate) -> str:
+    """Write a value with its error, and whether it stands on a bound."""
+    if parameter.at_bound:
+        return f"{parameter.estimate} (on a bound)"
+    if parameter.given:
+        return f"{parameter.estimate} (with {', '.join(parameter.given)} on a bound)"
+    return parameter.estimate
+
+
+def _interval_of(parameter: ParameterEstimate) -> str:
+    interval = parameter.interval
+    if interval is None or interval.kind == "none":
+        return ""
+    return f"{100.0 * interval.level:g} % interval {interval}"
+
+
+def verdict_of(assessment: Assessment) -> RunVerdict:
     """Say in one sentence whether the values of a calibration can be used."""
-    steps = len(result.history) - 1
-    taken = f"{steps} step{'s' * (steps != 1)}"
+    tone = TONES[assessment.outcome]
+    return RunVerdict(assessment.headline, tone, assessment.reasons)
+
+
+def _next_step(result: CalibrationResult, assessment: Assessment) -> str:
+    """Say what helps most: against what contradicts, is not seen, or errs most."""
     if not result.converged:
-        text = f"NOT CONVERGED after {taken}: do not use these values."
-        return RunVerdict(text, "bad")
-    if assessment.identified:
-        text = f"Converged in {taken}, and nothing speaks against the values. {SCOPE}"
-        return RunVerdict(text, "good")
-    text = f"Converged in {taken}, but take the values with care:"
-    return RunVerdict(text, "doubtful", (*assessment.reasons, SCOPE))
+        return "raise max_steps under [settings], or start from other values."
+    outlook = assessment.identifiability
+    worst = int(np.argmax([p.ratio for p in outlook.parameters]))
+    step = result.budget.advice(result.budget.names[worst])
+    if outlook.advice:
+        step = outlook.advice[0]
+    if assessment.contradicted:
+        return f"check what the verdict names; then {step}"
+    return step
 
 
 def end_of(result: CalibrationResult) -> str:

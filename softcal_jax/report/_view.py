@@ -197,8 +197,8 @@ def _figure(drawing: _Drawing, *, converged: bool) -> Html:
     return node(
         "figure",
         *warning,
-        _choices(drawing, marks),
         _stage(),
+        _choices(drawing, marks),
         _scale(drawing.data["fields"]),
         _legend(marks),
         node("figcaption", *words, node("p", "", role="status"), id="view-words"),
