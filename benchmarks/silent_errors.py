@@ -42,7 +42,7 @@ LINEAR = "linear tets"
 OF_DATA = (
     "The data do not determine",
     "The data determine",
-    "The data hardly see",
+    "The data leave",
     "less certain than its bounds",
     "ended on a bound",
     "Other values fit as well",

@@ -507,7 +507,7 @@ def test_page_of_what_data_would_tell(tmp_path):
         assert number(rows[0][1]) == pytest.approx(500.0)
         std = data["identifiability"]["parameters"][0]["standard_error"]
         assert number(rows[0][2]) == pytest.approx(1e-3 * std, rel=5e-3)
-        assert ("hardly see 1 of 2" in page.text) == (colour == "bad")
+        assert ("leave 1 of 2" in page.text) == (colour == "bad")
     write_identifiability(outlook, None, tmp_path / "alone")
     assert says(check_page(tmp_path / "alone").text, "What to do")
     write_identifiability(None, make_ranking(), tmp_path / "ranking")

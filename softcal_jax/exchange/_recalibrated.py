@@ -118,7 +118,7 @@ def _table(
         rows.append([c.name, c.role, *map(mm, (c.motion, *errors))])
     models = "calibrated model", f"{program}, same values", f"{program}, own values"
     title = "Distances of points from where they were measured, rms:"
-    table = text_table(title, ("configuration", "role", "moved", *models), rows)
+    table = text_table(title, ("configuration", "role", "motion", *models), rows)
     return [title, *table.lines()]
 
 

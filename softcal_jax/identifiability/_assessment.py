@@ -226,8 +226,8 @@ def _unseen(report: Identifiability) -> list[str]:
             unseen.append(f"{words}: {', '.join(named)}.")
     if report.blind:
         unseen.append(
-            f"The data hardly see {len(report.blind)} of {report.n_parameters} "
-            "directions of the parameters."
+            f"The data leave {len(report.blind)} of {report.n_parameters} directions "
+            "of the parameters undetermined."
         )
     return unseen
 

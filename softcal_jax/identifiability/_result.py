@@ -146,8 +146,8 @@ class Identifiability(Result):
         worst_first = self.blind[::-1]
         if worst_first:
             lines.append(
-                f"The data hardly see {len(worst_first)} of {n_p} "
-                f"direction{'s' * (n_p != 1)} (standard error over the asked one):"
+                f"The data leave {len(worst_first)} of {n_p} "
+                f"direction{'s' * (n_p != 1)} undetermined (standard error / asked):"
             )
             shown = worst_first[:MOST_SHOWN]
             lines += [f"  {d.words} ({percent(d.ratio)})" for d in shown]
@@ -155,8 +155,8 @@ class Identifiability(Result):
                 lines.append(f"  and {len(worst_first) - MOST_SHOWN} more.")
         if self.has_prior:
             lines.append(
-                f"The data tell more than the prior along {self.informed} of {n_p} "
-                f"direction{'s' * (n_p != 1)}."
+                f"The data determine {self.informed} of {n_p} "
+                f"direction{'s' * (n_p != 1)} better than the prior."
             )
         if n_data:
             lines += str(self.conditioning).splitlines()
@@ -166,12 +166,12 @@ class Identifiability(Result):
     def scale(self) -> str:
         """What the verdicts mean, in words."""
         text = (
-            f"Identifiable: up to the asked standard error (precision "
-            f"{self.precision:g}), weakly: up to {WEAK_UP_TO:g} times that. Bounds do "
-            "not count."
+            "Identifiable: a standard error up to the asked one (precision "
+            f"{self.precision:g}), weakly: up to {WEAK_UP_TO:g} times that. Bounds are "
+            "no data."
         )
         if self.has_prior:
-            text += " A stated prior counts like a measurement."
+            text += " A stated prior counts as a measurement."
         return text
 
 

@@ -207,7 +207,7 @@ class ModelComparison(Result):
             return f"{first} No other model predicts every configuration."
         if not self.undecided:
             named = listed([repr(name) for name in worse])
-            return f"{first} The data tell it apart from {named}."
+            return f"{first} The data distinguish it from {named}."
         close = listed([repr(name) for name in self.undecided])
         alike = [best, *(m for m in rivals if m.name in self.undecided)]
         fewest = min(alike, key=lambda m: (m.n_parameters, m.score))

@@ -86,14 +86,14 @@ def error_tables(
     With three or more fitted configurations, a further table has the error of each when
     it is left out of the fit: in one table, this would not fit in 80 columns.
     """
-    columns = ("configuration", "role", "before", "after", "moved", "after/moved")
+    columns = ("configuration", "role", "before", "after", "motion", "relative error")
     points, turns = [], []
     for fit in listed_fits(fits):
         lengths = fit.rms_before, fit.rms_after, fit.motion
-        before, after, moved = map(distance, lengths)
+        before, after, motion = map(distance, lengths)
         share = or_dash(100.0 * fit.rms_share, ".1f", "%")
         first = (fit.name, fit.role)
-        points.append((*first, before, Cell(after, "strong"), moved, share))
+        points.append((*first, before, Cell(after, "strong"), motion, share))
         if math.isfinite(fit.turn_after):
             angles = np.degrees([fit.turn_before, fit.turn_after])
             before, after = (or_dash(angle, ".2f", "deg") for angle in angles)
@@ -135,7 +135,7 @@ def outlook_legend(outlook: Identifiability) -> str:
     words = [outlook.scale]
     if outlook.has_prior:
         shares = f"{outlook.informed} of {outlook.n_parameters} directions"
-        words.append(f"The data tell more than the prior along {shares}.")
+        words.append(f"The data determine {shares} better than the prior.")
     if outlook.n_data:
         words.append(str(outlook.conditioning).splitlines()[0])
     return " ".join(words)
@@ -145,12 +145,12 @@ def blindness(outlook: Identifiability) -> list[str]:
     """Say how many directions the data hardly see, then list them, the worst first."""
     blind = outlook.blind[::-1]
     if not blind:
-        return ["No combination of the parameters is hidden from the data."]
+        return ["The data determine every combination of the parameters."]
     by = "the prior and the start" if outlook.has_prior else "the start"
     lines = [
-        f"The data hardly see {len(blind)} of {outlook.n_parameters} directions of the "
-        f"parameters; these are decided by {by}. The worst first (standard error over "
-        "the asked one):"
+        f"The data leave {len(blind)} of {outlook.n_parameters} directions of the "
+        f"parameters undetermined; {by} decide{'s' * (not outlook.has_prior)} these. "
+        "The worst first (standard error / asked):"
     ]
     lines += [f"{d.words} ({percent(d.ratio)})" for d in blind[:MOST_DIRECTIONS]]
     if len(blind) > MOST_DIRECTIONS:

@@ -53,7 +53,7 @@ def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTabl
     titles = {
         "Other effectors": ["effector", *values],
         "Actuators": ["actuator", "force or pressure", "displacement or growth"],
-        "Rigid bodies": ["rigid body", "state", "moved by", "turned by"],
+        "Rigid bodies": ["rigid body", "state", "displacement", "rotation"],
         "Reactions": ["of", "force of the ground (x, y, z)"],
     }
     rows: dict[str, list[tuple[str, ...]]] = {title: [] for title in titles}

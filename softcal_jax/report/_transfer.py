@@ -59,7 +59,7 @@ class Transfer(Module):
                 self.poses, self.motion, self.rms_own, self.rms_of_a, strict=True
             )
         ]
-        titles = "parameter", "from A", "from B", "hardly seen below"
+        titles = "parameter", "from A", "from B", "not detectable below"
         lines = text_table("", titles, values).lines()
         titles = "pose of B", "motion", "error of its own fit", "with the values of A"
         lines += ["", *text_table("", titles, errors).lines()]

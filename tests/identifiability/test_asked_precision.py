@@ -49,7 +49,7 @@ def test_a_constant_known_to_44_percent_is_not_identifiable(upper):
     outlook = judge([[upper / (0.44 * 33e3)]], c2)
     assert outlook.verdict == "not identifiable"
     assert outlook.parameters[0].relative == pytest.approx(0.44)
-    assert "bounds" not in str(outlook).replace("Bounds do not count", "")
+    assert "bounds" not in str(outlook).replace("Bounds are no data", "")
     # Somebody may ask for less.
     half = judge([[upper / (0.44 * 33e3)]], c2, precision=0.5)
     assert half.verdict == "identifiable"

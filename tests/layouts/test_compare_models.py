@@ -63,7 +63,7 @@ def test_pairing_sees_what_the_errors_alone_hide():
     compared = ModelComparison.ranked([near, best])
     assert [m.name for m in compared.models] == ["best", "near"]
     assert compared.undecided == ()
-    assert says(compared.verdict, "tell ... apart ... 'near'")
+    assert says(compared.verdict, "distinguish ... 'near'")
 
 
 def test_the_verdict_names_what_is_undecided():
