@@ -9,8 +9,7 @@ import numpy as np
 from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import Traces
-from softcal_jax.plotting._colours import BAD, FAINT, SERIES, TEXT
-from softcal_jax.plotting._save import DPI, save
+from softcal_jax.plotting._figure import BAD, DPI, FAINT, SERIES, TEXT, save
 
 if TYPE_CHECKING:
     import matplotlib.axes

@@ -8,9 +8,17 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.mesh import TetMesh
-from softcal_jax.plotting import _annotations as annotations
-from softcal_jax.plotting._colours import FAINT, OUTLINE, SERIES, TEXT
-from softcal_jax.plotting._save import DPI, add_view, pixel_figure, save
+from softcal_jax.plotting import _figure as figures
+from softcal_jax.plotting._figure import (
+    DPI,
+    FAINT,
+    OUTLINE,
+    SERIES,
+    TEXT,
+    add_view,
+    pixel_figure,
+    save,
+)
 from softcal_jax.plotting._view import View, VisibleFaces, choose_view, visible_faces
 
 if TYPE_CHECKING:
@@ -85,7 +93,7 @@ def plot_directions(
     place = {"loc": "center", "bbox_to_anchor": (0.5, 55 / total)}
     figure.legend(lines, families, fontsize=15, frameon=False, **place)
     around = {"scale": scale, "top": _TOP, "bottom": _BOTTOM}
-    annotations.draw_frame(figure, view, **around, title=title)
+    figures.draw_frame(figure, view, **around, title=title)
     save(figure, path)
 
 

@@ -9,9 +9,8 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.mesh import CAD_FACE, TetMesh, boundary_faces
-from softcal_jax.plotting import _annotations as annotations
-from softcal_jax.plotting._colours import SERIES
-from softcal_jax.plotting._save import add_view, pixel_figure, save
+from softcal_jax.plotting import _figure as figures
+from softcal_jax.plotting._figure import SERIES, add_view, pixel_figure, save
 from softcal_jax.plotting._view import (
     View,
     VisibleFaces,
@@ -109,7 +108,7 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
         for index in np.flatnonzero(best):
             place = _middle(images[k] == index, frame)
             style = {"ha": "center", "va": "center"}
-            annotations.draw_name(axes, groups[index], place, (0, 0), **style)
+            figures.draw_name(axes, groups[index], place, (0, 0), **style)
     faced = {**mesh.tet_groups, **mesh.surface_groups}
     names = [
         f"{name} (hidden)" if name in faced and not seen[:, k].any() else name
@@ -120,7 +119,7 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
     look = {"ncols": per_row, "fontsize": 15, "frameon": False}
     figure.legend(handles=handles, **look, **place)
     around = {"scale": 1.0 / frame.scale, "top": _TOP, "bottom": _BOTTOM}
-    annotations.draw_frame(figure, front, **around, title=title)
+    figures.draw_frame(figure, front, **around, title=title)
     save(figure, path)
 
 
@@ -219,4 +218,4 @@ def _draw_nodes(
         places = view.project(mesh.points[nodes])
         axes.plot(*places.T, "o", ms=5, color=colours[name], mec="black", mew=0.5)
         highest = places[np.argmax(places[:, 1])]
-        annotations.draw_name(axes, name, highest, (0, 14), ha="center")
+        figures.draw_name(axes, name, highest, (0, 14), ha="center")

@@ -19,11 +19,16 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import ActuatorState, Model, RobotState
 from softcal_jax.mesh import boundary_faces
-from softcal_jax.plotting import _annotations as annotations, _robot as robots
-from softcal_jax.plotting._colours import FAINT, RIGID, SYMBOLS, TEXT
-from softcal_jax.plotting._robot import RobotPicture, SensorFrame
-from softcal_jax.plotting._save import add_view, pixel_figure, save
-from softcal_jax.plotting._setup import draw_setup, load_points
+from softcal_jax.plotting import _figure as figures, _robot as robots
+from softcal_jax.plotting._figure import (
+    FAINT,
+    RIGID,
+    SYMBOLS,
+    TEXT,
+    add_view,
+    pixel_figure,
+    save,
+)
 from softcal_jax.plotting._view import (
     View,
     VisibleFaces,
@@ -80,7 +85,7 @@ def plot_plan(
     pictures = [robots.robot_picture(model, _at_rest(model, c)) for c in shown]
     numbered = np.zeros((0, 3)) if control_points is None else control_points
     more = [numbered, *(picture.points for picture in pictures)]
-    more += [load_points(c, mesh, mesh.points) for c in shown]
+    more += [robots.load_points(c, mesh, mesh.points) for c in shown]
     for points in markers:
         more += [p.at_rest for p in points]
         more += [place for place, _ in _measured(model, points)]
@@ -110,10 +115,10 @@ def plot_plan(
             style = {"ha": "center", "va": "center", "fontsize": 10, "color": TEXT}
             axes.text(flat[0], flat[1], str(i + 1), **style)
         style = {"fontsize": 16, "color": TEXT, "parse_math": False}
-        annotations.shrink(axes.set_title(headings[c.name], **style), width - 40)
+        figures.shrink(axes.set_title(headings[c.name], **style), width - 40)
     words = {"title": title, "subtitle": subtitle}
-    annotations.draw_frame(figure, view, scale=scale, top=_TOP, bottom=_BOTTOM, **words)
-    annotations.draw_legend(figure, drawn, 70 / total, {})
+    figures.draw_frame(figure, view, scale=scale, top=_TOP, bottom=_BOTTOM, **words)
+    figures.draw_legend(figure, drawn, 70 / total, {})
     save(figure, path, software=software)
 
 
@@ -162,31 +167,33 @@ def _draw_configuration(
     view: View,
     model: Model,
     c: Configuration,
-    picture: RobotPicture,
+    picture: robots.RobotPicture,
     points: Sequence[EffectorRecord],
 ) -> set[str]:
     """Draw one configuration; return what was drawn, for the legend."""
     _draw_bodies(axes, view, model, c)
     drawn = {"rigid body"} if model.mechanism.bodies.n_bodies else set()
-    drawn.update(draw_setup(axes, view, c, model.mesh, model.mesh.points))
+    drawn.update(robots.draw_setup(axes, view, c, model.mesh, model.mesh.points))
     robots.draw_robot(axes, view, picture)
     drawn.update(picture.kinds)
     frames = {e.name for e in c.effectors if isinstance(e, BodyFrame)}
-    sensors = [SensorFrame(p.at_rest, np.eye(3)) for p in points if p.name in frames]
+    sensors = [
+        robots.SensorFrame(p.at_rest, np.eye(3)) for p in points if p.name in frames
+    ]
     drawn.update(robots.draw_sensors(axes, view, sensors))
     for place, rest in _measured(model, points):
         ends = view.project(np.stack([rest, place]))
-        axes.plot(*ends[1], path_effects=annotations.halo(5.0), **SYMBOLS["measured"])
+        axes.plot(*ends[1], path_effects=figures.halo(5.0), **SYMBOLS["measured"])
         axes.plot(*ends.T, **SYMBOLS["distance"])
         drawn.add("measured")
     for p in points:
         flat = view.project(p.at_rest)
         style = SYMBOLS["point at rest"]
-        axes.plot(*flat, path_effects=annotations.halo(5.0), **style)
+        axes.plot(*flat, path_effects=figures.halo(5.0), **style)
         if len(points) <= _MOST_NAMES:
-            annotations.draw_name(axes, p.name, flat, (9, 7), fontsize=13)
+            figures.draw_name(axes, p.name, flat, (9, 7), fontsize=13)
         drawn.add("point at rest")
-    annotations.separate_names(axes)
+    figures.separate_names(axes)
     return drawn
 
 
@@ -211,7 +218,7 @@ def _draw_bodies(
         kind = state if isinstance(state, str) else getattr(state, "kind", "held")
         text = name if state is None else f"{name} ({kind})"
         place = (flat[:, 0].mean(), flat[:, 1].max())
-        annotations.draw_name(axes, text, place, (0, 9), ha="center", fontsize=13)
+        figures.draw_name(axes, text, place, (0, 9), ha="center", fontsize=13)
 
 
 def _fibre_directions(model: Model) -> Float[HostArray, "n_tets 3"] | None:

@@ -19,7 +19,7 @@ import numpy as np
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import Tessellation, tessellate
-from softcal_jax.plotting._colours import DISPLACEMENT_MAP, OUTLINE, RIGID
+from softcal_jax.plotting._figure import DISPLACEMENT_MAP, OUTLINE, RIGID
 from softcal_jax.plotting._view import View
 
 if TYPE_CHECKING:

@@ -1,19 +1,133 @@
-"""Draw markers, title, scales and legend around the picture of a body."""
+"""Figures: their files, colours and symbols, and what is drawn around a body."""
 
 from collections.abc import Container, Mapping, Sequence
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.plotting._colours import BAD, DISPLACEMENT_MAP, SYMBOLS, TEXT
-from softcal_jax.plotting._save import DPI, add_axes
 from softcal_jax.plotting._view import View
 
 if TYPE_CHECKING:
     import matplotlib.axes
     import matplotlib.figure
     import matplotlib.text
+
+DPI = 100
+"""Pixels per inch of figures and of the images within them."""
+
+
+def pixel_figure(width: float, height: float) -> "matplotlib.figure.Figure":
+    """Make a white figure of a size in pixels."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor="white")
+
+
+def add_axes(figure: "matplotlib.figure.Figure", *box: float) -> "matplotlib.axes.Axes":
+    """Add axes in a box of pixels: its left, bottom, width and height."""
+    x, y = DPI * figure.get_size_inches()
+    left, bottom, width, height = box
+    return figure.add_axes((left / x, bottom / y, width / x, height / y))
+
+
+def add_view(
+    figure: "matplotlib.figure.Figure", *box: float, scale: float
+) -> "matplotlib.axes.Axes":
+    """Add axes in metres around the centre of a view; the scale is in pixels per m."""
+    axes = add_axes(figure, *box)
+    w, h = 0.5 * box[2] / scale, 0.5 * box[3] / scale
+    axes.set(xlim=(-w, w), ylim=(-h, h))
+    axes.set_axis_off()
+    return axes
+
+
+def save(
+    figure: "matplotlib.figure.Figure", path: str | Path, software: str = "softcal_jax"
+) -> None:
+    """Write a figure as PNG or SVG, according to the ending of the file's name.
+
+    The same figure gives the same file: without a date, and with the same ids. The file
+    names the software that drew it.
+
+    Raises:
+        ValueError: If the name ends in something else.
+    """
+    import matplotlib as mpl
+
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".png", ".svg"):
+        raise ValueError(
+            f"{path} ends in {Path(path).suffix!r}; expected a picture, .png or .svg."
+        )
+    about = {"Software": software}
+    if suffix == ".svg":
+        about = {"Creator": software, "Date": None}
+    with mpl.rc_context({"svg.hashsalt": "softcal_jax"}):
+        figure.savefig(path, dpi=DPI, format=suffix[1:], metadata=about)
+
+
+MEASURED = "#e3001b"
+SIMULATED = "#000000"
+OUTLINE = "#8a8a8a"
+TEXT = "#1a1a1a"
+FAINT = "#6b6b6b"
+GOOD = "#1b7837"
+BAD = "#c00000"
+
+SERIES = ("#0b5fa5", "#d95f02", "#1b9e77", "#7570b3", "#a6761d", "#e7298a", "#444444")
+"""Colours of the lines of a diagram, in order."""
+
+DISPLACEMENT_MAP = "viridis"
+"""Colour map that is perceptually uniform and avoids the markers' black and red."""
+
+# What is drawn beside the soft body.
+CABLE, WALL, MOTOR = "#d95f02", "#0b5fa5", "#7b3294"
+FORCE, RIGID = "#1b7837", "#b4b4b4"
+
+# How the body is held, and its weight.
+SUPPORT, GRAVITY = "#8c510a", "#4d4d4d"
+FIBRE = "#5e3c99"
+
+MARKS = {
+    "measured": MEASURED,
+    "simulated": SIMULATED,
+    "at rest": OUTLINE,
+    "cable": CABLE,
+    "wall": WALL,
+    "motor": MOTOR,
+    "force": FORCE,
+    "load": FORCE,
+    "gravity": GRAVITY,
+    "rigid": RIGID,
+    "frame": GRAVITY,
+    "fibre": FIBRE,
+}
+"""Colours by what they mark, for a page that draws by itself."""
+
+_POINT = {"ls": "none", "ms": 13, "mew": 2.5}
+
+SYMBOLS: dict[str, dict[str, Any]] = {
+    "measured": _POINT | {"marker": "o", "mec": MEASURED, "mfc": "none"},
+    "simulated": _POINT | {"marker": "+", "mec": SIMULATED},
+    "distance": {"color": MEASURED, "lw": 2.5},
+    "at rest": {"color": OUTLINE, "lw": 2.5},
+    "point at rest": _POINT | {"marker": "+", "mec": SIMULATED},
+    "control point": _POINT | {"marker": "o", "ms": 16, "mec": TEXT, "mfc": "white"},
+    "fibre": {"color": FIBRE, "lw": 1.6},
+    "support": {"marker": "s", "ms": 9, "ls": "none", "color": SUPPORT, "alpha": 0.7},
+    "load": {"color": FORCE, "lw": 3.0, "marker": "v", "ms": 8},
+    "gravity": {"color": GRAVITY, "lw": 3.0, "marker": "v", "ms": 8},
+    "sensor's axes": {"color": SIMULATED, "lw": 2.2},
+    "rigid body": {"color": RIGID, "lw": 9.0},
+    "cable": {"color": CABLE, "lw": 3.0},
+    "wall under pressure": {"color": WALL, "lw": 9.0, "alpha": 0.5},
+    "motor": {"color": MOTOR, "lw": 2.5, "ls": "-.", "marker": "o"},
+    "force": {"color": FORCE, "lw": 3.0, "marker": ">"},
+}
+"""Styles of lines and points by what they mark, in the order of the legend."""
+
 
 WARNING_HEIGHT = 60
 """Height of the warning band above the title [pixels]."""
