@@ -22,7 +22,7 @@ from softcal_jax.plotting._figure import (
 from softcal_jax.plotting._view import View, VisibleFaces, choose_view, visible_faces
 
 if TYPE_CHECKING:
-    import matplotlib.axes
+    from matplotlib.axes import Axes
 
 _SIZE, _TOP, _BOTTOM = 900, 110, 120
 """Longer side of the body, and heights above and below it [pixels]."""
@@ -226,7 +226,7 @@ def middle_layer(mesh: TetMesh, normal: int) -> Int[HostArray, " n_layer"]:
 
 
 def _draw_layer(
-    axes: "matplotlib.axes.Axes",
+    axes: "Axes",
     corners: Float[HostArray, "n_layer 4 2"],
     theta: Float[HostArray, " n_layer"],
     colours,

@@ -20,7 +20,7 @@ from softcal_jax.plotting._view import (
 )
 
 if TYPE_CHECKING:
-    import matplotlib.axes
+    from matplotlib.axes import Axes
 
 Colour = tuple[float, float, float]
 
@@ -203,7 +203,7 @@ def _keys(mesh: TetMesh, faces: Int[HostArray, "n _"]) -> Int[HostArray, " n"]:
 
 
 def _draw_nodes(
-    axes: "matplotlib.axes.Axes",
+    axes: "Axes",
     view: View,
     mesh: TetMesh,
     drawn: Bool[HostArray, " n_tets"],

@@ -39,7 +39,7 @@ from softcal_jax.plotting._view import (
 )
 
 if TYPE_CHECKING:
-    import matplotlib.axes
+    from matplotlib.axes import Axes
 
 MOST_PANELS = 6
 """Most configurations that are drawn; `softcal check` says how many are left out."""
@@ -163,7 +163,7 @@ def _at_rest(model: Model, c: Configuration) -> RobotState:
 
 
 def _draw_configuration(
-    axes: "matplotlib.axes.Axes",
+    axes: "Axes",
     view: View,
     model: Model,
     c: Configuration,
@@ -197,9 +197,7 @@ def _draw_configuration(
     return drawn
 
 
-def _draw_bodies(
-    axes: "matplotlib.axes.Axes", view: View, model: Model, c: Configuration
-) -> None:
+def _draw_bodies(axes: "Axes", view: View, model: Model, c: Configuration) -> None:
     """Draw the nodes of rigid bodies as a patch, with name and state."""
     from matplotlib.collections import PolyCollection
 
@@ -250,10 +248,7 @@ def _fibre_directions(model: Model) -> Float[HostArray, "n_tets 3"] | None:
 
 
 def _draw_fibres(
-    axes: "matplotlib.axes.Axes",
-    view: View,
-    faces: VisibleFaces,
-    fibres: Float[HostArray, "n_tets 3"],
+    axes: "Axes", view: View, faces: VisibleFaces, fibres: Float[HostArray, "n_tets 3"]
 ) -> None:
     """Draw fibres of some of the tets whose outer face is seen."""
     from matplotlib.collections import LineCollection

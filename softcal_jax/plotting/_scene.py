@@ -163,10 +163,7 @@ def body_image(
                     show_scalar_bar=False,
                 ),
                 plotter.add_mesh(
-                    _edges(deformed(whole)),
-                    color="black",
-                    opacity=0.55,
-                    line_width=3.6,
+                    _edges(deformed(whole)), color="black", opacity=0.55, line_width=3.6
                 ),
             ]
             if rigid.any():

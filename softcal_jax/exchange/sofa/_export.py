@@ -26,10 +26,7 @@ from softcal_jax.exchange.sofa._component import (
     component_of,
     law_for_sofa,
 )
-from softcal_jax.exchange.sofa._configurations import (
-    check_robot,
-    scene_configurations,
-)
+from softcal_jax.exchange.sofa._configurations import check_robot, scene_configurations
 from softcal_jax.exchange.sofa._write import Scene, write_scene
 from softcal_jax.export import check_results_folder
 from softcal_jax.materials import SofaRotation
@@ -136,12 +133,7 @@ def export_sofa(
         elasticity=component_of(refitted.model.law, model.n_tets, release, scale),
         vertex_mass=vertex_masses(refitted.model),
         configurations=scene_configurations(
-            refitted.model,
-            refitted.space,
-            refitted.z,
-            posed,
-            displacements,
-            scale,
+            refitted.model, refitted.space, refitted.z, posed, displacements, scale
         ),
     )
     export = SofaExport(
