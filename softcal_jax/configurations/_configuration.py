@@ -18,6 +18,13 @@ from softcal_jax.configurations._arrays import (
     EffectorArrays,
     Springs,
 )
+from softcal_jax.configurations._boundary import (
+    AbstractLoad,
+    Support,
+    check_apart,
+    check_held,
+    motors_of,
+)
 from softcal_jax.configurations._effector import (
     AbstractEffector,
     EffectorRecord,
@@ -27,7 +34,6 @@ from softcal_jax.configurations._effector import (
     stack_effectors,
 )
 from softcal_jax.configurations._effectors import BodyFrame, Centroid
-from softcal_jax.configurations._loads import AbstractLoad
 from softcal_jax.configurations._markers import Markers, marker_rows
 from softcal_jax.configurations._mechanism import (
     Actuation,
@@ -36,12 +42,6 @@ from softcal_jax.configurations._mechanism import (
     actuation_arrays,
     body_state_arrays,
     build_mechanism,
-)
-from softcal_jax.configurations._supports import (
-    Support,
-    check_apart,
-    check_held,
-    motors_of,
 )
 from softcal_jax.mesh import TetMesh
 
@@ -187,30 +187,22 @@ def configuration_lanes(
                 "or recordings cannot be told apart: their CRC-32 is the same. Rename "
                 "one of them."
             )
-    springs, loads = _names_of(configurations)
+    supports = [support for c in configurations for support in c.supports]
+    springs = dict.fromkeys(s.name for s in supports if s.stiffness is not None)
+    loads = dict.fromkeys(load.name for c in configurations for load in c.loads)
+    named = {"springs": (*springs,), "loads": (*loads,) or (UNNAMED_LOADS,)}
     rows = [_effector_rows(mesh, c, mechanism) for c in configurations]
     lanes, records = [], []
     for c, of_c, (effectors, indices) in zip(
         configurations, rows, stack_effectors(rows), strict=True
     ):
-        lane = _lane(mesh, mechanism, c, effectors, springs=springs, loads=loads)
-        lanes.append(lane)
+        lanes.append(_lane(mesh, mechanism, c, effectors, **named))
         numbered = zip(of_c, indices, strict=True)
         described = (effector_record(*both, mechanism.points) for both in numbered)
         records.append(tuple(described))
     # Not jnp.asarray, which would compile a program for every shape.
     arrays = jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *lanes))
     return ConfigurationLanes(arrays, tuple(records))
-
-
-def _names_of(
-    configurations: Sequence[Configuration],
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """List the groups of all elastic supports, and the names of all loads."""
-    supports = [support for c in configurations for support in c.supports]
-    springs = dict.fromkeys(s.name for s in supports if s.stiffness is not None)
-    loads = dict.fromkeys(load.name for c in configurations for load in c.loads)
-    return tuple(springs), tuple(loads) or (UNNAMED_LOADS,)
 
 
 def _lane(

@@ -88,23 +88,21 @@ def average_poses(table: PoseTable) -> dict[str, Pose]:
         ValueError: If a reading turns by more than 30 degrees from the mean of its
             sensor, so that they are not all of one pose.
     """
-    names = dict.fromkeys(table.names)
-    return {name: _average(table.readings_of(name)) for name in names}
-
-
-def _average(readings: PoseTable) -> Pose:
-    rotations = Rotation.from_matrix(readings.rotations)
-    mean = rotations.mean()
-    angles = (rotations * mean.inv()).magnitude()
-    worst = int(np.argmax(angles))
-    if angles[worst] > _ONE_POSE:
-        raise ValueError(
-            f"{readings.source}, line {readings.lines[worst]}: this reading of sensor "
-            f"{readings.names[0]!r} turns by {np.rad2deg(angles[worst]):.3g} deg from "
-            f"the mean of {len(angles)}, more than 30 deg: select the readings of one "
-            "pose."
-        )
-    return Pose(readings.positions.mean(axis=0), mean.as_rotvec())
+    poses = {}
+    for name in dict.fromkeys(table.names):
+        readings = table.readings_of(name)
+        rotations = Rotation.from_matrix(readings.rotations)
+        mean = rotations.mean()
+        angles = (rotations * mean.inv()).magnitude()
+        worst = int(np.argmax(angles))
+        if angles[worst] > _ONE_POSE:
+            raise ValueError(
+                f"{table.source}, line {readings.lines[worst]}: this reading of sensor "
+                f"{name!r} turns by {np.rad2deg(angles[worst]):.3g} deg from the mean "
+                f"of {len(angles)}, more than 30 deg: select the readings of one pose."
+            )
+        poses[name] = Pose(readings.positions.mean(axis=0), mean.as_rotvec())
+    return poses
 
 
 _QUATERNION = ["qw", "qx", "qy", "qz"]
