@@ -2,14 +2,12 @@
 
 from softcal_jax.project._goals import inverse_as_typed as inverse_as_typed
 from softcal_jax.project._load import (
-    load_mesh as load_mesh,
-    load_project as load_project,
-)
-from softcal_jax.project._plausibility import (
     CHANGE as CHANGE,
     Guess as Guess,
     ProjectWarning as ProjectWarning,
     guesses_left as guesses_left,
+    load_mesh as load_mesh,
+    load_project as load_project,
 )
 from softcal_jax.project._problems import (
     ProjectError as ProjectError,

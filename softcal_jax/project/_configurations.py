@@ -22,6 +22,7 @@ from softcal_jax.project._effectors import Effectors
 from softcal_jax.project._markers import MarkersTable, MeasuredMarkers, MeasuredTable
 from softcal_jax.project._mechanism import State, build_actuation, build_states
 from softcal_jax.project._problems import WrongKeyError, known_name, under
+from softcal_jax.project._setup import ShareOrEstimated
 from softcal_jax.project._table import (
     Acceleration,
     AccelerationSize,
@@ -39,7 +40,6 @@ from softcal_jax.project._table import (
     WholeFile,
     by_keys,
 )
-from softcal_jax.project._uncertain import ShareOrEstimated
 
 
 class SupportTable(Maker):

@@ -11,7 +11,6 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import (
     AbstractEffector,
     AbstractScalar,
@@ -56,11 +55,12 @@ Effectors = dict[str, AbstractEffector]
 
 
 def _measured(value: Any, kinds: Sequence[Any]) -> Any:
-    del kinds
     if not isinstance(value, dict):
         return Any
-    if "photos" in value or "file" not in value:
-        return PhotosTable if "photos" in value else WrittenPoseTable
+    if "photos" in value:
+        return PhotosTable
+    if "file" not in value:
+        return WrittenPoseTable
     return PolhemusFileTable if value.get("format") == "polhemus" else PoseFileTable
 
 
@@ -103,7 +103,6 @@ class EffectorTable(Table):
         self, effector: Any, value: Any, folder: Path, model: Model
     ) -> AbstractEffector:
         """Return the effector with its measured value; paths start from `folder`."""
-        del folder
         unit = effector.rows(model.mesh, model.mechanism)[0].unit
         dimension = dimension_of(unit)
         if isinstance(value, MotionSource):
@@ -144,19 +143,12 @@ class BodyFrameTable(EffectorTable):
         pose, covariance = value.motion(folder, self.base, self.orientation, rest)
         if covariance is None:
             return replace(effector, measured=pose)
-        std = np.sqrt(np.diag(covariance))
-        return replace(
-            effector,
-            measured=pose,
-            std=_with_stated(effector.std, std[:3]),
-            std_angle=_with_stated(effector.std_angle, std[3:]),
-        )
-
-
-def _with_stated(
-    stated: float | Float[HostArray, "3"], std: Float[HostArray, "3"]
-) -> Float[HostArray, "3"]:
-    return std if isinstance(stated, Unstated) else np.hypot(stated, std)
+        std, std_angle = np.sqrt(np.diag(covariance)).reshape(2, 3)
+        if not isinstance(effector.std, Unstated):
+            std = np.hypot(effector.std, std)
+        if not isinstance(effector.std_angle, Unstated):
+            std_angle = np.hypot(effector.std_angle, std_angle)
+        return replace(effector, measured=pose, std=std, std_angle=std_angle)
 
 
 class CentroidTable(EffectorTable):

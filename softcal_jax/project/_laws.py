@@ -26,7 +26,7 @@ from softcal_jax.materials import (
     Isotropic,
 )
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project._directions import AnyDirections, TetData
+from softcal_jax.project._mesh import AnyDirections, TetData
 from softcal_jax.project._problems import under
 from softcal_jax.project._quantities import Size, dimension_of, scalar
 from softcal_jax.project._table import (
@@ -237,22 +237,12 @@ def _part_of(law: type[eqx.Module]) -> _Part | None:
     hints = typing.get_type_hints(law).values()
     if AbstractElasticity in hints:
         return _Part("elasticity", "isotropic", ELASTICITIES)
-    if AbstractLaw in hints:
-        return _Part("matrix", "neo-hookean", _matrices())
-    return None
-
-
-@functools.cache
-def _matrices() -> Mapping[str, type[AbstractLaw]]:
-    """Return the laws that may be a matrix: with a potential and without fibres."""
-    hints = {
-        name: set(typing.get_type_hints(law).values()) for name, law in LAWS.items()
-    }
-    return {
-        name: law
-        for name, law in LAWS.items()
-        if law.conservative and not {Fibre, AbstractLaw} & hints[name]
-    }
+    if AbstractLaw not in hints:
+        return None
+    # A matrix has a potential and no fibres.
+    fibrous = lambda law: {Fibre, AbstractLaw} & {*typing.get_type_hints(law).values()}
+    plain = {k: v for k, v in LAWS.items() if v.conservative and not fibrous(v)}
+    return _Part("matrix", "neo-hookean", plain)
 
 
 class _Recipe(NamedTuple):
@@ -300,15 +290,12 @@ def _recipe(kind: type[eqx.Module], chosen: type[eqx.Module] | None) -> _Recipe:
 
 def _owners(key: str) -> list[str]:
     """List the laws and elasticities with a key, each as a file chooses it."""
-    owners = []
-    for name, kind in ELASTICITIES.items():
-        if key in _recipe(kind, None).keys:
-            owners.append(f'elasticity = "{name}"')
-    for name, law in LAWS.items():
-        part = _part_of(law)
-        if key in _recipe(law, None).keys or (part and part.key == key):
-            owners.append(f'law = "{name}"')
-    return owners
+    has = lambda kind: key in _recipe(kind, None).keys
+    chooses = lambda law: (part := _part_of(law)) is not None and part.key == key
+    return [
+        *(f'elasticity = "{name}"' for name, kind in ELASTICITIES.items() if has(kind)),
+        *(f'law = "{k}"' for k, law in LAWS.items() if has(law) or chooses(law)),
+    ]
 
 
 def _plug_in(name: str, plug_ins: EntryPoints) -> type[AbstractLaw]:

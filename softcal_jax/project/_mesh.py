@@ -1,7 +1,7 @@
-"""Tables of a project file that make the mesh and its groups."""
+"""Tables of a project file for the mesh, its groups, and directions of fibres in it."""
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,6 +10,7 @@ from pydantic import BaseModel, Field, model_validator
 
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.exchange.cad import CAD_FORMATS, mesh_cad
+from softcal_jax.materials import frames_along, frames_around
 from softcal_jax.mesh import (
     Annulus,
     Box,
@@ -41,6 +42,7 @@ from softcal_jax.project._table import (
     PositiveLength,
     Table,
     by_keys,
+    by_type,
 )
 
 LengthUnit = Literal["m", "cm", "mm", "um", "inch"]
@@ -58,12 +60,10 @@ class _MeshTable(Table):
         """Make the mesh; paths are relative to `folder`."""
 
     def files(self, folder: Path) -> tuple[Path, ...]:
-        del folder
         return ()
 
     def tet_data(self, folder: Path, name: str) -> Float[HostArray, "n_tets _"]:
         """Read an array of a mesh file with values for each tet."""
-        del folder
         raise ValueError(
             f"there is no mesh file to read {name!r} from. Take "
             'type = "along", "hoop" or "helix", or a mesh of a file.'
@@ -120,7 +120,6 @@ class BeamMeshTable(_MeshTable):
     beam: BeamTable
 
     def build(self, folder: Path) -> TetMesh:
-        del folder
         options = self.beam.model_dump(exclude={"size"})
         return beam(*self.beam.size, order=self.order, **options)
 
@@ -253,3 +252,60 @@ class GroupTable(Table):
         if not tets.size:
             raise ValueError("no tet has its centre there; check the length unit.")
         return mesh.with_tet_group(name, tets)
+
+
+TetData = Callable[[str], Float[HostArray, "n_tets _"]]
+"""Returns an array of the mesh file by its name."""
+
+Frames = Float[HostArray, "n 3 3"]
+"""Local axes of some tets, see `Fibre`."""
+
+
+class AlongTable(Table):
+    type: Literal["along"]
+    axis: Direction = Field(description='direction of the fibres: "z" or [0, 0, 1]')
+
+    def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
+        return frames_along(np.broadcast_to(np.asarray(self.axis), (len(tets), 3)))
+
+
+class _AroundTable(Table):
+    axis: Direction = Field(description='direction of the axis: "z" or [0, 0, 1]')
+    through: Position = (0.0, 0.0, 0.0)
+
+    def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
+        return frames_around(mesh.centroids[tets], self.axis, self.through)
+
+
+class HelixTable(_AroundTable):
+    """Fibres around an axis, at the angle `theta` from it."""
+
+    type: Literal["helix"]
+
+
+class HoopTable(_AroundTable):
+    type: Literal["hoop"]
+
+    def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
+        return super().frames(mesh, tets, data)[:, [2, 1, 0]]
+
+
+class CellsTable(Table):
+    """Fibres from an array of the mesh file, with a vector for each tet."""
+
+    type: Literal["cells"]
+    array: str = Field(description='name of a cell array of the mesh file: "fibre"')
+
+    def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
+        vectors = data(self.array)
+        if vectors.shape[1:] != (3,):
+            raise ValueError(
+                f"the cell array {self.array!r} has the shape {vectors.shape}; "
+                "expected a vector of three components for each tet."
+            )
+        return frames_along(vectors[tets])
+
+
+AnyDirections = Annotated[
+    AlongTable | HoopTable | HelixTable | CellsTable, Choice(by_type)
+]

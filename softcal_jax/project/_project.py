@@ -183,17 +183,11 @@ class Project(Module):
             answer=answer,
             stage=stage,
         )
-        return self._with_origin(result)
-
-    def _with_origin(self, result: CalibrationResult) -> CalibrationResult:
-        """Add the files, and a note on how well camera frames were registered."""
-        result = dataclasses.replace(result, source=self.source)
-        if not self.registrations:
-            return result
-        fits = self.registrations.items()
-        listed = ", ".join(f"{name} {1e3 * fit.rms:.2f} mm" for name, fit in fits)
-        note = f"Camera frames registered to the mesh with an rms of: {listed}."
-        return dataclasses.replace(result, notes=(*result.notes, note))
+        notes, fits = result.notes, self.registrations.items()
+        if fits:
+            rms = ", ".join(f"{name} {1e3 * fit.rms:.2f} mm" for name, fit in fits)
+            notes += (f"Camera frames registered to the mesh with an rms of: {rms}.",)
+        return dataclasses.replace(result, source=self.source, notes=notes)
 
     def check_identify(self) -> None:
         """Raise ProjectError if nothing can be judged; no measured value is needed."""

@@ -37,9 +37,8 @@ from softcal_jax.project._problems import (
     one_by_one,
 )
 from softcal_jax.project._quantities import recognised
-from softcal_jax.project._setup import AnySetup
+from softcal_jax.project._setup import AnySetup, UncertainTable
 from softcal_jax.project._table import Choice, Flag, Integer, Number, Table
-from softcal_jax.project._uncertain import UncertainTable
 
 Keys = tuple[str | int, ...]
 

@@ -119,7 +119,6 @@ class SensorPoseTable(Table):
 
     def earlier_readings(self, folder: Path) -> PoseTable | None:
         """Return the readings that displacements start from; None for rest."""
-        del folder
 
     def motion(
         self,
@@ -163,7 +162,6 @@ class WrittenPoseTable(SensorPoseTable, OrientationTable):
     )
 
     def readings(self, folder: Path) -> PoseTable:
-        del folder
         p, R = np.array([self.position], float), self.rotation[None]
         return PoseTable(("sensor",), p, R, (1,), "the pose")
 

@@ -1,17 +1,21 @@
-"""The kinds of [[setup]]: what is calibrated beside the material.
+"""What else is known only roughly: the kinds of [[setup]], and [uncertain].
 
-To add a kind, write one table with a key of its own, named like the function of
-`softcal_jax.fields` that makes it, and list it in `AnySetup`.
+To add a kind of [[setup]], which is calibrated beside the material, write one table
+with a key of its own, named like the function of `softcal_jax.fields` that makes it,
+and list it in `AnySetup`.
 """
 
+import re
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import BeforeValidator, Field, create_model, field_validator
 
 from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax.fields import (
     Entry,
+    Uncertain,
     actuator_factor,
     clamp_stiffness,
     friction,
@@ -27,10 +31,65 @@ from softcal_jax.project._quantities import (
     ANGLE,
     LENGTH,
     Dimension,
+    dimension_of,
+    is_number,
     parse_number,
     parse_scalar,
+    scalar,
+    shown,
 )
-from softcal_jax.project._table import Angle, Choice, Names, Table, WholeFile, by_keys
+from softcal_jax.project._table import (
+    Angle,
+    Choice,
+    Names,
+    Number,
+    Table,
+    WholeFile,
+    by_keys,
+)
+
+_PERCENT = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*")
+
+
+def _parser(unit: str, *, estimated: bool) -> Callable[[Any], float | str]:
+    """Return a parser of values in an SI unit or in "%"; zero needs neither."""
+    parse = _share if unit == "%" else scalar(dimension_of(unit), "not negative")
+
+    def parsed(value: Any) -> float | str:
+        if is_number(value) and value == 0:
+            return 0.0
+        return value if estimated and value == "estimated" else parse(value)
+
+    return parsed
+
+
+def _share(value: Any) -> float:
+    match = _PERCENT.fullmatch(value) if isinstance(value, str) else None
+    if not match:
+        raise ValueError(f'got {shown(value)}; expected a share, like "3 %".')
+    return 0.01 * float(match[1])
+
+
+ShareOrEstimated = Annotated[
+    float | Literal["estimated"], BeforeValidator(_parser("%", estimated=True))
+]
+
+
+def _type_of(kind: Any, unit: str) -> Any:
+    if not unit:
+        return Annotated[Number, Field(ge=0, allow_inf_nan=False)]
+    return Annotated[kind, BeforeValidator(_parser(unit, estimated=kind is not float))]
+
+
+_KEYS: dict[str, Any] = {
+    field.name: (_type_of(field.type, field.metadata["unit"]), field.default)
+    for field in fields(Uncertain)
+}
+
+
+class UncertainTable(create_model("UncertainTable", __base__=Table, **_KEYS)):
+    """Its keys are the fields of `Uncertain`, whose docstring explains them."""
+
 
 Subjects = dict[str, tuple[Any, ...]]
 """What an error can belong to, with its nominal value, if any."""
@@ -72,7 +131,6 @@ class SetupTable(Table):
 
     def known(self, project: WholeFile) -> dict[str, Any]:
         """Return limit, prior and scope, as arguments of `makes`."""
-        del project
         return self.model_dump(exclude={self.label, "each"})
 
     def build(self, project: WholeFile) -> list[Entry]:

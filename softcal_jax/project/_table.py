@@ -2,15 +2,7 @@
 
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import (
-    Annotated,
-    Any,
-    ClassVar,
-    Protocol,
-    TypeVar,
-    get_args,
-    runtime_checkable,
-)
+from typing import Annotated, Any, ClassVar, TypeVar, get_args
 
 from pydantic import (
     BaseModel,
@@ -106,7 +98,6 @@ class Table(BaseModel):
     @classmethod
     def foreign(cls, key: str) -> str:
         """Say where an unknown key belongs, in a sentence after a space."""
-        del key
         return ""
 
 
@@ -154,7 +145,6 @@ class Choice:
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        del handler
         kinds = get_args(source)
 
         def validate(value: Any, info: Any) -> Any:
@@ -226,17 +216,5 @@ def as_table(value: Any) -> dict[str, Any]:
     return value
 
 
-@runtime_checkable
-class WholeFile(Protocol):
-    """Attributes of `ProjectTable` that its tables read, without a circular import."""
-
-    material: Any
-    bodies: dict[str, Any]
-    actuators: dict[str, Any]
-    control_points: dict[str, Any]
-    parameters: tuple[Any, ...]
-    setup: tuple[Any, ...]
-    parameter_space: Any
-    markers: Any
-    effectors: dict[str, Any]
-    configurations: tuple[Any, ...]
+WholeFile = Any
+"""A `ProjectTable`, whose own tables read others of it, without a circular import."""
