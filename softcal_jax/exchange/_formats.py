@@ -1,19 +1,22 @@
 """What the formats share: what they cannot hold, and calibrating once more for them."""
 
-import numpy as np
-from collections.abc import Sequence, Callable
-from softcal_jax.actuators import AbstractActuator, free_rim_nodes
-from softcal_jax.configurations import ConfigurationArrays, Configuration
-from softcal_jax.equilibrium import Model
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import isfinite, nan
+
+import numpy as np
+
 from softcal_jax._text_table import text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_estimate
+from softcal_jax.actuators import AbstractActuator, free_rim_nodes
 from softcal_jax.calibration import CalibrationResult, HistoryEntry, calibrate
+from softcal_jax.configurations import Configuration, ConfigurationArrays
+from softcal_jax.equilibrium import Model
 from softcal_jax.fields import exactly_known
 from softcal_jax.project import Project, load_project
 from softcal_jax.report import LoadedResult
+
 
 def check_no_bodies(model: Model, format: str) -> None:
     """Raise ValueError if a robot has rigid bodies, whose nodes turn together."""

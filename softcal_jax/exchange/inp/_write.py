@@ -13,7 +13,7 @@ from softcal_jax._typing import HostArray, Int
 from softcal_jax.actuators import actuator_geometry
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Model
-from softcal_jax.exchange._refusals import check_no_bodies, check_rim
+from softcal_jax.exchange._formats import check_no_bodies, check_rim
 from softcal_jax.exchange.inp._laws import InpLaw, inp_law
 from softcal_jax.mesh import TetMesh, tet_faces
 from softcal_jax.report import LoadedResult, load_result

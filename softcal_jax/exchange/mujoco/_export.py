@@ -13,7 +13,9 @@ from softcal_jax.actuators import Cable, ForceActuator, SurfaceForceActuator
 from softcal_jax.calibration import CalibrationResult, HistoryEntry
 from softcal_jax.configurations import Configuration, configuration_lanes
 from softcal_jax.equilibrium import Model, model_for_law
-from softcal_jax.exchange._recalibrated import (
+from softcal_jax.exchange._formats import (
+    check_actuators,
+    check_no_bodies,
     left_out,
     linear_project,
     lines_of_both,
@@ -21,7 +23,6 @@ from softcal_jax.exchange._recalibrated import (
     vertex_masses,
     with_equilibrium,
 )
-from softcal_jax.exchange._refusals import check_actuators, check_no_bodies
 from softcal_jax.exchange.mujoco._mjcf import Pose, mjcf
 from softcal_jax.export import (
     check_results_folder,

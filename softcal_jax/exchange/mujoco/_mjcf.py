@@ -11,7 +11,7 @@ from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.actuators import Cable, CableSegments, actuator_rows
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Model
-from softcal_jax.exchange._recalibrated import vertex_masses
+from softcal_jax.exchange._formats import vertex_masses
 from softcal_jax.materials import StVenantKirchhoff
 
 OPTION = {"timestep": 0.002, "integrator": "discrete", "solver": "Newton"}

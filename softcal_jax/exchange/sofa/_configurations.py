@@ -21,8 +21,12 @@ from softcal_jax.configurations import (
     configuration_lanes,
 )
 from softcal_jax.equilibrium import Model
-from softcal_jax.exchange._recalibrated import vertex_masses
-from softcal_jax.exchange._refusals import check_actuators, check_no_bodies, check_rim
+from softcal_jax.exchange._formats import (
+    check_actuators,
+    check_no_bodies,
+    check_rim,
+    vertex_masses,
+)
 from softcal_jax.exchange.sofa._component import Scale
 from softcal_jax.export import plain
 from softcal_jax.fields import ParameterSpace

@@ -1,21 +1,44 @@
-"""Export a calibrated robot as a scene of SOFA: calibrate again for it, and write it."""
+"""Export a calibrated robot as a scene of SOFA: calibrate it again, and write it."""
 
 import os
 import shutil
-from collections.abc import Sequence, Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
-from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.exchange.sofa._component import Component, Scale, SCALES, PluginElasticity, SofaLaw, SofaRelease, SofaUnits, component_of, law_for_sofa
-from softcal_jax.export import file_stems, results_folder, write_json, check_results_folder
-from softcal_jax.mesh import TetMesh
+
 from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
+from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.calibration import CalibrationResult, HistoryEntry
 from softcal_jax.equilibrium import Model, model_for_law
-from softcal_jax.exchange._shared import left_out, linear_project, lines_of_both, recalibrate, vertex_masses, with_equilibrium
+from softcal_jax.exchange._formats import (
+    left_out,
+    linear_project,
+    lines_of_both,
+    recalibrate,
+    vertex_masses,
+    with_equilibrium,
+)
+from softcal_jax.exchange.sofa._component import (
+    SCALES,
+    Component,
+    PluginElasticity,
+    Scale,
+    SofaLaw,
+    SofaRelease,
+    SofaUnits,
+    component_of,
+    law_for_sofa,
+)
 from softcal_jax.exchange.sofa._configurations import check_robot, scene_configurations
+from softcal_jax.export import (
+    check_results_folder,
+    file_stems,
+    results_folder,
+    write_json,
+)
 from softcal_jax.materials import SofaRotation
+from softcal_jax.mesh import TetMesh
 from softcal_jax.project import Project
 from softcal_jax.report import LoadedResult, load_result
 
