@@ -8,15 +8,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator
 
+from softcal_jax import configurations
 from softcal_jax._names import UNNAMED_LOADS
-from softcal_jax.configurations import (
-    Configuration,
-    EdgeForce,
-    PointForce,
-    Support,
-    SurfaceForce,
-    SurfaceTraction,
-)
+from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model
 from softcal_jax.project._effectors import Effectors
 from softcal_jax.project._markers import MarkersTable, MeasuredMarkers, MeasuredTable
@@ -43,7 +37,7 @@ from softcal_jax.project._table import (
 
 
 class SupportTable(Maker):
-    makes = Support
+    makes = configurations.Support
     group: str = Field(description="name of a group of the mesh")
     axes: str = "xyz"
     displacement: Position = (0.0, 0.0, 0.0)
@@ -61,25 +55,25 @@ TotalForce = Annotated[Force, Field(description='the total force: "(0, 0, -1) N"
 
 
 class PointForceTable(LoadTable):
-    makes = PointForce
+    makes = configurations.PointForce
     point: Position = Field(description='where it acts: "(50, 10, 0) mm"')
     force: TotalForce
 
 
 class EdgeForceTable(LoadTable):
-    makes = EdgeForce
+    makes = configurations.EdgeForce
     edge: str = Field(description="name of the node group of an edge")
     force: TotalForce
 
 
 class SurfaceForceTable(LoadTable):
-    makes = SurfaceForce
+    makes = configurations.SurfaceForce
     surface: Surface
     force: TotalForce
 
 
 class SurfaceTractionTable(LoadTable):
-    makes = SurfaceTraction
+    makes = configurations.SurfaceTraction
     surface: Surface
     traction: Traction = Field(description='force per area: "(0, 0, -1) kPa"')
 

@@ -11,18 +11,8 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from softcal_jax.configurations import (
-    AbstractEffector,
-    AbstractScalar,
-    ActuatorDisplacement,
-    ActuatorForce,
-    BodyAngle,
-    BodyFrame,
-    Centroid,
-    Mechanism,
-    SupportReaction,
-    Unstated,
-)
+from softcal_jax import configurations
+from softcal_jax.configurations import AbstractEffector, BodyFrame, Mechanism, Unstated
 from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project._problems import under
@@ -109,7 +99,7 @@ class EffectorTable(Table):
             raise ValueError(
                 f'got a table; expected {dimension.name}, like "{dimension.example}".'
             )
-        if issubclass(self.makes, AbstractScalar):
+        if issubclass(self.makes, configurations.AbstractScalar):
             return replace(effector, measured=parse_scalar(value, dimension))
         return replace(effector, measured=np.array(parse_vector(value, dimension)))
 
@@ -152,19 +142,19 @@ class BodyFrameTable(EffectorTable):
 
 
 class CentroidTable(EffectorTable):
-    makes = Centroid
+    makes = configurations.Centroid
     type: Literal["centroid"]
     group: Group
 
 
 class SupportReactionTable(EffectorTable):
-    makes = SupportReaction
+    makes = configurations.SupportReaction
     type: Literal["reaction"]
     group: Group
 
 
 class BodyAngleTable(EffectorTable):
-    makes = BodyAngle
+    makes = configurations.BodyAngle
     type: Literal["angle"]
     body: Body
     other: str = Field(description="the rigid body it is measured from")
@@ -181,12 +171,12 @@ class _OfActuator(EffectorTable):
 
 
 class ActuatorDisplacementTable(_OfActuator):
-    makes = ActuatorDisplacement
+    makes = configurations.ActuatorDisplacement
     type: Literal["actuator-displacement"]
 
 
 class ActuatorForceTable(_OfActuator):
-    makes = ActuatorForce
+    makes = configurations.ActuatorForce
     type: Literal["actuator-force"]
 
 

@@ -11,16 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from softcal_jax.actuators import (
-    AbstractActuator,
-    Cable,
-    Chamber,
-    ForceActuator,
-    Guide,
-    Motor,
-    SurfaceForceActuator,
-    SurfacePressure,
-)
+from softcal_jax import actuators
 from softcal_jax.bodies import BodyState, Pose, RigidBody, hinge_axes
 from softcal_jax.configurations import (
     ImposedDisplacement,
@@ -117,7 +108,7 @@ Positive = Annotated[
 class ActuatorTable(Maker):
     """An actuator; `asked` says what may be imposed on it, with an example of each."""
 
-    makes: ClassVar[type[AbstractActuator]]
+    makes: ClassVar[type[actuators.AbstractActuator]]
     asked: ClassVar[str] = 'its force, like "2 N", or its displacement, like "5 mm"'
 
     def imposed(self, value: Any) -> ImposedForce | ImposedDisplacement:
@@ -146,13 +137,13 @@ class ActuatorTable(Maker):
 
 
 class GuideTable(Maker):
-    makes = Guide
+    makes = actuators.Guide
     point: Position = Field(description='where it is at rest: "(50, 10, 0) mm"')
     on: str = "mesh"
 
 
 class CableTable(ActuatorTable):
-    makes = Cable
+    makes = actuators.Cable
     asked = 'its tension, like "2 N", or its shortening, like "5 mm"'
     type: Literal["cable"]
     guides: tuple[GuideTable, ...] = Field(
@@ -171,7 +162,7 @@ class CableTable(ActuatorTable):
 
 
 class ChamberTable(ActuatorTable):
-    makes = Chamber
+    makes = actuators.Chamber
     asked = 'its pressure, like "10 kPa", or its growth in volume, like "2 ml"'
     type: Literal["chamber"]
     surface: str = Field(description='the surface group of its whole wall: "cavity"')
@@ -179,28 +170,28 @@ class ChamberTable(ActuatorTable):
 
 
 class SurfacePressureTable(ActuatorTable):
-    makes = SurfacePressure
+    makes = actuators.SurfacePressure
     asked = 'its pressure, like "10 kPa"'
     type: Literal["surface-pressure"]
     surface: Surface
 
 
 class MotorTable(ActuatorTable):
-    makes = Motor
+    makes = actuators.Motor
     asked = 'its torque, like "50 N*mm", or its angle, like "30 deg"'
     type: Literal["motor"]
     body: str = Field(description='the rigid body that it turns, with a hinge: "arm"')
 
 
 class ForceActuatorTable(ActuatorTable):
-    makes = ForceActuator
+    makes = actuators.ForceActuator
     type: Literal["point-force"]
     point: Position = Field(description='where it acts: "(50, 10, 0) mm"')
     direction: Positive
 
 
 class SurfaceForceActuatorTable(ActuatorTable):
-    makes = SurfaceForceActuator
+    makes = actuators.SurfaceForceActuator
     type: Literal["surface-force"]
     surface: Surface
     direction: Positive

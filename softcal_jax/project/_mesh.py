@@ -8,26 +8,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
+from softcal_jax import mesh as meshes
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.exchange.cad import CAD_FORMATS, mesh_cad
 from softcal_jax.materials import frames_along, frames_around
-from softcal_jax.mesh import (
-    Annulus,
-    Box,
-    Cylinder,
-    Plane,
-    Sphere,
-    TetMesh,
-    beam,
-    mesh_files,
-    read_mesh,
-    read_tet_data,
-    select_cavity,
-    select_face,
-    select_faces,
-    select_nodes,
-    select_reachable,
-)
+from softcal_jax.mesh import TetMesh
 from softcal_jax.project._table import (
     Angle,
     Choice,
@@ -77,7 +62,7 @@ class MeshFileTable(_MeshTable):
     parts: Literal["one", "linked"] = "one"
 
     def build(self, folder: Path) -> TetMesh:
-        return read_mesh(
+        return meshes.read_mesh(
             folder / self.file,
             length_unit=self.length_unit,
             order=self.order,
@@ -86,10 +71,10 @@ class MeshFileTable(_MeshTable):
         )
 
     def files(self, folder: Path) -> tuple[Path, ...]:
-        return mesh_files(folder / self.file)
+        return meshes.mesh_files(folder / self.file)
 
     def tet_data(self, folder: Path, name: str) -> Float[HostArray, "n_tets _"]:
-        return read_tet_data(folder / self.file, name)
+        return meshes.read_tet_data(folder / self.file, name)
 
 
 class CadMeshTable(_MeshTable):
@@ -121,7 +106,7 @@ class BeamMeshTable(_MeshTable):
 
     def build(self, folder: Path) -> TetMesh:
         options = self.beam.model_dump(exclude={"size"})
-        return beam(*self.beam.size, order=self.order, **options)
+        return meshes.beam(*self.beam.size, order=self.order, **options)
 
 
 def _mesh_kind(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
@@ -137,32 +122,32 @@ MeshTable = Annotated[MeshFileTable | CadMeshTable | BeamMeshTable, Choice(_mesh
 
 
 class BoxTable(Maker):
-    makes = Box
+    makes = meshes.Box
     lower: Corner = Field(description='a corner: "(0, 0, 0) mm"')
     upper: Corner = Field(description='a corner: "(0, 30, 30) mm"')
 
 
 class PlaneTable(Maker):
-    makes = Plane
+    makes = meshes.Plane
     point: Position = Field(description='a point on the plane: "(0, 0, 0) mm"')
     normal: Direction = Field(description='its direction: "z" or [0, 0, 1]')
 
 
 class SphereTable(Maker):
-    makes = Sphere
+    makes = meshes.Sphere
     centre: Position = Field(description='its centre: "(0, 0, 0) mm"')
     radius: PositiveLength = Field(description='its radius: "5 mm"')
 
 
 class CylinderTable(Maker):
-    makes = Cylinder
+    makes = meshes.Cylinder
     start: Position = Field(description='the middle of one end: "(0, 0, 0) mm"')
     end: Position = Field(description='the middle of the other end: "(10, 0, 0) mm"')
     radius: PositiveLength = Field(description='its radius: "5 mm"')
 
 
 class AnnulusTable(Maker):
-    makes = Annulus
+    makes = meshes.Annulus
     start: Position = Field(description='the middle of one end: "(0, 0, 0) mm"')
     end: Position = Field(description='the middle of the other end: "(10, 0, 0) mm"')
     inner: Length = Field(description='the radius of its hole: "4 mm"')
@@ -183,7 +168,7 @@ class FaceTable(_SurfaceTable):
     )
 
     def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
-        faces = [select_face(mesh, np.array(point)) for point in self.points]
+        faces = [meshes.select_face(mesh, np.array(point)) for point in self.points]
         return np.unique(np.concatenate(faces), axis=0)
 
 
@@ -194,7 +179,9 @@ class ReachableTable(_SurfaceTable):
 
     def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
         start = np.array(self.point)
-        return select_reachable(mesh, start, angle=self.angle, stop_at=self.stop_at)
+        return meshes.select_reachable(
+            mesh, start, angle=self.angle, stop_at=self.stop_at
+        )
 
 
 class InsideTable(_SurfaceTable):
@@ -203,7 +190,7 @@ class InsideTable(_SurfaceTable):
 
     def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
         """Find the wall of the cavity around the point."""
-        return select_cavity(mesh, np.array(self.point), stop_at=self.stop_at)
+        return meshes.select_cavity(mesh, np.array(self.point), stop_at=self.stop_at)
 
 
 class GroupTable(Table):
@@ -245,9 +232,9 @@ class GroupTable(Table):
         rounding = 1e-6 * mesh.size if self.tolerance is None else self.tolerance
         region = place.build(tolerance=rounding)
         if self.of == "nodes":
-            return mesh.with_node_group(name, select_nodes(mesh, region))
+            return mesh.with_node_group(name, meshes.select_nodes(mesh, region))
         if self.of == "faces":
-            return mesh.with_surface_group(name, select_faces(mesh, region))
+            return mesh.with_surface_group(name, meshes.select_faces(mesh, region))
         tets = np.flatnonzero(region(mesh.centroids))
         if not tets.size:
             raise ValueError("no tet has its centre there; check the length unit.")

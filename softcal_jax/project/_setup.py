@@ -5,26 +5,15 @@ with a key of its own, named like the function of `softcal_jax.fields` that make
 and list it in `AnySetup`.
 """
 
+import dataclasses
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, create_model, field_validator
 
+from softcal_jax import fields
 from softcal_jax._names import UNNAMED_LOADS
-from softcal_jax.fields import (
-    Entry,
-    Uncertain,
-    actuator_factor,
-    clamp_stiffness,
-    friction,
-    gravity_tilt,
-    load_factor,
-    motor_zero,
-    mounting,
-    recording_offset,
-)
 from softcal_jax.project._mechanism import CableTable, MotorTable
 from softcal_jax.project._problems import known_name
 from softcal_jax.project._quantities import (
@@ -83,7 +72,7 @@ def _type_of(kind: Any, unit: str) -> Any:
 
 _KEYS: dict[str, Any] = {
     field.name: (_type_of(field.type, field.metadata["unit"]), field.default)
-    for field in fields(Uncertain)
+    for field in dataclasses.fields(fields.Uncertain)
 }
 
 
@@ -104,7 +93,7 @@ class SetupTable(Table):
     have the dimension that the error `measures`, or are plain numbers.
     """
 
-    makes: ClassVar[Callable[..., Entry | Sequence[Entry]]]
+    makes: ClassVar[Callable[..., fields.Entry | Sequence[fields.Entry]]]
     measures: ClassVar[Dimension | None] = None
     noun: ClassVar[str | None] = None
     section: ClassVar[str] = "[actuators]"
@@ -133,7 +122,7 @@ class SetupTable(Table):
         """Return limit, prior and scope, as arguments of `makes`."""
         return self.model_dump(exclude={self.label, "each"})
 
-    def build(self, project: WholeFile) -> list[Entry]:
+    def build(self, project: WholeFile) -> list[fields.Entry]:
         known, of = self.known(project), [()]
         if self.noun is not None:
             subjects, names = self.subjects(project), getattr(self, self.label)
@@ -141,12 +130,12 @@ class SetupTable(Table):
                 known_name(self.noun, name, subjects, self.section)
             of = [(name, *subjects[name]) for name in names]
         made = [type(self).makes(*subject, **known) for subject in of]
-        several = ([m] if isinstance(m, Entry) else m for m in made)
+        several = ([m] if isinstance(m, fields.Entry) else m for m in made)
         return [entry for entries in several for entry in entries]
 
 
 class MotorZeroTable(SetupTable):
-    makes = motor_zero
+    makes = fields.motor_zero
     measures = ANGLE
     noun = "motor"
     motor_zero: Names
@@ -157,7 +146,7 @@ class MotorZeroTable(SetupTable):
 
 
 class MountingTable(SetupTable):
-    makes = mounting
+    makes = fields.mounting
     measures = LENGTH
     noun = "rigid body"
     section = "[bodies]"
@@ -169,7 +158,7 @@ class MountingTable(SetupTable):
 
 
 class FrictionTable(SetupTable):
-    makes = friction
+    makes = fields.friction
     noun = "cable with friction"
     friction: Names
 
@@ -205,7 +194,7 @@ class ScopedTable(SetupTable):
 
 
 class GravityTiltTable(ScopedTable):
-    makes = gravity_tilt
+    makes = fields.gravity_tilt
     measures = ANGLE
     gravity_tilt: Literal[True]
 
@@ -216,7 +205,7 @@ class RecordingOffsetTable(ScopedTable):
     `limit` gives it three parameters of offset, `turn_limit` three of rotation.
     """
 
-    makes = recording_offset
+    makes = fields.recording_offset
     measures = LENGTH
     limit: float | None = None
     recording_offset: Literal[True]
@@ -233,7 +222,7 @@ class FactorTable(ScopedTable):
 class LoadFactorTable(FactorTable):
     """Factors on dead loads, one parameter each; true for loads without a name."""
 
-    makes = load_factor
+    makes = fields.load_factor
     noun = "load"
     section = "`loads` of a configuration"
     load_factor: Annotated[
@@ -246,7 +235,7 @@ class LoadFactorTable(FactorTable):
 
 
 class ActuatorFactorTable(FactorTable):
-    makes = actuator_factor
+    makes = fields.actuator_factor
     noun = "actuator"
     actuator_factor: Names
 
@@ -255,7 +244,7 @@ class ActuatorFactorTable(FactorTable):
 
 
 class ClampStiffnessTable(FactorTable):
-    makes = clamp_stiffness
+    makes = fields.clamp_stiffness
     noun = "support with a stiffness"
     section = "`supports` of a configuration"
     limit: float | None = 1e3
