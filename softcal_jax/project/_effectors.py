@@ -15,6 +15,7 @@ from softcal_jax import configurations
 from softcal_jax.configurations import AbstractEffector, BodyFrame, Mechanism, Unstated
 from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import TetMesh
+from softcal_jax.project import _table as typed
 from softcal_jax.project._problems import under
 from softcal_jax.project._quantities import (
     dimension_of,
@@ -32,14 +33,7 @@ from softcal_jax.project._sensors import (
     PoseFileTable,
     WrittenPoseTable,
 )
-from softcal_jax.project._table import (
-    Angle,
-    Choice,
-    Direction,
-    Position,
-    Table,
-    by_type,
-)
+from softcal_jax.project._table import Choice, Table, by_type
 
 Effectors = dict[str, AbstractEffector]
 
@@ -108,10 +102,10 @@ class BodyFrameTable(EffectorTable):
     makes = BodyFrame
     type: Literal["frame"]
     body: Body
-    point: Position | None = None
+    point: typed.Position | None = None
     orientation: OrientationTable = Field(OrientationTable(), exclude=True)
     base: FrameTable = Field(FrameTable(), exclude=True)
-    std_angle: Angle | None = None
+    std_angle: typed.Angle | None = None
 
     def measured(
         self, effector: BodyFrame, value: Any, folder: Path, model: Model
@@ -158,7 +152,7 @@ class BodyAngleTable(EffectorTable):
     type: Literal["angle"]
     body: Body
     other: str = Field(description="the rigid body it is measured from")
-    axis: Direction = Field(
+    axis: typed.Direction = Field(
         description='axis of the angle, fixed on `other`: "z", or [0, 0, 1]'
     )
 

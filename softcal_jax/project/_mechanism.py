@@ -19,29 +19,17 @@ from softcal_jax.configurations import (
     Mechanism,
     actuation_arrays,
 )
+from softcal_jax.project import _table as typed
 from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._quantities import dimension_of, parse_scalar, shown
-from softcal_jax.project._table import (
-    Choice,
-    Direction,
-    Flag,
-    Maker,
-    Mass,
-    Names,
-    Position,
-    RotationVector,
-    Surface,
-    Table,
-    TableOr,
-    by_type,
-)
+from softcal_jax.project._table import Choice, Maker, Table, TableOr, by_type
 
 
 class MotionTable(Table):
     """A rigid motion of a frame: its translation and rotation vector."""
 
-    translation: Position = (0.0, 0.0, 0.0)
-    rotation_vector: RotationVector = (0.0, 0.0, 0.0)
+    translation: typed.Position = (0.0, 0.0, 0.0)
+    rotation_vector: typed.RotationVector = (0.0, 0.0, 0.0)
 
     @property
     def pose(self) -> Pose:
@@ -51,14 +39,14 @@ class MotionTable(Table):
 class BodyTable(Table):
     """Nodes that move as one."""
 
-    group: Names = Field(description='a group of the mesh: "x_max", or several')
-    origin: Position | None = None
-    hinge: Direction | None = None
-    axes: tuple[Direction, Direction, Direction] | None = None
+    group: typed.Names = Field(description='a group of the mesh: "x_max", or several')
+    origin: typed.Position | None = None
+    hinge: typed.Direction | None = None
+    axes: tuple[typed.Direction, typed.Direction, typed.Direction] | None = None
     mounting: MotionTable = MotionTable()
     tied_to: str | None = None
-    mass: Mass = 0.0
-    centre_of_mass: Position | None = None
+    mass: typed.Mass = 0.0
+    centre_of_mass: typed.Position | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "BodyTable":
@@ -101,7 +89,8 @@ def build_states(
 
 
 Positive = Annotated[
-    Direction, Field(description='direction of a positive force: "-z", or [0, 0, -1]')
+    typed.Direction,
+    Field(description='direction of a positive force: "-z", or [0, 0, -1]'),
 ]
 
 
@@ -138,7 +127,7 @@ class ActuatorTable(Maker):
 
 class GuideTable(Maker):
     makes = actuators.Guide
-    point: Position = Field(description='where it is at rest: "(50, 10, 0) mm"')
+    point: typed.Position = Field(description='where it is at rest: "(50, 10, 0) mm"')
     on: str = "mesh"
 
 
@@ -166,14 +155,14 @@ class ChamberTable(ActuatorTable):
     asked = 'its pressure, like "10 kPa", or its growth in volume, like "2 ml"'
     type: Literal["chamber"]
     surface: str = Field(description='the surface group of its whole wall: "cavity"')
-    seal: Flag = False
+    seal: typed.Flag = False
 
 
 class SurfacePressureTable(ActuatorTable):
     makes = actuators.SurfacePressure
     asked = 'its pressure, like "10 kPa"'
     type: Literal["surface-pressure"]
-    surface: Surface
+    surface: typed.Surface
 
 
 class MotorTable(ActuatorTable):
@@ -186,14 +175,14 @@ class MotorTable(ActuatorTable):
 class ForceActuatorTable(ActuatorTable):
     makes = actuators.ForceActuator
     type: Literal["point-force"]
-    point: Position = Field(description='where it acts: "(50, 10, 0) mm"')
+    point: typed.Position = Field(description='where it acts: "(50, 10, 0) mm"')
     direction: Positive
 
 
 class SurfaceForceActuatorTable(ActuatorTable):
     makes = actuators.SurfaceForceActuator
     type: Literal["surface-force"]
-    surface: Surface
+    surface: typed.Surface
     direction: Positive
 
 

@@ -13,22 +13,8 @@ from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.exchange.cad import CAD_FORMATS, mesh_cad
 from softcal_jax.materials import frames_along, frames_around
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project._table import (
-    Angle,
-    Choice,
-    Corner,
-    Direction,
-    Extent,
-    Integer,
-    Length,
-    Maker,
-    Names,
-    Position,
-    PositiveLength,
-    Table,
-    by_keys,
-    by_type,
-)
+from softcal_jax.project import _table as typed
+from softcal_jax.project._table import Choice, Maker, Table, by_keys, by_type
 
 LengthUnit = Literal["m", "cm", "mm", "um", "inch"]
 
@@ -79,7 +65,9 @@ class MeshFileTable(_MeshTable):
 
 class CadMeshTable(_MeshTable):
     file: str = Field(description='a CAD model: "finger.step" or "finger.stl"')
-    size: PositiveLength = Field(description='length of the edges of its tets: "3 mm"')
+    size: typed.PositiveLength = Field(
+        description='length of the edges of its tets: "3 mm"'
+    )
     length_unit: LengthUnit | None = None
 
     def build(self, folder: Path) -> TetMesh:
@@ -93,11 +81,11 @@ class CadMeshTable(_MeshTable):
 class BeamTable(Table):
     """A box of tets, long along x; its sides are the groups "x_min" to "z_max"."""
 
-    size: Extent = Field(description='length, width, height: "(100, 30, 30) mm"')
-    cells: tuple[Integer, Integer, Integer] = Field(
+    size: typed.Extent = Field(description='length, width, height: "(100, 30, 30) mm"')
+    cells: tuple[typed.Integer, typed.Integer, typed.Integer] = Field(
         description="cells along x, y and z: [14, 4, 4]"
     )
-    origin: Position = (0.0, 0.0, 0.0)
+    origin: typed.Position = (0.0, 0.0, 0.0)
     pattern: Literal["mirrored", "centred"] = "mirrored"
 
 
@@ -123,35 +111,39 @@ MeshTable = Annotated[MeshFileTable | CadMeshTable | BeamMeshTable, Choice(_mesh
 
 class BoxTable(Maker):
     makes = meshes.Box
-    lower: Corner = Field(description='a corner: "(0, 0, 0) mm"')
-    upper: Corner = Field(description='a corner: "(0, 30, 30) mm"')
+    lower: typed.Corner = Field(description='a corner: "(0, 0, 0) mm"')
+    upper: typed.Corner = Field(description='a corner: "(0, 30, 30) mm"')
 
 
 class PlaneTable(Maker):
     makes = meshes.Plane
-    point: Position = Field(description='a point on the plane: "(0, 0, 0) mm"')
-    normal: Direction = Field(description='its direction: "z" or [0, 0, 1]')
+    point: typed.Position = Field(description='a point on the plane: "(0, 0, 0) mm"')
+    normal: typed.Direction = Field(description='its direction: "z" or [0, 0, 1]')
 
 
 class SphereTable(Maker):
     makes = meshes.Sphere
-    centre: Position = Field(description='its centre: "(0, 0, 0) mm"')
-    radius: PositiveLength = Field(description='its radius: "5 mm"')
+    centre: typed.Position = Field(description='its centre: "(0, 0, 0) mm"')
+    radius: typed.PositiveLength = Field(description='its radius: "5 mm"')
 
 
 class CylinderTable(Maker):
     makes = meshes.Cylinder
-    start: Position = Field(description='the middle of one end: "(0, 0, 0) mm"')
-    end: Position = Field(description='the middle of the other end: "(10, 0, 0) mm"')
-    radius: PositiveLength = Field(description='its radius: "5 mm"')
+    start: typed.Position = Field(description='the middle of one end: "(0, 0, 0) mm"')
+    end: typed.Position = Field(
+        description='the middle of the other end: "(10, 0, 0) mm"'
+    )
+    radius: typed.PositiveLength = Field(description='its radius: "5 mm"')
 
 
 class AnnulusTable(Maker):
     makes = meshes.Annulus
-    start: Position = Field(description='the middle of one end: "(0, 0, 0) mm"')
-    end: Position = Field(description='the middle of the other end: "(10, 0, 0) mm"')
-    inner: Length = Field(description='the radius of its hole: "4 mm"')
-    outer: PositiveLength = Field(description='its outer radius: "6 mm"')
+    start: typed.Position = Field(description='the middle of one end: "(0, 0, 0) mm"')
+    end: typed.Position = Field(
+        description='the middle of the other end: "(10, 0, 0) mm"'
+    )
+    inner: typed.Length = Field(description='the radius of its hole: "4 mm"')
+    outer: typed.PositiveLength = Field(description='its outer radius: "6 mm"')
 
 
 class _SurfaceTable(Table):
@@ -163,7 +155,7 @@ class _SurfaceTable(Table):
 
 
 class FaceTable(_SurfaceTable):
-    points: tuple[Position, ...] = Field(
+    points: tuple[typed.Position, ...] = Field(
         description='a point on each face: ["(0, 5, 0) mm"]', min_length=1
     )
 
@@ -173,9 +165,9 @@ class FaceTable(_SurfaceTable):
 
 
 class ReachableTable(_SurfaceTable):
-    point: Position = Field(description='where it begins: "(0, 5, 0) mm"')
-    angle: Angle | None = None
-    stop_at: Names = ()
+    point: typed.Position = Field(description='where it begins: "(0, 5, 0) mm"')
+    angle: typed.Angle | None = None
+    stop_at: typed.Names = ()
 
     def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
         start = np.array(self.point)
@@ -185,8 +177,8 @@ class ReachableTable(_SurfaceTable):
 
 
 class InsideTable(_SurfaceTable):
-    point: Position = Field(description='a point in the cavity: "(20, 0, 0) mm"')
-    stop_at: Names = ()
+    point: typed.Position = Field(description='a point in the cavity: "(20, 0, 0) mm"')
+    stop_at: typed.Names = ()
 
     def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
         """Find the wall of the cavity around the point."""
@@ -205,7 +197,7 @@ class GroupTable(Table):
     reachable: ReachableTable | None = None
     inside: InsideTable | None = None
     of: Literal["nodes", "faces", "tets"] = "nodes"
-    tolerance: Length | None = None
+    tolerance: typed.Length | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "GroupTable":
@@ -250,15 +242,17 @@ Frames = Float[HostArray, "n 3 3"]
 
 class AlongTable(Table):
     type: Literal["along"]
-    axis: Direction = Field(description='direction of the fibres: "z" or [0, 0, 1]')
+    axis: typed.Direction = Field(
+        description='direction of the fibres: "z" or [0, 0, 1]'
+    )
 
     def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
         return frames_along(np.broadcast_to(np.asarray(self.axis), (len(tets), 3)))
 
 
 class _AroundTable(Table):
-    axis: Direction = Field(description='direction of the axis: "z" or [0, 0, 1]')
-    through: Position = (0.0, 0.0, 0.0)
+    axis: typed.Direction = Field(description='direction of the axis: "z" or [0, 0, 1]')
+    through: typed.Position = (0.0, 0.0, 0.0)
 
     def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
         return frames_around(mesh.centroids[tets], self.axis, self.through)

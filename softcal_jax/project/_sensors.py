@@ -18,17 +18,9 @@ from softcal_jax.configurations import (
     read_poses,
 )
 from softcal_jax.exchange.camera import TagPose, find_photos, tag_pose
+from softcal_jax.project import _table as typed
 from softcal_jax.project._mesh import LengthUnit
-from softcal_jax.project._table import (
-    Angle,
-    Integer,
-    Names,
-    Number,
-    Position,
-    PositiveLength,
-    RotationVector,
-    Table,
-)
+from softcal_jax.project._table import Table
 
 Selection = dict[str, str]
 """Values that the selected rows of a file of readings have, by column."""
@@ -54,11 +46,13 @@ _UNIT_LENGTH = 1e-3
 class OrientationTable(Table):
     """An orientation: the angles of a tracker, a quaternion or a rotation vector."""
 
-    azimuth: Angle | None = None
-    elevation: Angle | None = None
-    roll: Angle | None = None
-    quaternion: tuple[Number, Number, Number, Number] | None = None
-    rotation_vector: RotationVector | None = None
+    azimuth: typed.Angle | None = None
+    elevation: typed.Angle | None = None
+    roll: typed.Angle | None = None
+    quaternion: tuple[typed.Number, typed.Number, typed.Number, typed.Number] | None = (
+        None
+    )
+    rotation_vector: typed.RotationVector | None = None
 
     @model_validator(mode="after")
     def _check_form(self) -> "OrientationTable":
@@ -96,7 +90,7 @@ class OrientationTable(Table):
 class FrameTable(OrientationTable):
     """Position and orientation of a frame, in the frame of the mesh."""
 
-    position: Position = (0.0, 0.0, 0.0)
+    position: typed.Position = (0.0, 0.0, 0.0)
 
     @property
     def pose(self) -> Pose:
@@ -156,7 +150,7 @@ def _mean(readings: PoseTable, base: FrameTable) -> Pose:
 
 
 class WrittenPoseTable(SensorPoseTable, OrientationTable):
-    position: Position = Field(
+    position: typed.Position = Field(
         description='the pose, { position = "(0, 0, 100) mm", azimuth = "10 deg" }, or '
         'where it was read, { file = "tracker.csv" }'
     )
@@ -195,7 +189,7 @@ class PolhemusFileTable(SensorPoseTable):
         description='what the tracker was set to: "cm" or "inch"'
     )
     angle_unit: Literal["deg", "rad"] = "deg"
-    station: Integer | None = None
+    station: typed.Integer | None = None
 
     def readings(self, folder: Path) -> PoseTable:
         options = self.model_dump(include={"length_unit", "angle_unit", "station"})
@@ -203,7 +197,7 @@ class PolhemusFileTable(SensorPoseTable):
 
 
 class EarlierPhotosTable(Table):
-    photos: Names = Field(description='photographs: "rest/*.jpg"')
+    photos: typed.Names = Field(description='photographs: "rest/*.jpg"')
 
 
 class PhotosTable(Table):
@@ -214,12 +208,12 @@ class PhotosTable(Table):
     camera is calibrated.
     """
 
-    photos: Names = Field(description='photographs: "pose1/*.jpg"', min_length=1)
-    tag: Integer = Field(description="number of the tag on the rigid body: 3")
-    base_tag: Integer = Field(description="number of the tag on the base: 0")
-    size: PositiveLength = Field(description='side of the black square: "20 mm"')
-    base_size: PositiveLength | None = None
-    board: Names = ()
+    photos: typed.Names = Field(description='photographs: "pose1/*.jpg"', min_length=1)
+    tag: typed.Integer = Field(description="number of the tag on the rigid body: 3")
+    base_tag: typed.Integer = Field(description="number of the tag on the base: 0")
+    size: typed.PositiveLength = Field(description='side of the black square: "20 mm"')
+    base_size: typed.PositiveLength | None = None
+    board: typed.Names = ()
     displacement_from: EarlierPhotosTable | None = None
 
     def files(self, folder: Path) -> tuple[Path, ...]:
