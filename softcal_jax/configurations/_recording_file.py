@@ -19,17 +19,8 @@ from softcal_jax._files import check_file
 from softcal_jax._names import METRES
 from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.configurations._csv_table import (
-    NumberedCells,
-    at_line,
-    check_dialect,
-    check_length_unit,
-    decimal_of,
-    delimiter_of,
-    parse_number,
-    read_cells,
-    read_lines,
-)
+from softcal_jax.configurations import _csv_table as csv_table
+from softcal_jax.configurations._csv_table import NumberedCells
 from softcal_jax.configurations._recording import Recording
 
 C3D = ".c3d"
@@ -174,7 +165,7 @@ def read_wide_table(
             label twice, states no known unit of length, or a cell is not a number.
     """
     path = Path(path)
-    check_dialect(delimiter, decimal)
+    csv_table.check_dialect(delimiter, decimal)
     rows, delimiter = _rows_of(path, delimiter)
     if rows and "marker" in rows[0][1]:
         raise ValueError(
@@ -197,7 +188,9 @@ def read_wide_table(
         ) from error
     check_rate(path, layout.rate)
     metres = metres_of(path, layout.unit, length_unit)
-    point = decimal or decimal_of((cells for _, cells in layout.rows), delimiter)
+    point = decimal or csv_table.decimal_of(
+        (cells for _, cells in layout.rows), delimiter
+    )
     times, positions = _numbers(path, layout, point)
     begin = times[0] if times.size else 0.0
     return Recording(
@@ -211,9 +204,9 @@ def read_wide_table(
 
 def _rows_of(path: Path, delimiter: str | None) -> tuple[NumberedCells, str]:
     """Split a file into cells, by a given delimiter or else that of the header."""
-    lines = read_lines(path, "recording")
-    delimiter = delimiter or delimiter_of(text for _, text in lines[:12])
-    rows = read_cells(path, lines, delimiter)
+    lines = csv_table.read_lines(path, "recording")
+    delimiter = delimiter or csv_table.delimiter_of(text for _, text in lines[:12])
+    rows = csv_table.read_cells(path, lines, delimiter)
     return [(number, cells) for number, cells in rows if any(cells)], delimiter
 
 
@@ -227,7 +220,7 @@ def check_rate(path: Path, rate: float) -> None:
 def metres_of(path: Path, stated: str | None, given: str | None = None) -> float:
     """Return the unit of length that a recording states or that is given [m]."""
     if given is not None:
-        check_length_unit(given)
+        csv_table.check_length_unit(given)
     unit = given if stated is None else stated
     if unit is None:
         raise ValueError(
@@ -256,12 +249,12 @@ def _numbers(
     for i, (line, cells) in enumerate(layout.rows):
         # Spreadsheets leave out blank cells at the end of a row.
         cells = [*cells, *[""] * (max(columns, default=0) + 1 - len(cells))]
-        with at_line(path, line):
+        with csv_table.at_line(path, line):
             count = cells[layout.time_column] if layout.time_column is not None else i
-            times[i] = parse_number(str(count), point) / layout.rate
+            times[i] = csv_table.parse_number(str(count), point) / layout.rate
             for k, column in enumerate(columns):
                 if cells[column].lower() not in _GAPS:
-                    values[i, k] = parse_number(cells[column], point, _CELL)
+                    values[i, k] = csv_table.parse_number(cells[column], point, _CELL)
             if i and not times[i] > times[i - 1]:
                 raise ValueError(
                     f"its time, {times[i]:g} s, is not after that of the frame before, "

@@ -11,6 +11,7 @@ from softcal_jax._names import unknown_name
 from softcal_jax.calibration import CalibrationResult
 from softcal_jax.configurations import read_table
 from softcal_jax.equilibrium import Model
+from softcal_jax.exchange.icesl import _report as report
 from softcal_jax.exchange.icesl._fields import (
     Design,
     PrintPlane,
@@ -19,16 +20,7 @@ from softcal_jax.exchange.icesl._fields import (
     sample,
 )
 from softcal_jax.exchange.icesl._foam import FoamTable, Infill, published_foam
-from softcal_jax.exchange.icesl._report import (
-    TABLE,
-    UNREACHABLE,
-    IceslResult,
-    icesl_dict,
-    meaning,
-    print_notes,
-    script,
-    write_unreachable,
-)
+from softcal_jax.exchange.icesl._report import IceslResult
 from softcal_jax.exchange.icesl._settings import Convention, choose
 from softcal_jax.export import results_folder, write_json
 from softcal_jax.mesh import tessellate
@@ -108,7 +100,7 @@ def export_icesl(
     samples = sample(design, part)
     convention = Convention(angle_marks or foam.axis, angle_offset, clockwise)
     chosen = choose(samples, foam, convention)
-    notes = print_notes(samples, chosen, foam)
+    notes = report.print_notes(samples, chosen, foam)
     written = IceslResult(
         directory=directory,
         infill=foam.infill,
@@ -121,20 +113,20 @@ def export_icesl(
         rounding=chosen.rounding,
         notes=notes,
     )
-    comments = (*meaning(foam, convention, plane), *notes)
+    comments = (*report.meaning(foam, convention, plane), *notes)
     with results_folder(directory, force=force) as folder:
-        files = [_SCRIPT, _PART, TABLE]
-        text = script(design.title, comments, _PART, foam.infill, chosen)
+        files = [_SCRIPT, _PART, report.TABLE]
+        text = report.script(design.title, comments, _PART, foam.infill, chosen)
         (folder / _SCRIPT).write_text(text, encoding="utf-8")
         cut = tessellate(part.mesh)
         points = 1e3 * cut.interpolate(part.mesh.points)  # in mm
         surface = pyvista.PolyData.from_regular_faces(points, cut.triangles)
         surface.save(folder / _PART)
-        write_foam_table(folder / TABLE, foam)
+        write_foam_table(folder / report.TABLE, foam)
         if chosen.unreachable.any():
-            write_unreachable(folder / UNREACHABLE, samples, chosen)
-            files.append(UNREACHABLE)
-        about = icesl_dict(written, part, foam, convention)
+            report.write_unreachable(folder / report.UNREACHABLE, samples, chosen)
+            files.append(report.UNREACHABLE)
+        about = report.icesl_dict(written, part, foam, convention)
         write_json(folder / "icesl.json", {**about, "files": files})
     return written
 

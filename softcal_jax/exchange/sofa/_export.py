@@ -11,14 +11,7 @@ from softcal_jax._names import unknown_name
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.calibration import CalibrationResult, HistoryEntry
 from softcal_jax.equilibrium import Model, model_for_law
-from softcal_jax.exchange._formats import (
-    left_out,
-    linear_project,
-    lines_of_both,
-    recalibrate,
-    vertex_masses,
-    with_equilibrium,
-)
+from softcal_jax.exchange import _formats as formats
 from softcal_jax.exchange.sofa._component import (
     SCALES,
     Component,
@@ -211,7 +204,7 @@ class SofaExport(Module):
     @property
     def lines(self) -> list[str]:
         """The values of both models, and a table of what they predict."""
-        return lines_of_both(self.calibrated, self.result, "SOFA")
+        return formats.lines_of_both(self.calibrated, self.result, "SOFA")
 
 
 def export_sofa(
@@ -270,19 +263,19 @@ def export_sofa(
     folder = Path(directory)
     check_results_folder(folder, force=force)
     loaded = result if isinstance(result, LoadedResult) else load_result(result)
-    project = linear_project(loaded)  # SOFA does not run quadratic tets
+    project = formats.linear_project(loaded)  # SOFA does not run quadratic tets
     check_robot(project.model)
     model = _model_of_sofa(project, law, rotation)
     component_of(model.law, model.n_tets, release, scale)  # before the work is done
-    refitted = recalibrate(loaded, project, model, "SOFA", progress=progress)
-    posed, displacements = with_equilibrium(project, refitted)
+    refitted = formats.recalibrate(loaded, project, model, "SOFA", progress=progress)
+    posed, displacements = formats.with_equilibrium(project, refitted)
     scene = Scene(
         name=project.name,
         release=release,
         scale=scale,
         mesh=model.mesh,
         elasticity=component_of(refitted.model.law, model.n_tets, release, scale),
-        vertex_mass=vertex_masses(refitted.model),
+        vertex_mass=formats.vertex_masses(refitted.model),
         configurations=scene_configurations(
             refitted.model, refitted.space, refitted.z, posed, displacements, scale
         ),
@@ -314,7 +307,7 @@ def _model_of_sofa(project: Project, law: SofaLaw, rotation: SofaRotation) -> Mo
 
 
 def _notes(refitted: CalibrationResult, scene: Scene) -> tuple[str, ...]:
-    notes = left_out(refitted, "SOFA")
+    notes = formats.left_out(refitted, "SOFA")
     others = [
         f"{effector.name} ({c.name})"
         for c in refitted.configurations
