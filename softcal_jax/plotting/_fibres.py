@@ -1,6 +1,7 @@
 """Draw fibres: on the surface of a body, or in a layer of a print."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -89,17 +90,12 @@ def plot_directions(
     scale = min(width / extent[0], height / extent[1])
     body = add_view(figure, 0, _BOTTOM, width, height, scale=scale)
     body.add_collection(PolyCollection(shapes, facecolors=colours, edgecolors="face"))
-    lines = [Line2D([], [], color=c, lw=4) for c in _colours_of(families)]
+    lines = [Line2D([], [], color=c, lw=4) for c, _ in zip(cycle(SERIES), families)]
     place = {"loc": "center", "bbox_to_anchor": (0.5, 55 / total)}
     figure.legend(lines, families, fontsize=15, frameon=False, **place)
     around = {"scale": scale, "top": _TOP, "bottom": _BOTTOM}
     figures.draw_frame(figure, view, **around, title=title)
     save(figure, path)
-
-
-def _colours_of(families: Iterable[str]) -> list[str]:
-    """List the colour of each family; colours repeat if there are more families."""
-    return [SERIES[i % len(SERIES)] for i, _ in enumerate(families)]
 
 
 def _drawn(
@@ -115,7 +111,6 @@ def _drawn(
     from matplotlib.colors import to_rgb
 
     light = _DARKEST + (_LIGHTEST - _DARKEST) * faces.light
-    rgb = [to_rgb(colour) for colour in _colours_of(families)]
     shapes, colours = [], []
     for corners, grey, tet in zip(faces.corners, light, faces.tet, strict=True):
         flat = view.project(corners)
@@ -125,7 +120,7 @@ def _drawn(
             continue
         sides = corners[1:] - corners[0]
         size = np.sqrt(np.linalg.norm(np.cross(*sides)))
-        for vectors, colour in zip(families.values(), rgb, strict=True):
+        for vectors, colour in zip(families.values(), cycle(SERIES)):
             u = vectors[tet] @ np.stack([view.right, view.up], axis=1)
             along = 0.5 * _LENGTH * size * u
             length = np.linalg.norm(along)
@@ -133,7 +128,7 @@ def _drawn(
                 across = 0.5 * _BREADTH * size / length * along[::-1] * (-1.0, 1.0)
                 ends = [along + across, along - across, -along - across, across - along]
                 shapes.append(flat.mean(axis=0) + ends)
-                colours.append(colour)
+                colours.append(to_rgb(colour))
     return shapes, colours
 
 

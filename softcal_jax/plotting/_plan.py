@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from softcal_jax.configurations import (
     motions,
 )
 from softcal_jax.equilibrium import ActuatorState, Model, RobotState
+from softcal_jax.export import fibre_directions
 from softcal_jax.mesh import boundary_faces
 from softcal_jax.plotting import _figure as figures, _robot as robots
 from softcal_jax.plotting._figure import (
@@ -222,29 +223,13 @@ def _draw_bodies(axes: "Axes", view: View, model: Model, c: Configuration) -> No
 def _fibre_directions(model: Model) -> Float[HostArray, "n_tets 3"] | None:
     """Return the direction of the first fibre in each tet, zero without stiffness [-].
 
-    Computed by NumPy, so that nothing is compiled; None for a law without fibres.
+    None for a law without fibres.
     """
-    fibres = model.law.fibres()
-    if not fibres:
-        return None
-
-    def per_tet(value: Any) -> HostArray:
-        # Of several quadrature points, the first.
-        values = np.asarray(getattr(value, "values", value))
-        values = values[..., 0] if hasattr(value, "values") else values
-        return np.broadcast_to(values, (model.mesh.n_tets,))
-
-    fibre = fibres[0]
-    theta, phi = per_tet(fibre.theta), per_tet(fibre.phi)
-    a, b = ("xyz".index(letter) for letter in fibre.plane)
-    axis = np.zeros((model.mesh.n_tets, 3))
-    axis[:, a], axis[:, b] = np.cos(phi) * np.cos(theta), np.cos(phi) * np.sin(theta)
-    axis[:, 3 - a - b] = np.sin(phi)
-    if fibre.frame is not None:
-        rows = np.stack([per_tet(part) for part in fibre.frame], axis=1)
-        axis = np.einsum("ei,eij->ej", axis, rows.reshape(-1, 3, 3))
+    first = next(iter(fibre_directions(model).values()), None)
     stiffness = getattr(model.law, "E_f", None)
-    return axis if stiffness is None else axis * (per_tet(stiffness) > 0.0)[:, None]
+    if first is None or stiffness is None:
+        return first
+    return first * (np.broadcast_to(stiffness, len(first)) > 0.0)[:, None]
 
 
 def _draw_fibres(
