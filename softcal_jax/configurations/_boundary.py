@@ -5,18 +5,13 @@ from abc import abstractmethod
 import equinox as eqx
 import numpy as np
 
+from softcal_jax import mesh as meshes
 from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS, parse_axes
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.bodies import KINDS, three_numbers
 from softcal_jax.configurations._mechanism import Mechanism
-from softcal_jax.mesh import (
-    TetMesh,
-    boundary_faces,
-    locate,
-    node_indices,
-    surface_shares,
-)
+from softcal_jax.mesh import TetMesh
 
 
 class Support(Module):
@@ -63,7 +58,7 @@ class Support(Module):
         imposed: Float[HostArray, "n_nodes 3"],
     ) -> None:
         """Write the support into the masks of a configuration."""
-        nodes = node_indices(mesh, self.where, "a support")
+        nodes = meshes.node_indices(mesh, self.where, "a support")
         for axis in parse_axes(self.axes):
             other = imposed[nodes, axis] != self.displacement[axis]
             clash = fixed[nodes, axis] & other
@@ -78,7 +73,7 @@ class Support(Module):
     def areas(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Compute the area of each node of an elastic support, along its axes [m2]."""
         areas = np.zeros((mesh.n_nodes, 3))
-        shares = surface_shares(mesh, mesh.faces(str(self.where)))
+        shares = meshes.surface_shares(mesh, mesh.faces(str(self.where)))
         areas[:, parse_axes(self.axes)] = shares[:, None]
         return areas
 
@@ -179,7 +174,7 @@ class PointForce(AbstractLoad):
         point = three_numbers("point", "m", self.point)
         force = three_numbers("force", "N", self.force)
         near, names = 1e-3 * mesh.size, ["the point of the force"]
-        place = locate(mesh, point[None], max_distance=near, names=names)
+        place = meshes.locate(mesh, point[None], max_distance=near, names=names)
         return _added(mesh, place.nodes[0], place.weights[0][:, None] * force)
 
 
@@ -195,7 +190,7 @@ class NodalForces(AbstractLoad):
     forces: Float[HostArray, "n 3"]
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        nodes = node_indices(mesh, self.nodes, "a nodal force")
+        nodes = meshes.node_indices(mesh, self.nodes, "a nodal force")
         forces = np.asarray(self.forces, float)
         if forces.shape != (len(nodes), 3):
             raise ValueError(
@@ -223,7 +218,7 @@ class EdgeForce(AbstractLoad):
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         """Share the force: 1/2, 1/2 on linear edges, 1/6, 1/6, 4/6 on quadratic [N]."""
         force = three_numbers("force", "N", self.force)
-        nodes = node_indices(mesh, self.where, "an edge force")
+        nodes = meshes.node_indices(mesh, self.where, "an edge force")
         edges = _boundary_edges(mesh)
         edges = edges[np.all(np.isin(edges[:, :2], nodes), axis=1)]
         if len(edges) == 0:
@@ -250,7 +245,7 @@ class SurfaceForce(AbstractLoad):
     force: tuple[float, float, float]
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        shares = surface_shares(mesh, mesh.faces(self.where))
+        shares = meshes.surface_shares(mesh, mesh.faces(self.where))
         force = three_numbers("force", "N", self.force)
         return (shares / shares.sum())[:, None] * force
 
@@ -267,7 +262,7 @@ class SurfaceTraction(AbstractLoad):
     traction: tuple[float, float, float]
 
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
-        shares = surface_shares(mesh, mesh.faces(self.where))
+        shares = meshes.surface_shares(mesh, mesh.faces(self.where))
         return shares[:, None] * three_numbers("traction", "Pa", self.traction)
 
 
@@ -280,7 +275,7 @@ def _added(mesh: TetMesh, nodes, forces) -> Float[HostArray, "n_nodes 3"]:
 
 def _boundary_edges(mesh: TetMesh) -> Int[HostArray, "n_edges n_ln"]:
     """List edges of the boundary faces once: two ends, then the mid node if any."""
-    faces = boundary_faces(mesh)
+    faces = meshes.boundary_faces(mesh)
     sides = [(0, 1, 3), (1, 2, 4), (2, 0, 5)]
     n_ln = 2 if faces.shape[1] == 3 else 3
     edges = np.concatenate([faces[:, side[:n_ln]] for side in sides])

@@ -12,6 +12,7 @@ from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS, check_unique, name_key
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import KINDS, if_any, three_numbers
+from softcal_jax.configurations import _mechanism as mechanisms
 from softcal_jax.configurations._arrays import (
     ConfigurationArrays,
     DeadLoads,
@@ -35,14 +36,7 @@ from softcal_jax.configurations._effector import (
 )
 from softcal_jax.configurations._effectors import BodyFrame, Centroid
 from softcal_jax.configurations._markers import Markers, marker_rows
-from softcal_jax.configurations._mechanism import (
-    Actuation,
-    BodyStates,
-    Mechanism,
-    actuation_arrays,
-    body_state_arrays,
-    build_mechanism,
-)
+from softcal_jax.configurations._mechanism import Mechanism
 from softcal_jax.mesh import TetMesh
 
 STANDARD_GRAVITY = 9.80665
@@ -97,8 +91,8 @@ class Configuration(Module):
         converter=if_any, default=None
     )
     effectors: tuple[AbstractEffector, ...] = eqx.field(converter=tuple, default=())
-    bodies: BodyStates = eqx.field(default_factory=dict)
-    actuation: Actuation = eqx.field(default_factory=dict)
+    bodies: mechanisms.BodyStates = eqx.field(default_factory=dict)
+    actuation: mechanisms.Actuation = eqx.field(default_factory=dict)
     recording: str | None = None
     relative_std: float | Literal["estimated"] = 0.0
     displacement_from: str | None = None
@@ -176,7 +170,7 @@ def configuration_lanes(
     """
     if not configurations:
         raise ValueError("at least one configuration is needed, got none.")
-    mechanism = build_mechanism(mesh) if mechanism is None else mechanism
+    mechanism = mechanisms.build_mechanism(mesh) if mechanism is None else mechanism
     names = [c.name for c in configurations]
     check_unique("configuration", names)
     by_key: dict[int, str] = {}
@@ -220,8 +214,8 @@ def _lane(
         rigid = support.stiffness is None
         support.apply(mesh, *((fixed, imposed) if rigid else (sprung, rest)))
     check_apart(mesh, mechanism, fixed | sprung, c.name)
-    bodies = body_state_arrays(mechanism, c.bodies, c.name)
-    actuation = actuation_arrays(mechanism, c.actuation, c.name)
+    bodies = mechanisms.body_state_arrays(mechanism, c.bodies, c.name)
+    actuation = mechanisms.actuation_arrays(mechanism, c.actuation, c.name)
     force = np.zeros((len(loads), len(mechanism.points), 3))
     for load in c.loads:
         force[loads.index(load.name), : mesh.n_nodes] += load.nodal_forces(mesh)

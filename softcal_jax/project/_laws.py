@@ -26,18 +26,11 @@ from softcal_jax.materials import (
     Isotropic,
 )
 from softcal_jax.mesh import TetMesh
+from softcal_jax.project import _table as typed
 from softcal_jax.project._mesh import AnyDirections, TetData
 from softcal_jax.project._problems import under
 from softcal_jax.project._quantities import Size, dimension_of, scalar
-from softcal_jax.project._table import (
-    Density,
-    Flag,
-    Number,
-    Table,
-    as_table,
-    wrong_choice,
-    wrong_key,
-)
+from softcal_jax.project._table import Table
 
 GROUP = "softcal_jax.laws"
 """Group of the entry points by which installed packages offer laws."""
@@ -75,7 +68,7 @@ class Constant(NamedTuple):
     @property
     def type(self) -> Any:
         if not self.unit:
-            return Number
+            return typed.Number
         size: Size = "not negative" if self.may_vanish else "positive"
         if self.within[0] < 0.0:
             size = "finite"
@@ -104,7 +97,7 @@ class Material(_OfLaw):
     constants: ClassVar[Mapping[str, Constant]]
 
     law: str
-    density: Density = Field(description=DENSITY["words"])
+    density: typed.Density = Field(description=DENSITY["words"])
     formulation: Literal["auto", "displacement", "mean-dilatation"] = "auto"
     regions: dict[str, Any] = Field(default_factory=dict)
 
@@ -170,19 +163,19 @@ def material_table(raw: Any) -> type[Material]:
     Raises:
         ValueError: If there is no such law; the text lists those that there are.
     """
-    named = as_table(raw)
+    named = typed.as_table(raw)
     name = str(named.get("law"))
     law = LAWS.get(name)
     if law is None:
         plug_ins = entry_points(group=GROUP)
         if name not in plug_ins.names:
             known = dict.fromkeys([*LAWS, *sorted(plug_ins.names)])
-            raise wrong_choice("law", named, known)
+            raise typed.wrong_choice("law", named, known)
         law = _plug_in(name, plug_ins.select(name=name))
     part = _part_of(law)
     choice = "" if part is None else str(named.get(part.key, part.default))
     if part is not None and choice not in part.known:
-        raise wrong_choice(part.key, named, part.known)
+        raise typed.wrong_choice(part.key, named, part.known)
     return _table(law, choice, _is_aimed(named))
 
 
@@ -278,7 +271,7 @@ def _recipe(kind: type[eqx.Module], chosen: type[eqx.Module] | None) -> _Recipe:
             keys[key] = (field, AnyDirections)
             arguments[field.name] = lambda value: value(_FRAME)
         elif "unit" in field.metadata or field.metadata.get("static"):
-            keys[key] = (field, Flag if hint is bool else hint)
+            keys[key] = (field, typed.Flag if hint is bool else hint)
             arguments[field.name] = lambda value, key=key: value(key)
         else:
             raise ValueError(
@@ -301,7 +294,7 @@ def _owners(key: str) -> list[str]:
 def _plug_in(name: str, plug_ins: EntryPoints) -> type[AbstractLaw]:
     packages = [entry.dist.name if entry.dist else entry.value for entry in plug_ins]
     if len(packages) > 1:
-        raise wrong_key(
+        raise typed.wrong_key(
             "law",
             f'the packages {" and ".join(packages)} both have a law "{name}"; '
             "uninstall one of them.",
@@ -315,7 +308,7 @@ def _plug_in(name: str, plug_ins: EntryPoints) -> type[AbstractLaw]:
             )
         _recipe(law, Isotropic)
     except Exception as error:  # a foreign module may raise anything
-        raise wrong_key(
+        raise typed.wrong_key(
             "law",
             f'the law "{name}" of the package {packages[0]} ({entry.value}) cannot be '
             f"loaded: {type(error).__name__}: {error}. Update or uninstall it.",

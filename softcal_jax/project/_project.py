@@ -8,6 +8,7 @@ from typing import Literal
 
 import jax.numpy as jnp
 
+from softcal_jax import identifiability
 from softcal_jax._module import Module
 from softcal_jax._names import listed
 from softcal_jax._typing import Array, Float
@@ -40,12 +41,7 @@ from softcal_jax.equilibrium import (
     reports_of,
 )
 from softcal_jax.fields import Parameter, ParameterSpace, Uncertain
-from softcal_jax.identifiability import (
-    Identifiability,
-    Ranking,
-    identify,
-    rank_configurations,
-)
+from softcal_jax.identifiability import Identifiability, Ranking
 from softcal_jax.layouts import ModelComparison, compare_models
 from softcal_jax.project._problems import ProjectError, in_file, one_by_one, under
 
@@ -218,7 +214,7 @@ class Project(Module):
         """
         self.check_identify()
         assert self.space is not None
-        return identify(
+        return identifiability.identify(
             self.model,
             self.space,
             self.calibration,
@@ -243,7 +239,7 @@ class Project(Module):
             raise ProjectError(
                 f"{self.path}: candidates: there are none; add [[candidates]]."
             )
-        return rank_configurations(
+        return identifiability.rank_configurations(
             self.model,
             self.space,
             self.calibration,

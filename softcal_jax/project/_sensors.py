@@ -8,15 +8,10 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
+from softcal_jax import configurations
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import Pose
-from softcal_jax.configurations import (
-    PoseTable,
-    average_poses,
-    in_frame,
-    read_polhemus,
-    read_poses,
-)
+from softcal_jax.configurations import PoseTable
 from softcal_jax.exchange.camera import TagPose, find_photos, tag_pose
 from softcal_jax.project import _table as typed
 from softcal_jax.project._mesh import LengthUnit
@@ -139,7 +134,7 @@ class SensorPoseTable(Table):
 
 def _mean(readings: PoseTable, base: FrameTable) -> Pose:
     """Average the pose of one sensor in the mesh's frame."""
-    means = average_poses(in_frame(readings, base.pose))
+    means = configurations.average_poses(configurations.in_frame(readings, base.pose))
     if len(means) > 1:
         raise ValueError(
             f"{readings.source} has the sensors {', '.join(means)}; say which one is "
@@ -170,7 +165,9 @@ class PoseFileTable(SensorPoseTable, DialectTable):
     displacement_from: Selection | None = None
 
     def readings(self, folder: Path) -> PoseTable:
-        rows = read_poses(folder / self.file, select=self.select, **self.dialect)
+        rows = configurations.read_poses(
+            folder / self.file, select=self.select, **self.dialect
+        )
         return rows if self.sensor is None else rows.readings_of(self.sensor)
 
     def earlier_readings(self, folder: Path) -> PoseTable | None:
@@ -193,7 +190,7 @@ class PolhemusFileTable(SensorPoseTable):
 
     def readings(self, folder: Path) -> PoseTable:
         options = self.model_dump(include={"length_unit", "angle_unit", "station"})
-        return read_polhemus(folder / self.file, **options)
+        return configurations.read_polhemus(folder / self.file, **options)
 
 
 class EarlierPhotosTable(Table):

@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, Field, create_model, field_validator
 
 from softcal_jax import fields
 from softcal_jax._names import UNNAMED_LOADS
+from softcal_jax.project import _table as typed
 from softcal_jax.project._mechanism import CableTable, MotorTable
 from softcal_jax.project._problems import known_name
 from softcal_jax.project._quantities import (
@@ -27,15 +28,7 @@ from softcal_jax.project._quantities import (
     scalar,
     shown,
 )
-from softcal_jax.project._table import (
-    Angle,
-    Choice,
-    Names,
-    Number,
-    Table,
-    WholeFile,
-    by_keys,
-)
+from softcal_jax.project._table import Choice, Table, WholeFile, by_keys
 
 _PERCENT = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*")
 
@@ -66,7 +59,7 @@ ShareOrEstimated = Annotated[
 
 def _type_of(kind: Any, unit: str) -> Any:
     if not unit:
-        return Annotated[Number, Field(ge=0, allow_inf_nan=False)]
+        return Annotated[typed.Number, Field(ge=0, allow_inf_nan=False)]
     return Annotated[kind, BeforeValidator(_parser(unit, estimated=kind is not float))]
 
 
@@ -138,7 +131,7 @@ class MotorZeroTable(SetupTable):
     makes = fields.motor_zero
     measures = ANGLE
     noun = "motor"
-    motor_zero: Names
+    motor_zero: typed.Names
 
     def subjects(self, project: WholeFile) -> Subjects:
         tables = project.actuators.items()
@@ -150,7 +143,7 @@ class MountingTable(SetupTable):
     measures = LENGTH
     noun = "rigid body"
     section = "[bodies]"
-    mounting: Names
+    mounting: typed.Names
 
     def subjects(self, project: WholeFile) -> Subjects:
         tables = project.bodies.items()
@@ -160,7 +153,7 @@ class MountingTable(SetupTable):
 class FrictionTable(SetupTable):
     makes = fields.friction
     noun = "cable with friction"
-    friction: Names
+    friction: typed.Names
 
     def subjects(self, project: WholeFile) -> Subjects:
         tables = project.actuators.items()
@@ -209,8 +202,8 @@ class RecordingOffsetTable(ScopedTable):
     measures = LENGTH
     limit: float | None = None
     recording_offset: Literal[True]
-    turn_limit: Angle | None = None
-    turn_prior_std: Angle | None = None
+    turn_limit: typed.Angle | None = None
+    turn_prior_std: typed.Angle | None = None
 
 
 class FactorTable(ScopedTable):
@@ -226,7 +219,8 @@ class LoadFactorTable(FactorTable):
     noun = "load"
     section = "`loads` of a configuration"
     load_factor: Annotated[
-        Names, BeforeValidator(lambda names: UNNAMED_LOADS if names is True else names)
+        typed.Names,
+        BeforeValidator(lambda names: UNNAMED_LOADS if names is True else names),
     ]
 
     def subjects(self, project: WholeFile) -> Subjects:
@@ -237,7 +231,7 @@ class LoadFactorTable(FactorTable):
 class ActuatorFactorTable(FactorTable):
     makes = fields.actuator_factor
     noun = "actuator"
-    actuator_factor: Names
+    actuator_factor: typed.Names
 
     def subjects(self, project: WholeFile) -> Subjects:
         return dict.fromkeys(project.actuators, ())
@@ -248,7 +242,7 @@ class ClampStiffnessTable(FactorTable):
     noun = "support with a stiffness"
     section = "`supports` of a configuration"
     limit: float | None = 1e3
-    clamp_stiffness: Names
+    clamp_stiffness: typed.Names
 
     def subjects(self, project: WholeFile) -> Subjects:
         """List the groups of elastic supports, with their nominal stiffness."""

@@ -11,14 +11,8 @@ from softcal_jax._names import unknown_name
 from softcal_jax.calibration import CalibrationResult
 from softcal_jax.configurations import read_table
 from softcal_jax.equilibrium import Model
-from softcal_jax.exchange.icesl import _report as report
-from softcal_jax.exchange.icesl._fields import (
-    Design,
-    PrintPlane,
-    part_on_bed,
-    print_plane,
-    sample,
-)
+from softcal_jax.exchange.icesl import _fields as fields, _report as report
+from softcal_jax.exchange.icesl._fields import Design, PrintPlane
 from softcal_jax.exchange.icesl._foam import FoamTable, Infill, published_foam
 from softcal_jax.exchange.icesl._report import IceslResult
 from softcal_jax.exchange.icesl._settings import Convention, choose
@@ -95,9 +89,9 @@ def export_icesl(
     if isinstance(result, str | os.PathLike):
         result = load_result(result)
     directory, design, foam = Path(directory), _design(result), _foam(infill, table)
-    plane = plane or print_plane(design.model)
-    part = part_on_bed(design.model.mesh, plane=plane, region=region)
-    samples = sample(design, part)
+    plane = plane or fields.print_plane(design.model)
+    part = fields.part_on_bed(design.model.mesh, plane=plane, region=region)
+    samples = fields.sample(design, part)
     convention = Convention(angle_marks or foam.axis, angle_offset, clockwise)
     chosen = choose(samples, foam, convention)
     notes = report.print_notes(samples, chosen, foam)
