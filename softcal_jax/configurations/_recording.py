@@ -345,16 +345,13 @@ def _means(positions):
 
 def _first_seen(positions):
     """Return where each marker was seen first; nan if never [m]."""
-    seen = np.isfinite(positions).all(axis=2)
-    first = np.argmax(seen, axis=0)
+    first = np.argmax(np.isfinite(positions).all(axis=2), axis=0)
     return positions[first, np.arange(positions.shape[1])]
 
 
 def _noise(positions):
     """Estimate the noise of a coordinate of each marker from second differences [m]."""
     second = np.abs(np.diff(positions, n=2, axis=0))
-    seen = [
-        of_marker[np.isfinite(of_marker)] for of_marker in np.swapaxes(second, 0, 1)
-    ]
+    seen = [marker[np.isfinite(marker)] for marker in np.swapaxes(second, 0, 1)]
     medians = [np.median(values) if values.size else 0.0 for values in seen]
     return np.array(medians) / (_MEDIAN * _SECOND)

@@ -205,7 +205,8 @@ def read_wide_table(
 def _rows_of(path: Path, delimiter: str | None) -> tuple[NumberedCells, str]:
     """Split a file into cells, by a given delimiter or else that of the header."""
     lines = csv_table.read_lines(path, "recording")
-    delimiter = delimiter or csv_table.delimiter_of(text for _, text in lines[:12])
+    head = "".join(text for _, text in lines[:12])
+    delimiter = delimiter or csv_table.delimiter_of(head)
     rows = csv_table.read_cells(path, lines, delimiter)
     return [(number, cells) for number, cells in rows if any(cells)], delimiter
 

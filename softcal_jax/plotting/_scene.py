@@ -52,11 +52,7 @@ def rendering_problem() -> str | None:
 
 @contextmanager
 def offscreen() -> Iterator[None]:
-    """Let VTK draw without a screen; make and close its window inside the block.
-
-    Raises:
-        RenderingError: If no suitable OpenGL is installed.
-    """
+    """Let VTK draw without a screen; make and close its window inside the block."""
     backend = _backend()
     if backend is not None:
         os.environ[_CHOICE] = backend

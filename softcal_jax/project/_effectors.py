@@ -87,8 +87,7 @@ class EffectorTable(Table):
         self, effector: Any, value: Any, folder: Path, model: Model
     ) -> AbstractEffector:
         """Return the effector with its measured value; paths start from `folder`."""
-        unit = effector.rows(model.mesh, model.mechanism)[0].unit
-        dimension = dimension_of(unit)
+        dimension = dimension_of(effector.rows(model.mesh, model.mechanism)[0].unit)
         if isinstance(value, MotionSource):
             raise ValueError(
                 f'got a table; expected {dimension.name}, like "{dimension.example}".'

@@ -41,13 +41,10 @@ _FRAME = "directions"
 
 
 class Constant(NamedTuple):
-    """A constant of a material, as its law declares it.
+    """A constant of a material, as its law declares it: SI unit, words, example.
 
-    Attributes:
-        unit: SI unit, as results name it.
-        words: What it is, with an example.
-        within: Open interval in which the bounds of a parameter must lie.
-        may_vanish: Whether the constant itself may be 0 too.
+    Bounds of a parameter lie `within` an open interval; the constant itself may be 0
+    too if it `may_vanish`.
     """
 
     unit: str
@@ -160,8 +157,7 @@ class Material(_OfLaw):
 def material_table(raw: Any) -> type[Material]:
     """Build the schema of [material], read as `raw`, for the law that it names.
 
-    Raises:
-        ValueError: If there is no such law; the text lists those that there are.
+    A ValueError lists the laws that there are, if there is no such law.
     """
     named = typed.as_table(raw)
     name = str(named.get("law"))

@@ -140,11 +140,8 @@ class RegistrationTable(Table):
 class MeasuredMarkers(NamedTuple):
     """The markers of a configuration, and what was measured of them.
 
-    Attributes:
-        markers: The markers; `std` includes the scatter of a recording if asked.
-        positions: Positions in the frame of the mesh [m].
-        registration: Registration of the frame of the cameras, if there is one.
-        traces: The recording and its windows, if they come from one.
+    Their `std` includes the scatter of a recording if asked, and `positions` are in the
+    frame of the mesh [m]. The `traces` are those of the recording, if there is one.
     """
 
     markers: Markers | None = None

@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, TypeVar, get_args
 
 from pydantic import (
@@ -132,15 +133,15 @@ def _built(value: Any) -> Any:
 _adapter = functools.cache(TypeAdapter)
 
 
+@dataclass(frozen=True)
 class Choice:
     """Mark a union whose member is chosen by a function of the value and the members.
 
-    pydantic's own unions would add the name of the member to the place of an error.
+    pydantic's own unions would add the name of the member to the place of an error. The
+    function raises ValueError where no member fits.
     """
 
-    def __init__(self, choose: Callable[[Any, Sequence[Any]], Any]):
-        """Take the function; it raises ValueError where no member fits."""
-        self.choose = choose
+    choose: Callable[[Any, Sequence[Any]], Any]
 
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
@@ -187,10 +188,8 @@ def by_type(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
 def by_keys(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
     """Choose the table with the most of its own required keys present, for a `Choice`.
 
-    Among equals, the one with all of its keys present is chosen.
-
-    Raises:
-        ValueError: If several remain; the text lists the choices.
+    Among equals, the one with all of its keys present is chosen. If several remain, a
+    ValueError lists the choices.
     """
     table = as_table(value)
     common = set.intersection(*(set(kind.model_fields) for kind in kinds))

@@ -122,8 +122,7 @@ def _surroundings(pose: Pose) -> bytes:
 def law_for_mujoco(law: AbstractLaw) -> StVenantKirchhoff:
     """Return the law that a flex computes in place of another with E and nu.
 
-    Raises:
-        ValueError: If the law has other constants; the text says what to do.
+    A ValueError says what to do if the law has other constants.
     """
     linear = StVenantKirchhoff, Corotational, ClassicalCorotational
     constants = law.elasticity if isinstance(law, linear) else law
@@ -148,9 +147,7 @@ def mujoco_poses(
 ) -> list[Pose]:
     """Return configurations with the fitted parameters, of scaled values `z`.
 
-    Raises:
-        ValueError: If MuJoCo cannot hold the robot, a support, or a displacement of an
-            actuator; the text says why, and what to do.
+    A ValueError says why MuJoCo cannot hold a robot, support or displacement.
     """
     formats.check_no_bodies(model, "a model of MuJoCo")
     known = Cable, ForceActuator, SurfaceForceActuator
