@@ -12,7 +12,7 @@ from softcal_jax import configurations
 from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model
-from softcal_jax.project import _table as typed
+from softcal_jax.project import _quantities as typed
 from softcal_jax.project._effectors import Effectors
 from softcal_jax.project._markers import MarkersTable, MeasuredMarkers, MeasuredTable
 from softcal_jax.project._mechanism import State, build_actuation, build_states

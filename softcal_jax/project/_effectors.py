@@ -15,7 +15,7 @@ from softcal_jax import configurations
 from softcal_jax.configurations import AbstractEffector, BodyFrame, Mechanism, Unstated
 from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project import _table as typed
+from softcal_jax.project import _quantities as typed
 from softcal_jax.project._problems import under
 from softcal_jax.project._quantities import (
     dimension_of,

@@ -26,11 +26,11 @@ from softcal_jax.materials import (
     Isotropic,
 )
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project import _table as typed
+from softcal_jax.project import _quantities as typed
 from softcal_jax.project._mesh import AnyDirections, TetData
 from softcal_jax.project._problems import under
 from softcal_jax.project._quantities import Size, dimension_of, scalar
-from softcal_jax.project._table import Table
+from softcal_jax.project._table import Table, as_table, wrong_choice, wrong_key
 
 GROUP = "softcal_jax.laws"
 """Group of the entry points by which installed packages offer laws."""
@@ -159,19 +159,19 @@ def material_table(raw: Any) -> type[Material]:
 
     A ValueError lists the laws that there are, if there is no such law.
     """
-    named = typed.as_table(raw)
+    named = as_table(raw)
     name = str(named.get("law"))
     law = LAWS.get(name)
     if law is None:
         plug_ins = entry_points(group=GROUP)
         if name not in plug_ins.names:
             known = dict.fromkeys([*LAWS, *sorted(plug_ins.names)])
-            raise typed.wrong_choice("law", named, known)
+            raise wrong_choice("law", named, known)
         law = _plug_in(name, plug_ins.select(name=name))
     part = _part_of(law)
     choice = "" if part is None else str(named.get(part.key, part.default))
     if part is not None and choice not in part.known:
-        raise typed.wrong_choice(part.key, named, part.known)
+        raise wrong_choice(part.key, named, part.known)
     return _table(law, choice, _is_aimed(named))
 
 
@@ -290,7 +290,7 @@ def _owners(key: str) -> list[str]:
 def _plug_in(name: str, plug_ins: EntryPoints) -> type[AbstractLaw]:
     packages = [entry.dist.name if entry.dist else entry.value for entry in plug_ins]
     if len(packages) > 1:
-        raise typed.wrong_key(
+        raise wrong_key(
             "law",
             f'the packages {" and ".join(packages)} both have a law "{name}"; '
             "uninstall one of them.",
@@ -304,7 +304,7 @@ def _plug_in(name: str, plug_ins: EntryPoints) -> type[AbstractLaw]:
             )
         _recipe(law, Isotropic)
     except Exception as error:  # a foreign module may raise anything
-        raise typed.wrong_key(
+        raise wrong_key(
             "law",
             f'the law "{name}" of the package {packages[0]} ({entry.value}) cannot be '
             f"loaded: {type(error).__name__}: {error}. Update or uninstall it.",

@@ -22,7 +22,7 @@ from softcal_jax.configurations import (
     read_recording,
     register,
 )
-from softcal_jax.project import _table as typed
+from softcal_jax.project import _quantities as typed
 from softcal_jax.project._effectors import Measured
 from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._sensors import DialectTable, Selection

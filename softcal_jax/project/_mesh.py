@@ -13,7 +13,7 @@ from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.exchange.cad import CAD_FORMATS, mesh_cad
 from softcal_jax.materials import frames_along, frames_around
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project import _table as typed
+from softcal_jax.project import _quantities as typed
 from softcal_jax.project._table import Choice, Maker, Table, by_keys, by_type
 
 LengthUnit = Literal["m", "cm", "mm", "um", "inch"]

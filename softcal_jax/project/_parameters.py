@@ -14,7 +14,7 @@ from softcal_jax.fields import (
     ParameterSpace,
     check_names,
 )
-from softcal_jax.project import _table as typed
+from softcal_jax.project import _quantities as typed
 from softcal_jax.project._laws import Constant
 from softcal_jax.project._problems import known_name, one_of, under
 from softcal_jax.project._quantities import is_number, parse_in_si, shown

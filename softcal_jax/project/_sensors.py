@@ -13,7 +13,7 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import Pose
 from softcal_jax.configurations import PoseTable
 from softcal_jax.exchange.camera import TagPose, find_photos, tag_pose
-from softcal_jax.project import _table as typed
+from softcal_jax.project import _quantities as typed
 from softcal_jax.project._mesh import LengthUnit
 from softcal_jax.project._table import Table
 

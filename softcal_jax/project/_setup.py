@@ -14,13 +14,10 @@ from pydantic import BeforeValidator, Field, create_model, field_validator
 
 from softcal_jax import fields
 from softcal_jax._names import UNNAMED_LOADS
-from softcal_jax.project import _table as typed
+from softcal_jax.project import _quantities as typed
 from softcal_jax.project._mechanism import CableTable, MotorTable
 from softcal_jax.project._problems import known_name
 from softcal_jax.project._quantities import (
-    ANGLE,
-    LENGTH,
-    Dimension,
     dimension_of,
     is_number,
     parse_number,
@@ -87,7 +84,7 @@ class SetupTable(Table):
     """
 
     makes: ClassVar[Callable[..., fields.Entry | Sequence[fields.Entry]]]
-    measures: ClassVar[Dimension | None] = None
+    measures: ClassVar[typed.Dimension | None] = None
     noun: ClassVar[str | None] = None
     section: ClassVar[str] = "[actuators]"
 
@@ -129,7 +126,7 @@ class SetupTable(Table):
 
 class MotorZeroTable(SetupTable):
     makes = fields.motor_zero
-    measures = ANGLE
+    measures = typed.ANGLE
     noun = "motor"
     motor_zero: typed.Names
 
@@ -140,7 +137,7 @@ class MotorZeroTable(SetupTable):
 
 class MountingTable(SetupTable):
     makes = fields.mounting
-    measures = LENGTH
+    measures = typed.LENGTH
     noun = "rigid body"
     section = "[bodies]"
     mounting: typed.Names
@@ -188,7 +185,7 @@ class ScopedTable(SetupTable):
 
 class GravityTiltTable(ScopedTable):
     makes = fields.gravity_tilt
-    measures = ANGLE
+    measures = typed.ANGLE
     gravity_tilt: Literal[True]
 
 
@@ -199,7 +196,7 @@ class RecordingOffsetTable(ScopedTable):
     """
 
     makes = fields.recording_offset
-    measures = LENGTH
+    measures = typed.LENGTH
     limit: float | None = None
     recording_offset: Literal[True]
     turn_limit: typed.Angle | None = None

@@ -1,4 +1,4 @@
-"""What all tables of a project file share; parsed values are in SI units."""
+"""What all tables of a project file share: how they are read, chosen and built."""
 
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -7,11 +7,8 @@ from typing import Annotated, Any, ClassVar, TypeVar, get_args
 
 from pydantic import (
     BaseModel,
-    BeforeValidator,
     ConfigDict,
-    Field,
     GetCoreSchemaHandler,
-    Strict,
     TypeAdapter,
     ValidationError,
     model_validator,
@@ -19,51 +16,7 @@ from pydantic import (
 from pydantic_core import ErrorDetails, InitErrorDetails, core_schema
 
 from softcal_jax.project._problems import known_here, one_of
-from softcal_jax.project._quantities import (
-    ACCELERATION,
-    ANGLE,
-    BEDDING,
-    DENSITY,
-    FORCE,
-    LENGTH,
-    MASS,
-    PRESSURE,
-    TIME,
-    parse_direction,
-    scalar,
-    shown,
-    vector,
-)
-
-Number = Annotated[float, Strict()]
-Integer = Annotated[int, Strict()]
-Flag = Annotated[bool, Strict()]
-Triple = tuple[float, float, float]
-
-Length = Annotated[float, BeforeValidator(scalar(LENGTH, "not negative"))]
-PositiveLength = Annotated[float, BeforeValidator(scalar(LENGTH, "positive"))]
-Density = Annotated[float, BeforeValidator(scalar(DENSITY, "not negative"))]
-Angle = Annotated[float, BeforeValidator(scalar(ANGLE))]
-Time = Annotated[float, BeforeValidator(scalar(TIME))]
-Mass = Annotated[float, BeforeValidator(scalar(MASS, "not negative"))]
-Stiffness = Annotated[float, BeforeValidator(scalar(BEDDING, "positive"))]
-AccelerationSize = Annotated[float, BeforeValidator(scalar(ACCELERATION))]
-Position = Annotated[Triple, BeforeValidator(vector(LENGTH))]
-Corner = Annotated[Triple, BeforeValidator(vector(LENGTH, "any"))]
-Extent = Annotated[Triple, BeforeValidator(vector(LENGTH, "positive"))]
-Acceleration = Annotated[Triple, BeforeValidator(vector(ACCELERATION))]
-Force = Annotated[Triple, BeforeValidator(vector(FORCE))]
-Traction = Annotated[Triple, BeforeValidator(vector(PRESSURE))]
-RotationVector = Annotated[Triple, BeforeValidator(vector(ANGLE))]
-Direction = Annotated[Triple, BeforeValidator(parse_direction)]
-
-Names = Annotated[
-    tuple[str, ...],
-    BeforeValidator(lambda value: [value] if isinstance(value, str) else value),
-]
-"""One name, or a list of them."""
-
-Surface = Annotated[str, Field(description='name of a surface group: "z_max"')]
+from softcal_jax.project._quantities import shown
 
 T = TypeVar("T")
 V = TypeVar("V")
