@@ -86,8 +86,8 @@ def write_scene(
     with results_folder(directory, force=force) as folder:
         _write_vtk(folder / files[0], points, scene.mesh.tets)
         shutil.copyfile(Path(__file__).with_name("scene.py"), folder / files[1])
-        lines = _readme(scene, text, notes)
-        (folder / files[2]).write_text("\n".join(lines) + "\n", encoding="utf-8")
+        readme = _readme(scene, text, notes)
+        (folder / files[2]).write_text(readme, encoding="utf-8")
         data = {
             "format": "softcal_jax.sofa/1",
             "name": scene.name,
@@ -127,55 +127,50 @@ def _write_vtk(
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
 
 
-def _readme(scene: Scene, text: Sequence[str], notes: Sequence[str]) -> list[str]:
+def _readme(scene: Scene, text: Sequence[str], notes: Sequence[str]) -> str:
     """Say what is needed, how to run the scene, and what to expect of it."""
     first, *_ = scene.configurations
     units = ", ".join(f"{what} {unit}" for what, unit in scene.scale.words.items())
-    needed = [f"- {_NEEDED[plugin]}." for plugin in scene.plugins]
+    needed = "".join(f"\n- {_NEEDED[plugin]}." for plugin in scene.plugins)
     loaded = "".join(f" -l {plugin}" for plugin in ["SofaPython3", *scene.plugins])
     steps = 100 if first in scene.driven else 1
-    on_driven = [
-        "",
-        f"With cables or chambers: {', '.join(scene.driven)}. SOFA solves these in "
-        "time, by long implicit steps that lose all motion: run on until the effectors "
-        "stand still. If they do not, shorten TIME_STEP in scene.py.",
-    ]
-    return [
-        f"# {scene.name} in SOFA",
-        "",
-        f"Written by softcal_jax for SOFA {scene.release} (from the sources of "
-        f"{scene.release}.00), to be run with",
-        "",
-        "- SofaPython3, with NumPy in its Python.",
-        *needed,
-        "",
-        "```sh",
-        f"runSofa{loaded} -g batch -n {steps} scene.py",
-        "```",
-        "",
-        "or, to see it, without `-g batch -n ...` and then Animate. Each step writes "
-        "where the effectors are to `effectors_CONFIGURATION.csv`, with the distance "
-        "from what softcal_jax predicts for the same mesh and law: it should fall to "
-        "the tolerance of the solver.",
-        "",
-        f"Configurations: {', '.join(scene.configurations)}. The first is run, another "
-        "one with the environment variable SOFTCAL_CONFIGURATION set to its name.",
-        *(on_driven if scene.driven else []),
-        "",
-        f"Units: {units}, mass kg, time s. The law is that of "
-        f"`{scene.elasticity.component}`.",
-        "",
-        "## Calibrated for this mesh",
-        "",
-        "SOFA runs linear tets, which are too stiff, and corotational ones with a "
-        "rotation of its own. The values were therefore calibrated again with the mesh "
-        "and the law of this scene, and belong to them alone:",
-        "",
-        "```text",
-        *text,
-        "```",
-        *(line for note in notes for line in ("", note)),
-    ]
+    on_driven = f"""
+With cables or chambers: {", ".join(scene.driven)}. SOFA solves these in time, by long \
+implicit steps that lose all motion: run on until the effectors stand still. If they \
+do not, shorten TIME_STEP in scene.py.
+"""
+    return f"""\
+# {scene.name} in SOFA
+
+Written by softcal_jax for SOFA {scene.release} (from the sources of \
+{scene.release}.00), to be run with
+
+- SofaPython3, with NumPy in its Python.{needed}
+
+```sh
+runSofa{loaded} -g batch -n {steps} scene.py
+```
+
+or, to see it, without `-g batch -n ...` and then Animate. Each step writes where the \
+effectors are to `effectors_CONFIGURATION.csv`, with the distance from what \
+softcal_jax predicts for the same mesh and law: it should fall to the tolerance of the \
+solver.
+
+Configurations: {", ".join(scene.configurations)}. The first is run, another one with \
+the environment variable SOFTCAL_CONFIGURATION set to its name.
+{on_driven if scene.driven else ""}
+Units: {units}, mass kg, time s. The law is that of `{scene.elasticity.component}`.
+
+## Calibrated for this mesh
+
+SOFA runs linear tets, which are too stiff, and corotational ones with a rotation of \
+its own. The values were therefore calibrated again with the mesh and the law of this \
+scene, and belong to them alone:
+
+```text
+{chr(10).join(text)}
+```
+""" + "".join(f"\n{note}\n" for note in notes)
 
 
 class SofaExport(Module):
