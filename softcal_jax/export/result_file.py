@@ -59,6 +59,33 @@ def _converted(factor: float) -> BeforeValidator:
     )
 
 
+IDENTIFIABILITY = Keys(
+    Identifiability,
+    "verdict n_data precision parameters informed directions covariance correlation "
+    "conditioning",
+)
+"""Keys of what the data tell; null stands for infinite values, too."""
+
+_MARKERS = Keys(
+    EffectorRecord, "name measured_mm simulated_before_mm simulated_mm residual_mm"
+)
+_EFFECTORS = Keys(
+    EffectorRecord, "name unit is_turn measured simulated_before simulated residual"
+)
+_HISTORY = Keys(
+    HistoryEntry,
+    "step cost lambda_p step_bound accepted kkt_residual newton_steps values "
+    "noise_level seconds rms_mm",
+)
+_UNCERTAINTY = Keys(
+    Uncertainty,
+    "noise noise_scale degrees_of_freedom chi_squared covariance correlation",
+)
+_STARTS = Keys(
+    MultiStartResult,
+    "names starts values cost steps converged optima second_best missed",
+)
+
 Plain = Annotated[Any, BeforeValidator(plain)]
 Millimetres = Annotated[float | None, _converted(1e3)]
 Percent = Annotated[float | None, _converted(100.0)]
@@ -134,21 +161,11 @@ class ConfigurationEntry(Entry):
     rms_after_percent_of_motion: Percent = Field(
         default=None, validation_alias="rms_share"
     )
-    markers: Annotated[
-        Any,
-        Keys(
-            EffectorRecord,
-            "name measured_mm simulated_before_mm simulated_mm residual_mm",
-        ),
-    ] = Field(default=None, validation_alias="points")
+    markers: Annotated[Any, _MARKERS] = Field(default=None, validation_alias="points")
     """Markers and other points."""
-    effectors: Annotated[
-        Any,
-        Keys(
-            EffectorRecord,
-            "name unit is_turn measured simulated_before simulated residual",
-        ),
-    ] = Field(default=None, validation_alias="others")
+    effectors: Annotated[Any, _EFFECTORS] = Field(
+        default=None, validation_alias="others"
+    )
     """Effectors that are not points, in SI units."""
     robot: RobotEntry | None = None
     newton_steps: Plain = None
@@ -194,14 +211,6 @@ class AssessmentEntry(Entry):
     predictions: Annotated[Any, Keys(Prediction, "name role std_mm")] = None
 
 
-IDENTIFIABILITY = Keys(
-    Identifiability,
-    "verdict n_data precision parameters informed directions covariance correlation "
-    "conditioning",
-)
-"""Keys of what the data tell; null stands for infinite values, too."""
-
-
 class ResultFile(Entry):
     """The content of `result.json`."""
 
@@ -213,37 +222,18 @@ class ResultFile(Entry):
     parameters: list[ParameterEntry]
     intervals: Annotated[Any, Keys(ParameterInterval)] = None
     configurations: list[ConfigurationEntry]
-    history: Annotated[
-        Any,
-        Keys(
-            HistoryEntry,
-            "step cost lambda_p step_bound accepted kkt_residual newton_steps values "
-            "noise_level seconds rms_mm",
-        ),
-    ] = None
+    history: Annotated[Any, _HISTORY] = None
     solver: dict[str, str | int | None]
     """The sparse solver, law, formulation and size of the mesh."""
     settings: Plain = None
     """Settings of the calibration, of Newton's method and of the noise."""
-    uncertainty: Annotated[
-        Any,
-        Keys(
-            Uncertainty,
-            "noise noise_scale degrees_of_freedom chi_squared covariance correlation",
-        ),
-    ] = None
+    uncertainty: Annotated[Any, _UNCERTAINTY] = None
     budget: BudgetEntry
     noise: Annotated[Any, Keys(CorrelatedNoise, "jitter share offset_mm")] = None
     checks: ChecksEntry | None = None
     assessment: AssessmentEntry
     identifiability: Annotated[Any, IDENTIFIABILITY] = None
-    starts: Annotated[
-        Any,
-        Keys(
-            MultiStartResult,
-            "names starts values cost steps converged optima second_best missed",
-        ),
-    ] = None
+    starts: Annotated[Any, _STARTS] = None
     notes: Plain = None
     versions: dict[str, str]
     """Versions of Python and its packages, and the machine."""
