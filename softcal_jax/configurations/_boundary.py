@@ -219,7 +219,12 @@ class EdgeForce(AbstractLoad):
         """Share the force: 1/2, 1/2 on linear edges, 1/6, 1/6, 4/6 on quadratic [N]."""
         force = three_numbers("force", "N", self.force)
         nodes = meshes.node_indices(mesh, self.where, "an edge force")
-        edges = _boundary_edges(mesh)
+        faces = meshes.boundary_faces(mesh)
+        sides = [(0, 1, 3), (1, 2, 4), (2, 0, 5)]  # two ends, then the mid node if any
+        n_ln = 2 if faces.shape[1] == 3 else 3
+        edges = np.concatenate([faces[:, side[:n_ln]] for side in sides])
+        edges[:, :2] = np.sort(edges[:, :2], axis=1)
+        edges = np.unique(edges, axis=0)
         edges = edges[np.all(np.isin(edges[:, :2], nodes), axis=1)]
         if len(edges) == 0:
             raise ValueError(
@@ -271,13 +276,3 @@ def _added(mesh: TetMesh, nodes, forces) -> Float[HostArray, "n_nodes 3"]:
     out = np.zeros_like(mesh.points)
     np.add.at(out, nodes, forces)
     return out
-
-
-def _boundary_edges(mesh: TetMesh) -> Int[HostArray, "n_edges n_ln"]:
-    """List edges of the boundary faces once: two ends, then the mid node if any."""
-    faces = meshes.boundary_faces(mesh)
-    sides = [(0, 1, 3), (1, 2, 4), (2, 0, 5)]
-    n_ln = 2 if faces.shape[1] == 3 else 3
-    edges = np.concatenate([faces[:, side[:n_ln]] for side in sides])
-    edges[:, :2] = np.sort(edges[:, :2], axis=1)
-    return np.unique(edges, axis=0)

@@ -76,19 +76,12 @@ def build_mechanism(
     points = np.concatenate([mesh.points, stacked.frame_points])
     index_of = {name: k for k, name in enumerate(stacked.names)}
     arrays = actuator_arrays(mesh, points, actuators, index_of, at_rest=at_rest)
-    _check_motors(stacked, arrays)
-    # Not jnp.zeros, which would compile a program for every number.
-    zeros = jax.device_put(np.zeros(len(arrays.names)))
-    return Mechanism(points, stacked, arrays, zeros)
-
-
-def _check_motors(bodies: BodyArrays, actuators: ActuatorArrays) -> None:
-    """Raise unless each motor turns a free body of its own, mounted without a turn."""
+    # Each motor turns a free body of its own, mounted without a turn.
     turned: dict[int, str] = {}
-    for name, body in zip(actuators.names, actuators.motor_body, strict=True):
+    for name, body in zip(arrays.names, arrays.motor_body, strict=True):
         if body < 0:
             continue
-        driven, root = bodies.names[body], bodies.names[bodies.owner[body]]
+        driven, root = stacked.names[body], stacked.names[stacked.owner[body]]
         what = f"motor {name!r} turns {driven!r}"
         if driven != root:
             raise ValueError(
@@ -96,12 +89,15 @@ def _check_motors(bodies: BodyArrays, actuators: ActuatorArrays) -> None:
             )
         if body in turned:
             raise ValueError(f"{what}, and so does motor {turned[body]!r}.")
-        if np.any(np.asarray(bodies.mounting_rotation)[body] != 0.0):
+        if np.any(np.asarray(stacked.mounting_rotation)[body] != 0.0):
             raise ValueError(
                 f"{what}, whose mounting turns it already: give that rotation to the "
                 "axes of the body, or to the angle."
             )
         turned[body] = name
+    # Not jnp.zeros, which would compile a program for every number.
+    zeros = jax.device_put(np.zeros(len(arrays.names)))
+    return Mechanism(points, stacked, arrays, zeros)
 
 
 class ImposedForce(Module):

@@ -79,7 +79,18 @@ def load_project(
     with in_file(path):
         project = _built(path, table, changes, solve=solve)
     if changes is None:  # a sweep would repeat it for each of its changes
-        _warn(project)
+        posed = {f"configurations.{c.name}": c for c in project.configurations}
+        posed |= {f"candidates.{c.name}": c for c in project.candidates}
+        lines = [*implausible(project.model, posed)]
+        guesses = len(guesses_left(path))
+        if guesses:
+            lines.append(
+                f"{guesses} line{'s hold' if guesses > 1 else ' holds'} a guess that "
+                "nobody has confirmed, of `softcal new`: what is found with them means "
+                f'little. They have a remark "{CHANGE}..."; `softcal check` lists them.'
+            )
+        for line in lines:
+            warnings.warn(f"{path}: {line}", ProjectWarning, stacklevel=2)
     return project
 
 
@@ -94,22 +105,6 @@ def load_mesh(path: str | os.PathLike[str]) -> TetMesh:
     table = read_schema(path, MeshTables, "project file")
     with in_file(path):
         return _mesh(path.parent, table)
-
-
-def _warn(project: Project) -> None:
-    """Warn of guesses, and of numbers that are probably a slip of a unit."""
-    posed = {f"configurations.{c.name}": c for c in project.configurations}
-    posed |= {f"candidates.{c.name}": c for c in project.candidates}
-    lines = [*implausible(project.model, posed)]
-    guesses = len(guesses_left(project.path))
-    if guesses:
-        lines.append(
-            f"{guesses} line{'s hold' if guesses > 1 else ' holds'} a guess that "
-            "nobody has confirmed, of `softcal new`: what is found with them means "
-            f'little. They have a remark "{CHANGE}..."; `softcal check` lists them.'
-        )
-    for line in lines:
-        warnings.warn(f"{project.path}: {line}", ProjectWarning, stacklevel=3)
 
 
 def _built(

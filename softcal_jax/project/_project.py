@@ -281,8 +281,15 @@ class Project(Module):
         with in_file(self.path), under("configurations"):
             check_references(posed, lanes.effectors)
         if values is not None:
-            z = self._scaled(values)
-            assert self.space is not None  # `_scaled` has seen to it
+            if self.space is None:
+                raise ProjectError(f"{self.path}: {_NO_PARAMETERS}")
+            missing = [name for name in self.space.names if name not in values]
+            if missing:
+                raise ProjectError(
+                    f"{self.path}: parameters: there is no value of {listed(missing)}, "
+                    f"only of {listed([*values])}; leave it out to keep its start."
+                )
+            z = self.space.to_scaled(jnp.array([values[n] for n in self.space.names]))
             model, arrays = CalibrationProblem(model, self.space, lanes.arrays).at(z)
             lanes = lanes._replace(arrays=arrays)
         report = reports_of(progress, [c.name for c in posed])
@@ -291,19 +298,6 @@ class Project(Module):
                 workers, model, lanes.arrays, self.newton, report=report
             )
         return simulation_result(model, posed, solved, lanes), solved
-
-    def _scaled(self, values: Mapping[str, float]) -> Float[Array, " n_p"]:
-        """Return scaled values of all parameters."""
-        if self.space is None:
-            raise ProjectError(f"{self.path}: {_NO_PARAMETERS}")
-        missing = [name for name in self.space.names if name not in values]
-        if missing:
-            raise ProjectError(
-                f"{self.path}: parameters: there is no value of {listed(missing)}, "
-                f"only of {listed([*values])}; leave it out to keep its start."
-            )
-        new = [values[name] for name in self.space.names]
-        return self.space.to_scaled(jnp.asarray(new))
 
 
 def compare_projects(
