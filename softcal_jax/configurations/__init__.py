@@ -65,7 +65,6 @@ from softcal_jax.configurations._recording_file import (
     is_recording as is_recording,
     read_c3d as read_c3d,
     read_recording as read_recording,
-    read_wide_table as read_wide_table,
 )
 from softcal_jax.configurations._tracker import (
     PoseTable as PoseTable,

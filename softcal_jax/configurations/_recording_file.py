@@ -26,29 +26,6 @@ from softcal_jax.configurations._recording import Recording
 C3D = ".c3d"
 
 
-def read_recording(
-    path: str | os.PathLike[str],
-    *,
-    length_unit: str | None = None,
-    delimiter: str | None = None,
-    decimal: str | None = None,
-) -> Recording:
-    """Read a recording: by `read_c3d` if it ends with .c3d, or by `read_wide_table`.
-
-    Options are for tables only.
-
-    Raises:
-        ValueError: As these functions, or if an option is given for a .c3d file.
-    """
-    dialect = {"length_unit": length_unit, "delimiter": delimiter, "decimal": decimal}
-    if Path(path).suffix.lower() != C3D:
-        return read_wide_table(path, **dialect)
-    for key, value in dialect.items():
-        if value is not None:
-            raise ValueError(f"{key} is for tables; leave it out for {path}.")
-    return read_c3d(path)
-
-
 def is_recording(path: Path) -> bool:
     """Whether a file is a recording over time; it may be any text."""
     if path.suffix.lower() == C3D:
@@ -142,29 +119,36 @@ class _Layout(NamedTuple):
     zero_is_gap: bool = False
 
 
-def read_wide_table(
+def read_recording(
     path: str | os.PathLike[str],
     *,
     length_unit: str | None = None,
     delimiter: str | None = None,
     decimal: str | None = None,
 ) -> Recording:
-    """Read a recording that Motive, Nexus or QTM exported as text.
+    """Read a recording: C3D, see `read_c3d`, or text of Motive, Nexus or QTM.
 
-    Labels and unit are those of the header, and blank cells are occlusions; in a file
-    of QTM, which may write zeros instead, so are markers at exactly (0, 0, 0). Of
-    Motive's columns only the measured ones, of type "Marker", are read, and not those
-    that it computes from rigid bodies.
+    Of text, labels and unit are those of the header, and blank cells are occlusions; in
+    a file of QTM, which may write zeros instead, so are markers at exactly (0, 0, 0).
+    Of Motive's columns only the measured ones, of type "Marker", are read, and not
+    those that it computes from rigid bodies.
 
-    The `length_unit` is for a file that states none, like those of QTM (which are in
-    mm); `delimiter` and `decimal` are as for `read_markers`.
+    Options are for text only. The `length_unit` is for a file that states none, like
+    those of QTM (which are in mm); `delimiter` and `decimal` are as for `read_markers`.
 
     Raises:
         FileNotFoundError: If there is no such file.
-        ValueError: If it is none of these tables, holds no frames or no markers, or one
-            label twice, states no known unit of length, or a cell is not a number.
+        ValueError: As `read_c3d`, or if an option is given for a .c3d file; or if it is
+            none of these tables, holds no frames or no markers, or one label twice,
+            states no known unit of length, or a cell is not a number.
     """
     path = Path(path)
+    if path.suffix.lower() == C3D:
+        options = {"length_unit": length_unit, "delimiter": delimiter}
+        for key, value in {**options, "decimal": decimal}.items():
+            if value is not None:
+                raise ValueError(f"{key} is for tables; leave it out for {path}.")
+        return read_c3d(path)
     csv_table.check_dialect(delimiter, decimal)
     rows, delimiter = _rows_of(path, delimiter)
     if rows and "marker" in rows[0][1]:
