@@ -187,9 +187,8 @@ def configuration_lanes(
     named = {"springs": (*springs,), "loads": (*loads,) or (UNNAMED_LOADS,)}
     rows = [_effector_rows(mesh, c, mechanism) for c in configurations]
     lanes, records = [], []
-    for c, of_c, (effectors, indices) in zip(
-        configurations, rows, stack_effectors(rows), strict=True
-    ):
+    every = zip(configurations, rows, stack_effectors(rows), strict=True)
+    for c, of_c, (effectors, indices) in every:
         lanes.append(_lane(mesh, mechanism, c, effectors, **named))
         numbered = zip(of_c, indices, strict=True)
         described = (effector_record(*both, mechanism.points) for both in numbered)

@@ -141,17 +141,8 @@ def lines_of_both(
         now = readable_estimate(fitted.value, nan, fitted.unit)
         bound = " (on a bound: widen it, and calibrate again)" * fitted.at_bound
         lines.append(f"{fitted.name}: {before} calibrated, {now} for {program}{bound}")
-    return [*lines, "", *_table(calibrated, refitted, program)]
-
-
-def _table(
-    calibrated: LoadedResult, refitted: CalibrationResult, program: str
-) -> Sequence[str]:
-    """Tabulate what the models predict of each configuration, as rms of distances.
-
-    Columns: how far the points move, then the errors of the calibrated model, of the
-    program's model with the same values, and of the program's model calibrated itself.
-    """
+    # How far points move, then errors of three models: the calibrated one, that of the
+    # program with the same values, and that of the program calibrated itself.
     mm = lambda value: f"{1e3 * value:.3g} mm" if isfinite(value) else "-"
     rows = []
     for c in refitted.configurations:
@@ -160,7 +151,7 @@ def _table(
     models = "calibrated model", f"{program}, same values", f"{program}, own values"
     title = "Distances of points from where they were measured, rms:"
     table = text_table(title, ("configuration", "role", "moved", *models), rows)
-    return [title, *table.lines()]
+    return [*lines, "", title, *table.lines()]
 
 
 def vertex_masses(model: Model) -> Float[HostArray, " n_nodes"]:

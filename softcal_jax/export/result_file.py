@@ -8,17 +8,8 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from softcal_jax.calibration import (
-    CalibrationResult,
-    ConfigurationResult,
-    CorrelatedNoise,
-    HistoryEntry,
-    LeftOut,
-    MultiStartResult,
-    ParameterEstimate,
-    ParameterInterval,
-    ResidualChecks,
-)
+from softcal_jax import calibration
+from softcal_jax.calibration import CorrelatedNoise, LeftOut
 from softcal_jax.configurations import EffectorRecord
 from softcal_jax.equilibrium import ActuatorState, BodyPlace, Reaction, RobotState
 from softcal_jax.export._made import pick, plain
@@ -73,7 +64,7 @@ _EFFECTORS = Keys(
     EffectorRecord, "name unit is_turn measured simulated_before simulated residual"
 )
 _HISTORY = Keys(
-    HistoryEntry,
+    calibration.HistoryEntry,
     "step cost lambda_p step_bound accepted kkt_residual newton_steps values "
     "noise_level seconds rms_mm",
 )
@@ -82,7 +73,7 @@ _UNCERTAINTY = Keys(
     "noise noise_scale degrees_of_freedom chi_squared covariance correlation",
 )
 _STARTS = Keys(
-    MultiStartResult,
+    calibration.MultiStartResult,
     "names starts values cost steps converged optima second_best missed",
 )
 
@@ -125,7 +116,7 @@ class SourceEntry(Entry):
 class ParameterEntry(Entry):
     """A calibrated parameter, in SI units."""
 
-    of = ParameterEstimate
+    of = calibration.ParameterEstimate
     name: str
     value: float
     standard_error: Plain = None
@@ -152,7 +143,7 @@ class RobotEntry(Entry):
 class ConfigurationEntry(Entry):
     """A configuration, before and after the calibration."""
 
-    of = ConfigurationResult
+    of = calibration.ConfigurationResult
     name: str
     role: Plain = None
     rms_before_mm: Millimetres = Field(default=None, validation_alias="rms_before")
@@ -189,7 +180,7 @@ class BudgetEntry(Entry):
 class ChecksEntry(Entry):
     """What the residuals say about the model."""
 
-    of = ResidualChecks
+    of = calibration.ResidualChecks
     reasons: Plain = None
     agreement: Plain = None
     lack_of_fit: Annotated[Any, Keys(LackOfFit)] = None
@@ -214,13 +205,13 @@ class AssessmentEntry(Entry):
 class ResultFile(Entry):
     """The content of `result.json`."""
 
-    of = CalibrationResult
+    of = calibration.CalibrationResult
     format: str
     name: Plain = None
     converged: bool
     source: SourceEntry | None
     parameters: list[ParameterEntry]
-    intervals: Annotated[Any, Keys(ParameterInterval)] = None
+    intervals: Annotated[Any, Keys(calibration.ParameterInterval)] = None
     configurations: list[ConfigurationEntry]
     history: Annotated[Any, _HISTORY] = None
     solver: dict[str, str | int | None]

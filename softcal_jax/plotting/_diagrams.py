@@ -35,7 +35,11 @@ def plot_traces(traces: Traces, path: str | Path, *, name: str = "recording") ->
     """
     from matplotlib.figure import Figure
 
-    recording, windows = traces.recording, _windows(traces)
+    recording = traces.recording
+    # All that a window is used for is its label.
+    windows: dict[tuple[float, float], str] = {}
+    for what, times in traces.windows.items():
+        windows[times] = f"{windows[times]}, {what}" if times in windows else what
     shape = (1 + len(windows), 1)
     figure = Figure((12.0, 1.2 + 3.2 * shape[0]), dpi=DPI, layout="constrained")
     panels = figure.subplots(*shape, squeeze=False)[:, 0]
@@ -71,14 +75,6 @@ def plot_traces(traces: Traces, path: str | Path, *, name: str = "recording") ->
     style = {"fontsize": 19, "weight": "bold", "color": TEXT, "parse_math": False}
     figure.suptitle(title, **style)
     save(figure, path)
-
-
-def _windows(traces: Traces) -> dict[tuple[float, float], str]:
-    """Return the windows by their times, each labelled with all that it is used for."""
-    labels: dict[tuple[float, float], str] = {}
-    for what, times in traces.windows.items():
-        labels[times] = f"{labels[times]}, {what}" if times in labels else what
-    return labels
 
 
 def _draw_distances(

@@ -241,9 +241,8 @@ def draw_setup(
         _draw_support(axes, view, support, mesh, x)
     placed = [load_place(load, mesh, x) for load in configuration.loads]
     sizes = [float(np.linalg.norm(force)) for _, force in placed]
-    for load, (place, force), size in zip(
-        configuration.loads, placed, sizes, strict=True
-    ):
+    every = zip(configuration.loads, placed, sizes, strict=True)
+    for load, (place, force), size in every:
         if size > 0.0:
             share = _SHORTEST + (_LONGEST - _SHORTEST) * size / max(sizes)
             text = readable_values([size], "N", digits=3)

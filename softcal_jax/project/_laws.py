@@ -172,16 +172,12 @@ def material_table(raw: Any) -> type[Material]:
     choice = "" if part is None else str(named.get(part.key, part.default))
     if part is not None and choice not in part.known:
         raise wrong_choice(part.key, named, part.known)
-    return _table(law, choice, _is_aimed(named))
-
-
-def _is_aimed(named: dict[str, Any]) -> bool:
-    """Return whether fibres have directions, and no helix, which needs `theta`."""
+    # Whether fibres have directions, and no helix, which needs `theta`.
     regions = named.get("regions")
     tables = [named, *(regions.values() if isinstance(regions, dict) else ())]
     given = [table.get(_FRAME) for table in tables if isinstance(table, dict)]
     kinds = [frame.get("type") for frame in given if isinstance(frame, dict)]
-    return bool(kinds) and "helix" not in kinds
+    return _table(law, choice, bool(kinds) and "helix" not in kinds)
 
 
 @functools.cache

@@ -48,13 +48,9 @@ class MeshFileTable(_MeshTable):
     parts: Literal["one", "linked"] = "one"
 
     def build(self, folder: Path) -> TetMesh:
-        return meshes.read_mesh(
-            folder / self.file,
-            length_unit=self.length_unit,
-            order=self.order,
-            unused=self.unused_nodes,
-            parts=self.parts,
-        )
+        options = self.model_dump(include={"length_unit", "parts"})
+        options |= {"order": self.order, "unused": self.unused_nodes}
+        return meshes.read_mesh(folder / self.file, **options)
 
     def files(self, folder: Path) -> tuple[Path, ...]:
         return meshes.mesh_files(folder / self.file)

@@ -8,23 +8,11 @@ from typing import Literal
 
 import jax.numpy as jnp
 
-from softcal_jax import identifiability
+from softcal_jax import calibration as calibrations, identifiability
 from softcal_jax._module import Module
 from softcal_jax._names import listed
 from softcal_jax._typing import Array, Float
-from softcal_jax.calibration import (
-    CalibrationProblem,
-    CalibrationResult,
-    CalibrationSettings,
-    HistoryEntry,
-    ProjectSource,
-    SearchProgress,
-    SimulationResult,
-    build_problem,
-    calibrate,
-    check_references,
-    simulation_result,
-)
+from softcal_jax.calibration import CalibrationResult, HistoryEntry, ProjectSource
 from softcal_jax.configurations import (
     Configuration,
     Registration,
@@ -86,7 +74,7 @@ class Project(Module):
     intervals: float | None
     precision: float
     uncertain: Uncertain
-    settings: CalibrationSettings
+    settings: calibrations.CalibrationSettings
     newton: NewtonSettings
     registrations: dict[str, Registration]
     traces: dict[str, Traces]
@@ -136,7 +124,7 @@ class Project(Module):
         start: Float[Array, " n_p"] | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
         progress: Callable[[HistoryEntry], None] | None = None,
-        search_progress: Callable[[SearchProgress], None] | None = None,
+        search_progress: Callable[[calibrations.SearchProgress], None] | None = None,
         equilibrium_progress: Callable[[EquilibriumProgress], None] | None = None,
         quick: bool = False,
         answer: Callable[[CalibrationResult], None] | None = None,
@@ -157,7 +145,7 @@ class Project(Module):
         """
         self.check_calibration()
         assert self.space is not None
-        result = calibrate(
+        result = calibrations.calibrate(
             self.model,
             self.space,
             self.calibration,
@@ -263,7 +251,7 @@ class Project(Module):
         values: Mapping[str, float] | None = None,
         *,
         progress: Callable[[EquilibriumProgress], None] = lambda _: None,
-    ) -> tuple[SimulationResult, EquilibriumSolution]:
+    ) -> tuple[calibrations.SimulationResult, EquilibriumSolution]:
         """Solve the equilibria of all `configurations`, and compare what was measured.
 
         Args:
@@ -279,7 +267,7 @@ class Project(Module):
         posed, model = self.configurations, self.model
         lanes = configuration_lanes(model.mesh, posed, model.mechanism)
         with in_file(self.path), under("configurations"):
-            check_references(posed, lanes.effectors)
+            calibrations.check_references(posed, lanes.effectors)
         if values is not None:
             if self.space is None:
                 raise ProjectError(f"{self.path}: {_NO_PARAMETERS}")
@@ -290,14 +278,15 @@ class Project(Module):
                     f"only of {listed([*values])}; leave it out to keep its start."
                 )
             z = self.space.to_scaled(jnp.array([values[n] for n in self.space.names]))
-            model, arrays = CalibrationProblem(model, self.space, lanes.arrays).at(z)
+            fitted = calibrations.CalibrationProblem(model, self.space, lanes.arrays)
+            model, arrays = fitted.at(z)
             lanes = lanes._replace(arrays=arrays)
         report = reports_of(progress, [c.name for c in posed])
         with Workers(model, len(posed)) as workers:
             solved = equilibria(
                 workers, model, lanes.arrays, self.newton, report=report
             )
-        return simulation_result(model, posed, solved, lanes), solved
+        return calibrations.simulation_result(model, posed, solved, lanes), solved
 
 
 def compare_projects(
@@ -335,7 +324,7 @@ def compare_projects(
         assert project.space is not None  # `check_calibration` has seen to it
         posed = {c.name: c for c in project.calibration}
         with in_file(project.path), under("configurations"):
-            problems[name] = build_problem(
+            problems[name] = calibrations.build_problem(
                 project.model,
                 project.space,
                 [posed[key] for key in names],

@@ -118,9 +118,8 @@ def _anisotropic(elasticity: materials.AbstractElasticity) -> list[HostArray]:
     """
     order = [0, 1, 2, 5, 4, 3]  # in Voigt's order, that of the entries
     by_rows = [(a, b) for a in range(6) for b in range(a, 6)]
-    entries = dict(
-        zip(by_rows, materials.TabulatedElasticity.of(elasticity).entries, strict=True)
-    )
+    table = materials.TabulatedElasticity.of(elasticity)
+    entries = dict(zip(by_rows, table.entries, strict=True))
     pairs = (sorted((order[i], order[j])) for j in range(6) for i in range(j + 1))
     return [np.asarray(entries[a, b]) for a, b in pairs]
 

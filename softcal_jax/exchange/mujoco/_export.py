@@ -101,14 +101,13 @@ def export_mujoco(
     stems = ["robot"] * len(poses) if alike else file_stems([p.name for p in poses])
     files = {pose.name: f"{stem}.xml" for pose, stem in zip(poses, stems, strict=True)}
     with results_folder(folder, force=force) as partial:
-        for file in set(files.values()):
+        written = sorted({*files.values()})
+        for file in written:
             within = [pose for pose in poses if files[pose.name] == file]
             text = mjcf(project.name, refitted.model, within, lines)
             (partial / file).write_text(text, encoding="utf-8")
         index = {"format": "softcal_jax.mujoco/1", "configurations": files}
-        write_json(
-            partial / "robot.json", {**index, "files": sorted(set(files.values()))}
-        )
+        write_json(partial / "robot.json", {**index, "files": written})
     return MujocoExport(files, refitted, tuple(lines))
 
 

@@ -173,10 +173,8 @@ def _add_cable(
 ) -> list[Float[HostArray, "n_nodes 3"]]:
     """Add a cable; return the displacements of guides that are no nodes, as sums."""
     cable, sums = model.mechanism.actuators.names[owner], []
-    world, path = (
-        root.find("worldbody"),
-        _add(root.find("tendon"), "spatial", name=cable),
-    )
+    world = root.find("worldbody")
+    path = _add(root.find("tendon"), "spatial", name=cable)
     assert world is not None
     mass = GUIDE_MASS * model.mass / model.mesh.n_nodes
     size = np.cbrt(model.node_volumes.sum() / model.n_tets)
