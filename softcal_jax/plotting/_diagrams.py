@@ -2,17 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import Traces
-from softcal_jax.plotting._figure import BAD, DPI, FAINT, SERIES, TEXT, save
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from softcal_jax.plotting._figure import BAD, DPI, FAINT, SERIES, TEXT, Axes, save
 
 _WINDOWS = ("#f2c14e", "#7fb7be", "#c9a0dc")
 """Colours of the windows, light enough for the lines above them."""
@@ -78,7 +75,7 @@ def plot_traces(traces: Traces, path: str | Path, *, name: str = "recording") ->
 
 
 def _draw_distances(
-    axes: "Axes", traces: Traces, origin: Float[HostArray, "n 3"]
+    axes: Axes, traces: Traces, origin: Float[HostArray, "n 3"]
 ) -> list[int]:
     """Draw the distance of each marker from an origin; return the markers' columns."""
     recording, names = traces.recording, traces.names
@@ -148,7 +145,7 @@ def plot_trials(
 
 
 def _draw_trials(
-    axes: "Axes", where: Sequence[Any], values: Float[HostArray, " n"]
+    axes: Axes, where: Sequence[Any], values: Float[HostArray, " n"]
 ) -> None:
     _draw_grid(axes, 12)
     dots = {"ls": "none", "marker": "o", "color": SERIES[0], "alpha": 0.55, "ms": 7}
@@ -175,7 +172,7 @@ def _draw_trials(
     axes.set_xlim(-0.6, len(groups) - 0.4)
 
 
-def _draw_grid(axes: "Axes", size: float) -> None:
+def _draw_grid(axes: Axes, size: float) -> None:
     axes.grid(True, color="#dddddd", lw=0.8)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=size)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -16,14 +16,12 @@ from softcal_jax.plotting._figure import (
     OUTLINE,
     SERIES,
     TEXT,
+    Axes,
     add_view,
     pixel_figure,
     save,
 )
 from softcal_jax.plotting._view import View, VisibleFaces, choose_view, visible_faces
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _SIZE, _TOP, _BOTTOM = 900, 110, 120
 """Longer side of the body, and heights above and below it [pixels]."""
@@ -221,7 +219,7 @@ def middle_layer(mesh: TetMesh, normal: int) -> Int[HostArray, " n_layer"]:
 
 
 def _draw_layer(
-    axes: "Axes",
+    axes: Axes,
     corners: Float[HostArray, "n_layer 4 2"],
     theta: Float[HostArray, " n_layer"],
     colours,

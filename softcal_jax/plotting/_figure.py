@@ -13,26 +13,28 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.text import Text
+else:  # imported for a picture only, since that takes a while
+    Axes = Figure = Text = Any
 
 DPI = 100
 """Pixels per inch of figures and of the images within them."""
 
 
-def pixel_figure(width: float, height: float) -> "Figure":
+def pixel_figure(width: float, height: float) -> Figure:
     """Make a white figure of a size in pixels."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor="white")
 
 
-def add_axes(figure: "Figure", *box: float) -> "Axes":
+def add_axes(figure: Figure, *box: float) -> Axes:
     """Add axes in a box of pixels: its left, bottom, width and height."""
     x, y = DPI * figure.get_size_inches()
     left, bottom, width, height = box
     return figure.add_axes((left / x, bottom / y, width / x, height / y))
 
 
-def add_view(figure: "Figure", *box: float, scale: float) -> "Axes":
+def add_view(figure: Figure, *box: float, scale: float) -> Axes:
     """Add axes in metres around the centre of a view; the scale is in pixels per m."""
     axes = add_axes(figure, *box)
     w, h = 0.5 * box[2] / scale, 0.5 * box[3] / scale
@@ -41,7 +43,7 @@ def add_view(figure: "Figure", *box: float, scale: float) -> "Axes":
     return axes
 
 
-def save(figure: "Figure", path: str | Path, software: str = "softcal_jax") -> None:
+def save(figure: Figure, path: str | Path, software: str = "softcal_jax") -> None:
     """Write a figure as PNG or SVG, according to the ending of the file's name.
 
     The same figure gives the same file: without a date, and with the same ids. The file
@@ -139,14 +141,14 @@ def halo(width: float):
     return [patheffects.withStroke(linewidth=width, foreground="white")]
 
 
-def draw_name(axes: "Axes", text: str, place, offset, **style) -> None:
+def draw_name(axes: Axes, text: str, place, offset, **style) -> None:
     """Write a name beside a place, at an offset in points."""
     style = {"fontsize": 15, "color": TEXT, "path_effects": halo(4.0), **style}
     where = {"xytext": offset, "textcoords": "offset points"}
     axes.annotate(text, place, **where, **style, parse_math=False)
 
 
-def separate_names(axes: "Axes") -> None:
+def separate_names(axes: Axes) -> None:
     """Move names up or down until none covers another, and into the axes."""
     frame, placed = axes.get_window_extent(), []
     points = 72.0 / axes.figure.dpi
@@ -168,7 +170,7 @@ def separate_names(axes: "Axes") -> None:
 
 
 def draw_markers(
-    axes: "Axes",
+    axes: Axes,
     measured: Float[HostArray, "n_measured 2"],
     simulated: Float[HostArray, "n_simulated 2"],
     names: Sequence[str],
@@ -188,7 +190,7 @@ def draw_markers(
             draw_name(axes, name, place, (13, 10))
 
 
-def draw_title(axes: "Axes", title: str, subtitle: str, warning: str) -> None:
+def draw_title(axes: Axes, title: str, subtitle: str, warning: str) -> None:
     """Draw a title and a line below it, and a warning as a band above."""
     width, height = axes.get_window_extent().size
     axes.set(xlim=(0, width), ylim=(height, 0))
@@ -202,13 +204,13 @@ def draw_title(axes: "Axes", title: str, subtitle: str, warning: str) -> None:
     _line(axes, top + 90, subtitle, 18, color=TEXT)
 
 
-def _line(axes: "Axes", y: float, text: str, size: float, **style):
+def _line(axes: Axes, y: float, text: str, size: float, **style):
     """Draw one line of text, as large as given or as fits the width."""
     style = {"fontsize": size, "va": "center", "parse_math": False, **style}
     shrink(axes.text(24, y, text, **style), axes.get_xlim()[1] - 48)
 
 
-def shrink(text: "Text", room: float) -> None:
+def shrink(text: Text, room: float) -> None:
     """Make a text smaller until it fits a width [pixels]."""
     size = float(text.get_fontsize())
     # Step by step: hinting rounds letters, so width is not linear in size.
@@ -217,7 +219,7 @@ def shrink(text: "Text", room: float) -> None:
         text.set_fontsize(size)
 
 
-def draw_colour_scale(axes: "Axes", largest_mm: float) -> None:
+def draw_colour_scale(axes: Axes, largest_mm: float) -> None:
     """Draw the colour scale of the body's displacement."""
     import matplotlib
     from matplotlib.cm import ScalarMappable
@@ -233,7 +235,7 @@ def draw_colour_scale(axes: "Axes", largest_mm: float) -> None:
     bar.ax.set_title(f"max {largest_mm:.3g}", fontsize=15, color=TEXT, pad=10)
 
 
-def draw_triad(axes: "Axes", view: View) -> None:
+def draw_triad(axes: Axes, view: View) -> None:
     """Draw the directions of the axes x, y, z."""
     tips = np.stack([view.right, view.up], axis=1)
     low, high = np.minimum(tips.min(axis=0), 0.0), np.maximum(tips.max(axis=0), 0.0)
@@ -251,7 +253,7 @@ def draw_triad(axes: "Axes", view: View) -> None:
         axes.text(away[0], away[1], "xyz"[i], ha="center", va="center", **style)
 
 
-def draw_length_scale(axes: "Axes", width: float) -> None:
+def draw_length_scale(axes: Axes, width: float) -> None:
     """Draw a bar of a round length; `width` is that of the axes [m]."""
     axes.set(xlim=(0, width), ylim=(0, 1))
     axes.set_axis_off()
@@ -266,7 +268,7 @@ def draw_length_scale(axes: "Axes", width: float) -> None:
 
 
 def draw_legend(
-    figure: "Figure", drawn: Container[str], height: float, labels: Mapping[str, str]
+    figure: Figure, drawn: Container[str], height: float, labels: Mapping[str, str]
 ) -> None:
     """Explain the drawn `SYMBOLS`, at a height [-]; `labels` replace some names."""
     from matplotlib.lines import Line2D
@@ -282,7 +284,7 @@ def draw_legend(
 
 
 def draw_frame(
-    figure: "Figure",
+    figure: Figure,
     view: View,
     *,
     scale: float,

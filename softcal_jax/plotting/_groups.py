@@ -3,14 +3,14 @@
 import colorsys
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.mesh import CAD_FACE, TetMesh, boundary_faces
 from softcal_jax.plotting import _figure as figures
-from softcal_jax.plotting._figure import SERIES, add_view, pixel_figure, save
+from softcal_jax.plotting._figure import SERIES, Axes, add_view, pixel_figure, save
 from softcal_jax.plotting._view import (
     View,
     VisibleFaces,
@@ -18,9 +18,6 @@ from softcal_jax.plotting._view import (
     draw_faces,
     visible_faces,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 Colour = tuple[float, float, float]
 
@@ -203,7 +200,7 @@ def _keys(mesh: TetMesh, faces: Int[HostArray, "n _"]) -> Int[HostArray, " n"]:
 
 
 def _draw_nodes(
-    axes: "Axes",
+    axes: Axes,
     view: View,
     mesh: TetMesh,
     drawn: Bool[HostArray, " n_tets"],

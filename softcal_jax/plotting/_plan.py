@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from softcal_jax.plotting._figure import (
     RIGID,
     SYMBOLS,
     TEXT,
+    Axes,
     add_view,
     pixel_figure,
     save,
@@ -38,9 +38,6 @@ from softcal_jax.plotting._view import (
     fit_body,
     visible_faces,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 MOST_PANELS = 6
 """Most configurations that are drawn; `softcal check` says how many are left out."""
@@ -164,7 +161,7 @@ def _at_rest(model: Model, c: Configuration) -> RobotState:
 
 
 def _draw_configuration(
-    axes: "Axes",
+    axes: Axes,
     view: View,
     model: Model,
     c: Configuration,
@@ -198,7 +195,7 @@ def _draw_configuration(
     return drawn
 
 
-def _draw_bodies(axes: "Axes", view: View, model: Model, c: Configuration) -> None:
+def _draw_bodies(axes: Axes, view: View, model: Model, c: Configuration) -> None:
     """Draw the nodes of rigid bodies as a patch, with name and state."""
     from matplotlib.collections import PolyCollection
 
@@ -233,7 +230,7 @@ def _fibre_directions(model: Model) -> Float[HostArray, "n_tets 3"] | None:
 
 
 def _draw_fibres(
-    axes: "Axes", view: View, faces: VisibleFaces, fibres: Float[HostArray, "n_tets 3"]
+    axes: Axes, view: View, faces: VisibleFaces, fibres: Float[HostArray, "n_tets 3"]
 ) -> None:
     """Draw fibres of some of the tets whose outer face is seen."""
     from matplotlib.collections import LineCollection

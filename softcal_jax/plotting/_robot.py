@@ -1,7 +1,7 @@
 """Draw what acts on a body, and the sensors on it, over its picture."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -21,13 +21,11 @@ from softcal_jax.plotting._figure import (
     SUPPORT,
     SYMBOLS,
     WALL,
+    Axes,
     draw_name,
     halo,
 )
 from softcal_jax.plotting._view import View
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _FRAME, _AXIS, _ARROW = 0.05, 0.08, 0.1
 """Lengths of sensor axes, hinges and forces, relative to the width of the view."""
@@ -94,7 +92,7 @@ def robot_picture(model: Model, state: RobotState) -> RobotPicture:
     return RobotPicture(geometry, state, x)
 
 
-def draw_robot(axes: "Axes", view: View, picture: RobotPicture) -> None:
+def draw_robot(axes: Axes, view: View, picture: RobotPicture) -> None:
     """Draw the actuators, each with its name and force."""
     geometry, actuators = picture.geometry, picture.state.actuators
     for a, actuator in enumerate(actuators):
@@ -180,7 +178,7 @@ def pushes(actuator: ActuatorState) -> float:
     return float(np.sign(imposed or 1.0))
 
 
-def draw_sensors(axes: "Axes", view: View, frames: Sequence[SensorFrame]) -> list[str]:
+def draw_sensors(axes: Axes, view: View, frames: Sequence[SensorFrame]) -> list[str]:
     """Draw the axes of 6-D sensors; return what was drawn, for the legend."""
     for frame in frames:
         style = {**SYMBOLS["sensor's axes"], "solid_capstyle": "round"}
@@ -226,7 +224,7 @@ def load_points(
 
 
 def draw_setup(
-    axes: "Axes",
+    axes: Axes,
     view: View,
     configuration: Configuration,
     mesh: TetMesh,
@@ -268,7 +266,7 @@ def draw_setup(
 
 
 def _draw_support(
-    axes: "Axes",
+    axes: Axes,
     view: View,
     support: Support,
     mesh: TetMesh,
@@ -297,7 +295,7 @@ def _draw_support(
 
 
 def _draw_arrow(
-    axes: "Axes",
+    axes: Axes,
     view: View,
     place: Float[HostArray, "3"],
     along: Float[HostArray, "3"],
