@@ -208,13 +208,13 @@ class _Patch:
         self.levels = np.log(values) if self.is_log else values
         self.last = len(values) - 1.0  # the largest s
         self.ends, self.curves = [], []
+        moduli = np.stack([table.E_soft, table.E_stiff], axis=1)
         for value in values:
             samples = np.flatnonzero(table.anisotropy == value)
             samples = samples[np.argsort(table.density[samples])]
             x = np.log(table.density[samples])
-            moduli = np.stack([table.E_soft, table.E_stiff], axis=1)[samples]
             self.ends.append((x[0], x[-1]))
-            self.curves.append(PchipInterpolator(x, np.log(moduli)))
+            self.curves.append(PchipInterpolator(x, np.log(moduli[samples])))
 
     def at(self, t: Numbers, s: Numbers) -> Float[HostArray, "n 3"]:
         """Return ln density, ln E_soft and ln E_stiff."""
