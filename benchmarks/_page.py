@@ -49,7 +49,7 @@ def plot_page(content: Mapping[str, Any], path: Path) -> None:
     """
     from matplotlib.figure import Figure as Drawing
 
-    from softcal_jax.plotting._colours import TEXT
+    from softcal_jax.plotting._figure import TEXT
 
     head, panels = _head(content), _panels(content)
     heights = [1.0 + _ROW * len(panel.values) for panel in panels]
@@ -135,7 +135,7 @@ def _by_unit(kind: str, named: Mapping[str, Any], draw) -> list[_Panel]:
 
 def _draw_goals(axes: "Axes", goals: Mapping[str, tuple[float, Goal]]) -> None:
     """How far each figure is beyond its goal, or short of it, on a log axis."""
-    from softcal_jax.plotting._colours import BAD, FAINT, GOOD
+    from softcal_jax.plotting._figure import BAD, FAINT, GOOD
 
     axes.set_xscale("log")
     axes.set_xlim(0.8 / _FARTHEST, 4.0 * _FARTHEST)
@@ -177,7 +177,7 @@ def _number(axes: "Axes", at: tuple[float, float], text: str, colour: str) -> No
 
 def _draw_figures(axes: "Axes", figures: Mapping[str, float]) -> None:
     """A dot and a number per figure."""
-    from softcal_jax.plotting._colours import SERIES
+    from softcal_jax.plotting._figure import SERIES
 
     _scale(axes, list(figures.values()))
     for row, value in enumerate(figures.values()):
@@ -191,7 +191,7 @@ def _draw_figures(axes: "Axes", figures: Mapping[str, float]) -> None:
 
 def _draw_samples(axes: "Axes", samples: Mapping[str, Sequence[float]]) -> None:
     """Every repeat as a dot, and a line at the median."""
-    from softcal_jax.plotting._colours import SERIES, TEXT
+    from softcal_jax.plotting._figure import SERIES, TEXT
 
     _scale(axes, [value for values in samples.values() for value in values])
     for row, values in enumerate(samples.values()):
@@ -210,7 +210,7 @@ def _scale(axes: "Axes", values: Sequence[float]) -> None:
 
 
 def _finish(axes: "Axes", names: Sequence[str]) -> None:
-    from softcal_jax.plotting._colours import FAINT
+    from softcal_jax.plotting._figure import FAINT
 
     axes.set_yticks(range(len(names)), names, fontsize=9)
     axes.set_ylim(len(names) - 0.4, -0.6)

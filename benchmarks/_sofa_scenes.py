@@ -30,11 +30,11 @@ from softcal_jax.equilibrium import (
     build_model,
     solve_equilibrium,
 )
-from softcal_jax.exchange._recalibrated import vertex_masses
+from softcal_jax.exchange._formats import vertex_masses
 from softcal_jax.exchange.sofa import PluginElasticity
 from softcal_jax.exchange.sofa._component import SCALES, SofaRelease, component_of
 from softcal_jax.exchange.sofa._configurations import scene_configurations
-from softcal_jax.exchange.sofa._write import Scene, write_scene
+from softcal_jax.exchange.sofa._export import Scene, write_scene
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.materials import AbstractLaw, SofaCorotational, StVenantKirchhoff
 from softcal_jax.mesh import TetMesh, beam

@@ -327,7 +327,7 @@ def plot(levels: dict[float, Draws], names: list[str], path: Path) -> None:
     """Errors in units of their predicted standard errors, against the normal law."""
     from matplotlib.figure import Figure as Drawing
 
-    from softcal_jax.plotting._colours import SERIES, TEXT
+    from softcal_jax.plotting._figure import SERIES, TEXT
 
     drawing = Drawing(figsize=(14.0, 5.2), dpi=100, layout="constrained")
     panels = drawing.subplots(1, len(levels), sharey=True, squeeze=False)[0]

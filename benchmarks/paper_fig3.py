@@ -168,7 +168,7 @@ def plot(panels: Mapping[str, Mapping[int, Curve]], path: Path) -> None:
     """Draw one panel per kind of steps, over the same range of ||Delta_e||."""
     from matplotlib.figure import Figure as Drawing
 
-    from softcal_jax.plotting._colours import FAINT, SERIES
+    from softcal_jax.plotting._figure import FAINT, SERIES
 
     drawing = Drawing(figsize=(13.0, 5.6), dpi=100, layout="constrained")
     axes = drawing.subplots(1, len(panels), sharey=True, squeeze=False)[0]

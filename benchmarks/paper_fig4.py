@@ -213,7 +213,7 @@ def plot(rows: Mapping[str, Ends], path: Path) -> None:
     from matplotlib.figure import Figure as Drawing
     from matplotlib.lines import Line2D
 
-    from softcal_jax.plotting._colours import BAD, GOOD, TEXT
+    from softcal_jax.plotting._figure import BAD, GOOD, TEXT
 
     first = next(iter(rows.values()))
     names = first.result.names

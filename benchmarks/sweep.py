@@ -314,7 +314,7 @@ def plot(swept: Sequence[Swept], path: Path) -> None:
     """Rows against time."""
     from matplotlib.figure import Figure as Drawing
 
-    from softcal_jax.plotting._colours import SERIES
+    from softcal_jax.plotting._figure import SERIES
 
     drawing = Drawing(figsize=(9.0, 5.5), dpi=100, layout="constrained")
     axes = drawing.subplots()

@@ -13,8 +13,7 @@ import numpy as np
 
 import softcal_jax as sc
 from softcal_jax.identifiability import Identifiability
-from softcal_jax.plotting._colours import BAD, FAINT, GOOD, SERIES, TEXT
-from softcal_jax.plotting._save import DPI, save
+from softcal_jax.plotting._figure import BAD, DPI, FAINT, GOOD, SERIES, TEXT, save
 from softcal_jax.report._charts import budget_chart, course_charts
 from softcal_jax.report._html import fragment
 from softcal_jax.robots import silicone_beam_path

@@ -42,7 +42,7 @@ LAYERS = [
     {"project"},
     {"sweeps"},
     {"report"},
-    {"exchange._recalibrated", "exchange._refusals"},
+    {"exchange._formats"},
     {
         *("exchange.icesl", "exchange.inp", "exchange.mujoco"),
         *("exchange.proposal", "exchange.sofa"),

@@ -34,7 +34,7 @@ from softcal_jax.export import (
     write_robot_csv,
 )
 from softcal_jax.plotting import rendering_problem
-from softcal_jax.plotting._colours import CABLE, FORCE, MOTOR, WALL
+from softcal_jax.plotting._figure import CABLE, FORCE, MOTOR, WALL
 from softcal_jax.project import load_project
 from softcal_jax.report import summary_table
 from softcal_jax.report._charts import course_charts

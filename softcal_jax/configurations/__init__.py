@@ -5,6 +5,15 @@ from softcal_jax.configurations._arrays import (
     EffectorArrays as EffectorArrays,
     Observed as Observed,
 )
+from softcal_jax.configurations._boundary import (
+    AbstractLoad as AbstractLoad,
+    EdgeForce as EdgeForce,
+    NodalForces as NodalForces,
+    PointForce as PointForce,
+    Support as Support,
+    SurfaceForce as SurfaceForce,
+    SurfaceTraction as SurfaceTraction,
+)
 from softcal_jax.configurations._configuration import (
     STANDARD_GRAVITY as STANDARD_GRAVITY,
     Configuration as Configuration,
@@ -33,21 +42,14 @@ from softcal_jax.configurations._effectors import (
     Observation as Observation,
     SupportReaction as SupportReaction,
 )
-from softcal_jax.configurations._loads import (
-    AbstractLoad as AbstractLoad,
-    EdgeForce as EdgeForce,
-    NodalForces as NodalForces,
-    PointForce as PointForce,
-    SurfaceForce as SurfaceForce,
-    SurfaceTraction as SurfaceTraction,
-)
-from softcal_jax.configurations._marker_table import (
+from softcal_jax.configurations._markers import (
+    STD as STD,
+    Markers as Markers,
     MarkerTable as MarkerTable,
     Registration as Registration,
     read_markers as read_markers,
     register as register,
 )
-from softcal_jax.configurations._markers import STD as STD, Markers as Markers
 from softcal_jax.configurations._mechanism import (
     ImposedDisplacement as ImposedDisplacement,
     ImposedForce as ImposedForce,
@@ -64,7 +66,6 @@ from softcal_jax.configurations._recording_file import (
     read_c3d as read_c3d,
     read_recording as read_recording,
 )
-from softcal_jax.configurations._supports import Support as Support
 from softcal_jax.configurations._tracker import (
     PoseTable as PoseTable,
     TrackerWarning as TrackerWarning,
@@ -73,4 +74,3 @@ from softcal_jax.configurations._tracker import (
     read_polhemus as read_polhemus,
     read_poses as read_poses,
 )
-from softcal_jax.configurations._wide_table import read_wide_table as read_wide_table

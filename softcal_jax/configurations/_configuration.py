@@ -12,11 +12,19 @@ from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS, check_unique, name_key
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import KINDS, if_any, three_numbers
+from softcal_jax.configurations import _mechanism as mechanisms
 from softcal_jax.configurations._arrays import (
     ConfigurationArrays,
     DeadLoads,
     EffectorArrays,
     Springs,
+)
+from softcal_jax.configurations._boundary import (
+    AbstractLoad,
+    Support,
+    check_apart,
+    check_held,
+    motors_of,
 )
 from softcal_jax.configurations._effector import (
     AbstractEffector,
@@ -27,22 +35,8 @@ from softcal_jax.configurations._effector import (
     stack_effectors,
 )
 from softcal_jax.configurations._effectors import BodyFrame, Centroid
-from softcal_jax.configurations._loads import AbstractLoad
 from softcal_jax.configurations._markers import Markers, marker_rows
-from softcal_jax.configurations._mechanism import (
-    Actuation,
-    BodyStates,
-    Mechanism,
-    actuation_arrays,
-    body_state_arrays,
-    build_mechanism,
-)
-from softcal_jax.configurations._supports import (
-    Support,
-    check_apart,
-    check_held,
-    motors_of,
-)
+from softcal_jax.configurations._mechanism import Mechanism
 from softcal_jax.mesh import TetMesh
 
 STANDARD_GRAVITY = 9.80665
@@ -97,8 +91,8 @@ class Configuration(Module):
         converter=if_any, default=None
     )
     effectors: tuple[AbstractEffector, ...] = eqx.field(converter=tuple, default=())
-    bodies: BodyStates = eqx.field(default_factory=dict)
-    actuation: Actuation = eqx.field(default_factory=dict)
+    bodies: mechanisms.BodyStates = eqx.field(default_factory=dict)
+    actuation: mechanisms.Actuation = eqx.field(default_factory=dict)
     recording: str | None = None
     relative_std: float | Literal["estimated"] = 0.0
     displacement_from: str | None = None
@@ -176,7 +170,7 @@ def configuration_lanes(
     """
     if not configurations:
         raise ValueError("at least one configuration is needed, got none.")
-    mechanism = build_mechanism(mesh) if mechanism is None else mechanism
+    mechanism = mechanisms.build_mechanism(mesh) if mechanism is None else mechanism
     names = [c.name for c in configurations]
     check_unique("configuration", names)
     by_key: dict[int, str] = {}
@@ -187,30 +181,21 @@ def configuration_lanes(
                 "or recordings cannot be told apart: their CRC-32 is the same. Rename "
                 "one of them."
             )
-    springs, loads = _names_of(configurations)
+    supports = [support for c in configurations for support in c.supports]
+    springs = dict.fromkeys(s.name for s in supports if s.stiffness is not None)
+    loads = dict.fromkeys(load.name for c in configurations for load in c.loads)
+    named = {"springs": (*springs,), "loads": (*loads,) or (UNNAMED_LOADS,)}
     rows = [_effector_rows(mesh, c, mechanism) for c in configurations]
     lanes, records = [], []
-    for c, of_c, (effectors, indices) in zip(
-        configurations, rows, stack_effectors(rows), strict=True
-    ):
-        lane = _lane(mesh, mechanism, c, effectors, springs=springs, loads=loads)
-        lanes.append(lane)
+    every = zip(configurations, rows, stack_effectors(rows), strict=True)
+    for c, of_c, (effectors, indices) in every:
+        lanes.append(_lane(mesh, mechanism, c, effectors, **named))
         numbered = zip(of_c, indices, strict=True)
         described = (effector_record(*both, mechanism.points) for both in numbered)
         records.append(tuple(described))
     # Not jnp.asarray, which would compile a program for every shape.
     arrays = jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *lanes))
     return ConfigurationLanes(arrays, tuple(records))
-
-
-def _names_of(
-    configurations: Sequence[Configuration],
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """List the groups of all elastic supports, and the names of all loads."""
-    supports = [support for c in configurations for support in c.supports]
-    springs = dict.fromkeys(s.name for s in supports if s.stiffness is not None)
-    loads = dict.fromkeys(load.name for c in configurations for load in c.loads)
-    return tuple(springs), tuple(loads) or (UNNAMED_LOADS,)
 
 
 def _lane(
@@ -228,8 +213,8 @@ def _lane(
         rigid = support.stiffness is None
         support.apply(mesh, *((fixed, imposed) if rigid else (sprung, rest)))
     check_apart(mesh, mechanism, fixed | sprung, c.name)
-    bodies = body_state_arrays(mechanism, c.bodies, c.name)
-    actuation = actuation_arrays(mechanism, c.actuation, c.name)
+    bodies = mechanisms.body_state_arrays(mechanism, c.bodies, c.name)
+    actuation = mechanisms.actuation_arrays(mechanism, c.actuation, c.name)
     force = np.zeros((len(loads), len(mechanism.points), 3))
     for load in c.loads:
         force[loads.index(load.name), : mesh.n_nodes] += load.nodal_forces(mesh)

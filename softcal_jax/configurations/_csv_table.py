@@ -91,7 +91,7 @@ def read_table(
     if len(texts) < 2:
         raise ValueError(f"{key} file {path} holds no rows below a header.")
     check_dialect(delimiter, decimal)
-    delimiter = delimiter or delimiter_of([texts[0][1]])
+    delimiter = delimiter or delimiter_of(texts[0][1])
     lines = read_cells(path, texts, delimiter)
     header = lines[0][1]
     check_unique(f"{path}: its column", header)
@@ -123,8 +123,7 @@ def check_dialect(delimiter: str | None, decimal: str | None) -> None:
         raise ValueError("delimiter and decimal are both a comma; give another one.")
 
 
-def delimiter_of(texts: Iterable[str]) -> str:
-    text = "\n".join(texts)
+def delimiter_of(text: str) -> str:
     return max(_DELIMITERS, key=text.count)
 
 

@@ -49,12 +49,9 @@ def _angle(model, state, of: tuple[int, int, tuple[float, ...]]) -> Float[Array,
     return angle_about(R[body], R[other], np.array(axis))
 
 
-def _displacement(model, state, actuator: int) -> Float[Array, ""]:
-    return state.actuator_displacements[actuator]
-
-
-def _force(model, state, actuator: int) -> Float[Array, ""]:
-    return state.actuator_forces[actuator]
+def _of_actuator(model, state, of: tuple[str, int]) -> Float[Array, ""]:
+    what, actuator = of
+    return getattr(state, what)[actuator]
 
 
 class BodyFrame(AbstractEffector):
@@ -208,7 +205,8 @@ class ActuatorDisplacement(AbstractScalar):
                 "displacement; use ActuatorForce (in a project file type = "
                 '"actuator-force").'
             )
-        return self._row("scalar", kind.displacement_unit, _Reading(_displacement, a))
+        reading = _Reading(_of_actuator, ("actuator_displacements", a))
+        return self._row("scalar", kind.displacement_unit, reading)
 
 
 class ActuatorForce(AbstractScalar):
@@ -222,7 +220,7 @@ class ActuatorForce(AbstractScalar):
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
         a = _index_of(self.actuator, mechanism.actuators.names, "actuator", self.name)
         unit = mechanism.actuators.kinds[a].force_unit
-        return self._row("force", unit, _Reading(_force, a))
+        return self._row("force", unit, _Reading(_of_actuator, ("actuator_forces", a)))
 
 
 class Observation(AbstractEffector):

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import jax
 import numpy as np
 
+from softcal_jax import bodies as rigid
 from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray
@@ -13,15 +14,6 @@ from softcal_jax.actuators import (
     ActuatorArrays,
     actuator_arrays,
     actuator_displacements,
-)
-from softcal_jax.bodies import (
-    KINDS,
-    BodyArrays,
-    BodyState,
-    BodyStateArrays,
-    Pose,
-    RigidBody,
-    body_arrays,
 )
 from softcal_jax.configurations._arrays import ActuationArrays
 from softcal_jax.mesh import TetMesh
@@ -41,7 +33,7 @@ class Mechanism(Module):
     """
 
     points: Float[HostArray, "n_points 3"]
-    bodies: BodyArrays
+    bodies: rigid.BodyArrays
     actuators: ActuatorArrays
     motor_zero: Float[Array, " n_a"]
 
@@ -59,7 +51,7 @@ class Mechanism(Module):
 
 def build_mechanism(
     mesh: TetMesh,
-    bodies: Sequence[RigidBody] = (),
+    bodies: Sequence[rigid.RigidBody] = (),
     actuators: Sequence[AbstractActuator] = (),
     *,
     at_rest: bool = True,
@@ -72,23 +64,16 @@ def build_mechanism(
         ValueError: If a body or an actuator does not fit the mesh, or a motor turns a
             body that is tied to another or has a motor already.
     """
-    stacked = body_arrays(mesh, bodies)
+    stacked = rigid.body_arrays(mesh, bodies)
     points = np.concatenate([mesh.points, stacked.frame_points])
     index_of = {name: k for k, name in enumerate(stacked.names)}
     arrays = actuator_arrays(mesh, points, actuators, index_of, at_rest=at_rest)
-    _check_motors(stacked, arrays)
-    # Not jnp.zeros, which would compile a program for every number.
-    zeros = jax.device_put(np.zeros(len(arrays.names)))
-    return Mechanism(points, stacked, arrays, zeros)
-
-
-def _check_motors(bodies: BodyArrays, actuators: ActuatorArrays) -> None:
-    """Raise unless each motor turns a free body of its own, mounted without a turn."""
+    # Each motor turns a free body of its own, mounted without a turn.
     turned: dict[int, str] = {}
-    for name, body in zip(actuators.names, actuators.motor_body, strict=True):
+    for name, body in zip(arrays.names, arrays.motor_body, strict=True):
         if body < 0:
             continue
-        driven, root = bodies.names[body], bodies.names[bodies.owner[body]]
+        driven, root = stacked.names[body], stacked.names[stacked.owner[body]]
         what = f"motor {name!r} turns {driven!r}"
         if driven != root:
             raise ValueError(
@@ -96,12 +81,15 @@ def _check_motors(bodies: BodyArrays, actuators: ActuatorArrays) -> None:
             )
         if body in turned:
             raise ValueError(f"{what}, and so does motor {turned[body]!r}.")
-        if np.any(np.asarray(bodies.mounting_rotation)[body] != 0.0):
+        if np.any(np.asarray(stacked.mounting_rotation)[body] != 0.0):
             raise ValueError(
                 f"{what}, whose mounting turns it already: give that rotation to the "
                 "axes of the body, or to the angle."
             )
         turned[body] = name
+    # Not jnp.zeros, which would compile a program for every number.
+    zeros = jax.device_put(np.zeros(len(arrays.names)))
+    return Mechanism(points, stacked, arrays, zeros)
 
 
 class ImposedForce(Module):
@@ -130,7 +118,7 @@ class ImposedDisplacement(Module):
 
 
 Actuation = Mapping[str, ImposedForce | ImposedDisplacement]
-BodyStates = Mapping[str, BodyState | Pose | str]
+BodyStates = Mapping[str, rigid.BodyState | rigid.Pose | str]
 
 
 def actuation_arrays(
@@ -189,7 +177,7 @@ def actuation_arrays(
 
 def body_state_arrays(
     mechanism: Mechanism, states: BodyStates, configuration: str
-) -> BodyStateArrays:
+) -> rigid.BodyStateArrays:
     """Stack the states of the rigid bodies; those not named are free.
 
     A `Pose` holds the body there, and a text is the `kind` of a `BodyState`.
@@ -217,11 +205,11 @@ def body_state_arrays(
                 f"{what}: rigid body {name!r} is turned by motor {motor!r}; impose the "
                 "motor's angle or torque in `actuation` instead."
             )
-        if isinstance(given, Pose):
-            state = BodyState("held", given)
+        if isinstance(given, rigid.Pose):
+            state = rigid.BodyState("held", given)
         else:
-            state = BodyState(given) if isinstance(given, str) else given
-        kind[k] = KINDS.index(state.kind)
+            state = rigid.BodyState(given) if isinstance(given, str) else given
+        kind[k] = rigid.KINDS.index(state.kind)
         translation[k] = state.pose.translation
         rotation[k] = state.pose.rotation_vector
-    return BodyStateArrays(kind, translation, rotation)
+    return rigid.BodyStateArrays(kind, translation, rotation)

@@ -1,51 +1,37 @@
-"""Files of recordings: C3D, and the wide tables that motion capture exports."""
+"""Files of recordings: C3D, and the wide tables that motion capture exports.
 
+A wide table has a row for each frame and three columns for each marker. Motive
+(OptiTrack, format 1.2x), Vicon Nexus (section "Trajectories") and Qualisys Track
+Manager export them. They differ only in the lines above the numbers, which say what the
+columns are. Sources: docs.optitrack.com, "Data Export: CSV" (Motive 3);
+docs.qualisys.com, "Motion data (.tsv)" (QTM 2024); for Nexus files that it wrote.
+"""
+
+import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from softcal_jax._files import check_file
+from softcal_jax._names import METRES
 from softcal_jax._text import escaped
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.configurations import _csv_table as csv_table
+from softcal_jax.configurations._csv_table import NumberedCells
 from softcal_jax.configurations._recording import Recording
-from softcal_jax.configurations._wide_table import (
-    check_rate,
-    is_wide_table,
-    metres_of,
-    read_wide_table,
-)
 
 C3D = ".c3d"
 
 
-def read_recording(
-    path: str | os.PathLike[str],
-    *,
-    length_unit: str | None = None,
-    delimiter: str | None = None,
-    decimal: str | None = None,
-) -> Recording:
-    """Read a recording: by `read_c3d` if it ends with .c3d, or by `read_wide_table`.
-
-    Options are for tables only.
-
-    Raises:
-        ValueError: As these functions, or if an option is given for a .c3d file.
-    """
-    dialect = {"length_unit": length_unit, "delimiter": delimiter, "decimal": decimal}
-    if Path(path).suffix.lower() != C3D:
-        return read_wide_table(path, **dialect)
-    for key, value in dialect.items():
-        if value is not None:
-            raise ValueError(f"{key} is for tables; leave it out for {path}.")
-    return read_c3d(path)
-
-
 def is_recording(path: Path) -> bool:
     """Whether a file is a recording over time; it may be any text."""
-    return path.suffix.lower() == C3D or is_wide_table(path)
+    if path.suffix.lower() == C3D:
+        return True
+    rows, _ = _rows_of(path, None)
+    return _program_of(rows) is not None
 
 
 def read_c3d(path: str | os.PathLike[str]) -> Recording:
@@ -104,3 +90,263 @@ def _events(
     times = 60.0 * minutes + seconds - trimmed
     labels = map(escaped, event["LABELS"]["value"])
     return tuple((label, float(t)) for label, t in zip(labels, times, strict=False))
+
+
+_GAPS = {"", "nan", "null"}
+"""What stands for a coordinate of a marker that was not seen, in lower case."""
+
+_WORDS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm", "Inches": "inch"}
+_STATED_METRES = METRES | {word: METRES[unit] for word, unit in _WORDS.items()}
+"""Units of length as the programs write them."""
+
+_CELL = "a cell (blank, nan or NULL where a marker was not seen)"
+
+
+class _Layout(NamedTuple):
+    """What the lines above the numbers say.
+
+    Each label has the first of its three columns, and events have times [s]. The number
+    in the `time_column`, or else the number of the row, over `rate` is the time in
+    seconds. `zero_is_gap` where a marker at exactly (0, 0, 0) was not seen.
+    """
+
+    labels: Sequence[tuple[str, int]]
+    rows: NumberedCells
+    unit: str | None
+    time_column: int | None
+    rate: float = 1.0
+    events: tuple[tuple[str, float], ...] = ()
+    zero_is_gap: bool = False
+
+
+def read_recording(
+    path: str | os.PathLike[str],
+    *,
+    length_unit: str | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+) -> Recording:
+    """Read a recording: C3D, see `read_c3d`, or text of Motive, Nexus or QTM.
+
+    Of text, labels and unit are those of the header, and blank cells are occlusions; in
+    a file of QTM, which may write zeros instead, so are markers at exactly (0, 0, 0).
+    Of Motive's columns only the measured ones, of type "Marker", are read, and not
+    those that it computes from rigid bodies.
+
+    Options are for text only. The `length_unit` is for a file that states none, like
+    those of QTM (which are in mm); `delimiter` and `decimal` are as for `read_markers`.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: As `read_c3d`, or if an option is given for a .c3d file; or if it is
+            none of these tables, holds no frames or no markers, or one label twice,
+            states no known unit of length, or a cell is not a number.
+    """
+    path = Path(path)
+    if path.suffix.lower() == C3D:
+        options = {"length_unit": length_unit, "delimiter": delimiter}
+        for key, value in {**options, "decimal": decimal}.items():
+            if value is not None:
+                raise ValueError(f"{key} is for tables; leave it out for {path}.")
+        return read_c3d(path)
+    csv_table.check_dialect(delimiter, decimal)
+    rows, delimiter = _rows_of(path, delimiter)
+    if rows and "marker" in rows[0][1]:
+        raise ValueError(
+            f"{path} is a table of rows, with a column marker: take its rows by values "
+            "of columns, not by a window of time."
+        )
+    program = _program_of(rows)
+    if program is None:
+        raise ValueError(
+            f"{path} is no table of motion capture that is known: expected a header "
+            'that begins with "Format Version" (Motive), with "NO_OF_FRAMES" '
+            '(Qualisys), or a section "Trajectories" (Vicon).'
+        )
+    try:
+        layout = program.layout(rows)
+    except (IndexError, KeyError, ValueError) as error:
+        raise ValueError(
+            f"the header of {path} is not as {program.name} writes it ({error}): "
+            f"export {program.needs}."
+        ) from error
+    check_rate(path, layout.rate)
+    metres = metres_of(path, layout.unit, length_unit)
+    point = decimal or csv_table.decimal_of(
+        (cells for _, cells in layout.rows), delimiter
+    )
+    times, positions = _numbers(path, layout, point)
+    begin = times[0] if times.size else 0.0
+    return Recording(
+        names=tuple(label for label, _ in layout.labels),
+        times=times - begin,
+        positions=metres * positions,
+        source=str(path),
+        events=tuple((name, time - begin) for name, time in layout.events),
+    )
+
+
+def _rows_of(path: Path, delimiter: str | None) -> tuple[NumberedCells, str]:
+    """Split a file into cells, by a given delimiter or else that of the header."""
+    lines = csv_table.read_lines(path, "recording")
+    head = "".join(text for _, text in lines[:12])
+    delimiter = delimiter or csv_table.delimiter_of(head)
+    rows = csv_table.read_cells(path, lines, delimiter)
+    return [(number, cells) for number, cells in rows if any(cells)], delimiter
+
+
+def check_rate(path: Path, rate: float) -> None:
+    if not 0.0 < rate < math.inf:
+        raise ValueError(
+            f"{path}: its rate of frames is {rate:g}; expected a positive number."
+        )
+
+
+def metres_of(path: Path, stated: str | None, given: str | None = None) -> float:
+    """Return the unit of length that a recording states or that is given [m]."""
+    if given is not None:
+        csv_table.check_length_unit(given)
+    unit = given if stated is None else stated
+    if unit is None:
+        raise ValueError(
+            f"{path} states no unit of length; give length_unit (Qualisys writes mm)."
+        )
+    if unit not in _STATED_METRES:
+        raise ValueError(
+            f"{path} states the unit of length {unit!r}; expected one of "
+            f"{', '.join(_STATED_METRES)}, for all markers."
+        )
+    if given is not None and METRES[given] != _STATED_METRES[unit]:
+        raise ValueError(
+            f"{path} states the unit of length {unit!r}, but length_unit is {given!r}; "
+            "leave length_unit out."
+        )
+    return _STATED_METRES[unit]
+
+
+def _numbers(
+    path: Path, layout: _Layout, point: str
+) -> tuple[Float[HostArray, " n_frames"], Float[HostArray, "n_frames n_markers 3"]]:
+    """Read times [s] and positions, nan where a marker was not seen."""
+    columns = [first + k for _, first in layout.labels for k in range(3)]
+    times = np.empty(len(layout.rows))
+    values = np.full((len(layout.rows), len(columns)), np.nan)
+    for i, (line, cells) in enumerate(layout.rows):
+        # Spreadsheets leave out blank cells at the end of a row.
+        cells = [*cells, *[""] * (max(columns, default=0) + 1 - len(cells))]
+        with csv_table.at_line(path, line):
+            count = cells[layout.time_column] if layout.time_column is not None else i
+            times[i] = csv_table.parse_number(str(count), point) / layout.rate
+            for k, column in enumerate(columns):
+                if cells[column].lower() not in _GAPS:
+                    values[i, k] = csv_table.parse_number(cells[column], point, _CELL)
+            if i and not times[i] > times[i - 1]:
+                raise ValueError(
+                    f"its time, {times[i]:g} s, is not after that of the frame before, "
+                    f"{times[i - 1]:g} s."
+                )
+    positions = values.reshape(len(times), -1, 3)
+    if layout.zero_is_gap:
+        positions[np.all(positions == 0.0, axis=2)] = np.nan
+    return times, positions
+
+
+def _starts(rows: NumberedCells) -> list[str]:
+    return [cells[0] for _, cells in rows]
+
+
+def _motive(rows: NumberedCells) -> _Layout:
+    """Read the header of Motive: types, names, IDs, what each column is, and axes."""
+    about, header = rows[0][1], _starts(rows).index("Frame")
+    # Rows between: types, names, in most versions IDs and parents, quantities.
+    (_, types), (_, names), *_, (_, whats) = rows[1:header]
+    axes = rows[header][1]
+    labels = [
+        (names[k], k)
+        for k, kind in enumerate(zip(types, whats, strict=False))
+        if kind == ("Marker", "Position") and axes[k : k + 3] == ["X", "Y", "Z"]
+    ]
+    if not labels:
+        kinds = ", ".join(sorted({*types} - {"Type", ""}))
+        raise ValueError(f"it has no measured markers, only {kinds}")
+    return _Layout(
+        labels=labels,
+        rows=rows[header + 1 :],
+        unit=dict(zip(about[::2], about[1::2], strict=False))["Length Units"],
+        time_column=axes.index("Time (Seconds)"),
+    )
+
+
+def _vicon(rows: NumberedCells) -> _Layout:
+    """Read the header of the section Trajectories: rate, labels, axes, units."""
+    start = _starts(rows).index("Trajectories")
+    (_, rate), (_, names), (_, axes), (_, units) = rows[start + 1 : start + 5]
+    named = [(name, k) for k, name in enumerate(names) if name]
+    labels = [(name, k) for name, k in named if axes[k : k + 3] == ["X", "Y", "Z"]]
+    stated = {unit for _, k in labels for unit in units[k : k + 3]}
+    frames = rows[start + 5 :]
+    # Another section may follow.
+    end = next((i for i, (_, c) in enumerate(frames) if not c[0].isdecimal()), None)
+    return _Layout(
+        labels=labels,
+        rows=frames[:end],
+        unit=", ".join(sorted(stated)),
+        time_column=0,
+        rate=float(rate[0]),
+    )
+
+
+def _qualisys(rows: NumberedCells) -> _Layout:
+    """Read the header of QTM: names and values, and perhaps names of columns."""
+    last = _starts(rows).index("MARKER_NAMES")
+    about = {cells[0]: cells[1:] for _, cells in rows[: last + 1]}
+    if about["DATA_INCLUDED"][0] != "3D":
+        raise ValueError(f"it includes {about['DATA_INCLUDED'][0]} data")
+    labels = [label for label in about["MARKER_NAMES"] if label]
+    rest = [row for row in rows[last + 1 :] if row[1][0] != "TRAJECTORY_TYPES"]
+    titles = rest[0][1] if rest else []
+    if f"{labels[0] if labels else ''} X" in titles:
+        first, rest = titles.index(f"{labels[0]} X"), rest[1:]
+    else:  # a tab may end the row
+        first = (len(titles) - 3 * len(labels)) // 2 * 2
+    if first not in (0, 2):  # there may be Frame and Time before
+        raise ValueError(f"it has {len(titles)} columns for {len(labels)} markers")
+    timed = first == 2
+    return _Layout(
+        labels=[(label, first + 3 * i) for i, label in enumerate(labels)],
+        rows=rest,
+        unit=None,
+        time_column=1 if timed else None,
+        rate=1.0 if timed else float(about["FREQUENCY"][0].replace(",", ".")),
+        events=tuple(
+            (cells[1], float(cells[3].replace(",", ".")))
+            for _, cells in rows[:last]
+            if cells[0] == "EVENT" and len(cells) > 3
+        ),
+        zero_is_gap=True,
+    )
+
+
+class _MotionProgram(NamedTuple):
+    """A program: how it lays out a table, and what to export from it."""
+
+    name: str
+    layout: Callable[[NumberedCells], _Layout]
+    needs: str
+
+
+_PROGRAMS = {
+    "Format Version": _MotionProgram(
+        "Motive", _motive, "Markers with the header and times"
+    ),
+    "NO_OF_FRAMES": _MotionProgram("QTM", _qualisys, "3D data with the TSV header"),
+    "Trajectories": _MotionProgram(
+        "Nexus", _vicon, "Trajectories with their four rows"
+    ),
+}
+"""Programs by how a row near the top of their tables begins."""
+
+
+def _program_of(rows: NumberedCells) -> _MotionProgram | None:
+    starts = _starts(rows)
+    return next((_PROGRAMS[row] for row in _PROGRAMS if row in starts), None)

@@ -15,13 +15,8 @@ from softcal_jax._text import shortened
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.bodies import Pose
-from softcal_jax.configurations._csv_table import (
-    CsvTable,
-    check_length_unit,
-    coordinates,
-    read_lines,
-    read_table,
-)
+from softcal_jax.configurations import _csv_table as csv_table
+from softcal_jax.configurations._csv_table import CsvTable
 
 _ONE_POSE = np.deg2rad(30.0)
 """Largest turn of a reading of one pose from the mean of the readings [rad]."""
@@ -88,23 +83,21 @@ def average_poses(table: PoseTable) -> dict[str, Pose]:
         ValueError: If a reading turns by more than 30 degrees from the mean of its
             sensor, so that they are not all of one pose.
     """
-    names = dict.fromkeys(table.names)
-    return {name: _average(table.readings_of(name)) for name in names}
-
-
-def _average(readings: PoseTable) -> Pose:
-    rotations = Rotation.from_matrix(readings.rotations)
-    mean = rotations.mean()
-    angles = (rotations * mean.inv()).magnitude()
-    worst = int(np.argmax(angles))
-    if angles[worst] > _ONE_POSE:
-        raise ValueError(
-            f"{readings.source}, line {readings.lines[worst]}: this reading of sensor "
-            f"{readings.names[0]!r} turns by {np.rad2deg(angles[worst]):.3g} deg from "
-            f"the mean of {len(angles)}, more than 30 deg: select the readings of one "
-            "pose."
-        )
-    return Pose(readings.positions.mean(axis=0), mean.as_rotvec())
+    poses = {}
+    for name in dict.fromkeys(table.names):
+        readings = table.readings_of(name)
+        rotations = Rotation.from_matrix(readings.rotations)
+        mean = rotations.mean()
+        angles = (rotations * mean.inv()).magnitude()
+        worst = int(np.argmax(angles))
+        if angles[worst] > _ONE_POSE:
+            raise ValueError(
+                f"{table.source}, line {readings.lines[worst]}: this reading of sensor "
+                f"{name!r} turns by {np.rad2deg(angles[worst]):.3g} deg from the mean "
+                f"of {len(angles)}, more than 30 deg: select the readings of one pose."
+            )
+        poses[name] = Pose(readings.positions.mean(axis=0), mean.as_rotvec())
+    return poses
 
 
 _QUATERNION = ["qw", "qx", "qy", "qz"]
@@ -137,8 +130,10 @@ def read_poses(
     Warns:
         TrackerWarning: If angles in degrees look like radians.
     """
-    table = read_table(path, "sensor", select, delimiter=delimiter, decimal=decimal)
-    point_columns, metres = coordinates(table, length_unit)
+    table = csv_table.read_table(
+        path, "sensor", select, delimiter=delimiter, decimal=decimal
+    )
+    point_columns, metres = csv_table.coordinates(table, length_unit)
     turn_columns = _turn_columns(table)
     columns = point_columns + turn_columns
     values = table.numbers(columns)
@@ -180,13 +175,13 @@ def read_polhemus(
     Warns:
         TrackerWarning: As for `read_poses`.
     """
-    check_length_unit(length_unit)
+    csv_table.check_length_unit(length_unit)
     if angle_unit not in _RADIANS:
         raise unknown_name("angle unit", angle_unit, _RADIANS)
     path = Path(path)
     readings = [
         (line, _seven_numbers(path, line, text))
-        for line, text in read_lines(path, "tracker")
+        for line, text in csv_table.read_lines(path, "tracker")
     ]
     chosen = [(n, v) for n, v in readings if station is None or v[0] == station]
     if not chosen:

@@ -42,8 +42,7 @@ def file_stems(names: Sequence[str]) -> list[str]:
         stem = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._")[:80]
         if not stem or _DEVICE.match(stem):
             stem = f"configuration_{stem}".strip("_")
-        unique = stem
-        copy = 2
+        unique, copy = stem, 2
         while taken & (files := {unique.lower() + end for end in endings}):
             unique, copy = f"{stem}_{copy}", copy + 1
         taken |= files

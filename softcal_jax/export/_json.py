@@ -20,7 +20,7 @@ from softcal_jax.equilibrium import Model
 from softcal_jax.export._made import Made, made_dict, pick, plain, source_dict, versions
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.inference import ErrorBudget
-from softcal_jax.layouts import LEVEL_OF_COMPARISON, ModelComparison, ModelScore
+from softcal_jax.layouts import LEVEL_OF_COMPARISON, ModelComparison
 
 RESULT_FORMAT = "softcal_jax.result/2"
 """Format of `result.json`."""
@@ -211,6 +211,11 @@ def comparison_dict(
     """
     by_model = {model: made_dict(of, directory) for model, of in (made or {}).items()}
     best = comparison.best
+    scored = (
+        "name n_parameters held_out_rms_mm held_out_noise_rms score standard_error "
+        "fit_rms_mm fit_noise_rms fit_failure verdict"
+    )
+    fold = "held_out rms_mm noise_rms fit_rms_mm failure"
     return plain(
         {
             "format": "softcal_jax.comparison/1",
@@ -224,7 +229,10 @@ def comparison_dict(
             "best": best and best.name,
             "undecided": comparison.undecided,
             "level": LEVEL_OF_COMPARISON,
-            "models": [_scored(model) for model in comparison.models],
+            "models": [
+                {**pick(m, scored), "folds": [pick(one, fold) for one in m.folds]}
+                for m in comparison.models
+            ],
             "differences": [
                 pick(d, "name difference standard_error half_width n told_apart")
                 for d in comparison.differences
@@ -232,16 +240,6 @@ def comparison_dict(
             "timing_s": timing_s or {},
         }
     )
-
-
-def _scored(model: ModelScore) -> dict[str, Any]:
-    scored = pick(
-        model,
-        "name n_parameters held_out_rms_mm held_out_noise_rms score standard_error "
-        "fit_rms_mm fit_noise_rms fit_failure verdict",
-    )
-    fold = "held_out rms_mm noise_rms fit_rms_mm failure"
-    return {**scored, "folds": [pick(one, fold) for one in model.folds]}
 
 
 def inverse_dict(

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
@@ -256,6 +255,14 @@ def fibre_directions(model: Model) -> dict[str, Float[HostArray, "n_tets 3"]]:
 
 
 def _axes(fibre: Fibre, n_tets: int) -> Float[HostArray, "n_tets 3"]:
-    """Compute one direction per tet."""
-    per_tet = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, n_tets), fibre)
-    return np.asarray(jax.vmap(Fibre.direction)(per_tet))
+    """Compute `Fibre.direction` of each tet, by NumPy, so that nothing is compiled."""
+    per_tet = lambda value: np.broadcast_to(np.asarray(value), (n_tets,))
+    theta, phi = per_tet(fibre.theta), per_tet(fibre.phi)
+    a, b = ("xyz".index(letter) for letter in fibre.plane)
+    axis = np.zeros((n_tets, 3))
+    axis[:, a], axis[:, b] = np.cos(phi) * np.cos(theta), np.cos(phi) * np.sin(theta)
+    axis[:, 3 - a - b] = np.sin(phi)
+    if fibre.frame is None:
+        return axis
+    rows = np.stack([per_tet(part) for part in fibre.frame], axis=1)
+    return np.einsum("ei,eij->ej", axis, rows.reshape(-1, 3, 3))

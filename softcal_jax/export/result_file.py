@@ -8,17 +8,8 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from softcal_jax.calibration import (
-    CalibrationResult,
-    ConfigurationResult,
-    CorrelatedNoise,
-    HistoryEntry,
-    LeftOut,
-    MultiStartResult,
-    ParameterEstimate,
-    ParameterInterval,
-    ResidualChecks,
-)
+from softcal_jax import calibration
+from softcal_jax.calibration import CorrelatedNoise, LeftOut
 from softcal_jax.configurations import EffectorRecord
 from softcal_jax.equilibrium import ActuatorState, BodyPlace, Reaction, RobotState
 from softcal_jax.export._made import pick, plain
@@ -59,6 +50,33 @@ def _converted(factor: float) -> BeforeValidator:
     )
 
 
+IDENTIFIABILITY = Keys(
+    Identifiability,
+    "verdict n_data precision parameters informed directions covariance correlation "
+    "conditioning",
+)
+"""Keys of what the data tell; null stands for infinite values, too."""
+
+_MARKERS = Keys(
+    EffectorRecord, "name measured_mm simulated_before_mm simulated_mm residual_mm"
+)
+_EFFECTORS = Keys(
+    EffectorRecord, "name unit is_turn measured simulated_before simulated residual"
+)
+_HISTORY = Keys(
+    calibration.HistoryEntry,
+    "step cost lambda_p step_bound accepted kkt_residual newton_steps values "
+    "noise_level seconds rms_mm",
+)
+_UNCERTAINTY = Keys(
+    Uncertainty,
+    "noise noise_scale degrees_of_freedom chi_squared covariance correlation",
+)
+_STARTS = Keys(
+    calibration.MultiStartResult,
+    "names starts values cost steps converged optima second_best missed",
+)
+
 Plain = Annotated[Any, BeforeValidator(plain)]
 Millimetres = Annotated[float | None, _converted(1e3)]
 Percent = Annotated[float | None, _converted(100.0)]
@@ -98,7 +116,7 @@ class SourceEntry(Entry):
 class ParameterEntry(Entry):
     """A calibrated parameter, in SI units."""
 
-    of = ParameterEstimate
+    of = calibration.ParameterEstimate
     name: str
     value: float
     standard_error: Plain = None
@@ -125,7 +143,7 @@ class RobotEntry(Entry):
 class ConfigurationEntry(Entry):
     """A configuration, before and after the calibration."""
 
-    of = ConfigurationResult
+    of = calibration.ConfigurationResult
     name: str
     role: Plain = None
     rms_before_mm: Millimetres = Field(default=None, validation_alias="rms_before")
@@ -134,21 +152,11 @@ class ConfigurationEntry(Entry):
     rms_after_percent_of_motion: Percent = Field(
         default=None, validation_alias="rms_share"
     )
-    markers: Annotated[
-        Any,
-        Keys(
-            EffectorRecord,
-            "name measured_mm simulated_before_mm simulated_mm residual_mm",
-        ),
-    ] = Field(default=None, validation_alias="points")
+    markers: Annotated[Any, _MARKERS] = Field(default=None, validation_alias="points")
     """Markers and other points."""
-    effectors: Annotated[
-        Any,
-        Keys(
-            EffectorRecord,
-            "name unit is_turn measured simulated_before simulated residual",
-        ),
-    ] = Field(default=None, validation_alias="others")
+    effectors: Annotated[Any, _EFFECTORS] = Field(
+        default=None, validation_alias="others"
+    )
     """Effectors that are not points, in SI units."""
     robot: RobotEntry | None = None
     newton_steps: Plain = None
@@ -172,7 +180,7 @@ class BudgetEntry(Entry):
 class ChecksEntry(Entry):
     """What the residuals say about the model."""
 
-    of = ResidualChecks
+    of = calibration.ResidualChecks
     reasons: Plain = None
     agreement: Plain = None
     lack_of_fit: Annotated[Any, Keys(LackOfFit)] = None
@@ -195,56 +203,29 @@ class AssessmentEntry(Entry):
     predictions: Annotated[Any, Keys(Prediction, "name role std_mm")] = None
 
 
-IDENTIFIABILITY = Keys(
-    Identifiability,
-    "verdict n_data precision parameters informed directions covariance correlation "
-    "conditioning",
-)
-"""Keys of what the data tell; null stands for infinite values, too."""
-
-
 class ResultFile(Entry):
     """The content of `result.json`."""
 
-    of = CalibrationResult
+    of = calibration.CalibrationResult
     format: str
     name: Plain = None
     converged: bool
     source: SourceEntry | None
     parameters: list[ParameterEntry]
-    intervals: Annotated[Any, Keys(ParameterInterval)] = None
+    intervals: Annotated[Any, Keys(calibration.ParameterInterval)] = None
     configurations: list[ConfigurationEntry]
-    history: Annotated[
-        Any,
-        Keys(
-            HistoryEntry,
-            "step cost lambda_p step_bound accepted kkt_residual newton_steps values "
-            "noise_level seconds rms_mm",
-        ),
-    ] = None
+    history: Annotated[Any, _HISTORY] = None
     solver: dict[str, str | int | None]
     """The sparse solver, law, formulation and size of the mesh."""
     settings: Plain = None
     """Settings of the calibration, of Newton's method and of the noise."""
-    uncertainty: Annotated[
-        Any,
-        Keys(
-            Uncertainty,
-            "noise noise_scale degrees_of_freedom chi_squared covariance correlation",
-        ),
-    ] = None
+    uncertainty: Annotated[Any, _UNCERTAINTY] = None
     budget: BudgetEntry
     noise: Annotated[Any, Keys(CorrelatedNoise, "jitter share offset_mm")] = None
     checks: ChecksEntry | None = None
     assessment: AssessmentEntry
     identifiability: Annotated[Any, IDENTIFIABILITY] = None
-    starts: Annotated[
-        Any,
-        Keys(
-            MultiStartResult,
-            "names starts values cost steps converged optima second_best missed",
-        ),
-    ] = None
+    starts: Annotated[Any, _STARTS] = None
     notes: Plain = None
     versions: dict[str, str]
     """Versions of Python and its packages, and the machine."""

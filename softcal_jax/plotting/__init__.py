@@ -1,9 +1,5 @@
 """Pictures of results, drawn without a screen."""
 
-from softcal_jax.plotting._colours import (
-    DISPLACEMENT_MAP as DISPLACEMENT_MAP,
-    MARKS as MARKS,
-)
 from softcal_jax.plotting._configuration import (
     NOT_CONVERGED as NOT_CONVERGED,
     motion_words as motion_words,
@@ -18,6 +14,10 @@ from softcal_jax.plotting._fibres import (
     plot_directions as plot_directions,
     plot_fibres as plot_fibres,
 )
+from softcal_jax.plotting._figure import (
+    DISPLACEMENT_MAP as DISPLACEMENT_MAP,
+    MARKS as MARKS,
+)
 from softcal_jax.plotting._groups import plot_groups as plot_groups
 from softcal_jax.plotting._plan import (
     MOST_PANELS as MOST_PANELS,
@@ -28,6 +28,7 @@ from softcal_jax.plotting._robot import (
     SensorFrame as SensorFrame,
     actuator_words as actuator_words,
     is_seen as is_seen,
+    load_place as load_place,
     pushes as pushes,
     robot_picture as robot_picture,
     sensor_frames as sensor_frames,
@@ -36,5 +37,4 @@ from softcal_jax.plotting._scene import (
     RenderingError as RenderingError,
     rendering_problem as rendering_problem,
 )
-from softcal_jax.plotting._setup import load_place as load_place
 from softcal_jax.plotting._view import View as View, choose_view as choose_view

@@ -14,11 +14,9 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model, RobotState
-from softcal_jax.plotting import _annotations as annotations, _robot as robots
-from softcal_jax.plotting._robot import SensorFrame
-from softcal_jax.plotting._save import add_axes, add_view, pixel_figure, save
+from softcal_jax.plotting import _figure as figures, _robot as robots
+from softcal_jax.plotting._figure import add_axes, add_view, pixel_figure, save
 from softcal_jax.plotting._scene import body_image
-from softcal_jax.plotting._setup import draw_setup, load_points
 from softcal_jax.plotting._view import choose_view, fit_body
 
 _WIDTH, _SIDE, _TOP, _BOTTOM = 1600, 190, 130, 130
@@ -111,7 +109,7 @@ def render_body(
     marker_names: Sequence[str] = (),
     warning: str = "",
     robot: RobotState | None = None,
-    sensors: Sequence[SensorFrame] = (),
+    sensors: Sequence[robots.SensorFrame] = (),
     posed: Configuration | None = None,
     labels: tuple[str, str] = ("measured", "simulated"),
 ) -> None:
@@ -146,7 +144,7 @@ def render_body(
         more.append(picture.points)
     x = model.mesh.points + u
     if posed is not None:
-        more.append(load_points(posed, model.mesh, x))
+        more.append(robots.load_points(posed, model.mesh, x))
     gravity = () if posed is None else posed.gravity
     view = choose_view(model.mesh.points, u, np.concatenate(more), gravity)
     width = _WIDTH - _SIDE
@@ -155,7 +153,7 @@ def render_body(
     pixels = body_image(
         model, u, view, size=(width, height), scale=scale, largest_mm=largest
     )
-    top = _TOP + (annotations.WARNING_HEIGHT if warning else 0)
+    top = _TOP + (figures.WARNING_HEIGHT if warning else 0)
     total = height + top + _BOTTOM
     figure = pixel_figure(_WIDTH, total)
     body = add_view(figure, 0, _BOTTOM, width, height, scale=scale)
@@ -171,17 +169,17 @@ def render_body(
     if model.mechanism.bodies.n_bodies:
         drawn.append("rigid body")
     if posed is not None:
-        drawn += draw_setup(body, view, posed, model.mesh, x)
+        drawn += robots.draw_setup(body, view, posed, model.mesh, x)
     if picture is not None:
         robots.draw_robot(body, view, picture)
         drawn += picture.kinds
     drawn += robots.draw_sensors(body, view, sensors)
     flat = view.project(measured), view.project(simulated)
-    annotations.draw_markers(body, *flat, marker_names)
-    annotations.separate_names(body)
+    figures.draw_markers(body, *flat, marker_names)
+    figures.separate_names(body)
     bar = (_WIDTH - _SIDE + 20, _BOTTOM + 0.06 * height, 28, 0.88 * height)
-    annotations.draw_colour_scale(add_axes(figure, *bar), largest)
+    figures.draw_colour_scale(add_axes(figure, *bar), largest)
     words = {"title": title, "subtitle": subtitle, "warning": warning}
-    annotations.draw_frame(figure, view, scale=scale, top=top, bottom=_BOTTOM, **words)
-    annotations.draw_legend(figure, drawn, 62 / total, called)
+    figures.draw_frame(figure, view, scale=scale, top=top, bottom=_BOTTOM, **words)
+    figures.draw_legend(figure, drawn, 62 / total, called)
     save(figure, path)

@@ -2,18 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import Traces
-from softcal_jax.plotting._colours import BAD, FAINT, SERIES, TEXT
-from softcal_jax.plotting._save import DPI, save
-
-if TYPE_CHECKING:
-    import matplotlib.axes
+from softcal_jax.plotting._figure import BAD, DPI, FAINT, SERIES, TEXT, Axes, save
 
 _WINDOWS = ("#f2c14e", "#7fb7be", "#c9a0dc")
 """Colours of the windows, light enough for the lines above them."""
@@ -36,7 +32,11 @@ def plot_traces(traces: Traces, path: str | Path, *, name: str = "recording") ->
     """
     from matplotlib.figure import Figure
 
-    recording, windows = traces.recording, _windows(traces)
+    recording = traces.recording
+    # All that a window is used for is its label.
+    windows: dict[tuple[float, float], str] = {}
+    for what, times in traces.windows.items():
+        windows[times] = f"{windows[times]}, {what}" if times in windows else what
     shape = (1 + len(windows), 1)
     figure = Figure((12.0, 1.2 + 3.2 * shape[0]), dpi=DPI, layout="constrained")
     panels = figure.subplots(*shape, squeeze=False)[:, 0]
@@ -74,16 +74,8 @@ def plot_traces(traces: Traces, path: str | Path, *, name: str = "recording") ->
     save(figure, path)
 
 
-def _windows(traces: Traces) -> dict[tuple[float, float], str]:
-    """Return the windows by their times, each labelled with all that it is used for."""
-    labels: dict[tuple[float, float], str] = {}
-    for what, times in traces.windows.items():
-        labels[times] = f"{labels[times]}, {what}" if times in labels else what
-    return labels
-
-
 def _draw_distances(
-    axes: "matplotlib.axes.Axes", traces: Traces, origin: Float[HostArray, "n 3"]
+    axes: Axes, traces: Traces, origin: Float[HostArray, "n 3"]
 ) -> list[int]:
     """Draw the distance of each marker from an origin; return the markers' columns."""
     recording, names = traces.recording, traces.names
@@ -153,7 +145,7 @@ def plot_trials(
 
 
 def _draw_trials(
-    axes: "matplotlib.axes.Axes", where: Sequence[Any], values: Float[HostArray, " n"]
+    axes: Axes, where: Sequence[Any], values: Float[HostArray, " n"]
 ) -> None:
     _draw_grid(axes, 12)
     dots = {"ls": "none", "marker": "o", "color": SERIES[0], "alpha": 0.55, "ms": 7}
@@ -180,7 +172,7 @@ def _draw_trials(
     axes.set_xlim(-0.6, len(groups) - 0.4)
 
 
-def _draw_grid(axes: "matplotlib.axes.Axes", size: float) -> None:
+def _draw_grid(axes: Axes, size: float) -> None:
     axes.grid(True, color="#dddddd", lw=0.8)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=size)

@@ -1,20 +1,27 @@
 """Draw fibres: on the surface of a body, or in a layer of a print."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
+from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.mesh import TetMesh
-from softcal_jax.plotting import _annotations as annotations
-from softcal_jax.plotting._colours import FAINT, OUTLINE, SERIES, TEXT
-from softcal_jax.plotting._save import DPI, add_view, pixel_figure, save
+from softcal_jax.plotting import _figure as figures
+from softcal_jax.plotting._figure import (
+    DPI,
+    FAINT,
+    OUTLINE,
+    SERIES,
+    TEXT,
+    Axes,
+    add_view,
+    pixel_figure,
+    save,
+)
 from softcal_jax.plotting._view import View, VisibleFaces, choose_view, visible_faces
-
-if TYPE_CHECKING:
-    import matplotlib.axes
 
 _SIZE, _TOP, _BOTTOM = 900, 110, 120
 """Longer side of the body, and heights above and below it [pixels]."""
@@ -81,17 +88,12 @@ def plot_directions(
     scale = min(width / extent[0], height / extent[1])
     body = add_view(figure, 0, _BOTTOM, width, height, scale=scale)
     body.add_collection(PolyCollection(shapes, facecolors=colours, edgecolors="face"))
-    lines = [Line2D([], [], color=c, lw=4) for c in _colours_of(families)]
+    lines = [Line2D([], [], color=c, lw=4) for c, _ in zip(cycle(SERIES), families)]
     place = {"loc": "center", "bbox_to_anchor": (0.5, 55 / total)}
     figure.legend(lines, families, fontsize=15, frameon=False, **place)
     around = {"scale": scale, "top": _TOP, "bottom": _BOTTOM}
-    annotations.draw_frame(figure, view, **around, title=title)
+    figures.draw_frame(figure, view, **around, title=title)
     save(figure, path)
-
-
-def _colours_of(families: Iterable[str]) -> list[str]:
-    """List the colour of each family; colours repeat if there are more families."""
-    return [SERIES[i % len(SERIES)] for i, _ in enumerate(families)]
 
 
 def _drawn(
@@ -107,7 +109,6 @@ def _drawn(
     from matplotlib.colors import to_rgb
 
     light = _DARKEST + (_LIGHTEST - _DARKEST) * faces.light
-    rgb = [to_rgb(colour) for colour in _colours_of(families)]
     shapes, colours = [], []
     for corners, grey, tet in zip(faces.corners, light, faces.tet, strict=True):
         flat = view.project(corners)
@@ -117,7 +118,7 @@ def _drawn(
             continue
         sides = corners[1:] - corners[0]
         size = np.sqrt(np.linalg.norm(np.cross(*sides)))
-        for vectors, colour in zip(families.values(), rgb, strict=True):
+        for vectors, colour in zip(families.values(), cycle(SERIES)):
             u = vectors[tet] @ np.stack([view.right, view.up], axis=1)
             along = 0.5 * _LENGTH * size * u
             length = np.linalg.norm(along)
@@ -125,7 +126,7 @@ def _drawn(
                 across = 0.5 * _BREADTH * size / length * along[::-1] * (-1.0, 1.0)
                 ends = [along + across, along - across, -along - across, across - along]
                 shapes.append(flat.mean(axis=0) + ends)
-                colours.append(colour)
+                colours.append(to_rgb(colour))
     return shapes, colours
 
 
@@ -218,7 +219,7 @@ def middle_layer(mesh: TetMesh, normal: int) -> Int[HostArray, " n_layer"]:
 
 
 def _draw_layer(
-    axes: "matplotlib.axes.Axes",
+    axes: Axes,
     corners: Float[HostArray, "n_layer 4 2"],
     theta: Float[HostArray, " n_layer"],
     colours,

@@ -3,15 +3,14 @@
 import colorsys
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.mesh import CAD_FACE, TetMesh, boundary_faces
-from softcal_jax.plotting import _annotations as annotations
-from softcal_jax.plotting._colours import SERIES
-from softcal_jax.plotting._save import add_view, pixel_figure, save
+from softcal_jax.plotting import _figure as figures
+from softcal_jax.plotting._figure import SERIES, Axes, add_view, pixel_figure, save
 from softcal_jax.plotting._view import (
     View,
     VisibleFaces,
@@ -19,9 +18,6 @@ from softcal_jax.plotting._view import (
     draw_faces,
     visible_faces,
 )
-
-if TYPE_CHECKING:
-    import matplotlib.axes
 
 Colour = tuple[float, float, float]
 
@@ -109,7 +105,7 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
         for index in np.flatnonzero(best):
             place = _middle(images[k] == index, frame)
             style = {"ha": "center", "va": "center"}
-            annotations.draw_name(axes, groups[index], place, (0, 0), **style)
+            figures.draw_name(axes, groups[index], place, (0, 0), **style)
     faced = {**mesh.tet_groups, **mesh.surface_groups}
     names = [
         f"{name} (hidden)" if name in faced and not seen[:, k].any() else name
@@ -120,7 +116,7 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
     look = {"ncols": per_row, "fontsize": 15, "frameon": False}
     figure.legend(handles=handles, **look, **place)
     around = {"scale": 1.0 / frame.scale, "top": _TOP, "bottom": _BOTTOM}
-    annotations.draw_frame(figure, front, **around, title=title)
+    figures.draw_frame(figure, front, **around, title=title)
     save(figure, path)
 
 
@@ -204,7 +200,7 @@ def _keys(mesh: TetMesh, faces: Int[HostArray, "n _"]) -> Int[HostArray, " n"]:
 
 
 def _draw_nodes(
-    axes: "matplotlib.axes.Axes",
+    axes: Axes,
     view: View,
     mesh: TetMesh,
     drawn: Bool[HostArray, " n_tets"],
@@ -219,4 +215,4 @@ def _draw_nodes(
         places = view.project(mesh.points[nodes])
         axes.plot(*places.T, "o", ms=5, color=colours[name], mec="black", mew=0.5)
         highest = places[np.argmax(places[:, 1])]
-        annotations.draw_name(axes, name, highest, (0, 14), ha="center")
+        figures.draw_name(axes, name, highest, (0, 14), ha="center")

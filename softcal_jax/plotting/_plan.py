@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,12 +17,19 @@ from softcal_jax.configurations import (
     motions,
 )
 from softcal_jax.equilibrium import ActuatorState, Model, RobotState
+from softcal_jax.export import fibre_directions
 from softcal_jax.mesh import boundary_faces
-from softcal_jax.plotting import _annotations as annotations, _robot as robots
-from softcal_jax.plotting._colours import FAINT, RIGID, SYMBOLS, TEXT
-from softcal_jax.plotting._robot import RobotPicture, SensorFrame
-from softcal_jax.plotting._save import add_view, pixel_figure, save
-from softcal_jax.plotting._setup import draw_setup, load_points
+from softcal_jax.plotting import _figure as figures, _robot as robots
+from softcal_jax.plotting._figure import (
+    FAINT,
+    RIGID,
+    SYMBOLS,
+    TEXT,
+    Axes,
+    add_view,
+    pixel_figure,
+    save,
+)
 from softcal_jax.plotting._view import (
     View,
     VisibleFaces,
@@ -32,9 +38,6 @@ from softcal_jax.plotting._view import (
     fit_body,
     visible_faces,
 )
-
-if TYPE_CHECKING:
-    import matplotlib.axes
 
 MOST_PANELS = 6
 """Most configurations that are drawn; `softcal check` says how many are left out."""
@@ -80,7 +83,7 @@ def plot_plan(
     pictures = [robots.robot_picture(model, _at_rest(model, c)) for c in shown]
     numbered = np.zeros((0, 3)) if control_points is None else control_points
     more = [numbered, *(picture.points for picture in pictures)]
-    more += [load_points(c, mesh, mesh.points) for c in shown]
+    more += [robots.load_points(c, mesh, mesh.points) for c in shown]
     for points in markers:
         more += [p.at_rest for p in points]
         more += [place for place, _ in _measured(model, points)]
@@ -112,10 +115,10 @@ def plot_plan(
             style = {"ha": "center", "va": "center", "fontsize": 10, "color": TEXT}
             axes.text(flat[0], flat[1], str(i + 1), **style)
         style = {"fontsize": 16, "color": TEXT, "parse_math": False}
-        annotations.shrink(axes.set_title(headings[c.name], **style), width - 40)
+        figures.shrink(axes.set_title(headings[c.name], **style), width - 40)
     words = {"title": title, "subtitle": subtitle}
-    annotations.draw_frame(figure, view, scale=scale, top=_TOP, bottom=_BOTTOM, **words)
-    annotations.draw_legend(figure, drawn, 70 / total, {})
+    figures.draw_frame(figure, view, scale=scale, top=_TOP, bottom=_BOTTOM, **words)
+    figures.draw_legend(figure, drawn, 70 / total, {})
     save(figure, path, software=software)
 
 
@@ -160,41 +163,41 @@ def _at_rest(model: Model, c: Configuration) -> RobotState:
 
 
 def _draw_configuration(
-    axes: "matplotlib.axes.Axes",
+    axes: Axes,
     view: View,
     model: Model,
     c: Configuration,
-    picture: RobotPicture,
+    picture: robots.RobotPicture,
     points: Sequence[EffectorRecord],
 ) -> set[str]:
     """Draw one configuration; return what was drawn, for the legend."""
     _draw_bodies(axes, view, model, c)
     drawn = {"rigid body"} if model.mechanism.bodies.n_bodies else set()
-    drawn.update(draw_setup(axes, view, c, model.mesh, model.mesh.points))
+    drawn.update(robots.draw_setup(axes, view, c, model.mesh, model.mesh.points))
     robots.draw_robot(axes, view, picture)
     drawn.update(picture.kinds)
     frames = {e.name for e in c.effectors if isinstance(e, BodyFrame)}
-    sensors = [SensorFrame(p.at_rest, np.eye(3)) for p in points if p.name in frames]
+    sensors = [
+        robots.SensorFrame(p.at_rest, np.eye(3)) for p in points if p.name in frames
+    ]
     drawn.update(robots.draw_sensors(axes, view, sensors))
     for place, rest in _measured(model, points):
         ends = view.project(np.stack([rest, place]))
-        axes.plot(*ends[1], path_effects=annotations.halo(5.0), **SYMBOLS["measured"])
+        axes.plot(*ends[1], path_effects=figures.halo(5.0), **SYMBOLS["measured"])
         axes.plot(*ends.T, **SYMBOLS["distance"])
         drawn.add("measured")
     for p in points:
         flat = view.project(p.at_rest)
         style = SYMBOLS["point at rest"]
-        axes.plot(*flat, path_effects=annotations.halo(5.0), **style)
+        axes.plot(*flat, path_effects=figures.halo(5.0), **style)
         if len(points) <= _MOST_NAMES:
-            annotations.draw_name(axes, p.name, flat, (9, 7), fontsize=13)
+            figures.draw_name(axes, p.name, flat, (9, 7), fontsize=13)
         drawn.add("point at rest")
-    annotations.separate_names(axes)
+    figures.separate_names(axes)
     return drawn
 
 
-def _draw_bodies(
-    axes: "matplotlib.axes.Axes", view: View, model: Model, c: Configuration
-) -> None:
+def _draw_bodies(axes: Axes, view: View, model: Model, c: Configuration) -> None:
     """Draw the nodes of rigid bodies as a patch, with name and state."""
     from matplotlib.collections import PolyCollection
 
@@ -213,42 +216,23 @@ def _draw_bodies(
         kind = state if isinstance(state, str) else getattr(state, "kind", "held")
         text = name if state is None else f"{name} ({kind})"
         place = (flat[:, 0].mean(), flat[:, 1].max())
-        annotations.draw_name(axes, text, place, (0, 9), ha="center", fontsize=13)
+        figures.draw_name(axes, text, place, (0, 9), ha="center", fontsize=13)
 
 
 def _fibre_directions(model: Model) -> Float[HostArray, "n_tets 3"] | None:
     """Return the direction of the first fibre in each tet, zero without stiffness [-].
 
-    Computed by NumPy, so that nothing is compiled; None for a law without fibres.
+    None for a law without fibres.
     """
-    fibres = model.law.fibres()
-    if not fibres:
-        return None
-
-    def per_tet(value: Any) -> HostArray:
-        # Of several quadrature points, the first.
-        values = np.asarray(getattr(value, "values", value))
-        values = values[..., 0] if hasattr(value, "values") else values
-        return np.broadcast_to(values, (model.mesh.n_tets,))
-
-    fibre = fibres[0]
-    theta, phi = per_tet(fibre.theta), per_tet(fibre.phi)
-    a, b = ("xyz".index(letter) for letter in fibre.plane)
-    axis = np.zeros((model.mesh.n_tets, 3))
-    axis[:, a], axis[:, b] = np.cos(phi) * np.cos(theta), np.cos(phi) * np.sin(theta)
-    axis[:, 3 - a - b] = np.sin(phi)
-    if fibre.frame is not None:
-        rows = np.stack([per_tet(part) for part in fibre.frame], axis=1)
-        axis = np.einsum("ei,eij->ej", axis, rows.reshape(-1, 3, 3))
+    first = next(iter(fibre_directions(model).values()), None)
     stiffness = getattr(model.law, "E_f", None)
-    return axis if stiffness is None else axis * (per_tet(stiffness) > 0.0)[:, None]
+    if first is None or stiffness is None:
+        return first
+    return first * (np.broadcast_to(stiffness, len(first)) > 0.0)[:, None]
 
 
 def _draw_fibres(
-    axes: "matplotlib.axes.Axes",
-    view: View,
-    faces: VisibleFaces,
-    fibres: Float[HostArray, "n_tets 3"],
+    axes: Axes, view: View, faces: VisibleFaces, fibres: Float[HostArray, "n_tets 3"]
 ) -> None:
     """Draw fibres of some of the tets whose outer face is seen."""
     from matplotlib.collections import LineCollection

@@ -19,7 +19,7 @@ import numpy as np
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import Tessellation, tessellate
-from softcal_jax.plotting._colours import DISPLACEMENT_MAP, OUTLINE, RIGID
+from softcal_jax.plotting._figure import DISPLACEMENT_MAP, OUTLINE, RIGID
 from softcal_jax.plotting._view import View
 
 if TYPE_CHECKING:
@@ -52,11 +52,7 @@ def rendering_problem() -> str | None:
 
 @contextmanager
 def offscreen() -> Iterator[None]:
-    """Let VTK draw without a screen; make and close its window inside the block.
-
-    Raises:
-        RenderingError: If no suitable OpenGL is installed.
-    """
+    """Let VTK draw without a screen; make and close its window inside the block."""
     backend = _backend()
     if backend is not None:
         os.environ[_CHOICE] = backend
@@ -163,10 +159,7 @@ def body_image(
                     show_scalar_bar=False,
                 ),
                 plotter.add_mesh(
-                    _edges(deformed(whole)),
-                    color="black",
-                    opacity=0.55,
-                    line_width=3.6,
+                    _edges(deformed(whole)), color="black", opacity=0.55, line_width=3.6
                 ),
             ]
             if rigid.any():

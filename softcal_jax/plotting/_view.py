@@ -9,7 +9,7 @@ from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.mesh import TetMesh, boundary_faces, boundary_tets
 
 if TYPE_CHECKING:
-    import matplotlib.axes
+    from matplotlib.axes import Axes
 
 _AZIMUTH, _ELEVATION = np.radians(20.0), np.radians(18.0)
 
@@ -120,7 +120,7 @@ def visible_faces(mesh: TetMesh, view: View) -> VisibleFaces:
 
 
 def draw_faces(
-    axes: "matplotlib.axes.Axes",
+    axes: "Axes",
     view: View,
     corners: Float[HostArray, "n_faces 3 3"],
     colours: Float[HostArray, "n_faces 3"],

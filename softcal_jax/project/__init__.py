@@ -2,14 +2,12 @@
 
 from softcal_jax.project._goals import inverse_as_typed as inverse_as_typed
 from softcal_jax.project._load import (
-    load_mesh as load_mesh,
-    load_project as load_project,
-)
-from softcal_jax.project._plausibility import (
     CHANGE as CHANGE,
     Guess as Guess,
     ProjectWarning as ProjectWarning,
     guesses_left as guesses_left,
+    load_mesh as load_mesh,
+    load_project as load_project,
 )
 from softcal_jax.project._problems import (
     ProjectError as ProjectError,
@@ -21,11 +19,14 @@ from softcal_jax.project._project import (
     compare_projects as compare_projects,
     projects_by_name as projects_by_name,
 )
-from softcal_jax.project._quantities import parse_in_si as parse_in_si
+from softcal_jax.project._quantities import (
+    Integer as Integer,
+    parse_in_si as parse_in_si,
+)
 from softcal_jax.project._reading import (
     QuantityAsRead as QuantityAsRead,
     quantities_as_read as quantities_as_read,
     read_schema as read_schema,
     read_toml as read_toml,
 )
-from softcal_jax.project._table import Integer as Integer, Table as Table
+from softcal_jax.project._table import Table as Table

@@ -8,46 +8,25 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator
 
+from softcal_jax import configurations
 from softcal_jax._names import UNNAMED_LOADS
-from softcal_jax.configurations import (
-    Configuration,
-    EdgeForce,
-    PointForce,
-    Support,
-    SurfaceForce,
-    SurfaceTraction,
-)
+from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model
+from softcal_jax.project import _quantities as typed
 from softcal_jax.project._effectors import Effectors
 from softcal_jax.project._markers import MarkersTable, MeasuredMarkers, MeasuredTable
 from softcal_jax.project._mechanism import State, build_actuation, build_states
 from softcal_jax.project._problems import WrongKeyError, known_name, under
-from softcal_jax.project._table import (
-    Acceleration,
-    AccelerationSize,
-    Choice,
-    Direction,
-    Force,
-    Maker,
-    Position,
-    Stiffness,
-    Surface,
-    Table,
-    TableOr,
-    Traction,
-    Triple,
-    WholeFile,
-    by_keys,
-)
-from softcal_jax.project._uncertain import ShareOrEstimated
+from softcal_jax.project._setup import ShareOrEstimated
+from softcal_jax.project._table import Choice, Maker, Table, TableOr, WholeFile, by_keys
 
 
 class SupportTable(Maker):
-    makes = Support
+    makes = configurations.Support
     group: str = Field(description="name of a group of the mesh")
     axes: str = "xyz"
-    displacement: Position = (0.0, 0.0, 0.0)
-    stiffness: Stiffness | None = None
+    displacement: typed.Position = (0.0, 0.0, 0.0)
+    stiffness: typed.Stiffness | None = None
 
 
 class LoadTable(Maker):
@@ -57,31 +36,33 @@ class LoadTable(Maker):
     )
 
 
-TotalForce = Annotated[Force, Field(description='the total force: "(0, 0, -1) N"')]
+TotalForce = Annotated[
+    typed.Force, Field(description='the total force: "(0, 0, -1) N"')
+]
 
 
 class PointForceTable(LoadTable):
-    makes = PointForce
-    point: Position = Field(description='where it acts: "(50, 10, 0) mm"')
+    makes = configurations.PointForce
+    point: typed.Position = Field(description='where it acts: "(50, 10, 0) mm"')
     force: TotalForce
 
 
 class EdgeForceTable(LoadTable):
-    makes = EdgeForce
+    makes = configurations.EdgeForce
     edge: str = Field(description="name of the node group of an edge")
     force: TotalForce
 
 
 class SurfaceForceTable(LoadTable):
-    makes = SurfaceForce
-    surface: Surface
+    makes = configurations.SurfaceForce
+    surface: typed.Surface
     force: TotalForce
 
 
 class SurfaceTractionTable(LoadTable):
-    makes = SurfaceTraction
-    surface: Surface
-    traction: Traction = Field(description='force per area: "(0, 0, -1) kPa"')
+    makes = configurations.SurfaceTraction
+    surface: typed.Surface
+    traction: typed.Traction = Field(description='force per area: "(0, 0, -1) kPa"')
 
 
 AnyLoad = Annotated[
@@ -91,15 +72,15 @@ AnyLoad = Annotated[
 
 
 class GravityTable(Table):
-    size: AccelerationSize = Field(description='"9.81 m/s^2"')
-    direction: Direction = Field(description='"-z", or [0, 0, -1]')
+    size: typed.AccelerationSize = Field(description='"9.81 m/s^2"')
+    direction: typed.Direction = Field(description='"-z", or [0, 0, -1]')
 
 
 class CandidateTable(Table):
     """A configuration that might be measured."""
 
     name: str = Field(description="name in results, tables and pictures")
-    gravity: TableOr[GravityTable, Acceleration] = Field(
+    gravity: TableOr[GravityTable, typed.Acceleration] = Field(
         description='"(0, 0, -9.81) m/s^2", here or for all in [shared]'
     )
     supports: tuple[SupportTable, ...] = ()
@@ -111,7 +92,7 @@ class CandidateTable(Table):
     relative_std: ShareOrEstimated = 0.0
 
     @property
-    def acceleration(self) -> Triple:
+    def acceleration(self) -> typed.Triple:
         """Gravity [m/s2]."""
         if not isinstance(self.gravity, GravityTable):
             return self.gravity

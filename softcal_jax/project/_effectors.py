@@ -11,21 +11,11 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from softcal_jax._typing import Float, HostArray
-from softcal_jax.configurations import (
-    AbstractEffector,
-    AbstractScalar,
-    ActuatorDisplacement,
-    ActuatorForce,
-    BodyAngle,
-    BodyFrame,
-    Centroid,
-    Mechanism,
-    SupportReaction,
-    Unstated,
-)
+from softcal_jax import configurations
+from softcal_jax.configurations import AbstractEffector, BodyFrame, Mechanism, Unstated
 from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import TetMesh
+from softcal_jax.project import _quantities as typed
 from softcal_jax.project._problems import under
 from softcal_jax.project._quantities import (
     dimension_of,
@@ -43,24 +33,18 @@ from softcal_jax.project._sensors import (
     PoseFileTable,
     WrittenPoseTable,
 )
-from softcal_jax.project._table import (
-    Angle,
-    Choice,
-    Direction,
-    Position,
-    Table,
-    by_type,
-)
+from softcal_jax.project._table import Choice, Table, by_type
 
 Effectors = dict[str, AbstractEffector]
 
 
 def _measured(value: Any, kinds: Sequence[Any]) -> Any:
-    del kinds
     if not isinstance(value, dict):
         return Any
-    if "photos" in value or "file" not in value:
-        return PhotosTable if "photos" in value else WrittenPoseTable
+    if "photos" in value:
+        return PhotosTable
+    if "file" not in value:
+        return WrittenPoseTable
     return PolhemusFileTable if value.get("format") == "polhemus" else PoseFileTable
 
 
@@ -103,14 +87,12 @@ class EffectorTable(Table):
         self, effector: Any, value: Any, folder: Path, model: Model
     ) -> AbstractEffector:
         """Return the effector with its measured value; paths start from `folder`."""
-        del folder
-        unit = effector.rows(model.mesh, model.mechanism)[0].unit
-        dimension = dimension_of(unit)
+        dimension = dimension_of(effector.rows(model.mesh, model.mechanism)[0].unit)
         if isinstance(value, MotionSource):
             raise ValueError(
                 f'got a table; expected {dimension.name}, like "{dimension.example}".'
             )
-        if issubclass(self.makes, AbstractScalar):
+        if issubclass(self.makes, configurations.AbstractScalar):
             return replace(effector, measured=parse_scalar(value, dimension))
         return replace(effector, measured=np.array(parse_vector(value, dimension)))
 
@@ -119,10 +101,10 @@ class BodyFrameTable(EffectorTable):
     makes = BodyFrame
     type: Literal["frame"]
     body: Body
-    point: Position | None = None
+    point: typed.Position | None = None
     orientation: OrientationTable = Field(OrientationTable(), exclude=True)
     base: FrameTable = Field(FrameTable(), exclude=True)
-    std_angle: Angle | None = None
+    std_angle: typed.Angle | None = None
 
     def measured(
         self, effector: BodyFrame, value: Any, folder: Path, model: Model
@@ -144,39 +126,32 @@ class BodyFrameTable(EffectorTable):
         pose, covariance = value.motion(folder, self.base, self.orientation, rest)
         if covariance is None:
             return replace(effector, measured=pose)
-        std = np.sqrt(np.diag(covariance))
-        return replace(
-            effector,
-            measured=pose,
-            std=_with_stated(effector.std, std[:3]),
-            std_angle=_with_stated(effector.std_angle, std[3:]),
-        )
-
-
-def _with_stated(
-    stated: float | Float[HostArray, "3"], std: Float[HostArray, "3"]
-) -> Float[HostArray, "3"]:
-    return std if isinstance(stated, Unstated) else np.hypot(stated, std)
+        std, std_angle = np.sqrt(np.diag(covariance)).reshape(2, 3)
+        if not isinstance(effector.std, Unstated):
+            std = np.hypot(effector.std, std)
+        if not isinstance(effector.std_angle, Unstated):
+            std_angle = np.hypot(effector.std_angle, std_angle)
+        return replace(effector, measured=pose, std=std, std_angle=std_angle)
 
 
 class CentroidTable(EffectorTable):
-    makes = Centroid
+    makes = configurations.Centroid
     type: Literal["centroid"]
     group: Group
 
 
 class SupportReactionTable(EffectorTable):
-    makes = SupportReaction
+    makes = configurations.SupportReaction
     type: Literal["reaction"]
     group: Group
 
 
 class BodyAngleTable(EffectorTable):
-    makes = BodyAngle
+    makes = configurations.BodyAngle
     type: Literal["angle"]
     body: Body
     other: str = Field(description="the rigid body it is measured from")
-    axis: Direction = Field(
+    axis: typed.Direction = Field(
         description='axis of the angle, fixed on `other`: "z", or [0, 0, 1]'
     )
 
@@ -189,12 +164,12 @@ class _OfActuator(EffectorTable):
 
 
 class ActuatorDisplacementTable(_OfActuator):
-    makes = ActuatorDisplacement
+    makes = configurations.ActuatorDisplacement
     type: Literal["actuator-displacement"]
 
 
 class ActuatorForceTable(_OfActuator):
-    makes = ActuatorForce
+    makes = configurations.ActuatorForce
     type: Literal["actuator-force"]
 
 

@@ -26,18 +26,11 @@ from softcal_jax.materials import (
     Isotropic,
 )
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project._directions import AnyDirections, TetData
+from softcal_jax.project import _quantities as typed
+from softcal_jax.project._mesh import AnyDirections, TetData
 from softcal_jax.project._problems import under
 from softcal_jax.project._quantities import Size, dimension_of, scalar
-from softcal_jax.project._table import (
-    Density,
-    Flag,
-    Number,
-    Table,
-    as_table,
-    wrong_choice,
-    wrong_key,
-)
+from softcal_jax.project._table import Table, as_table, wrong_choice, wrong_key
 
 GROUP = "softcal_jax.laws"
 """Group of the entry points by which installed packages offer laws."""
@@ -48,13 +41,10 @@ _FRAME = "directions"
 
 
 class Constant(NamedTuple):
-    """A constant of a material, as its law declares it.
+    """A constant of a material, as its law declares it: SI unit, words, example.
 
-    Attributes:
-        unit: SI unit, as results name it.
-        words: What it is, with an example.
-        within: Open interval in which the bounds of a parameter must lie.
-        may_vanish: Whether the constant itself may be 0 too.
+    Bounds of a parameter lie `within` an open interval; the constant itself may be 0
+    too if it `may_vanish`.
     """
 
     unit: str
@@ -75,7 +65,7 @@ class Constant(NamedTuple):
     @property
     def type(self) -> Any:
         if not self.unit:
-            return Number
+            return typed.Number
         size: Size = "not negative" if self.may_vanish else "positive"
         if self.within[0] < 0.0:
             size = "finite"
@@ -104,7 +94,7 @@ class Material(_OfLaw):
     constants: ClassVar[Mapping[str, Constant]]
 
     law: str
-    density: Density = Field(description=DENSITY["words"])
+    density: typed.Density = Field(description=DENSITY["words"])
     formulation: Literal["auto", "displacement", "mean-dilatation"] = "auto"
     regions: dict[str, Any] = Field(default_factory=dict)
 
@@ -167,8 +157,7 @@ class Material(_OfLaw):
 def material_table(raw: Any) -> type[Material]:
     """Build the schema of [material], read as `raw`, for the law that it names.
 
-    Raises:
-        ValueError: If there is no such law; the text lists those that there are.
+    A ValueError lists the laws that there are, if there is no such law.
     """
     named = as_table(raw)
     name = str(named.get("law"))
@@ -183,16 +172,12 @@ def material_table(raw: Any) -> type[Material]:
     choice = "" if part is None else str(named.get(part.key, part.default))
     if part is not None and choice not in part.known:
         raise wrong_choice(part.key, named, part.known)
-    return _table(law, choice, _is_aimed(named))
-
-
-def _is_aimed(named: dict[str, Any]) -> bool:
-    """Return whether fibres have directions, and no helix, which needs `theta`."""
+    # Whether fibres have directions, and no helix, which needs `theta`.
     regions = named.get("regions")
     tables = [named, *(regions.values() if isinstance(regions, dict) else ())]
     given = [table.get(_FRAME) for table in tables if isinstance(table, dict)]
     kinds = [frame.get("type") for frame in given if isinstance(frame, dict)]
-    return bool(kinds) and "helix" not in kinds
+    return _table(law, choice, bool(kinds) and "helix" not in kinds)
 
 
 @functools.cache
@@ -237,22 +222,12 @@ def _part_of(law: type[eqx.Module]) -> _Part | None:
     hints = typing.get_type_hints(law).values()
     if AbstractElasticity in hints:
         return _Part("elasticity", "isotropic", ELASTICITIES)
-    if AbstractLaw in hints:
-        return _Part("matrix", "neo-hookean", _matrices())
-    return None
-
-
-@functools.cache
-def _matrices() -> Mapping[str, type[AbstractLaw]]:
-    """Return the laws that may be a matrix: with a potential and without fibres."""
-    hints = {
-        name: set(typing.get_type_hints(law).values()) for name, law in LAWS.items()
-    }
-    return {
-        name: law
-        for name, law in LAWS.items()
-        if law.conservative and not {Fibre, AbstractLaw} & hints[name]
-    }
+    if AbstractLaw not in hints:
+        return None
+    # A matrix has a potential and no fibres.
+    fibrous = lambda law: {Fibre, AbstractLaw} & {*typing.get_type_hints(law).values()}
+    plain = {k: v for k, v in LAWS.items() if v.conservative and not fibrous(v)}
+    return _Part("matrix", "neo-hookean", plain)
 
 
 class _Recipe(NamedTuple):
@@ -288,7 +263,7 @@ def _recipe(kind: type[eqx.Module], chosen: type[eqx.Module] | None) -> _Recipe:
             keys[key] = (field, AnyDirections)
             arguments[field.name] = lambda value: value(_FRAME)
         elif "unit" in field.metadata or field.metadata.get("static"):
-            keys[key] = (field, Flag if hint is bool else hint)
+            keys[key] = (field, typed.Flag if hint is bool else hint)
             arguments[field.name] = lambda value, key=key: value(key)
         else:
             raise ValueError(
@@ -300,15 +275,12 @@ def _recipe(kind: type[eqx.Module], chosen: type[eqx.Module] | None) -> _Recipe:
 
 def _owners(key: str) -> list[str]:
     """List the laws and elasticities with a key, each as a file chooses it."""
-    owners = []
-    for name, kind in ELASTICITIES.items():
-        if key in _recipe(kind, None).keys:
-            owners.append(f'elasticity = "{name}"')
-    for name, law in LAWS.items():
-        part = _part_of(law)
-        if key in _recipe(law, None).keys or (part and part.key == key):
-            owners.append(f'law = "{name}"')
-    return owners
+    has = lambda kind: key in _recipe(kind, None).keys
+    chooses = lambda law: (part := _part_of(law)) is not None and part.key == key
+    return [
+        *(f'elasticity = "{name}"' for name, kind in ELASTICITIES.items() if has(kind)),
+        *(f'law = "{k}"' for k, law in LAWS.items() if has(law) or chooses(law)),
+    ]
 
 
 def _plug_in(name: str, plug_ins: EntryPoints) -> type[AbstractLaw]:

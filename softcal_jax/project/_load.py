@@ -1,29 +1,37 @@
-"""Load a project file."""
+"""Load a project file, and warn of guesses and of what is probably a slip of a unit."""
 
 import os
+import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from softcal_jax._process import check_process
+from softcal_jax._units import readable_values
+from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.actuators import AbstractActuator
 from softcal_jax.bodies import RigidBody
 from softcal_jax.calibration import CalibrationSettings, ProjectSource
-from softcal_jax.configurations import build_mechanism, configuration_arrays
+from softcal_jax.configurations import (
+    STANDARD_GRAVITY,
+    Configuration,
+    build_mechanism,
+    configuration_arrays,
+    configuration_lanes,
+    farthest,
+    motions,
+)
 from softcal_jax.equilibrium import Model, NewtonSettings, build_model
 from softcal_jax.fields import Uncertain, check_parameters
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project._configurations import Posed, build_configuration
 from softcal_jax.project._effectors import build_effectors
 from softcal_jax.project._parameters import build_space
-from softcal_jax.project._plausibility import (
-    CHANGE,
-    ProjectWarning,
-    guesses_left,
-    implausible,
-)
 from softcal_jax.project._problems import in_file, under
 from softcal_jax.project._project import Project
 from softcal_jax.project._reading import (
@@ -71,7 +79,18 @@ def load_project(
     with in_file(path):
         project = _built(path, table, changes, solve=solve)
     if changes is None:  # a sweep would repeat it for each of its changes
-        _warn(project)
+        posed = {f"configurations.{c.name}": c for c in project.configurations}
+        posed |= {f"candidates.{c.name}": c for c in project.candidates}
+        lines = [*implausible(project.model, posed)]
+        guesses = len(guesses_left(path))
+        if guesses:
+            lines.append(
+                f"{guesses} line{'s hold' if guesses > 1 else ' holds'} a guess that "
+                "nobody has confirmed, of `softcal new`: what is found with them means "
+                f'little. They have a remark "{CHANGE}..."; `softcal check` lists them.'
+            )
+        for line in lines:
+            warnings.warn(f"{path}: {line}", ProjectWarning, stacklevel=2)
     return project
 
 
@@ -86,22 +105,6 @@ def load_mesh(path: str | os.PathLike[str]) -> TetMesh:
     table = read_schema(path, MeshTables, "project file")
     with in_file(path):
         return _mesh(path.parent, table)
-
-
-def _warn(project: Project) -> None:
-    """Warn of guesses, and of numbers that are probably a slip of a unit."""
-    posed = {f"configurations.{c.name}": c for c in project.configurations}
-    posed |= {f"candidates.{c.name}": c for c in project.candidates}
-    lines = [*implausible(project.model, posed)]
-    guesses = len(guesses_left(project.path))
-    if guesses:
-        lines.append(
-            f"{guesses} line{'s hold' if guesses > 1 else ' holds'} a guess that "
-            "nobody has confirmed, of `softcal new`: what is found with them means "
-            f'little. They have a remark "{CHANGE}..."; `softcal check` lists them.'
-        )
-    for line in lines:
-        warnings.warn(f"{project.path}: {line}", ProjectWarning, stacklevel=3)
 
 
 def _built(
@@ -231,3 +234,103 @@ def _files(path: Path, table: ProjectTable) -> list[Path]:
         *(path.parent / name for name in files if name is not None),
         *dict.fromkeys(file for tag in tags for file in tag.files(path.parent)),
     ]
+
+
+DENSITIES = 10.0, 23e3
+"""From a light foam to the heaviest metal [kg/m3]."""
+
+GRAVITIES = 1.0, 30.0
+"""From the Moon's to Jupiter's [m/s2]."""
+
+WEIGHTS = 200.0
+"""Dead load over the weight of the robot that would crush a soft one flat [-]."""
+
+
+class ProjectWarning(SoftcalWarning):
+    """A number of a project file that is probably a mistake."""
+
+
+def implausible(model: Model, posed: Mapping[str, Configuration]) -> Iterator[str]:
+    """Yield a line on the first value of each kind that is hard to believe.
+
+    `posed` holds configurations by their keys, like "configurations.weight".
+    """
+    density = np.atleast_1d(np.asarray(model.density))
+    low, high = DENSITIES
+    strange = density[(density != 0.0) & ((density < low) | (density > high))]
+    if strange.size:
+        yield (
+            f"material.density: {strange[0]:g} kg/m^3 is hardly a robot's (water has "
+            "1000, silicone 1070, steel 7850): check its unit."
+        )
+    if posed:
+        for doubts in (_gravity(posed), _loads(model, posed), _places(model, posed)):
+            yield from islice(doubts, 1)
+
+
+def _gravity(posed: Mapping[str, Configuration]) -> Iterator[str]:
+    low, high = GRAVITIES
+    for key, c in posed.items():
+        size = float(np.linalg.norm(c.gravity))
+        if size and not low <= size <= high:
+            yield (
+                f"{key}.gravity: {readable_values(c.gravity, 'm/s^2')} is "
+                f"{size / STANDARD_GRAVITY:.3g} times that of the Earth: check its "
+                "unit."
+            )
+
+
+def _loads(model: Model, posed: Mapping[str, Configuration]) -> Iterator[str]:
+    weight = model.mass * STANDARD_GRAVITY
+    for key, c in posed.items():
+        forces = [load.nodal_forces(model.mesh).sum(axis=0) for load in c.loads]
+        load = float(sum(np.linalg.norm(force) for force in forces))
+        if weight and load > WEIGHTS * weight:
+            yield (
+                f"{key}.loads: {readable_values([load], 'N')} are {load / weight:.3g} "
+                f"times the weight of the robot ({readable_values([weight], 'N')}): "
+                "check the units of force, size and density."
+            )
+
+
+def _places(model: Model, posed: Mapping[str, Configuration]) -> Iterator[str]:
+    """Check where points were measured, or how far from the reference pose.
+
+    A reference may have a frame of its own, so only differences from it are checked.
+    """
+    lanes = configuration_lanes(model.mesh, [*posed.values()], model.mechanism)
+    moved = dict(zip(posed, map(motions, lanes.effectors), strict=True))
+    named = {c.name: moved[key] for key, c in posed.items()}
+    references = {c.displacement_from for c in posed.values()}
+    for key, c in posed.items():
+        motion = {} if c.name in references else moved[key]
+        if c.displacement_from is not None:
+            before = named.get(c.displacement_from, {})
+            motion = {n: motion[n] - before[n] for n in motion if n in before}
+        far = farthest(motion, model.mesh.size)
+        if far is not None:
+            yield f"{key}.measured: {far}"
+
+
+CHANGE = "# CHANGE: "
+"""How the remark on a guess begins, at the end of its line or on the line before."""
+
+_GUESS = re.compile(rf"(?P<text>.*?)\s*{CHANGE}(?P<remark>.+)")
+
+
+class Guess(NamedTuple):
+    """A line of a project file, from 1, and the remark on what is to be confirmed."""
+
+    line: int
+    text: str
+    remark: str
+
+
+def guesses_left(path: str | os.PathLike[str]) -> tuple[Guess, ...]:
+    """List the lines of a project file that still have the remark of a guess."""
+    lines = Path(path).read_text(encoding="utf-8").splitlines()
+    return tuple(
+        Guess(n, match["text"].strip(), match["remark"].strip())
+        for n, line in enumerate(lines, start=1)
+        if (match := _GUESS.match(line))
+    )

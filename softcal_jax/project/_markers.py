@@ -22,19 +22,11 @@ from softcal_jax.configurations import (
     read_recording,
     register,
 )
+from softcal_jax.project import _quantities as typed
 from softcal_jax.project._effectors import Measured
 from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._sensors import DialectTable, Selection
-from softcal_jax.project._table import (
-    Choice,
-    Flag,
-    Length,
-    Position,
-    PositiveLength,
-    Table,
-    TableOr,
-    Time,
-)
+from softcal_jax.project._table import Choice, Table, TableOr
 
 _KINDS = ("between", "at", "plateau")
 """What a window of time is given by; each has a method of `Recording`."""
@@ -48,10 +40,10 @@ class WindowTable(Table):
     marker or from an event of the file, if one is named.
     """
 
-    between: tuple[Time, Time] | None = None
-    at: Time | None = None
-    width: Time | None = None
-    plateau: Time | None = None
+    between: tuple[typed.Time, typed.Time] | None = None
+    at: typed.Time | None = None
+    width: typed.Time | None = None
+    plateau: typed.Time | None = None
     after_step_of: str | None = None
     after_event: str | None = None
 
@@ -98,20 +90,20 @@ WhichOrName = Annotated[WindowTable | Selection | str, Choice(_which)]
 class MarkerEntry(Table):
     """A marker with a standard deviation of its own."""
 
-    position: Position = Field(description='"(0, 15, 36) mm"')
-    std: PositiveLength | None = None
+    position: typed.Position = Field(description='"(0, 15, 36) mm"')
+    std: typed.PositiveLength | None = None
 
 
 class MarkersTable(Table):
     """Positions of the markers at rest, in the frame of the mesh."""
 
-    positions: dict[str, TableOr[MarkerEntry, Position]] = Field(
+    positions: dict[str, TableOr[MarkerEntry, typed.Position]] = Field(
         description="names and positions of the markers"
     )
-    std: PositiveLength | None = None
+    std: typed.PositiveLength | None = None
     axes: str = "xyz"
-    max_distance: Length = 0.01
-    base_radius: Length = 0.0
+    max_distance: typed.Length = 0.01
+    base_radius: typed.Length = 0.0
 
     def build(self, names: Sequence[str] | None) -> Markers:
         """Build the named markers, or all if `names` is None."""
@@ -148,11 +140,8 @@ class RegistrationTable(Table):
 class MeasuredMarkers(NamedTuple):
     """The markers of a configuration, and what was measured of them.
 
-    Attributes:
-        markers: The markers; `std` includes the scatter of a recording if asked.
-        positions: Positions in the frame of the mesh [m].
-        registration: Registration of the frame of the cameras, if there is one.
-        traces: The recording and its windows, if they come from one.
+    Their `std` includes the scatter of a recording if asked, and `positions` are in the
+    frame of the mesh [m]. The `traces` are those of the recording, if there is one.
     """
 
     markers: Markers | None = None
@@ -176,7 +165,7 @@ class MeasuredTable(DialectTable):
     select: Which = Field(default_factory=dict)
     registration: RegistrationTable | None = None
     displacement_from: WhichOrName | None = None
-    scatter: Flag = False
+    scatter: typed.Flag = False
     effectors: dict[str, Measured] = Field(default_factory=dict)
 
     @model_validator(mode="after")

@@ -11,16 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from softcal_jax.actuators import (
-    AbstractActuator,
-    Cable,
-    Chamber,
-    ForceActuator,
-    Guide,
-    Motor,
-    SurfaceForceActuator,
-    SurfacePressure,
-)
+from softcal_jax import actuators
 from softcal_jax.bodies import BodyState, Pose, RigidBody, hinge_axes
 from softcal_jax.configurations import (
     ImposedDisplacement,
@@ -28,29 +19,17 @@ from softcal_jax.configurations import (
     Mechanism,
     actuation_arrays,
 )
+from softcal_jax.project import _quantities as typed
 from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._quantities import dimension_of, parse_scalar, shown
-from softcal_jax.project._table import (
-    Choice,
-    Direction,
-    Flag,
-    Maker,
-    Mass,
-    Names,
-    Position,
-    RotationVector,
-    Surface,
-    Table,
-    TableOr,
-    by_type,
-)
+from softcal_jax.project._table import Choice, Maker, Table, TableOr, by_type
 
 
 class MotionTable(Table):
     """A rigid motion of a frame: its translation and rotation vector."""
 
-    translation: Position = (0.0, 0.0, 0.0)
-    rotation_vector: RotationVector = (0.0, 0.0, 0.0)
+    translation: typed.Position = (0.0, 0.0, 0.0)
+    rotation_vector: typed.RotationVector = (0.0, 0.0, 0.0)
 
     @property
     def pose(self) -> Pose:
@@ -60,14 +39,14 @@ class MotionTable(Table):
 class BodyTable(Table):
     """Nodes that move as one."""
 
-    group: Names = Field(description='a group of the mesh: "x_max", or several')
-    origin: Position | None = None
-    hinge: Direction | None = None
-    axes: tuple[Direction, Direction, Direction] | None = None
+    group: typed.Names = Field(description='a group of the mesh: "x_max", or several')
+    origin: typed.Position | None = None
+    hinge: typed.Direction | None = None
+    axes: tuple[typed.Direction, typed.Direction, typed.Direction] | None = None
     mounting: MotionTable = MotionTable()
     tied_to: str | None = None
-    mass: Mass = 0.0
-    centre_of_mass: Position | None = None
+    mass: typed.Mass = 0.0
+    centre_of_mass: typed.Position | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "BodyTable":
@@ -110,14 +89,15 @@ def build_states(
 
 
 Positive = Annotated[
-    Direction, Field(description='direction of a positive force: "-z", or [0, 0, -1]')
+    typed.Direction,
+    Field(description='direction of a positive force: "-z", or [0, 0, -1]'),
 ]
 
 
 class ActuatorTable(Maker):
     """An actuator; `asked` says what may be imposed on it, with an example of each."""
 
-    makes: ClassVar[type[AbstractActuator]]
+    makes: ClassVar[type[actuators.AbstractActuator]]
     asked: ClassVar[str] = 'its force, like "2 N", or its displacement, like "5 mm"'
 
     def imposed(self, value: Any) -> ImposedForce | ImposedDisplacement:
@@ -146,13 +126,13 @@ class ActuatorTable(Maker):
 
 
 class GuideTable(Maker):
-    makes = Guide
-    point: Position = Field(description='where it is at rest: "(50, 10, 0) mm"')
+    makes = actuators.Guide
+    point: typed.Position = Field(description='where it is at rest: "(50, 10, 0) mm"')
     on: str = "mesh"
 
 
 class CableTable(ActuatorTable):
-    makes = Cable
+    makes = actuators.Cable
     asked = 'its tension, like "2 N", or its shortening, like "5 mm"'
     type: Literal["cable"]
     guides: tuple[GuideTable, ...] = Field(
@@ -171,38 +151,38 @@ class CableTable(ActuatorTable):
 
 
 class ChamberTable(ActuatorTable):
-    makes = Chamber
+    makes = actuators.Chamber
     asked = 'its pressure, like "10 kPa", or its growth in volume, like "2 ml"'
     type: Literal["chamber"]
     surface: str = Field(description='the surface group of its whole wall: "cavity"')
-    seal: Flag = False
+    seal: typed.Flag = False
 
 
 class SurfacePressureTable(ActuatorTable):
-    makes = SurfacePressure
+    makes = actuators.SurfacePressure
     asked = 'its pressure, like "10 kPa"'
     type: Literal["surface-pressure"]
-    surface: Surface
+    surface: typed.Surface
 
 
 class MotorTable(ActuatorTable):
-    makes = Motor
+    makes = actuators.Motor
     asked = 'its torque, like "50 N*mm", or its angle, like "30 deg"'
     type: Literal["motor"]
     body: str = Field(description='the rigid body that it turns, with a hinge: "arm"')
 
 
 class ForceActuatorTable(ActuatorTable):
-    makes = ForceActuator
+    makes = actuators.ForceActuator
     type: Literal["point-force"]
-    point: Position = Field(description='where it acts: "(50, 10, 0) mm"')
+    point: typed.Position = Field(description='where it acts: "(50, 10, 0) mm"')
     direction: Positive
 
 
 class SurfaceForceActuatorTable(ActuatorTable):
-    makes = SurfaceForceActuator
+    makes = actuators.SurfaceForceActuator
     type: Literal["surface-force"]
-    surface: Surface
+    surface: typed.Surface
     direction: Positive
 
 

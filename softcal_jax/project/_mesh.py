@@ -1,47 +1,20 @@
-"""Tables of a project file that make the mesh and its groups."""
+"""Tables of a project file for the mesh, its groups, and directions of fibres in it."""
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
+from softcal_jax import mesh as meshes
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.exchange.cad import CAD_FORMATS, mesh_cad
-from softcal_jax.mesh import (
-    Annulus,
-    Box,
-    Cylinder,
-    Plane,
-    Sphere,
-    TetMesh,
-    beam,
-    mesh_files,
-    read_mesh,
-    read_tet_data,
-    select_cavity,
-    select_face,
-    select_faces,
-    select_nodes,
-    select_reachable,
-)
-from softcal_jax.project._table import (
-    Angle,
-    Choice,
-    Corner,
-    Direction,
-    Extent,
-    Integer,
-    Length,
-    Maker,
-    Names,
-    Position,
-    PositiveLength,
-    Table,
-    by_keys,
-)
+from softcal_jax.materials import frames_along, frames_around
+from softcal_jax.mesh import TetMesh
+from softcal_jax.project import _quantities as typed
+from softcal_jax.project._table import Choice, Maker, Table, by_keys, by_type
 
 LengthUnit = Literal["m", "cm", "mm", "um", "inch"]
 
@@ -58,12 +31,10 @@ class _MeshTable(Table):
         """Make the mesh; paths are relative to `folder`."""
 
     def files(self, folder: Path) -> tuple[Path, ...]:
-        del folder
         return ()
 
     def tet_data(self, folder: Path, name: str) -> Float[HostArray, "n_tets _"]:
         """Read an array of a mesh file with values for each tet."""
-        del folder
         raise ValueError(
             f"there is no mesh file to read {name!r} from. Take "
             'type = "along", "hoop" or "helix", or a mesh of a file.'
@@ -77,24 +48,22 @@ class MeshFileTable(_MeshTable):
     parts: Literal["one", "linked"] = "one"
 
     def build(self, folder: Path) -> TetMesh:
-        return read_mesh(
-            folder / self.file,
-            length_unit=self.length_unit,
-            order=self.order,
-            unused=self.unused_nodes,
-            parts=self.parts,
-        )
+        options = self.model_dump(include={"length_unit", "parts"})
+        options |= {"order": self.order, "unused": self.unused_nodes}
+        return meshes.read_mesh(folder / self.file, **options)
 
     def files(self, folder: Path) -> tuple[Path, ...]:
-        return mesh_files(folder / self.file)
+        return meshes.mesh_files(folder / self.file)
 
     def tet_data(self, folder: Path, name: str) -> Float[HostArray, "n_tets _"]:
-        return read_tet_data(folder / self.file, name)
+        return meshes.read_tet_data(folder / self.file, name)
 
 
 class CadMeshTable(_MeshTable):
     file: str = Field(description='a CAD model: "finger.step" or "finger.stl"')
-    size: PositiveLength = Field(description='length of the edges of its tets: "3 mm"')
+    size: typed.PositiveLength = Field(
+        description='length of the edges of its tets: "3 mm"'
+    )
     length_unit: LengthUnit | None = None
 
     def build(self, folder: Path) -> TetMesh:
@@ -108,11 +77,11 @@ class CadMeshTable(_MeshTable):
 class BeamTable(Table):
     """A box of tets, long along x; its sides are the groups "x_min" to "z_max"."""
 
-    size: Extent = Field(description='length, width, height: "(100, 30, 30) mm"')
-    cells: tuple[Integer, Integer, Integer] = Field(
+    size: typed.Extent = Field(description='length, width, height: "(100, 30, 30) mm"')
+    cells: tuple[typed.Integer, typed.Integer, typed.Integer] = Field(
         description="cells along x, y and z: [14, 4, 4]"
     )
-    origin: Position = (0.0, 0.0, 0.0)
+    origin: typed.Position = (0.0, 0.0, 0.0)
     pattern: Literal["mirrored", "centred"] = "mirrored"
 
 
@@ -120,9 +89,8 @@ class BeamMeshTable(_MeshTable):
     beam: BeamTable
 
     def build(self, folder: Path) -> TetMesh:
-        del folder
         options = self.beam.model_dump(exclude={"size"})
-        return beam(*self.beam.size, order=self.order, **options)
+        return meshes.beam(*self.beam.size, order=self.order, **options)
 
 
 def _mesh_kind(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
@@ -138,36 +106,40 @@ MeshTable = Annotated[MeshFileTable | CadMeshTable | BeamMeshTable, Choice(_mesh
 
 
 class BoxTable(Maker):
-    makes = Box
-    lower: Corner = Field(description='a corner: "(0, 0, 0) mm"')
-    upper: Corner = Field(description='a corner: "(0, 30, 30) mm"')
+    makes = meshes.Box
+    lower: typed.Corner = Field(description='a corner: "(0, 0, 0) mm"')
+    upper: typed.Corner = Field(description='a corner: "(0, 30, 30) mm"')
 
 
 class PlaneTable(Maker):
-    makes = Plane
-    point: Position = Field(description='a point on the plane: "(0, 0, 0) mm"')
-    normal: Direction = Field(description='its direction: "z" or [0, 0, 1]')
+    makes = meshes.Plane
+    point: typed.Position = Field(description='a point on the plane: "(0, 0, 0) mm"')
+    normal: typed.Direction = Field(description='its direction: "z" or [0, 0, 1]')
 
 
 class SphereTable(Maker):
-    makes = Sphere
-    centre: Position = Field(description='its centre: "(0, 0, 0) mm"')
-    radius: PositiveLength = Field(description='its radius: "5 mm"')
+    makes = meshes.Sphere
+    centre: typed.Position = Field(description='its centre: "(0, 0, 0) mm"')
+    radius: typed.PositiveLength = Field(description='its radius: "5 mm"')
 
 
 class CylinderTable(Maker):
-    makes = Cylinder
-    start: Position = Field(description='the middle of one end: "(0, 0, 0) mm"')
-    end: Position = Field(description='the middle of the other end: "(10, 0, 0) mm"')
-    radius: PositiveLength = Field(description='its radius: "5 mm"')
+    makes = meshes.Cylinder
+    start: typed.Position = Field(description='the middle of one end: "(0, 0, 0) mm"')
+    end: typed.Position = Field(
+        description='the middle of the other end: "(10, 0, 0) mm"'
+    )
+    radius: typed.PositiveLength = Field(description='its radius: "5 mm"')
 
 
 class AnnulusTable(Maker):
-    makes = Annulus
-    start: Position = Field(description='the middle of one end: "(0, 0, 0) mm"')
-    end: Position = Field(description='the middle of the other end: "(10, 0, 0) mm"')
-    inner: Length = Field(description='the radius of its hole: "4 mm"')
-    outer: PositiveLength = Field(description='its outer radius: "6 mm"')
+    makes = meshes.Annulus
+    start: typed.Position = Field(description='the middle of one end: "(0, 0, 0) mm"')
+    end: typed.Position = Field(
+        description='the middle of the other end: "(10, 0, 0) mm"'
+    )
+    inner: typed.Length = Field(description='the radius of its hole: "4 mm"')
+    outer: typed.PositiveLength = Field(description='its outer radius: "6 mm"')
 
 
 class _SurfaceTable(Table):
@@ -179,32 +151,34 @@ class _SurfaceTable(Table):
 
 
 class FaceTable(_SurfaceTable):
-    points: tuple[Position, ...] = Field(
+    points: tuple[typed.Position, ...] = Field(
         description='a point on each face: ["(0, 5, 0) mm"]', min_length=1
     )
 
     def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
-        faces = [select_face(mesh, np.array(point)) for point in self.points]
+        faces = [meshes.select_face(mesh, np.array(point)) for point in self.points]
         return np.unique(np.concatenate(faces), axis=0)
 
 
 class ReachableTable(_SurfaceTable):
-    point: Position = Field(description='where it begins: "(0, 5, 0) mm"')
-    angle: Angle | None = None
-    stop_at: Names = ()
+    point: typed.Position = Field(description='where it begins: "(0, 5, 0) mm"')
+    angle: typed.Angle | None = None
+    stop_at: typed.Names = ()
 
     def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
         start = np.array(self.point)
-        return select_reachable(mesh, start, angle=self.angle, stop_at=self.stop_at)
+        return meshes.select_reachable(
+            mesh, start, angle=self.angle, stop_at=self.stop_at
+        )
 
 
 class InsideTable(_SurfaceTable):
-    point: Position = Field(description='a point in the cavity: "(20, 0, 0) mm"')
-    stop_at: Names = ()
+    point: typed.Position = Field(description='a point in the cavity: "(20, 0, 0) mm"')
+    stop_at: typed.Names = ()
 
     def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
         """Find the wall of the cavity around the point."""
-        return select_cavity(mesh, np.array(self.point), stop_at=self.stop_at)
+        return meshes.select_cavity(mesh, np.array(self.point), stop_at=self.stop_at)
 
 
 class GroupTable(Table):
@@ -219,7 +193,7 @@ class GroupTable(Table):
     reachable: ReachableTable | None = None
     inside: InsideTable | None = None
     of: Literal["nodes", "faces", "tets"] = "nodes"
-    tolerance: Length | None = None
+    tolerance: typed.Length | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "GroupTable":
@@ -246,10 +220,69 @@ class GroupTable(Table):
         rounding = 1e-6 * mesh.size if self.tolerance is None else self.tolerance
         region = place.build(tolerance=rounding)
         if self.of == "nodes":
-            return mesh.with_node_group(name, select_nodes(mesh, region))
+            return mesh.with_node_group(name, meshes.select_nodes(mesh, region))
         if self.of == "faces":
-            return mesh.with_surface_group(name, select_faces(mesh, region))
+            return mesh.with_surface_group(name, meshes.select_faces(mesh, region))
         tets = np.flatnonzero(region(mesh.centroids))
         if not tets.size:
             raise ValueError("no tet has its centre there; check the length unit.")
         return mesh.with_tet_group(name, tets)
+
+
+TetData = Callable[[str], Float[HostArray, "n_tets _"]]
+"""Returns an array of the mesh file by its name."""
+
+Frames = Float[HostArray, "n 3 3"]
+"""Local axes of some tets, see `Fibre`."""
+
+
+class AlongTable(Table):
+    type: Literal["along"]
+    axis: typed.Direction = Field(
+        description='direction of the fibres: "z" or [0, 0, 1]'
+    )
+
+    def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
+        return frames_along(np.broadcast_to(np.asarray(self.axis), (len(tets), 3)))
+
+
+class _AroundTable(Table):
+    axis: typed.Direction = Field(description='direction of the axis: "z" or [0, 0, 1]')
+    through: typed.Position = (0.0, 0.0, 0.0)
+
+    def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
+        return frames_around(mesh.centroids[tets], self.axis, self.through)
+
+
+class HelixTable(_AroundTable):
+    """Fibres around an axis, at the angle `theta` from it."""
+
+    type: Literal["helix"]
+
+
+class HoopTable(_AroundTable):
+    type: Literal["hoop"]
+
+    def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
+        return super().frames(mesh, tets, data)[:, [2, 1, 0]]
+
+
+class CellsTable(Table):
+    """Fibres from an array of the mesh file, with a vector for each tet."""
+
+    type: Literal["cells"]
+    array: str = Field(description='name of a cell array of the mesh file: "fibre"')
+
+    def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
+        vectors = data(self.array)
+        if vectors.shape[1:] != (3,):
+            raise ValueError(
+                f"the cell array {self.array!r} has the shape {vectors.shape}; "
+                "expected a vector of three components for each tet."
+            )
+        return frames_along(vectors[tets])
+
+
+AnyDirections = Annotated[
+    AlongTable | HoopTable | HelixTable | CellsTable, Choice(by_type)
+]

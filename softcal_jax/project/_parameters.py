@@ -14,18 +14,11 @@ from softcal_jax.fields import (
     ParameterSpace,
     check_names,
 )
+from softcal_jax.project import _quantities as typed
 from softcal_jax.project._laws import Constant
 from softcal_jax.project._problems import known_name, one_of, under
 from softcal_jax.project._quantities import is_number, parse_in_si, shown
-from softcal_jax.project._table import (
-    Integer,
-    Length,
-    Number,
-    Position,
-    Table,
-    TableOr,
-    WholeFile,
-)
+from softcal_jax.project._table import Table, TableOr, WholeFile
 
 PerPoint = float | dict[str, float]
 """One value for all control points, or one for each by name."""
@@ -34,15 +27,15 @@ PerPoint = float | dict[str, float]
 class ControlPointsTable(Table):
     """Control points, where fields of the law have values of their own."""
 
-    positions: TableOr[dict[str, Position], tuple[Position, ...]] = Field(
+    positions: TableOr[dict[str, typed.Position], tuple[typed.Position, ...]] = Field(
         description='names and positions, { "CP 1" = "(0, 7.5, 7.5) mm" }, or a list '
         "of positions"
     )
     names: tuple[str, ...] | None = None
-    power: Number = 2.0
-    nearest: Integer | None = None
+    power: typed.Number = 2.0
+    nearest: typed.Integer | None = None
     axes: str = "xyz"
-    max_distance: Length | None = None
+    max_distance: typed.Length | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "ControlPointsTable":
@@ -76,7 +69,7 @@ class ParameterTable(Table):
     start: PerPoint | None = None
     scale: Literal["log", "linear"] | None = None
     S: float | None = None
-    max_step: Number | None = None
+    max_step: typed.Number | None = None
     interpolation: Literal["linear", "log", "director"] | None = None
     sampling: Literal["centroids"] | None = Field(
         default=None, description="only in older files; it does nothing"

@@ -8,22 +8,11 @@ from typing import Literal
 
 import jax.numpy as jnp
 
+from softcal_jax import calibration as calibrations, identifiability
 from softcal_jax._module import Module
 from softcal_jax._names import listed
 from softcal_jax._typing import Array, Float
-from softcal_jax.calibration import (
-    CalibrationProblem,
-    CalibrationResult,
-    CalibrationSettings,
-    HistoryEntry,
-    ProjectSource,
-    SearchProgress,
-    SimulationResult,
-    build_problem,
-    calibrate,
-    check_references,
-    simulation_result,
-)
+from softcal_jax.calibration import CalibrationResult, HistoryEntry, ProjectSource
 from softcal_jax.configurations import (
     Configuration,
     Registration,
@@ -40,12 +29,7 @@ from softcal_jax.equilibrium import (
     reports_of,
 )
 from softcal_jax.fields import Parameter, ParameterSpace, Uncertain
-from softcal_jax.identifiability import (
-    Identifiability,
-    Ranking,
-    identify,
-    rank_configurations,
-)
+from softcal_jax.identifiability import Identifiability, Ranking
 from softcal_jax.layouts import ModelComparison, compare_models
 from softcal_jax.project._problems import ProjectError, in_file, one_by_one, under
 
@@ -90,7 +74,7 @@ class Project(Module):
     intervals: float | None
     precision: float
     uncertain: Uncertain
-    settings: CalibrationSettings
+    settings: calibrations.CalibrationSettings
     newton: NewtonSettings
     registrations: dict[str, Registration]
     traces: dict[str, Traces]
@@ -140,7 +124,7 @@ class Project(Module):
         start: Float[Array, " n_p"] | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
         progress: Callable[[HistoryEntry], None] | None = None,
-        search_progress: Callable[[SearchProgress], None] | None = None,
+        search_progress: Callable[[calibrations.SearchProgress], None] | None = None,
         equilibrium_progress: Callable[[EquilibriumProgress], None] | None = None,
         quick: bool = False,
         answer: Callable[[CalibrationResult], None] | None = None,
@@ -161,7 +145,7 @@ class Project(Module):
         """
         self.check_calibration()
         assert self.space is not None
-        result = calibrate(
+        result = calibrations.calibrate(
             self.model,
             self.space,
             self.calibration,
@@ -183,17 +167,11 @@ class Project(Module):
             answer=answer,
             stage=stage,
         )
-        return self._with_origin(result)
-
-    def _with_origin(self, result: CalibrationResult) -> CalibrationResult:
-        """Add the files, and a note on how well camera frames were registered."""
-        result = dataclasses.replace(result, source=self.source)
-        if not self.registrations:
-            return result
-        fits = self.registrations.items()
-        listed = ", ".join(f"{name} {1e3 * fit.rms:.2f} mm" for name, fit in fits)
-        note = f"Camera frames registered to the mesh with an rms of: {listed}."
-        return dataclasses.replace(result, notes=(*result.notes, note))
+        notes, fits = result.notes, self.registrations.items()
+        if fits:
+            rms = ", ".join(f"{name} {1e3 * fit.rms:.2f} mm" for name, fit in fits)
+            notes += (f"Camera frames registered to the mesh with an rms of: {rms}.",)
+        return dataclasses.replace(result, source=self.source, notes=notes)
 
     def check_identify(self) -> None:
         """Raise ProjectError if nothing can be judged; no measured value is needed."""
@@ -224,7 +202,7 @@ class Project(Module):
         """
         self.check_identify()
         assert self.space is not None
-        return identify(
+        return identifiability.identify(
             self.model,
             self.space,
             self.calibration,
@@ -249,7 +227,7 @@ class Project(Module):
             raise ProjectError(
                 f"{self.path}: candidates: there are none; add [[candidates]]."
             )
-        return rank_configurations(
+        return identifiability.rank_configurations(
             self.model,
             self.space,
             self.calibration,
@@ -273,7 +251,7 @@ class Project(Module):
         values: Mapping[str, float] | None = None,
         *,
         progress: Callable[[EquilibriumProgress], None] = lambda _: None,
-    ) -> tuple[SimulationResult, EquilibriumSolution]:
+    ) -> tuple[calibrations.SimulationResult, EquilibriumSolution]:
         """Solve the equilibria of all `configurations`, and compare what was measured.
 
         Args:
@@ -289,31 +267,26 @@ class Project(Module):
         posed, model = self.configurations, self.model
         lanes = configuration_lanes(model.mesh, posed, model.mechanism)
         with in_file(self.path), under("configurations"):
-            check_references(posed, lanes.effectors)
+            calibrations.check_references(posed, lanes.effectors)
         if values is not None:
-            z = self._scaled(values)
-            assert self.space is not None  # `_scaled` has seen to it
-            model, arrays = CalibrationProblem(model, self.space, lanes.arrays).at(z)
+            if self.space is None:
+                raise ProjectError(f"{self.path}: {_NO_PARAMETERS}")
+            missing = [name for name in self.space.names if name not in values]
+            if missing:
+                raise ProjectError(
+                    f"{self.path}: parameters: there is no value of {listed(missing)}, "
+                    f"only of {listed([*values])}; leave it out to keep its start."
+                )
+            z = self.space.to_scaled(jnp.array([values[n] for n in self.space.names]))
+            fitted = calibrations.CalibrationProblem(model, self.space, lanes.arrays)
+            model, arrays = fitted.at(z)
             lanes = lanes._replace(arrays=arrays)
         report = reports_of(progress, [c.name for c in posed])
         with Workers(model, len(posed)) as workers:
             solved = equilibria(
                 workers, model, lanes.arrays, self.newton, report=report
             )
-        return simulation_result(model, posed, solved, lanes), solved
-
-    def _scaled(self, values: Mapping[str, float]) -> Float[Array, " n_p"]:
-        """Return scaled values of all parameters."""
-        if self.space is None:
-            raise ProjectError(f"{self.path}: {_NO_PARAMETERS}")
-        missing = [name for name in self.space.names if name not in values]
-        if missing:
-            raise ProjectError(
-                f"{self.path}: parameters: there is no value of {listed(missing)}, "
-                f"only of {listed([*values])}; leave it out to keep its start."
-            )
-        new = [values[name] for name in self.space.names]
-        return self.space.to_scaled(jnp.asarray(new))
+        return calibrations.simulation_result(model, posed, solved, lanes), solved
 
 
 def compare_projects(
@@ -351,7 +324,7 @@ def compare_projects(
         assert project.space is not None  # `check_calibration` has seen to it
         posed = {c.name: c for c in project.calibration}
         with in_file(project.path), under("configurations"):
-            problems[name] = build_problem(
+            problems[name] = calibrations.build_problem(
                 project.model,
                 project.space,
                 [posed[key] for key in names],

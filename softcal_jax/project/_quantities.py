@@ -1,11 +1,13 @@
-"""Parse quantities of a project file, like "200 kPa" and "(0, 0, -1) N"."""
+"""Kinds of typed values, like "200 kPa" and "(0, 0, -1) N", and how each is parsed."""
 
 import contextlib
 import functools
 import math
 import re
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+
+from pydantic import BeforeValidator, Field, Strict
 
 from softcal_jax._names import METRES, suggestion
 from softcal_jax._text import shortened
@@ -244,3 +246,34 @@ def parse_direction(value: Any) -> tuple[float, float, float]:
         raise ValueError(f"got {value}; a direction has a finite length above zero.")
     x, y, z = (v / length for v in numbers)
     return x, y, z
+
+
+Number = Annotated[float, Strict()]
+Integer = Annotated[int, Strict()]
+Flag = Annotated[bool, Strict()]
+Triple = tuple[float, float, float]
+
+Length = Annotated[float, BeforeValidator(scalar(LENGTH, "not negative"))]
+PositiveLength = Annotated[float, BeforeValidator(scalar(LENGTH, "positive"))]
+Density = Annotated[float, BeforeValidator(scalar(DENSITY, "not negative"))]
+Angle = Annotated[float, BeforeValidator(scalar(ANGLE))]
+Time = Annotated[float, BeforeValidator(scalar(TIME))]
+Mass = Annotated[float, BeforeValidator(scalar(MASS, "not negative"))]
+Stiffness = Annotated[float, BeforeValidator(scalar(BEDDING, "positive"))]
+AccelerationSize = Annotated[float, BeforeValidator(scalar(ACCELERATION))]
+Position = Annotated[Triple, BeforeValidator(vector(LENGTH))]
+Corner = Annotated[Triple, BeforeValidator(vector(LENGTH, "any"))]
+Extent = Annotated[Triple, BeforeValidator(vector(LENGTH, "positive"))]
+Acceleration = Annotated[Triple, BeforeValidator(vector(ACCELERATION))]
+Force = Annotated[Triple, BeforeValidator(vector(FORCE))]
+Traction = Annotated[Triple, BeforeValidator(vector(PRESSURE))]
+RotationVector = Annotated[Triple, BeforeValidator(vector(ANGLE))]
+Direction = Annotated[Triple, BeforeValidator(parse_direction)]
+
+Names = Annotated[
+    tuple[str, ...],
+    BeforeValidator(lambda value: [value] if isinstance(value, str) else value),
+]
+"""One name, or a list of them."""
+
+Surface = Annotated[str, Field(description='name of a surface group: "z_max"')]

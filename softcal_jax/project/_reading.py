@@ -36,10 +36,9 @@ from softcal_jax.project._problems import (
     known_here,
     one_by_one,
 )
-from softcal_jax.project._quantities import recognised
-from softcal_jax.project._setup import AnySetup
-from softcal_jax.project._table import Choice, Flag, Integer, Number, Table
-from softcal_jax.project._uncertain import UncertainTable
+from softcal_jax.project._quantities import Flag, Integer, Number, recognised
+from softcal_jax.project._setup import AnySetup, UncertainTable
+from softcal_jax.project._table import Choice, Table
 
 Keys = tuple[str | int, ...]
 

@@ -8,27 +8,14 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
+from softcal_jax import configurations
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import Pose
-from softcal_jax.configurations import (
-    PoseTable,
-    average_poses,
-    in_frame,
-    read_polhemus,
-    read_poses,
-)
+from softcal_jax.configurations import PoseTable
 from softcal_jax.exchange.camera import TagPose, find_photos, tag_pose
+from softcal_jax.project import _quantities as typed
 from softcal_jax.project._mesh import LengthUnit
-from softcal_jax.project._table import (
-    Angle,
-    Integer,
-    Names,
-    Number,
-    Position,
-    PositiveLength,
-    RotationVector,
-    Table,
-)
+from softcal_jax.project._table import Table
 
 Selection = dict[str, str]
 """Values that the selected rows of a file of readings have, by column."""
@@ -54,11 +41,13 @@ _UNIT_LENGTH = 1e-3
 class OrientationTable(Table):
     """An orientation: the angles of a tracker, a quaternion or a rotation vector."""
 
-    azimuth: Angle | None = None
-    elevation: Angle | None = None
-    roll: Angle | None = None
-    quaternion: tuple[Number, Number, Number, Number] | None = None
-    rotation_vector: RotationVector | None = None
+    azimuth: typed.Angle | None = None
+    elevation: typed.Angle | None = None
+    roll: typed.Angle | None = None
+    quaternion: tuple[typed.Number, typed.Number, typed.Number, typed.Number] | None = (
+        None
+    )
+    rotation_vector: typed.RotationVector | None = None
 
     @model_validator(mode="after")
     def _check_form(self) -> "OrientationTable":
@@ -96,7 +85,7 @@ class OrientationTable(Table):
 class FrameTable(OrientationTable):
     """Position and orientation of a frame, in the frame of the mesh."""
 
-    position: Position = (0.0, 0.0, 0.0)
+    position: typed.Position = (0.0, 0.0, 0.0)
 
     @property
     def pose(self) -> Pose:
@@ -119,7 +108,6 @@ class SensorPoseTable(Table):
 
     def earlier_readings(self, folder: Path) -> PoseTable | None:
         """Return the readings that displacements start from; None for rest."""
-        del folder
 
     def motion(
         self,
@@ -146,7 +134,7 @@ class SensorPoseTable(Table):
 
 def _mean(readings: PoseTable, base: FrameTable) -> Pose:
     """Average the pose of one sensor in the mesh's frame."""
-    means = average_poses(in_frame(readings, base.pose))
+    means = configurations.average_poses(configurations.in_frame(readings, base.pose))
     if len(means) > 1:
         raise ValueError(
             f"{readings.source} has the sensors {', '.join(means)}; say which one is "
@@ -157,13 +145,12 @@ def _mean(readings: PoseTable, base: FrameTable) -> Pose:
 
 
 class WrittenPoseTable(SensorPoseTable, OrientationTable):
-    position: Position = Field(
+    position: typed.Position = Field(
         description='the pose, { position = "(0, 0, 100) mm", azimuth = "10 deg" }, or '
         'where it was read, { file = "tracker.csv" }'
     )
 
     def readings(self, folder: Path) -> PoseTable:
-        del folder
         p, R = np.array([self.position], float), self.rotation[None]
         return PoseTable(("sensor",), p, R, (1,), "the pose")
 
@@ -178,7 +165,9 @@ class PoseFileTable(SensorPoseTable, DialectTable):
     displacement_from: Selection | None = None
 
     def readings(self, folder: Path) -> PoseTable:
-        rows = read_poses(folder / self.file, select=self.select, **self.dialect)
+        rows = configurations.read_poses(
+            folder / self.file, select=self.select, **self.dialect
+        )
         return rows if self.sensor is None else rows.readings_of(self.sensor)
 
     def earlier_readings(self, folder: Path) -> PoseTable | None:
@@ -197,15 +186,15 @@ class PolhemusFileTable(SensorPoseTable):
         description='what the tracker was set to: "cm" or "inch"'
     )
     angle_unit: Literal["deg", "rad"] = "deg"
-    station: Integer | None = None
+    station: typed.Integer | None = None
 
     def readings(self, folder: Path) -> PoseTable:
         options = self.model_dump(include={"length_unit", "angle_unit", "station"})
-        return read_polhemus(folder / self.file, **options)
+        return configurations.read_polhemus(folder / self.file, **options)
 
 
 class EarlierPhotosTable(Table):
-    photos: Names = Field(description='photographs: "rest/*.jpg"')
+    photos: typed.Names = Field(description='photographs: "rest/*.jpg"')
 
 
 class PhotosTable(Table):
@@ -216,12 +205,12 @@ class PhotosTable(Table):
     camera is calibrated.
     """
 
-    photos: Names = Field(description='photographs: "pose1/*.jpg"', min_length=1)
-    tag: Integer = Field(description="number of the tag on the rigid body: 3")
-    base_tag: Integer = Field(description="number of the tag on the base: 0")
-    size: PositiveLength = Field(description='side of the black square: "20 mm"')
-    base_size: PositiveLength | None = None
-    board: Names = ()
+    photos: typed.Names = Field(description='photographs: "pose1/*.jpg"', min_length=1)
+    tag: typed.Integer = Field(description="number of the tag on the rigid body: 3")
+    base_tag: typed.Integer = Field(description="number of the tag on the base: 0")
+    size: typed.PositiveLength = Field(description='side of the black square: "20 mm"')
+    base_size: typed.PositiveLength | None = None
+    board: typed.Names = ()
     displacement_from: EarlierPhotosTable | None = None
 
     def files(self, folder: Path) -> tuple[Path, ...]:

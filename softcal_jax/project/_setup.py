@@ -1,38 +1,75 @@
-"""The kinds of [[setup]]: what is calibrated beside the material.
+"""What else is known only roughly: the kinds of [[setup]], and [uncertain].
 
-To add a kind, write one table with a key of its own, named like the function of
-`softcal_jax.fields` that makes it, and list it in `AnySetup`.
+To add a kind of [[setup]], which is calibrated beside the material, write one table
+with a key of its own, named like the function of `softcal_jax.fields` that makes it,
+and list it in `AnySetup`.
 """
 
+import dataclasses
+import re
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field, field_validator
+from pydantic import BeforeValidator, Field, create_model, field_validator
 
+from softcal_jax import fields
 from softcal_jax._names import UNNAMED_LOADS
-from softcal_jax.fields import (
-    Entry,
-    actuator_factor,
-    clamp_stiffness,
-    friction,
-    gravity_tilt,
-    load_factor,
-    marker_offset,
-    motor_zero,
-    mounting,
-    recording_offset,
-)
+from softcal_jax.project import _quantities as typed
 from softcal_jax.project._effectors import BodyFrameTable
 from softcal_jax.project._mechanism import CableTable, MotorTable
 from softcal_jax.project._problems import known_name
 from softcal_jax.project._quantities import (
-    ANGLE,
-    LENGTH,
-    Dimension,
+    dimension_of,
+    is_number,
     parse_number,
     parse_scalar,
+    scalar,
+    shown,
 )
-from softcal_jax.project._table import Angle, Choice, Names, Table, WholeFile, by_keys
+from softcal_jax.project._table import Choice, Table, WholeFile, by_keys
+
+_PERCENT = re.compile(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*")
+
+
+def _parser(unit: str, *, estimated: bool) -> Callable[[Any], float | str]:
+    """Return a parser of values in an SI unit or in "%"; zero needs neither."""
+    parse = _share if unit == "%" else scalar(dimension_of(unit), "not negative")
+
+    def parsed(value: Any) -> float | str:
+        if is_number(value) and value == 0:
+            return 0.0
+        return value if estimated and value == "estimated" else parse(value)
+
+    return parsed
+
+
+def _share(value: Any) -> float:
+    match = _PERCENT.fullmatch(value) if isinstance(value, str) else None
+    if not match:
+        raise ValueError(f'got {shown(value)}; expected a share, like "3 %".')
+    return 0.01 * float(match[1])
+
+
+ShareOrEstimated = Annotated[
+    float | Literal["estimated"], BeforeValidator(_parser("%", estimated=True))
+]
+
+
+def _type_of(kind: Any, unit: str) -> Any:
+    if not unit:
+        return Annotated[typed.Number, Field(ge=0, allow_inf_nan=False)]
+    return Annotated[kind, BeforeValidator(_parser(unit, estimated=kind is not float))]
+
+
+_KEYS: dict[str, Any] = {
+    field.name: (_type_of(field.type, field.metadata["unit"]), field.default)
+    for field in dataclasses.fields(fields.Uncertain)
+}
+
+
+class UncertainTable(create_model("UncertainTable", __base__=Table, **_KEYS)):
+    """Its keys are the fields of `Uncertain`, whose docstring explains them."""
+
 
 Subjects = dict[str, tuple[Any, ...]]
 """What an error can belong to, with its nominal value, if any."""
@@ -47,8 +84,8 @@ class SetupTable(Table):
     have the dimension that the error `measures`, or are plain numbers.
     """
 
-    makes: ClassVar[Callable[..., Entry | Sequence[Entry]]]
-    measures: ClassVar[Dimension | None] = None
+    makes: ClassVar[Callable[..., fields.Entry | Sequence[fields.Entry]]]
+    measures: ClassVar[typed.Dimension | None] = None
     noun: ClassVar[str | None] = None
     section: ClassVar[str] = "[actuators]"
 
@@ -74,10 +111,9 @@ class SetupTable(Table):
 
     def known(self, project: WholeFile) -> dict[str, Any]:
         """Return limit, prior and scope, as arguments of `makes`."""
-        del project
         return self.model_dump(exclude={self.label, "each"})
 
-    def build(self, project: WholeFile) -> list[Entry]:
+    def build(self, project: WholeFile) -> list[fields.Entry]:
         known, of = self.known(project), [()]
         if self.noun is not None:
             subjects, names = self.subjects(project), getattr(self, self.label)
@@ -85,15 +121,15 @@ class SetupTable(Table):
                 known_name(self.noun, name, subjects, self.section)
             of = [(name, *subjects[name]) for name in names]
         made = [type(self).makes(*subject, **known) for subject in of]
-        several = ([m] if isinstance(m, Entry) else m for m in made)
+        several = ([m] if isinstance(m, fields.Entry) else m for m in made)
         return [entry for entries in several for entry in entries]
 
 
 class MotorZeroTable(SetupTable):
-    makes = motor_zero
-    measures = ANGLE
+    makes = fields.motor_zero
+    measures = typed.ANGLE
     noun = "motor"
-    motor_zero: Names
+    motor_zero: typed.Names
 
     def subjects(self, project: WholeFile) -> Subjects:
         tables = project.actuators.items()
@@ -101,11 +137,11 @@ class MotorZeroTable(SetupTable):
 
 
 class MountingTable(SetupTable):
-    makes = mounting
-    measures = LENGTH
+    makes = fields.mounting
+    measures = typed.LENGTH
     noun = "rigid body"
     section = "[bodies]"
-    mounting: Names
+    mounting: typed.Names
 
     def subjects(self, project: WholeFile) -> Subjects:
         tables = project.bodies.items()
@@ -113,9 +149,9 @@ class MountingTable(SetupTable):
 
 
 class FrictionTable(SetupTable):
-    makes = friction
+    makes = fields.friction
     noun = "cable with friction"
-    friction: Names
+    friction: typed.Names
 
     def subjects(self, project: WholeFile) -> Subjects:
         tables = project.actuators.items()
@@ -124,11 +160,11 @@ class FrictionTable(SetupTable):
 
 
 class MarkerOffsetTable(SetupTable):
-    makes = marker_offset
-    measures = LENGTH
+    makes = fields.marker_offset
+    measures = typed.LENGTH
     noun = "marker or 6-D sensor"
     section = "[markers.positions] or [effectors]"
-    marker_offset: Names
+    marker_offset: typed.Names
 
     def subjects(self, project: WholeFile) -> Subjects:
         tables = project.effectors.items()
@@ -163,8 +199,8 @@ class ScopedTable(SetupTable):
 
 
 class GravityTiltTable(ScopedTable):
-    makes = gravity_tilt
-    measures = ANGLE
+    makes = fields.gravity_tilt
+    measures = typed.ANGLE
     gravity_tilt: Literal[True]
 
 
@@ -174,12 +210,12 @@ class RecordingOffsetTable(ScopedTable):
     `limit` gives it three parameters of offset, `turn_limit` three of rotation.
     """
 
-    makes = recording_offset
-    measures = LENGTH
+    makes = fields.recording_offset
+    measures = typed.LENGTH
     limit: float | None = None
     recording_offset: Literal[True]
-    turn_limit: Angle | None = None
-    turn_prior_std: Angle | None = None
+    turn_limit: typed.Angle | None = None
+    turn_prior_std: typed.Angle | None = None
 
 
 class FactorTable(ScopedTable):
@@ -191,11 +227,12 @@ class FactorTable(ScopedTable):
 class LoadFactorTable(FactorTable):
     """Factors on dead loads, one parameter each; true for loads without a name."""
 
-    makes = load_factor
+    makes = fields.load_factor
     noun = "load"
     section = "`loads` of a configuration"
     load_factor: Annotated[
-        Names, BeforeValidator(lambda names: UNNAMED_LOADS if names is True else names)
+        typed.Names,
+        BeforeValidator(lambda names: UNNAMED_LOADS if names is True else names),
     ]
 
     def subjects(self, project: WholeFile) -> Subjects:
@@ -204,20 +241,20 @@ class LoadFactorTable(FactorTable):
 
 
 class ActuatorFactorTable(FactorTable):
-    makes = actuator_factor
+    makes = fields.actuator_factor
     noun = "actuator"
-    actuator_factor: Names
+    actuator_factor: typed.Names
 
     def subjects(self, project: WholeFile) -> Subjects:
         return dict.fromkeys(project.actuators, ())
 
 
 class ClampStiffnessTable(FactorTable):
-    makes = clamp_stiffness
+    makes = fields.clamp_stiffness
     noun = "support with a stiffness"
     section = "`supports` of a configuration"
     limit: float | None = 1e3
-    clamp_stiffness: Names
+    clamp_stiffness: typed.Names
 
     def subjects(self, project: WholeFile) -> Subjects:
         """List the groups of elastic supports, with their nominal stiffness."""

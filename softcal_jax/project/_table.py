@@ -1,24 +1,14 @@
-"""What all tables of a project file share; parsed values are in SI units."""
+"""What all tables of a project file share: how they are read, chosen and built."""
 
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import (
-    Annotated,
-    Any,
-    ClassVar,
-    Protocol,
-    TypeVar,
-    get_args,
-    runtime_checkable,
-)
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, TypeVar, get_args
 
 from pydantic import (
     BaseModel,
-    BeforeValidator,
     ConfigDict,
-    Field,
     GetCoreSchemaHandler,
-    Strict,
     TypeAdapter,
     ValidationError,
     model_validator,
@@ -26,51 +16,7 @@ from pydantic import (
 from pydantic_core import ErrorDetails, InitErrorDetails, core_schema
 
 from softcal_jax.project._problems import known_here, one_of
-from softcal_jax.project._quantities import (
-    ACCELERATION,
-    ANGLE,
-    BEDDING,
-    DENSITY,
-    FORCE,
-    LENGTH,
-    MASS,
-    PRESSURE,
-    TIME,
-    parse_direction,
-    scalar,
-    shown,
-    vector,
-)
-
-Number = Annotated[float, Strict()]
-Integer = Annotated[int, Strict()]
-Flag = Annotated[bool, Strict()]
-Triple = tuple[float, float, float]
-
-Length = Annotated[float, BeforeValidator(scalar(LENGTH, "not negative"))]
-PositiveLength = Annotated[float, BeforeValidator(scalar(LENGTH, "positive"))]
-Density = Annotated[float, BeforeValidator(scalar(DENSITY, "not negative"))]
-Angle = Annotated[float, BeforeValidator(scalar(ANGLE))]
-Time = Annotated[float, BeforeValidator(scalar(TIME))]
-Mass = Annotated[float, BeforeValidator(scalar(MASS, "not negative"))]
-Stiffness = Annotated[float, BeforeValidator(scalar(BEDDING, "positive"))]
-AccelerationSize = Annotated[float, BeforeValidator(scalar(ACCELERATION))]
-Position = Annotated[Triple, BeforeValidator(vector(LENGTH))]
-Corner = Annotated[Triple, BeforeValidator(vector(LENGTH, "any"))]
-Extent = Annotated[Triple, BeforeValidator(vector(LENGTH, "positive"))]
-Acceleration = Annotated[Triple, BeforeValidator(vector(ACCELERATION))]
-Force = Annotated[Triple, BeforeValidator(vector(FORCE))]
-Traction = Annotated[Triple, BeforeValidator(vector(PRESSURE))]
-RotationVector = Annotated[Triple, BeforeValidator(vector(ANGLE))]
-Direction = Annotated[Triple, BeforeValidator(parse_direction)]
-
-Names = Annotated[
-    tuple[str, ...],
-    BeforeValidator(lambda value: [value] if isinstance(value, str) else value),
-]
-"""One name, or a list of them."""
-
-Surface = Annotated[str, Field(description='name of a surface group: "z_max"')]
+from softcal_jax.project._quantities import shown
 
 T = TypeVar("T")
 V = TypeVar("V")
@@ -106,7 +52,6 @@ class Table(BaseModel):
     @classmethod
     def foreign(cls, key: str) -> str:
         """Say where an unknown key belongs, in a sentence after a space."""
-        del key
         return ""
 
 
@@ -141,20 +86,19 @@ def _built(value: Any) -> Any:
 _adapter = functools.cache(TypeAdapter)
 
 
+@dataclass(frozen=True)
 class Choice:
     """Mark a union whose member is chosen by a function of the value and the members.
 
-    pydantic's own unions would add the name of the member to the place of an error.
+    pydantic's own unions would add the name of the member to the place of an error. The
+    function raises ValueError where no member fits.
     """
 
-    def __init__(self, choose: Callable[[Any, Sequence[Any]], Any]):
-        """Take the function; it raises ValueError where no member fits."""
-        self.choose = choose
+    choose: Callable[[Any, Sequence[Any]], Any]
 
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        del handler
         kinds = get_args(source)
 
         def validate(value: Any, info: Any) -> Any:
@@ -197,10 +141,8 @@ def by_type(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
 def by_keys(value: Any, kinds: Sequence[type[BaseModel]]) -> type[BaseModel]:
     """Choose the table with the most of its own required keys present, for a `Choice`.
 
-    Among equals, the one with all of its keys present is chosen.
-
-    Raises:
-        ValueError: If several remain; the text lists the choices.
+    Among equals, the one with all of its keys present is chosen. If several remain, a
+    ValueError lists the choices.
     """
     table = as_table(value)
     common = set.intersection(*(set(kind.model_fields) for kind in kinds))
@@ -226,17 +168,5 @@ def as_table(value: Any) -> dict[str, Any]:
     return value
 
 
-@runtime_checkable
-class WholeFile(Protocol):
-    """Attributes of `ProjectTable` that its tables read, without a circular import."""
-
-    material: Any
-    bodies: dict[str, Any]
-    actuators: dict[str, Any]
-    control_points: dict[str, Any]
-    parameters: tuple[Any, ...]
-    setup: tuple[Any, ...]
-    parameter_space: Any
-    markers: Any
-    effectors: dict[str, Any]
-    configurations: tuple[Any, ...]
+WholeFile = Any
+"""A `ProjectTable`, whose own tables read others of it, without a circular import."""

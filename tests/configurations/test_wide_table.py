@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from recordings import NAMES, RATE, motion, write_motive, write_qualisys, write_vicon
 
-from softcal_jax.configurations import read_recording, read_wide_table
+from softcal_jax.configurations import read_recording
 
 
 def seen():
@@ -133,7 +133,7 @@ def test_refused(tmp_path, write, old, new, message):
     path.write_text(text.replace(old, new))
     unit = "mm" if write is write_qualisys else None
     with pytest.raises(ValueError, match=message):
-        read_wide_table(path, length_unit=unit)
+        read_recording(path, length_unit=unit)
 
 
 def test_units_are_stated_once(tmp_path):

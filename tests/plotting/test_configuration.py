@@ -12,8 +12,8 @@ from softcal_jax.plotting import (
     render_configuration,
     rendering_problem,
 )
-from softcal_jax.plotting._colours import BAD, MEASURED
 from softcal_jax.plotting._configuration import motion_words
+from softcal_jax.plotting._figure import BAD, MEASURED
 from softcal_jax.plotting._view import View, choose_view, fit_body
 
 pytestmark = pytest.mark.skipif(

@@ -67,7 +67,6 @@ def read_photo(path: Path) -> Photo:
 @lru_cache(maxsize=_CACHED)
 def _read(path: Path, changed: int, size: int) -> Photo:
     """Find the tags on a photograph; all arguments are the key of the cache."""
-    del changed, size
     cv2 = opencv()
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
     # Decoded from memory, since OpenCV opens no names but ASCII ones on Windows.

@@ -4,7 +4,6 @@ import glob
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -213,9 +212,9 @@ def _fitted(
     ]
     seen = Observations(*map(np.concatenate, zip(*shown, strict=True)))
     starts = [start for camera in cameras for start in _starts(seen, camera)]
-    best = min(starts, key=lambda start: float(np.median(start.rms)))
-    _check_alike(photos, best.rms, factor=_FIRST_OUTLIER, off=_FIRST_OFF)
-    fit = adjust(seen, best.camera, best.poses, best.targets)
+    rms, best = min(starts, key=lambda start: float(np.median(start[0])))
+    _check_alike(photos, rms, factor=_FIRST_OUTLIER, off=_FIRST_OFF)
+    fit = adjust(seen, *best)
     _check_alike(photos, fit.rms, factor=_OUTLIER, off=_MOST_OFF)
     return fit
 
@@ -237,20 +236,13 @@ def _check_alike(
         )
 
 
-class _FirstGuess(NamedTuple):
-    """Where an adjustment may begin, and its errors on each photograph [px]."""
+def _starts(
+    seen: Observations, camera: CameraModel
+) -> Iterator[tuple[Float[HostArray, " n_photos"], tuple]]:
+    """Yield errors on each photograph [px], and where `adjust` may begin with them.
 
-    rms: Float[HostArray, " n_photos"]
-    camera: CameraModel
-    poses: tuple[Placement, ...]
-    targets: tuple[Placement, ...]
-
-
-def _starts(seen: Observations, camera: CameraModel) -> Iterator[_FirstGuess]:
-    """Yield starts: a planar target on a photograph has two poses that fit.
-
-    Each pose of target 1 in the frame of target 0 that fits one photograph is tried on
-    all of them.
+    A planar target on a photograph has two poses that fit. Each pose of target 1 in the
+    frame of target 0 that fits one photograph is tried on all of them.
     """
     photos = [seen.photo == i for i in range(int(seen.photo.max()) + 1)]
     planar = lambda rows: _planar_poses(seen.points[rows], seen.pixels[rows], camera)
@@ -270,7 +262,7 @@ def _starts(seen: Observations, camera: CameraModel) -> Iterator[_FirstGuess]:
             for rows, starts in zip(photos, bases, strict=True)
         ]
         poses, errors = zip(*fits, strict=True)
-        yield _FirstGuess(np.sqrt(errors), camera, poses, others)
+        yield np.sqrt(errors), (camera, poses, others)
 
 
 def _planar_poses(

@@ -14,8 +14,8 @@ import numpy as np
 from softcal_jax._typing import Bool, Float, HostArray
 
 if TYPE_CHECKING:
-    import matplotlib.axes
-    import matplotlib.figure
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 CELLS = 8
 """Cells along a side of a tag, with its border."""
@@ -134,9 +134,7 @@ def write_tags(
     return len(pages)
 
 
-def tag_pages(
-    size: float, *, count: int, first: int, paper: str
-) -> list["matplotlib.figure.Figure"]:
+def tag_pages(size: float, *, count: int, first: int, paper: str) -> list["Figure"]:
     """Draw the sheets with the tags; arguments and errors as for `write_tags`."""
     from matplotlib.patches import Rectangle
 
@@ -183,7 +181,7 @@ def tag_pages(
     return pages
 
 
-def board_page(paper: str) -> "matplotlib.figure.Figure":
+def board_page(paper: str) -> "Figure":
     """Draw the board, by which cameras are calibrated."""
     width, height = _sheet(paper)
     figure, axes = _page(
@@ -207,9 +205,7 @@ def _sheet(paper: str) -> tuple[float, float]:
     return PAPERS[paper]
 
 
-def _page(
-    paper: str, title: str
-) -> tuple["matplotlib.figure.Figure", "matplotlib.axes.Axes"]:
+def _page(paper: str, title: str) -> tuple["Figure", "Axes"]:
     """Make a sheet whose coordinates are metres, with a title and a scale."""
     from matplotlib.figure import Figure
 
@@ -229,9 +225,7 @@ def _page(
     return figure, axes
 
 
-def _draw_tag(
-    axes: "matplotlib.axes.Axes", number: int, middle: Sequence[float], size: float
-) -> None:
+def _draw_tag(axes: "Axes", number: int, middle: Sequence[float], size: float) -> None:
     """Draw a tag: white cells on a black square.
 
     Both their rows and their columns are drawn, so that no seams show between them.

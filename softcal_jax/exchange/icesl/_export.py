@@ -11,24 +11,10 @@ from softcal_jax._names import unknown_name
 from softcal_jax.calibration import CalibrationResult
 from softcal_jax.configurations import read_table
 from softcal_jax.equilibrium import Model
-from softcal_jax.exchange.icesl._fields import (
-    Design,
-    PrintPlane,
-    part_on_bed,
-    print_plane,
-    sample,
-)
+from softcal_jax.exchange.icesl import _fields as fields, _report as report
+from softcal_jax.exchange.icesl._fields import Design, PrintPlane
 from softcal_jax.exchange.icesl._foam import FoamTable, Infill, published_foam
-from softcal_jax.exchange.icesl._report import (
-    TABLE,
-    UNREACHABLE,
-    IceslResult,
-    icesl_dict,
-    meaning,
-    print_notes,
-    script,
-    write_unreachable,
-)
+from softcal_jax.exchange.icesl._report import IceslResult
 from softcal_jax.exchange.icesl._settings import Convention, choose
 from softcal_jax.export import results_folder, write_json
 from softcal_jax.mesh import tessellate
@@ -103,12 +89,12 @@ def export_icesl(
     if isinstance(result, str | os.PathLike):
         result = load_result(result)
     directory, design, foam = Path(directory), _design(result), _foam(infill, table)
-    plane = plane or print_plane(design.model)
-    part = part_on_bed(design.model.mesh, plane=plane, region=region)
-    samples = sample(design, part)
+    plane = plane or fields.print_plane(design.model)
+    part = fields.part_on_bed(design.model.mesh, plane=plane, region=region)
+    samples = fields.sample(design, part)
     convention = Convention(angle_marks or foam.axis, angle_offset, clockwise)
     chosen = choose(samples, foam, convention)
-    notes = print_notes(samples, chosen, foam)
+    notes = report.print_notes(samples, chosen, foam)
     written = IceslResult(
         directory=directory,
         infill=foam.infill,
@@ -121,20 +107,20 @@ def export_icesl(
         rounding=chosen.rounding,
         notes=notes,
     )
-    comments = (*meaning(foam, convention, plane), *notes)
+    comments = (*report.meaning(foam, convention, plane), *notes)
     with results_folder(directory, force=force) as folder:
-        files = [_SCRIPT, _PART, TABLE]
-        text = script(design.title, comments, _PART, foam.infill, chosen)
+        files = [_SCRIPT, _PART, report.TABLE]
+        text = report.script(design.title, comments, _PART, foam.infill, chosen)
         (folder / _SCRIPT).write_text(text, encoding="utf-8")
         cut = tessellate(part.mesh)
         points = 1e3 * cut.interpolate(part.mesh.points)  # in mm
         surface = pyvista.PolyData.from_regular_faces(points, cut.triangles)
         surface.save(folder / _PART)
-        write_foam_table(folder / TABLE, foam)
+        write_foam_table(folder / report.TABLE, foam)
         if chosen.unreachable.any():
-            write_unreachable(folder / UNREACHABLE, samples, chosen)
-            files.append(UNREACHABLE)
-        about = icesl_dict(written, part, foam, convention)
+            report.write_unreachable(folder / report.UNREACHABLE, samples, chosen)
+            files.append(report.UNREACHABLE)
+        about = report.icesl_dict(written, part, foam, convention)
         write_json(folder / "icesl.json", {**about, "files": files})
     return written
 

@@ -74,7 +74,7 @@ class FoamTable(Module):
         if self.infill not in get_args(Infill):
             raise unknown_name("infill", self.infill, get_args(Infill))
         density, shrink, soft = self.density, self.anisotropy, self.E_soft
-        above, low = (shrink > 0.0, "(0") if self._is_log else (shrink >= 0.0, "[0")
+        above, low = (shrink > 0.0, "(0") if self.is_log else (shrink >= 0.0, "[0")
         share = "in (0, 1]: the share of solid, 0.2 for 20 %"
         at_least = self.E_stiff, self.E_stiff >= soft, "finite and at least E_soft [Pa]"
         for name, values, fine, expected in (
@@ -101,15 +101,16 @@ class FoamTable(Module):
     @property
     def setting(self) -> str:
         """What the anisotropy is called for this infill."""
-        return "shrink" if self._is_log else "iso"
+        return "shrink" if self.is_log else "iso"
 
     @property
     def axis(self) -> Literal["soft", "stiff"]:
         """Which modulus holds along the single axis; the other holds across it."""
-        return "soft" if self._is_log else "stiff"
+        return "soft" if self.is_log else "stiff"
 
     @property
-    def _is_log(self) -> bool:
+    def is_log(self) -> bool:
+        """Whether the setting is interpolated by its logarithm."""
         return self.infill == "Polyfoam"
 
     def moduli(self, density: Numbers, anisotropy: Numbers) -> Pairs:
@@ -117,7 +118,7 @@ class FoamTable(Module):
 
         Outside the table, curves of the density are extended; the nearest level counts.
         """
-        return self._patch().moduli(density, anisotropy)
+        return _Patch(self).moduli(density, anisotropy)
 
     def find(self, E_soft: Numbers, E_stiff: Numbers) -> FoundFoam:
         """Find the foams whose moduli [Pa] are nearest, in the logarithms of both.
@@ -128,15 +129,11 @@ class FoamTable(Module):
         # Each pair once: fields have few values per tet. Complex numbers sort as pairs.
         pairs, index = np.unique(E_soft + 1j * E_stiff, return_inverse=True)
         asked = np.log(np.stack([pairs.real, pairs.imag], axis=1))
-        anisotropy, nearest = self._patch().nearest(asked)
+        anisotropy, nearest = _Patch(self).nearest(asked)
         error = np.abs(nearest[:, 1:] - asked).max(axis=1)
         density, *moduli = np.exp(nearest).T
         values = (density, anisotropy, *moduli, error)
         return FoundFoam(*(each[index] for each in values))
-
-    def _patch(self) -> "_Patch":
-        moduli = np.stack([self.E_soft, self.E_stiff], axis=1)
-        return _Patch(self.density, self.anisotropy, moduli, is_log=self._is_log)
 
 
 TPU = 12e6
@@ -202,31 +199,28 @@ class _Patch:
     (0) to its largest (1).
     """
 
-    def __init__(
-        self, density: Numbers, anisotropy: Numbers, moduli: Pairs, *, is_log: bool
-    ):
-        """Fit a curve to each level; `is_log` interpolates their logarithms."""
+    def __init__(self, table: FoamTable):
+        """Fit a curve to each level."""
         # Imported here, so that other commands do not wait for it.
         from scipy.interpolate import PchipInterpolator
 
-        self.is_log = is_log
-        values = np.unique(anisotropy)
-        self.levels = np.log(values) if is_log else values
+        self.is_log, values = table.is_log, np.unique(table.anisotropy)
+        self.levels = np.log(values) if self.is_log else values
         self.last = len(values) - 1.0  # the largest s
         self.ends, self.curves = [], []
+        moduli = np.stack([table.E_soft, table.E_stiff], axis=1)
         for value in values:
-            samples = np.flatnonzero(anisotropy == value)
-            samples = samples[np.argsort(density[samples])]
-            x = np.log(density[samples])
+            samples = np.flatnonzero(table.anisotropy == value)
+            samples = samples[np.argsort(table.density[samples])]
+            x = np.log(table.density[samples])
             self.ends.append((x[0], x[-1]))
             self.curves.append(PchipInterpolator(x, np.log(moduli[samples])))
 
     def at(self, t: Numbers, s: Numbers) -> Float[HostArray, "n 3"]:
         """Return ln density, ln E_soft and ln E_stiff."""
         mixed, s = np.zeros((len(t), 3)), np.clip(s, 0.0, self.last)
-        for level, ((low, high), curve) in enumerate(
-            zip(self.ends, self.curves, strict=True)
-        ):
+        levels = zip(self.ends, self.curves, strict=True)
+        for level, ((low, high), curve) in enumerate(levels):
             weight = np.maximum(1.0 - np.abs(s - level), 0.0)
             near = np.flatnonzero(weight)
             x = low + t[near] * (high - low)

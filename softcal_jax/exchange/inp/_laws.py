@@ -4,24 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softcal_jax import materials
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.equilibrium import Model
-from softcal_jax.materials import (
-    AbstractElasticity,
-    AbstractLaw,
-    ClassicalCorotational,
-    Corotational,
-    FibreReinforced,
-    Gent,
-    Isotropic,
-    MooneyRivlin,
-    NeoHookean,
-    Ogden,
-    StVenantKirchhoff,
-    TabulatedElasticity,
-    TransverseHyperelastic,
-    Yeoh,
-)
 
 NO_TERM = 1e20
 """D_i of an absent term [1/Pa]: CalculiX replaces 0 by a number of its own."""
@@ -74,30 +59,34 @@ _VOLUME = (
 )
 
 
-def _converted(law: AbstractLaw) -> tuple:
+def _converted(law: materials.AbstractLaw) -> tuple:
     """Return keyword, columns of constants, note, and whether they have axes."""
     name = type(law).__name__
     match law:
-        case Corotational() | ClassicalCorotational() | StVenantKirchhoff():
-            same = isinstance(law, StVenantKirchhoff)
+        case (
+            materials.Corotational()
+            | materials.ClassicalCorotational()
+            | materials.StVenantKirchhoff()
+        ):
+            same = isinstance(law, materials.StVenantKirchhoff)
             note = "The former is the law of the model." if same else name + _STRETCH
-            if isinstance(law.elasticity, Isotropic):
+            if isinstance(law.elasticity, materials.Isotropic):
                 constants = law.elasticity.E, law.elasticity.nu
                 return "*ELASTIC", constants, _GREEN + note, False
             constants = _anisotropic(law.elasticity)
             return "*ELASTIC, TYPE=ANISO", constants, _GREEN + note, True
-        case NeoHookean():
+        case materials.NeoHookean():
             mu = law.E / (2.0 * (1.0 + law.nu))
             bulk = law.E / (3.0 * (1.0 - 2.0 * law.nu))
             return "*HYPERELASTIC, NEO HOOKE", (0.5 * mu, _D(bulk)), _NEO_HOOKE
-        case MooneyRivlin():
+        case materials.MooneyRivlin():
             constants = law.c10, law.c01, _D(law.bulk_modulus())
             return "*HYPERELASTIC, MOONEY-RIVLIN", constants, _VOLUME
-        case Yeoh():
+        case materials.Yeoh():
             volume = _D(law.bulk_modulus()), NO_TERM, NO_TERM
             constants = law.c10, law.c20, law.c30, *volume
             return "*HYPERELASTIC, YEOH", constants, _VOLUME
-        case Ogden():  # W has 2 mu / alpha^2 there, and mu / alpha here
+        case materials.Ogden():  # W has 2 mu / alpha^2 there, and mu / alpha here
             terms = law.terms()
             distortion = [c for mu, alpha in terms for c in (0.5 * mu * alpha, alpha)]
             volume = _D(law.bulk_modulus()), *[NO_TERM] * (len(terms) - 1)
@@ -106,14 +95,14 @@ def _converted(law: AbstractLaw) -> tuple:
     raise ValueError(f"{name} has no counterpart in Abaqus or CalculiX{_without(law)}.")
 
 
-def _without(law: AbstractLaw) -> str:
+def _without(law: materials.AbstractLaw) -> str:
     """Say why there is no counterpart, and what to do."""
-    if isinstance(law, Gent):
+    if isinstance(law, materials.Gent):
         return (
             ", which have no law that locks in this way; calibrate Yeoh, which "
             "stiffens too, and export that"
         )
-    if isinstance(law, FibreReinforced | TransverseHyperelastic):
+    if isinstance(law, materials.FibreReinforced | materials.TransverseHyperelastic):
         return (
             ": their laws with fibres (Holzapfel) are exponential, and CalculiX has "
             "them as user materials alone. For small strains calibrate Corotational "
@@ -122,16 +111,15 @@ def _without(law: AbstractLaw) -> str:
     return ": it would need a user subroutine (UMAT) there"
 
 
-def _anisotropic(elasticity: AbstractElasticity) -> list[HostArray]:
+def _anisotropic(elasticity: materials.AbstractElasticity) -> list[HostArray]:
     """Return the 21 constants in the order of *ELASTIC, TYPE=ANISO.
 
     That is the upper triangle by columns, in the order 11, 22, 33, 12, 13, 23.
     """
     order = [0, 1, 2, 5, 4, 3]  # in Voigt's order, that of the entries
     by_rows = [(a, b) for a in range(6) for b in range(a, 6)]
-    entries = dict(
-        zip(by_rows, TabulatedElasticity.of(elasticity).entries, strict=True)
-    )
+    table = materials.TabulatedElasticity.of(elasticity)
+    entries = dict(zip(by_rows, table.entries, strict=True))
     pairs = (sorted((order[i], order[j])) for j in range(6) for i in range(j + 1))
     return [np.asarray(entries[a, b]) for a, b in pairs]
 

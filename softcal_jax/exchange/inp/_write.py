@@ -13,7 +13,7 @@ from softcal_jax._typing import HostArray, Int
 from softcal_jax.actuators import actuator_geometry
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Model
-from softcal_jax.exchange._refusals import check_no_bodies, check_rim
+from softcal_jax.exchange._formats import check_no_bodies, check_rim
 from softcal_jax.exchange.inp._laws import InpLaw, inp_law
 from softcal_jax.mesh import TetMesh, tet_faces
 from softcal_jax.report import LoadedResult, load_result
@@ -143,8 +143,8 @@ def _mesh(mesh: TetMesh) -> Iterator[str]:
         yield ", ".join(map(str, (i, *nodes)))
     taken: set[str] = set()
     for group, nodes in mesh.node_groups.items():
-        name = stem = f"N_{re.sub(r'[^A-Z0-9_]+', '_', group.upper())[:70]}"
-        copy = 2
+        stem = f"N_{re.sub(r'[^A-Z0-9_]+', '_', group.upper())[:70]}"
+        name, copy = stem, 2
         while name in taken:
             name, copy = f"{stem}_{copy}", copy + 1
         taken.add(name)
@@ -226,9 +226,8 @@ def _pressures(model: Model, c: ConfigurationArrays) -> Iterator[str]:
     forces = np.asarray(c.actuation.forces)
     acting = forces != 0.0
     by_displacement = np.asarray(c.actuation.by_displacement)
-    for a, (name, kind) in enumerate(
-        zip(actuators.names, actuators.kinds, strict=True)
-    ):
+    every = zip(actuators.names, actuators.kinds, strict=True)
+    for a, (name, kind) in enumerate(every):
         if by_displacement[a]:
             raise ValueError(
                 f"{kind.noun} {name!r}: its displacement is imposed, and a file can "

@@ -13,15 +13,7 @@ from softcal_jax.actuators import Cable, ForceActuator, SurfaceForceActuator
 from softcal_jax.calibration import CalibrationResult, HistoryEntry
 from softcal_jax.configurations import Configuration, configuration_lanes
 from softcal_jax.equilibrium import Model, model_for_law
-from softcal_jax.exchange._recalibrated import (
-    left_out,
-    linear_project,
-    lines_of_both,
-    recalibrate,
-    vertex_masses,
-    with_equilibrium,
-)
-from softcal_jax.exchange._refusals import check_actuators, check_no_bodies
+from softcal_jax.exchange import _formats as formats
 from softcal_jax.exchange.mujoco._mjcf import Pose, mjcf
 from softcal_jax.export import (
     check_results_folder,
@@ -90,17 +82,17 @@ def export_mujoco(
     folder = Path(directory)
     check_results_folder(folder, force=force)
     loaded = result if isinstance(result, LoadedResult) else load_result(result)
-    project = linear_project(loaded)
+    project = formats.linear_project(loaded)
     model = model_for_law(project.model, law_for_mujoco(project.model.law))
     assert project.space is not None  # it has been calibrated
     at_rest = [np.zeros_like(model.mesh.points)] * len(project.configurations)
     every = project.configurations, at_rest
     mujoco_poses(model, project.space, loaded.z, *every)  # refused before the work
-    refitted = recalibrate(loaded, project, model, "MuJoCo", progress=progress)
-    solved = with_equilibrium(project, refitted)
+    refitted = formats.recalibrate(loaded, project, model, "MuJoCo", progress=progress)
+    solved = formats.with_equilibrium(project, refitted)
     poses = mujoco_poses(refitted.model, refitted.space, refitted.z, *solved)
-    lines = lines_of_both(loaded, refitted, "MuJoCo")
-    lines += ["", *left_out(refitted, "MuJoCo")]
+    lines = formats.lines_of_both(loaded, refitted, "MuJoCo")
+    lines += ["", *formats.left_out(refitted, "MuJoCo")]
     lines.append(
         "Damping and time step only bring the body to rest: neither was calibrated, "
         "and motions take another time."
@@ -109,14 +101,13 @@ def export_mujoco(
     stems = ["robot"] * len(poses) if alike else file_stems([p.name for p in poses])
     files = {pose.name: f"{stem}.xml" for pose, stem in zip(poses, stems, strict=True)}
     with results_folder(folder, force=force) as partial:
-        for file in set(files.values()):
+        written = sorted({*files.values()})
+        for file in written:
             within = [pose for pose in poses if files[pose.name] == file]
             text = mjcf(project.name, refitted.model, within, lines)
             (partial / file).write_text(text, encoding="utf-8")
         index = {"format": "softcal_jax.mujoco/1", "configurations": files}
-        write_json(
-            partial / "robot.json", {**index, "files": sorted(set(files.values()))}
-        )
+        write_json(partial / "robot.json", {**index, "files": written})
     return MujocoExport(files, refitted, tuple(lines))
 
 
@@ -130,8 +121,7 @@ def _surroundings(pose: Pose) -> bytes:
 def law_for_mujoco(law: AbstractLaw) -> StVenantKirchhoff:
     """Return the law that a flex computes in place of another with E and nu.
 
-    Raises:
-        ValueError: If the law has other constants; the text says what to do.
+    A ValueError says what to do if the law has other constants.
     """
     linear = StVenantKirchhoff, Corotational, ClassicalCorotational
     constants = law.elasticity if isinstance(law, linear) else law
@@ -156,15 +146,13 @@ def mujoco_poses(
 ) -> list[Pose]:
     """Return configurations with the fitted parameters, of scaled values `z`.
 
-    Raises:
-        ValueError: If MuJoCo cannot hold the robot, a support, or a displacement of an
-            actuator; the text says why, and what to do.
+    A ValueError says why MuJoCo cannot hold a robot, support or displacement.
     """
-    check_no_bodies(model, "a model of MuJoCo")
+    formats.check_no_bodies(model, "a model of MuJoCo")
     known = Cable, ForceActuator, SurfaceForceActuator
     holds = "cables without friction and forces of fixed direction"
-    check_actuators(model, known, f"MuJoCo; its models hold {holds}")
-    if np.any(vertex_masses(model) <= 0.0):
+    formats.check_actuators(model, known, f"MuJoCo; its models hold {holds}")
+    if np.any(formats.vertex_masses(model) <= 0.0):
         raise ValueError(
             "parts of the body have no mass, and MuJoCo moves masses: give `density` "
             "in [material]."

@@ -11,7 +11,7 @@ from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.actuators import Cable, CableSegments, actuator_rows
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Model
-from softcal_jax.exchange._recalibrated import vertex_masses
+from softcal_jax.exchange._formats import vertex_masses
 from softcal_jax.materials import StVenantKirchhoff
 
 OPTION = {"timestep": 0.002, "integrator": "discrete", "solver": "Newton"}
@@ -173,10 +173,8 @@ def _add_cable(
 ) -> list[Float[HostArray, "n_nodes 3"]]:
     """Add a cable; return the displacements of guides that are no nodes, as sums."""
     cable, sums = model.mechanism.actuators.names[owner], []
-    world, path = (
-        root.find("worldbody"),
-        _add(root.find("tendon"), "spatial", name=cable),
-    )
+    world = root.find("worldbody")
+    path = _add(root.find("tendon"), "spatial", name=cable)
     assert world is not None
     mass = GUIDE_MASS * model.mass / model.mesh.n_nodes
     size = np.cbrt(model.node_volumes.sum() / model.n_tets)

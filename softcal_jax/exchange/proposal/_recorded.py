@@ -10,15 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from softcal_jax import configurations
 from softcal_jax._names import METRES
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.configurations import (
-    MarkerTable,
-    is_recording,
-    read_markers,
-    read_recording,
-    read_table,
-)
+from softcal_jax.configurations import MarkerTable
 from softcal_jax.exchange.proposal._body import Body, Held
 
 _REST = re.compile(
@@ -134,7 +129,7 @@ def read_recorded(paths: Sequence[Path], across: float) -> Recorded:
 
     The size `across` of the robot [m] serves to guess a unit that no file states.
     """
-    kinds = [is_recording(path) for path in paths]
+    kinds = [configurations.is_recording(path) for path in paths]
     over_time = all(kinds)
     if len(paths) > 1 and not over_time:
         raise ValueError(
@@ -172,13 +167,13 @@ def _likely_unit(pose: RecordedPose, across: float) -> str:
 def _rows(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
     """Read the poses of a table of rows, by the columns that tell them apart."""
     (path,) = paths
-    table = read_table(path, "marker", None)
+    table = configurations.read_table(path, "marker", None)
     columns = _columns(table.header, table.rows)
     keys = dict.fromkeys(tuple(row[c] for c in columns) for row in table.rows)
     poses = []
     for key in keys:
         select = dict(zip(columns, key, strict=True))
-        seen = _seen(read_markers(path, length_unit=unit, select=select))
+        seen = _seen(configurations.read_markers(path, length_unit=unit, select=select))
         listed = ", ".join(f"{bare(c)} = {quoted(v)}" for c, v in select.items())
         poses.append(
             RecordedPose(" ".join(key) or "pose", path, f"{{ {listed} }}", seen)
@@ -210,7 +205,7 @@ def _ends(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
     """Take the start of the first recording as rest, and the end of each as a pose."""
     poses = []
     for path in paths:
-        recording = read_recording(path, length_unit=unit)
+        recording = configurations.read_recording(path, length_unit=unit)
         # Rounded down, the end does not lie behind the last frame.
         last = math.floor(1e4 * float(recording.times[-1])) / 1e4
         width = min(_WINDOW, last)

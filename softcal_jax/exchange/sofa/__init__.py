@@ -1,6 +1,6 @@
 """Scenes of SOFA: a calibrated robot, calibrated again for what SOFA will run."""
 
-from softcal_jax.exchange._recalibrated import NotConvergedError as NotConvergedError
+from softcal_jax.exchange._formats import NotConvergedError as NotConvergedError
 from softcal_jax.exchange.sofa._component import (
     PluginElasticity as PluginElasticity,
     SofaLaw as SofaLaw,

@@ -6,14 +6,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from softcal_jax import actuators
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.actuators import (
-    Cable,
-    CableSegments,
-    Chamber,
-    ChamberLids,
-    SurfacePressure,
-)
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -21,12 +15,7 @@ from softcal_jax.configurations import (
     configuration_lanes,
 )
 from softcal_jax.equilibrium import Model
-from softcal_jax.exchange._recalibrated import vertex_masses
-from softcal_jax.exchange._refusals import (
-    check_actuators,
-    check_no_bodies,
-    check_rim,
-)
+from softcal_jax.exchange import _formats as formats
 from softcal_jax.exchange.sofa._component import Scale
 from softcal_jax.export import plain
 from softcal_jax.fields import ParameterSpace
@@ -45,10 +34,10 @@ _IMPOSED = {
 
 def check_robot(model: Model) -> None:
     """Raise ValueError unless a scene can hold what is attached to the body."""
-    check_no_bodies(model, "a scene of SOFA")
-    check_actuators(
+    formats.check_no_bodies(model, "a scene of SOFA")
+    formats.check_actuators(
         model,
-        (Cable, Chamber, SurfacePressure),
+        (actuators.Cable, actuators.Chamber, actuators.SurfacePressure),
         "SOFA or its plugin SoftRobots; scenes hold cables without friction, chambers "
         "and surface pressures",
     )
@@ -105,7 +94,7 @@ def _supports(
         )
     moved = np.flatnonzero(np.any(fixed & (imposed != 0.0), axis=1))
     kinds = model.mechanism.actuators.kinds
-    chambers = [k for k, kind in enumerate(kinds) if kind is Chamber.kind]
+    chambers = [k for k, kind in enumerate(kinds) if kind is actuators.Chamber.kind]
     by_displacement = np.asarray(lane.actuation.by_displacement)
     if moved.size and any(by_displacement[chambers]):
         raise ValueError(
@@ -144,7 +133,7 @@ def _actuators(model: Model, lane: ConfigurationArrays, scale: Scale) -> dict[st
     written: dict[str, Any] = {"cables": [], "chambers": []}
     by_displacement = np.asarray(lane.actuation.by_displacement)
     for group in model.mechanism.actuators.groups:
-        if isinstance(group, ChamberLids):
+        if isinstance(group, actuators.ChamberLids):
             continue  # without material, like the opening that SOFA sees
         owners = np.asarray(group.owner)
         for owner in np.unique(owners).tolist():
@@ -153,11 +142,11 @@ def _actuators(model: Model, lane: ConfigurationArrays, scale: Scale) -> dict[st
             value = float(np.asarray(given)[owner])
             if value == 0.0 and not moves:
                 continue  # slack, or without pressure
-            check_rim(model, lane, owner, "SOFA")
+            formats.check_rim(model, lane, owner, "SOFA")
             name = model.mechanism.actuators.names[owner]
             mine = np.flatnonzero(owners == owner)
             part = jax.tree.map(lambda leaf, mine=mine: np.asarray(leaf)[mine], group)
-            cable = isinstance(part, CableSegments)
+            cable = isinstance(part, actuators.CableSegments)
             kind, unit = _IMPOSED[cable, moves]
             if cable:
                 where = _path(model, part, name, scale)
@@ -171,7 +160,7 @@ def _actuators(model: Model, lane: ConfigurationArrays, scale: Scale) -> dict[st
 
 
 def _path(
-    model: Model, cable: CableSegments, name: str, scale: Scale
+    model: Model, cable: actuators.CableSegments, name: str, scale: Scale
 ) -> dict[str, Any]:
     """Return the guides of a cable on the body, and the point on the ground, if any.
 
@@ -231,7 +220,7 @@ def _effectors(
 
 def _stop(model: Model, lane: ConfigurationArrays, scale: Scale) -> float:
     """Compute the residual at which Newton may stop; 0 without a load on free nodes."""
-    weight = vertex_masses(model)[:, None] * np.asarray(lane.acceleration)[None]
+    weight = formats.vertex_masses(model)[:, None] * np.asarray(lane.acceleration)[None]
     dead = np.asarray(lane.dead_loads)[: model.mesh.n_nodes]
     free = ~np.asarray(lane.fixed)[: model.mesh.n_nodes]
     size = float(np.linalg.norm(np.where(free, weight + dead, 0.0)))

@@ -1,40 +1,176 @@
-"""Export a calibrated robot as a scene of SOFA, calibrated again for it."""
+"""Export a calibrated robot as a scene of SOFA: calibrate it again, and write it."""
 
 import os
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import get_args
+from typing import Any, NamedTuple, get_args
 
 from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
+from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.calibration import CalibrationResult, HistoryEntry
 from softcal_jax.equilibrium import Model, model_for_law
-from softcal_jax.exchange._recalibrated import (
-    left_out,
-    linear_project,
-    lines_of_both,
-    recalibrate,
-    vertex_masses,
-    with_equilibrium,
-)
+from softcal_jax.exchange import _formats as formats
 from softcal_jax.exchange.sofa._component import (
     SCALES,
+    Component,
     PluginElasticity,
+    Scale,
     SofaLaw,
     SofaRelease,
     SofaUnits,
     component_of,
     law_for_sofa,
 )
-from softcal_jax.exchange.sofa._configurations import (
-    check_robot,
-    scene_configurations,
+from softcal_jax.exchange.sofa._configurations import check_robot, scene_configurations
+from softcal_jax.export import (
+    check_results_folder,
+    file_stems,
+    results_folder,
+    write_json,
 )
-from softcal_jax.exchange.sofa._write import Scene, write_scene
-from softcal_jax.export import check_results_folder
 from softcal_jax.materials import SofaRotation
+from softcal_jax.mesh import TetMesh
 from softcal_jax.project import Project
 from softcal_jax.report import LoadedResult, load_result
+
+_NEEDED = {
+    "SoftRobots": "SoftRobots (cables and chambers), which the binaries of SOFA hold",
+    "Anisotropy": "Anisotropy (https://github.com/VannesteFelix/anisotropy), with "
+    "SoftRobots.Inverse that it needs: both must be built from source against this "
+    "release, and loaded by `-l Anisotropy`",
+}
+
+
+class Scene(NamedTuple):
+    """All of a scene but its script, with the mesh in m and masses in kg."""
+
+    name: str
+    release: str
+    scale: Scale
+    mesh: TetMesh
+    elasticity: Component
+    vertex_mass: Float[HostArray, " n_nodes"]
+    configurations: dict[str, dict[str, Any]]
+
+    @property
+    def driven(self) -> list[str]:
+        """Names of the configurations with cables or chambers."""
+        posed = self.configurations.items()
+        return [name for name, pose in posed if pose["cables"] or pose["chambers"]]
+
+    @property
+    def plugins(self) -> list[str]:
+        """Plugins that are not part of SOFA itself."""
+        plugin = self.elasticity.plugin
+        return ["SoftRobots"] * bool(self.driven) + [plugin] * (plugin in _NEEDED)
+
+
+def write_scene(
+    directory: Path,
+    scene: Scene,
+    *,
+    text: Sequence[str],
+    notes: Sequence[str],
+    force: bool = False,
+) -> None:
+    """Write a scene to a folder, whole or not at all.
+
+    README.md quotes `text`, lines on the calibration in columns, and `notes`.
+    """
+    points = scene.scale.length * scene.mesh.points
+    stems = file_stems(list(scene.configurations))
+    named = zip(scene.configurations.items(), stems, strict=True)
+    files = ["robot.vtk", "scene.py", "README.md"]
+    with results_folder(directory, force=force) as folder:
+        _write_vtk(folder / files[0], points, scene.mesh.tets)
+        shutil.copyfile(Path(__file__).with_name("scene.py"), folder / files[1])
+        readme = _readme(scene, text, notes)
+        (folder / files[2]).write_text(readme, encoding="utf-8")
+        data = {
+            "format": "softcal_jax.sofa/1",
+            "name": scene.name,
+            "release": scene.release,
+            "units": scene.scale.words,
+            "elasticity": scene.elasticity._asdict(),
+            "positions": points.tolist(),
+            "vertex mass": scene.vertex_mass.tolist(),
+            "configurations": {
+                name: {"file": stem, **pose} for (name, pose), stem in named
+            },
+            "files": files,
+        }
+        write_json(folder / "robot.json", data)
+
+
+def _write_vtk(
+    path: Path, points: Float[HostArray, "n 3"], tets: Int[HostArray, "n_tets 4"]
+) -> None:
+    """Write linear tets as SOFA reads them: VTK before version 5, as text.
+
+    Numbers have full precision, which the writer of VTK itself does not keep.
+    """
+    rows = lambda table: [" ".join(map(repr, row)) for row in table.tolist()]
+    lines = [
+        "# vtk DataFile Version 4.2",
+        "written by softcal_jax",
+        "ASCII",
+        "DATASET UNSTRUCTURED_GRID",
+        f"POINTS {len(points)} double",
+        *rows(points),
+        f"CELLS {len(tets)} {5 * len(tets)}",
+        *(f"4 {row}" for row in rows(tets)),
+        f"CELL_TYPES {len(tets)}",
+        *["10"] * len(tets),
+    ]
+    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+
+
+def _readme(scene: Scene, text: Sequence[str], notes: Sequence[str]) -> str:
+    """Say what is needed, how to run the scene, and what to expect of it."""
+    first, *_ = scene.configurations
+    units = ", ".join(f"{what} {unit}" for what, unit in scene.scale.words.items())
+    needed = "".join(f"\n- {_NEEDED[plugin]}." for plugin in scene.plugins)
+    loaded = "".join(f" -l {plugin}" for plugin in ["SofaPython3", *scene.plugins])
+    steps = 100 if first in scene.driven else 1
+    on_driven = f"""
+With cables or chambers: {", ".join(scene.driven)}. SOFA solves these in time, by long \
+implicit steps that lose all motion: run on until the effectors stand still. If they \
+do not, shorten TIME_STEP in scene.py.
+"""
+    return f"""\
+# {scene.name} in SOFA
+
+Written by softcal_jax for SOFA {scene.release} (from the sources of \
+{scene.release}.00), to be run with
+
+- SofaPython3, with NumPy in its Python.{needed}
+
+```sh
+runSofa{loaded} -g batch -n {steps} scene.py
+```
+
+or, to see it, without `-g batch -n ...` and then Animate. Each step writes where the \
+effectors are to `effectors_CONFIGURATION.csv`, with the distance from what \
+softcal_jax predicts for the same mesh and law: it should fall to the tolerance of the \
+solver.
+
+Configurations: {", ".join(scene.configurations)}. The first is run, another one with \
+the environment variable SOFTCAL_CONFIGURATION set to its name.
+{on_driven if scene.driven else ""}
+Units: {units}, mass kg, time s. The law is that of `{scene.elasticity.component}`.
+
+## Calibrated for this mesh
+
+SOFA runs linear tets, which are too stiff, and corotational ones with a rotation of \
+its own. The values were therefore calibrated again with the mesh and the law of this \
+scene, and belong to them alone:
+
+```text
+{chr(10).join(text)}
+```
+""" + "".join(f"\n{note}\n" for note in notes)
 
 
 class SofaExport(Module):
@@ -63,7 +199,7 @@ class SofaExport(Module):
     @property
     def lines(self) -> list[str]:
         """The values of both models, and a table of what they predict."""
-        return lines_of_both(self.calibrated, self.result, "SOFA")
+        return formats.lines_of_both(self.calibrated, self.result, "SOFA")
 
 
 def export_sofa(
@@ -122,26 +258,21 @@ def export_sofa(
     folder = Path(directory)
     check_results_folder(folder, force=force)
     loaded = result if isinstance(result, LoadedResult) else load_result(result)
-    project = linear_project(loaded)  # SOFA does not run quadratic tets
+    project = formats.linear_project(loaded)  # SOFA does not run quadratic tets
     check_robot(project.model)
     model = _model_of_sofa(project, law, rotation)
     component_of(model.law, model.n_tets, release, scale)  # before the work is done
-    refitted = recalibrate(loaded, project, model, "SOFA", progress=progress)
-    posed, displacements = with_equilibrium(project, refitted)
+    refitted = formats.recalibrate(loaded, project, model, "SOFA", progress=progress)
+    posed, displacements = formats.with_equilibrium(project, refitted)
     scene = Scene(
         name=project.name,
         release=release,
         scale=scale,
         mesh=model.mesh,
         elasticity=component_of(refitted.model.law, model.n_tets, release, scale),
-        vertex_mass=vertex_masses(refitted.model),
+        vertex_mass=formats.vertex_masses(refitted.model),
         configurations=scene_configurations(
-            refitted.model,
-            refitted.space,
-            refitted.z,
-            posed,
-            displacements,
-            scale,
+            refitted.model, refitted.space, refitted.z, posed, displacements, scale
         ),
     )
     export = SofaExport(
@@ -171,7 +302,7 @@ def _model_of_sofa(project: Project, law: SofaLaw, rotation: SofaRotation) -> Mo
 
 
 def _notes(refitted: CalibrationResult, scene: Scene) -> tuple[str, ...]:
-    notes = left_out(refitted, "SOFA")
+    notes = formats.left_out(refitted, "SOFA")
     others = [
         f"{effector.name} ({c.name})"
         for c in refitted.configurations

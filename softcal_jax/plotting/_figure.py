@@ -1,19 +1,131 @@
-"""Draw markers, title, scales and legend around the picture of a body."""
+"""Figures: their files, colours and symbols, and what is drawn around a body."""
 
 from collections.abc import Container, Mapping, Sequence
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.plotting._colours import BAD, DISPLACEMENT_MAP, SYMBOLS, TEXT
-from softcal_jax.plotting._save import DPI, add_axes
 from softcal_jax.plotting._view import View
 
 if TYPE_CHECKING:
-    import matplotlib.axes
-    import matplotlib.figure
-    import matplotlib.text
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.text import Text
+else:  # imported for a picture only, since that takes a while
+    Axes = Figure = Text = Any
+
+DPI = 100
+"""Pixels per inch of figures and of the images within them."""
+
+
+def pixel_figure(width: float, height: float) -> Figure:
+    """Make a white figure of a size in pixels."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor="white")
+
+
+def add_axes(figure: Figure, *box: float) -> Axes:
+    """Add axes in a box of pixels: its left, bottom, width and height."""
+    x, y = DPI * figure.get_size_inches()
+    left, bottom, width, height = box
+    return figure.add_axes((left / x, bottom / y, width / x, height / y))
+
+
+def add_view(figure: Figure, *box: float, scale: float) -> Axes:
+    """Add axes in metres around the centre of a view; the scale is in pixels per m."""
+    axes = add_axes(figure, *box)
+    w, h = 0.5 * box[2] / scale, 0.5 * box[3] / scale
+    axes.set(xlim=(-w, w), ylim=(-h, h))
+    axes.set_axis_off()
+    return axes
+
+
+def save(figure: Figure, path: str | Path, software: str = "softcal_jax") -> None:
+    """Write a figure as PNG or SVG, according to the ending of the file's name.
+
+    The same figure gives the same file: without a date, and with the same ids. The file
+    names the software that drew it.
+
+    Raises:
+        ValueError: If the name ends in something else.
+    """
+    import matplotlib as mpl
+
+    suffix = Path(path).suffix.lower()
+    if suffix not in (".png", ".svg"):
+        raise ValueError(
+            f"{path} ends in {Path(path).suffix!r}; expected a picture, .png or .svg."
+        )
+    about = {"Software": software}
+    if suffix == ".svg":
+        about = {"Creator": software, "Date": None}
+    with mpl.rc_context({"svg.hashsalt": "softcal_jax"}):
+        figure.savefig(path, dpi=DPI, format=suffix[1:], metadata=about)
+
+
+MEASURED = "#e3001b"
+SIMULATED = "#000000"
+OUTLINE = "#8a8a8a"
+TEXT = "#1a1a1a"
+FAINT = "#6b6b6b"
+GOOD = "#1b7837"
+BAD = "#c00000"
+
+SERIES = ("#0b5fa5", "#d95f02", "#1b9e77", "#7570b3", "#a6761d", "#e7298a", "#444444")
+"""Colours of the lines of a diagram, in order."""
+
+DISPLACEMENT_MAP = "viridis"
+"""Colour map that is perceptually uniform and avoids the markers' black and red."""
+
+# What is drawn beside the soft body.
+CABLE, WALL, MOTOR = "#d95f02", "#0b5fa5", "#7b3294"
+FORCE, RIGID = "#1b7837", "#b4b4b4"
+
+# How the body is held, and its weight.
+SUPPORT, GRAVITY = "#8c510a", "#4d4d4d"
+FIBRE = "#5e3c99"
+
+MARKS = {
+    "measured": MEASURED,
+    "simulated": SIMULATED,
+    "at rest": OUTLINE,
+    "cable": CABLE,
+    "wall": WALL,
+    "motor": MOTOR,
+    "force": FORCE,
+    "load": FORCE,
+    "gravity": GRAVITY,
+    "rigid": RIGID,
+    "frame": GRAVITY,
+    "fibre": FIBRE,
+}
+"""Colours by what they mark, for a page that draws by itself."""
+
+_POINT = {"ls": "none", "ms": 13, "mew": 2.5}
+
+SYMBOLS: dict[str, dict[str, Any]] = {
+    "measured": _POINT | {"marker": "o", "mec": MEASURED, "mfc": "none"},
+    "simulated": _POINT | {"marker": "+", "mec": SIMULATED},
+    "distance": {"color": MEASURED, "lw": 2.5},
+    "at rest": {"color": OUTLINE, "lw": 2.5},
+    "point at rest": _POINT | {"marker": "+", "mec": SIMULATED},
+    "control point": _POINT | {"marker": "o", "ms": 16, "mec": TEXT, "mfc": "white"},
+    "fibre": {"color": FIBRE, "lw": 1.6},
+    "support": {"marker": "s", "ms": 9, "ls": "none", "color": SUPPORT, "alpha": 0.7},
+    "load": {"color": FORCE, "lw": 3.0, "marker": "v", "ms": 8},
+    "gravity": {"color": GRAVITY, "lw": 3.0, "marker": "v", "ms": 8},
+    "sensor's axes": {"color": SIMULATED, "lw": 2.2},
+    "rigid body": {"color": RIGID, "lw": 9.0},
+    "cable": {"color": CABLE, "lw": 3.0},
+    "wall under pressure": {"color": WALL, "lw": 9.0, "alpha": 0.5},
+    "motor": {"color": MOTOR, "lw": 2.5, "ls": "-.", "marker": "o"},
+    "force": {"color": FORCE, "lw": 3.0, "marker": ">"},
+}
+"""Styles of lines and points by what they mark, in the order of the legend."""
+
 
 WARNING_HEIGHT = 60
 """Height of the warning band above the title [pixels]."""
@@ -29,14 +141,14 @@ def halo(width: float):
     return [patheffects.withStroke(linewidth=width, foreground="white")]
 
 
-def draw_name(axes: "matplotlib.axes.Axes", text: str, place, offset, **style) -> None:
+def draw_name(axes: Axes, text: str, place, offset, **style) -> None:
     """Write a name beside a place, at an offset in points."""
     style = {"fontsize": 15, "color": TEXT, "path_effects": halo(4.0), **style}
     where = {"xytext": offset, "textcoords": "offset points"}
     axes.annotate(text, place, **where, **style, parse_math=False)
 
 
-def separate_names(axes: "matplotlib.axes.Axes") -> None:
+def separate_names(axes: Axes) -> None:
     """Move names up or down until none covers another, and into the axes."""
     frame, placed = axes.get_window_extent(), []
     points = 72.0 / axes.figure.dpi
@@ -58,7 +170,7 @@ def separate_names(axes: "matplotlib.axes.Axes") -> None:
 
 
 def draw_markers(
-    axes: "matplotlib.axes.Axes",
+    axes: Axes,
     measured: Float[HostArray, "n_measured 2"],
     simulated: Float[HostArray, "n_simulated 2"],
     names: Sequence[str],
@@ -78,9 +190,7 @@ def draw_markers(
             draw_name(axes, name, place, (13, 10))
 
 
-def draw_title(
-    axes: "matplotlib.axes.Axes", title: str, subtitle: str, warning: str
-) -> None:
+def draw_title(axes: Axes, title: str, subtitle: str, warning: str) -> None:
     """Draw a title and a line below it, and a warning as a band above."""
     width, height = axes.get_window_extent().size
     axes.set(xlim=(0, width), ylim=(height, 0))
@@ -94,13 +204,13 @@ def draw_title(
     _line(axes, top + 90, subtitle, 18, color=TEXT)
 
 
-def _line(axes: "matplotlib.axes.Axes", y: float, text: str, size: float, **style):
+def _line(axes: Axes, y: float, text: str, size: float, **style):
     """Draw one line of text, as large as given or as fits the width."""
     style = {"fontsize": size, "va": "center", "parse_math": False, **style}
     shrink(axes.text(24, y, text, **style), axes.get_xlim()[1] - 48)
 
 
-def shrink(text: "matplotlib.text.Text", room: float) -> None:
+def shrink(text: Text, room: float) -> None:
     """Make a text smaller until it fits a width [pixels]."""
     size = float(text.get_fontsize())
     # Step by step: hinting rounds letters, so width is not linear in size.
@@ -109,7 +219,7 @@ def shrink(text: "matplotlib.text.Text", room: float) -> None:
         text.set_fontsize(size)
 
 
-def draw_colour_scale(axes: "matplotlib.axes.Axes", largest_mm: float) -> None:
+def draw_colour_scale(axes: Axes, largest_mm: float) -> None:
     """Draw the colour scale of the body's displacement."""
     import matplotlib
     from matplotlib.cm import ScalarMappable
@@ -125,7 +235,7 @@ def draw_colour_scale(axes: "matplotlib.axes.Axes", largest_mm: float) -> None:
     bar.ax.set_title(f"max {largest_mm:.3g}", fontsize=15, color=TEXT, pad=10)
 
 
-def draw_triad(axes: "matplotlib.axes.Axes", view: View) -> None:
+def draw_triad(axes: Axes, view: View) -> None:
     """Draw the directions of the axes x, y, z."""
     tips = np.stack([view.right, view.up], axis=1)
     low, high = np.minimum(tips.min(axis=0), 0.0), np.maximum(tips.max(axis=0), 0.0)
@@ -143,7 +253,7 @@ def draw_triad(axes: "matplotlib.axes.Axes", view: View) -> None:
         axes.text(away[0], away[1], "xyz"[i], ha="center", va="center", **style)
 
 
-def draw_length_scale(axes: "matplotlib.axes.Axes", width: float) -> None:
+def draw_length_scale(axes: Axes, width: float) -> None:
     """Draw a bar of a round length; `width` is that of the axes [m]."""
     axes.set(xlim=(0, width), ylim=(0, 1))
     axes.set_axis_off()
@@ -158,10 +268,7 @@ def draw_length_scale(axes: "matplotlib.axes.Axes", width: float) -> None:
 
 
 def draw_legend(
-    figure: "matplotlib.figure.Figure",
-    drawn: Container[str],
-    height: float,
-    labels: Mapping[str, str],
+    figure: Figure, drawn: Container[str], height: float, labels: Mapping[str, str]
 ) -> None:
     """Explain the drawn `SYMBOLS`, at a height [-]; `labels` replace some names."""
     from matplotlib.lines import Line2D
@@ -177,7 +284,7 @@ def draw_legend(
 
 
 def draw_frame(
-    figure: "matplotlib.figure.Figure",
+    figure: Figure,
     view: View,
     *,
     scale: float,

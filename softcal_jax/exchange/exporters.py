@@ -1,6 +1,12 @@
-"""The interface of export formats, and the formats of this and of other packages.
+"""The formats of `softcal export NAME`, and the interface by which packages add others.
 
-The code of a format is imported when that format is asked for.
+Any package adds a format by a class and an entry point in its pyproject.toml::
+
+    [project.entry-points."softcal_jax.exporters"]
+    febio = "my_package:FebioExporter"
+
+The code of a format is imported when that format is asked for, and JAX not before, so
+that commands begin at once.
 """
 
 import warnings
@@ -109,11 +115,11 @@ class InpExporter(AbstractExporter):
     )
     output = "FILE.inp", "the file"
 
-    def add_options(self, command: ArgumentParser) -> None:
+    def add_options(self, command: ArgumentParser) -> None:  # noqa: D102
         which = "the configuration (may be left out if there is one)"
         command.add_argument("--configuration", metavar="NAME", help=which)
 
-    def write(
+    def write(  # noqa: D102
         self, source: Any, output: Path, options: Namespace, progress: ExportProgress
     ) -> Sequence[str]:
         from softcal_jax.exchange.inp import export_inp
@@ -135,7 +141,7 @@ class IceslExporter(AbstractExporter):
     output = "DIR", "the folder"
     takes_projects = True
 
-    def add_options(self, command: ArgumentParser) -> None:
+    def add_options(self, command: ArgumentParser) -> None:  # noqa: D102
         add = command.add_argument
         text = "foam with a soft axis (default), or with a stiff one, which needs "
         text += "--table"
@@ -158,7 +164,7 @@ class IceslExporter(AbstractExporter):
         text = "the slicer counts angles clockwise"
         add("--clockwise", action="store_true", help=text)
 
-    def write(
+    def write(  # noqa: D102
         self, source: Any, output: Path, options: Namespace, progress: ExportProgress
     ) -> Sequence[str]:
         from softcal_jax.exchange.icesl import export_icesl, published_foam
@@ -203,7 +209,7 @@ class SofaExporter(AbstractExporter):
     output = "DIR", "folder for the scene"
     next_step = "README.md there says how to run it"
 
-    def add_options(self, command: ArgumentParser) -> None:
+    def add_options(self, command: ArgumentParser) -> None:  # noqa: D102
         choices = {
             "--release": (["v26.06", "v25.12"], "release of SOFA"),
             "--units": (["mm-kg-s", "SI"], "unit system of the scene"),
@@ -223,7 +229,7 @@ class SofaExporter(AbstractExporter):
             text = f"{text} (default: {known[0]})"
             command.add_argument(option, choices=known, default=known[0], help=text)
 
-    def write(
+    def write(  # noqa: D102
         self, source: Any, output: Path, options: Namespace, progress: ExportProgress
     ) -> Sequence[str]:
         from softcal_jax.exchange.sofa import export_sofa
@@ -259,7 +265,7 @@ class MujocoExporter(AbstractExporter):
     output = "DIR", "folder for the model"
     next_step = "python -m mujoco.viewer --mjcf=robot.xml shows it"
 
-    def write(
+    def write(  # noqa: D102
         self, source: Any, output: Path, options: Namespace, progress: ExportProgress
     ) -> Sequence[str]:
         from softcal_jax.exchange.mujoco import export_mujoco

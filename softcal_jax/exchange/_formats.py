@@ -1,4 +1,4 @@
-"""What the formats share that calibrate once more for the element of a program."""
+"""What the formats share: what they cannot hold, and calibrating once more for them."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -9,12 +9,53 @@ import numpy as np
 from softcal_jax._text_table import text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_estimate
+from softcal_jax.actuators import AbstractActuator, free_rim_nodes
 from softcal_jax.calibration import CalibrationResult, HistoryEntry, calibrate
-from softcal_jax.configurations import Configuration
+from softcal_jax.configurations import Configuration, ConfigurationArrays
 from softcal_jax.equilibrium import Model
 from softcal_jax.fields import exactly_known
 from softcal_jax.project import Project, load_project
 from softcal_jax.report import LoadedResult
+
+
+def check_no_bodies(model: Model, format: str) -> None:
+    """Raise ValueError if a robot has rigid bodies, whose nodes turn together."""
+    names = model.mechanism.bodies.names
+    if names:
+        raise ValueError(
+            f"the robot has rigid bodies ({', '.join(names)}), which are not written "
+            f"to {format}. A body that is held: name its nodes in `supports` instead. "
+            "A plate that only carries markers: leave it out, give [markers] "
+            "`max_distance` and `base_radius`, and calibrate again."
+        )
+
+
+def check_actuators(
+    model: Model, known: Sequence[type[AbstractActuator]], format: str
+) -> None:
+    """Raise ValueError if an actuator is of no known type, or has friction."""
+    actuators, kinds = model.mechanism.actuators, [actuator.kind for actuator in known]
+    every = zip(actuators.names, actuators.kinds, actuators.has_friction, strict=True)
+    for name, kind, rough in every:
+        if rough or kind not in kinds:
+            raise ValueError(
+                f"the {kind.noun}{' with friction' * rough} {name!r} has no "
+                f"counterpart in {format}. Take it out of the project."
+            )
+
+
+def check_rim(
+    model: Model, configuration: ConfigurationArrays, actuator: int, format: str
+) -> None:
+    """Raise ValueError if the lid of a chamber presses on a rim that is not held."""
+    actuators, fixed = model.mechanism.actuators, np.asarray(configuration.fixed)
+    free = free_rim_nodes(actuators.groups, actuator, fixed)
+    if free:
+        raise ValueError(
+            f"the chamber {actuators.names[actuator]!r}: the pressure on what seals it "
+            f"acts on the rim of its opening, of which {free} nodes are not held, and "
+            f"{format} has no lid. Hold the rim, or close the cavity in the mesh."
+        )
 
 
 class NotConvergedError(RuntimeError):
@@ -100,17 +141,8 @@ def lines_of_both(
         now = readable_estimate(fitted.value, nan, fitted.unit)
         bound = " (on a bound: widen it, and calibrate again)" * fitted.at_bound
         lines.append(f"{fitted.name}: {before} calibrated, {now} for {program}{bound}")
-    return [*lines, "", *_table(calibrated, refitted, program)]
-
-
-def _table(
-    calibrated: LoadedResult, refitted: CalibrationResult, program: str
-) -> Sequence[str]:
-    """Tabulate what the models predict of each configuration, as rms of distances.
-
-    Columns: how far the points move, then the errors of the calibrated model, of the
-    program's model with the same values, and of the program's model calibrated itself.
-    """
+    # How far points move, then errors of three models: the calibrated one, that of the
+    # program with the same values, and that of the program calibrated itself.
     mm = lambda value: f"{1e3 * value:.3g} mm" if isfinite(value) else "-"
     rows = []
     for c in refitted.configurations:
@@ -119,7 +151,7 @@ def _table(
     models = "calibrated model", f"{program}, same values", f"{program}, own values"
     title = "Distances of points from where they were measured, rms:"
     table = text_table(title, ("configuration", "role", "motion", *models), rows)
-    return [title, *table.lines()]
+    return [*lines, "", title, *table.lines()]
 
 
 def vertex_masses(model: Model) -> Float[HostArray, " n_nodes"]:
