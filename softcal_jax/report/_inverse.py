@@ -236,12 +236,14 @@ def _page(
         search = [table_html(text_table("Descents", columns, rows))]
     loaded = [file for file in [data["calibration"]] if file is not None]
     sections = [
-        Section("notes", "Notes", [bullets(data["notes"])]),
         Section("goals", "Goals and commands", inverse_html(result)),
-        Section("pictures", "Pictures", pictures),
-        Section("search", "Course of the search", search),
+        Section("notes", "Notes", [bullets(data["notes"])]),
+        Section("pictures", "Pictures", pictures[1:]),
+        Section("search", "Course of the search", search, folded=True),
         *closing("inverse", data, [data["source"]], files=loaded, options=options),
     ]
     verdict = inverse_verdict(result)
-    of = {"index": "inverse.json", "units": "SI"}
+    of: dict[str, Any] = {"index": "inverse.json", "units": "SI"}
+    if pictures:
+        of["robot"] = pictures[0]
     return page(data["name"], "Inverse control", verdict, sections, **of)
