@@ -19,7 +19,6 @@ from softcal_jax.actuators._actuator import (
     AbstractActuator,
     AbstractCliques,
     AbstractPotentialCliques,
-    AbstractPressedFaces,
     ActuatorGeometry,
     Kind,
     RestState,
@@ -219,6 +218,14 @@ class Chamber(AbstractActuator):
             f"{where.tolist()} m. Add the faces of the wall that are missing, seal the "
             "opening if it is an inlet (seal = true), or take a SurfacePressure."
         )
+
+
+class AbstractPressedFaces(AbstractCliques):
+    """Faces on which a pressure acts."""
+
+    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
+        nodes, owner = np.asarray(self.nodes), np.asarray(self.owner)
+        return ActuatorGeometry(faces=nodes, face_owner=owner)
 
 
 class ChamberFaces(AbstractPressedFaces, AbstractPotentialCliques):
