@@ -115,7 +115,8 @@ def continue_equilibrium(
     # From rest, several steps could end on another branch.
     several = model.solver.counts_negative & jnp.any(guess != 0.0)
     most = jnp.where(several, MAX_QUICK_STEPS, 1)
-    quick = _QuickSteps(posed.tabulated(), settings, most, precise)
+    tabulated = posed._replace(model=posed.model.tabulated())
+    quick = _QuickSteps(tabulated, settings, most, precise)
     start = quick.start(guess, before)
     state = jax.lax.while_loop(lambda s: ~s.done, quick.step, start)
     u, lambda_a = state.solution.displacement, state.solution.multipliers

@@ -183,7 +183,8 @@ def _readings(posed: Posed, u, lambda_a, unbalanced):
     return effector_values(posed.model, configuration, u, lambda_a, unbalanced)
 
 
-def _next_state(
+@eqx.filter_jit
+def _step(
     model: Model,
     configuration: ConfigurationArrays,
     old: _State,
@@ -254,9 +255,6 @@ def _next_state(
         ok=jnp.zeros((), bool),
     )
     return jax.lax.while_loop(keep_going, correct, begun)
-
-
-_step = eqx.filter_jit(_next_state)
 
 
 def _begin(

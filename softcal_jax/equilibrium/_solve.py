@@ -18,12 +18,7 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium._linearisation import linearise
 from softcal_jax.equilibrium._model import Model, Nodal
-from softcal_jax.equilibrium._newton import (
-    NewtonLoop,
-    NewtonSettings,
-    NewtonState,
-    newton,
-)
+from softcal_jax.equilibrium._newton import NewtonLoop, NewtonSettings, NewtonState
 from softcal_jax.equilibrium._path import EquilibriumPath, LoadPath, trace
 from softcal_jax.equilibrium._posed import Posed, one_lane
 from softcal_jax.equilibrium._sensitivity import input_rows, sensitivity
@@ -62,8 +57,8 @@ def begin_newton(
 
     At rest there is nothing to evaluate, and little to compile.
     """
-    posed = Posed.of(model.tabulated(), configuration)
-    return NewtonLoop(posed, settings).start(guess)
+    loop = NewtonLoop(Posed.of(model.tabulated(), configuration), settings)
+    return loop.start(guess)
 
 
 @eqx.filter_jit
@@ -91,6 +86,11 @@ def resumed(state: NewtonState) -> NewtonState:
     return state._replace(result=result, done=jnp.zeros((), bool))
 
 
+def _solved(model, configuration, u0, settings) -> EquilibriumSolution:
+    loop = NewtonLoop(Posed.of(model.tabulated(), configuration), settings)
+    return as_solution(loop.run(loop.start(u0), settings.max_steps), settings)
+
+
 @eqx.filter_custom_jvp
 def _equilibrium(model, configuration, u0, settings):
     # A `vmap` of the loop would run all lanes until the slowest ends. In sequence, each
@@ -99,8 +99,7 @@ def _equilibrium(model, configuration, u0, settings):
 
     @jax.custom_batching.sequential_vmap
     def lane(model, configuration, u0, settings):
-        model = eqx.combine(model, rest)
-        return as_solution(newton(model, configuration, u0, settings), settings)
+        return _solved(eqx.combine(model, rest), configuration, u0, settings)
 
     return lane(model, configuration, u0, settings)
 
