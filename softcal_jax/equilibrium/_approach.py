@@ -18,7 +18,7 @@ from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._model import Nodal
 from softcal_jax.equilibrium._path import WANTED_ITERATIONS
-from softcal_jax.equilibrium._solution import EquilibriumSolution
+from softcal_jax.equilibrium._solve import EquilibriumSolution
 
 _SMALLEST = 1.0 / 64.0
 """Step below which the way counts as ended [-]."""

@@ -18,8 +18,8 @@ from softcal_jax.equilibrium._effectors import effector_values
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonSettings, NewtonState
 from softcal_jax.equilibrium._path import LoadPath, trace
-from softcal_jax.equilibrium._solution import EquilibriumSolution
 from softcal_jax.equilibrium._solve import (
+    EquilibriumSolution,
     begin_newton,
     continue_newton,
     resumed,

@@ -35,7 +35,7 @@ from softcal_jax.equilibrium._linearisation import Linearisation
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonSettings
 from softcal_jax.equilibrium._posed import Posed
-from softcal_jax.equilibrium._solution import EquilibriumSolution
+from softcal_jax.equilibrium._solve import EquilibriumSolution
 
 MAX_QUICK_STEPS = 5
 """Full Newton steps after which the guess counts as bad."""

@@ -1,4 +1,4 @@
-"""States of rigid bodies, actuators and supports at equilibrium, for results."""
+"""States of bodies, actuators, supports and markers at equilibrium, for results."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
@@ -18,10 +18,10 @@ from softcal_jax.configurations import (
     SupportReaction,
     configuration_arrays,
 )
-from softcal_jax.equilibrium._effectors import observed_state
+from softcal_jax.equilibrium._effectors import observed_state, placed
 from softcal_jax.equilibrium._model import Model
-from softcal_jax.equilibrium._posed import Posed
-from softcal_jax.equilibrium._solution import EquilibriumSolution
+from softcal_jax.equilibrium._posed import Posed, one_lane
+from softcal_jax.equilibrium._solve import EquilibriumSolution
 
 
 class BodyPlace(Module):
@@ -191,3 +191,20 @@ def _grounds(
             key = f"rigid body {name}" if name in grounds else name
             grounds[key] = reaction(attached).function
     return grounds
+
+
+def marker_positions(
+    model: Model,
+    configuration: Configuration | ConfigurationArrays,
+    solution: EquilibriumSolution,
+) -> Float[Array, "n_markers 3"]:
+    """Compute the positions of markers, then of points of other effectors [m].
+
+    In the frame of the mesh; nan without equilibrium.
+
+    Raises:
+        ValueError: If the configuration is a batch, or of another model.
+    """
+    effectors = one_lane(model, configuration).effectors
+    n_points = effectors.nodes.shape[0]
+    return placed(model, effectors, solution.displacement)[:n_points]
