@@ -60,10 +60,6 @@ def _scaled_to(theta: Float[Array, ""], F: Float[Array, "n_qp 3 3"]):
     return J, jnp.cbrt(theta / J), jax.vmap(cofactor)(F) / J[:, None, None]
 
 
-def _at_points(law: AbstractLaw, method: str, F: Float[Array, "n_qp 3 3"]):
-    return jax.vmap(getattr(law, method))(F)
-
-
 def _stresses_and_tangents(
     law: AbstractLaw, F: Float[Array, "n_qp 3 3"]
 ) -> tuple[Float[Array, "n_qp 3 3"], Float[Array, "n_qp 3 3 3 3"]]:
@@ -133,16 +129,16 @@ def _energies_and_stresses(
         theta = mean_dilatation(u, tet)
         J, s, G = _scaled_to(theta, F)
         share = w * J / (theta * jnp.sum(w))
-        psi, P_bar = _at_points(matrix, "energy_and_stress", _each(s) * F)
+        psi, P_bar = jax.vmap(matrix.energy_and_stress)(_each(s) * F)
         P_bar = _each(s) * P_bar
         mean_stress = jnp.sum(P_bar * F, axis=(1, 2)) / 3.0
         pressure = jnp.sum(w * mean_stress)
         P = _each(w) * P_bar + _each(pressure * share - w * mean_stress) * G
         if rest is not None:
-            psi_rest, P_rest = _at_points(rest, "energy_and_stress", F)
+            psi_rest, P_rest = jax.vmap(rest.energy_and_stress)(F)
             psi, P = psi + psi_rest, P + _each(w) * P_rest
     else:
-        psi, P = _at_points(tet.law, "energy_and_stress", F)
+        psi, P = jax.vmap(tet.law.energy_and_stress)(F)
         P = _each(w) * P
     return F, psi, P
 
@@ -193,7 +189,7 @@ def _foreseen(
     uses the linear prediction instead (Magisano, Leonetti and Garcea, Comput. Methods
     Appl. Mech. Eng. 313, 2017).
     """
-    second = lambda F: _second(F, _at_points(law, "stress", F))
+    second = lambda F: _second(F, jax.vmap(law.stress)(F))
     stress, change = jax.jvp(second, (before,), (F - before,))
     return stress + change
 
