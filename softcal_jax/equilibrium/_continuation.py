@@ -239,7 +239,8 @@ class _QuickSteps(NamedTuple):
         # The residual says nothing of gaps that actuators still have to close.
         sharp = s.sharp & anew & (self.model.with_multiplier.size == 0)
         last = s.arrived | (arrived & (sharp | ~jnp.asarray(self.precise)))
-        quick = EquilibriumSolution(
+        quick = replace(
+            solution,
             displacement=new.u,
             multipliers=new_lambda,
             result=RESULTS.where(arrived, RESULTS.converged, RESULTS.max_steps),
@@ -251,8 +252,6 @@ class _QuickSteps(NamedTuple):
             at_rounding=residual.at_rounding(rtol),
             min_det_F=new.min_det_F,
             n_negative=factor.n_negative,
-            approached=solution.approached,
-            along_path=solution.along_path,
         )
         taken = sound & (falls | anew)
         # Extrapolate the fall of the residual: will a few chord steps be enough?
