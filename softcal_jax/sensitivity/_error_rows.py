@@ -22,6 +22,23 @@ from softcal_jax.materials import split_law
 from softcal_jax.mesh import Recovery, recovery
 from softcal_jax.sensitivity._rows import rows_of_forces
 
+SAFETY = 1.25
+"""What the estimate is multiplied by, as for grids whose order is known (Roache, Annu.
+Rev. Fluid Mech. 29, 1997) [-]."""
+
+AT_SURFACE = 0.2
+"""Share of a tet's volume in which the stress turns into that of a free face [-].
+
+Chosen so that bars one tet thick come out right in torsion, where patches see no
+error."""
+
+LOADED = 1e-4
+"""Force on a node, relative to the largest, from which its faces are not free [-]. An
+unloaded node has only the force that Newton's method leaves."""
+
+
+_KEPT: dict[int, Recovery] = {}  # by id of the model, while that lives
+
 
 def clamp_row(
     linearisation: Linearisation, motion: Float[Array, "n_nodes 3"]
@@ -74,24 +91,6 @@ def _stretched(model: Model, v: Float[Array, "n_nodes 3"]) -> Model:
     )
     where = lambda m: (m.shape_gradients, m.weights, m.node_volumes)
     return eqx.tree_at(where, model, changed)
-
-
-SAFETY = 1.25
-"""What the estimate is multiplied by, as for grids whose order is known (Roache, Annu.
-Rev. Fluid Mech. 29, 1997) [-]."""
-
-AT_SURFACE = 0.2
-"""Share of a tet's volume in which the stress turns into that of a free face [-].
-
-Chosen so that bars one tet thick come out right in torsion, where patches see no
-error."""
-
-LOADED = 1e-4
-"""Force on a node, relative to the largest, from which its faces are not free [-]. An
-unloaded node has only the force that Newton's method leaves."""
-
-
-_KEPT: dict[int, Recovery] = {}  # by id of the model, while that lives
 
 
 def stress_patches(model: Model) -> Recovery:
