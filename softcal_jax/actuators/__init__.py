@@ -26,14 +26,12 @@ from softcal_jax.actuators._forces import (
     Motor as Motor,
     SurfaceForceActuator as SurfaceForceActuator,
 )
-from softcal_jax.actuators._lid import (
-    ChamberLids as ChamberLids,
-    free_rim_nodes as free_rim_nodes,
-)
 from softcal_jax.actuators._pressure import (
     Chamber as Chamber,
     ChamberFaces as ChamberFaces,
+    ChamberLids as ChamberLids,
     PressureFaces as PressureFaces,
     SurfacePressure as SurfacePressure,
     enclosed_volumes as enclosed_volumes,
+    free_rim_nodes as free_rim_nodes,
 )

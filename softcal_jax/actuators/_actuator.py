@@ -97,19 +97,6 @@ def owned(nodes: HostArray, owner: int) -> tuple[Array, Array]:
     return jax.device_put((nodes, np.full(len(nodes), owner, nodes.dtype)))
 
 
-class AbstractPressedFaces(AbstractCliques):
-    """Faces on which a pressure acts."""
-
-    def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
-        nodes, owner = np.asarray(self.nodes), np.asarray(self.owner)
-        return ActuatorGeometry(faces=nodes, face_owner=owner)
-
-
-def unit(v: Float[HostArray, "n 3"]) -> Float[HostArray, "n 3"]:
-    """Normalise vectors [-]."""
-    return v / np.linalg.norm(v, axis=1, keepdims=True)
-
-
 _OUTSIDE = 1e-3
 """Distance by which a point may lie outside the mesh, relative to its size [-]."""
 

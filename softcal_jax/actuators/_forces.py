@@ -15,7 +15,6 @@ from softcal_jax.actuators._actuator import (
     Kind,
     RestState,
     owned,
-    unit,
 )
 from softcal_jax.bodies import as_floats, three_numbers, unit_vector
 from softcal_jax.mesh import face_shares
@@ -64,16 +63,16 @@ class SurfaceForceActuator(AbstractActuator):
     def __check_init__(self):
         unit_vector(f"{self.label}: direction", self.direction)
 
-    def cliques(self, rest: RestState, owner: int) -> "tuple[WeightedFaces]":
+    def cliques(self, rest: RestState, owner: int) -> "tuple[WeightedNodes]":
         faces = rest.mesh.faces(self.surface)
         shares = face_shares(rest.mesh, faces)
         weights = (shares / shares.sum())[..., None]
         parts = weights * unit_vector("direction", self.direction)
-        return (WeightedFaces(*owned(faces, owner), jax.device_put(parts)),)
+        return (WeightedNodes(*owned(faces, owner), jax.device_put(parts)),)
 
 
-class AbstractWeighted(AbstractPotentialCliques):
-    """Nodes whose weighted positions, by `weights` [-], add up to delta_a."""
+class WeightedNodes(AbstractPotentialCliques):
+    """Nodes of tets or faces whose positions, by `weights` [-], add up to delta_a."""
 
     weights: Float[Array, "*cliques m 3"]
     curved: ClassVar[bool] = False
@@ -89,18 +88,10 @@ class AbstractWeighted(AbstractPotentialCliques):
         actuators, of = np.unique(owner, return_inverse=True)
         total = np.zeros((actuators.size, 3))
         np.add.at(total, of, weights)
-        arrows = unit(total)
+        arrows = _unit(total)
         points = np.zeros_like(total)
         np.add.at(points, of, np.sum(weights * arrows[of], axis=1)[:, None] * x[nodes])
         return ActuatorGeometry(points=points, arrows=arrows, point_owner=actuators)
-
-
-class WeightedNodes(AbstractWeighted):
-    """Nodes that carry the point of action of a force."""
-
-
-class WeightedFaces(AbstractWeighted):
-    """Faces with a force of fixed direction, consistent with their shape functions."""
 
 
 class Motor(AbstractActuator):
@@ -139,5 +130,10 @@ class MotorFrames(AbstractPotentialCliques):
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         nodes, owner = np.asarray(self.nodes), np.asarray(self.owner)
         origin, axis_end = x[nodes[:, 0]], x[nodes[:, 3]]
-        arrows = unit(axis_end - origin)
+        arrows = _unit(axis_end - origin)
         return ActuatorGeometry(points=origin, arrows=arrows, point_owner=owner)
+
+
+def _unit(v: Float[HostArray, "n 3"]) -> Float[HostArray, "n 3"]:
+    """Normalise vectors [-]."""
+    return v / np.linalg.norm(v, axis=1, keepdims=True)

@@ -32,7 +32,6 @@ from softcal_jax.equilibrium._continuation import (
 from softcal_jax.equilibrium._effectors import (
     actuator_forces as actuator_forces,
     effector_values as effector_values,
-    marker_positions as marker_positions,
 )
 from softcal_jax.equilibrium._element import Formulation as Formulation
 from softcal_jax.equilibrium._linearisation import (
@@ -58,6 +57,7 @@ from softcal_jax.equilibrium._robot_state import (
     Reaction as Reaction,
     RobotState as RobotState,
     actuator_states as actuator_states,
+    marker_positions as marker_positions,
     robot_states as robot_states,
 )
 from softcal_jax.equilibrium._sensitivity import (
@@ -69,14 +69,12 @@ from softcal_jax.equilibrium._sensitivity import (
     input_rows as input_rows,
     sensitivity as sensitivity,
 )
-from softcal_jax.equilibrium._solution import (
+from softcal_jax.equilibrium._solve import (
     EquilibriumSolution as EquilibriumSolution,
     check_converged as check_converged,
+    lanes as lanes,
     no_equilibrium as no_equilibrium,
     other_ways as other_ways,
-)
-from softcal_jax.equilibrium._solve import (
-    lanes as lanes,
     solve_equilibrium as solve_equilibrium,
 )
 from softcal_jax.equilibrium._workers import (

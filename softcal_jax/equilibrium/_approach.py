@@ -12,13 +12,14 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import numpy as np
+from scipy.interpolate import KroghInterpolator
 from scipy.spatial.distance import cdist
 
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._model import Nodal
 from softcal_jax.equilibrium._path import WANTED_ITERATIONS
-from softcal_jax.equilibrium._solution import EquilibriumSolution
+from softcal_jax.equilibrium._solve import EquilibriumSolution
 
 _SMALLEST = 1.0 / 64.0
 """Step below which the way counts as ended [-]."""
@@ -105,8 +106,8 @@ def approach(
         if 1.0 - share < 0.5 * step:  # a short rest costs as much as a step
             share = 1.0
         lane = wanted if share == 1.0 else _between(known.configuration, wanted, share)
-        guess = _extrapolated(np.array(shares), states, share)
-        solution = at_once(lane, jax.device_put(guess))
+        last = KroghInterpolator(shares[-_PARABOLA:], states[-_PARABOLA:])
+        solution = at_once(lane, jax.device_put(last(share)))
         iterations = int(solution.steps)
         steps += iterations
         if not solution.converged:
@@ -130,16 +131,3 @@ def _between(
         return a + share * (b - a) if np.issubdtype(b.dtype, np.floating) else b
 
     return jax.device_put(jax.tree.map(blend, a, b))
-
-
-def _extrapolated(
-    shares: Float[HostArray, " n"],
-    states: Sequence[Float[HostArray, "n_points 3"]],
-    share: float,
-) -> Float[HostArray, "n_points 3"]:
-    """Continue the last states by Lagrange's polynomial."""
-    s, total = shares[-_PARABOLA:], np.zeros_like(states[0])
-    for k, state in enumerate(states[-_PARABOLA:]):
-        others = np.delete(s, k)
-        total += np.prod((share - others) / (s[k] - others)) * state
-    return total

@@ -12,6 +12,7 @@ import numpy as np
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.elements import determinant, sum_of
 from softcal_jax.equilibrium._element import (
+    Tet,
     deformation_gradients,
     element_energy_and_force,
     element_state,
@@ -28,7 +29,7 @@ FieldOfLaw = Callable[[Any], Any]
 
 
 def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, **same):
-    """Apply a function of (u, dN, w, law, active, ...) to all tets, block by block.
+    """Apply a function of (u, tet, active, ...) to all tets, block by block.
 
     The kernel is defined at module level so that its trace is cached; a closure would
     be traced at every call and keep its program alive. `per_tet` are further values of
@@ -46,19 +47,19 @@ def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, *
     options = tuple((name, same[name]) for name in same if name not in arrays)
     # Flattened, as a module that holds a list has no hash.
     leaves, tree = jax.tree.flatten(static)
-    how = kernel, options, tuple(leaves), tree
+    how = kernel, model.has_volume_unknowns, options, tuple(leaves), tree
     return _mapped(how, u, arrays, shared, model.nodes, *blocks, *per_tet)
 
 
 @functools.partial(jax.jit, static_argnums=0)
 def _mapped(how, u, arrays, shared, nodes, *of_tets):
-    kernel, options, leaves, tree = how
+    kernel, mixed, options, leaves, tree = how
     static = jax.tree.unflatten(tree, leaves)
     axes = (-1, -1, -1, 0, -1) + (-1,) * (len(of_tets) - 4)
 
     def one(u, dN, w, law, *others):
-        law = eqx.combine(law, shared, static)
-        return kernel(u, dN, w, law, *others, **arrays, **dict(options))
+        tet = Tet(dN, w, eqx.combine(law, shared, static), mixed)
+        return kernel(u, tet, *others, **arrays, **dict(options))
 
     vectorised = jax.vmap(one, in_axes=axes, out_axes=-1)
 
@@ -84,8 +85,7 @@ def tet_states(model: Model, u: Nodal) -> TetStates:
 
 @eqx.filter_jit
 def _states(model: Model, u: Nodal):
-    options = {"formulation": model.formulation}
-    return [_by_tet(model, v) for v in _map_blocks(model, u, _state, **options)]
+    return [_by_tet(model, v) for v in _map_blocks(model, u, _state)]
 
 
 def _by_tet(model: Model, values: Float[Array, "n_blocks ... block"]):
@@ -94,8 +94,8 @@ def _by_tet(model: Model, values: Float[Array, "n_blocks ... block"]):
     return by_tet.reshape(-1, *by_tet.shape[2:])[: model.n_tets]
 
 
-def _state(u, dN, w, law, active, formulation):
-    energy, cauchy, F = element_state(u, dN, w, law, formulation)
+def _state(u, tet, active):
+    energy, cauchy, F = element_state(u, tet)
     return active * energy, active * cauchy, F
 
 
@@ -118,15 +118,12 @@ class TetStresses(NamedTuple):
 
 def tet_stresses(model: Model, u: Nodal) -> TetStresses:
     """Compute stress and deformation of each tet."""
-    options = {"formulation": model.formulation}
-    return TetStresses(
-        *(_by_tet(model, v) for v in _map_blocks(model, u, _stresses, **options))
-    )
+    return TetStresses(*(_by_tet(model, v) for v in _map_blocks(model, u, _stresses)))
 
 
-def _stresses(u, dN, w, law, active, formulation):
+def _stresses(u, tet, active):
     del active
-    return element_stresses(u, dN, w, law, formulation)
+    return element_stresses(u, tet)
 
 
 def force_of_gradients(model: Model, values: Float[Array, "n_tets n_qp 3 3"]) -> Nodal:
@@ -143,26 +140,23 @@ def force_of_gradients(model: Model, values: Float[Array, "n_tets n_qp 3 3"]) ->
 
 def internal_force(model: Model, u: Nodal) -> Nodal:
     """Compute the internal force f(u; p), the gradient of the strain energy [N]."""
-    forces = _map_blocks(model, u, _force, formulation=model.formulation)
-    return _add_forces(model, forces)
+    return _add_forces(model, _map_blocks(model, u, _force))
 
 
-def _force(u, dN, w, law, active, formulation):
-    return active * element_energy_and_force(u, dN, w, law, formulation)[1]
+def _force(u, tet, active):
+    return active * element_energy_and_force(u, tet)[1]
 
 
 def energy_and_force(model: Model, u: Nodal):
     """Compute energy, sum of its absolute parts, internal force and smallest det F."""
-    energy, forces, det = _map_blocks(
-        model, u, _energy_and_force, formulation=model.formulation
-    )
+    energy, forces, det = _map_blocks(model, u, _energy_and_force)
     force = _add_forces(model, forces)
     return jnp.sum(energy), jnp.sum(jnp.abs(energy)), force, jnp.min(det)
 
 
-def _energy_and_force(u, dN, w, law, active, formulation):
-    energy, force = element_energy_and_force(u, dN, w, law, formulation)
-    det = jax.vmap(determinant)(deformation_gradients(u, dN))
+def _energy_and_force(u, tet, active):
+    energy, force = element_energy_and_force(u, tet)
+    det = jax.vmap(determinant)(deformation_gradients(u, tet.dN))
     return active * energy, active * force, jnp.min(det)
 
 
@@ -176,20 +170,13 @@ def tangent_values(
     both, stepped = u, None
     if before is not None:
         both, stepped = jnp.concatenate([u, before], axis=1), jnp.any(before != u)
-    entries = _map_blocks(
-        model,
-        both,
-        _stiffness,
-        formulation=model.formulation,
-        symmetric=model.pattern.symmetric,
-        stepped=stepped,
-    )
-    return _add_entries(model, entries)
+    options = {"symmetric": model.pattern.symmetric, "stepped": stepped}
+    return _add_entries(model, _map_blocks(model, both, _stiffness, **options))
 
 
-def _stiffness(u, dN, w, law, active, formulation, symmetric, stepped):
+def _stiffness(u, tet, active, symmetric, stepped):
     u, before = u[:, :3], None if stepped is None else u[:, 3:]
-    K = element_stiffness(u, dN, w, law, formulation, before, stepped)
+    K = element_stiffness(u, tet, before, stepped)
     return active * _kept(K, symmetric)
 
 
@@ -203,8 +190,8 @@ def mixed_tangent(
     return _add_entries(model, entries), _add_forces(model, forces)
 
 
-def _mixed_newton(u, dN, w, law, active, theta, symmetric):
-    K, f = mixed_newton(u, theta, dN, w, law)
+def _mixed_newton(u, tet, active, theta, symmetric):
+    K, f = mixed_newton(u, theta, tet)
     return active * _kept(K, symmetric), active * f
 
 
@@ -221,10 +208,10 @@ def predicted_dilatation(
     return _map_blocks(model, jnp.concatenate([u, du], axis=1), _predicted_dilatation)
 
 
-def _predicted_dilatation(both, dN, w, law, active):
-    del law, active
+def _predicted_dilatation(both, tet, active):
+    del active
     u, du = both[:, :3], both[:, 3:]
-    J, dJ = jax.jvp(lambda u: mean_dilatation(u, dN, w), (u,), (du,))
+    J, dJ = jax.jvp(lambda u: mean_dilatation(u, tet), (u,), (du,))
     # First order is meaningless where a step would invert a tet: limit to a factor 4.
     return jnp.clip(J + dJ, 0.25, 4.0)
 
@@ -237,18 +224,17 @@ def field_forces(
     One pass over the tets gives the derivatives by all values. Those by a parameter
     that spreads a field over the mesh are weighted sums of these.
     """
-    options = {"fields": tuple(fields.items()), "formulation": model.formulation}
-    return _map_blocks(model, u, _field_forces, **options)
+    return _map_blocks(model, u, _field_forces, fields=tuple(fields.items()))
 
 
-def _field_forces(u, dN, w, law, active, fields, formulation):
-    values = {name: where(law) for name, where in fields}
+def _field_forces(u, tet, active, fields):
+    values = {name: where(tet.law) for name, where in fields}
 
     def force(values):
-        new = law
+        law = tet.law
         for name, where in fields:
-            new = eqx.tree_at(where, new, values[name])
-        return element_energy_and_force(u, dN, w, new, formulation)[1]
+            law = eqx.tree_at(where, law, values[name])
+        return element_energy_and_force(u, tet._replace(law=law))[1]
 
     # Linearise once: what a law computes from F is shared by all fields.
     _, slope = jax.linearize(force, values)

@@ -18,8 +18,8 @@ from softcal_jax.equilibrium._effectors import effector_values
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonSettings, NewtonState
 from softcal_jax.equilibrium._path import LoadPath, trace
-from softcal_jax.equilibrium._solution import EquilibriumSolution
 from softcal_jax.equilibrium._solve import (
+    EquilibriumSolution,
     begin_newton,
     continue_newton,
     resumed,
@@ -200,7 +200,7 @@ class _Lanes:
         self.workers, self.each = workers, list(map(without_readings, configurations))
         settings = newton.as_arrays()
         self._to_trace = lambda c: (model, configurations[c], LoadPath(), settings)
-        self._most, self._report = int(newton.max_steps), report
+        self._most, self._say = int(newton.max_steps), report or (lambda *_: None)
         steps = jnp.asarray(self._most if report is None else STEPS_BETWEEN)
         # It ends where the first step fails, in place of going back to rest.
         at_most = min(int(newton.max_steps_per_load), AT_ONCE)
@@ -273,10 +273,6 @@ class _Lanes:
             if found.converged:
                 return _with_steps(found, int(failed.steps) + int(found.steps))
         return eqx.tree_at(lambda s: s.along_path, failed, jnp.asarray(share))
-
-    def _say(self, c: int, load: float, steps: int) -> None:
-        if self._report is not None:
-            self._report(c, load, steps)
 
     def _run(
         self,

@@ -35,7 +35,7 @@ from softcal_jax.equilibrium._linearisation import Linearisation
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonSettings
 from softcal_jax.equilibrium._posed import Posed
-from softcal_jax.equilibrium._solution import EquilibriumSolution
+from softcal_jax.equilibrium._solve import EquilibriumSolution
 
 MAX_QUICK_STEPS = 5
 """Full Newton steps after which the guess counts as bad."""
@@ -115,7 +115,8 @@ def continue_equilibrium(
     # From rest, several steps could end on another branch.
     several = model.solver.counts_negative & jnp.any(guess != 0.0)
     most = jnp.where(several, MAX_QUICK_STEPS, 1)
-    quick = _QuickSteps(posed.tabulated(), settings, most, precise)
+    tabulated = posed._replace(model=posed.model.tabulated())
+    quick = _QuickSteps(tabulated, settings, most, precise)
     start = quick.start(guess, before)
     state = jax.lax.while_loop(lambda s: ~s.done, quick.step, start)
     u, lambda_a = state.solution.displacement, state.solution.multipliers
@@ -238,7 +239,8 @@ class _QuickSteps(NamedTuple):
         # The residual says nothing of gaps that actuators still have to close.
         sharp = s.sharp & anew & (self.model.with_multiplier.size == 0)
         last = s.arrived | (arrived & (sharp | ~jnp.asarray(self.precise)))
-        quick = EquilibriumSolution(
+        quick = replace(
+            solution,
             displacement=new.u,
             multipliers=new_lambda,
             result=RESULTS.where(arrived, RESULTS.converged, RESULTS.max_steps),
@@ -250,8 +252,6 @@ class _QuickSteps(NamedTuple):
             at_rounding=residual.at_rounding(rtol),
             min_det_F=new.min_det_F,
             n_negative=factor.n_negative,
-            approached=solution.approached,
-            along_path=solution.along_path,
         )
         taken = sound & (falls | anew)
         # Extrapolate the fall of the residual: will a few chord steps be enough?

@@ -27,7 +27,6 @@ from softcal_jax.equilibrium._balance import (
     unbalanced,
 )
 from softcal_jax.equilibrium._bordered import System
-from softcal_jax.equilibrium._element import is_mixed
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import product
@@ -75,13 +74,9 @@ class NewtonDirection(NamedTuple):
     factor: Factor
 
 
-def has_volume_unknowns(model: Model) -> bool:
-    return is_mixed(model.formulation, model.weights.shape[1])
-
-
 def dilatation(model: Model, theta, u, du):
     """Update the volume ratios after a step; a no-op without volume unknowns."""
-    return predicted_dilatation(model, u, du) if has_volume_unknowns(model) else theta
+    return predicted_dilatation(model, u, du) if model.has_volume_unknowns else theta
 
 
 def newton_direction(
@@ -108,7 +103,7 @@ def newton_direction(
     to_go, active = gap(posed, point, lambda_a, jnp.ones(()))
     # A slack cable loses its force before the step.
     lambda_a = jnp.where(active, lambda_a, 0.0)
-    if has_volume_unknowns(model):
+    if model.has_volume_unknowns:
         assert theta is not None
         if strict is not None:
             at_u = dilatation(model, theta, u, jnp.zeros_like(u))

@@ -9,15 +9,13 @@ import jax.numpy as jnp
 from softcal_jax._typing import Array, Float
 from softcal_jax.bodies import frames_at, rotation_vector
 from softcal_jax.configurations import (
-    Configuration,
     ConfigurationArrays,
     EffectorArrays,
     Observed,
 )
 from softcal_jax.equilibrium._linearisation import residual, solved_forces
 from softcal_jax.equilibrium._model import Model, Nodal
-from softcal_jax.equilibrium._posed import Posed, one_lane
-from softcal_jax.equilibrium._solution import EquilibriumSolution
+from softcal_jax.equilibrium._posed import Posed
 
 
 def effector_values(
@@ -32,9 +30,9 @@ def effector_values(
     Rows are ordered as in `EffectorArrays`; for other arguments see `observed_state`.
     """
     effectors = configuration.effectors
-    placed = _placed(model, effectors, u)
+    points_and_turns = placed(model, effectors, u)
     if not effectors.observed:
-        return placed
+        return points_and_turns
     state = observed_state(model, configuration, u, multipliers, unbalanced)
     observed = [
         # Only if this configuration has it: what it reads may be missing in others.
@@ -46,7 +44,7 @@ def effector_values(
         )
         for k, observation in enumerate(effectors.observed)
     ]
-    return jnp.concatenate([placed, *observed])
+    return jnp.concatenate([points_and_turns, *observed])
 
 
 class ObservedState(NamedTuple):
@@ -124,7 +122,7 @@ def _observe(
     return jnp.concatenate([jnp.ravel(value).astype(float), none])[None]
 
 
-def _placed(
+def placed(
     model: Model, effectors: EffectorArrays, u: Nodal
 ) -> Float[Array, "n_points_and_turns 3"]:
     """Compute the rows that a recording sees: points and turns."""
@@ -140,23 +138,6 @@ def _placed(
     # Rotation vectors from the reference orientations, in the frame of the mesh.
     turns = jnp.sum(seen[:, :, None] * reference[:, None], axis=-1)
     return jnp.concatenate([points, jax.vmap(rotation_vector)(turns)])
-
-
-def marker_positions(
-    model: Model,
-    configuration: Configuration | ConfigurationArrays,
-    solution: EquilibriumSolution,
-) -> Float[Array, "n_markers 3"]:
-    """Compute the positions of markers, then of points of other effectors [m].
-
-    In the frame of the mesh; nan without equilibrium.
-
-    Raises:
-        ValueError: If the configuration is a batch, or of another model.
-    """
-    effectors = one_lane(model, configuration).effectors
-    n_points = effectors.nodes.shape[0]
-    return _placed(model, effectors, solution.displacement)[:n_points]
 
 
 def actuator_forces(

@@ -12,7 +12,7 @@ Two formulations of the volume change:
 On linear tets, with a single quadrature point, both are the same.
 """
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +22,21 @@ from softcal_jax.elements import cofactor, determinant, matmul, sum_of
 from softcal_jax.materials import AbstractLaw
 
 Formulation = Literal["displacement", "mean-dilatation"]
+
+
+class Tet(NamedTuple):
+    """One tet at rest; its law has one value of each field.
+
+    Attributes:
+        dN: Shape gradients dN_a/dX at the quadrature points [1/m].
+        w: Weights of these points, volume included [m3].
+        mixed: Whether the volume ratio of every point is replaced by the tet's mean.
+    """
+
+    dN: Float[Array, "n_qp n_en 3"]
+    w: Float[Array, " n_qp"]
+    law: AbstractLaw
+    mixed: bool
 
 
 def deformation_gradients(
@@ -45,10 +60,6 @@ def _scaled_to(theta: Float[Array, ""], F: Float[Array, "n_qp 3 3"]):
     return J, jnp.cbrt(theta / J), jax.vmap(cofactor)(F) / J[:, None, None]
 
 
-def _at_points(law: AbstractLaw, method: str, F: Float[Array, "n_qp 3 3"]):
-    return jax.vmap(getattr(law, method))(F)
-
-
 def _stresses_and_tangents(
     law: AbstractLaw, F: Float[Array, "n_qp 3 3"]
 ) -> tuple[Float[Array, "n_qp 3 3"], Float[Array, "n_qp 3 3 3 3"]]:
@@ -56,67 +67,47 @@ def _stresses_and_tangents(
     return jax.lax.map(law.stress_and_tangent, F)
 
 
-def mean_dilatation(
-    u: Float[Array, "n_en 3"], dN: Float[Array, "n_qp n_en 3"], w: Float[Array, " n_qp"]
-) -> Float[Array, ""]:
+def mean_dilatation(u: Float[Array, "n_en 3"], tet: Tet) -> Float[Array, ""]:
     """Compute the volume of a tet relative to its volume at rest, J_bar [-]."""
-    J = jax.vmap(determinant)(deformation_gradients(u, dN))
-    return jnp.sum(w * J) / jnp.sum(w)
-
-
-def is_mixed(formulation: Formulation, n_qp: int) -> bool:
-    return formulation == "mean-dilatation" and n_qp > 1
+    J = jax.vmap(determinant)(deformation_gradients(u, tet.dN))
+    return jnp.sum(tet.w * J) / jnp.sum(tet.w)
 
 
 def element_energy_and_force(
-    u: Float[Array, "n_en 3"],
-    dN: Float[Array, "n_qp n_en 3"],
-    w: Float[Array, " n_qp"],
-    law: AbstractLaw,
-    formulation: Formulation,
+    u: Float[Array, "n_en 3"], tet: Tet
 ) -> tuple[Float[Array, ""], Float[Array, "n_en 3"]]:
     """Compute the strain energy [J] of a tet and its gradient with respect to u [N]."""
-    F = deformation_gradients(u, dN)
-    psi, P = _energies_and_stresses(F, u, dN, w, law, formulation)
-    return jnp.sum(w * psi), _push(P, dN)
+    _, psi, P = _energies_and_stresses(u, tet)
+    return jnp.sum(tet.w * psi), _push(P, tet.dN)
 
 
 def element_state(
-    u: Float[Array, "n_en 3"],
-    dN: Float[Array, "n_qp n_en 3"],
-    w: Float[Array, " n_qp"],
-    law: AbstractLaw,
-    formulation: Formulation,
+    u: Float[Array, "n_en 3"], tet: Tet
 ) -> tuple[Float[Array, ""], Float[Array, "3 3"], Float[Array, "n_qp 3 3"]]:
     """Compute strain energy [J], mean Cauchy stress [Pa] and F of a tet.
 
     sigma = P F^T / J, so its integral over the deformed tet is that of P F^T at rest.
     """
-    F = deformation_gradients(u, dN)
-    psi, P = _energies_and_stresses(F, u, dN, w, law, formulation)
+    F, psi, P = _energies_and_stresses(u, tet)
     force = jnp.sum(jax.vmap(matmul)(P, jnp.swapaxes(F, 1, 2)), axis=0)
-    return jnp.sum(w * psi), force / jnp.sum(w * jax.vmap(determinant)(F)), F
+    volume = jnp.sum(tet.w * jax.vmap(determinant)(F))
+    return jnp.sum(tet.w * psi), force / volume, F
 
 
 def element_stresses(
-    u: Float[Array, "n_en 3"],
-    dN: Float[Array, "n_qp n_en 3"],
-    w: Float[Array, " n_qp"],
-    law: AbstractLaw,
-    formulation: Formulation,
+    u: Float[Array, "n_en 3"], tet: Tet
 ) -> tuple[Float[Array, "..."], ...]:
     """Compute P at the quadrature points [Pa] and the mean F of a tet.
 
     With "mean-dilatation", further J - J_bar at the points [-] and the derivative of
     the pressure by the displacement gradient there [Pa].
     """
-    F = deformation_gradients(u, dN)
-    P = _energies_and_stresses(F, u, dN, w, law, formulation)[1] / _each(w)
-    share = w / jnp.sum(w)
+    F, _, P = _energies_and_stresses(u, tet)
+    P, share = P / _each(tet.w), tet.w / jnp.sum(tet.w)
     mean = jnp.sum(_each(share) * F, axis=0)
-    if not is_mixed(formulation, F.shape[0]):
+    if not tet.mixed:
         return P, mean
-    J, matrix = jax.vmap(determinant)(F), law.parts()[0]
+    J, matrix = jax.vmap(determinant)(F), tet.law.parts()[0]
 
     def pressure(scale):
         scaled = scale * mean
@@ -129,39 +120,32 @@ def element_stresses(
 
 
 def _energies_and_stresses(
-    F: Float[Array, "n_qp 3 3"],
-    u: Float[Array, "n_en 3"],
-    dN: Float[Array, "n_qp n_en 3"],
-    w: Float[Array, " n_qp"],
-    law: AbstractLaw,
-    formulation: Formulation,
-) -> tuple[Float[Array, " n_qp"], Float[Array, "n_qp 3 3"]]:
-    """Compute energy densities, and first Piola-Kirchhoff stresses times weights."""
-    if is_mixed(formulation, F.shape[0]):
-        matrix, rest = law.parts()
-        theta = mean_dilatation(u, dN, w)
+    u: Float[Array, "n_en 3"], tet: Tet
+) -> tuple[Float[Array, "n_qp 3 3"], Float[Array, " n_qp"], Float[Array, "n_qp 3 3"]]:
+    """Compute F, energy densities, and first Piola-Kirchhoff stresses times weights."""
+    F, w = deformation_gradients(u, tet.dN), tet.w
+    if tet.mixed:
+        matrix, rest = tet.law.parts()
+        theta = mean_dilatation(u, tet)
         J, s, G = _scaled_to(theta, F)
         share = w * J / (theta * jnp.sum(w))
-        psi, P_bar = _at_points(matrix, "energy_and_stress", _each(s) * F)
+        psi, P_bar = jax.vmap(matrix.energy_and_stress)(_each(s) * F)
         P_bar = _each(s) * P_bar
         mean_stress = jnp.sum(P_bar * F, axis=(1, 2)) / 3.0
         pressure = jnp.sum(w * mean_stress)
         P = _each(w) * P_bar + _each(pressure * share - w * mean_stress) * G
         if rest is not None:
-            psi_rest, P_rest = _at_points(rest, "energy_and_stress", F)
+            psi_rest, P_rest = jax.vmap(rest.energy_and_stress)(F)
             psi, P = psi + psi_rest, P + _each(w) * P_rest
     else:
-        psi, P = _at_points(law, "energy_and_stress", F)
+        psi, P = jax.vmap(tet.law.energy_and_stress)(F)
         P = _each(w) * P
-    return psi, P
+    return F, psi, P
 
 
 def element_stiffness(
     u: Float[Array, "n_en 3"],
-    dN: Float[Array, "n_qp n_en 3"],
-    w: Float[Array, " n_qp"],
-    law: AbstractLaw,
-    formulation: Formulation,
+    tet: Tet,
     before: Float[Array, "n_en 3"] | None = None,
     stepped: Bool[Array, ""] | None = None,
 ) -> Float[Array, "n_en 3 n_en 3"]:
@@ -171,19 +155,19 @@ def element_stiffness(
     stiffness uses the stress predicted by that step, see `_foreseen`; `stepped` then
     tells whether `before` differs from `u` anywhere in the mesh.
     """
-    F = deformation_gradients(u, dN)
-    if is_mixed(formulation, F.shape[0]):
-        return mixed_newton(u, mean_dilatation(u, dN, w), dN, w, law)[0]
-    P, A = _stresses_and_tangents(law, F)
+    if tet.mixed:
+        return mixed_newton(u, mean_dilatation(u, tet), tet)[0]
+    F = deformation_gradients(u, tet.dN)
+    P, A = _stresses_and_tangents(tet.law, F)
     if before is not None:
-        began = deformation_gradients(before, dN)
+        began = deformation_gradients(before, tet.dN)
         gap = jax.lax.cond(
             stepped,
-            lambda: _second(F, P) - _foreseen(law, began, F),
+            lambda: _second(F, P) - _foreseen(tet.law, began, F),
             lambda: jnp.zeros_like(P),
         )
         A = A - jnp.eye(3)[None, :, None, :, None] * gap[:, None, :, None, :]
-    return _pull(w[:, None, None, None, None] * A, dN)
+    return _pull(tet.w[:, None, None, None, None] * A, tet.dN)
 
 
 def _second(
@@ -205,7 +189,7 @@ def _foreseen(
     uses the linear prediction instead (Magisano, Leonetti and Garcea, Comput. Methods
     Appl. Mech. Eng. 313, 2017).
     """
-    second = lambda F: _second(F, _at_points(law, "stress", F))
+    second = lambda F: _second(F, jax.vmap(law.stress)(F))
     stress, change = jax.jvp(second, (before,), (F - before,))
     return stress + change
 
@@ -238,11 +222,7 @@ def _pull(
 
 
 def mixed_newton(
-    u: Float[Array, "n_en 3"],
-    theta: Float[Array, ""],
-    dN: Float[Array, "n_qp n_en 3"],
-    w: Float[Array, " n_qp"],
-    law: AbstractLaw,
+    u: Float[Array, "n_en 3"], theta: Float[Array, ""], tet: Tet
 ) -> tuple[Float[Array, "n_en 3 n_en 3"], Float[Array, "n_en 3"]]:
     """Compute stiffness [N/m] and force [N] of a tet with an independent volume ratio.
 
@@ -258,11 +238,12 @@ def mixed_newton(
     # With eta = d ln theta and G = F^-T, dF_bar = s (dF + (eta - G : dF) / 3 F). All
     # terms but A are pushed to the nodes first: adding products of 3x3 tensors to A
     # would take longer than A and its pull.
+    dN, w = tet.dN, tet.w
     F = deformation_gradients(u, dN)
     J, s, G = _scaled_to(theta, F)
     share = w * J / (theta * jnp.sum(w))
     gap = jnp.sum(share) - 1.0  # J_bar / theta - 1
-    matrix, rest = law.parts()
+    matrix, rest = tet.law.parts()
     P_bar, A = _stresses_and_tangents(matrix, _each(s) * F)
     P_bar = _each(s) * P_bar
     Q = _each(s**2) * jnp.einsum("qiJkL,qkL->qiJ", A, F) + P_bar

@@ -119,6 +119,11 @@ class Model(Module):
         """
         return self.solver.sparsity.symmetric
 
+    @property
+    def has_volume_unknowns(self) -> bool:
+        """Whether Newton's method has a volume ratio of each tet beside u."""
+        return self.formulation == "mean-dilatation" and self.weights.shape[1] > 1
+
     def with_law(self, law: AbstractLaw) -> "Model":
         """Return the model with another law.
 

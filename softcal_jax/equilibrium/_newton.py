@@ -16,7 +16,6 @@ from softcal_jax._module import Module
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies import KINDS
-from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._balance import (
     Point,
     Residual,
@@ -126,7 +125,11 @@ class NewtonState(NamedTuple):
 
 @dataclass(frozen=True, eq=False)  # JAX caches its methods by identity
 class NewtonLoop:
-    """Newton's method for a configuration, posed at full load."""
+    """Newton's method for a configuration, posed at full load and solved there first.
+
+    If that does not lead to a solution, load stepping starts from rest, as it does at
+    once where a held body turns far and there is no guess.
+    """
 
     posed: Posed
     settings: NewtonSettings
@@ -324,21 +327,6 @@ class NewtonLoop:
             done=jnp.zeros((), bool),
         )
         return state._replace(theta=dilatation(self.model, zero, point.u, rest.u))
-
-
-def newton(
-    model: Model,
-    configuration: ConfigurationArrays,
-    u0: Nodal,
-    settings: NewtonSettings,
-) -> NewtonState:
-    """Solve one configuration from the guess `u0`, first at full load.
-
-    If that does not lead to a solution, load stepping starts from rest, as it does at
-    once where a held body turns far and there is no guess.
-    """
-    loop = NewtonLoop(Posed.of(model.tabulated(), configuration), settings)
-    return loop.run(loop.start(u0), settings.max_steps)
 
 
 def _fewest(old: Int[Array, ""], new: Int[Array, ""]) -> Int[Array, ""]:

@@ -37,7 +37,7 @@ from softcal_jax.equilibrium._balance import (
     relative,
     stiffness_of_gaps,
 )
-from softcal_jax.equilibrium._direction import dilatation, has_volume_unknowns
+from softcal_jax.equilibrium._direction import dilatation
 from softcal_jax.equilibrium._effectors import effector_values
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonSettings
@@ -142,7 +142,7 @@ def _both_steps(posed: Posed, point: Point, lambda_a, theta):
     """
     model, configuration, u = posed.model, posed.configuration, point.u
     to_go, active = gap(posed, point, lambda_a, jnp.ones(()))
-    if has_volume_unknowns(model):
+    if model.has_volume_unknowns:
         mesh, internal = mixed_tangent(model, u, theta)
     else:
         mesh, internal = tangent_values(model, u), point.force
@@ -183,7 +183,8 @@ def _readings(posed: Posed, u, lambda_a, unbalanced):
     return effector_values(posed.model, configuration, u, lambda_a, unbalanced)
 
 
-def _next_state(
+@eqx.filter_jit
+def _step(
     model: Model,
     configuration: ConfigurationArrays,
     old: _State,
@@ -254,9 +255,6 @@ def _next_state(
         ok=jnp.zeros((), bool),
     )
     return jax.lax.while_loop(keep_going, correct, begun)
-
-
-_step = eqx.filter_jit(_next_state)
 
 
 def _begin(

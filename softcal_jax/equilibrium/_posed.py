@@ -151,9 +151,6 @@ class Posed(NamedTuple):
         home = frames.home + load * moved + wound
         return self._replace(load=load, mounted=frames._replace(home=home))
 
-    def tabulated(self) -> "Posed":
-        return self._replace(model=self.model.tabulated())
-
     @property
     def by_multiplier(self) -> Bool[Array, " n_a"]:
         """Flag the actuators with an imposed displacement, whose force is unknown."""

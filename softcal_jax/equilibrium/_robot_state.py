@@ -1,7 +1,7 @@
-"""States of rigid bodies, actuators and supports at equilibrium, for results."""
+"""States of bodies, actuators, supports and markers at equilibrium, for results."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softcal_jax._module import Module
-from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.bodies import KINDS
 from softcal_jax.configurations import (
     Configuration,
@@ -18,10 +18,10 @@ from softcal_jax.configurations import (
     SupportReaction,
     configuration_arrays,
 )
-from softcal_jax.equilibrium._effectors import ObservedState, observed_state
+from softcal_jax.equilibrium._effectors import observed_state, placed
 from softcal_jax.equilibrium._model import Model
-from softcal_jax.equilibrium._posed import Posed
-from softcal_jax.equilibrium._solution import EquilibriumSolution
+from softcal_jax.equilibrium._posed import Posed, one_lane
+from softcal_jax.equilibrium._solve import EquilibriumSolution
 
 
 class BodyPlace(Module):
@@ -81,18 +81,12 @@ class RobotState(Module):
     displacement: Float[HostArray, "n_points 3"]
 
 
-class _Balance(NamedTuple):
-    state: ObservedState
-    kind: Int[Array | HostArray, " n_b"]
-
-
 @eqx.filter_jit
-def _balance(model: Model, lane: ConfigurationArrays, u, multipliers) -> _Balance:
-    posed = Posed.of(model, lane)
-    return _Balance(
-        state=observed_state(model, lane, u, multipliers),
-        kind=posed.states.kind if posed.states else jnp.zeros(0, int),
-    )
+def _observed(model: Model, lane: ConfigurationArrays, u, multipliers):
+    """Compute what is observed, and the kind of state of each body in `KINDS`."""
+    states = Posed.of(model, lane).states
+    kinds = jnp.zeros(0, int) if states is None else states.kind
+    return observed_state(model, lane, u, multipliers), kinds
 
 
 def robot_states(
@@ -128,12 +122,11 @@ def _state(
     solution: EquilibriumSolution,
 ) -> RobotState:
     u, multipliers = solution.displacement, solution.multipliers
-    balance = jax.tree.map(np.asarray, _balance(model, lane, u, multipliers))
-    u, state = np.asarray(u), balance.state
+    u, (state, of_bodies) = jax.device_get((u, _observed(model, lane, u, multipliers)))
     bodies = model.mechanism.bodies
     kinds = [
         KINDS[int(kind)] if owner == k else "tied"
-        for k, (kind, owner) in enumerate(zip(balance.kind, bodies.owner, strict=True))
+        for k, (kind, owner) in enumerate(zip(of_bodies, bodies.owner, strict=True))
     ]
     moved = u[model.mesh.n_nodes :: 4]
     places = (
@@ -198,3 +191,20 @@ def _grounds(
             key = f"rigid body {name}" if name in grounds else name
             grounds[key] = reaction(attached).function
     return grounds
+
+
+def marker_positions(
+    model: Model,
+    configuration: Configuration | ConfigurationArrays,
+    solution: EquilibriumSolution,
+) -> Float[Array, "n_markers 3"]:
+    """Compute the positions of markers, then of points of other effectors [m].
+
+    In the frame of the mesh; nan without equilibrium.
+
+    Raises:
+        ValueError: If the configuration is a batch, or of another model.
+    """
+    effectors = one_lane(model, configuration).effectors
+    n_points = effectors.nodes.shape[0]
+    return placed(model, effectors, solution.displacement)[:n_points]

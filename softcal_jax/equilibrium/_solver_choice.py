@@ -1,14 +1,120 @@
-"""Choice of the sparse direct solver of a model; its name is part of every result."""
+"""Choice of the sparse direct solver of a model; its name is part of every result.
 
+Beside those of the CPU there is PARDISO on the host, called back from a program that
+runs on a GPU. On a CPU, as many such programs at a time as JAX has threads would
+deadlock.
+"""
+
+import os
+from functools import cache
 from importlib.util import find_spec
-from typing import ClassVar
+from threading import Lock
+from typing import Any, ClassVar
 
 import jax
+import numpy as np
+from scipy import sparse
 
+from softcal_jax._machine import available_cores
 from softcal_jax._names import suggestion
-from softcal_jax.equilibrium._host_pardiso import HostPardiso
-from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver, Klu, Pardiso
+from softcal_jax.equilibrium._linear_solver import (
+    AbstractLinearSolver,
+    Klu,
+    Pardiso,
+    fix_threads,
+)
 from softcal_jax.equilibrium._sparsity import Sparsity
+
+_SYMMETRIC_INDEFINITE, _STRUCTURALLY_SYMMETRIC, _ZERO_PIVOT = -2, 1, -4
+"""PARDISO's codes of matrix types and an error."""
+
+_IN_USE = Lock()
+"""Held while factors are made and used."""
+
+# As in `_linear_solver`, but indices count from 1 as in oneMKL: no default settings,
+# nested dissection, no iterative refinement, no scaling or matching, 1x1 pivots,
+# one-level factorization.
+_OPTIONS = {1: 1, 2: 2, 8: 0, 11: 0, 13: 0, 21: 0, 24: 0}
+_PERTURBATION = 10  # exponent: small pivots are replaced by 10^-exponent
+_PERTURBED, _NEGATIVE = 14, 23  # counts of perturbed pivots, negative eigenvalues
+
+
+class HostPardiso(AbstractLinearSolver):
+    """Intel oneMKL PARDISO through pypardiso.
+
+    All symmetric matrices share one set of factors, all others share another; factors
+    of the same matrix are used again.
+    """
+
+    sparsity: Sparsity
+    name: ClassVar[str] = "PARDISO on the host (pypardiso)"
+    runs_in_threads: ClassVar[bool] = False
+
+    @classmethod
+    def analyse(cls, sparsity):
+        limit = os.environ.get("PJRT_NPROC", os.environ.get("NPROC", ""))
+        threads = int(limit) if limit.isdigit() else available_cores()
+        if jax.default_backend() == "cpu" and threads < 2:
+            raise ValueError(
+                f"solver='pardiso-host' needs two threads of JAX, which has {threads}: "
+                "set PJRT_NPROC=2 before Python starts."
+            )
+        if find_spec("pypardiso") is None:
+            raise ImportError(
+                'solver="pardiso-host", that of a GPU, needs pypardiso: '
+                "`pip install 'softcal-jax[gpu]'` on x86-64."
+            )
+        return cls(sparsity)
+
+    def _factor_solve(self, values, rhs):
+        results = (
+            jax.ShapeDtypeStruct(rhs.shape, rhs.dtype),
+            jax.ShapeDtypeStruct((), np.int32),
+            jax.ShapeDtypeStruct((), bool),
+        )
+        s = self.sparsity
+        return jax.pure_callback(
+            _on_host, results, s.symmetric, s.indptr, s.indices, values, rhs
+        )
+
+
+@cache
+def _pardiso(symmetric: bool) -> Any:
+    """Make the instance that keeps the factors of all matrices of one kind."""
+    # Do not let idle threads spin: the assembly needs their cores.
+    os.environ.setdefault("KMP_BLOCKTIME", "1")
+    from pypardiso import PyPardisoSolver
+
+    kind = _SYMMETRIC_INDEFINITE if symmetric else _STRUCTURALLY_SYMMETRIC
+    pardiso = PyPardisoSolver(mtype=kind)
+    fix_threads(pardiso.libmkl)  # type: ignore[arg-type]  # its constructor loads it
+    for entry, value in _OPTIONS.items():
+        pardiso.set_iparm(entry, value)
+    pardiso.set_iparm(_PERTURBATION, 8 if symmetric else 13)
+    return pardiso
+
+
+def _on_host(symmetric, indptr, indices, values, rhs):
+    from pypardiso.pardiso_wrapper import PyPardisoError
+
+    # Copies: the kept matrix outlives the buffers of JAX.
+    indptr, indices, values, rhs = map(np.array, (indptr, indices, values, rhs))
+    n, symmetric = indptr.size - 1, bool(symmetric)
+    matrix = sparse.csr_array((values, indices, indptr), shape=(n, n))
+    with _IN_USE:
+        pardiso = _pardiso(symmetric)
+        try:
+            if not pardiso._is_already_factorized(matrix):
+                pardiso.factorize(matrix)
+            x = pardiso.solve(matrix, rhs.T).T
+        except PyPardisoError as error:
+            pardiso.remove_stored_factorization()
+            if error.value != _ZERO_PIVOT:
+                raise
+            return np.zeros_like(rhs), np.int32(0), np.bool_(False)
+        regular = pardiso.get_iparm(_PERTURBED) == 0
+        n_negative = pardiso.get_iparm(_NEGATIVE) if symmetric else -1
+    return np.ascontiguousarray(x), np.int32(n_negative), np.bool_(regular)
 
 
 class NoSolver(AbstractLinearSolver):

@@ -12,6 +12,8 @@ from softcal_jax.materials._constants import (
 from softcal_jax.materials._corotational import (
     ClassicalCorotational as ClassicalCorotational,
     Corotational as Corotational,
+    SofaCorotational as SofaCorotational,
+    SofaRotation as SofaRotation,
 )
 from softcal_jax.materials._elasticity import (
     AbstractElasticity as AbstractElasticity,
@@ -26,12 +28,6 @@ from softcal_jax.materials._fibre import (
     frames_around as frames_around,
 )
 from softcal_jax.materials._fibre_reinforced import FibreReinforced as FibreReinforced
-from softcal_jax.materials._incompressible import (
-    Gent as Gent,
-    MooneyRivlin as MooneyRivlin,
-    Ogden as Ogden,
-    Yeoh as Yeoh,
-)
 from softcal_jax.materials._law import (
     SHARED as SHARED,
     AbstractLaw as AbstractLaw,
@@ -39,18 +35,18 @@ from softcal_jax.materials._law import (
     split_law as split_law,
     with_arrays as with_arrays,
 )
-from softcal_jax.materials._rubber import NeoHookean as NeoHookean
-from softcal_jax.materials._sofa import (
-    SofaCorotational as SofaCorotational,
-    SofaRotation as SofaRotation,
+from softcal_jax.materials._ogden import Ogden as Ogden
+from softcal_jax.materials._rubber import (
+    Gent as Gent,
+    MooneyRivlin as MooneyRivlin,
+    NeoHookean as NeoHookean,
+    Yeoh as Yeoh,
 )
 from softcal_jax.materials._transverse import (
     ReducedTransverseIsotropic as ReducedTransverseIsotropic,
+    TransverseHyperelastic as TransverseHyperelastic,
     TransverseIsotropic as TransverseIsotropic,
     plane_stiffness as plane_stiffness,
-)
-from softcal_jax.materials._transverse_hyperelastic import (
-    TransverseHyperelastic as TransverseHyperelastic,
 )
 
 ELASTICITIES: dict[str, type[AbstractElasticity]] = {

@@ -5,11 +5,6 @@ metres.
 """
 
 from softcal_jax.mesh._checks import check_mesh as check_mesh
-from softcal_jax.mesh._conversion import (
-    check_order as check_order,
-    to_linear as to_linear,
-    to_quadratic as to_quadratic,
-)
 from softcal_jax.mesh._generators import beam as beam, oriented as oriented
 from softcal_jax.mesh._location import (
     MaterialPoints as MaterialPoints,
@@ -24,6 +19,7 @@ from softcal_jax.mesh._reading import (
     mesh_files as mesh_files,
     read_mesh as read_mesh,
     read_tet_data as read_tet_data,
+    write_mesh as write_mesh,
 )
 from softcal_jax.mesh._recovery import Recovery as Recovery, recovery as recovery
 from softcal_jax.mesh._selection import (
@@ -45,20 +41,22 @@ from softcal_jax.mesh._surfaces import (
     select_reachable as select_reachable,
     surface_parts as surface_parts,
 )
-from softcal_jax.mesh._tessellation import (
+from softcal_jax.mesh._tet_mesh import (
+    TetMesh as TetMesh,
+    check_order as check_order,
+    to_linear as to_linear,
+    to_quadratic as to_quadratic,
+)
+from softcal_jax.mesh._topology import (
     PARTS as PARTS,
     Tessellation as Tessellation,
-    tessellate as tessellate,
-)
-from softcal_jax.mesh._tet_mesh import TetMesh as TetMesh
-from softcal_jax.mesh._topology import (
     boundary_faces as boundary_faces,
     boundary_tets as boundary_tets,
     face_indices as face_indices,
     face_shares as face_shares,
     surface_shares as surface_shares,
+    tessellate as tessellate,
     tet_faces as tet_faces,
     volumes as volumes,
 )
 from softcal_jax.mesh._voxels import Filling as Filling, Grid as Grid, fill as fill
-from softcal_jax.mesh._writing import write_mesh as write_mesh

@@ -8,8 +8,7 @@ import numpy as np
 from softcal_jax._limits import TETS
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import HostArray
-from softcal_jax.mesh._conversion import check_order, to_quadratic
-from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh
+from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh, check_order, to_quadratic
 from softcal_jax.mesh._topology import boundary_faces
 
 _PATTERNS = ("mirrored", "centred")

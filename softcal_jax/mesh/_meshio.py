@@ -1,7 +1,8 @@
-"""A guarded call of meshio, and the named groups of a file.
+"""A guarded call of meshio, the named groups of a file, and what meshio leaves to it.
 
 On bad files meshio prints, exits the process or raises any exception. Here it either
-returns a mesh or raises a `ValueError` that names the file.
+returns a mesh or raises a `ValueError` that names the file. The sections, sets and
+*INCLUDE lines of Abaqus files are checked and mended here.
 """
 
 import contextlib
@@ -20,7 +21,6 @@ from softcal_jax._limits import MEGABYTES, LimitError
 from softcal_jax._text import escaped
 from softcal_jax._typing import HostArray
 from softcal_jax._warnings import SoftcalWarning
-from softcal_jax.mesh._inp import check_inp, mend_inp_sets
 
 FORMATS = {
     ".msh": "gmsh",
@@ -38,6 +38,77 @@ class MeshWarning(SoftcalWarning):
 
 class ParserError(Exception):
     """A parser refuses a file; the text is its message."""
+
+
+def check_inp(path: Path) -> None:
+    """Raise ValueError if meshio would misread a file, or it includes what it may not.
+
+    meshio keeps the last of several *NODE sections, and opens all that *INCLUDE names.
+    """
+    included = included_files(path)
+    size = sum(file.stat().st_size for file in (path, *included)) / 1e6
+    MEGABYTES.check(f"mesh file {path} with what it includes", size)
+    if (sections := len(_headers(path, "NODE"))) > 1:
+        raise ValueError(
+            f"mesh file {path} has {sections} *NODE sections, of which the reader "
+            "keeps the last; merge them into one (export a flat file, without parts)."
+        )
+
+
+def included_files(path: Path) -> list[Path]:
+    """List the files that an Abaqus file includes, and those that they include.
+
+    Raises:
+        ValueError: If one lies outside the folder of the mesh, or is included twice.
+    """
+    folder, files = path.resolve().parent, [path.resolve()]
+    for source in files:  # the list grows meanwhile
+        for name in _named_files(source):
+            file = Path(name) if Path(name).exists() else source.parent / name
+            file = file.resolve()
+            where = f"mesh file {source}: *INCLUDE of {name!r}"
+            if not file.is_relative_to(folder):
+                raise ValueError(
+                    f"{where}: it lies outside the folder of the mesh, {folder}; copy "
+                    "it there."
+                )
+            check_file(file, f"{where}:")
+            if file in files:
+                raise ValueError(f"{where}: it is included already; include it once.")
+            files.append(file)
+    return files[1:]
+
+
+def _named_files(path: Path) -> list[str]:
+    """Find what a file includes, in the lines that meshio takes for an *INCLUDE."""
+    text = path.read_text(errors="replace")
+    lines = [line for line in text.split("\n") if not line.startswith("**")]
+    keyword = lambda line: line.partition(",")[0].strip().replace("*", "").upper()
+    return [line.split("=")[-1].strip() for line in lines if keyword(line) == "INCLUDE"]
+
+
+def _headers(path: Path, keyword: str) -> list[str]:
+    """Find the lines of an Abaqus file that open a section."""
+    text = path.read_text(errors="replace")
+    return re.findall(rf"(?im)^\*{keyword}[ \t]*(?:,.*)?$", text)
+
+
+def mend_inp_sets(path: Path, raw: meshio.Mesh) -> None:
+    """Assign the sets named in *ELEMENT lines to the cells of their own sections.
+
+    meshio counts these sets by name, not by section, so a section without ELSET shifts
+    all later ones, and a name that is used twice keeps only its last section.
+    """
+    headers = _headers(path, "ELEMENT")
+    if len(headers) != len(raw.cells):
+        return  # *INCLUDE brings sections of other files, which carry no sets.
+    matches = [re.search(r"(?i)ELSET\s*=\s*([^,\s]+)", header) for header in headers]
+    names = [match.group(1) if match else None for match in matches]
+    for name in {name for name in names if name}:
+        raw.cell_sets[name] = [
+            np.arange(len(block) if section == name else 0)
+            for section, block in zip(names, raw.cells, strict=True)
+        ]
 
 
 def read_raw(path: Path, notes: list[str]) -> meshio.Mesh:

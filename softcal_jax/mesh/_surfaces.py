@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax._units import readable
-from softcal_jax.mesh._inverse_map import nearest_on_triangles
+from softcal_jax.mesh._location import nearest_on_triangles
 from softcal_jax.mesh._selection import place
 from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh
 from softcal_jax.mesh._topology import boundary_faces, face_indices

@@ -7,8 +7,7 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.elements import shape_functions
-from softcal_jax.mesh._inverse_map import barycentric_in_tets, bounds
-from softcal_jax.mesh._location import tets_at
+from softcal_jax.mesh._location import barycentric_in_tets, bounds, tets_at
 from softcal_jax.mesh._tet_mesh import TetMesh
 
 _AT_ONCE = 200_000

@@ -7,8 +7,8 @@ from softcal_jax.sensitivity._compliance import (
     equilibrium_response as equilibrium_response,
     parameter_compliance as parameter_compliance,
 )
-from softcal_jax.sensitivity._error_rows import clamp_row as clamp_row
-from softcal_jax.sensitivity._mesh_row import (
+from softcal_jax.sensitivity._error_rows import (
+    clamp_row as clamp_row,
     mesh_row as mesh_row,
     stress_patches as stress_patches,
 )

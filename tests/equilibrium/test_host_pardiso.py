@@ -19,8 +19,8 @@ from softcal_jax.calibration import (
 from softcal_jax.calibration._evaluation import weighed
 from softcal_jax.configurations import configuration_arrays
 from softcal_jax.equilibrium import build_model, factor_solve
-from softcal_jax.equilibrium._host_pardiso import HostPardiso
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
+from softcal_jax.equilibrium._solver_choice import HostPardiso
 from softcal_jax.equilibrium._sparsity import Sparsity
 from softcal_jax.materials import ClassicalCorotational, Corotational, Isotropic
 from softcal_jax.mesh import beam
@@ -102,7 +102,7 @@ def test_it_is_what_a_gpu_gets(monkeypatch):
 
 def test_without_its_package(monkeypatch):
     monkeypatch.setattr(
-        "softcal_jax.equilibrium._host_pardiso.find_spec", lambda name: None
+        "softcal_jax.equilibrium._solver_choice.find_spec", lambda name: None
     )
     with pytest.raises(ImportError, match=r"softcal-jax\[gpu\]"):
         built((1, 1, 1))

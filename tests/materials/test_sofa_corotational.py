@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks import _sofa_tets
 from softcal_jax.materials import ClassicalCorotational, Isotropic, SofaCorotational
-from softcal_jax.materials._sofa import _rest_matrices
+from softcal_jax.materials._corotational import _rest_matrices
 from softcal_jax.mesh import TetMesh, to_quadratic
 
 KINDS = ("edge", "procrustes", "large")

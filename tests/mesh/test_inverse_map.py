@@ -1,6 +1,6 @@
 import numpy as np
 
-from softcal_jax.mesh._inverse_map import nearest_on_face, nearest_on_triangles
+from softcal_jax.mesh._location import nearest_on_face, nearest_on_triangles
 
 
 def test_nearest_point_of_a_triangle_meets_every_part_of_it():
