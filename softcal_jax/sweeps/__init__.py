@@ -6,11 +6,13 @@
 from softcal_jax.sweeps._calibration import CalibrationTrial as CalibrationTrial
 from softcal_jax.sweeps._database import read_sweep as read_sweep
 from softcal_jax.sweeps._file import Sweep as Sweep, load_sweep as load_sweep
-from softcal_jax.sweeps._parts import run_part as run_part
-from softcal_jax.sweeps._progress import Progress as Progress
 from softcal_jax.sweeps._result import Group as Group, SweepResult as SweepResult
-from softcal_jax.sweeps._row import Outcome as Outcome, TrialRow as TrialRow
-from softcal_jax.sweeps._run import run_sweep as run_sweep
+from softcal_jax.sweeps._row import (
+    Outcome as Outcome,
+    Progress as Progress,
+    TrialRow as TrialRow,
+)
+from softcal_jax.sweeps._run import run_part as run_part, run_sweep as run_sweep
 from softcal_jax.sweeps._summary import (
     SweptAxis as SweptAxis,
     best_trials as best_trials,

@@ -18,9 +18,11 @@ from softcal_jax.fields import ParameterSpace, random_starts
 from softcal_jax.layouts import place_control_points
 from softcal_jax.project import Project, load_project, parse_in_si, read_toml
 from softcal_jax.robots import synthetic_measurements
-from softcal_jax.sweeps._axes import OWN_AXES
 from softcal_jax.sweeps._row import Outcome
 from softcal_jax.sweeps._trial import Trial
+
+OWN_AXES = ("layout", "configurations", "start", "noise")
+"""Axes that are not keys of the project file."""
 
 KEPT = 8
 """Number of variants of a project that a worker keeps."""
