@@ -10,8 +10,11 @@ from softcal_jax.control._compliance import (
     actuator_readings as actuator_readings,
     with_inputs as with_inputs,
 )
-from softcal_jax.control._goals import Goal as Goal, with_goals as with_goals
-from softcal_jax.control._limits import Limits as Limits
+from softcal_jax.control._goals import (
+    Goal as Goal,
+    Limits as Limits,
+    with_goals as with_goals,
+)
 from softcal_jax.control._result import (
     OUTCOMES as OUTCOMES,
     Attempt as Attempt,

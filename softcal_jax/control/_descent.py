@@ -17,22 +17,20 @@ from softcal_jax.control._compliance import (
     actuator_readings,
     with_inputs,
 )
-from softcal_jax.control._problem import (
-    Command,
-    Linear,
-    all_errors,
-    follow_room,
-    linearise,
-    parts,
-    violation,
-)
 from softcal_jax.control._result import OUTCOMES, StepRecord
 from softcal_jax.control._step import (
     ROUNDING,
+    Command,
     Decision,
+    Linear,
     TriedStep,
+    all_errors,
     decide,
+    follow_room,
     limited_step,
+    linearise,
+    parts,
+    violation,
 )
 from softcal_jax.equilibrium import EquilibriumSolution, solve_equilibrium
 
