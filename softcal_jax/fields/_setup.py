@@ -18,7 +18,13 @@ from jaxtyping import ArrayLike
 from softcal_jax._module import Module
 from softcal_jax._names import name_key, unknown_name
 from softcal_jax._typing import Bool, Float, HostArray, is_traced
-from softcal_jax.fields._parameters import AbstractEntry, Names, Parameter, Values
+from softcal_jax.fields._parameters import (
+    AbstractEntry,
+    AbstractError,
+    Names,
+    Parameter,
+    Values,
+)
 
 By = Literal["configuration", "recording"]
 _BY: tuple[By, ...] = ("configuration", "recording")
@@ -305,3 +311,20 @@ def setup_parameters(
         where = {"kind": kind, "of": of, "axis": axis}
         entries.append(SetupParameter(**where, unknowns=unknowns, each=each, by=by))
     return tuple(entries)
+
+
+class SetupError(AbstractError, AbstractSetupEntry):
+    """An error of the setup, the loads or a recording, added to its present value.
+
+    The error of a factor is relative; for `kind`, `of` and `axis` see `SetupParameter`.
+    """
+
+    kind: str = eqx.field(static=True)
+    of: str = eqx.field(static=True, default="")
+    axis: str = eqx.field(static=True, default="")
+
+    def apply(self, model: Any, configuration: Any, values: Values) -> tuple[Any, Any]:
+        """Add the error to its entry."""
+        error = values[self.name] * self.std
+        change = lambda old: old + error * (old if self.quantity.relative else 1.0)
+        return self._changed(model, configuration, change)
