@@ -20,8 +20,14 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Bool, Float, HostArray, Int
-from softcal_jax.inference._rank import Determined, determined, span
-from softcal_jax.inference._whitening import Whitened, whitened, whitened_rows
+from softcal_jax.inference._least_squares import (
+    Determined,
+    Whitened,
+    determined,
+    span,
+    whitened,
+    whitened_rows,
+)
 
 NOISE = "noise"
 """Name of the cause "independent errors" in the budget, the jitter."""
