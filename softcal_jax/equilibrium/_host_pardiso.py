@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from scipy import sparse
 
-from softcal_jax._machine import available_cores
+from softcal_jax._process import available_cores
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver, fix_threads
 from softcal_jax.equilibrium._sparsity import Sparsity
 
