@@ -19,7 +19,6 @@ LAYERS = [
         *("_notebook", "_process", "_results", "_text", "_typing", "_units"),
     },
     {"_lanes", "_module"},
-    {"_clock"},
     {"_files", "_text_table"},
     {"elements"},
     {"mesh"},

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from softcal_jax._clock import Clock
+from softcal_jax._process import Clock
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, weighed

@@ -10,7 +10,7 @@ import numpy as np
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import QPStep
-from softcal_jax.control._compliance import (
+from softcal_jax.control._inputs import (
     ActuatorCompliance,
     ActuatorReadings,
     actuator_compliance,

@@ -15,8 +15,8 @@ from softcal_jax.configurations import (
     ConfigurationArrays,
     EffectorRecord,
 )
-from softcal_jax.control._compliance import ActuatorCompliance, ActuatorReadings
 from softcal_jax.control._goals import LimitArrays
+from softcal_jax.control._inputs import ActuatorCompliance, ActuatorReadings
 from softcal_jax.equilibrium import Model, NewtonSettings
 
 ROUNDING = 1e-6

@@ -49,13 +49,11 @@ from softcal_jax.fields._standard_errors import (
     check_precision as check_precision,
     field_standard_errors as field_standard_errors,
 )
-from softcal_jax.fields._starts import (
+from softcal_jax.fields._start import (
     SEVERAL as SEVERAL,
+    check_parameters as check_parameters,
+    check_scopes as check_scopes,
     check_starts as check_starts,
     default_starts as default_starts,
     random_starts as random_starts,
-)
-from softcal_jax.fields._validation import (
-    check_parameters as check_parameters,
-    check_scopes as check_scopes,
 )

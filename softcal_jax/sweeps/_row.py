@@ -15,8 +15,8 @@ from typing import Any, Literal
 import jax
 import numpy as np
 
-from softcal_jax._clock import Clock
 from softcal_jax._compilation_cache import throw_away_damaged
+from softcal_jax._process import Clock
 from softcal_jax.sweeps._trial import Trial, shown
 
 State = Literal["converged", "not converged", "failed"]
