@@ -260,17 +260,10 @@ def search(
             if _result(space, rows[:n], begun[:n]).missed <= enough:
                 break
     except KeyboardInterrupt:
-        if not _has_end(begun):
+        if not any(np.isfinite(run.best.cost) for run in begun):
             raise
         journal.interrupted = True
-    return _with_an_end(_result(space, rows, begun))
-
-
-def _has_end(runs: Sequence[Begun]) -> bool:
-    return any(np.isfinite(run.best.cost) for run in runs)
-
-
-def _with_an_end(result: MultiStartResult) -> MultiStartResult:
+    result = _result(space, rows, begun)
     if not np.isfinite(result.cost).any():
         raise RuntimeError(
             f"none of {len(result.cost)} starts has an equilibrium in every "

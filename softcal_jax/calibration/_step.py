@@ -137,8 +137,6 @@ def initial_state(
     settings: CalibrationSettings,
     z: Float[Array, " n_p"],
     evaluation: Evaluation,
-    *,
-    least_fall: float = SMALLEST_FALL,
 ) -> CalibrationState:
     """Return the state before the first step."""
     none = jnp.zeros((len(z), len(z)), z.dtype)
@@ -154,7 +152,7 @@ def initial_state(
         step=jnp.zeros((), jnp.int32),
         converged=jnp.zeros((), bool),
         stalled=jnp.zeros((), bool),
-        least_fall=jnp.full((), least_fall, z.dtype),
+        least_fall=jnp.full((), SMALLEST_FALL, z.dtype),
     )
 
 

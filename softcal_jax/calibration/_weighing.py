@@ -105,14 +105,6 @@ class Weighed(NamedTuple):
         return scaled.moving(self.noise.motion)
 
 
-def sought_noise(
-    configurations: Sequence[Configuration], *, jitter: bool, offset: bool
-) -> SoughtNoise:
-    """Say which components of the noise of configurations are to be estimated."""
-    share = np.array([c.relative_std == "estimated" for c in configurations])
-    return SoughtNoise(jitter, offset, share)
-
-
 def weighed_fit(
     evaluate: Evaluator,
     settings: CalibrationSettings,

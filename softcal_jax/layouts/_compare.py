@@ -110,23 +110,6 @@ def _fit(
         return workers.side_by_side(partial(fit, whole, fold) for fold in _folds(n_c))
 
 
-def cross_validated(
-    name: str,
-    problem: CalibrationProblem,
-    configurations: Sequence[Configuration],
-    settings: CalibrationSettings,
-    starts: int | None,
-    seed: int,
-) -> ModelScore:
-    """Fit all folds of a model, and score them."""
-    start = problem.space.admissible(problem.space.start())[None]
-    n = default_starts(problem.space) if starts is None else starts
-    if n > 1:
-        others = random_starts(problem.space, n - 1, seed=seed)
-        start = jnp.concatenate([start, others])
-    return _score(name, problem, configurations, _fit(problem, settings, start))
-
-
 def _score(
     name: str,
     problem: CalibrationProblem,
@@ -335,8 +318,14 @@ def compare_models(
     scores = []
     for name, problem in problems.items():
         progress(name)
-        how = (settings or FOR_PREDICTION, starts, seed)
-        scores.append(cross_validated(name, problem, configurations, *how))
+        space = problem.space
+        begin = space.admissible(space.start())[None]
+        n = default_starts(space) if starts is None else starts
+        if n > 1:
+            others = random_starts(space, n - 1, seed=seed)
+            begin = jnp.concatenate([begin, others])
+        fits = _fit(problem, settings or FOR_PREDICTION, begin)
+        scores.append(_score(name, problem, configurations, fits))
     return ModelComparison.ranked(scores)
 
 
