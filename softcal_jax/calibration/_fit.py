@@ -30,11 +30,7 @@ from softcal_jax.calibration._evaluation import (
     effector_errors,
 )
 from softcal_jax.calibration._noise import CorrelatedNoise, independent_recordings
-from softcal_jax.calibration._notes import (
-    fit_notes,
-    residual_checks,
-    result_notes,
-)
+from softcal_jax.calibration._notes import fit_notes, residual_checks, result_notes
 from softcal_jax.calibration._prediction import Predicted, predict
 from softcal_jax.calibration._problem import Batch, Task
 from softcal_jax.calibration._result import (

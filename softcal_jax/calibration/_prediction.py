@@ -20,15 +20,8 @@ from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._problem import Batch, CalibrationProblem, Task
 from softcal_jax.calibration._starts import Start
 from softcal_jax.calibration._weighing import Weighed
-from softcal_jax.configurations import (
-    Configuration,
-)
-from softcal_jax.equilibrium import (
-    EquilibriumSolution,
-    Model,
-    Report,
-    other_ways,
-)
+from softcal_jax.configurations import Configuration
+from softcal_jax.equilibrium import EquilibriumSolution, Model, Report, other_ways
 from softcal_jax.fields import ParameterSpace, SetupParameter
 from softcal_jax.sensitivity import Response
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from softcal_jax._files import ProjectSource
 from softcal_jax._module import Module, Result
-from softcal_jax._names import listed, unknown_name
+from softcal_jax._names import check_known, listed
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable_estimate, readable_unit
 from softcal_jax.calibration._configuration_result import ConfigurationResult
@@ -392,6 +392,5 @@ class CalibrationResult(Result):
             ValueError: If no parameter has that name.
         """
         values = {p.name: p.value for p in self.parameters}
-        if name not in values:
-            raise unknown_name("parameter", name, values)
+        check_known("parameter", values, name)
         return values[name]

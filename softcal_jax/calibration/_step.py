@@ -134,9 +134,7 @@ class CalibrationState(Module):
 
 
 def initial_state(
-    settings: CalibrationSettings,
-    z: Float[Array, " n_p"],
-    evaluation: Evaluation,
+    settings: CalibrationSettings, z: Float[Array, " n_p"], evaluation: Evaluation
 ) -> CalibrationState:
     """Return the state before the first step."""
     none = jnp.zeros((len(z), len(z)), z.dtype)

@@ -16,11 +16,7 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator, weighed
-from softcal_jax.calibration._noise import (
-    RECORDINGS,
-    AnyArray,
-    CorrelatedNoise,
-)
+from softcal_jax.calibration._noise import RECORDINGS, AnyArray, CorrelatedNoise
 from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._runs import settle
 from softcal_jax.calibration._step import SMALLEST_FALL, CalibrationState, initial_state

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.actuators import Kind
 from softcal_jax.bodies import Pose
@@ -40,10 +40,7 @@ def with_goals(configuration: Configuration, goals: Mapping[str, Goal]):
     markers = configuration.markers
     marker_names = () if markers is None else markers.names
     known = [*(effector.name for effector in configuration.effectors), *marker_names]
-    for name in goals:
-        if name not in known:
-            what = f"effector of configuration {configuration.name!r}"
-            raise unknown_name(what, name, known)
+    check_known(f"effector of configuration {configuration.name!r}", known, *goals)
     effectors = tuple(
         _aimed(effector, goals[effector.name]) if effector.name in goals else effector
         for effector in configuration.effectors
@@ -145,9 +142,8 @@ def limit_arrays(
     mechanism: Mechanism, configuration: Configuration, limits: Mapping[str, Limits]
 ) -> LimitArrays:
     actuators, actuation = mechanism.actuators, configuration.actuation
+    check_known("actuator with limits", actuators.names, *limits)
     for name in limits:
-        if name not in actuators.names:
-            raise unknown_name("actuator with limits", name, actuators.names)
         if name not in actuation:
             raise ValueError(
                 f"actuator {name!r} has limits, but is not commanded: give it a start "

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from softcal_jax._limits import TRIALS
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.fields._model_fields import find_field, region_tets
 from softcal_jax.fields._setup import SetupParameter
@@ -84,10 +84,8 @@ def check_scopes(space: ParameterSpace, configurations: Sequence[Any]) -> None:
     for entry in space.entries:
         if isinstance(entry, SetupParameter):
             known = {entry.member(c) for c in configurations}
-            for name in entry.each:
-                if name not in known:
-                    what = f"{entry.by} of parameter {entry.label!r}"
-                    raise unknown_name(what, name, known)
+            what = f"{entry.by} of parameter {entry.label!r}"
+            check_known(what, known, *entry.each)
 
 
 def _check_effects(model: Any, space: ParameterSpace, configuration: Any) -> None:

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax.configurations import Configuration, Markers
 from softcal_jax.equilibrium import Model, build_model
 from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
@@ -36,8 +36,7 @@ def ready_made_path(name: str) -> Path:
     Raises:
         ValueError: If there is no such robot; the text suggests the closest name.
     """
-    if name not in READY_MADE:
-        raise unknown_name("robot", name, READY_MADE)
+    check_known("robot", READY_MADE, name)
     return Path(str(files("softcal_jax.robots"))) / READY_MADE[name] / "project.toml"
 
 

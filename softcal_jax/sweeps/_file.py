@@ -14,7 +14,7 @@ from pydantic import Field
 
 from softcal_jax._files import similar_file
 from softcal_jax._limits import PLANNED, TRIALS
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax.calibration import SourceFile
 from softcal_jax.export import Made
 from softcal_jax.project import (
@@ -252,9 +252,7 @@ def _check_calibration(path: Path, table: SweepTable, project: Project) -> None:
     assert project.space is not None
     names = project.space.names
     with at(path, "truth"):
-        for name in table.truth:
-            if name not in names:
-                raise unknown_name("parameter", name, names)
+        check_known("parameter", names, *table.truth)
         missing = [name for name in names if name not in table.truth]
         if missing:
             raise ValueError(f"it has no value for {', '.join(missing)}.")
@@ -307,21 +305,15 @@ def axis_values(
     if axis in REPEATS and not all(type(draw) is int and draw >= 0 for draw in given):
         raise wrong
     if axis == "layout":
-        _check_known("layout", given, layouts)
+        check_known("layout", layouts, *given)
     if axis != "configurations":
         return given
     for subset in given:
         if not isinstance(subset, list) or not subset:
             raise wrong
-        _check_known("configuration with the role calibration", subset, poses)
+        check_known("configuration with the role calibration", poses, *subset)
     # In the project's order, so that [a, b] and [b, a] are the same trial.
     return [[name for name in poses if name in subset] for subset in given]
-
-
-def _check_known(kind: str, names: Sequence[Any], known: Sequence[str]) -> None:
-    for name in names:
-        if name not in known:
-            raise unknown_name(kind, str(name), known)
 
 
 def _values_of_table(table: Table, poses: Sequence[str]) -> Sequence[Any] | Range:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from softcal_jax._files import digest_of
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._places import only_writer
 from softcal_jax.equilibrium import usable_cores
 from softcal_jax.sweeps._database import read_sweep, sweep_database
@@ -119,9 +119,7 @@ def about_sweep(
 ) -> tuple[dict[str, Any], dict[str, str]]:
     """Return name and repetitions of a sweep, and what its rows depend on, by name."""
     axes = trials[0].point
-    for axis in repeats:
-        if axis not in axes:
-            raise unknown_name("axis", axis, axes)
+    check_known("axis", axes, *repeats)
     what = getattr(function, "__qualname__", type(function).__qualname__)
     rests_on = {
         "function": what,

@@ -10,7 +10,7 @@ from typing import Any, Literal, overload
 import numpy as np
 
 from softcal_jax._limits import PLANNED, TRIALS
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import HostArray
 
 Point = dict[str, Any]
@@ -204,8 +204,7 @@ class Trial:
 
     def __getitem__(self, axis: str) -> Any:
         """Return the value of an axis, or raise ValueError if there is none."""
-        if axis not in self.point:
-            raise unknown_name("axis", axis, self.point)
+        check_known("axis", self.point, axis)
         return self.point[axis]
 
     @property
