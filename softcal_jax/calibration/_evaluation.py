@@ -123,13 +123,6 @@ def _posed(problem: CalibrationProblem, z) -> tuple[Model, ConfigurationArrays]:
     return problem.at(z)
 
 
-def _counted(step: Response, solution: EquilibriumSolution) -> Response:
-    """Return a step from an equilibrium, with the iterations that led there."""
-    counts = {name: getattr(solution, name) for name in ("steps", "load_steps")}
-    closed = replace(step.equilibrium, **counts)
-    return step._replace(equilibrium=closed if closed.converged else solution)
-
-
 class Evaluator:
     """Evaluates a calibration, its configurations as lanes of one program.
 
@@ -224,8 +217,15 @@ class Evaluator:
         They need a factor of the tangent; one more step with it takes the error from
         `rtol` to rounding, so that a fit compares costs of equally exact equilibria.
         """
+        responses = []
         steps = self._near(lanes, z, solution.displacement, None, precise)
-        return [_counted(step, lane_of(solution, k)) for k, step in enumerate(steps)]
+        for k, step in enumerate(steps):
+            solved = lane_of(solution, k)
+            counts = {name: getattr(solved, name) for name in ("steps", "load_steps")}
+            closed = replace(step.equilibrium, **counts)
+            closed = closed if closed.converged else solved
+            responses.append(step._replace(equilibrium=closed))
+        return responses
 
     def __call__(
         self,

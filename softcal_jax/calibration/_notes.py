@@ -225,7 +225,13 @@ def result_notes(
     spread: Uncertainty,
 ) -> list[str]:
     """Collect the notes on fits, parameters, their standard errors and the mesh."""
-    notes = _misfit_notes(fits, spread) + _rounding_notes(fits)
+    notes = [
+        f"{fit.name} is not explained by the model: after calibration its markers are "
+        f"still {fit.off}. Check its load, supports, gravity, units and marker names."
+        for fit in fits
+        if fit.misfit(spread.noise, spread.level)
+    ]
+    notes += _rounding_notes(fits)
     notes += order_notes(problem.space, z)
     notes += uncertainty_notes(problem, spread)
     if problem.model.mesh.order == 1:
@@ -253,18 +259,6 @@ def fit_notes(state: CalibrationState, settings: CalibrationSettings) -> list[st
         f"Not converged: after {int(state.step)} steps lambda_p is still {size:.1e} "
         f"(tol {settings.tol:g}). Do not use these values; raise max_steps or look at "
         "the history."
-    ]
-
-
-def _misfit_notes(
-    fits: Sequence[ConfigurationResult], spread: Uncertainty
-) -> list[str]:
-    """Name configurations that the calibrated model does not explain."""
-    return [
-        f"{fit.name} is not explained by the model: after calibration its markers are "
-        f"still {fit.off}. Check its load, supports, gravity, units and marker names."
-        for fit in fits
-        if fit.misfit(spread.noise, spread.level)
     ]
 
 

@@ -3,6 +3,7 @@
 import math
 from typing import Literal
 
+import equinox as eqx
 import numpy as np
 
 from softcal_jax._files import ProjectSource
@@ -181,11 +182,11 @@ class HistoryEntry(Module):
     step: int
     cost: float
     rms: float
-    lambda_p: tuple[float, ...]
+    lambda_p: tuple[float, ...] = eqx.field(converter=tuple)
     step_bound: float
     accepted: bool
     kkt_residual: float
-    newton_steps: tuple[int, ...]
+    newton_steps: tuple[int, ...] = eqx.field(converter=tuple)
     values: dict[str, float]
     noise_level: float
     seconds: float

@@ -96,8 +96,10 @@ def begin(
         return Start(evaluate, z, first, ())
     without = no_equilibrium(solution, names)
     note = f"No equilibrium at the start values. {_reached(solution, names)}"
+    more = np.where(_moduli(problem), np.log(STIFFER), 0.0)
     for _ in range(MOST_RAISES):
-        stiffer = _stiffer(problem, raised)
+        higher = jnp.asarray(np.asarray(raised) + more)
+        stiffer = admissible(problem.space.numbered, higher)
         if np.array_equal(stiffer, raised):
             break
         raised, factor = stiffer, STIFFER * factor
@@ -120,14 +122,6 @@ def _moduli(problem: CalibrationProblem) -> Bool[HostArray, " n_p"]:
     acts_alone = lambda q: not kind_of(problem.model, q.field).acts_by
     each = zip(problem.space.sets_fields, problem.space.parameters, strict=True)
     return np.array([sets and q.scale == "log" and acts_alone(q) for sets, q in each])
-
-
-def _stiffer(
-    problem: CalibrationProblem, z: Float[Array, " n_p"]
-) -> Float[Array, " n_p"]:
-    """Raise all moduli by a factor, within bounds and order."""
-    more = np.where(_moduli(problem), np.log(STIFFER), 0.0)
-    return admissible(problem.space.numbered, jnp.asarray(np.asarray(z) + more))
 
 
 def _values(problem: CalibrationProblem, z: Float[Array, " n_p"]) -> str:

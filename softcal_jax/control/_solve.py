@@ -232,7 +232,10 @@ def what_holds(command: Command, end: Arrival, linear: Linear) -> Holding:
     gradients = np.concatenate([-unit, unit, linear.limits.A]).reshape(4, *unit.shape)
     A = np.array([gradients[limit] for limit in reached])
     A = A.reshape(-1, len(moves)) * moves
-    mu = _multipliers(W.T @ r, A)
+    # Here, so that commands which do not need it do not wait for it.
+    from scipy.optimize import nnls
+
+    mu = nnls(A.T, -W.T @ r)[0] if len(A) else np.zeros(0)
     # The step that each limit forbids: the cosine between the errors and its effect.
     effect = np.linalg.norm(W @ A.T, axis=0) * np.linalg.norm(r)
     cosine = mu * (A**2).sum(axis=1) / np.where(effect > 0.0, effect, np.inf)
@@ -242,14 +245,6 @@ def what_holds(command: Command, end: Arrival, linear: Linear) -> Holding:
         held_by=tuple(active[i] for i in strongest),
         blind=_blind(command, W[: len(off)], off),
     )
-
-
-def _multipliers(slope, A) -> Float[HostArray, " n_rows"]:
-    """Solve slope + A^T mu = 0 for mu >= 0, by least squares."""
-    # Here, so that commands which do not need it do not wait for it.
-    from scipy.optimize import nnls
-
-    return nnls(A.T, -slope)[0] if len(A) else np.zeros(0)
 
 
 def _blind(

@@ -331,19 +331,18 @@ def compare_models(
 
 def _check_same_data(problems: Mapping[str, CalibrationProblem]) -> None:
     """Raise ValueError unless all models have the same measurements and noise."""
-    (first, expected), *others = ((name, _data(p)) for name, p in problems.items())
+    data = {}
+    for name, problem in problems.items():
+        effectors = problem.configurations.effectors
+        weight, measured = map(np.asarray, (effectors.inverse_std, effectors.measured))
+        data[name] = np.where(weight > 0.0, measured, 0.0), weight
+    first = next(iter(data))
     close = partial(np.allclose, rtol=1e-9, atol=1e-12, equal_nan=True)
-    for name, data in others:
-        pairs = zip(data, expected, strict=True)
+    for name in data:
+        pairs = zip(data[name], data[first], strict=True)
         if not all(a.shape == b.shape and close(a, b) for a, b in pairs):
             raise ValueError(
                 f"{name!r} is not fitted to the same measurements as {first!r}, so "
                 "that their errors cannot be compared; give both the same "
                 "configurations with the same measured values and standard deviations."
             )
-
-
-def _data(problem: CalibrationProblem) -> list[np.ndarray]:
-    effectors = problem.configurations.effectors
-    weight, measured = map(np.asarray, (effectors.inverse_std, effectors.measured))
-    return [np.where(weight > 0.0, measured, 0.0), weight]

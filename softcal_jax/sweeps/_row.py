@@ -226,18 +226,15 @@ class Tally:
             counts = row.worker in self._workers
             self._workers.add(row.worker)
             self._ends.append((time.monotonic(), counts))
+        # The rate counts from the end of the oldest of the recent trials.
+        times, counts = zip(*self._ends, strict=True) if self._ends else ((0.0,), ())
+        n, span = sum(counts[1:]), times[-1] - times[0]
         return Progress(
             total=self._total,
             ended=self._states.total(),
             before=self._before,
             not_converged=self._states["not converged"],
             failed=self._states["failed"],
-            rate=self._rate(),
+            rate=n / span if n and span else None,
             row=row,
         )
-
-    def _rate(self) -> float | None:
-        """Return trials per second since the end of the oldest of the recent trials."""
-        times, counts = zip(*self._ends, strict=True) if self._ends else ((0.0,), ())
-        n, span = sum(counts[1:]), times[-1] - times[0]
-        return n / span if n and span else None

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     import rich.console
     import rich.table
 
-
 ROUNDING = 1e-9
 """Standard deviation over the mean below which values differ by rounding alone."""
 
@@ -36,15 +35,8 @@ _TONES: dict[str, Tone] = {
 }
 """Tone in which the end of a trial is shown, by its state."""
 
-
 Lines = Sequence[Group] | Sequence[TrialRow]
 """What the lines of a table are: groups of trials, or single ones."""
-
-
-class _Column(NamedTuple):
-    head: str
-    cells: list[str]
-    words: bool = False
 
 
 def default_figures(result: SweepResult) -> tuple[str, ...]:
@@ -101,24 +93,20 @@ def sweep_table(
     return Printed(*parts, *bad)
 
 
-def _leading_columns(result: SweepResult, lines: Lines) -> list[_Column]:
-    """Make columns of the axes, and of how trials ended, one by one or in groups."""
+def _leading_columns(
+    result: SweepResult, lines: Lines
+) -> tuple[list[tuple[str, list[str]]], list[str]]:
+    """Return columns of the axes and of how lines ended, and which hold words."""
     rows = [line for line in lines if isinstance(line, TrialRow)]
     groups = [line for line in lines if isinstance(line, Group)]
     points = [row.point for row in rows] + [group.values for group in groups]
     axes = groups[0].values if groups else result.axes
-    columns = [
-        _Column(
-            axis,
-            [shown(point[axis]) for point in points],
-            words=not all(is_number(point[axis]) for point in points),
-        )
-        for axis in axes
-    ]
+    columns = [(axis, [shown(point[axis]) for point in points]) for axis in axes]
+    words = [a for a in axes if not all(is_number(point[a]) for point in points)]
     if not groups:
-        outcomes = _Column("outcome", [row.state for row in rows], words=True)
-        seconds = _Column("time [s]", [f"{row.seconds:.1f}" for row in rows])
-        return [*columns, outcomes, seconds]
+        columns.append(("outcome", [row.state for row in rows]))
+        columns.append(("time [s]", [f"{row.seconds:.1f}" for row in rows]))
+        return columns, [*words, "outcome"]
     counts = {
         "trials": [len(g.rows) for g in groups],
         "not converged": [g.count("not converged") for g in groups],
@@ -126,25 +114,18 @@ def _leading_columns(result: SweepResult, lines: Lines) -> list[_Column]:
         "to do": [g.missing for g in groups],
     }
     return columns + [
-        _Column(name, list(map(str, numbers)))
+        (name, list(map(str, numbers)))
         for name, numbers in counts.items()
         if name == "trials" or any(numbers)
-    ]
+    ], words
 
 
-def _figure_column(result: SweepResult, figure: str, lines: Lines) -> _Column:
-    """Make a column of a figure: of each trial, or means over the trials of a group."""
-    factor, head = readable_figure(result, figure)
-
-    def cell(line: Group | TrialRow) -> str:
-        if isinstance(line, Group):
-            return mean_text(factor * line.numbers(figure))
-        value = line.figures.get(figure)
-        if isinstance(value, int | float):
-            return f"{factor * value:.5g}"
-        return str(value or "-")
-
-    return _Column(head, list(map(cell, lines)))
+def _cell(line: Group | TrialRow, figure: str, factor: float) -> str:
+    """Write a figure of a trial, or its mean over the trials of a group."""
+    if isinstance(line, Group):
+        return mean_text(factor * line.numbers(figure))
+    value = line.figures.get(figure)
+    return f"{factor * value:.5g}" if isinstance(value, int | float) else value or "-"
 
 
 def tabulated(
@@ -156,14 +137,15 @@ def tabulated(
     tones: Sequence[Tone] = (),
 ) -> TextTable:
     """Tabulate figures of some trials, or their means over groups of trials."""
-    columns = _leading_columns(result, lines)
-    columns += [_figure_column(result, figure, lines) for figure in figures]
-    rows = zip(*(c.cells for c in columns), strict=True)
+    columns, words = _leading_columns(result, lines)
+    for figure in figures:
+        factor, head = readable_figure(result, figure)
+        columns.append((head, [_cell(line, figure, factor) for line in lines]))
+    heads, texts = zip(*columns, strict=True)
     of_rows: Sequence[Tone] = tones or ("plain",) * len(lines)
-    toned = zip(rows, of_rows, strict=True)
+    toned = zip(zip(*texts, strict=True), of_rows, strict=True)
     cells = [[Cell(text, tone) for text in row] for row, tone in toned]
-    heads = [column.head for column in columns]
-    return text_table(title, heads, cells, words=[c.head for c in columns if c.words])
+    return text_table(title, heads, cells, words=words)
 
 
 def readable_figure(result: SweepResult, figure: str) -> tuple[float, str]:

@@ -23,7 +23,6 @@ from softcal_jax.sweeps._trial import Trial
 if TYPE_CHECKING:
     import distributed
 
-
 DEATHS = 2
 """Number of workers that must die during a trial for it to count as failed."""
 
