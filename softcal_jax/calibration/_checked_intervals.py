@@ -347,7 +347,19 @@ def interval_between(
 ) -> ParameterInterval:
     """Make the interval of a parameter from its lower and its upper end."""
     low, high = ends
-    kind, why = _kind(low, high, parameter, z, first_order)
+    whys: list[str] = [end.why for end in ends]
+    kind: IntervalKind = "first-order" if first_order else "profile"
+    why = ""
+    if "not found" in whys:
+        kind, why = "none", "fits along its profile do not converge"
+        for end, sign, side in ((low, -1.0, "below"), (high, 1.0, "above")):
+            if end.why == "likelihood":
+                values = [float(parameter.from_scaled(z + sign * end.distance))]
+                why += f" (the end {side} is {readable_values(values, parameter.unit)})"
+    elif whys == ["bound", "bound"]:
+        kind, why = "none", "the data exclude no value within its bounds"
+    elif "bound" in whys:
+        kind = "one-sided"
     return ParameterInterval(
         name=parameter.name,
         level=level,
@@ -365,20 +377,3 @@ def no_interval(parameter: Parameter, *, level: float, why: str) -> ParameterInt
     """Make the interval of a parameter that has none."""
     ends = (math.nan, math.nan, "not found", "not found")
     return ParameterInterval(parameter.name, level, *ends, parameter.unit, "none", why)
-
-
-def _kind(low, high, parameter, z, first_order: bool) -> tuple[IntervalKind, str]:
-    """Name the kind of an interval, and the reason if it is "none"."""
-    whys = [end.why for end in (low, high)]
-    if "not found" in whys:
-        why = "fits along its profile do not converge"
-        for end, sign, side in ((low, -1.0, "below"), (high, 1.0, "above")):
-            if end.why == "likelihood":
-                values = [float(parameter.from_scaled(z + sign * end.distance))]
-                why += f" (the end {side} is {readable_values(values, parameter.unit)})"
-        return "none", why
-    if whys == ["bound", "bound"]:
-        return "none", "the data exclude no value within its bounds"
-    if "bound" in whys:
-        return "one-sided", ""
-    return ("first-order" if first_order else "profile"), ""
