@@ -51,10 +51,7 @@ FEWEST_SHARES = 3
 class SoughtNoise(NamedTuple):
     """Which components of the noise are estimated.
 
-    Attributes:
-        jitter: Whether the factor on the stated standard deviations is estimated.
-        offset: Whether the offset of the recordings is estimated.
-        share: Configurations whose share of the motion is estimated, one for all.
+    `share` flags the configurations that have the share of the motion, one for all.
     """
 
     jitter: bool

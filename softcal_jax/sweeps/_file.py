@@ -56,21 +56,49 @@ _QUANTITY = re.compile(r"\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
 class CountTable(Table):
     """Numbers from 1 to `count`."""
 
-    count: Integer = Field(ge=1, description="how many, like 20")
+    count: Integer = Field(ge=1)
+
+    def values(self, poses: Sequence[str]) -> Sequence[Any]:
+        PLANNED.check(f"count = {self.count}", self.count)
+        return range(1, self.count + 1)
 
 
 class ChooseTable(Table):
     """All subsets of one size."""
 
-    choose: Integer = Field(description="how many configurations, like 2")
+    choose: Integer
+
+    def values(self, poses: Sequence[str]) -> Sequence[Any]:
+        if not 1 <= self.choose <= len(poses):
+            raise ValueError(
+                f"choose = {self.choose}, but the project has {len(poses)} "
+                "configurations with the role calibration: "
+                f"{', '.join(poses)}."
+            )
+        n = math.comb(len(poses), self.choose)
+        TRIALS.check(f"choose = {self.choose} of {len(poses)}", n)
+        return [list(subset) for subset in itertools.combinations(poses, self.choose)]
 
 
 class RangeTable(Table):
     """All values between two ends, for a sample."""
 
-    low: Any = Field(description='the smallest value: "100 kPa", or a number')
-    high: Any = Field(description='the largest value: "300 kPa", or a number')
+    low: Any
+    high: Any
     scale: Literal["linear", "log"] = "linear"
+
+    def values(self, poses: Sequence[str]) -> Range:
+        ends = [self.low, self.high]
+        if all(map(is_number, ends)):
+            return Range(float(self.low), float(self.high), self.scale)
+        parts = [_QUANTITY.fullmatch(str(end)) for end in ends]
+        if parts[0] is None or parts[1] is None or parts[0][2] != parts[1][2]:
+            raise ValueError(
+                f"got {self.low} and {self.high}; expected two numbers, or two "
+                'quantities in the same unit, like "100 kPa" and "300 kPa".'
+            )
+        low, high = (float(part[1]) for part in parts if part is not None)
+        return Range(low, high, self.scale, f"{{:.9g}} {parts[0][2]}")
 
 
 class SweepTable(Table):
@@ -299,7 +327,7 @@ def axis_values(
             table = kinds.get(axis, RangeTable).model_validate(given)
         except ValueError as error:
             raise wrong from error
-        return _values_of_table(table, poses)
+        return table.values(poses)
     if not isinstance(given, list) or not given:
         raise wrong
     if axis in REPEATS and not all(type(draw) is int and draw >= 0 for draw in given):
@@ -314,34 +342,3 @@ def axis_values(
         check_known("configuration with the role calibration", poses, *subset)
     # In the project's order, so that [a, b] and [b, a] are the same trial.
     return [[name for name in poses if name in subset] for subset in given]
-
-
-def _values_of_table(table: Table, poses: Sequence[str]) -> Sequence[Any] | Range:
-    if isinstance(table, CountTable):
-        PLANNED.check(f"count = {table.count}", table.count)
-        return range(1, table.count + 1)
-    if isinstance(table, RangeTable):
-        return _range(table)
-    assert isinstance(table, ChooseTable)
-    if not 1 <= table.choose <= len(poses):
-        raise ValueError(
-            f"choose = {table.choose}, but the project has {len(poses)} configurations "
-            f"with the role calibration: {', '.join(poses)}."
-        )
-    n = math.comb(len(poses), table.choose)
-    TRIALS.check(f"choose = {table.choose} of {len(poses)}", n)
-    return [list(subset) for subset in itertools.combinations(poses, table.choose)]
-
-
-def _range(table: RangeTable) -> Range:
-    ends = [table.low, table.high]
-    if all(map(is_number, ends)):
-        return Range(float(table.low), float(table.high), table.scale)
-    parts = [_QUANTITY.fullmatch(str(end)) for end in ends]
-    if parts[0] is None or parts[1] is None or parts[0][2] != parts[1][2]:
-        raise ValueError(
-            f"got {table.low} and {table.high}; expected two numbers, or two "
-            'quantities in the same unit, like "100 kPa" and "300 kPa".'
-        )
-    low, high = (float(part[1]) for part in parts if part is not None)
-    return Range(low, high, table.scale, f"{{:.9g}} {parts[0][2]}")
