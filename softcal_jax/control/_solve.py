@@ -45,6 +45,13 @@ from softcal_jax.control._step import (
 )
 from softcal_jax.equilibrium import Model, actuator_states
 
+BLIND = 1e-2
+"""Singular value of W_ea, relative to the largest, below which a direction is blind.
+
+Inputs, counted as the motion of the robot that they cause, move the effectors a hundred
+times less along it than along the best direction [-].
+"""
+
 
 class ControlWarning(SoftcalWarning):
     """A goal that is probably a mistake."""
@@ -195,14 +202,6 @@ def _result(
         tol=command.settings.tol,
         model=model,
     )
-
-
-BLIND = 1e-2
-"""Singular value of W_ea, relative to the largest, below which a direction is blind.
-
-Inputs, counted as the motion of the robot that they cause, move the effectors a hundred
-times less along it than along the best direction [-].
-"""
 
 
 class Holding(NamedTuple):

@@ -14,6 +14,12 @@ from softcal_jax.fields._model_fields import find_field, region_tets
 from softcal_jax.fields._setup import SetupParameter
 from softcal_jax.fields._space import ParameterSpace
 
+SEVERAL = 6
+"""Most starts by default where there may be several optima."""
+
+# One row at a time, so that the program does not depend on the number of rows.
+_to_scaled = eqx.filter_jit(lambda space, p: space.admissible(space.to_scaled(p)))
+
 
 def check_parameters(
     model: Any, space: ParameterSpace, configuration: Any = None
@@ -150,13 +156,6 @@ def _check_constants(module: eqx.Module) -> None:
     for value in vars(module).values():
         if isinstance(value, eqx.Module):
             _check_constants(value)
-
-
-SEVERAL = 6
-"""Most starts by default where there may be several optima."""
-
-# One row at a time, so that the program does not depend on the number of rows.
-_to_scaled = eqx.filter_jit(lambda space, p: space.admissible(space.to_scaled(p)))
 
 
 def default_starts(space: ParameterSpace) -> int:

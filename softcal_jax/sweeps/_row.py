@@ -23,6 +23,9 @@ State = Literal["converged", "not converged", "failed"]
 
 Figure = bool | float | int | str | None
 
+WINDOW = 50
+"""Number of recent trials over which the rate is averaged."""
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -166,10 +169,6 @@ def flat_columns(
         {name: [row.figures.get(name) for row in rows] for name in figures},
         {"notes": [" ".join(row.notes) for row in rows]},
     )
-
-
-WINDOW = 50
-"""Number of recent trials over which the rate is averaged."""
 
 
 @dataclass(frozen=True)

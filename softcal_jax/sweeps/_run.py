@@ -28,6 +28,9 @@ from softcal_jax.sweeps._worker import dask_rows, local_rows
 if TYPE_CHECKING:
     import pyarrow
 
+_ABOUT = b"softcal_jax.sweep"
+"""Key of what rows depend on, in the metadata of a file."""
+
 
 def run_sweep(
     function: TrialFunction,
@@ -155,10 +158,6 @@ def rows_of(
     if workers == 0:
         return lambda trials: (run_trial(function, trial) for trial in trials)
     return lambda trials: local_rows(function, trials, workers, cores_per_worker)
-
-
-_ABOUT = b"softcal_jax.sweep"
-"""Key of what rows depend on, in the metadata of a file."""
 
 
 def run_part(

@@ -28,6 +28,9 @@ ROUNDING = 1e-9
 MOST_COLUMNS = MOST_PANELS = 4
 """Largest numbers of figures in a table for the terminal, and in a picture."""
 
+MOST_BEST, MOST_VALUES = 5, 8
+"""Most trials among the best, and most values of an axis."""
+
 _TONES: dict[str, Tone] = {
     "converged": "plain",
     "not converged": "doubtful",
@@ -217,10 +220,6 @@ def plot_sweep(
         title=f"{result.name}: {good} trials",
         left_out=f"{lost} more failed or did not converge" if lost else "",
     )
-
-
-MOST_BEST, MOST_VALUES = 5, 8
-"""Most trials among the best, and most values of an axis."""
 
 
 class SweptAxis(NamedTuple):

@@ -38,6 +38,12 @@ _THREADS = (
 # JAX does not survive a fork.
 _SPAWN = multiprocessing.get_context("spawn")
 
+CONNECT_S = 20
+"""How long the scheduler may take to answer [s]."""
+
+_ONE_AT_A_TIME = threading.Lock()
+"""Held while a trial runs: threads share compiled programs and the solvers' factors."""
+
 
 @dataclass(frozen=True)
 class WorkerSetup:
@@ -223,13 +229,6 @@ def _end_with_parent() -> None:
     assert parent is not None
     parent.join()
     os._exit(1)
-
-
-CONNECT_S = 20
-"""How long the scheduler may take to answer [s]."""
-
-_ONE_AT_A_TIME = threading.Lock()
-"""Held while a trial runs: threads share compiled programs and the solvers' factors."""
 
 
 def dask_rows(
