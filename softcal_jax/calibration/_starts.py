@@ -240,10 +240,15 @@ def search(
         begun[i] = now
         journal.keep(f"run{i}", now)
 
+    def report(i: int, image: int, state: CalibrationState) -> None:
+        if progress is not None:
+            rms = marker_rms(evaluate.problem, state.evaluation)
+            progress(SearchProgress(i, len(rows), image, int(state.step), rms))
+
     def run_from(known: Sequence[Known], i: int) -> Begun:
-        report = partial(_report, progress, evaluate.problem, (i, len(rows)))
         run = partial(run_start, evaluate, settings, rows[i], images=images)
-        return run(begun=begun[i], known=known, note=partial(keep, i), note_step=report)
+        notes = {"note": partial(keep, i), "note_step": partial(report, i)}
+        return run(begun=begun[i], known=known, **notes)
 
     try:
         while n < len(rows):
@@ -264,19 +269,6 @@ def search(
             "configuration: check loads, units and bounds, or `softcal simulate`."
         )
     return result
-
-
-def _report(
-    progress: Callable[[SearchProgress], None] | None,
-    problem: CalibrationProblem,
-    start: tuple[int, int],
-    image: int,
-    state: CalibrationState,
-) -> None:
-    """Report a step; `start` is the index of its start, and the number of starts."""
-    if progress is not None:
-        rms = marker_rms(problem, state.evaluation)
-        progress(SearchProgress(*start, image, int(state.step), rms))
 
 
 def _result(
