@@ -27,6 +27,9 @@ Goal = Pose | Float[ArrayLike, "3"] | Sequence[float] | float
 """A pose from rest for a `BodyFrame`, three numbers for a point or a reaction, one
 number for a length, volume, angle or force; in SI units and radians."""
 
+ANYTHING = (-np.inf, np.inf)
+"""No limits."""
+
 
 def with_goals(configuration: Configuration, goals: Mapping[str, Goal]):
     """Replace the measured values of a configuration by goals.
@@ -103,10 +106,6 @@ def goal_weights(lanes: ConfigurationLanes, name: str) -> Float[HostArray, "n_ro
             f"or `goals` by name. Effectors: {listed}."
         )
     return inverse_std
-
-
-ANYTHING = (-np.inf, np.inf)
-"""No limits."""
 
 
 class Limits(Module):

@@ -21,6 +21,7 @@ from softcal_jax.calibration import (
     Evaluation,
     Evaluator,
     Run,
+    as_sequence,
     best_of,
     build_problem,
     images_of,
@@ -272,9 +273,7 @@ def compare_laws(
         ValueError: If fewer than two configurations or no law is given, or an input is
             wrong; the text names the law.
     """
-    if isinstance(configurations, Configuration):
-        configurations = (configurations,)
-    problems = {}
+    configurations, problems = as_sequence(configurations), {}
     # All problems are built before the first fit, so that a wrong one is found at once.
     for name, (model, parameters) in laws.items():
         try:
