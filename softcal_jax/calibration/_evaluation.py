@@ -164,14 +164,14 @@ class Evaluator:
         other.numbered = self.numbered.with_noise(noise)
         return other
 
-    def response(
+    def __call__(
         self,
         z: Float[Array, " n_p"],
         guess: Float[Array, "n_c n_points 3"],
         before: Float[Array, "n_c n_points 3"] | None = None,
         precise: bool | Bool[Array, ""] = False,
-    ) -> Response:
-        """Compute equilibria and compliances W_ep (paper Eq. 9) of all lanes.
+    ) -> Evaluation:
+        """Compute equilibria, errors and compliances W_ep of all lanes (Eqs. 9, 10).
 
         Lanes that are not near their guess are solved from there by `equilibria`.
 
@@ -190,7 +190,7 @@ class Evaluator:
             start = lane_of(guess, np.asarray(far))
             solution = self.equilibria(z, lanes=far, guess=start)
             responses |= zip(far, self.closed(far, z, solution, precise), strict=True)
-        return stacked([responses[c] for c in every])
+        return weighed(self.numbered, z, stacked([responses[c] for c in every]))
 
     def _near(
         self,
@@ -226,17 +226,6 @@ class Evaluator:
             closed = closed if closed.converged else solved
             responses.append(step._replace(equilibrium=closed))
         return responses
-
-    def __call__(
-        self,
-        z: Float[Array, " n_p"],
-        guess: Float[Array, "n_c n_points 3"],
-        before: Float[Array, "n_c n_points 3"] | None = None,
-        precise: bool | Bool[Array, ""] = False,
-    ) -> Evaluation:
-        """Weigh the errors and compliances of `response` (paper Eqs. 9, 10)."""
-        response = self.response(z, guess, before, precise)
-        return weighed(self.numbered, z, response)
 
     def posed(self, z: Float[Array, " n_p"]) -> tuple[Model, ConfigurationArrays]:
         """Return model and configurations with scaled parameters set [-]."""
