@@ -247,8 +247,8 @@ def search(
 
     def run_from(known: Sequence[Known], i: int) -> Begun:
         run = partial(run_start, evaluate, settings, rows[i], images=images)
-        notes = {"note": partial(keep, i), "note_step": partial(report, i)}
-        return run(begun=begun[i], known=known, **notes)
+        step = partial(report, i)
+        return run(begun=begun[i], known=known, note=partial(keep, i), note_step=step)
 
     try:
         while n < len(rows):
