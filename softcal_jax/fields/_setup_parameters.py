@@ -265,13 +265,20 @@ QUANTITIES["actuator_factor"] = Quantity(
 
 
 def actuator_factor(
-    actuator: str, *, limit: float = 2.0, **options: Any
+    actuator: str,
+    *,
+    limit: float = 2.0,
+    prior_std: float | None,
+    each: Sequence[str] = (),
+    by: By = "recording",
 ) -> SetupParameter:
     """Make a factor on the imposed force of an actuator a parameter.
 
     The options are those of `load_factor`.
     """
-    return setup_parameters("actuator_factor", actuator, limit=limit, **options)[0]
+    return setup_parameters(
+        "actuator_factor", actuator, limit=limit, prior_std=prior_std, each=each, by=by
+    )[0]
 
 
 QUANTITIES["recording_offset"] = Quantity(
@@ -342,12 +349,25 @@ QUANTITIES["clamp_stiffness"] = Quantity(
 
 
 def clamp_stiffness(
-    group: str, nominal: float, *, limit: float = 1e3, **options: Any
+    group: str,
+    nominal: float,
+    *,
+    limit: float = 1e3,
+    prior_std: float | None,
+    each: Sequence[str] = (),
+    by: By = "recording",
 ) -> SetupParameter:
     """Make the stiffness of an elastic support a parameter.
 
     It is that of the surface group of a `Support`, about the `nominal` one [N/m3]. The
     options are those of `load_factor`.
     """
-    options = {"limit": limit, "nominal": nominal, **options}
-    return setup_parameters("clamp_stiffness", group, **options)[0]
+    return setup_parameters(
+        "clamp_stiffness",
+        group,
+        limit=limit,
+        prior_std=prior_std,
+        nominal=nominal,
+        each=each,
+        by=by,
+    )[0]
