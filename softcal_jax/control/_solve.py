@@ -3,7 +3,7 @@
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -112,13 +112,15 @@ def follow_trajectory(
     model: Model,
     configuration: Configuration,
     goals: Sequence[Mapping[str, Goal]],
-    **options: Any,
+    *,
+    limits: Mapping[str, Limits] | None = None,
+    settings: ControlSettings | None = None,
+    throw: bool = True,
 ) -> TrajectoryResult:
     """Find the actuation for a sequence of goals, each from where the last one ended.
 
-    The `options` (`limits`, `settings`, `throw`) and errors are those of
-    `solve_inverse`, with `goals` for each point of the trajectory; the `step` of limits
-    holds between neighbouring points.
+    Arguments and errors are those of `solve_inverse`, with `goals` for each point of
+    the trajectory; the `step` of limits holds between neighbouring points.
 
     Returns:
         The commands, up to the first one whose start has no regular equilibrium.
@@ -126,8 +128,15 @@ def follow_trajectory(
     points: list[InverseResult] = []
     now, guess = configuration, None
     for goal in goals:
-        here = replace(configuration, actuation=now.actuation)
-        result = solve_inverse(model, here, goals=goal, guess=guess, **options)
+        result = solve_inverse(
+            model,
+            replace(configuration, actuation=now.actuation),
+            goals=goal,
+            limits=limits,
+            settings=settings,
+            guess=guess,
+            throw=throw,
+        )
         points.append(result)
         if result.outcome in (OUTCOMES.no_equilibrium, OUTCOMES.singular):
             break

@@ -1,7 +1,7 @@
 """Rank configurations that might be measured next."""
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,9 +11,9 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_unit
 from softcal_jax.calibration import as_sequence
 from softcal_jax.configurations import Configuration
-from softcal_jax.equilibrium import Model
-from softcal_jax.fields import PRECISION, asked_errors
-from softcal_jax.identifiability._identify import Parameters, Survey, survey
+from softcal_jax.equilibrium import EquilibriumProgress, Model, NewtonSettings
+from softcal_jax.fields import PRECISION, Uncertain, asked_errors
+from softcal_jax.identifiability._identify import AnyVector, Parameters, Survey, survey
 from softcal_jax.identifiability._result import number
 from softcal_jax.identifiability._spread import information, named_directions, spread_of
 from softcal_jax.inference import LinearModel
@@ -165,8 +165,12 @@ def rank_configurations(
     configurations: Configuration | Sequence[Configuration],
     candidates: Configuration | Sequence[Configuration],
     *,
+    at: Float[AnyVector, " n_p"] | None = None,
+    noise: float | None = None,
+    newton: NewtonSettings | None = None,
+    uncertain: Uncertain | None = None,
     precision: float = PRECISION,
-    **options: Any,
+    progress: Callable[[EquilibriumProgress], None] = lambda _: None,
 ) -> Ranking:
     """Rank candidate configurations by what they would tell, before measuring.
 
@@ -180,7 +184,7 @@ def rank_configurations(
 
     The `configurations` are measured already, and may be none; the `candidates` may be
     measured next, and need other names. Candidates without an equilibrium or markers
-    are listed with the reason. The `options` are those of `identify`.
+    are listed with the reason. Other arguments are those of `identify`.
 
     Raises:
         ValueError: If an input is wrong, there is no candidate, or a name repeats.
@@ -189,8 +193,17 @@ def rank_configurations(
     known, tried = as_sequence(configurations), as_sequence(candidates)
     if not tried:
         raise ValueError("at least one candidate is needed, got none.")
-    posed = (*known, *tried)
-    seen = survey(model, parameters, posed, required=len(known), **options)
+    seen = survey(
+        model,
+        parameters,
+        (*known, *tried),
+        at=at,
+        noise=noise,
+        newton=newton,
+        uncertain=uncertain,
+        required=len(known),
+        progress=progress,
+    )
     names = [c.name for c in tried]
     asked = asked_errors(seen.space, seen.z, precision)
     in_asked = seen.linear.per(asked)

@@ -6,7 +6,7 @@ They are fitted to all configurations but one, and predict that one (Sec. V-C).
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -193,7 +193,11 @@ def compare_layouts(
     configurations: Configuration | Sequence[Configuration],
     *,
     make_parameters: Callable[[ControlPoints], Parameters],
-    **options: Any,
+    settings: CalibrationSettings | None = None,
+    newton: NewtonSettings | None = None,
+    starts: int | None = None,
+    seed: int = 0,
+    uncertain: Uncertain | None = None,
 ) -> ModelComparison:
     """Find the layout of control points that best predicts what it was not fitted to.
 
@@ -203,15 +207,22 @@ def compare_layouts(
     parameters.
 
     `make_parameters` gives the parameters of a layout, like
-    `lambda points: ControlPointParameters("E", points, ...)`; the `options` are those
-    of `compare_laws`.
+    `lambda points: ControlPointParameters("E", points, ...)`; the arguments after it
+    are those of `compare_laws`.
 
     Raises:
         ValueError: If fewer than two configurations or no layout is given, or an input
             is wrong; the text names the layout.
     """
-    laws = {name: (model, make_parameters(points)) for name, points in layouts.items()}
-    return compare_laws(laws, configurations, **options)
+    return compare_laws(
+        {name: (model, make_parameters(points)) for name, points in layouts.items()},
+        configurations,
+        settings=settings,
+        newton=newton,
+        starts=starts,
+        seed=seed,
+        uncertain=uncertain,
+    )
 
 
 def compare_laws(
