@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks._demo import Variant, copy_demo
 from benchmarks._problem import Figure
 from benchmarks._timing import ROOT
-from softcal_jax._machine import available_cores
+from softcal_jax._process import available_cores
 from softcal_jax.sweeps import read_sweep
 
 SEED = 22

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks._problem import Outcome
-from softcal_jax._machine import available_cores, cpu_name, installed_version
+from softcal_jax._process import available_cores, cpu_name, installed_version
 
 _PACKAGES = (
     "jax",

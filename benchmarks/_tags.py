@@ -33,7 +33,7 @@ from benchmarks._photographs import (
     photographs,
 )
 from benchmarks._problem import Figure
-from softcal_jax._machine import available_cores
+from softcal_jax._process import available_cores
 from softcal_jax.exchange.camera import TagPose, tag_pose
 from softcal_jax.exchange.camera._adjustment import Placement
 from softcal_jax.exchange.camera._sheet import opencv

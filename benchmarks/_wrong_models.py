@@ -29,7 +29,7 @@ from softcal_jax.materials import (
 )
 from softcal_jax.mesh import TetMesh, beam
 from softcal_jax.robots import synthetic_measurements
-from softcal_jax.robots._anisotropic_beam import MASS, NU, SIZE
+from softcal_jax.robots._ready_made import MASS, NU, SIZE
 
 WIDTHS = Uncertain()
 """The budget that errors are counted in."""

@@ -43,7 +43,7 @@ from softcal_jax.materials import (
 )
 from softcal_jax.mesh import beam
 from softcal_jax.robots import synthetic_measurements
-from softcal_jax.robots._anisotropic_beam import SIZE
+from softcal_jax.robots._ready_made import SIZE
 
 FOAM = {
     "E_t": 1390e3,

@@ -3,7 +3,7 @@
 import difflib
 import re
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254}
 """Length units of meshes and marker files."""
@@ -27,6 +27,13 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> ValueError:
     listed = ", ".join(map(repr, names)) or "none"
     hint = suggestion(name, names)
     return ValueError(f"unknown {kind} {name!r}.{hint} Known: {listed}.")
+
+
+def check_known(kind: str, known: Collection[str], *names: str) -> None:
+    """Raise ValueError if a name is unknown, with the closest known one suggested."""
+    for name in names:
+        if name not in known:
+            raise unknown_name(kind, str(name), known)
 
 
 def check_unique(kind: str, names: Sequence[str]) -> None:

@@ -1,6 +1,11 @@
-"""What a process must be like for JAX to compute in it."""
+"""This process: what it must be like, its clock, its machine and packages."""
 
 import os
+import platform
+import re
+import time
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 
 import jax
 
@@ -30,3 +35,64 @@ def check_process() -> None:
             '`multiprocessing.get_context("spawn")`, which a ProcessPoolExecutor takes '
             'as `mp_context`, or with joblib\'s "loky".'
         )
+
+
+def available_cores() -> int:
+    """Count the cores that this process may use, which a scheduler may limit."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def cpu_name() -> str:
+    """Name the model of the processor."""
+    info = Path("/proc/cpuinfo")  # Linux; elsewhere `platform` knows
+    if info.exists():
+        match = re.search(r"(?m)^model name\s*: (.+)$", info.read_text())
+        if match:
+            return match.group(1).strip()
+    return platform.processor() or platform.machine()
+
+
+def installed_version(package: str) -> str:
+    """Return the version of a package, or that it is not installed."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"  # run from a checkout
+
+
+class Clock:
+    """Context whose `seconds` are its wall time, "compile" by JAX and "solve" [s].
+
+    JAX reports the duration of each trace, lowering and compilation when it ends. Those
+    that overlap are counted once, as "compile" even where a solve runs beside them.
+    """
+
+    def __init__(self):
+        self._compiling: list[tuple[float, float]] = []
+        self._end: float | None = None
+
+    def __enter__(self) -> "Clock":
+        self._begin = time.perf_counter()
+        jax.monitoring.register_event_duration_secs_listener(self._listen)
+        return self
+
+    def __exit__(self, *_) -> None:
+        jax.monitoring.unregister_event_duration_listener(self._listen)
+        self._end = time.perf_counter()
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Wall time so far, or at the end of the context [s]."""
+        elapsed = (self._end or time.perf_counter()) - self._begin
+        compiling, reached = 0.0, self._begin
+        for begin, end in sorted(self._compiling):
+            compiling += max(0.0, end - max(begin, reached))
+            reached = max(reached, end)
+        return {"compile": compiling, "solve": elapsed - compiling}
+
+    def _listen(self, event: str, duration_secs: float, **_) -> None:
+        if event.startswith("/jax/core/compile/"):
+            now = time.perf_counter()
+            self._compiling.append((now - duration_secs, now))

@@ -59,9 +59,8 @@ def readable_estimate(value: float, standard_error: float, unit: str) -> str:
             text = f"{value:.4g} ± {error:.1e}"
         else:
             shape = f".{max(decimals, 0)}f"
-            text = (
-                f"{round(value, decimals):{shape}} ± {round(error, decimals):{shape}}"
-            )
+            both = (round(number, decimals) for number in (value, error))
+            text = " ± ".join(f"{number:{shape}}" for number in both)
     return f"{text} {shown}".rstrip()
 
 

@@ -15,11 +15,10 @@ ROOT = Path(softcal_jax.__file__).parent
 LAYERS = [
     {"_warnings"},
     {
-        *("_compilation_cache", "_limits", "_machine", "_names", "_places"),
+        *("_compilation_cache", "_limits", "_names", "_places"),
         *("_notebook", "_process", "_results", "_text", "_typing", "_units"),
     },
     {"_lanes", "_module"},
-    {"_clock"},
     {"_files", "_text_table"},
     {"elements"},
     {"mesh"},

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from softcal_jax._lanes import lane_of
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._process import check_process
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checked_intervals import (
@@ -221,10 +221,6 @@ def _batch(task: Task) -> Batch:
     check_scopes(task.space, task.fitted)
     check_effects(fitted)
     check_references(task.configurations, lanes.effectors, fitted=task.fitted)
-    names = [c.name for c in task.configurations]
-    for c in task.held_out:
-        if names.count(c.name) > 1:
-            raise ValueError(f"configuration {c.name!r} is named more than once.")
     warn_if_too_few_data(fitted)
     return Batch(everything, fitted, lanes)
 
@@ -270,9 +266,7 @@ def profile_intervals(
     if isinstance(parameters, str):
         parameters = [parameters]
     names = list(space.names if parameters is None else parameters)
-    for name in names:
-        if name not in space.names:
-            raise unknown_name("parameter", name, space.names)
+    check_known("parameter", space.names, *names)
     spread = result.uncertainty
     if spread.noise == "estimated" and spread.degrees_of_freedom < 1:
         raise ValueError(

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from softcal_jax._clock import Clock
+from softcal_jax._process import Clock
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, weighed
@@ -59,22 +59,6 @@ class Fitted(NamedTuple):
     evaluation: Evaluation
 
 
-class _Checked(NamedTuple):
-    """A calibration that ended at z; an interval ends `quantile` standard errors away.
-
-    `about` returns the linear model at other scaled parameters, from these and their
-    evaluation, with the noise of `linear`.
-    """
-
-    evaluate: Callable[..., Evaluation]
-    about: Callable[[Float[Array, " n_p"], Evaluation], LinearModel]
-    space: ParameterSpace
-    z: HostArray
-    evaluation: Evaluation
-    linear: LinearModel
-    quantile: float
-
-
 def _first_order_holds(
     fitted: Fitted, quantile: float, which: Sequence[int]
 ) -> list[bool]:
@@ -98,7 +82,8 @@ def _first_order_holds(
     sides = [(column, sign) for column in which for sign in (-1, 1)]
     lanes = len(sides) * len(configurations)
     with Workers(problem.model, max(lanes, 1)) as workers:
-        fit = _Checked(
+        holds = partial(
+            _end_holds,
             evaluate=Evaluator(problem, workers),
             about=about,
             space=problem.space,
@@ -107,31 +92,45 @@ def _first_order_holds(
             linear=linear,
             quantile=quantile,
         )
-        ends = workers.side_by_side(partial(_end_holds, fit, *side) for side in sides)
+        ends = workers.side_by_side(partial(holds, *side) for side in sides)
     return [low and high for low, high in zip(ends[::2], ends[1::2], strict=True)]
 
 
-def _end_holds(fit: _Checked, column: int, sign: int) -> bool:
-    """Check one end; see `_first_order_holds`."""
-    space, linear = fit.space, fit.linear
+def _end_holds(
+    column: int,
+    sign: int,
+    *,
+    evaluate: Callable[..., Evaluation],
+    about: Callable[[Float[Array, " n_p"], Evaluation], LinearModel],
+    space: ParameterSpace,
+    z: HostArray,
+    evaluation: Evaluation,
+    linear: LinearModel,
+    quantile: float,
+) -> bool:
+    """Check one end; `about` gives the linear model elsewhere, with the same noise."""
     covariance = linear.covariance()
     free = linear.known
     std = np.sqrt(covariance[column, column])
-    if fit.quantile * std >= room_beside(space, fit.z, column, sign):
+    if quantile * std >= room_beside(space, z, column, sign):
         return False
-    step = np.where(free, sign * fit.quantile * covariance[column] / std, 0.0)
-    down, up = map(np.asarray, space.room(jax.device_put(fit.z)))
+    step = np.where(free, sign * quantile * covariance[column] / std, 0.0)
+    down, up = map(np.asarray, space.room(jax.device_put(z)))
     step = np.clip(step, down, up)
-    if _breaks_order(space, fit.z + step):
+    # Moduli must stay in their order.
+    A, b = map(np.asarray, space.order_rows())
+    there, chart = z + step, space.chart
+    crossed = chart is not None and np.any(there[chart.small] > there[chart.large])
+    if crossed or np.any(A @ there > b):
         return False
-    z = jax.device_put(fit.z + step)
-    end = fit.evaluate(z, fit.evaluation.response.equilibrium.displacement)
+    z_end = jax.device_put(there)
+    end = evaluate(z_end, evaluation.response.equilibrium.displacement)
     if not end.ok:
         return False
-    rise_of_end = (fit.quantile * linear.scale) ** 2
-    if float(end.cost) < float(fit.evaluation.cost) - 0.5 * LOWER * rise_of_end:
-        raise LowerCostFound(z, float(end.cost), float(fit.evaluation.cost))
-    moved = fit.about(z, end)
+    rise_of_end, cost = (quantile * linear.scale) ** 2, float(evaluation.cost)
+    if float(end.cost) < cost - 0.5 * LOWER * rise_of_end:
+        raise LowerCostFound(z_end, float(end.cost), cost)
+    moved = about(z_end, end)
     # The fit stops where its slope has nearly vanished, and what is left counts here.
     slope = np.where(linear.held, 0.0, linear.slope())
     rise = moved.squares() - linear.squares() - 2.0 * slope @ step
@@ -144,15 +143,7 @@ def _end_holds(fit: _Checked, column: int, sign: int) -> bool:
     curvature = moved.curvature()[np.ix_(others, others)]
     fall = left @ np.linalg.lstsq(curvature, left, rcond=None)[0] if len(left) else 0.0
     roots = np.sqrt(np.maximum([rise, rise - fall], 0.0))
-    return bool(np.all(np.abs(roots - fit.quantile) <= CURVED * fit.quantile))
-
-
-def _breaks_order(space, z: HostArray) -> bool:
-    """Return whether moduli are in the wrong order."""
-    A, b = map(np.asarray, space.order_rows())
-    chart = space.chart
-    crossed = chart is not None and np.any(z[chart.small] > z[chart.large])
-    return bool(np.any(A @ z > b) or crossed)
+    return bool(np.all(np.abs(roots - quantile) <= CURVED * quantile))
 
 
 INTERRUPTED = "its profile was interrupted"
@@ -356,7 +347,19 @@ def interval_between(
 ) -> ParameterInterval:
     """Make the interval of a parameter from its lower and its upper end."""
     low, high = ends
-    kind, why = _kind(low, high, parameter, z, first_order)
+    whys: list[str] = [end.why for end in ends]
+    kind: IntervalKind = "first-order" if first_order else "profile"
+    why = ""
+    if "not found" in whys:
+        kind, why = "none", "fits along its profile do not converge"
+        for end, sign, side in ((low, -1.0, "below"), (high, 1.0, "above")):
+            if end.why == "likelihood":
+                values = [float(parameter.from_scaled(z + sign * end.distance))]
+                why += f" (the end {side} is {readable_values(values, parameter.unit)})"
+    elif whys == ["bound", "bound"]:
+        kind, why = "none", "the data exclude no value within its bounds"
+    elif "bound" in whys:
+        kind = "one-sided"
     return ParameterInterval(
         name=parameter.name,
         level=level,
@@ -374,20 +377,3 @@ def no_interval(parameter: Parameter, *, level: float, why: str) -> ParameterInt
     """Make the interval of a parameter that has none."""
     ends = (math.nan, math.nan, "not found", "not found")
     return ParameterInterval(parameter.name, level, *ends, parameter.unit, "none", why)
-
-
-def _kind(low, high, parameter, z, first_order: bool) -> tuple[IntervalKind, str]:
-    """Name the kind of an interval, and the reason if it is "none"."""
-    whys = [end.why for end in (low, high)]
-    if "not found" in whys:
-        why = "fits along its profile do not converge"
-        for end, sign, side in ((low, -1.0, "below"), (high, 1.0, "above")):
-            if end.why == "likelihood":
-                values = [float(parameter.from_scaled(z + sign * end.distance))]
-                why += f" (the end {side} is {readable_values(values, parameter.unit)})"
-        return "none", why
-    if whys == ["bound", "bound"]:
-        return "none", "the data exclude no value within its bounds"
-    if "bound" in whys:
-        return "one-sided", ""
-    return ("first-order" if first_order else "profile"), ""

@@ -81,7 +81,7 @@ def read_checkpoint(path: Path, mark: str) -> Saved:
         }
         texts = [str(content.pop(name)) for name in ("version", "mark", "history")]
         written_by, its_mark, history = texts
-        entries = tuple(map(_entry, json.loads(history)))
+        entries = tuple(HistoryEntry(**entry) for entry in json.loads(history))
     except Exception as error:  # a dozen kinds, as the file may be anything
         raise ValueError(
             f"{path} is not a checkpoint of a calibration ({error}); give another "
@@ -107,12 +107,6 @@ def read_checkpoint(path: Path, mark: str) -> Saved:
             "be the same. Remove it to start anew, or give another path."
         )
     return Saved(content, entries)
-
-
-def _entry(saved: Any) -> HistoryEntry:
-    """Return an entry of the history with its lists as tuples again."""
-    as_tuples = {name: tuple(saved[name]) for name in ("lambda_p", "newton_steps")}
-    return HistoryEntry(**(saved | as_tuples))
 
 
 def fingerprint(
@@ -225,16 +219,9 @@ class Journal:
     def note(self, state: CalibrationState, noise: CorrelatedNoise) -> None:
         """Record a step, and the noise in whose units it was taken."""
         self.last = state, noise
-        self.history.append(self._summary(state, noise))
-        self.keep("state", (state, noise))
-        if self._progress:
-            self._progress(self.history[-1])
-
-    def _summary(self, state: CalibrationState, noise: CorrelatedNoise) -> HistoryEntry:
-        """Summarise a step for the history."""
         evaluation, space = state.evaluation, self._problem.space
         p = np.asarray(from_scaled(self._numbered, state.z))
-        return HistoryEntry(
+        entry = HistoryEntry(
             step=len(self.history),
             cost=float(evaluation.cost),
             rms=marker_rms(self._problem.with_noise(noise), evaluation),
@@ -247,6 +234,10 @@ class Journal:
             noise_level=float(noise.jitter),
             seconds=time.perf_counter() - self._begin,
         )
+        self.history.append(entry)
+        self.keep("state", (state, noise))
+        if self._progress:
+            self._progress(entry)
 
     def begin(
         self, state: CalibrationState, noise: CorrelatedNoise

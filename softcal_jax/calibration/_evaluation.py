@@ -123,13 +123,6 @@ def _posed(problem: CalibrationProblem, z) -> tuple[Model, ConfigurationArrays]:
     return problem.at(z)
 
 
-def _counted(step: Response, solution: EquilibriumSolution) -> Response:
-    """Return a step from an equilibrium, with the iterations that led there."""
-    counts = {name: getattr(solution, name) for name in ("steps", "load_steps")}
-    closed = replace(step.equilibrium, **counts)
-    return step._replace(equilibrium=closed if closed.converged else solution)
-
-
 class Evaluator:
     """Evaluates a calibration, its configurations as lanes of one program.
 
@@ -171,14 +164,14 @@ class Evaluator:
         other.numbered = self.numbered.with_noise(noise)
         return other
 
-    def response(
+    def __call__(
         self,
         z: Float[Array, " n_p"],
         guess: Float[Array, "n_c n_points 3"],
         before: Float[Array, "n_c n_points 3"] | None = None,
         precise: bool | Bool[Array, ""] = False,
-    ) -> Response:
-        """Compute equilibria and compliances W_ep (paper Eq. 9) of all lanes.
+    ) -> Evaluation:
+        """Compute equilibria, errors and compliances W_ep of all lanes (Eqs. 9, 10).
 
         Lanes that are not near their guess are solved from there by `equilibria`.
 
@@ -197,7 +190,7 @@ class Evaluator:
             start = lane_of(guess, np.asarray(far))
             solution = self.equilibria(z, lanes=far, guess=start)
             responses |= zip(far, self.closed(far, z, solution, precise), strict=True)
-        return stacked([responses[c] for c in every])
+        return weighed(self.numbered, z, stacked([responses[c] for c in every]))
 
     def _near(
         self,
@@ -224,19 +217,15 @@ class Evaluator:
         They need a factor of the tangent; one more step with it takes the error from
         `rtol` to rounding, so that a fit compares costs of equally exact equilibria.
         """
+        responses = []
         steps = self._near(lanes, z, solution.displacement, None, precise)
-        return [_counted(step, lane_of(solution, k)) for k, step in enumerate(steps)]
-
-    def __call__(
-        self,
-        z: Float[Array, " n_p"],
-        guess: Float[Array, "n_c n_points 3"],
-        before: Float[Array, "n_c n_points 3"] | None = None,
-        precise: bool | Bool[Array, ""] = False,
-    ) -> Evaluation:
-        """Weigh the errors and compliances of `response` (paper Eqs. 9, 10)."""
-        response = self.response(z, guess, before, precise)
-        return weighed(self.numbered, z, response)
+        for k, step in enumerate(steps):
+            solved = lane_of(solution, k)
+            counts = {name: getattr(solved, name) for name in ("steps", "load_steps")}
+            closed = replace(step.equilibrium, **counts)
+            closed = closed if closed.converged else solved
+            responses.append(step._replace(equilibrium=closed))
+        return responses
 
     def posed(self, z: Float[Array, " n_p"]) -> tuple[Model, ConfigurationArrays]:
         """Return model and configurations with scaled parameters set [-]."""

@@ -1,6 +1,6 @@
 """One fit, stage by stage: start, search, descend, predict, judge.
 
-    Task -> Batch -> Start -> Place -> Weighed -> Predicted -> Judged -> result
+    Task -> Batch -> Start -> Place -> Weighed -> Predicted -> result
 
 It is judged twice: by the noise alone, which is the answer so far, and with the errors
 of everything that is held fixed.
@@ -18,7 +18,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._clock import Clock
+from softcal_jax._process import Clock
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checked_intervals import Fitted
 from softcal_jax.calibration._checkpoint import Journal
@@ -30,12 +30,7 @@ from softcal_jax.calibration._evaluation import (
     effector_errors,
 )
 from softcal_jax.calibration._noise import CorrelatedNoise, independent_recordings
-from softcal_jax.calibration._notes import (
-    ResidualChecks,
-    fit_notes,
-    residual_checks,
-    result_notes,
-)
+from softcal_jax.calibration._notes import fit_notes, residual_checks, result_notes
 from softcal_jax.calibration._prediction import Predicted, predict
 from softcal_jax.calibration._problem import Batch, Task
 from softcal_jax.calibration._result import (
@@ -54,13 +49,11 @@ from softcal_jax.calibration._starts import (
     search,
 )
 from softcal_jax.calibration._step import initial_state
-from softcal_jax.calibration._weighing import Weighed, sought_noise, weighed_fit
+from softcal_jax.calibration._weighing import SoughtNoise, Weighed, weighed_fit
 from softcal_jax.configurations import check_numbers
 from softcal_jax.equilibrium import EquilibriumProgress, Workers, reports_of
 from softcal_jax.inference import (
-    ErrorBudget,
     LinearModel,
-    Uncertainty,
     error_budget,
     recording_estimates,
     uncertainty,
@@ -115,16 +108,6 @@ class _Solved(NamedTuple):
     clock: Clock
 
 
-class _Judged(NamedTuple):
-    """The linear model at the optimum, and what it says about the values."""
-
-    linear: LinearModel
-    spread: Uncertainty
-    budget: ErrorBudget
-    checks: ResidualChecks
-    notes: list[str]
-
-
 def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) -> Fitted:
     """Calibrate as `calibrate` does, without intervals, or go on from a `resume`."""
     # A checkpoint is of one set of starts and one noise.
@@ -142,7 +125,11 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
         setting = Setting(task.model, task.space, poses, lanes, task.uncertain)
         if not (task.quick or journal.interrupted):
             compile_considered(workers, setting, weighed.state.z)
-        predicted = _predicted(task, watch, batch, start, weighed)
+        held_out = tuple(c.name for c in task.held_out)
+        if held_out:
+            watch.stage(f"predicting {', '.join(held_out)}")
+        report = reports_of(watch.equilibrium_progress, held_out)
+        predicted = predict(task, batch, start, weighed, report)
         journal.interrupted |= predicted.interrupted
         solved = _Solved(start, place, weighed, predicted, journal, clock)
         lanes = lanes._replace(arrays=predicted.problem.configurations)
@@ -182,31 +169,46 @@ def _with_budget(
 
 
 def _result(task: Task, solved: _Solved, doubts: ConsideredErrors) -> CalibrationResult:
-    """Make the result of a fit, judged with the considered errors `doubts`."""
+    """Make the result of a fit, judged by its linear model with considered errors."""
     start, place, weighed, predicted, journal, clock = solved
-    judged = _judged(task, weighed, predicted, doubts)
-    state, space = weighed.state, task.space
-    spread, budget = judged.spread, judged.budget
+    state, space, n_fitted = weighed.state, task.space, len(task.fitted)
+    z = state.z
+    linear = _linear(task, weighed, predicted, doubts)
+    spread = uncertainty(linear.with_scale(1.0), task.noise, weighed.scale)
+    noise_is_known = bool(np.isfinite(spread.noise_scale))
+    linear = linear.with_scale(spread.noise_scale if noise_is_known else 1.0)
+    budget = error_budget(linear.of_fit(), space, z, noise_is_known=noise_is_known)
+    problem = predicted.problem.of_first(n_fitted)
+    checks = residual_checks(
+        linear.of_fit(),
+        task.fitted,
+        effectors=problem.configurations.effectors,
+        spread=spread,
+        fits=predicted.fits[:n_fitted],
+    )
+    recordings = recording_estimates(
+        linear, _witnesses(task), space=space, z=z, spread=spread
+    )
+    notes = result_notes(problem, predicted.fits, z, spread)
     first = start.z if start.notes else task.start
-    stages = start, weighed, predicted, judged
     return CalibrationResult(
         converged=bool(state.converged),
-        parameters=parameter_estimates(space, state.z, spread, budget, first),
+        parameters=parameter_estimates(space, z, spread, budget, first),
         uncertainty=spread,
         budget=budget,
         configurations=predicted.fits,
         history=tuple(journal.history),
         space=space,
         model=predicted.model,
-        z=state.z,
-        linear=judged.linear,
+        z=z,
+        linear=linear,
         settings=task.settings,
         newton=task.newton,
         noise=weighed.noise,
         noise_settled=weighed.settled,
-        checks=judged.checks,
+        checks=replace(checks, recordings=recordings),
         timing_s=clock.seconds,
-        notes=tuple(note for stage in stages for note in stage.notes),
+        notes=(*start.notes, *weighed.notes, *predicted.notes, *notes),
         starts=place.search,
         precision=task.precision,
         interrupted=journal.interrupted,
@@ -259,11 +261,9 @@ def _descended(task: Task, start: Start, place: _Place, journal: Journal) -> Wei
     """Take steps to the optimum, or to an interruption, and weigh the data."""
     first = initial_state(task.settings, place.z, place.evaluation)
     state, noise = journal.begin(first, place.noise)
-    sought = sought_noise(
-        task.fitted,
-        jitter=task.noise == "estimated",
-        offset=bool(task.uncertain.estimated),
-    )
+    shares = np.array([c.relative_std == "estimated" for c in task.fitted])
+    offset = bool(task.uncertain.estimated)
+    sought = SoughtNoise(task.noise == "estimated", offset, shares)
     try:
         if journal.interrupted:  # in the search
             raise KeyboardInterrupt
@@ -289,42 +289,6 @@ def _descended(task: Task, start: Start, place: _Place, journal: Journal) -> Wei
             settled=True,
         )
     return weighed._replace(notes=(*of_steps, *journal.notes, *weighed.notes))
-
-
-def _predicted(
-    task: Task, watch: Watch, batch: Batch, start: Start, weighed: Weighed
-) -> Predicted:
-    """Solve what was held out, and describe all configurations at the optimum."""
-    names = tuple(c.name for c in task.held_out)
-    if names:
-        watch.stage(f"predicting {', '.join(names)}")
-    report = reports_of(watch.equilibrium_progress, names)
-    return predict(task, batch, start, weighed, report)
-
-
-def _judged(
-    task: Task, weighed: Weighed, predicted: Predicted, doubts: ConsideredErrors
-) -> _Judged:
-    """Judge the values by the linear model at the optimum."""
-    z, n_fitted, problem = weighed.state.z, len(task.fitted), predicted.problem
-    linear = _linear(task, weighed, predicted, doubts)
-    spread = uncertainty(linear.with_scale(1.0), task.noise, weighed.scale)
-    noise_is_known = bool(np.isfinite(spread.noise_scale))
-    linear = linear.with_scale(spread.noise_scale if noise_is_known else 1.0)
-    budget = error_budget(linear.of_fit(), task.space, z, noise_is_known=noise_is_known)
-    checks = residual_checks(
-        linear.of_fit(),
-        task.fitted,
-        effectors=problem.of_first(n_fitted).configurations.effectors,
-        spread=spread,
-        fits=predicted.fits[:n_fitted],
-    )
-    recordings = recording_estimates(
-        linear, _witnesses(task), space=task.space, z=z, spread=spread
-    )
-    checks = replace(checks, recordings=recordings)
-    notes = result_notes(problem.of_first(n_fitted), predicted.fits, z, spread)
-    return _Judged(linear, spread, budget, checks, notes)
 
 
 def _linear(

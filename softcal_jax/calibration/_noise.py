@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.configurations import Configuration, EffectorArrays, EffectorRecord
 from softcal_jax.fields import QUANTITIES
@@ -68,8 +68,7 @@ def check_references(
         if name is None:
             continue
         what = f"displacement_from of configuration {c.name!r}"
-        if name not in known:
-            raise unknown_name(f"configuration in {what}", name, known)
+        check_known(f"configuration in {what}", known, name)
         if name == c.name or known[name].displacement_from is not None:
             raise ValueError(
                 f"{what} is {name!r}, which has a reference itself: name a "

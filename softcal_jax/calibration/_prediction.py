@@ -20,16 +20,8 @@ from softcal_jax.calibration._evaluation import Evaluator
 from softcal_jax.calibration._problem import Batch, CalibrationProblem, Task
 from softcal_jax.calibration._starts import Start
 from softcal_jax.calibration._weighing import Weighed
-from softcal_jax.configurations import (
-    Configuration,
-)
-from softcal_jax.equilibrium import (
-    EquilibriumSolution,
-    Model,
-    Report,
-    other_ways,
-)
-from softcal_jax.fields import ParameterSpace, SetupParameter
+from softcal_jax.equilibrium import EquilibriumSolution, Model, Report, other_ways
+from softcal_jax.fields import SetupParameter
 from softcal_jax.sensitivity import Response
 
 
@@ -152,18 +144,13 @@ def _solve_held_out(
             why = "with the calibrated parameters no equilibrium was found"
             ways = other_ways(last.solved[lane])
             notes.append(f"{pose.name} is not predicted: {why}.{ways}")
-    return notes + unscoped_notes(task.space, task.held_out), interrupted
-
-
-def unscoped_notes(
-    space: ParameterSpace, held_out: Sequence[Configuration]
-) -> list[str]:
-    """Say which held-out configurations lack an unknown that fitted ones have."""
-    return [
+    # Those that lack an unknown which fitted ones have.
+    notes += [
         f"{c.name} is predicted without {entry.noun}, which {entry.by}s that were "
         "fitted have of their own: it counts as stated."
-        for entry in space.entries
+        for entry in task.space.entries
         if isinstance(entry, SetupParameter) and entry.each
-        for c in held_out
+        for c in task.held_out
         if entry.member(c) not in entry.each
     ]
+    return notes, interrupted

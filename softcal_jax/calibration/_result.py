@@ -3,11 +3,12 @@
 import math
 from typing import Literal
 
+import equinox as eqx
 import numpy as np
 
 from softcal_jax._files import ProjectSource
 from softcal_jax._module import Module, Result
-from softcal_jax._names import listed, unknown_name
+from softcal_jax._names import check_known, listed
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable_estimate, readable_unit
 from softcal_jax.calibration._configuration_result import ConfigurationResult
@@ -181,11 +182,11 @@ class HistoryEntry(Module):
     step: int
     cost: float
     rms: float
-    lambda_p: tuple[float, ...]
+    lambda_p: tuple[float, ...] = eqx.field(converter=tuple)
     step_bound: float
     accepted: bool
     kkt_residual: float
-    newton_steps: tuple[int, ...]
+    newton_steps: tuple[int, ...] = eqx.field(converter=tuple)
     values: dict[str, float]
     noise_level: float
     seconds: float
@@ -416,6 +417,5 @@ class CalibrationResult(Result):
             ValueError: If no parameter has that name.
         """
         values = {p.name: p.value for p in self.parameters}
-        if name not in values:
-            raise unknown_name("parameter", name, values)
+        check_known("parameter", values, name)
         return values[name]

@@ -96,8 +96,10 @@ def begin(
         return Start(evaluate, z, first, ())
     without = no_equilibrium(solution, names)
     note = f"No equilibrium at the start values. {_reached(solution, names)}"
+    more = np.where(_moduli(problem), np.log(STIFFER), 0.0)
     for _ in range(MOST_RAISES):
-        stiffer = _stiffer(problem, raised)
+        higher = jnp.asarray(np.asarray(raised) + more)
+        stiffer = admissible(problem.space.numbered, higher)
         if np.array_equal(stiffer, raised):
             break
         raised, factor = stiffer, STIFFER * factor
@@ -120,14 +122,6 @@ def _moduli(problem: CalibrationProblem) -> Bool[HostArray, " n_p"]:
     acts_alone = lambda q: not kind_of(problem.model, q.field).acts_by
     each = zip(problem.space.sets_fields, problem.space.parameters, strict=True)
     return np.array([sets and q.scale == "log" and acts_alone(q) for sets, q in each])
-
-
-def _stiffer(
-    problem: CalibrationProblem, z: Float[Array, " n_p"]
-) -> Float[Array, " n_p"]:
-    """Raise all moduli by a factor, within bounds and order."""
-    more = np.where(_moduli(problem), np.log(STIFFER), 0.0)
-    return admissible(problem.space.numbered, jnp.asarray(np.asarray(z) + more))
 
 
 def _values(problem: CalibrationProblem, z: Float[Array, " n_p"]) -> str:
@@ -246,10 +240,15 @@ def search(
         begun[i] = now
         journal.keep(f"run{i}", now)
 
+    def report(i: int, image: int, state: CalibrationState) -> None:
+        if progress is not None:
+            rms = marker_rms(evaluate.problem, state.evaluation)
+            progress(SearchProgress(i, len(rows), image, int(state.step), rms))
+
     def run_from(known: Sequence[Known], i: int) -> Begun:
-        report = partial(_report, progress, evaluate.problem, (i, len(rows)))
         run = partial(run_start, evaluate, settings, rows[i], images=images)
-        return run(begun=begun[i], known=known, note=partial(keep, i), note_step=report)
+        step = partial(report, i)
+        return run(begun=begun[i], known=known, note=partial(keep, i), note_step=step)
 
     try:
         while n < len(rows):
@@ -260,36 +259,16 @@ def search(
             if _result(space, rows[:n], begun[:n]).missed <= enough:
                 break
     except KeyboardInterrupt:
-        if not _has_end(begun):
+        if not any(np.isfinite(run.best.cost) for run in begun):
             raise
         journal.interrupted = True
-    return _with_an_end(_result(space, rows, begun))
-
-
-def _has_end(runs: Sequence[Begun]) -> bool:
-    return any(np.isfinite(run.best.cost) for run in runs)
-
-
-def _with_an_end(result: MultiStartResult) -> MultiStartResult:
+    result = _result(space, rows, begun)
     if not np.isfinite(result.cost).any():
         raise RuntimeError(
             f"none of {len(result.cost)} starts has an equilibrium in every "
             "configuration: check loads, units and bounds, or `softcal simulate`."
         )
     return result
-
-
-def _report(
-    progress: Callable[[SearchProgress], None] | None,
-    problem: CalibrationProblem,
-    start: tuple[int, int],
-    image: int,
-    state: CalibrationState,
-) -> None:
-    """Report a step; `start` is the index of its start, and the number of starts."""
-    if progress is not None:
-        rms = marker_rms(problem, state.evaluation)
-        progress(SearchProgress(*start, image, int(state.step), rms))
 
 
 def _result(

@@ -134,11 +134,7 @@ class CalibrationState(Module):
 
 
 def initial_state(
-    settings: CalibrationSettings,
-    z: Float[Array, " n_p"],
-    evaluation: Evaluation,
-    *,
-    least_fall: float = SMALLEST_FALL,
+    settings: CalibrationSettings, z: Float[Array, " n_p"], evaluation: Evaluation
 ) -> CalibrationState:
     """Return the state before the first step."""
     none = jnp.zeros((len(z), len(z)), z.dtype)
@@ -154,7 +150,7 @@ def initial_state(
         step=jnp.zeros((), jnp.int32),
         converged=jnp.zeros((), bool),
         stalled=jnp.zeros((), bool),
-        least_fall=jnp.full((), least_fall, z.dtype),
+        least_fall=jnp.full((), SMALLEST_FALL, z.dtype),
     )
 
 

@@ -16,11 +16,7 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator, weighed
-from softcal_jax.calibration._noise import (
-    RECORDINGS,
-    AnyArray,
-    CorrelatedNoise,
-)
+from softcal_jax.calibration._noise import RECORDINGS, AnyArray, CorrelatedNoise
 from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._runs import settle
 from softcal_jax.calibration._step import SMALLEST_FALL, CalibrationState, initial_state
@@ -55,10 +51,7 @@ FEWEST_SHARES = 3
 class SoughtNoise(NamedTuple):
     """Which components of the noise are estimated.
 
-    Attributes:
-        jitter: Whether the factor on the stated standard deviations is estimated.
-        offset: Whether the offset of the recordings is estimated.
-        share: Configurations whose share of the motion is estimated, one for all.
+    `share` flags the configurations that have the share of the motion, one for all.
     """
 
     jitter: bool
@@ -103,14 +96,6 @@ class Weighed(NamedTuple):
             of=np.array([c.relative_std == "estimated" for c in configurations]),
         )
         return scaled.moving(self.noise.motion)
-
-
-def sought_noise(
-    configurations: Sequence[Configuration], *, jitter: bool, offset: bool
-) -> SoughtNoise:
-    """Say which components of the noise of configurations are to be estimated."""
-    share = np.array([c.relative_std == "estimated" for c in configurations])
-    return SoughtNoise(jitter, offset, share)
 
 
 def weighed_fit(

@@ -112,7 +112,7 @@ def simulate(args: argparse.Namespace, show: Display) -> None:
     """
     check_folder(args)
     from softcal_jax import report
-    from softcal_jax._clock import Clock
+    from softcal_jax._process import Clock
     from softcal_jax.equilibrium import check_converged
 
     project = load(args.project, show)

@@ -3,15 +3,20 @@
 The search is compiled once for all goals and all models of the same shapes.
 """
 
-from softcal_jax.control._compliance import (
+from softcal_jax.control._goals import (
+    Goal as Goal,
+    Limits as Limits,
+    with_goals as with_goals,
+)
+from softcal_jax.control._inputs import (
     ActuatorCompliance as ActuatorCompliance,
     ActuatorReadings as ActuatorReadings,
+    Workspace as Workspace,
     actuator_compliance as actuator_compliance,
     actuator_readings as actuator_readings,
+    sample_workspace as sample_workspace,
     with_inputs as with_inputs,
 )
-from softcal_jax.control._goals import Goal as Goal, with_goals as with_goals
-from softcal_jax.control._limits import Limits as Limits
 from softcal_jax.control._result import (
     OUTCOMES as OUTCOMES,
     Attempt as Attempt,
@@ -27,7 +32,3 @@ from softcal_jax.control._solve import (
     solve_inverse as solve_inverse,
 )
 from softcal_jax.control._step import ControlSettings as ControlSettings
-from softcal_jax.control._workspace import (
-    Workspace as Workspace,
-    sample_workspace as sample_workspace,
-)

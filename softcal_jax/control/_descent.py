@@ -10,29 +10,27 @@ import numpy as np
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import QPStep
-from softcal_jax.control._compliance import (
+from softcal_jax.control._inputs import (
     ActuatorCompliance,
     ActuatorReadings,
     actuator_compliance,
     actuator_readings,
     with_inputs,
 )
-from softcal_jax.control._problem import (
-    Command,
-    Linear,
-    all_errors,
-    follow_room,
-    linearise,
-    parts,
-    violation,
-)
 from softcal_jax.control._result import OUTCOMES, StepRecord
 from softcal_jax.control._step import (
     ROUNDING,
+    Command,
     Decision,
+    Linear,
     TriedStep,
+    all_errors,
     decide,
+    follow_room,
     limited_step,
+    linearise,
+    parts,
+    violation,
 )
 from softcal_jax.equilibrium import EquilibriumSolution, solve_equilibrium
 

@@ -1,13 +1,16 @@
-"""Goals of effectors: their measured values, or values given by name."""
+"""Goals of effectors, by their measured values or by name, and limits of actuators."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike
 
-from softcal_jax._names import unknown_name
+from softcal_jax._module import Module
+from softcal_jax._names import check_known
 from softcal_jax._typing import Float, HostArray
+from softcal_jax.actuators import Kind
 from softcal_jax.bodies import Pose
 from softcal_jax.configurations import (
     AbstractEffector,
@@ -15,12 +18,17 @@ from softcal_jax.configurations import (
     BodyFrame,
     Configuration,
     ConfigurationLanes,
+    ImposedDisplacement,
+    Mechanism,
     Observation,
 )
 
 Goal = Pose | Float[ArrayLike, "3"] | Sequence[float] | float
 """A pose from rest for a `BodyFrame`, three numbers for a point or a reaction, one
 number for a length, volume, angle or force; in SI units and radians."""
+
+ANYTHING = (-np.inf, np.inf)
+"""No limits."""
 
 
 def with_goals(configuration: Configuration, goals: Mapping[str, Goal]):
@@ -35,10 +43,7 @@ def with_goals(configuration: Configuration, goals: Mapping[str, Goal]):
     markers = configuration.markers
     marker_names = () if markers is None else markers.names
     known = [*(effector.name for effector in configuration.effectors), *marker_names]
-    for name in goals:
-        if name not in known:
-            what = f"effector of configuration {configuration.name!r}"
-            raise unknown_name(what, name, known)
+    check_known(f"effector of configuration {configuration.name!r}", known, *goals)
     effectors = tuple(
         _aimed(effector, goals[effector.name]) if effector.name in goals else effector
         for effector in configuration.effectors
@@ -101,3 +106,88 @@ def goal_weights(lanes: ConfigurationLanes, name: str) -> Float[HostArray, "n_ro
             f"or `goals` by name. Effectors: {listed}."
         )
     return inverse_std
+
+
+class Limits(Module):
+    """Limits of one actuator, whether its force or its displacement is imposed.
+
+    Regardless of them, a cable never pushes and a motor stays within half a turn.
+
+    Attributes:
+        force: Lowest and highest lambda_a, in the unit of the actuator.
+        displacement: Lowest and highest delta_a, in the unit of the actuator.
+        step: Largest change of the imposed quantity within one command, that is, from
+            one goal of a trajectory to the next.
+    """
+
+    force: tuple[float, float] = ANYTHING
+    displacement: tuple[float, float] = ANYTHING
+    step: float = np.inf
+
+
+class LimitArrays(NamedTuple):
+    """Lowest and highest values of what is imposed, the inputs, and of what follows.
+
+    Both limits of an input are equal for an actuator that is not commanded. `step`
+    limits the change of an input.
+    """
+
+    inputs: Float[HostArray, "2 n_a"]
+    following: Float[HostArray, "2 n_a"]
+    step: Float[HostArray, " n_a"]
+
+
+def limit_arrays(
+    mechanism: Mechanism, configuration: Configuration, limits: Mapping[str, Limits]
+) -> LimitArrays:
+    actuators, actuation = mechanism.actuators, configuration.actuation
+    check_known("actuator with limits", actuators.names, *limits)
+    for name in limits:
+        if name not in actuation:
+            raise ValueError(
+                f"actuator {name!r} has limits, but is not commanded: give it a start "
+                f"in the `actuation` of configuration {configuration.name!r}."
+            )
+    n_a = len(actuators.names)
+    inputs, following = np.zeros((2, n_a)), np.repeat(np.array([ANYTHING]).T, n_a, 1)
+    step = np.full(n_a, np.inf)
+    for name, asked in actuation.items():
+        a = actuators.names.index(name)
+        kind, given = actuators.kinds[a], limits.get(name, Limits())
+        what = f"{kind.noun} {name!r}"
+        force = _range(kind, what, "force", given.force)
+        displacement = _range(kind, what, "displacement", given.displacement)
+        if actuators.motor_body[a] >= 0:
+            displacement = np.clip(displacement, -np.pi, np.pi)
+        if not given.step >= 0.0:
+            raise ValueError(f"{what}: step must not be negative, got {given.step:g}.")
+        step[a] = given.step
+        by_displacement = isinstance(asked, ImposedDisplacement)
+        quantity = "displacement" if by_displacement else "force"
+        both = (displacement, force) if by_displacement else (force, displacement)
+        inputs[:, a], following[:, a] = both
+        (lower, upper), unit = inputs[:, a], getattr(kind, f"{quantity}_unit")
+        if not lower <= asked.value <= upper:
+            raise ValueError(
+                f"{what} starts outside its limits: its {quantity} is {asked.value:g} "
+                f"{unit} in `actuation`, the limits are {lower:g} to {upper:g} {unit}. "
+                "Start inside them, or widen them."
+            )
+    return LimitArrays(inputs, following, step)
+
+
+def _range(kind: Kind, what: str, quantity: str, given) -> Float[HostArray, "2"]:
+    lower, upper = given
+    unit = getattr(kind, f"{quantity}_unit")
+    if unit is None:
+        if (lower, upper) != ANYTHING:
+            raise ValueError(f"{what} has no {quantity} to be limited.")
+        return np.array(ANYTHING)
+    pulls = quantity == "force" and kind.unilateral
+    least = max(lower, 0.0) if pulls else lower
+    if not least <= upper:
+        raise ValueError(
+            f"limits of the {quantity} of {what} clash: lower {lower:g} {unit}, upper "
+            f"{upper:g} {unit}{', and it only pulls' * pulls}."
+        )
+    return np.array([least, upper], float)

@@ -18,9 +18,8 @@ from softcal_jax.control._descent import (
     moved,
     reached,
 )
-from softcal_jax.control._problem import Command, parts
 from softcal_jax.control._result import Attempt
-from softcal_jax.control._step import ROUNDING
+from softcal_jax.control._step import ROUNDING, Command, parts
 
 SHORTEST_PIECE, FIRST_PIECE = 1 / 8, 1 / 4
 """Smallest and first share of the way to the goal that a continuation takes [-]."""

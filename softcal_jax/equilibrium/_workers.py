@@ -17,8 +17,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import jax
 
-from softcal_jax._machine import available_cores
-from softcal_jax._process import check_process
+from softcal_jax._process import available_cores, check_process
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._model import Model
 

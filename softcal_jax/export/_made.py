@@ -13,8 +13,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from softcal_jax._machine import cpu_name, installed_version
 from softcal_jax._module import Module
+from softcal_jax._process import cpu_name, installed_version
 from softcal_jax.calibration import ProjectSource, SourceFile
 from softcal_jax.equilibrium import Model
 

@@ -1,13 +1,6 @@
 """Parameters: control points, bounds, scaling S, place in the model (Sec. IV.A)."""
 
 from softcal_jax.fields._control_points import ControlPoints as ControlPoints
-from softcal_jax.fields._errors import (
-    FieldError as FieldError,
-    SetupError as SetupError,
-)
-from softcal_jax.fields._field_errors import (
-    field_standard_errors as field_standard_errors,
-)
 from softcal_jax.fields._model_fields import (
     constants_of as constants_of,
     find_field as find_field,
@@ -17,18 +10,15 @@ from softcal_jax.fields._model_fields import (
 from softcal_jax.fields._parameters import (
     AbstractEntry as AbstractEntry,
     AbstractFieldEntry as AbstractFieldEntry,
+    FieldError as FieldError,
     Parameter as Parameter,
-)
-from softcal_jax.fields._precision import (
-    PRECISION as PRECISION,
-    asked_errors as asked_errors,
-    check_precision as check_precision,
 )
 from softcal_jax.fields._setup import (
     QUANTITIES as QUANTITIES,
     Poses as Poses,
     Role as Role,
     Scope as Scope,
+    SetupError as SetupError,
     SetupParameter as SetupParameter,
     grounded_bodies as grounded_bodies,
 )
@@ -54,13 +44,17 @@ from softcal_jax.fields._space import (
     check_names as check_names,
 )
 from softcal_jax.fields._spread import ControlPointParameters as ControlPointParameters
-from softcal_jax.fields._starts import (
+from softcal_jax.fields._standard_errors import (
+    PRECISION as PRECISION,
+    asked_errors as asked_errors,
+    check_precision as check_precision,
+    field_standard_errors as field_standard_errors,
+)
+from softcal_jax.fields._start import (
     SEVERAL as SEVERAL,
+    check_parameters as check_parameters,
+    check_scopes as check_scopes,
     check_starts as check_starts,
     default_starts as default_starts,
     random_starts as random_starts,
-)
-from softcal_jax.fields._validation import (
-    check_parameters as check_parameters,
-    check_scopes as check_scopes,
 )

@@ -41,21 +41,16 @@ def set_field(
             f"{field} has shape {new.shape}; expected one value, or one per tet: {of} "
             f"has {n_tets} tets."
         )
-    if region is not None:
-        new = _in_tets(old, new, model.mesh.tets_of(region), model.mesh.n_tets)
-    else:
+    if region is None:
         new = jnp.broadcast_to(new, jnp.broadcast_shapes(new.shape, jnp.shape(old)))
+    elif is_traced(old) or is_traced(new):
+        new = jnp.broadcast_to(old, (mesh.n_tets,)).at[mesh.tets_of(region)].set(new)
+    else:
+        # What is known is changed on the host, where nothing is compiled.
+        values = np.broadcast_to(old, (mesh.n_tets,)).copy()
+        values[np.asarray(mesh.tets_of(region))] = new
+        new = jax.device_put(values)
     return eqx.tree_at(where, model, new)
-
-
-def _in_tets(old: Any, new: Any, tets: Any, n_tets: int) -> Any:
-    """Change the values of some tets."""
-    if is_traced(old) or is_traced(new):
-        return jnp.broadcast_to(old, (n_tets,)).at[tets].set(new)
-    # What is known is changed on the host, where nothing is compiled.
-    values = np.broadcast_to(old, (n_tets,)).copy()
-    values[np.asarray(tets)] = new
-    return jax.device_put(values)
 
 
 def region_tets(mesh: Any, region: str | None) -> HostArray:

@@ -1,4 +1,4 @@
-"""Entries of a parameter space, and the simplest one: an unknown constant."""
+"""Entries of a parameter space: an unknown constant, and an error of a field."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -230,3 +230,58 @@ class Parameter(AbstractFieldEntry):
     def renamed(self, points: Names, names: Names) -> "Parameter":
         del points
         return replace(self, name=names[self.name])
+
+
+class AbstractError(AbstractEntry):
+    """An error that is considered, not calibrated: it counts by its derivative at zero.
+
+    It is one unknown about zero, in units of its standard deviation.
+
+    Attributes:
+        name: Its name.
+        std: Its standard deviation, in SI units or relative.
+    """
+
+    name: str = eqx.field(static=True)
+    std: Float[Array, ""] = eqx.field(converter=as_number)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Its unknown."""
+        unknown = Parameter(
+            self.name, "", 0.0, -1.0, 1.0, scale="linear", S=1.0, prior_std=1.0
+        )
+        return (unknown,)
+
+    def renamed(self, points: Names, names: Names) -> "AbstractError":
+        """Return the same error with another name."""
+        del points
+        return replace(self, name=names[self.name])
+
+
+class FieldError(AbstractError):
+    """An error of a field of the law, or of the density.
+
+    Attributes:
+        field: The field, as `find_field` finds it.
+        share: Error of each tet per unit of the unknown; 0 where it is calibrated.
+        relative: Whether the error is relative to the value.
+    """
+
+    field: str = eqx.field(static=True)
+    share: Float[Array, " n_tets"]
+    relative: bool = eqx.field(static=True, default=False)
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        return (self.field,)
+
+    def check(self, model: Any) -> None:
+        find_field(model, self.field)
+
+    def apply(self, model: Any, configuration: Any, values: Values) -> tuple[Any, Any]:
+        """Add the error to the field."""
+        old = jnp.broadcast_to(find_field(model, self.field)(model), self.share.shape)
+        error = values[self.name] * self.std * self.share
+        new = old + error * (old if self.relative else 1.0)
+        return set_field(model, self.field, new), configuration

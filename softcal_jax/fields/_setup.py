@@ -16,9 +16,15 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module
-from softcal_jax._names import name_key, unknown_name
+from softcal_jax._names import check_known, name_key
 from softcal_jax._typing import Bool, Float, HostArray, is_traced
-from softcal_jax.fields._parameters import AbstractEntry, Names, Parameter, Values
+from softcal_jax.fields._parameters import (
+    AbstractEntry,
+    AbstractError,
+    Names,
+    Parameter,
+    Values,
+)
 
 By = Literal["configuration", "recording"]
 _BY: tuple[By, ...] = ("configuration", "recording")
@@ -161,9 +167,8 @@ class AbstractSetupEntry(AbstractEntry):
         if quantity.noun:
             names = list(quantity.names(owner))
             known = [name for name in names if name]
-            if self.of not in known:
-                what = f"{quantity.noun} of parameter {self.label!r}"
-                raise unknown_name(what, self.of, known)
+            what = f"{quantity.noun} of parameter {self.label!r}"
+            check_known(what, known, self.of)
             index = (names.index(self.of),)
         if quantity.components:
             index += (quantity.components.index(self.axis),)
@@ -206,17 +211,15 @@ class SetupParameter(AbstractSetupEntry):
     by: By = eqx.field(static=True, default="recording")
 
     def __check_init__(self):
-        if self.kind not in QUANTITIES:
-            raise unknown_name("kind of a setup parameter", self.kind, QUANTITIES)
+        check_known("kind of a setup parameter", QUANTITIES, self.kind)
         quantity, what = self.quantity, f"parameter {self.label!r}"
-        if self.axis not in (quantity.components or ("",)):
-            raise unknown_name(f"axis of {what}", self.axis, quantity.components)
+        if self.axis or quantity.components:
+            check_known(f"axis of {what}", quantity.components, self.axis)
         if not quantity.relative and self.unknowns[0].scale != "linear":
             raise ValueError(
                 f'{what} needs scale="linear": zero is a value that it may have.'
             )
-        if self.by not in _BY:
-            raise unknown_name(f"`by` of {what}", self.by, _BY)
+        check_known(f"`by` of {what}", _BY, self.by)
         if self.each and not quantity.of_configuration:
             raise ValueError(
                 f"{what}: {self.kind} belongs to the robot, which all configurations "
@@ -305,3 +308,20 @@ def setup_parameters(
         where = {"kind": kind, "of": of, "axis": axis}
         entries.append(SetupParameter(**where, unknowns=unknowns, each=each, by=by))
     return tuple(entries)
+
+
+class SetupError(AbstractError, AbstractSetupEntry):
+    """An error of the setup, the loads or a recording, added to its present value.
+
+    The error of a factor is relative; for `kind`, `of` and `axis` see `SetupParameter`.
+    """
+
+    kind: str = eqx.field(static=True)
+    of: str = eqx.field(static=True, default="")
+    axis: str = eqx.field(static=True, default="")
+
+    def apply(self, model: Any, configuration: Any, values: Values) -> tuple[Any, Any]:
+        """Add the error to its entry."""
+        error = values[self.name] * self.std
+        change = lambda old: old + error * (old if self.quantity.relative else 1.0)
+        return self._changed(model, configuration, change)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_unique, unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.fields._order import (
     AxisChart,
@@ -330,9 +330,7 @@ def as_space(parameters: ParameterSpace | Entry | Sequence[Entry]) -> ParameterS
 def check_names(entries: tuple[Entry, ...]) -> None:
     """Raise ValueError unless names of parameters are unique and ties name one."""
     names = [q.name for entry in entries for q in entry.parameters]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(f"parameter {name!r} is named more than once.")
+    check_unique("parameter", names)
     for entry in entries:
         if isinstance(entry, ControlPointParameters):
             for point, name in entry.tied:

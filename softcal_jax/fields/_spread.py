@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known, unknown_name
 from softcal_jax._typing import Array, Float
 from softcal_jax._units import readable_values
 from softcal_jax.fields._control_points import ControlPoints
@@ -117,9 +117,7 @@ class ControlPointParameters(AbstractFieldEntry):
             raise ValueError(
                 f"control point {both[0]!r} of {self.field} is both fixed and tied."
             )
-        if self.interpolation not in get_args(Interpolation):
-            known = get_args(Interpolation)
-            raise unknown_name("interpolation", self.interpolation, known)
+        check_known("interpolation", get_args(Interpolation), self.interpolation)
         if not 0.0 <= self.core < 1.0:
             raise ValueError(
                 f"core of {self.field} must lie in [0, 1), got {self.core:g}: it is a "

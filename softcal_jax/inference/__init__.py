@@ -5,6 +5,14 @@ from softcal_jax.inference._difference import (
     Estimate as Estimate,
     difference as difference,
 )
+from softcal_jax.inference._least_squares import (
+    RANK as RANK,
+    Whitened as Whitened,
+    determined as determined,
+    span as span,
+    whitened as whitened,
+    whitened_rows as whitened_rows,
+)
 from softcal_jax.inference._linear_model import (
     ATTACHMENTS as ATTACHMENTS,
     NOISE as NOISE,
@@ -12,11 +20,6 @@ from softcal_jax.inference._linear_model import (
     LinearModel as LinearModel,
     independent as independent,
     no_errors as no_errors,
-)
-from softcal_jax.inference._rank import (
-    RANK as RANK,
-    determined as determined,
-    span as span,
 )
 from softcal_jax.inference._reml import (
     freedom_between as freedom_between,
@@ -43,9 +46,4 @@ from softcal_jax.inference._uncertainty import (
     Uncertainty as Uncertainty,
     error_budget as error_budget,
     uncertainty as uncertainty,
-)
-from softcal_jax.inference._whitening import (
-    Whitened as Whitened,
-    whitened as whitened,
-    whitened_rows as whitened_rows,
 )

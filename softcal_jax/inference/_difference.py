@@ -17,7 +17,7 @@ from softcal_jax._names import listed
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable
 from softcal_jax.fields import ParameterSpace
-from softcal_jax.inference._rank import RANK
+from softcal_jax.inference._least_squares import RANK
 from softcal_jax.inference._uncertainty import UNLIKELY
 
 _COARSE = 0.3

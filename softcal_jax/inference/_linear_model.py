@@ -18,10 +18,16 @@ from functools import cached_property
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import Bool, Float, HostArray, Int
-from softcal_jax.inference._rank import Determined, determined, span
-from softcal_jax.inference._whitening import Whitened, whitened, whitened_rows
+from softcal_jax.inference._least_squares import (
+    Determined,
+    Whitened,
+    determined,
+    span,
+    whitened,
+    whitened_rows,
+)
 
 NOISE = "noise"
 """Name of the cause "independent errors" in the budget, the jitter."""
@@ -113,9 +119,7 @@ class LinearModel(Module):
         Raises:
             ValueError: If there is no configuration of such a name.
         """
-        for name in poses:
-            if name not in self.poses:
-                raise unknown_name("configuration", name, self.poses)
+        check_known("configuration", self.poses, *poses)
         left_out = [self.poses.index(name) for name in poses]
         return self.only(~np.isin(self.pose, left_out))
 
@@ -214,8 +218,7 @@ class LinearModel(Module):
         """
         if cause:
             by_cause = self.deviations()
-            if cause not in by_cause:
-                raise unknown_name("cause", cause, by_cause)
+            check_known("cause", by_cause, cause)
             return by_cause[cause] @ by_cause[cause].T
         C = np.full((len(self.names),) * 2, np.nan)
         F = self.solution.factor[~self.solution.blind]

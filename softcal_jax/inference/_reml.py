@@ -17,8 +17,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray
+from softcal_jax.inference._least_squares import determined, span
 from softcal_jax.inference._linear_model import LinearModel
-from softcal_jax.inference._rank import determined, span
 
 REACH = float(np.log(1e4))
 """How far the logarithm of a factor may go from its first value [-]."""

@@ -18,10 +18,9 @@ from softcal_jax._names import listed
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax._units import readable_unit
 from softcal_jax.fields import ParameterSpace, asked_errors
+from softcal_jax.inference._least_squares import RANK, span, whitened
 from softcal_jax.inference._linear_model import LinearModel
-from softcal_jax.inference._rank import RANK, span
 from softcal_jax.inference._uncertainty import UNLIKELY, Uncertainty
-from softcal_jax.inference._whitening import whitened
 
 ABSORBED = 1e-3
 """Share of a common error of a configuration that the fit must leave to be tested [-].

@@ -1,6 +1,6 @@
 """Models compared by what they predict: layouts of control points (Sec. V-C), laws."""
 
-from softcal_jax.layouts._compare_laws import (
+from softcal_jax.layouts._compare import (
     compare_laws as compare_laws,
     compare_layouts as compare_layouts,
     compare_models as compare_models,

@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from softcal_jax._names import parse_axes, unknown_name
+from softcal_jax._names import check_known, parse_axes
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.configurations import Configuration
@@ -100,8 +100,7 @@ def place_control_points(
         LayoutWarning: If the data see fewer independent directions than n; further
             points are then spread evenly over what the data see.
     """
-    if method not in ("farthest", "sensitivity"):
-        raise unknown_name("method", method, ("farthest", "sensitivity"))
+    check_known("method", ("farthest", "sensitivity"), method)
     if n < 1:
         raise ValueError(f"the number of control points must be at least 1, got {n}.")
     # Built to check its options before anything is computed.

@@ -7,6 +7,7 @@ import numpy as np
 
 from softcal_jax._lanes import stacked
 from softcal_jax._typing import Array, Bool, Float, HostArray
+from softcal_jax.calibration import as_sequence
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -67,8 +68,7 @@ def tet_sensitivities(
             of them is a force.
         RuntimeError: If a configuration has no equilibrium, or a singular one.
     """
-    single = isinstance(configurations, Configuration)
-    posed = (configurations,) if single else tuple(configurations)
+    posed = as_sequence(configurations)
     names = (fields,) if isinstance(fields, str) else tuple(fields)
     for field in names:
         find_field(model, field)

@@ -11,7 +11,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from softcal_jax._machine import installed_version
+from softcal_jax._process import installed_version
 from softcal_jax._text import escaped
 from softcal_jax._text_table import TextTable, text_table
 from softcal_jax.report._verdict import (

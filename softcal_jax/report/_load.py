@@ -10,9 +10,9 @@ import numpy as np
 from pydantic import ValidationError
 
 from softcal_jax._files import check_file, sha256_of, similar_file
-from softcal_jax._machine import installed_version
 from softcal_jax._module import Module
 from softcal_jax._names import listed, unknown_name
+from softcal_jax._process import installed_version
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable
 from softcal_jax._warnings import SoftcalWarning

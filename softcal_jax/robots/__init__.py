@@ -1,15 +1,13 @@
 """Ready-made robots, with the data they are calibrated to."""
 
-from softcal_jax.robots._anisotropic_beam import (
-    AnisotropicBeam as AnisotropicBeam,
-    anisotropic_beam as anisotropic_beam,
-)
 from softcal_jax.robots._measurements import (
     simulated_measurements as simulated_measurements,
     synthetic_measurements as synthetic_measurements,
 )
 from softcal_jax.robots._ready_made import (
     READY_MADE as READY_MADE,
+    AnisotropicBeam as AnisotropicBeam,
+    anisotropic_beam as anisotropic_beam,
     pneumatic_arm_path as pneumatic_arm_path,
     ready_made_path as ready_made_path,
     silicone_beam_path as silicone_beam_path,

@@ -1,9 +1,19 @@
-"""Project files of ready-made robots, with their data beside them."""
+"""Robots that come with the package: two projects, and the cantilever of the paper."""
 
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import Literal
 
-from softcal_jax._names import unknown_name
+import numpy as np
+
+from softcal_jax._module import Module
+from softcal_jax._names import check_known
+from softcal_jax.configurations import Configuration, Markers
+from softcal_jax.equilibrium import Model, build_model
+from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
+from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
+from softcal_jax.mesh import beam
 
 READY_MADE = {
     "beam": "silicone_beam",
@@ -16,6 +26,41 @@ READY_MADE = {
 }
 """Folders of this package, by the names of the robots that users type."""
 
+SIZE = (0.150, 0.015, 0.015)
+"""Length, width and height, from the authors' published scene [m]."""
+
+MASS = 0.032
+"""Mass [kg], ours."""
+
+GRAVITY = 9.81
+"""Acceleration of gravity [m/s2]."""
+
+NU = 0.3
+"""Poisson's ratio of the reduced law [-]."""
+
+POSES = {
+    1: (0.0, "x_min"),
+    2: (45.0, "x_min"),
+    3: (90.0, "x_min"),
+    4: (0.0, "x_max"),
+    5: (45.0, "x_max"),
+    6: (90.0, "x_max"),
+}
+"""Configurations of Fig. 2: turn about the long axis [degrees], and the held end."""
+
+START = {"E_t": 700e3, "E_l": 400e3, "theta": 0.0}
+"""Start of the runs of Fig. 3 at both control points [Pa, rad]."""
+
+TARGET = {
+    "E_t of CP 1": 900e3,
+    "E_t of CP 2": 600e3,
+    "E_l of CP 1": 300e3,
+    "E_l of CP 2": 200e3,
+    "theta of CP 1": float(np.deg2rad(20.0)),
+    "theta of CP 2": float(np.deg2rad(-35.0)),
+}
+"""p_target, the values behind the synthetic measurements [Pa, rad]."""
+
 
 def ready_made_path(name: str) -> Path:
     """Return the project file of a ready-made robot, by its name in `READY_MADE`.
@@ -26,8 +71,7 @@ def ready_made_path(name: str) -> Path:
     Raises:
         ValueError: If there is no such robot; the text suggests the closest name.
     """
-    if name not in READY_MADE:
-        raise unknown_name("robot", name, READY_MADE)
+    check_known("robot", READY_MADE, name)
     return Path(str(files("softcal_jax.robots"))) / READY_MADE[name] / "project.toml"
 
 
@@ -42,3 +86,125 @@ def pneumatic_arm_path() -> Path:
     Its recordings are .c3d files, which need ezc3d: pip install 'softcal-jax[mocap]'.
     """
     return ready_made_path("pneumatic-arm")
+
+
+class AnisotropicBeam(Module):
+    """A calibration problem of Sec. V, to be measured by `synthetic_measurements`.
+
+    Attributes:
+        model: The beam.
+        space: Its parameters {E_t, E_l, theta} at two control points.
+        configurations: The poses, with effectors but without measurements.
+        target: Values of the parameters for synthetic measurements.
+    """
+
+    model: Model
+    space: ParameterSpace
+    configurations: tuple[Configuration, ...]
+    target: dict[str, float]
+
+
+def anisotropic_beam(
+    *,
+    cells: tuple[int, int, int] = (10, 2, 2),
+    order: Literal[1, 2] = 2,
+    plane: Literal["xz", "xy"] = "xz",
+    poses: Sequence[int] = (1, 2, 3, 4),
+    n_effectors: Literal[1, 4] = 1,
+    std: float = 1e-4,
+    interpolation: Literal["linear", "director"] = "director",
+    scaling: Literal["log", "linear", "paper"] = "log",
+    start: dict[str, float] | None = None,
+    ordered: bool = True,
+    tensor_steps: bool = True,
+) -> AnisotropicBeam:
+    """Build the cantilever of Sec. V-A, Fig. 2: 150 x 15 x 15 mm under its own weight.
+
+    Size and step scaling are those of the authors' published scene; mass, Poisson's
+    ratio, control points (centres of the end faces) and target are ours, since the
+    paper gives none.
+
+    Args:
+        cells: Cells along, up and across; 6 tets each.
+        order: 2 for quadratic tets; 1 for linear ones, which lock in bending.
+        plane: Print plane that theta turns in: "xz" lies flat at rest, "xy" upright.
+        poses: Numbers of the configurations, 1 to 6; see `POSES`.
+        n_effectors: 1: the centre of the free end face; 4: the points of the published
+            scene on the bottom midline.
+        std: Standard deviation of the effectors [m].
+        interpolation: How theta is mixed between control points; the paper's is linear.
+        scaling: "log" steps in ratios of moduli; "paper" steps by S = (1 MPa, 1 MPa,
+            1 rad) with the step limits of the scene, 1 % of S and 0.005 rad.
+        start: Values at both control points before calibration; `START` by default.
+        tensor_steps: Whether steps of {E_t, E_l, theta} are taken as tensors (`axes` of
+            `ParameterSpace`); needs the director and the log scale.
+        ordered: Whether E_l <= E_t is a constraint of the QP.
+
+    Raises:
+        ValueError: If a pose or the number of effectors is unknown.
+    """
+    length, width, height = SIZE
+    mesh = beam(length, width, height, cells, order=order)
+    law = Corotational(
+        ReducedTransverseIsotropic(700e3, 400e3, NU, Fibre(0.0, plane=plane))
+    )
+    density = MASS / (length * width * height)
+    model = build_model(mesh, law, density=density)
+    centre = (width / 2, height / 2)
+    points = ControlPoints([(0.0, *centre), (length, *centre)])
+    start, paper = start or START, scaling == "paper"
+    moduli = [
+        ControlPointParameters(
+            field,
+            points,
+            start=start[field],
+            lower=50e3,
+            upper=1e6,
+            unit="Pa",
+            scale="log" if scaling == "log" else "linear",
+            S=None if scaling == "log" else 1e6,
+            max_step=0.01 if paper else None,
+        )
+        for field in ("E_t", "E_l")
+    ]
+    theta = ControlPointParameters(
+        "theta",
+        points,
+        start=start["theta"],
+        lower=-np.pi / 2,
+        upper=np.pi / 2,
+        unit="rad",
+        scale="linear",
+        S=1.0,
+        interpolation=interpolation,
+        max_step=0.005 if paper else None,
+    )
+    space = ParameterSpace(
+        (*moduli, theta),
+        order=[("E_l", "E_t")] if ordered and not tensor_steps else (),
+        axes=[("E_l", "E_t", "theta")] if tensor_steps else (),
+    )
+    configurations = tuple(_pose(number, n_effectors, std) for number in poses)
+    return AnisotropicBeam(model, space, configurations, dict(TARGET))
+
+
+def _pose(number: int, n_effectors: int, std: float) -> Configuration:
+    if number not in POSES:
+        raise ValueError(
+            f"pose must be one of {', '.join(map(str, POSES))}, got {number}."
+        )
+    turn, held = POSES[number]
+    # The beam turns, gravity stays: in the frame of the mesh it is gravity that turns.
+    angle = np.deg2rad(turn)
+    gravity = (0.0, -GRAVITY * float(np.cos(angle)), GRAVITY * float(np.sin(angle)))
+    length, width, height = SIZE
+    if n_effectors == 1:
+        free = length if held == "x_min" else 0.0
+        places = {"tip": (free, width / 2, height / 2)}
+    elif n_effectors == 4:
+        along = (0.0525, 0.0675, 0.0825, 0.0975)
+        places = {f"x {1e3 * x:g} mm": (x, 0.0, height / 2) for x in along}
+    else:
+        raise ValueError(f"n_effectors must be 1 or 4, got {n_effectors}.")
+    markers = Markers([*places], [*places.values()], std)
+    return Configuration(f"pose {number}", held, gravity=gravity, markers=markers)

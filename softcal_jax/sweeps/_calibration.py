@@ -18,9 +18,11 @@ from softcal_jax.fields import ParameterSpace, random_starts
 from softcal_jax.layouts import place_control_points
 from softcal_jax.project import Project, load_project, parse_in_si, read_toml
 from softcal_jax.robots import synthetic_measurements
-from softcal_jax.sweeps._axes import OWN_AXES
 from softcal_jax.sweeps._row import Outcome
 from softcal_jax.sweeps._trial import Trial
+
+OWN_AXES = ("layout", "configurations", "start", "noise")
+"""Axes that are not keys of the project file."""
 
 KEPT = 8
 """Number of variants of a project that a worker keeps."""
@@ -95,8 +97,15 @@ class CalibrationTrial:
             if len(_KEPT) >= KEPT:
                 _KEPT.clear()
                 _EXACT.clear()
-            _make_room()
-            self._check_files()
+            maps = Path("/proc/self/maps")  # exists on Linux only, which limits them
+            if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:
+                jax.clear_caches()
+            for path, digest in self.files.items():
+                if digest_of(Path(path)) != digest:
+                    raise RuntimeError(
+                        f"{path} has changed since the sweep began; its rows would no "
+                        "longer belong together."
+                    )
             keys = file_keys(point)
             if "layout" in point:
                 keys |= self._layout(point)
@@ -140,14 +149,6 @@ class CalibrationTrial:
         keys = {"names": None, **keys}  # names in the file belong to its own positions
         return {f"control_points.{self.replaces}.{key}": v for key, v in keys.items()}
 
-    def _check_files(self) -> None:
-        for path, digest in self.files.items():
-            if digest_of(Path(path)) != digest:
-                raise RuntimeError(
-                    f"{path} has changed since the sweep began; its rows would no "
-                    "longer belong together."
-                )
-
     def _measured(self, project: Project, trial: Trial) -> Project:
         """Return the project with the measurements of a trial and the poses it fits."""
         poses = self._exact(trial.point) if self.truth else project.configurations
@@ -180,13 +181,6 @@ def why_not(result: CalibrationResult) -> str:
     if not result.history[-1].accepted:
         return "its last steps were refused, down to the shortest, away from an optimum"
     return "no step could be computed: the sensitivities are not finite"
-
-
-def _make_room() -> None:
-    """Drop compiled programs if there are too many, since each takes memory maps."""
-    maps = Path("/proc/self/maps")  # exists on Linux only, which limits their number
-    if maps.exists() and maps.read_bytes().count(b"\n") > MOST_MAPS:
-        jax.clear_caches()
 
 
 def digest_of(path: Path) -> str:

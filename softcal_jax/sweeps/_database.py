@@ -97,7 +97,14 @@ class SweepDatabase:
                     self.file.execute(statement)
                 self.file.execute(f"PRAGMA application_id = {APPLICATION}")
                 self.file.execute(f"PRAGMA user_version = {FORMAT}")
-            self._check_definitions(definitions)
+            known = dict(self.file.execute("SELECT what, value FROM definitions"))
+            for what, value in definitions.items():  # new ones may be added
+                if known.get(what, value) != value:
+                    raise ValueError(
+                        f"{self.path} holds another sweep: its {what} is {known[what]},"
+                        f" that of this one is {value}. Give another file, or remove "
+                        "it."
+                    )
             self._write("definitions", list(definitions.items()))
             self._write("sweep", words)
             same = self.file.execute("SELECT * FROM plan ORDER BY number").fetchall()
@@ -105,16 +112,6 @@ class SweepDatabase:
                 self.file.execute("DELETE FROM plan")
                 self._write("plan", plan)
             return dict(self.file.execute("SELECT key, state FROM trials"))
-
-    def _check_definitions(self, definitions: Mapping[str, str]) -> None:
-        """Raise if what rows depend on has changed; new definitions may be added."""
-        known = dict(self.file.execute("SELECT what, value FROM definitions"))
-        for what, value in definitions.items():
-            if known.get(what, value) != value:
-                raise ValueError(
-                    f"{self.path} holds another sweep: its {what} is {known[what]}, "
-                    f"that of this one is {value}. Give another file, or remove it."
-                )
 
     def _write(self, table: str, rows: Sequence[tuple[Any, ...]]) -> None:
         marks = ", ".join("?" * len(rows[0]))

@@ -1,16 +1,20 @@
-"""Loading a sweep file."""
+"""Loading a sweep file: its axes with their values, its project, its points."""
 
+import itertools
 import json
+import math
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import Field
 
 from softcal_jax._files import similar_file
-from softcal_jax._names import unknown_name
+from softcal_jax._limits import PLANNED, TRIALS
+from softcal_jax._names import check_known
 from softcal_jax.calibration import SourceFile
 from softcal_jax.export import Made
 from softcal_jax.project import (
@@ -24,17 +28,77 @@ from softcal_jax.project import (
     read_toml,
     suggestion,
 )
-from softcal_jax.sweeps._axes import OWN_AXES, REPEATS, axis_values
 from softcal_jax.sweeps._calibration import (
+    OWN_AXES,
     CalibrationTrial,
     digest_of,
     file_keys,
     truth_in_si,
 )
-from softcal_jax.sweeps._parts import run_part
 from softcal_jax.sweeps._result import SweepResult
-from softcal_jax.sweeps._run import run_sweep
-from softcal_jax.sweeps._trial import Points, Range, grid, sample
+from softcal_jax.sweeps._run import run_part, run_sweep
+from softcal_jax.sweeps._trial import Points, Range, grid, is_number, sample
+
+REPEATS = ("start", "noise")
+"""Axes whose values are mere repetitions."""
+
+_EXPECTED = {
+    "start": "{ count = 10 } or a list of numbers: 0 for none, 1, 2, ...",
+    "noise": "{ count = 20 } or a list of numbers: 0 for none, 1, 2, ...",
+    "configurations": "{ choose = 2 } or a list of lists of configurations that are "
+    'fitted together, like [["pose 1"], ["pose 1", "pose 2"]]',
+    "layout": 'a list of names, like ["ends"]',
+}
+
+_QUANTITY = re.compile(r"\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
+
+
+class CountTable(Table):
+    """Numbers from 1 to `count`."""
+
+    count: Integer = Field(ge=1)
+
+    def values(self, poses: Sequence[str]) -> Sequence[Any]:
+        PLANNED.check(f"count = {self.count}", self.count)
+        return range(1, self.count + 1)
+
+
+class ChooseTable(Table):
+    """All subsets of one size."""
+
+    choose: Integer
+
+    def values(self, poses: Sequence[str]) -> Sequence[Any]:
+        if not 1 <= self.choose <= len(poses):
+            raise ValueError(
+                f"choose = {self.choose}, but the project has {len(poses)} "
+                "configurations with the role calibration: "
+                f"{', '.join(poses)}."
+            )
+        n = math.comb(len(poses), self.choose)
+        TRIALS.check(f"choose = {self.choose} of {len(poses)}", n)
+        return [list(subset) for subset in itertools.combinations(poses, self.choose)]
+
+
+class RangeTable(Table):
+    """All values between two ends, for a sample."""
+
+    low: Any
+    high: Any
+    scale: Literal["linear", "log"] = "linear"
+
+    def values(self, poses: Sequence[str]) -> Range:
+        ends = [self.low, self.high]
+        if all(map(is_number, ends)):
+            return Range(float(self.low), float(self.high), self.scale)
+        parts = [_QUANTITY.fullmatch(str(end)) for end in ends]
+        if parts[0] is None or parts[1] is None or parts[0][2] != parts[1][2]:
+            raise ValueError(
+                f"got {self.low} and {self.high}; expected two numbers, or two "
+                'quantities in the same unit, like "100 kPa" and "300 kPa".'
+            )
+        low, high = (float(part[1]) for part in parts if part is not None)
+        return Range(low, high, self.scale, f"{{:.9g}} {parts[0][2]}")
 
 
 class SweepTable(Table):
@@ -216,9 +280,7 @@ def _check_calibration(path: Path, table: SweepTable, project: Project) -> None:
     assert project.space is not None
     names = project.space.names
     with at(path, "truth"):
-        for name in table.truth:
-            if name not in names:
-                raise unknown_name("parameter", name, names)
+        check_known("parameter", names, *table.truth)
         missing = [name for name in names if name not in table.truth]
         if missing:
             raise ValueError(f"it has no value for {', '.join(missing)}.")
@@ -242,3 +304,41 @@ def _check_variants(
                     function.variant({**first, axis: value})
                 except ProjectError as error:
                     raise ValueError(str(error)) from error
+
+
+def axis_values(
+    axis: str, given: Any, layouts: Sequence[str], poses: Sequence[str]
+) -> Sequence[Any] | Range:
+    """Return the values of an axis, given what the file has for it.
+
+    `layouts` are the names of the file's layouts, `poses` those of the project's
+    configurations with the role calibration.
+    """
+    if axis not in OWN_AXES and "." not in axis:
+        raise ValueError(
+            f"unknown axis.{suggestion(axis, OWN_AXES)} Known: {', '.join(OWN_AXES)}, "
+            'or a key of the project file, like "material.nu".'
+        )
+    usual = "a list of values, or { low = 1, high = 2 }"
+    wrong = ValueError(f"got {given}; expected {_EXPECTED.get(axis, usual)}.")
+    if isinstance(given, dict) and axis != "layout":
+        kinds = {"configurations": ChooseTable, **dict.fromkeys(REPEATS, CountTable)}
+        try:
+            table = kinds.get(axis, RangeTable).model_validate(given)
+        except ValueError as error:
+            raise wrong from error
+        return table.values(poses)
+    if not isinstance(given, list) or not given:
+        raise wrong
+    if axis in REPEATS and not all(type(draw) is int and draw >= 0 for draw in given):
+        raise wrong
+    if axis == "layout":
+        check_known("layout", layouts, *given)
+    if axis != "configurations":
+        return given
+    for subset in given:
+        if not isinstance(subset, list) or not subset:
+            raise wrong
+        check_known("configuration with the role calibration", poses, *subset)
+    # In the project's order, so that [a, b] and [b, a] are the same trial.
+    return [[name for name in poses if name in subset] for subset in given]

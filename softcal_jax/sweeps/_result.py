@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.sweeps._row import State, TrialRow
 from softcal_jax.sweeps._trial import describe, is_number
@@ -102,11 +102,9 @@ class SweepResult:
             ValueError: If no row has a figure of that name.
         """
         by_words = {figure_name(figure)[0]: figure for figure in self.figure_names}
-        if name in self.figure_names:
-            return name
-        if name in by_words:
-            return by_words[name]
-        raise unknown_name("figure", name, self.figure_names)
+        name = name if name in self.figure_names else by_words.get(name, name)
+        check_known("figure", self.figure_names, name)
+        return name
 
     def grouping(self, by: Sequence[str] | None = None) -> tuple[str, ...]:
         """Return the axes that trials are grouped by: by default all but repetitions.
@@ -116,9 +114,7 @@ class SweepResult:
         """
         if by is None:
             return tuple(axis for axis in self.axes if axis not in self.repeats)
-        for axis in by:
-            if axis not in self.axes:
-                raise unknown_name("axis", axis, self.axes)
+        check_known("axis", self.axes, *by)
         return tuple(by)
 
     def groups(self, by: Sequence[str] | None = None) -> tuple[Group, ...]:

@@ -1,7 +1,8 @@
-"""A sweep as tables for a terminal, as CSV, and as a picture."""
+"""A sweep as tables and sentences, as CSV, and as a picture."""
 
 import csv
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,9 +13,10 @@ from softcal_jax._text_table import STYLES, Cell, TextTable, Tone, text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.export import readable_estimate, readable_unit
 from softcal_jax.plotting import plot_trials
+from softcal_jax.sweeps._calibration import FIT, HELD_OUT, is_of_the_fit
 from softcal_jax.sweeps._result import Group, SweepResult, figure_name, figure_values
 from softcal_jax.sweeps._row import TrialRow, flat_columns
-from softcal_jax.sweeps._trial import is_number, shown
+from softcal_jax.sweeps._trial import describe, is_number, shown
 
 if TYPE_CHECKING:
     import rich.console
@@ -26,6 +28,9 @@ ROUNDING = 1e-9
 MOST_COLUMNS = MOST_PANELS = 4
 """Largest numbers of figures in a table for the terminal, and in a picture."""
 
+MOST_BEST, MOST_VALUES = 5, 8
+"""Most trials among the best, and most values of an axis."""
+
 _TONES: dict[str, Tone] = {
     "converged": "plain",
     "not converged": "doubtful",
@@ -33,15 +38,8 @@ _TONES: dict[str, Tone] = {
 }
 """Tone in which the end of a trial is shown, by its state."""
 
-
 Lines = Sequence[Group] | Sequence[TrialRow]
 """What the lines of a table are: groups of trials, or single ones."""
-
-
-class _Column(NamedTuple):
-    head: str
-    cells: list[str]
-    words: bool = False
 
 
 def default_figures(result: SweepResult) -> tuple[str, ...]:
@@ -98,24 +96,20 @@ def sweep_table(
     return Printed(*parts, *bad)
 
 
-def _leading_columns(result: SweepResult, lines: Lines) -> list[_Column]:
-    """Make columns of the axes, and of how trials ended, one by one or in groups."""
+def _leading_columns(
+    result: SweepResult, lines: Lines
+) -> tuple[list[tuple[str, list[str]]], list[str]]:
+    """Return columns of the axes and of how lines ended, and which hold words."""
     rows = [line for line in lines if isinstance(line, TrialRow)]
     groups = [line for line in lines if isinstance(line, Group)]
     points = [row.point for row in rows] + [group.values for group in groups]
     axes = groups[0].values if groups else result.axes
-    columns = [
-        _Column(
-            axis,
-            [shown(point[axis]) for point in points],
-            words=not all(is_number(point[axis]) for point in points),
-        )
-        for axis in axes
-    ]
+    columns = [(axis, [shown(point[axis]) for point in points]) for axis in axes]
+    words = [a for a in axes if not all(is_number(point[a]) for point in points)]
     if not groups:
-        outcomes = _Column("outcome", [row.state for row in rows], words=True)
-        seconds = _Column("time [s]", [f"{row.seconds:.1f}" for row in rows])
-        return [*columns, outcomes, seconds]
+        columns.append(("outcome", [row.state for row in rows]))
+        columns.append(("time [s]", [f"{row.seconds:.1f}" for row in rows]))
+        return columns, [*words, "outcome"]
     counts = {
         "trials": [len(g.rows) for g in groups],
         "not converged": [g.count("not converged") for g in groups],
@@ -123,25 +117,18 @@ def _leading_columns(result: SweepResult, lines: Lines) -> list[_Column]:
         "to do": [g.missing for g in groups],
     }
     return columns + [
-        _Column(name, list(map(str, numbers)))
+        (name, list(map(str, numbers)))
         for name, numbers in counts.items()
         if name == "trials" or any(numbers)
-    ]
+    ], words
 
 
-def _figure_column(result: SweepResult, figure: str, lines: Lines) -> _Column:
-    """Make a column of a figure: of each trial, or means over the trials of a group."""
-    factor, head = readable_figure(result, figure)
-
-    def cell(line: Group | TrialRow) -> str:
-        if isinstance(line, Group):
-            return mean_text(factor * line.numbers(figure))
-        value = line.figures.get(figure)
-        if isinstance(value, int | float):
-            return f"{factor * value:.5g}"
-        return str(value or "-")
-
-    return _Column(head, list(map(cell, lines)))
+def _cell(line: Group | TrialRow, figure: str, factor: float) -> str:
+    """Write a figure of a trial, or its mean over the trials of a group."""
+    if isinstance(line, Group):
+        return mean_text(factor * line.numbers(figure))
+    value = line.figures.get(figure)
+    return f"{factor * value:.5g}" if isinstance(value, int | float) else value or "-"
 
 
 def tabulated(
@@ -153,14 +140,15 @@ def tabulated(
     tones: Sequence[Tone] = (),
 ) -> TextTable:
     """Tabulate figures of some trials, or their means over groups of trials."""
-    columns = _leading_columns(result, lines)
-    columns += [_figure_column(result, figure, lines) for figure in figures]
-    rows = zip(*(c.cells for c in columns), strict=True)
+    columns, words = _leading_columns(result, lines)
+    for figure in figures:
+        factor, head = readable_figure(result, figure)
+        columns.append((head, [_cell(line, figure, factor) for line in lines]))
+    heads, texts = zip(*columns, strict=True)
     of_rows: Sequence[Tone] = tones or ("plain",) * len(lines)
-    toned = zip(rows, of_rows, strict=True)
+    toned = zip(zip(*texts, strict=True), of_rows, strict=True)
     cells = [[Cell(text, tone) for text in row] for row, tone in toned]
-    heads = [column.head for column in columns]
-    return text_table(title, heads, cells, words=[c.head for c in columns if c.words])
+    return text_table(title, heads, cells, words=words)
 
 
 def readable_figure(result: SweepResult, figure: str) -> tuple[float, str]:
@@ -232,3 +220,115 @@ def plot_sweep(
         title=f"{result.name}: {good} trials",
         left_out=f"{lost} more failed or did not converge" if lost else "",
     )
+
+
+class SweptAxis(NamedTuple):
+    """An axis with more than one value, and figures of the trials that converged.
+
+    Attributes:
+        name: Its name.
+        values: The value of each trial, as numbers if all are, else in words.
+        figures: Figures that vary, by names with readable units; nan where missing.
+    """
+
+    name: str
+    values: Sequence[float] | Sequence[str]
+    figures: Mapping[str, Float[HostArray, " n"]]
+
+
+def figures_of_the_robot(result: SweepResult) -> tuple[str, ...]:
+    """Pick the figures that describe the robot, the error of the prediction first."""
+    figures = [name for name in default_figures(result) if not is_of_the_fit(name)]
+    if HELD_OUT in figures:  # the fit is no test of the model
+        figures = [HELD_OUT, *(name for name in figures if name not in (HELD_OUT, FIT))]
+    return tuple(figures)
+
+
+def doubts(result: SweepResult) -> Iterator[str]:
+    """Say what failed, did not converge or is left to do."""
+    if bad := len(result.rows) - len(result.of_state("converged")):
+        what = "trial" if bad == 1 else "trials"
+        yield (
+            f"{bad} {what} failed or did not converge, and count in no mean, chart or "
+            "best value."
+        )
+    yield from (f"{state.capitalize()}, {text}" for state, text in result.reasons)
+    if left := len(result.missing):
+        what = "trial is" if left == 1 else "trials are"
+        yield f"{left} {what} left to do: the same command goes on from here."
+
+
+def notes_of_trials(result: SweepResult) -> tuple[str, ...]:
+    """Return the notes of trials that converged, each with the number of these."""
+    rows = result.of_state("converged")
+    counts = Counter(note for row in rows for note in row.notes)
+    many = lambda n: "1 trial" if n == 1 else f"{n} trials"
+    return tuple(f"{note} ({many(n)})" for note, n in counts.items())
+
+
+def varied_table(result: SweepResult) -> TextTable:
+    """Tabulate the axes, with their values."""
+    points = [*result.planned.values(), *(row.point for row in result.rows)]
+    rows = []
+    for axis in result.axes:
+        values = [point[axis] for point in points]
+        texts = list(dict.fromkeys(map(shown, values)))
+        listed = "; ".join(texts[:MOST_VALUES])
+        if len(texts) > MOST_VALUES:
+            listed += "; ..."
+            if all(map(is_number, values)):
+                listed = f"from {shown(min(values))} to {shown(max(values))}"
+        repeats = "repetition" if axis in result.repeats else "factor"
+        rows.append((axis, repeats, str(len(texts)), listed))
+    return text_table("Axes", ("axis", "kind", "values", "which"), rows)
+
+
+def best_trials(result: SweepResult) -> tuple[str, TextTable] | None:
+    """Rank trials by the error of the prediction, or else by the error of the fit.
+
+    Returns:
+        The smallest error and its point in words, and a table; None without errors.
+    """
+    figures = figures_of_the_robot(result)
+    error = next((name for name in (HELD_OUT, FIT) if name in figures), None)
+    if error is None:
+        return None
+    values = figure_values(result.rows, error)
+    order = [
+        int(i) for i in np.argsort(values, kind="stable") if values[i] == values[i]
+    ]
+    ranked = [result.rows[i] for i in order[:MOST_BEST]]
+    factor, name = readable_figure(result, error)
+    words, _, unit = name.partition(" [")
+    value = f"{factor * values[order[0]]:.4g} {unit.rstrip(']')}".rstrip()
+    where = describe(ranked[0].point)
+    sentence = f"The lowest {words} of {len(order)} trials is {value}, at {where}."
+    return sentence, tabulated("Best trials", result, figures, ranked)
+
+
+def spread_table(result: SweepResult) -> TextTable:
+    """Tabulate each figure over all trials that converged."""
+    rows = []
+    for figure in default_figures(result):
+        factor, name = readable_figure(result, figure)
+        values = factor * result.numbers(figure)
+        ends = f"{values.min():.5g}", f"{np.median(values):.5g}", f"{values.max():.5g}"
+        rows.append((name, str(values.size), mean_text(values), *ends))
+    head = ("figure", "trials", "mean ± standard deviation", "least", "median", "most")
+    return text_table("Figures of the trials", head, rows)
+
+
+def swept_axes(result: SweepResult, figures: Sequence[str]) -> Iterator[SweptAxis]:
+    """Yield values and figures to draw, for each axis on which there is any to see."""
+    good, drawn = result.of_state("converged"), {}
+    for figure in figures:
+        factor, label = readable_figure(result, figure)
+        values = factor * figure_values(good, figure)
+        if np.nanmax(values) > np.nanmin(values):  # else there is nothing to see
+            drawn[label] = values
+    for axis in result.axes:
+        where: list[Any] = [row.point[axis] for row in good]
+        if not all(map(is_number, where)):
+            where = list(map(shown, where))
+        if drawn and len(set(where)) > 1:
+            yield SweptAxis(axis, where, drawn)

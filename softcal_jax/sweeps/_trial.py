@@ -5,12 +5,12 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, overload
+from typing import Any, Literal
 
 import numpy as np
 
 from softcal_jax._limits import PLANNED, TRIALS
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import HostArray
 
 Point = dict[str, Any]
@@ -72,13 +72,7 @@ class Points(Sequence[Point]):
             return len(self.cells)
         return math.prod(map(len, self._lists))
 
-    @overload
-    def __getitem__(self, index: int) -> Point: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> list[Point]: ...
-
-    def __getitem__(self, index: int | slice) -> Point | list[Point]:
+    def __getitem__(self, index: int | slice) -> Any:
         """Return a point, or a list of some."""
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
@@ -204,8 +198,7 @@ class Trial:
 
     def __getitem__(self, axis: str) -> Any:
         """Return the value of an axis, or raise ValueError if there is none."""
-        if axis not in self.point:
-            raise unknown_name("axis", axis, self.point)
+        check_known("axis", self.point, axis)
         return self.point[axis]
 
     @property

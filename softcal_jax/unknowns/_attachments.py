@@ -83,16 +83,11 @@ def attachments(
         reference = c.displacement_from or (c.name if c.name in references else None)
         if reference is None:
             continue
-        turned = {e.name: _orientation(e) for e in records if e.is_turn}
+        measured = lambda e: Rotation.from_rotvec(np.nan_to_num(e.measured)).as_matrix()
+        turned = {e.name: measured(e) @ e.reference for e in records if e.is_turn}
         for e in records:
             if e.quantity in FAR_BEYOND:
                 key = (reference, e.name, e.quantity)
                 index[lane, e.index] = keys.setdefault(key, len(keys))
                 axes[lane, e.index] = turned.get(e.name, np.eye(3))
     return Attachments(index, axes, tuple(keys))
-
-
-def _orientation(turn: EffectorRecord) -> Float[HostArray, "3 3"]:
-    """Return the measured rotation of a body from rest, as a matrix [-]."""
-    measured = Rotation.from_rotvec(np.nan_to_num(turn.measured)).as_matrix()
-    return measured @ turn.reference

@@ -27,7 +27,6 @@ from softcal_jax.calibration._checked_intervals import (
     MOST_RETURNS,
     Fitted,
     ProfileEnd,
-    _Checked,
     _considered_error,
     _end_holds,
     interval_between,
@@ -205,7 +204,9 @@ def holds(errors, jacobian, *, column=0, W=None, on_bound=False, space=SPACE):
         return replace(model, held=held)
 
     here = about(np.zeros(2), None)
-    fit = _Checked(
+    return _end_holds(
+        column,
+        1,
         evaluate=lambda z, _: at(np.asarray(z)),
         about=about,
         space=space,
@@ -214,7 +215,6 @@ def holds(errors, jacobian, *, column=0, W=None, on_bound=False, space=SPACE):
         linear=replace(here, W=np.array(W, float)),
         quantile=2.0,
     )
-    return _end_holds(fit, column, 1)
 
 
 def test_a_parabola_holds():

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from softcal_jax._clock import Clock
+from softcal_jax._process import Clock
 
 
 def test_compiling_is_told_from_the_rest():

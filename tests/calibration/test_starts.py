@@ -381,7 +381,7 @@ def test_mirror_images_find_the_better_optimum(measured, plain, mirrored):
 
 def test_calibrate_goes_on_from_the_best_of_several_starts(measured, monkeypatch):
     """The user's start is the one that ends wrong; several are the default."""
-    monkeypatch.setattr("softcal_jax.fields._starts.SEVERAL", 3)
+    monkeypatch.setattr("softcal_jax.fields._start.SEVERAL", 3)
     beam, space = measured.beam, measured.beam.space
     p = space.from_scaled(measured.starts[2])
     wrong = [p[E_T], p[E_L], p[THETA]]

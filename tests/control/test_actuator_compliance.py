@@ -9,8 +9,8 @@ from arm import EFFECTORS, REST, arm, arrays, pose, solved
 
 from softcal_jax.configurations import ImposedDisplacement, ImposedForce
 from softcal_jax.control import ControlSettings, actuator_compliance, with_inputs
-from softcal_jax.control._problem import linearise
 from softcal_jax.control._solve import _prepare
+from softcal_jax.control._step import linearise
 
 DRIVES = {
     "tensions and an angle": {"top": 1.0, "bottom": 0.4, "motor": 0.3},

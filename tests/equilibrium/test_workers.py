@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from problems import lane_of
 
-from softcal_jax._clock import Clock
+from softcal_jax._process import Clock
 from softcal_jax.configurations import Configuration, Support, configuration_arrays
 from softcal_jax.equilibrium import (
     Program,

@@ -23,7 +23,7 @@ from softcal_jax.layouts import (
     FoldScore,
     ModelComparison,
     ModelScore,
-    _cross_validation,
+    _compare,
     compare_layouts as compare_layouts_with,
 )
 from softcal_jax.robots import synthetic_measurements
@@ -163,8 +163,8 @@ def test_what_is_held_out_cannot_touch_the_fit(data):
             problem.configurations.effectors.measured.at[1].add(shift),
         )
         start = problem.space.start()[None]
-        settings = _cross_validation.FOR_PREDICTION
-        fits = _cross_validation._fit(wild, settings, start)
+        settings = _compare.FOR_PREDICTION
+        fits = _compare._fit(wild, settings, start)
         z.append(np.array([fit.run.z for fit in fits]))
     assert z[0][1] == z[1][1]
     assert np.all(z[0][[0, 2, 3]] != z[1][[0, 2, 3]])
@@ -173,16 +173,16 @@ def test_what_is_held_out_cannot_touch_the_fit(data):
 def test_a_fold_repeats_another_pose_without_weight(data):
     """The middle one held out: its lane is the last one again, weighing nothing."""
     problem = build_problem(bar(CELLS), as_space(moduli(ONE)), data)
-    folds = _cross_validation._folds(3)
+    folds = _compare._folds(3)
     whole = problem.configurations
-    fold = _cross_validation._fold_problem(problem, folds[1])
+    fold = _compare._fold_problem(problem, folds[1])
     fitted = fold.configurations
     repeated = whole.loads.force[np.array([0, 2, 2])]
     np.testing.assert_array_equal(fitted.loads.force, repeated)
     weight = fitted.effectors.inverse_std
     np.testing.assert_array_equal(weight[1], 0.0)
     np.testing.assert_allclose(weight[[0, 2]], 1.0 / STD)
-    fold = _cross_validation._fold_problem(problem, folds[3])
+    fold = _compare._fold_problem(problem, folds[3])
     for ours, theirs in zip(
         jax.tree.leaves(fold.configurations), jax.tree.leaves(whole), strict=True
     ):
@@ -236,7 +236,7 @@ def test_a_start_without_equilibrium_is_named():
 @COMPARED
 def test_a_fold_that_did_not_converge_is_named(comparison, data, monkeypatch):
     """The best layout, with one fold that did not end, ranks last."""
-    real = _cross_validation._fit
+    real = _compare._fit
 
     def unfinished(problem, *rest):
         fits = real(problem, *rest)
@@ -245,7 +245,7 @@ def test_a_fold_that_did_not_converge_is_named(comparison, data, monkeypatch):
             fits[0] = fits[0]._replace(run=lost)
         return fits
 
-    monkeypatch.setattr(_cross_validation, "_fit", unfinished)
+    monkeypatch.setattr(_compare, "_fit", unfinished)
     compared = compare_layouts(bar(CELLS), LAYOUTS, data, make_parameters=moduli)
     two = compared.models[-1]
     assert two.name == "two"

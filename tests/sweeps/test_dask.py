@@ -66,9 +66,9 @@ def test_kill_a_worker_and_the_driver_of_a_cluster(cluster, tmp_path):
 
 
 def test_no_scheduler_there(tmp_path, monkeypatch):
-    from softcal_jax.sweeps import _dask
+    from softcal_jax.sweeps import _worker
 
-    monkeypatch.setattr(_dask, "CONNECT_S", 1)
+    monkeypatch.setattr(_worker, "CONNECT_S", 1)
     address = "tcp://127.0.0.1:1"
     with pytest.raises(OSError, match=f'no Dask scheduler .*"{address}"'):
         run_sweep(cheap.measure, cheap.POINTS, tmp_path / "s.sqlite", scheduler=address)

@@ -3,8 +3,8 @@
 import pytest
 from wording import says
 
-from softcal_jax.sweeps import Progress, TrialRow, _progress as progress_module
-from softcal_jax.sweeps._progress import Tally
+from softcal_jax.sweeps import Progress, TrialRow, _row as row_module
+from softcal_jax.sweeps._row import Tally
 
 
 def row(state="converged", worker="a"):
@@ -13,7 +13,7 @@ def row(state="converged", worker="a"):
 
 def test_the_rate_leaves_out_the_first_trial_which_compiles(monkeypatch):
     clock = iter([62.0, 63.0, 64.0, 65.0])
-    monkeypatch.setattr(progress_module.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(row_module.time, "monotonic", lambda: next(clock))
     tally = Tally(20, ["converged", "failed"])
     begin = tally.now()
     assert (begin.ended, begin.rate) == (2, None)
@@ -29,7 +29,7 @@ def test_the_rate_leaves_out_the_first_trial_which_compiles(monkeypatch):
 def test_workers_that_end_together_are_no_hurry(monkeypatch):
     """Two of them, a trial each in 10 s."""
     clock = iter([60.0, 60.001, 70.0, 70.001])
-    monkeypatch.setattr(progress_module.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(row_module.time, "monotonic", lambda: next(clock))
     tally = Tally(100, [])
     assert [tally.now(row(worker=w)).rate for w in "ab"] == [None, None]
     assert tally.now(row(worker="a")).rate == pytest.approx(0.1)

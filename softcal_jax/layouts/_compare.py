@@ -1,0 +1,347 @@
+"""Laws, meshes and layouts of control points judged by what they predict.
+
+They are fitted to all configurations but one, and predict that one (Sec. V-C).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax.calibration import (
+    Begun,
+    CalibrationProblem,
+    CalibrationSettings,
+    Evaluation,
+    Evaluator,
+    Run,
+    as_sequence,
+    best_of,
+    build_problem,
+    images_of,
+    known_optima,
+    run_start,
+)
+from softcal_jax.configurations import Configuration
+from softcal_jax.equilibrium import Model, NewtonSettings, Workers
+from softcal_jax.fields import (
+    ControlPoints,
+    Entry,
+    ParameterSpace,
+    Uncertain,
+    check_starts,
+    default_starts,
+    random_starts,
+)
+from softcal_jax.identifiability import identifiability
+from softcal_jax.layouts._model_comparison import FoldScore, ModelComparison, ModelScore
+
+FOR_PREDICTION = CalibrationSettings(tol=1e-4, max_steps=200)
+"""Settings of the fits: loose, since 0.01 % of a modulus changes no prediction.
+
+Along directions that the data hardly see a fit creeps. A layout with many points has
+such directions, so more steps are allowed.
+"""
+
+
+class _Fold(NamedTuple):
+    """Configurations of one fit, and which count: all but one, or all in the last fold.
+
+    In place of the held-out configuration another one is repeated with weight zero: so
+    all fits share their shapes and programs, and the held-out configuration cannot
+    affect the fit, not even by having no equilibrium.
+    """
+
+    lanes: Int[HostArray, " n_c"]
+    counts: Bool[HostArray, " n_c"]
+
+
+class _Fit(NamedTuple):
+    """End of a fit, and the evaluation of all configurations with its parameters."""
+
+    run: Run
+    after: Evaluation
+
+
+def _folds(n_c: int) -> list[_Fold]:
+    every = np.arange(n_c)
+    held_out = [
+        _Fold(np.where(every == i, (i + 1) % n_c, every), every != i) for i in every
+    ]
+    return [*held_out, _Fold(every, np.ones(n_c, bool))]
+
+
+def _fold_problem(problem: CalibrationProblem, fold: _Fold) -> CalibrationProblem:
+    """Return the calibration of one fold, without the held-out configuration."""
+    take = lambda leaf: np.asarray(leaf)[fold.lanes]
+    fitted = jax.tree.map(take, problem.configurations)
+    weight = np.where(fold.counts[:, None, None], fitted.effectors.inverse_std, 0.0)
+    fitted = eqx.tree_at(lambda c: c.effectors.inverse_std, fitted, weight)
+    return eqx.tree_at(lambda p: p.configurations, problem, fitted)
+
+
+def _fit(
+    problem: CalibrationProblem,
+    settings: CalibrationSettings,
+    starts: Float[Array, "n_starts n_p"],
+) -> list[_Fit]:
+    """Fit all folds, side by side."""
+    images = images_of(problem.space, mirror=True)
+
+    def fit(whole: Evaluator, fold: _Fold) -> _Fit:
+        evaluator = Evaluator(_fold_problem(problem, fold), whole.workers)
+        ended: list[Begun] = []
+        for z in map(jnp.asarray, np.asarray(starts)):
+            known = known_optima(ended, images)
+            ended.append(run_start(evaluator, settings, z, images=images, known=known))
+        runs = [begun.best for begun in ended]
+        cost = np.array([run.cost for run in runs])
+        run = runs[best_of(cost, np.array([run.converged for run in runs]))]
+        return _Fit(run, whole.from_rest(jnp.asarray(run.z)))
+
+    n_c = len(problem.configurations.gravity)
+    with Workers(problem.model, n_c * (n_c + 1)) as workers:
+        whole = Evaluator(problem, workers)
+        return workers.side_by_side(partial(fit, whole, fold) for fold in _folds(n_c))
+
+
+def _score(
+    name: str,
+    problem: CalibrationProblem,
+    configurations: Sequence[Configuration],
+    fits: list[_Fit],
+) -> ModelScore:
+    """Score the folds of one model and the fit to all configurations."""
+    effectors, noise = problem.configurations.effectors, problem.noise
+    weight = np.asarray(effectors.inverse_std)
+    assert noise is not None
+    # In the errors these offsets are subtracted, so the noise has none.
+    known = eqx.tree_at(lambda n: n.attachment_std, noise, np.zeros(0))
+    # Only points have distances; turns and forces count in units of the noise alone.
+    n_points = effectors.nodes.shape[-2]
+    every = np.arange(len(configurations))
+
+    def rms(
+        fit: _Fit, failure: str, fold: _Fold, lanes: Int[HostArray, " n"]
+    ) -> tuple[float, float]:
+        """Return rms distance of points [m], and rms error over the noise [-].
+
+        Offsets of attachments are known from the fitted configurations alone.
+        """
+        if failure:
+            return np.nan, np.nan
+        error = noise.without_attachments(effectors, fit.after.delta_e, fold.counts)
+        z, on_device = jnp.asarray(fit.run.z), jax.device_put(error)
+        after = replace(fit.after, delta_e=on_device)
+        linear = after.linear(problem.with_noise(known), configurations, z)
+        linear = linear.only(np.isin(linear.pose, lanes))
+        squares = np.sum(error[lanes, :n_points] ** 2, axis=2)
+        measured = np.any(weight[lanes, :n_points] > 0.0, axis=2)
+        mean = lambda squares: float(np.sqrt(np.mean(squares)))
+        return mean(squares[measured]), mean(linear.whiten(linear.r) ** 2)
+
+    *held_out_folds, whole = _folds(len(configurations))
+    folds = []
+    for i, fold in enumerate(held_out_folds):
+        fit, failure = fits[i], _failure(fits[i], i)
+        distance, over_noise = rms(fit, failure, fold, every[i : i + 1])
+        fitted, _ = rms(fit, failure, fold, every[fold.counts])
+        folds.append(
+            FoldScore(configurations[i].name, distance, over_noise, fitted, failure)
+        )
+    last, failure = fits[-1], _failure(fits[-1], None)
+    seen = None
+    if np.all(last.after.equilibrium.converged):
+        z = jnp.asarray(last.run.z)
+        linear = last.after.linear(problem, configurations, z)
+        seen = identifiability(linear.with_scale(1.0), problem.space, last.run.z)
+    distance, over_noise = rms(last, failure, whole, every)
+    return ModelScore(
+        name=name,
+        n_parameters=len(problem.space.names),
+        folds=tuple(folds),
+        fit_rms=distance,
+        fit_noise_rms=over_noise,
+        fit_failure=failure,
+        identifiability=seen,
+    )
+
+
+def _failure(fit: _Fit, held_out: int | None) -> str:
+    """Say why a fit failed; empty if it did not."""
+    if np.isinf(fit.run.cost):
+        return "a fitted configuration has no equilibrium at the start"
+    if not fit.run.converged:
+        return "the fit did not converge"
+    converged = np.asarray(fit.after.equilibrium.converged)
+    asked = converged if held_out is None else converged[held_out]
+    return "" if np.all(asked) else "no equilibrium with the fitted parameters"
+
+
+Parameters = ParameterSpace | Entry | Sequence[Entry]
+
+
+def compare_layouts(
+    model: Model,
+    layouts: Mapping[str, ControlPoints],
+    configurations: Configuration | Sequence[Configuration],
+    *,
+    make_parameters: Callable[[ControlPoints], Parameters],
+    settings: CalibrationSettings | None = None,
+    newton: NewtonSettings | None = None,
+    starts: int | None = None,
+    seed: int = 0,
+    uncertain: Uncertain | None = None,
+) -> ModelComparison:
+    """Find the layout of control points that best predicts what it was not fitted to.
+
+    Too few control points misfit all configurations; too many fit the noise, along
+    directions that the data are blind to, and predict worse: the trade-off of Sec. V-C.
+    Of layouts within one standard error of the best, `preferred` has the fewest
+    parameters.
+
+    `make_parameters` gives the parameters of a layout, like
+    `lambda points: ControlPointParameters("E", points, ...)`; the arguments after it
+    are those of `compare_laws`.
+
+    Raises:
+        ValueError: If fewer than two configurations or no layout is given, or an input
+            is wrong; the text names the layout.
+    """
+    return compare_laws(
+        {name: (model, make_parameters(points)) for name, points in layouts.items()},
+        configurations,
+        settings=settings,
+        newton=newton,
+        starts=starts,
+        seed=seed,
+        uncertain=uncertain,
+    )
+
+
+def compare_laws(
+    laws: Mapping[str, tuple[Model, Parameters]],
+    configurations: Configuration | Sequence[Configuration],
+    *,
+    settings: CalibrationSettings | None = None,
+    newton: NewtonSettings | None = None,
+    starts: int | None = None,
+    seed: int = 0,
+    uncertain: Uncertain | None = None,
+) -> ModelComparison:
+    """Find the law, or the mesh, that best predicts what it was not fitted to.
+
+    Leave-one-configuration-out cross-validation (Stone, J. R. Stat. Soc. B 36, 1974):
+    each model is fitted to all configurations but one and predicts that one, in turn.
+    Its mean squared prediction error in units of the noise decides. Whether the data
+    can tell two models apart is judged by the differences of their errors on the same
+    configurations, and by the scatter of these differences.
+
+    Example:
+        Two laws on one mesh::
+
+            comparison = sc.compare_laws({
+                "neo-hookean": (sc.build_model(mesh, NeoHookean(2e5, 0.499), ...), E),
+                "yeoh": (sc.build_model(mesh, Yeoh(3e4, 0.0, 10.0), ...), [c10, c30]),
+            }, poses)
+            print(comparison)
+
+    Args:
+        laws: Model and parameters by name. Models may differ in law and mesh.
+        configurations: Measured configurations, at least two; every model must have the
+            groups that they name.
+        settings: Settings of the outer loop; by default `FOR_PREDICTION`.
+        newton: Settings of the equilibrium.
+        starts: Number of starts of each fit: the start of the parameters, then random
+            ones within the bounds; by default see `default_starts`.
+        seed: Seed of the random starts.
+        uncertain: How well everything that is not calibrated is known; offsets of
+            recordings belong to the noise. By default nothing is uncertain.
+
+    Returns:
+        The models, the best first, and what sets them apart. A fold that did not
+        converge, or whose configuration cannot be predicted, is named and counts in no
+        average; a model with such a fold ranks behind all that have none.
+
+    Raises:
+        ValueError: If fewer than two configurations or no law is given, or an input is
+            wrong; the text names the law.
+    """
+    configurations, problems = as_sequence(configurations), {}
+    # All problems are built before the first fit, so that a wrong one is found at once.
+    for name, (model, parameters) in laws.items():
+        try:
+            problems[name] = build_problem(
+                model, parameters, configurations, newton, uncertain=uncertain
+            )
+        except ValueError as error:
+            raise ValueError(f"{name!r}: {error}") from error
+    return compare_models(
+        problems, configurations, settings=settings, starts=starts, seed=seed
+    )
+
+
+def compare_models(
+    problems: Mapping[str, CalibrationProblem],
+    configurations: Sequence[Configuration],
+    *,
+    settings: CalibrationSettings | None = None,
+    starts: int | None = None,
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda _: None,
+) -> ModelComparison:
+    """Compare calibrations of any models to the same data, see `compare_laws`.
+
+    `progress` is called with the name of each model before it is fitted.
+
+    Raises:
+        ValueError: If there is no model, fewer than two configurations, or the models
+            are not fitted to the same measurements; the text names the model.
+    """
+    if not problems:
+        raise ValueError("at least one model is needed, got none.")
+    if len(configurations) < 2:
+        raise ValueError(
+            "cross-validation fits all configurations but one and predicts that one: "
+            f"at least 2 are needed, got {len(configurations)}."
+        )
+    if starts is not None:
+        check_starts(starts)
+    _check_same_data(problems)
+    scores = []
+    for name, problem in problems.items():
+        progress(name)
+        space = problem.space
+        begin = space.admissible(space.start())[None]
+        n = default_starts(space) if starts is None else starts
+        if n > 1:
+            others = random_starts(space, n - 1, seed=seed)
+            begin = jnp.concatenate([begin, others])
+        fits = _fit(problem, settings or FOR_PREDICTION, begin)
+        scores.append(_score(name, problem, configurations, fits))
+    return ModelComparison.ranked(scores)
+
+
+def _check_same_data(problems: Mapping[str, CalibrationProblem]) -> None:
+    """Raise ValueError unless all models have the same measurements and noise."""
+    data = {}
+    for name, problem in problems.items():
+        effectors = problem.configurations.effectors
+        weight, measured = map(np.asarray, (effectors.inverse_std, effectors.measured))
+        data[name] = np.where(weight > 0.0, measured, 0.0), weight
+    first = next(iter(data))
+    close = partial(np.allclose, rtol=1e-9, atol=1e-12, equal_nan=True)
+    for name in data:
+        pairs = zip(data[name], data[first], strict=True)
+        if not all(a.shape == b.shape and close(a, b) for a, b in pairs):
+            raise ValueError(
+                f"{name!r} is not fitted to the same measurements as {first!r}, so "
+                "that their errors cannot be compared; give both the same "
+                "configurations with the same measured values and standard deviations."
+            )
