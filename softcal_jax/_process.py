@@ -4,10 +4,14 @@ import os
 import platform
 import re
 import time
+from datetime import datetime, timedelta
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import jax
+
+HALF_A_DAY_S = 12 * 3600.0
+"""From here on the end of what is under way has a date [s]."""
 
 _first: list[int] = []
 """Id of the process that first computed here; a forked child inherits the list."""
@@ -60,6 +64,12 @@ def installed_version(package: str) -> str:
         return version(package)
     except PackageNotFoundError:
         return "not installed"  # run from a checkout
+
+
+def ends_at(seconds: float) -> str:
+    """Say when what takes so long from now will end, which stays true meanwhile."""
+    end = datetime.now() + timedelta(seconds=seconds)
+    return f"ends about {end:{'%H:%M' if seconds < HALF_A_DAY_S else '%d %b, %H:%M'}}"
 
 
 class Clock:

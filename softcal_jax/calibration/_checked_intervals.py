@@ -12,7 +12,8 @@ import jax
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from softcal_jax._process import Clock
+from softcal_jax._names import listed
+from softcal_jax._process import Clock, ends_at
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.calibration._evaluation import Evaluation, Evaluator, weighed
@@ -270,10 +271,14 @@ def _by_profile(
 
     def keep(column: int, ends: tuple[ProfileEnd, ProfileEnd]) -> None:
         intervals[column] = whole_interval(result, column, level, ends)
-        k = len(intervals)
-        left = (time.perf_counter() - began) / k * (n - k)
-        if k < n:
-            stage(f"the intervals by profile likelihood: {k} of {n}, {left:.0f} s left")
+        k, all_names = len(intervals), result.space.names
+        left = [all_names[other] for other in which if other not in intervals]
+        if left:
+            seconds = (time.perf_counter() - began) / k * (n - k)
+            stage(
+                f"the intervals by profile likelihood: {k} of {n}, "
+                f"{ends_at(seconds)}; next {listed(left[:3])}"
+            )
 
     names = ", ".join(result.space.names[column] for column in which)
     with suppress(KeyboardInterrupt):

@@ -1,6 +1,6 @@
 """One fit, stage by stage: start, search, descend, predict, judge.
 
-    Task -> Batch -> Start -> Place -> Weighed -> Predicted -> result
+    Task -> Batch -> Start -> Place -> Weighed -> Predicted -> Judged -> result
 
 It is judged twice: by the noise alone, which is the answer so far, and with the errors
 of everything that is held fixed.
@@ -30,7 +30,12 @@ from softcal_jax.calibration._evaluation import (
     effector_errors,
 )
 from softcal_jax.calibration._noise import CorrelatedNoise, independent_recordings
-from softcal_jax.calibration._notes import fit_notes, residual_checks, result_notes
+from softcal_jax.calibration._notes import (
+    ResidualChecks,
+    fit_notes,
+    residual_checks,
+    result_notes,
+)
 from softcal_jax.calibration._prediction import Predicted, predict
 from softcal_jax.calibration._problem import Batch, Task
 from softcal_jax.calibration._result import (
@@ -53,7 +58,9 @@ from softcal_jax.calibration._weighing import SoughtNoise, Weighed, weighed_fit
 from softcal_jax.configurations import check_numbers
 from softcal_jax.equilibrium import EquilibriumProgress, Workers, reports_of
 from softcal_jax.inference import (
+    ErrorBudget,
     LinearModel,
+    Uncertainty,
     error_budget,
     recording_estimates,
     uncertainty,
@@ -95,6 +102,16 @@ class _Place(NamedTuple):
     evaluation: Evaluation
     noise: CorrelatedNoise
     search: MultiStartResult | None
+
+
+class _Judged(NamedTuple):
+    """The linear model at the optimum, and what it says about the values."""
+
+    linear: LinearModel
+    spread: Uncertainty
+    budget: ErrorBudget
+    checks: ResidualChecks
+    notes: list[str]
 
 
 class _Solved(NamedTuple):
@@ -169,15 +186,47 @@ def _with_budget(
 
 
 def _result(task: Task, solved: _Solved, doubts: ConsideredErrors) -> CalibrationResult:
-    """Make the result of a fit, judged by its linear model with considered errors."""
+    """Make the result of a fit, judged with the considered errors `doubts`."""
     start, place, weighed, predicted, journal, clock = solved
-    state, space, n_fitted = weighed.state, task.space, len(task.fitted)
-    z = state.z
+    state, space = weighed.state, task.space
+    judged = _judged(task, weighed, predicted, doubts)
+    spread, budget = judged.spread, judged.budget
+    first = start.z if start.notes else task.start
+    stages = start, weighed, predicted, judged
+    return CalibrationResult(
+        converged=bool(state.converged),
+        parameters=parameter_estimates(space, state.z, spread, budget, first),
+        uncertainty=spread,
+        budget=budget,
+        configurations=predicted.fits,
+        history=tuple(journal.history),
+        space=space,
+        model=predicted.model,
+        z=state.z,
+        linear=judged.linear,
+        settings=task.settings,
+        newton=task.newton,
+        noise=weighed.noise,
+        noise_settled=weighed.settled,
+        checks=judged.checks,
+        timing_s=clock.seconds,
+        notes=tuple(note for stage in stages for note in stage.notes),
+        starts=place.search,
+        precision=task.precision,
+        interrupted=journal.interrupted,
+    )
+
+
+def _judged(
+    task: Task, weighed: Weighed, predicted: Predicted, doubts: ConsideredErrors
+) -> _Judged:
+    """Judge the values by the linear model at the optimum."""
+    z, n_fitted = weighed.state.z, len(task.fitted)
     linear = _linear(task, weighed, predicted, doubts)
     spread = uncertainty(linear.with_scale(1.0), task.noise, weighed.scale)
     noise_is_known = bool(np.isfinite(spread.noise_scale))
     linear = linear.with_scale(spread.noise_scale if noise_is_known else 1.0)
-    budget = error_budget(linear.of_fit(), space, z, noise_is_known=noise_is_known)
+    budget = error_budget(linear.of_fit(), task.space, z, noise_is_known=noise_is_known)
     problem = predicted.problem.of_first(n_fitted)
     checks = residual_checks(
         linear.of_fit(),
@@ -187,32 +236,11 @@ def _result(task: Task, solved: _Solved, doubts: ConsideredErrors) -> Calibratio
         fits=predicted.fits[:n_fitted],
     )
     recordings = recording_estimates(
-        linear, _witnesses(task), space=space, z=z, spread=spread
+        linear, _witnesses(task), space=task.space, z=z, spread=spread
     )
+    checks = replace(checks, recordings=recordings)
     notes = result_notes(problem, predicted.fits, z, spread)
-    first = start.z if start.notes else task.start
-    return CalibrationResult(
-        converged=bool(state.converged),
-        parameters=parameter_estimates(space, z, spread, budget, first),
-        uncertainty=spread,
-        budget=budget,
-        configurations=predicted.fits,
-        history=tuple(journal.history),
-        space=space,
-        model=predicted.model,
-        z=z,
-        linear=linear,
-        settings=task.settings,
-        newton=task.newton,
-        noise=weighed.noise,
-        noise_settled=weighed.settled,
-        checks=replace(checks, recordings=recordings),
-        timing_s=clock.seconds,
-        notes=(*start.notes, *weighed.notes, *predicted.notes, *notes),
-        starts=place.search,
-        precision=task.precision,
-        interrupted=journal.interrupted,
-    )
+    return _Judged(linear, spread, budget, checks, notes)
 
 
 def _start(task: Task, watch: Watch, batch: Batch, workers: Workers) -> Start:

@@ -9,14 +9,14 @@ import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from typing import Any, Literal
 
 import jax
 import numpy as np
 
 from softcal_jax._compilation_cache import throw_away_damaged
-from softcal_jax._process import Clock
+from softcal_jax._process import Clock, ends_at
 from softcal_jax.sweeps._trial import Trial, shown
 
 State = Literal["converged", "not converged", "failed"]
@@ -202,9 +202,9 @@ class Progress:
         text += f" ({', '.join(bad)})" if bad else ""
         if self.rate is None:
             return text
-        left = timedelta(seconds=round((self.total - self.ended) / self.rate))
+        left = (self.total - self.ended) / self.rate
         text += f", {3600.0 * self.rate:.1f} per hour"
-        return f"{text}, {left} left" if left else text
+        return f"{text}, {ends_at(left)}" if left else text
 
 
 class Tally:
