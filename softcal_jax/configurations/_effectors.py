@@ -263,7 +263,7 @@ class Observation(AbstractEffector):
 
     @property
     def n_values(self) -> int:
-        """Number of values: as many as are measured, or else as `std` has."""
+        """Number of values, as many as are measured, or else as `std` has."""
         return np.size(self.std if self.measured is None else self.measured)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
