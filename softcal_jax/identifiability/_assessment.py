@@ -16,7 +16,7 @@ from softcal_jax.calibration import (
 from softcal_jax.identifiability._identify import identifiability
 from softcal_jax.identifiability._result import Identifiability
 from softcal_jax.identifiability._spread import Verdict
-from softcal_jax.inference import ErrorBudget
+from softcal_jax.mesh import boundary_faces
 from softcal_jax.unknowns import MESH
 
 Outcome = Literal["trust", "take with care", "do not use"]
@@ -32,6 +32,10 @@ MISSED = 0.5
 
 FAR_OUT = 10.0
 """Size of the residuals over the stated noise beyond which values are useless [-]."""
+
+
+UNDERRATED = 3.0
+"""Error of a mesh of two quadratic tets across, over its estimate [-]."""
 
 
 class Prediction(Module):
@@ -160,8 +164,7 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
     fatal = _fatal(result)
     checks = [*fatal, *result.doubts]
     checks += [f"{p.name} ended on a bound." for p in result.parameters if p.at_bound]
-    if result.model.mesh.order == 1:
-        checks += _locking(result.budget, report)
+    checks += _too_coarse(result, report)
     checks += [*_unseen(report), *_wide(report, result)]
     checks += _rivals(result.starts, spread.level)
     if result.left_out:
@@ -232,18 +235,35 @@ def _unseen(report: Identifiability) -> list[str]:
     return unseen
 
 
-def _locking(budget: ErrorBudget, report: Identifiability) -> list[str]:
-    """Say what linear tets may do to the values, unless that is switched off."""
+def _too_coarse(result: CalibrationResult, report: Identifiability) -> list[str]:
+    """Say what the mesh may do to the values, unless that is switched off.
+
+    A body of one or two quadratic tets across has an error of up to `UNDERRATED` times
+    its estimate, as twisted bars show.
+    """
+    budget, mesh = result.budget, result.model.mesh
     errors = budget.by_cause().get(MESH)
     if errors is None:
         return []
-    amount = ", by an unknown amount here"
-    if np.any(np.isfinite(errors)):  # nan on a bound
-        asked = np.array([p.asked for p in report.parameters])
-        worst = int(np.nanargmax(errors / asked))
-        error = budget.readable(worst, errors[worst])
-        amount = f": {budget.names[worst]} may be off by {error} by the mesh alone"
-    return [f"Linear tets lock in bending{amount}. Use quadratic tets (to_quadratic)."]
+    asked = np.array([p.asked for p in report.parameters])
+    known = np.any(np.isfinite(errors))  # nan on a bound
+    worst = int(np.nanargmax(errors / asked)) if known else 0
+    off = lambda times: (
+        f"{budget.names[worst]} may be off by "
+        f"{budget.readable(worst, times * errors[worst])} by the mesh alone"
+    )
+    if mesh.order == 1:
+        amount = f": {off(1.0)}" if known else ", by an unknown amount here"
+        return [
+            f"Linear tets lock in bending{amount}. Use quadratic tets (to_quadratic)."
+        ]
+    outer = np.isin(mesh.tets[:, :4], boundary_faces(mesh)[:, :3]).any(axis=1)
+    if not (known and outer.all() and UNDERRATED * errors[worst] > asked[worst]):
+        return []
+    return [
+        "The body is at most two quadratic tets across, where the error of the mesh "
+        f"can be {UNDERRATED:g} times its estimate: {off(UNDERRATED)}. Refine it."
+    ]
 
 
 def _wide(report: Identifiability, result: CalibrationResult) -> list[str]:

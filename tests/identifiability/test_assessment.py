@@ -16,9 +16,12 @@ from softcal_jax.calibration import (
     calibrate,
 )
 from softcal_jax.configurations import Configuration, Markers, Support, SurfaceForce
+from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import ParameterSpace, Uncertain, exactly_known
 from softcal_jax.identifiability import assess
 from softcal_jax.inference import UNLIKELY, Cause
+from softcal_jax.materials import NeoHookean
+from softcal_jax.mesh import beam
 from softcal_jax.robots import synthetic_measurements
 from softcal_jax.unknowns import MESH
 
@@ -291,6 +294,22 @@ def test_linear_tets_reach_the_verdict(good):
     on_bounds = replace(locking, deviations=np.full((2, 1), np.nan))
     (reason,) = assess(with_error(causes=(on_bounds,))).reasons
     assert says(reason, "Linear tets", "unknown")
+
+
+@pytest.mark.parametrize(
+    ("across", "error", "doubted"),
+    [(1, 0.05, True), (2, 0.05, True), (3, 0.05, False), (2, 0.03, False)],
+)
+def test_two_quadratic_tets_across_are_few(good, across, error, doubted):
+    """Where three times the estimated error is more than the asked 10 %."""
+    mesh = beam(0.1, 0.02, 0.02, (4, across, across), order=2)
+    model = build_model(mesh, NeoHookean(1e5, 0.3), density=1e3)
+    refinement = Cause(MESH, ("refinement",), np.array([[error], [0.01]]))
+    budget = replace(good.budget, causes=(refinement,))
+    reasons = assess(replace(good, model=model, budget=budget)).reasons
+    few = [reason for reason in reasons if "two quadratic tets across" in reason]
+    assert bool(few) == doubted
+    assert not few or says(few, "E of root may be off by 15 %", "Refine")
 
 
 def test_the_precision_that_is_asked_for_decides(good):
