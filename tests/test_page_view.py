@@ -22,7 +22,13 @@ from softcal_jax.project import load_project
 from softcal_jax.report import _view, _write, write_results, write_simulation
 from softcal_jax.report._view import body_view
 from softcal_jax.report._view_data import robot_data, view_data
-from softcal_jax.report._view_fields import state_fields, surface_of, view_fields
+from softcal_jax.report._view_fields import (
+    Field,
+    calibrated_field,
+    state_fields,
+    surface_of,
+    view_fields,
+)
 
 NONE = 65535
 """What stands for no value."""
@@ -168,6 +174,15 @@ def test_every_configuration_and_field_is_offered_and_labelled(tmp_path):
     # Nothing of it shows before the script has found that it can draw.
     (view,) = (figure for figure in page.of("figure") if figure.get("id") == "view")
     assert "hidden" in view
+
+
+@pytest.mark.parametrize(("E", "first"), [([2e5, 2e5], 0), ([2e5, 3e5], 1)])
+def test_a_calibrated_field_colours_the_body_at_first(E, first):
+    """If it varies over the body; else the displacement."""
+    of = lambda label, values: Field(label, "", "face", (np.array(values),))
+    fields = [of("displacement [mm]", [0.0, 1.0]), of("E [kPa]", E)]
+    fields += [of("standard error of E [%]", [1.0, 2.0]), of("nu [-]", [0.1, 0.3])]
+    assert calibrated_field(fields) == first
 
 
 def test_without_an_equilibrium_nothing_looks_like_one(tmp_path):

@@ -235,7 +235,7 @@ def identifiability_page(
         known, blind = _outlook_html(outlook)
         sections += [
             Section("parameters", "Parameters", known),
-            Section("directions", "What the data are blind to", blind),
+            Section("directions", "What the data do not determine", blind),
             _inner(outlook),
         ]
     elif ranking is not None:

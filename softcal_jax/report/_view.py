@@ -18,6 +18,7 @@ from softcal_jax.report._outline import ROLES
 from softcal_jax.report._view_data import view_data
 from softcal_jax.report._view_fields import (
     TetValues,
+    calibrated_field,
     state_fields,
     surface_of,
     view_fields,
@@ -112,12 +113,16 @@ class PageView(NamedTuple):
 
 
 class _Drawing(NamedTuple):
-    """What is drawn, also as JSON, its configurations, and what was cut to fit."""
+    """What is drawn, also as JSON, its configurations, and what was cut to fit.
+
+    It is coloured by the field with the index `field` at first.
+    """
 
     data: dict[str, Any]
     text: str
     shown: Sequence[ConfigurationResult]
     remarks: Sequence[str]
+    field: int
 
 
 def body_view(
@@ -168,7 +173,7 @@ def _drawing(
         left_out = [pose.name for k, pose in enumerate(every) if k not in kept]
         if left_out:
             remarks.append(f"Left out to keep the page small: {', '.join(left_out)}.")
-        return _Drawing(data, text, shown, remarks)
+        return _Drawing(data, text, shown, remarks, calibrated_field(fields))
 
     everything = range(len(every))
     for parts in (PARTS, 2, 1) if model.mesh.order == 2 else (1,):
@@ -243,7 +248,7 @@ def _choices(drawing: _Drawing, marks: Sequence[str]) -> Html:
     return node(
         "div",
         _select("configuration", "Configuration", map(_named, shown), first),
-        _select("field", "Coloured by", [field["label"] for field in fields], 0),
+        _select("field", "Coloured by", [f["label"] for f in fields], drawing.field),
         _select("direction", "Seen", directions, 0),
         node("fieldset", node("legend", "Show"), *boxes),
         class_="choices",

@@ -94,6 +94,9 @@ _AS_THEY_ARE = ("rad", "m")
 """Standard errors in these units are shown as they are, others in % of the value."""
 
 
+_ERROR = "standard error of "
+
+
 class Field(NamedTuple):
     """A field, in the unit in which it is shown, of points, faces or the markers alone.
 
@@ -106,6 +109,11 @@ class Field(NamedTuple):
     place: Literal["point", "face", "marker"]
     values: tuple[Float[HostArray, " n"] | None, ...]
     note: str = ""
+
+    @property
+    def name(self) -> str:
+        """Its label without the unit."""
+        return self.label.rpartition(" [")[0]
 
 
 _STATE = {"largest principal stretch": "", "von Mises stress": "Pa"}
@@ -147,6 +155,16 @@ def view_fields(
     return [field for field in fields if any(map(has_values, field.values))]
 
 
+def calibrated_field(fields: Sequence[Field]) -> int:
+    """Return the index of the first field that was calibrated and varies, or else 0."""
+    labels = [field.label for field in fields]
+    for k, field in enumerate(fields):
+        known = any(label.startswith(f"{_ERROR}{field.name} ") for label in labels)
+        if known and np.nanmax(field.values[0]) > 1.001 * np.nanmin(field.values[0]):
+            return k
+    return 0
+
+
 def _distances(pose: ConfigurationResult):
     """Compute how far simulated points are from measured ones [mm]."""
     if not pose.converged or pose.role == "simulation":
@@ -172,7 +190,7 @@ def _law_fields(
             if unit not in _AS_THEY_ARE:
                 size = np.where(values == 0.0, np.nan, np.abs(values))
                 unit, error = "%", 100.0 * error / size
-            title = f"standard error of {name}"
+            title = f"{_ERROR}{name}"
             fields.append(_of_faces(title, unit, [error[surface.tets]], surface))
     return fields
 
