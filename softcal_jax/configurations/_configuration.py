@@ -38,9 +38,11 @@ from softcal_jax.configurations._mechanism import (
     build_mechanism,
 )
 from softcal_jax.configurations._supports import (
+    Couplings,
     Support,
     check_apart,
     check_held,
+    couplings,
     motors_of,
 )
 from softcal_jax.mesh import TetMesh
@@ -188,13 +190,15 @@ def configuration_lanes(
                 "one of them."
             )
     springs, loads = _names_of(configurations)
+    # Those of all supports in every lane, so that lanes have one shape.
+    coupled = couplings(mesh, springs)
     rows = [_effector_rows(mesh, c, mechanism) for c in configurations]
     lanes, records = [], []
     for c, of_c, (effectors, indices) in zip(
         configurations, rows, stack_effectors(rows), strict=True
     ):
-        lane = _lane(mesh, mechanism, c, effectors, springs=springs, loads=loads)
-        lanes.append(lane)
+        named = {"springs": springs, "coupled": coupled, "loads": loads}
+        lanes.append(_lane(mesh, mechanism, c, effectors, **named))
         numbered = zip(of_c, indices, strict=True)
         described = (effector_record(*both, mechanism.points) for both in numbered)
         records.append(tuple(described))
@@ -220,6 +224,7 @@ def _lane(
     effectors: EffectorArrays,
     *,
     springs: tuple[str, ...],
+    coupled: Couplings,
     loads: tuple[str, ...],
 ) -> ConfigurationArrays:
     fixed, sprung = np.zeros((2, mesh.n_nodes, 3), bool)
@@ -248,7 +253,7 @@ def _lane(
         key=np.array([name_key(c.name), name_key(c.recording or c.name)], np.int64),
         fixed=all_nodes(fixed),
         imposed=all_nodes(imposed),
-        springs=_springs(mesh, c, springs, all_nodes(rest)),
+        springs=_springs(mesh, c, all_nodes(rest), names=springs, coupled=coupled),
         loads=DeadLoads(force, np.ones(len(force)), loads),
         gravity=np.asarray(c.gravity, float),
         tilt=np.zeros(2),
@@ -258,7 +263,14 @@ def _lane(
     )
 
 
-def _springs(mesh: TetMesh, c: Configuration, names: tuple[str, ...], rest) -> Springs:
+def _springs(
+    mesh: TetMesh,
+    c: Configuration,
+    rest: Float[HostArray, "n_points 3"],
+    *,
+    names: tuple[str, ...],
+    coupled: Couplings,
+) -> Springs:
     """Stack the elastic supports of a configuration among those of the whole batch."""
     area, stiffness = np.zeros((len(names), *rest.shape)), np.zeros(len(names))
     for support in c.supports:
@@ -272,7 +284,7 @@ def _springs(mesh: TetMesh, c: Configuration, names: tuple[str, ...], rest) -> S
             )
         area[s, : mesh.n_nodes] = support.areas(mesh)
         stiffness[s] = support.stiffness
-    return Springs(area, stiffness, rest, names)
+    return Springs(area, stiffness, rest, *coupled, names)
 
 
 def _effector_rows(

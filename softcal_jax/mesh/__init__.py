@@ -55,6 +55,7 @@ from softcal_jax.mesh._topology import (
     boundary_faces as boundary_faces,
     boundary_tets as boundary_tets,
     face_indices as face_indices,
+    face_products as face_products,
     face_shares as face_shares,
     surface_shares as surface_shares,
     tet_faces as tet_faces,
