@@ -40,6 +40,7 @@ from softcal_jax.mesh._surfaces import (
     CAD_FACE as CAD_FACE,
     SHARP as SHARP,
     matching_faces as matching_faces,
+    seen_from as seen_from,
     select_cavity as select_cavity,
     select_face as select_face,
     select_reachable as select_reachable,
