@@ -11,7 +11,11 @@ from softcal_jax._process import check_process
 from softcal_jax.actuators import AbstractActuator
 from softcal_jax.bodies import RigidBody
 from softcal_jax.calibration import CalibrationSettings, ProjectSource
-from softcal_jax.configurations import build_mechanism, configuration_arrays
+from softcal_jax.configurations import (
+    Configuration,
+    build_mechanism,
+    configuration_arrays,
+)
 from softcal_jax.equilibrium import Model, NewtonSettings, build_model
 from softcal_jax.fields import Uncertain, check_parameters
 from softcal_jax.mesh import TetMesh
@@ -21,6 +25,7 @@ from softcal_jax.project._parameters import build_space
 from softcal_jax.project._plausibility import (
     CHANGE,
     ProjectWarning,
+    check_bearable,
     guesses_left,
     implausible,
 )
@@ -70,6 +75,7 @@ def load_project(
     table = read_tables(path, changes)
     with in_file(path):
         project = _built(path, table, changes, solve=solve)
+        check_bearable(project.model, _posed(project))
     if changes is None:  # a sweep would repeat it for each of its changes
         _warn(project)
     return project
@@ -88,11 +94,15 @@ def load_mesh(path: str | os.PathLike[str]) -> TetMesh:
         return _mesh(path.parent, table)
 
 
+def _posed(project: Project) -> dict[str, Configuration]:
+    """Return configurations and candidates by their keys."""
+    posed = {f"configurations.{c.name}": c for c in project.configurations}
+    return posed | {f"candidates.{c.name}": c for c in project.candidates}
+
+
 def _warn(project: Project) -> None:
     """Warn of guesses, and of numbers that are probably a slip of a unit."""
-    posed = {f"configurations.{c.name}": c for c in project.configurations}
-    posed |= {f"candidates.{c.name}": c for c in project.candidates}
-    lines = [*implausible(project.model, posed)]
+    lines = [*implausible(project.model, _posed(project))]
     guesses = len(guesses_left(project.path))
     if guesses:
         lines.append(
