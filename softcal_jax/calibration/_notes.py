@@ -1,5 +1,6 @@
 """What speaks against a calibration: checks of its residuals, notes and warnings."""
 
+import math
 import warnings
 from collections.abc import Sequence
 
@@ -115,14 +116,8 @@ class ResidualChecks(Module):
         for pose in self.left_out:
             far = pose.rms > FAR * pose.motion and pose.by_scatter < UNLIKELY
             if pose.probability < allowed or far:
-                share = ""
-                if pose.motion > 0.0:
-                    percent = 100.0 * pose.rms / pose.motion
-                    share = f", {percent:.0f} % of how far they moved"
                 reasons.append(
-                    f"{pose.name} is not predicted by the others: its markers would be "
-                    f"{1e3 * pose.rms:.2f} mm off{share}, and {1e3 * pose.expected:.2g}"
-                    " mm is what errors explain."
+                    f"{pose.name} is not predicted by the others: {_contradiction(pose)}."
                 )
         for one in disagreeing(self.recordings):
             value, fit = (readable_values([v], one.unit) for v in (one.value, one.fit))
@@ -137,6 +132,27 @@ class ResidualChecks(Module):
     def agreement(self) -> tuple[str, ...]:
         """What single recordings say about the parameters, one sentence each."""
         return tuple(agreement_sentences(self.recordings))
+
+
+def _contradiction(pose: LeftOut) -> str:
+    """Say how far off the others predict a configuration."""
+    if math.isfinite(pose.rms):
+        share = ""
+        if pose.motion > 0.0:
+            percent = 100.0 * pose.rms / pose.motion
+            share = f", {percent:.0f} % of how far they moved"
+        return (
+            f"its markers would be {1e3 * pose.rms:.2f} mm off{share}, and "
+            f"{1e3 * pose.expected:.2g} mm is what errors explain"
+        )
+    readings = "what it measures, without markers, is off"
+    if math.isfinite(pose.motion):
+        readings = (
+            "they do not determine all that its markers depend on, so that no "
+            "distance can be predicted, but what can be is off"
+        )
+    chance = f"errors as large have a probability of {pose.probability:.1g}"
+    return f"{readings}, and {chance}"
 
 
 def residual_checks(
