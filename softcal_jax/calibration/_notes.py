@@ -116,9 +116,7 @@ class ResidualChecks(Module):
         for pose in self.left_out:
             far = pose.rms > FAR * pose.motion and pose.by_scatter < UNLIKELY
             if pose.probability < allowed or far:
-                reasons.append(
-                    f"{pose.name} is not predicted by the others: {_contradiction(pose)}."
-                )
+                reasons.append(_contradiction(pose))
         for one in disagreeing(self.recordings):
             value, fit = (readable_values([v], one.unit) for v in (one.value, one.fit))
             reasons.append(
@@ -136,14 +134,15 @@ class ResidualChecks(Module):
 
 def _contradiction(pose: LeftOut) -> str:
     """Say how far off the others predict a configuration."""
+    contradicts = f"{pose.name} is not predicted by the others:"
     if math.isfinite(pose.rms):
         share = ""
         if pose.motion > 0.0:
             percent = 100.0 * pose.rms / pose.motion
             share = f", {percent:.0f} % of how far they moved"
         return (
-            f"its markers would be {1e3 * pose.rms:.2f} mm off{share}, and "
-            f"{1e3 * pose.expected:.2g} mm is what errors explain"
+            f"{contradicts} its markers would be {1e3 * pose.rms:.2f} mm off{share}, "
+            f"and {1e3 * pose.expected:.2g} mm is what errors explain."
         )
     readings = "what it measures, without markers, is off"
     if math.isfinite(pose.motion):
@@ -152,7 +151,7 @@ def _contradiction(pose: LeftOut) -> str:
             "distance can be predicted, but what can be is off"
         )
     chance = f"errors as large have a probability of {pose.probability:.1g}"
-    return f"{readings}, and {chance}"
+    return f"{contradicts} {readings}, and {chance}."
 
 
 def residual_checks(

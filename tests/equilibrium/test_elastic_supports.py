@@ -128,6 +128,21 @@ def test_force_and_tangent_are_derivatives_of_the_energy(order):
 
 
 @pytest.mark.parametrize("order", [1, 2])
+def test_the_derivative_by_the_stiffness(order):
+    """Of u(0) = F / (k A), by the implicit rule: -F / (k^2 A)."""
+    model, k, force = bar(order), 2e8, 1.0
+    lane = lane_on(model, Support("x_min", stiffness=k), (force, 0.0, 0.0))
+    node = int(np.flatnonzero(model.mesh.points[:, 0] == 0.0)[0])
+
+    def moved(stiffness):
+        soft = eqx.tree_at(lambda c: c.springs.stiffness, lane, stiffness[None])
+        return solve_equilibrium(model, soft).displacement[node, 0]
+
+    slope = jax.grad(moved)(jnp.asarray(k))
+    np.testing.assert_allclose(slope, -force / (k**2 * A), rtol=1e-6)
+
+
+@pytest.mark.parametrize("order", [1, 2])
 def test_the_springs_follow_an_imposed_displacement(order):
     moving = Support("x_min", "xyz", (0.0, 0.0, 2e-3), stiffness=1e8)
     moved, _ = solved(moving, (0.0, 0.0, 0.0), bar(order))
