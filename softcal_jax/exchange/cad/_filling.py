@@ -29,9 +29,6 @@ ENVELOPE = 1e-3
 _KILLED = 9
 """SIGKILL, by which Linux ends a process when memory runs out."""
 
-_USUAL = 30.0
-"""Diagonal of a surface over the size, where none is given."""
-
 
 class GmshError(ValueError):
     """Gmsh does not fill a model, or its surface is open; the text is what it says."""
@@ -55,8 +52,7 @@ class Filled(NamedTuple):
 def fill_step(path: Path, size: float | None) -> Filled:
     """Fill the solids of a STEP file; the size and the result are in mm."""
     _check_gmsh()
-    given = {"path": str(path), "size": np.nan if size is None else size}
-    return _run("gmsh, STEP", given)
+    return _run("gmsh, STEP", {"path": str(path)}, size)
 
 
 def fill_stl(triangles: Triangles, size: float | None) -> Filled:
@@ -64,21 +60,19 @@ def fill_stl(triangles: Triangles, size: float | None) -> Filled:
     if n := triangles.n_open_edges:
         raise GmshError(f"it is not closed, {n} edges do not join two triangles.")
     _check_gmsh()
-    return _run("gmsh, STL", _surface(triangles, size))
+    return _run("gmsh, STL", _surface(triangles), size)
 
 
 def fill_wild(triangles: Triangles, size: float | None) -> Filled:
     """Fill a surface with holes, crossings or repeated triangles, by pytetwild."""
     if importlib.util.find_spec("pytetwild") is None:
         raise ImportError("No module named 'pytetwild'", name="pytetwild")
-    return _run("pytetwild", _surface(triangles, size))
+    return _run("pytetwild", _surface(triangles), size)
 
 
-def _surface(triangles: Triangles, size: float | None) -> dict[str, Any]:
-    extent = np.linalg.norm(np.ptp(triangles.points, axis=0))
+def _surface(triangles: Triangles) -> dict[str, Any]:
     return {
         **triangles._asdict(),
-        "size": float(extent) / _USUAL if size is None else size,
         "volume": abs(triangles.volume),
         "sharp": SHARP,
         "envelope": ENVELOPE,
@@ -92,13 +86,14 @@ def _check_gmsh() -> None:
         )
 
 
-def _run(by: str, given: dict[str, Any]) -> Filled:
+def _run(by: str, given: dict[str, Any], size: float | None) -> Filled:
     """Fill a model in a process of its own, and read what it made."""
     limits: Any = {"most": TETS.most, "megabytes": MESHING_MEGABYTES.most}
+    given = {"by": by, "size": np.nan if size is None else size, **given, **limits}
     seconds = min(MESHING_SECONDS.most, threading.TIMEOUT_MAX)
     with tempfile.TemporaryDirectory() as folder:
         given_at, made_at = Path(folder, "given.npz"), Path(folder, "made.npz")
-        np.savez(given_at, by=by, **given, **limits)
+        np.savez(given_at, **given)
         command = [sys.executable, str(PROGRAM), str(given_at), str(made_at)]
         options = {"cwd": folder, "capture_output": True, "errors": "replace"}
         try:

@@ -53,11 +53,8 @@ def fill_step(gmsh: Any, given: Any) -> dict[str, Any]:
         shape.fragment(solids, [])
         shape.synchronize()
     volume = sum(shape.getMass(3, tag) for _, tag in gmsh.model.getEntities(3))
-    size = float(given["size"])
-    if np.isnan(size):
-        low_high = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
-        size = float(np.linalg.norm(np.ptp(low_high, axis=0))) / _USUAL
-    return _filled(gmsh, volume, size, float(given["most"]))
+    low_high = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
+    return _filled(gmsh, volume, _size(given, low_high), float(given["most"]))
 
 
 def fill_surface(gmsh: Any, given: Any) -> dict[str, Any]:
@@ -74,8 +71,8 @@ def fill_surface(gmsh: Any, given: Any) -> dict[str, Any]:
     loop = gmsh.model.geo.addSurfaceLoop(surfaces)
     gmsh.model.geo.addVolume([loop])
     gmsh.model.geo.synchronize()
-    volume, size, most = (float(given[name]) for name in ("volume", "size", "most"))
-    made = _filled(gmsh, volume, size, most)
+    size = _size(given, points)
+    made = _filled(gmsh, float(given["volume"]), size, float(given["most"]))
     # Gmsh cuts round surfaces in patches, which are no faces of the body.
     return {name: made[name] for name in ("points", "tets", "volume")}
 
@@ -88,11 +85,12 @@ def fill_wild(given: Any) -> dict[str, Any]:
     from pytetwild import tetrahedralize  # pyright: ignore[reportPrivateImportUsage]
 
     _limit_memory(float(given["megabytes"]))
-    _check_number(*(float(given[name]) for name in ("volume", "size", "most")))
+    size = _size(given, given["points"])
+    _check_number(float(given["volume"]), size, float(given["most"]))
     points, tets = tetrahedralize(
         given["points"],
         given["triangles"],
-        edge_length_abs=float(given["size"]),
+        edge_length_abs=size,
         epsilon=float(given["envelope"]),
         num_threads=1,
         quiet=True,
@@ -102,6 +100,13 @@ def fill_wild(given: Any) -> dict[str, Any]:
     used, tets = np.unique(tets, return_inverse=True)
     points = np.asarray(points, float)[used]
     return {"points": points, "tets": tets.reshape(-1, 4), "volume": np.nan}
+
+
+def _size(given: Any, points: Any) -> float:
+    """Return the size that is given, or the usual one for points of this extent."""
+    size = float(given["size"])
+    extent = float(np.linalg.norm(np.ptp(points, axis=0)))
+    return extent / _USUAL if np.isnan(size) else size
 
 
 def _check_number(volume: float, size: float, most: float) -> None:
