@@ -171,8 +171,7 @@ def check_level(level: float) -> None:
     low, high = LEVELS
     if not low <= level <= high:
         raise ValueError(
-            f"the level of intervals must lie between {low:g} and {high:g}, like 0.95; "
-            f"got {level:g}."
+            f"level must lie between {low:g} and {high:g}, like 0.95; got {level:g}."
         )
 
 

@@ -4,6 +4,7 @@ Both run in processes of their own (`_program.py`), with limits on time and memo
 """
 
 import importlib.util
+import re
 import signal
 import subprocess
 import sys
@@ -25,6 +26,9 @@ PROGRAM = Path(__file__).with_name("_program.py")
 
 ENVELOPE = 1e-3
 """How far fTetWild may move the surface, over the diagonal of the model [-]."""
+
+_OUT_OF_MEMORY = re.compile("MemoryError|bad_alloc|out of memory", re.IGNORECASE)
+"""How programs say that they get no more memory."""
 
 _KILLED = 9
 """SIGKILL, by which Linux ends a process when memory runs out."""
@@ -122,27 +126,36 @@ def _name(by: str) -> str:
 
 def _failure(by: str, code: int, stderr: str) -> ValueError:
     """Say how the process ended that was to fill a model."""
-    if any(word in stderr for word in ("MemoryError", "bad_alloc")) or code == -_KILLED:
-        return LimitError(
-            f"{_name(by)} needs more memory than there is, or than the limit of "
-            f"{MESHING_MEGABYTES.most:g} MB, as happens where a model is damaged. "
-            "Export it again, take larger tets, or raise the limit with the "
-            f"environment variable {MESHING_MEGABYTES.variable}."
-        )
+    if _OUT_OF_MEMORY.search(stderr) or code == -_KILLED:
+        return _out_of_memory(by)
     said = escaped((stderr.strip().splitlines() or ["it does not say why"])[-1])
     if code < 0:
         said = f"it crashed ({signal.strsignal(-code)})"
     if by == "pytetwild":
         return ValueError(f"gmsh cannot fill this surface, and fTetWild fails: {said}.")
+    # Where no memory is left, some parts of gmsh crash.
     return GmshError(
-        f"gmsh fails: {said}. The file seems to be damaged, or its surfaces cross; open"
-        " it in a CAD program, mend it, and export it again."
+        f"gmsh fails: {said}. The file seems to be damaged, or its surfaces cross: open"
+        " it in a CAD program, mend it, and export it again. If it is sound, it may "
+        f"need more memory than the limit of {MESHING_MEGABYTES.most:g} MB, which the "
+        f"environment variable {MESHING_MEGABYTES.variable} raises."
+    )
+
+
+def _out_of_memory(by: str) -> LimitError:
+    return LimitError(
+        f"{_name(by)} needs more memory than there is, or than the limit of "
+        f"{MESHING_MEGABYTES.most:g} MB, as happens where a model is damaged. Export it"
+        " again, take larger tets, or raise the limit with the environment variable "
+        f"{MESHING_MEGABYTES.variable}."
     )
 
 
 def _refusal(by: str, made: dict[str, Any]) -> ValueError | ImportError:
     """Return the error of a reason for which nothing was made."""
     reason, text = str(made["reason"]), escaped(str(made["text"]))
+    if _OUT_OF_MEMORY.search(text):
+        return _out_of_memory(by)
     if reason == "tets":
         return TETS.error(text, float(made["number"]))
     if reason == "import":
