@@ -38,6 +38,8 @@ def modelled(path: Path, size: float | None = None) -> Iterator[Any]:
         gmsh.model.occ.synchronize()
         if size is not None:
             gmsh.option.setNumber("Mesh.MeshSizeMax", size)
+            for _, tag in gmsh.model.getEntities(3):
+                gmsh.model.mesh.setOutwardOrientation(tag)
             gmsh.model.mesh.generate(2)
         gmsh.write(str(path))
     finally:

@@ -39,11 +39,15 @@ class Limit(NamedTuple):
     def check(self, what: str, n: float) -> None:
         """Raise LimitError if `n` is above the limit; `what` opens the message."""
         if n > self.most:
-            raise LimitError(
-                f"{what}: {_shown(n)} {self.unit}, more than the limit of "
-                f"{_shown(self.most)}. If that is meant, raise the limit with the "
-                f"environment variable {self.variable}."
-            )
+            raise self.error(what, n)
+
+    def error(self, what: str, n: float) -> LimitError:
+        """Return the error that says that `n` is above the limit."""
+        return LimitError(
+            f"{what}: {_shown(n)} {self.unit}, more than the limit of "
+            f"{_shown(self.most)}. If that is meant, raise the limit with the "
+            f"environment variable {self.variable}."
+        )
 
 
 def _shown(n: float) -> str:
@@ -61,3 +65,7 @@ PLANNED = Limit("SOFTCAL_MAX_PLANNED", 10_000_000, "trials")
 
 MEGABYTES = Limit("SOFTCAL_MAX_FILE_MB", 100, "MB")
 """Size of a file that is read, and of what is packed in it [MB]."""
+
+MESHING_SECONDS = Limit("SOFTCAL_MAX_MESHING_S", 600, "s")
+MESHING_MEGABYTES = Limit("SOFTCAL_MAX_MESHING_MB", 8000, "MB")
+"""Time and memory that filling a CAD model takes; a damaged one may take any."""

@@ -16,6 +16,15 @@ _TURNING = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
 _QUOTED = 200
 """Most characters of a text that messages quote."""
 
+_NAMED = 60
+"""Characters that are left of a name that is too long."""
+
+# Neither the apostrophe of "robot's" nor the end of a quotation begins one. What is
+# `shortened` already stays.
+_LONG_QUOTED = re.compile(rf"(?<!\w)(['\"])((?:(?!\1).){{{_QUOTED + 4},}})\1(?!\w)")
+_PART = r"[^\s/\\'\":,]"
+_LONG_WORD = re.compile(rf"({_PART}{{{_NAMED}}}){_PART}{{{_QUOTED},}}")
+
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
 
@@ -37,6 +46,15 @@ def escaped(text: str) -> str:
 def shortened(text: str) -> str:
     """Cut a text that is too long to quote in a message."""
     return text if len(text) <= _QUOTED else f"{text[:_QUOTED]}..."
+
+
+def with_short_names(text: str) -> str:
+    """Shorten the names in a message that nobody reads to the end.
+
+    They stand in quotes, or are words; where one is a path, its folders are words.
+    """
+    cut = lambda match: f"{match[1]}{match[2][:_NAMED]}...{match[1]}"
+    return _LONG_WORD.sub(r"\1...", _LONG_QUOTED.sub(cut, text))
 
 
 def check_characters(text: str) -> None:

@@ -8,7 +8,10 @@ from softcal_jax.calibration._calibrate import (
     levenberg_marquardt as levenberg_marquardt,
     profile_intervals as profile_intervals,
 )
-from softcal_jax.calibration._checked_intervals import LEVEL as LEVEL
+from softcal_jax.calibration._checked_intervals import (
+    LEVEL as LEVEL,
+    check_level as check_level,
+)
 from softcal_jax.calibration._configuration_result import (
     ConfigurationResult as ConfigurationResult,
     SimulationResult as SimulationResult,

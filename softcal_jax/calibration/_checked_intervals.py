@@ -154,10 +154,17 @@ GoOn = Callable[[Fitted, Float[Array, " n_p"]], Fitted]
 Stage = Callable[[str], None]
 
 
+LEVELS = 0.01, 0.9999
+"""Levels of confidence for which an interval means something; both are allowed [-]."""
+
+
 def check_level(level: float) -> None:
-    """Raise ValueError unless a level of confidence lies between 0 and 1."""
-    if not 0.0 < level < 1.0:
-        raise ValueError(f"level must lie between 0 and 1, like 0.95; got {level:g}.")
+    """Raise ValueError unless a level of confidence is one of `LEVELS`."""
+    low, high = LEVELS
+    if not low <= level <= high:
+        raise ValueError(
+            f"level must lie between {low:g} and {high:g}, like 0.95; got {level:g}."
+        )
 
 
 def with_intervals(

@@ -1,5 +1,6 @@
 """What speaks against a calibration: checks of its residuals, notes and warnings."""
 
+import math
 import warnings
 from collections.abc import Sequence
 
@@ -114,14 +115,7 @@ class ResidualChecks(Module):
         for pose in self.left_out:
             far = pose.rms > FAR * pose.motion and pose.by_scatter < UNLIKELY
             if pose.probability < allowed or far:
-                share = ""
-                if pose.motion > 0.0:
-                    percent = 100.0 * pose.rms / pose.motion
-                    share = f", {percent:.0f} % of its motion"
-                reasons.append(
-                    f"The other poses predict {pose.name} {1e3 * pose.rms:.2f} mm off"
-                    f"{share}; known errors explain {1e3 * pose.expected:.2g} mm."
-                )
+                reasons.append(_contradiction(pose))
         for one in disagreeing(self.recordings):
             value, fit = (readable_values([v], one.unit) for v in (one.value, one.fit))
             reasons.append(
@@ -134,6 +128,26 @@ class ResidualChecks(Module):
     def agreement(self) -> tuple[str, ...]:
         """What single recordings say about the parameters, one sentence each."""
         return tuple(agreement_sentences(self.recordings))
+
+
+def _contradiction(pose: LeftOut) -> str:
+    """Say how far off the others predict a configuration."""
+    if math.isfinite(pose.rms):
+        share = ""
+        if pose.motion > 0.0:
+            percent = 100.0 * pose.rms / pose.motion
+            share = f", {percent:.0f} % of its motion"
+        return (
+            f"The other poses predict {pose.name} {1e3 * pose.rms:.2f} mm off{share}; "
+            f"known errors explain {1e3 * pose.expected:.2g} mm."
+        )
+    why = "which has no markers"
+    if math.isfinite(pose.motion):
+        why = "whose markers depend on what it alone determines"
+    return (
+        f"The other poses contradict {pose.name}, {why}, so that no distance can be "
+        f"predicted (p = {pose.probability:.1g})."
+    )
 
 
 def residual_checks(

@@ -124,21 +124,39 @@ class ActuationArrays(Module):
 class Springs(Module):
     """Elastic supports: springs between nodes and the places where they are held.
 
+    The energy of a support is k/2 times the integral of |u - rest|^2 over its faces at
+    rest, with u of the shape functions N. On faces of quadratic tets, springs between
+    nodes add to those of single nodes: int N_a N_b = delta_ab int N_a + coupling_ab.
+    Linear tets have none: there the integral is by nodes.
+
     Attributes:
         area: Area of each node in each support, along the axes of the support [m2].
         stiffness: Force per area and displacement of each support [N/m3].
         rest: Displacement at full load at which they exert no force [m].
+        tets: The tet behind each face of all supports; none for linear tets.
+        support: The support of each of these faces.
+        coupling: Areas of pairs of nodes of these tets; rows sum to zero [m2].
     """
 
     area: Float[AnyArray, "*batch n_springs n_points 3"]
     stiffness: Float[AnyArray, "*batch n_springs"]
     rest: Float[AnyArray, "*batch n_points 3"]
+    tets: Int[AnyArray, "*batch n_faces"]
+    support: Int[AnyArray, "*batch n_faces"]
+    coupling: Float[AnyArray, "*batch n_faces n_en n_en"]
     names: tuple[str, ...] = eqx.field(static=True)
 
     def coefficients(self) -> Float[Array, "n_points 3"]:
         """Compute the stiffness on each coordinate of each node [N/m]."""
         by_support = jnp.asarray(self.stiffness)[:, None, None]
         return jnp.sum(by_support * jnp.asarray(self.area), axis=0)
+
+    def between_nodes(self) -> Float[Array, "n_faces n_en n_en 3"]:
+        """Compute the stiffness between nodes of a tet, along the axes [N/m]."""
+        along = jnp.any(jnp.asarray(self.area) > 0.0, axis=1)
+        by_axis = jnp.where(along, jnp.asarray(self.stiffness)[:, None], 0.0)
+        of_face = by_axis[jnp.asarray(self.support)][:, None, None, :]
+        return of_face * jnp.asarray(self.coupling)[:, :, :, None]
 
 
 class DeadLoads(Module):

@@ -1,6 +1,8 @@
 """How a body is held and pushed: supports, whether they are enough, and dead loads."""
 
 from abc import abstractmethod
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -76,6 +78,38 @@ class Support(Module):
         shares = meshes.surface_shares(mesh, mesh.faces(str(self.where)))
         areas[:, parse_axes(self.axes)] = shares[:, None]
         return areas
+
+
+class Couplings(NamedTuple):
+    """Springs between the nodes of the faces of elastic supports; see `Springs`."""
+
+    tets: Int[HostArray, " n_faces"]
+    support: Int[HostArray, " n_faces"]
+    areas: Float[HostArray, "n_faces n_en n_en"]
+
+
+def couplings(mesh: TetMesh, groups: Sequence[str]) -> Couplings:
+    """Compute what nodal areas leave of the work of elastic supports on their faces.
+
+    On quadratic tets the areas of corners are zero: alone, they would leave corners
+    free. None on linear tets, whose nodal areas hold every node.
+    """
+    n_en = mesh.tets.shape[1]
+    if mesh.order == 1 or not groups:
+        none = np.zeros(0, np.int32)
+        return Couplings(none, none, np.zeros((0, n_en, n_en)))
+    several = [mesh.faces(group) for group in groups]
+    faces = np.concatenate(several)
+    tets = meshes.face_indices(faces, meshes.tet_faces(mesh.tets)) // 4
+    local = np.argmax(mesh.tets[tets][:, None] == faces[:, :, None], axis=2)
+    rest = meshes.face_products(mesh, faces)
+    diagonal = np.arange(6)
+    rest[:, diagonal, diagonal] -= rest.sum(axis=2)
+    areas = np.zeros((len(faces), n_en, n_en))
+    which = np.arange(len(faces))[:, None, None]
+    areas[which, local[:, :, None], local[:, None]] = rest
+    of = np.repeat(np.arange(len(several)), [len(part) for part in several])
+    return Couplings(tets.astype(np.int32), of.astype(np.int32), areas)
 
 
 def check_apart(mesh: TetMesh, mechanism: Mechanism, fixed, name: str) -> None:

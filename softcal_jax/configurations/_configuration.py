@@ -21,9 +21,11 @@ from softcal_jax.configurations._arrays import (
 )
 from softcal_jax.configurations._boundary import (
     AbstractLoad,
+    Couplings,
     Support,
     check_apart,
     check_held,
+    couplings,
     motors_of,
 )
 from softcal_jax.configurations._effector import (
@@ -185,6 +187,8 @@ def configuration_lanes(
     springs = dict.fromkeys(s.name for s in supports if s.stiffness is not None)
     loads = dict.fromkeys(load.name for c in configurations for load in c.loads)
     named = {"springs": (*springs,), "loads": (*loads,) or (UNNAMED_LOADS,)}
+    # Those of all supports in every lane, so that lanes have one shape.
+    named["coupled"] = couplings(mesh, named["springs"])
     rows = [_effector_rows(mesh, c, mechanism) for c in configurations]
     lanes, records = [], []
     every = zip(configurations, rows, stack_effectors(rows), strict=True)
@@ -205,6 +209,7 @@ def _lane(
     effectors: EffectorArrays,
     *,
     springs: tuple[str, ...],
+    coupled: Couplings,
     loads: tuple[str, ...],
 ) -> ConfigurationArrays:
     fixed, sprung = np.zeros((2, mesh.n_nodes, 3), bool)
@@ -233,7 +238,7 @@ def _lane(
         key=np.array([name_key(c.name), name_key(c.recording or c.name)], np.int64),
         fixed=all_nodes(fixed),
         imposed=all_nodes(imposed),
-        springs=_springs(mesh, c, springs, all_nodes(rest)),
+        springs=_springs(mesh, c, all_nodes(rest), names=springs, coupled=coupled),
         loads=DeadLoads(force, np.ones(len(force)), loads),
         gravity=np.asarray(c.gravity, float),
         tilt=np.zeros(2),
@@ -243,7 +248,14 @@ def _lane(
     )
 
 
-def _springs(mesh: TetMesh, c: Configuration, names: tuple[str, ...], rest) -> Springs:
+def _springs(
+    mesh: TetMesh,
+    c: Configuration,
+    rest: Float[HostArray, "n_points 3"],
+    *,
+    names: tuple[str, ...],
+    coupled: Couplings,
+) -> Springs:
     """Stack the elastic supports of a configuration among those of the whole batch."""
     area, stiffness = np.zeros((len(names), *rest.shape)), np.zeros(len(names))
     for support in c.supports:
@@ -257,7 +269,7 @@ def _springs(mesh: TetMesh, c: Configuration, names: tuple[str, ...], rest) -> S
             )
         area[s, : mesh.n_nodes] = support.areas(mesh)
         stiffness[s] = support.stiffness
-    return Springs(area, stiffness, rest, names)
+    return Springs(area, stiffness, rest, *coupled, names)
 
 
 def _effector_rows(

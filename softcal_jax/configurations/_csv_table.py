@@ -158,6 +158,8 @@ def parse_number(cell: str, point: str, what: str = "a cell") -> float:
             "write all numbers with either, and none with a sign between thousands."
         )
     try:
+        if "_" in cell or not cell.isascii():  # which Python's numbers may have
+            raise ValueError
         return float(cell.replace(point, "."))
     except ValueError:
         hint = ": write a decimal point" if _DECIMAL_COMMA.fullmatch(cell) else ""

@@ -218,7 +218,7 @@ def _turn_columns(table: CsvTable) -> list[str]:
 
 def _seven_numbers(path: Path, line: int, text: str) -> list[float]:
     try:
-        values = [float(cell) for cell in text.split()]
+        values = [csv_table.parse_number(cell, ".") for cell in text.split()]
     except ValueError:
         values = []
     if len(values) != 7 or not np.all(np.isfinite(values)) or values[0] % 1.0:

@@ -83,16 +83,14 @@ def nodal_tangent(
     posed: Posed, u: Nodal, lambda_a: Float[Array, " n_a"], mesh: Float[Array, " nnz"]
 ) -> Float[Array, " nnz"]:
     """Add actuators and springs to the tangent of the mesh over all nodes [N/m]."""
-    model, nodal = posed.model, mesh
-    actuators, springs = model.mechanism.actuators, posed.configuration.springs
+    model, nodal = posed.model, posed.spring_tangent(mesh)
+    actuators = model.mechanism.actuators
     loads = actuator_loads(posed, lambda_a)
     # d(F_a^T lambda_a)/dx
     curvature = curvature_entries(actuators, model.positions(u), loads)
     for matrices, places in zip(curvature, model.curvature_at, strict=True):
         p, q = element_entries(matrices.shape[1] // 3, model.pattern.symmetric)
         nodal = nodal.at[places].add(-matrices[:, p, q].T)
-    if springs.names:
-        nodal = nodal.at[model.pattern.diagonal].add(springs.coefficients().ravel())
     return nodal
 
 

@@ -153,8 +153,7 @@ def _both_steps(posed: Posed, point: Point, lambda_a, theta):
     imposed = jnp.where(posed.by_multiplier, 0.0, configuration.actuation.forces)
     force = posed.f_ext + jnp.sum(imposed[:, None, None] * rows, axis=0)
     if configuration.springs.names:
-        rest = jnp.asarray(configuration.springs.rest)
-        force = force + configuration.springs.coefficients() * rest
+        force = force + posed.stretched(jnp.asarray(configuration.springs.rest))
     force = force - product(model.pattern, tangent.nodal, held.ravel()).reshape(u.shape)
     which = model.with_multiplier
     wanted = jnp.asarray(configuration.actuation.value)[which]

@@ -34,7 +34,7 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium._assembly import gravity_load
 from softcal_jax.equilibrium._model import Model, Nodal
-from softcal_jax.equilibrium._sparsity import reduce_values
+from softcal_jax.equilibrium._sparsity import element_entries, reduce_values
 
 _UNMOVED = 1e-12
 """Distance of a held body from its place that is rounding, per frame length [-]."""
@@ -163,8 +163,34 @@ class Posed(NamedTuple):
         springs = self.configuration.springs
         if not springs.names:
             return jnp.zeros_like(u)
-        stretch = u - self.load * jnp.asarray(springs.rest)
-        return springs.coefficients() * stretch
+        return self.stretched(u - self.load * jnp.asarray(springs.rest))
+
+    def stretched(self, stretch: Nodal) -> Nodal:
+        """Compute the forces that stretch the springs so far [N]."""
+        springs = self.configuration.springs
+        force = springs.coefficients() * stretch
+        if springs.tets.size == 0:
+            return force
+        nodes = jnp.asarray(self.model.mesh.tets)[jnp.asarray(springs.tets)]
+        of_nodes = springs.between_nodes() * stretch[nodes][:, None]
+        return force.at[nodes].add(jnp.sum(of_nodes, axis=2))
+
+    def spring_tangent(self, values: Float[Array, " nnz"]) -> Float[Array, " nnz"]:
+        """Add the springs to the tangent over all nodes [N/m]."""
+        model, springs = self.model, self.configuration.springs
+        if not springs.names:
+            return values
+        on_nodes = springs.coefficients().ravel()
+        values = values.at[model.pattern.diagonal].add(on_nodes)
+        if springs.tets.size == 0:
+            return values
+        p, q = element_entries(model.nodes.shape[1], model.pattern.symmetric)
+        along = np.flatnonzero(p % 3 == q % 3)
+        p, q = p[along], q[along]
+        block, tet = jnp.divmod(jnp.asarray(springs.tets), model.nodes.shape[2])
+        places = model.destination[block[:, None], along[None], tet[:, None]]
+        entries = springs.between_nodes()[:, p // 3, q // 3, p % 3]
+        return values.at[places].add(entries)
 
     def spring_energy(self, u: Nodal) -> Float[Array, ""]:
         stretch = u - self.load * jnp.asarray(self.configuration.springs.rest)

@@ -37,6 +37,11 @@ def order_terms(entries: Entries, order: Groups) -> list[tuple[Term, Term]]:
     """
     pairs = []
     for smaller, larger in order:
+        if smaller == larger:
+            raise ValueError(
+                f"order ({smaller!r}, {larger!r}): a parameter is not below itself; "
+                "name two."
+            )
         left, right = (_sides(entries, name, "order") for name in (smaller, larger))
         shared = [key for key in left if key in right]
         if not shared:

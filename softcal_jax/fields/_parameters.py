@@ -183,10 +183,10 @@ class Parameter(AbstractFieldEntry):
             )
         for name in ("S", "max_step", "prior_std"):
             value = getattr(self, name)
-            if value is not None and not float(value) > 0.0:
+            if value is not None and not 0.0 < float(value) < np.inf:
                 raise ValueError(
-                    f"{what}: {name} must be positive, got {float(value):g}; leave it "
-                    "out for its default."
+                    f"{what}: {name} must be positive and finite, got "
+                    f"{float(value):g}; leave it out for its default."
                 )
 
     @property

@@ -310,10 +310,12 @@ class Gent(AbstractInvariantRubber):
         return self.mu
 
     def distortion(self, i1: Float[Array, ""], i2: Float[Array, ""]) -> Distortion:
-        """Compute W; NaN from the limit on."""
+        """Compute W; NaN from the limit on, and so are its derivatives."""
         del i2
         used = (i1 - 3.0) / self.J_m
-        room = jnp.where(used < 1.0, 1.0 - used, jnp.nan)
+        # As a factor: the derivative of the logarithm is a number beyond the limit too.
+        used = used * jnp.where(used < 1.0, 1.0, jnp.nan)
+        room = 1.0 - used
         W_1 = 0.5 * self.mu / room
         return Distortion(
             -0.5 * self.mu * self.J_m * jnp.log1p(-used),

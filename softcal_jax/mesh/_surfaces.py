@@ -90,7 +90,7 @@ def select_cavity(
     """
     p = np.asarray(point, float)
     surface = _FaceGraph(mesh)
-    if surface.seen_from(p).sum() > _ROUNDING:
+    if seen_from(surface.corners, p).sum() > _ROUNDING:
         raise ValueError(
             f"the point {place(p)} lies in the body or on its surface; expected one in "
             "the empty inside of the cavity."
@@ -99,7 +99,7 @@ def select_cavity(
     labels = surface.parts(None, barred)
     start = np.argmin(np.where(barred, np.inf, surface.distances(p)))
     chosen = labels == labels[start]
-    share = -surface.seen_from(p)[chosen].sum()
+    share = -seen_from(surface.corners[chosen], p).sum()
     if share < _ENCLOSED:
         known = ", ".join(map(repr, mesh.surface_groups)) or "none yet"
         raise ValueError(
@@ -126,6 +126,22 @@ def matching_faces(
     rows = surface.rows(np.concatenate(surfaces))
     ends = np.cumsum([len(triangles) for triangles in surfaces])[:-1]
     return [surface.faces[part[part >= 0]] for part in np.split(rows, ends)]
+
+
+def seen_from(
+    corners: Float[HostArray, "n_faces 3 3"], point: Float[HostArray, "3"]
+) -> Float[HostArray, " n_faces"]:
+    """Compute the share of all directions in which each triangle is seen [-].
+
+    Shares are negative if the outer side is seen; their sum is 1 within the surface,
+    and 0 elsewhere. Van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 30 (1983).
+    """
+    a, b, c = np.moveaxis(corners - point, 1, 0)
+    la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
+    dot = lambda u, v: np.sum(u * v, axis=1)
+    triple = dot(a, np.cross(b, c))
+    rest = la * lb * lc + dot(a, b) * lc + dot(a, c) * lb + dot(b, c) * la
+    return np.arctan2(triple, rest) / (2.0 * np.pi)
 
 
 class _FaceGraph:
@@ -208,16 +224,3 @@ class _FaceGraph:
                 "it off their border, onto the one that is meant."
             )
         return self.faces[labels == parts[0]]
-
-    def seen_from(self, point: Float[HostArray, "3"]) -> Float[HostArray, " n_faces"]:
-        """Compute the share of all directions in which each face is seen [-].
-
-        Shares are negative if the outer side is seen; their sum is 1 within the body,
-        and 0 elsewhere. Van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 30 (1983).
-        """
-        a, b, c = np.moveaxis(self.corners - point, 1, 0)
-        la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
-        dot = lambda u, v: np.sum(u * v, axis=1)
-        triple = dot(a, np.cross(b, c))
-        rest = la * lb * lc + dot(a, b) * lc + dot(a, c) * lb + dot(b, c) * la
-        return np.arctan2(triple, rest) / (2.0 * np.pi)

@@ -117,15 +117,31 @@ def volumes(mesh: TetMesh) -> Float[HostArray, " n_tets"]:
     return jacobian_determinants(mesh, rule.barycentric) @ rule.weights / 6.0
 
 
-def face_shares(
+def _face_areas(
     mesh: TetMesh, faces: Int[HostArray, "n_faces n_fn"]
-) -> Float[HostArray, "n_faces n_fn"]:
-    """Integrate the shape functions of each face at rest [m2]; they sum to its area."""
+) -> tuple[Float[HostArray, "n_faces n_qp"], Float[HostArray, "n_qp n_fn"]]:
+    """Return areas of quadrature points of faces at rest [m2], and shape functions."""
     rule, n_fn = triangle_rule(4), faces.shape[1]
     dN = shape_gradients(rule.barycentric, n_fn)
     tangents = np.einsum("fai,qaj->fqji", mesh.points[faces], dN)
     area = 0.5 * np.linalg.norm(np.cross(tangents[:, :, 0], tangents[:, :, 1]), axis=-1)
-    return (area * rule.weights) @ shape_functions(rule.barycentric, n_fn)
+    return area * rule.weights, shape_functions(rule.barycentric, n_fn)
+
+
+def face_shares(
+    mesh: TetMesh, faces: Int[HostArray, "n_faces n_fn"]
+) -> Float[HostArray, "n_faces n_fn"]:
+    """Integrate the shape functions of each face at rest [m2]; they sum to its area."""
+    area, N = _face_areas(mesh, faces)
+    return area @ N
+
+
+def face_products(
+    mesh: TetMesh, faces: Int[HostArray, "n_faces n_fn"]
+) -> Float[HostArray, "n_faces n_fn n_fn"]:
+    """Integrate N_a N_b over each face at rest [m2]; rows sum to `face_shares`."""
+    area, N = _face_areas(mesh, faces)
+    return np.einsum("fq,qa,qb->fab", area, N, N)
 
 
 def surface_shares(

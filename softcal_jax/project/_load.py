@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from softcal_jax._process import check_process
-from softcal_jax._units import readable_values
+from softcal_jax._units import readable, readable_values
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.actuators import AbstractActuator
 from softcal_jax.bodies import RigidBody
@@ -20,6 +20,7 @@ from softcal_jax.calibration import CalibrationSettings, ProjectSource
 from softcal_jax.configurations import (
     STANDARD_GRAVITY,
     Configuration,
+    ImposedForce,
     build_mechanism,
     configuration_arrays,
     configuration_lanes,
@@ -27,12 +28,13 @@ from softcal_jax.configurations import (
     motions,
 )
 from softcal_jax.equilibrium import Model, NewtonSettings, build_model
+from softcal_jax.export import field_units, tet_fields
 from softcal_jax.fields import Uncertain, check_parameters
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project._configurations import Posed, build_configuration
 from softcal_jax.project._effectors import build_effectors
 from softcal_jax.project._parameters import build_space
-from softcal_jax.project._problems import in_file, under
+from softcal_jax.project._problems import WrongKeyError, in_file, under
 from softcal_jax.project._project import Project
 from softcal_jax.project._reading import (
     MeshTables,
@@ -78,10 +80,9 @@ def load_project(
     table = read_tables(path, changes)
     with in_file(path):
         project = _built(path, table, changes, solve=solve)
+        check_bearable(project.model, _posed(project))
     if changes is None:  # a sweep would repeat it for each of its changes
-        posed = {f"configurations.{c.name}": c for c in project.configurations}
-        posed |= {f"candidates.{c.name}": c for c in project.candidates}
-        lines = [*implausible(project.model, posed)]
+        lines = [*implausible(project.model, _posed(project))]
         guesses = len(guesses_left(path))
         if guesses:
             lines.append(
@@ -105,6 +106,12 @@ def load_mesh(path: str | os.PathLike[str]) -> TetMesh:
     table = read_schema(path, MeshTables, "project file")
     with in_file(path):
         return _mesh(path.parent, table)
+
+
+def _posed(project: Project) -> dict[str, Configuration]:
+    """Return configurations and candidates by their keys."""
+    posed = {f"configurations.{c.name}": c for c in project.configurations}
+    return posed | {f"candidates.{c.name}": c for c in project.candidates}
 
 
 def _built(
@@ -246,8 +253,52 @@ WEIGHTS = 200.0
 """Dead load over the weight of the robot that would crush a soft one flat [-]."""
 
 
+UNBEARABLE = 100.0
+"""What acts over what the body resists, from which on no solver need try [-]."""
+
+
 class ProjectWarning(SoftcalWarning):
     """A number of a project file that is probably a mistake."""
+
+
+def check_bearable(model: Model, posed: Mapping[str, Configuration]) -> None:
+    """Raise WrongKeyError if a load, weight or force of an actuator is absurd.
+
+    The body resists about its largest modulus times its size squared; where far more
+    than that acts, each equilibrium is sought in vain for minutes.
+    """
+    units, fields = field_units(model), tet_fields(model, {})
+    moduli = [np.abs(fields[name]).max() for name in units if units[name] == "Pa"]
+    modulus, size = max(moduli, default=0.0), model.mesh.size
+    if modulus == 0.0:
+        return
+    for key, c in posed.items():
+        for what, value, unit in _acting(model, c):
+            resisted = modulus * size ** _LENGTHS.get(unit, 0)
+            if not value <= UNBEARABLE * resisted:
+                raise WrongKeyError(
+                    f"{key}.{what}",
+                    f"{readable(value, unit)} is more than {UNBEARABLE:g} times what "
+                    f"the body resists, about {readable(resisted, unit)} by a modulus "
+                    f"of {readable(modulus, 'Pa')} and a size of "
+                    f"{readable(size, 'm')}: check the units.",
+                )
+
+
+_LENGTHS = {"N": 2, "N m": 3}
+"""Power of a length in forces of actuators, over a pressure."""
+
+
+def _acting(model: Model, c: Configuration) -> Iterator[tuple[str, float, str]]:
+    """Yield keys, sizes and units of what acts on the body."""
+    forces = [np.abs(load.nodal_forces(model.mesh)).sum() for load in c.loads]
+    yield "loads", float(sum(forces)), "N"
+    yield "gravity", model.mass * float(np.abs(c.gravity).max()), "N"
+    actuators = model.mechanism.actuators
+    for name, kind in zip(actuators.names, actuators.kinds, strict=True):
+        imposed = c.actuation.get(name)
+        if isinstance(imposed, ImposedForce):
+            yield f"actuation.{name}", abs(imposed.value), kind.force_unit
 
 
 def implausible(model: Model, posed: Mapping[str, Configuration]) -> Iterator[str]:

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from softcal_jax import _names
+from softcal_jax._text import shortened, with_short_names
 from softcal_jax.project._quantities import shown
 
 _EXPECTED = {
@@ -38,7 +39,7 @@ class ProjectError(ValueError):
 
 def one_by_one(path: Path, problems: Iterable[str]) -> ProjectError:
     """Build the error that lists the problems of a file, one per line."""
-    problems = list(dict.fromkeys(problems))
+    problems = _first_of(map(with_short_names, problems))
     if len(problems) == 1:
         return ProjectError(f"{path}: {problems[0]}")
     number = str(len(problems))
@@ -47,6 +48,16 @@ def one_by_one(path: Path, problems: Iterable[str]) -> ProjectError:
         problems = [*problems[:MOST_PROBLEMS], "..."]
     listed = "".join(f"\n- {problem}" for problem in problems)
     return ProjectError(f"{path}: {number} problems.{listed}")
+
+
+def _first_of(problems: Iterable[str]) -> list[str]:
+    """Return different problems, at most one more than are listed."""
+    found: dict[str, None] = {}
+    for problem in problems:
+        found[problem] = None
+        if len(found) > MOST_PROBLEMS:
+            break
+    return list(found)
 
 
 class WrongKeyError(ValueError):
@@ -76,7 +87,7 @@ def in_file(path: Path) -> Iterator[None]:
     try:
         yield
     except WrongKeyError as error:
-        raise ProjectError(f"{path}: {error}") from error
+        raise ProjectError(f"{path}: {with_short_names(str(error))}") from error
 
 
 @contextlib.contextmanager
@@ -91,10 +102,10 @@ def describe(error: ValidationError, raw: dict[str, Any]) -> list[str]:
 
     `raw` is the file as it was read, before [shared] is merged.
     """
-    return [
+    return _first_of(
         f"{key_path(details['loc'], raw) or 'file'}: {_in_words(details)}"
         for details in error.errors()
-    ]
+    )
 
 
 def _in_words(details: ErrorDetails) -> str:
@@ -151,7 +162,7 @@ def key_path(keys: tuple[str | int, ...], raw: dict[str, Any]) -> str:
     for key in keys:
         value = _step(value, key)
         if isinstance(key, str):
-            out += f".{key}" if out else key
+            out += f".{shortened(key)}" if out else shortened(key)
         else:
             table = value if isinstance(value, dict) else {}
             name = table.get("name") or table.get("field")

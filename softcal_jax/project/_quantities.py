@@ -79,7 +79,7 @@ _SI_OF = {unit: si for si, units in _COMMON.items() for unit in units}
 # pint treats angles as plain numbers, so it would accept "20 %" as an angle.
 _ANGLES = ("degree", "radian", "milliradian", "turn")
 
-_NUMBER = r"[+-]?(?:inf|(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"
+_NUMBER = r"[+-]?(?:inf|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
 _NAME = r"[A-Za-zµμ°%]+(?:(?:\^|\*\*)?-?\d+|[²³])?"
 # Only products and quotients of named units reach pint's own parser.
 _UNIT = re.compile(rf"{_NAME}(?:\s*[*/·]\s*{_NAME})*")

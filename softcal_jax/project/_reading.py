@@ -16,7 +16,7 @@ from pydantic import BaseModel, Field, ValidationError, create_model, field_vali
 
 from softcal_jax._files import check_file
 from softcal_jax._text import check_characters, escaped
-from softcal_jax.calibration import LEVEL
+from softcal_jax.calibration import LEVEL, check_level
 from softcal_jax.fields import PRECISION, check_starts
 from softcal_jax.project._configurations import CandidateTable, ConfigurationTable
 from softcal_jax.project._effectors import AnyEffector
@@ -59,9 +59,16 @@ class SettingsTable(Table):
     damping: Number | None = None
     starts: Integer | None = None
     seed: Annotated[Integer, Field(ge=0)] = 0
-    intervals: Annotated[Number, Field(ge=0, lt=1)] = LEVEL
+    intervals: Number = LEVEL
     precision: Annotated[Number, Field(gt=0, allow_inf_nan=False)] = PRECISION
     adapt: Flag | None = None
+
+    @field_validator("intervals")
+    @classmethod
+    def _check_intervals(cls, value: float) -> float:
+        if value != 0.0:
+            check_level(value)
+        return value
 
     @field_validator("starts")
     @classmethod
@@ -239,7 +246,8 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
     except ValueError as error:
         raise ProjectError(str(error)) from error
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+        # Decoded here: `read_text` turns bare carriage returns, no TOML, into lines.
+        raw = tomllib.loads(path.read_bytes().decode("utf-8"))
         values = [*values_in(raw)]
     except (ValueError, OSError, RecursionError) as error:  # of TOML, or of UTF-8
         raise ProjectError(f"{path} cannot be read as TOML: {error}.") from error

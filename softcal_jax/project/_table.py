@@ -3,6 +3,7 @@
 import functools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Annotated, Any, ClassVar, TypeVar, get_args
 
 from pydantic import (
@@ -15,7 +16,7 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails, InitErrorDetails, core_schema
 
-from softcal_jax.project._problems import known_here, one_of
+from softcal_jax.project._problems import MOST_PROBLEMS, known_here, one_of
 from softcal_jax.project._quantities import shown
 
 T = TypeVar("T")
@@ -33,7 +34,9 @@ class Table(BaseModel):
         try:
             return handler(raw)
         except ValidationError as error:
-            problems = [cls._in_words(details) for details in error.errors()]
+            # More are not listed, and each suggests a name.
+            first = islice(error.errors(), MOST_PROBLEMS + 1)
+            problems = [cls._in_words(details) for details in first]
             raise ValidationError.from_exception_data(cls.__name__, problems) from None
 
     @classmethod

@@ -160,7 +160,12 @@ def calibrated_field(fields: Sequence[Field]) -> int:
     labels = [field.label for field in fields]
     for k, field in enumerate(fields):
         known = any(label.startswith(f"{_ERROR}{field.name} ") for label in labels)
-        if known and np.nanmax(field.values[0]) > 1.001 * np.nanmin(field.values[0]):
+        values = field.values[0]
+        if (
+            known
+            and values is not None
+            and np.nanmin(values) < 0.999 * np.nanmax(values)
+        ):
             return k
     return 0
 

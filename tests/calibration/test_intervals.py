@@ -271,7 +271,7 @@ def test_a_fit_that_is_lost_is_gone_back_from():
 
 
 def test_bad_input(result):
-    with pytest.raises(ValueError, match=r"level .* 0 and 1,.* got 95\."):
+    with pytest.raises(ValueError, match=r"level .* 0\.01 and 0\.9999,.* got 95\."):
         profile_intervals(result, level=95.0)
     with pytest.raises(ValueError, match="unknown parameter 'EE'"):
         profile_intervals(result, parameters="EE")

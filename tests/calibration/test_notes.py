@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from wording import says
 
+from softcal_jax.calibration import LeftOut, ResidualChecks
 from softcal_jax.calibration._notes import order_notes
 from softcal_jax.robots import anisotropic_beam
 
@@ -37,6 +38,26 @@ def test_moduli_that_differ_are_not(tensor_steps):
     parameters = space(tensor_steps=tensor_steps)
     z = at(parameters, np.array([0.5, 1.0 - 1e-5]))
     assert order_notes(parameters, z) == []
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("rms", "motion", "words"),
+    [
+        (2e-3, 1e-2, "2.00 mm off, 20 % of how far they moved, and 0.1 mm"),
+        (NAN, NAN, "without markers, is off ... probability of 1e-06"),
+        (NAN, 1e-2, "do not determine ... no distance ... probability of 1e-06"),
+    ],
+)
+def test_a_pose_that_the_others_do_not_predict(rms, motion, words):
+    """A pose of forces alone, and one that depends on what it alone determines."""
+    expected = 1e-4 if np.isfinite(rms) else NAN
+    pose = LeftOut("bx 2.49", rms, expected, motion, 1e-6, NAN)
+    (reason,) = ResidualChecks(("bx 2.49",), None, (pose,)).reasons
+    assert says(reason, f"bx 2.49 is not predicted by the others: ... {words}")
+    assert "nan" not in reason
 
 
 def test_without_an_order_nothing_is_said():

@@ -70,7 +70,7 @@ def test_apply_passes_derivatives_to_every_parameter(model):
         ({"start": 2e6}, r"start 2e\+06, .* 100000 .* 1e\+06"),
         ({"start": np.nan}, "finite.* start nan"),
         ({"lower": -1.0}, "log scale .* -1; .*linear"),
-        ({"scale": "linear", "S": 0.0}, "S .*positive, got 0; leave"),
+        ({"scale": "linear", "S": 0.0}, "S .*positive .* got 0; leave"),
         ({"scale": "ln"}, "scale .*got 'ln'"),
     ],
 )

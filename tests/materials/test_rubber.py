@@ -197,6 +197,9 @@ def test_gent_locks():
     assert pulled(limit - 1e-6).stress[0, 0] > 1e4 * MU
     for s in (limit + 1e-6, 2.0 * limit):
         assert all(np.isnan(value).any() for value in pulled(s))
+        F = jnp.diag(jnp.array([s, s**-0.5, s**-0.5]))
+        for derivative in (jax.grad, jax.jacfwd):
+            assert np.isnan(derivative(law.energy_density)(F)).all()
 
 
 def nominal(law, kind, stretch):

@@ -258,7 +258,7 @@ CASES = {
             '[[configurations]]\nname = "weight"',
             '[settings]\nintervals = 95\n\n[[configurations]]\nname = "weight"',
         ),
-        "settings.intervals: got 95 ... 1",
+        "settings.intervals: ... got 95",
     ),
     "precision": (
         (

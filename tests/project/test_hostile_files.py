@@ -1,5 +1,6 @@
 """Files that nobody meant as ours: refused with the key, not with a traceback."""
 
+import difflib
 import os
 from pathlib import Path
 
@@ -109,6 +110,13 @@ def test_the_limit_of_cells_holds_for_the_pattern(tmp_path, monkeypatch):
             "settings.starts: starts = 1000000000000",
         ),
         (SETTINGS, "starts = 0", "settings.starts: ... got 0"),
+        (SETTINGS, "intervals = 1e-300", "settings.intervals: ... 0.01 ... 1e-300"),
+        (SETTINGS, "intervals = 1.0", "settings.intervals: ... 0.9999 ... got 1"),
+        (
+            "\n[parameter_space]\n",
+            'order = [["E", "E"]]',
+            "parameter_space: order ('E', 'E'): ... two",
+        ),
         (SETTINGS, "seed = -1", "settings.seed: got -1 ... 0"),
         (SETTINGS, "precision = inf", "settings.precision: got inf"),
         (
@@ -147,6 +155,96 @@ def test_the_limit_of_cells_holds_for_the_pattern(tmp_path, monkeypatch):
 )
 def test_numbers_out_of_range(tmp_path, table, line, message):
     assert says(refusal(with_more(tmp_path, table + line)), message)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "where"),
+    [
+        ("(20, 0, -50) mN", "(1e300, 0, 0) N", "configurations.pulled.loads"),
+        ("(20, 0, -50) mN", "(0, 0, 1e6) N", "configurations.pulled.loads"),
+        ("(0, 0, -9.81) m/s^2", "(0, 0, 1e200) m/s^2", "configurations.weight.gravity"),
+    ],
+)
+def test_what_no_body_bears_is_refused_at_once(tmp_path, old, new, where):
+    """It was computed for minutes; 880 N are the modulus times the size squared."""
+    text = refusal(write_small_project(tmp_path, (old, new)))
+    assert says(text, f"{where}: ... 100 times ... 880 N ... 200 kPa ... units")
+
+
+def test_a_pressure_that_no_body_bears(tmp_path):
+    push = """
+[actuators.push]
+type = "surface-pressure"
+surface = "z_min"
+
+[[configurations]]
+name = "pushed"
+role = "validation"
+measured.recording = { run = "pulled" }
+actuation.push = "1 GPa"
+"""
+    text = refusal(with_more(tmp_path, push))
+    assert says(text, "configurations.pushed.actuation.push: 1 GPa ... about 200 kPa")
+
+
+def test_a_prior_of_infinite_width(tmp_path):
+    change = ('upper = "1 MPa"', 'upper = "1 MPa"\nprior_std = inf')
+    text = refusal(write_small_project(tmp_path, change))
+    assert says(
+        text, "parameters.E: ... prior_std ... finite, got inf ... leave it out"
+    )
+
+
+@pytest.mark.parametrize("number", ["2_00", "\u0662\u0660\u0660"])
+def test_digits_that_only_python_reads(tmp_path, number):
+    text = refusal(write_small_project(tmp_path, ("200 kPa", f"{number} kPa")))
+    assert says(text, f'material.E: ... "{number} kPa"')
+    path = write_small_project(tmp_path)
+    path.with_name("markers.csv").write_text(MARKERS.replace("124.", f"{number}."))
+    assert says(refusal(path), f"'{number}.627615364', not a number")
+
+
+def test_bare_carriage_returns_are_no_toml(tmp_path):
+    path = write_small_project(tmp_path)
+    lines = path.read_bytes().splitlines()
+    path.write_bytes(b"\r\n".join(lines))
+    load_project(path)
+    path.write_bytes(b"\r".join(lines))
+    assert says(refusal(path), "cannot be read as TOML")
+
+
+LONG, SPACED = 5000 * "x", 1250 * "x y "
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("[material]", f"[material]\n{LONG} = 1"), "unknown key ... Known here"),
+        (("[material]", f'[material]\n"{SPACED}" = 1'), "unknown key ... Known here"),
+        (("x_min", LONG), "supports[1]: unknown group ... 'x_min'"),
+        (("x_min", SPACED), "supports[1]: unknown group ... 'x_min'"),
+        (('"tip", "side"', f'"{LONG}"'), "there is no marker ... side"),
+        (('name = "weight"', f'name = "{LONG}"\nx = 1'), "unknown key. Known here"),
+        (('field = "E"', f'field = "{LONG}"'), 'one of "E"'),
+        (("200 kPa", f"200 {LONG}"), "material.E: ... like"),
+        (("markers.csv", LONG), "configurations.weight.measured"),
+    ],
+)
+def test_names_without_end_leave_room_for_the_message(tmp_path, change, message):
+    text = refusal(write_small_project(tmp_path, change))
+    assert len(text) < 700
+    assert says(text, message)
+
+
+def test_many_unknown_keys_are_refused_at_once(tmp_path, monkeypatch):
+    """A known key is sought for those that are listed: for 100 000 it took 14 s."""
+    sought, close = [], difflib.get_close_matches
+    seek = lambda name, *rest, **more: sought.append(name) or close(name, *rest, **more)
+    monkeypatch.setattr(difflib, "get_close_matches", seek)
+    keys = "\n".join(f"x{i} = 1" for i in range(1000))
+    text = refusal(with_more(tmp_path, f"\n[uncertain]\n{keys}\n"))
+    assert text.startswith("more than 30 problems.")
+    assert len(sought) == 31
 
 
 def test_a_cell_without_end(tmp_path):

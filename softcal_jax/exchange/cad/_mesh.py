@@ -5,21 +5,17 @@ import os
 import warnings
 from pathlib import Path
 
-import numpy as np
-
 from softcal_jax._files import check_file
 from softcal_jax._names import METRES
-from softcal_jax.exchange.cad._gmsh import (
+from softcal_jax.exchange.cad._filling import (
     ENVELOPE,
     Filled,
     GmshError,
-    check_number,
     fill_step,
     fill_stl,
     fill_wild,
-    read_stl,
-    usual_size,
 )
+from softcal_jax.exchange.cad._surface import read_stl, turned_outwards
 from softcal_jax.mesh import (
     MeshWarning,
     TetMesh,
@@ -72,11 +68,13 @@ def mesh_cad(
         FileNotFoundError: If there is no such file.
         ImportError: If gmsh is not installed.
         ValueError: If the file cannot be read or filled, has no solid, the size is not
-            positive or makes too many tets, or the unit is missing or stated twice.
+            positive or makes too many tets, the unit is missing or stated twice, or
+            gmsh crashes, or takes more time or memory than `SOFTCAL_MAX_MESHING_S`
+            (600 s) and `SOFTCAL_MAX_MESHING_MB` (8000 MB) in the environment allow.
 
     Warns:
-        MeshWarning: If fTetWild had to fill the surface, or flat faces change the
-            volume by more than 2 %.
+        MeshWarning: If fTetWild had to fill the surface, flat faces change the volume
+            by more than 2 %, or triangles of an STL file are turned the wrong way.
     """
     path = Path(path)
     check_order(order)
@@ -132,11 +130,10 @@ def _unit(path: Path, length_unit: str | None) -> str:
 
 def _fill_surface(path: Path, size: float | None, notes: list[str]) -> Filled:
     """Fill an STL surface, by fTetWild where gmsh refuses it."""
-    triangles = read_stl(path)
-    size = size or usual_size(np.ptp(triangles.points, axis=0))
-    check_number(abs(triangles.volume), size)
+    triangles, turned = turned_outwards(read_stl(path))
+    notes += turned
     try:
-        return fill_stl(path, triangles, size)
+        return fill_stl(triangles, size)
     except GmshError as error:
         said = str(error)
     try:

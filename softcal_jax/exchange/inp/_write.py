@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from softcal_jax._places import partial_of
-from softcal_jax._typing import HostArray, Int
+from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.actuators import actuator_geometry
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Model
@@ -173,26 +173,54 @@ def _materials(model: Model, law: InpLaw) -> Iterator[str]:
 
 
 def _springs(mesh: TetMesh, c: ConfigurationArrays) -> Iterator[str]:
-    """Write elastic supports: springs from nodes to the ground, along the axes."""
-    stiffness = np.asarray(c.springs.coefficients())[: mesh.n_nodes]
+    """Write elastic supports: springs of nodes to the ground, and between nodes."""
+    to_ground = np.asarray(c.springs.coefficients())[: mesh.n_nodes]
     rest = np.asarray(c.springs.rest)[: mesh.n_nodes]
-    if np.any(rest[stiffness > 0.0]):
+    if np.any(rest[to_ground != 0.0]):
         raise ValueError(
             "an elastic support is moved by an imposed displacement, which springs of "
             "the file cannot be: make the support rigid, or its displacement zero."
         )
-    number, sets = mesh.n_tets, 0
+    first = mesh.n_tets
+    between = _between_nodes(mesh, c)
     for axis in range(3):
-        values, of_node = np.unique(stiffness[:, axis], return_inverse=True)
-        for k, value in enumerate(values):
-            if value == 0.0:
-                continue
-            sets += 1
-            yield f"*ELEMENT, TYPE=SPRING1, ELSET=S{sets}"
-            for node in np.flatnonzero(of_node.ravel() == k) + 1:
-                number += 1
-                yield f"{number}, {node}"
-            yield from (f"*SPRING, ELSET=S{sets}", f"{axis + 1}", _number(value))
+        nodes = np.arange(mesh.n_nodes)[:, None]
+        for ends, stiffness in ((nodes, to_ground), between):
+            values, of_spring = np.unique(stiffness[:, axis], return_inverse=True)
+            for k in np.flatnonzero(values):
+                springs = ends[of_spring.ravel() == k] + 1
+                yield from _alike(springs, axis + 1, values[k], first=first + 1)
+                first += len(springs)
+
+
+def _alike(
+    nodes: Int[HostArray, "n n_ends"], axis: int, stiffness: float, *, first: int
+) -> Iterator[str]:
+    """Write springs of one stiffness along an axis, numbered from `first`."""
+    n_ends, name = nodes.shape[1], f"S{first}"
+    yield f"*ELEMENT, TYPE=SPRING{n_ends}, ELSET={name}"
+    for number, ends in enumerate(nodes.tolist(), start=first):
+        yield ", ".join(map(str, [number, *ends]))
+    yield from (f"*SPRING, ELSET={name}", ", ".join(n_ends * [str(axis)]))
+    yield _number(stiffness)
+
+
+def _between_nodes(
+    mesh: TetMesh, c: ConfigurationArrays
+) -> tuple[Int[HostArray, "n 2"], Float[HostArray, "n 3"]]:
+    """List the pairs of nodes that springs join, and their stiffness [N/m]."""
+    nodes = mesh.tets[np.asarray(c.springs.tets)]
+    a, b = np.triu_indices(mesh.tets.shape[1], 1)
+    # What resists a relative motion is minus what acts along with the other node.
+    stiffness = -np.asarray(c.springs.between_nodes())[:, a, b].reshape(-1, 3)
+    ends = np.sort(np.stack([nodes[:, a], nodes[:, b]], axis=-1).reshape(-1, 2))
+    pairs, which = np.unique(ends, axis=0, return_inverse=True)
+    total = np.zeros((len(pairs), 3))
+    np.add.at(total, which.ravel(), stiffness)
+    # Ten digits, so that equal faces share sets; the rest is rounding, zeros too.
+    size = np.max(np.abs(total), initial=0.0)
+    scale = 10.0 ** np.floor(10.0 - np.log10(size)) if size > 0.0 else 1.0
+    return pairs, np.round(total * scale) / scale
 
 
 def _supports(mesh: TetMesh, c: ConfigurationArrays) -> Iterator[str]:

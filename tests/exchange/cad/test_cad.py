@@ -15,11 +15,12 @@ from exchange.cad.cad_models import (
     modelled,
     write_finger,
 )
+from wording import says
 
 from softcal_jax._limits import LimitError
 from softcal_jax.actuators import Chamber, actuator_arrays
 from softcal_jax.elements import TET_EDGES
-from softcal_jax.exchange.cad import mesh_cad
+from softcal_jax.exchange.cad import _filling, mesh_cad
 from softcal_jax.mesh import (
     MeshWarning,
     boundary_faces,
@@ -191,6 +192,58 @@ def test_too_many_tets(step):
         mesh_cad(step, size=5e-6)
 
 
+@pytest.fixture
+def box_step(tmp_path):
+    with modelled(tmp_path / "box.step") as shape:
+        shape.addBox(0, 0, 0, 10, 10, 10)
+    return tmp_path / "box.step"
+
+
+@pytest.mark.parametrize("lost", ["VECTOR(", "FACE_BOUND("])
+def test_a_damaged_file_does_not_end_the_program(box_step, lost):
+    """Gmsh 4.15 ended with a segmentation fault where such a line is missing."""
+    lines = box_step.read_text().splitlines()
+    lines.remove(next(line for line in lines if lost in line))
+    box_step.write_text("\n".join(lines))
+    with pytest.raises(ValueError, match=r"box\.step: .*export it again"):
+        mesh_cad(box_step, size=SIZE)
+
+
+@pytest.mark.parametrize(
+    ("program", "limit", "words"),
+    [
+        ("os.abort()", {}, "gmsh ... crashed ... Aborted ... export it again"),
+        ("os.kill(os.getpid(), 9)", {}, "gmsh ... memory ... SOFTCAL_MAX_MESHING_MB"),
+        ("sys.exit('no\x1b[1m idea')", {}, r"gmsh fails: no\x1b[1m idea"),
+        (
+            "sys.exit('terminate called: std::bad_alloc')",
+            {},
+            "gmsh ... memory ... limit of 8000 MB ... SOFTCAL_MAX_MESHING_MB",
+        ),
+        ("time.sleep(60)", {"S": "0.2"}, "limit of 0.2 s ... SOFTCAL_MAX_MESHING_S"),
+    ],
+)
+def test_how_the_process_ends_is_said(
+    box_step, tmp_path, monkeypatch, program, limit, words
+):
+    other = tmp_path / "other.py"
+    other.write_text(f"import os, sys, time\n{program}\n")
+    monkeypatch.setattr(_filling, "PROGRAM", other)
+    for unit, value in limit.items():
+        monkeypatch.setenv(f"SOFTCAL_MAX_MESHING_{unit}", value)
+    with pytest.raises(ValueError, match=r"box\.step: ") as caught:
+        mesh_cad(box_step, size=SIZE)
+    assert says(str(caught.value), words)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux limits the memory")
+def test_the_memory_is_limited(step, monkeypatch):
+    """Gmsh says so, or crashes."""
+    monkeypatch.setenv("SOFTCAL_MAX_MESHING_MB", "1")
+    with pytest.raises(ValueError, match=r"limit of 1 MB.*SOFTCAL_MAX_MESHING_MB"):
+        mesh_cad(step, size=SIZE)
+
+
 def test_sigterm_stays_with_python(step):
     """Gmsh takes it once per process, so in a new one: calibrations were killed."""
     code = (
@@ -214,18 +267,18 @@ def test_other_extensions(tmp_path):
 
 
 def test_gmsh_leaves_no_trace(step):
-    """Neither its handler of Ctrl-C, nor itself; one that runs already is kept."""
+    """Neither its handler of Ctrl-C, nor itself; one that runs already stays."""
     before = signal.getsignal(signal.SIGINT)
+    gmsh.initialize(interruptible=False)
+    gmsh.model.add("mine")
+    try:
+        mesh_cad(step, size=2 * SIZE)
+        assert gmsh.model.getCurrent() == "mine"
+    finally:
+        gmsh.finalize()
     mesh_cad(step, size=2 * SIZE)
     assert signal.getsignal(signal.SIGINT) is before
     assert not gmsh.isInitialized()
-    gmsh.initialize(interruptible=False)
-    try:
-        with pytest.raises(RuntimeError, match=r"gmsh already.*finalize"):
-            mesh_cad(step, size=SIZE)
-        assert gmsh.isInitialized()
-    finally:
-        gmsh.finalize()
 
 
 def test_nothing_is_printed(step, capfd):

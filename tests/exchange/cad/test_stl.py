@@ -1,11 +1,16 @@
 """Meshes of STL surfaces: clean ones by gmsh, others by fTetWild."""
 
+import itertools
+
 import meshio
 import numpy as np
 import pytest
 from exchange.cad.cad_models import CAVITY, FINGER, MIDDLE, modelled, write_finger
+from scipy.spatial import ConvexHull
+from wording import says
 
-from softcal_jax.exchange.cad import mesh_cad
+from softcal_jax.exchange.cad import mesh_cad, read_stl
+from softcal_jax.exchange.cad._surface import turned_outwards
 from softcal_jax.mesh import (
     MeshWarning,
     boundary_faces,
@@ -61,6 +66,110 @@ def test_round_walls_are_one_face(tmp_path):
     wall = select_face(mesh, (0.0, 8 * MM, 15 * MM))
     expected = 2 * np.pi * 8 * 30 * MM**2
     assert face_shares(mesh, wall).sum() == pytest.approx(expected, rel=0.03)
+
+
+def box_triangles(low, high, outwards=True):
+    """The twelve triangles of a box, and its eight corners."""
+    points = np.array(list(itertools.product(*zip(low, high, strict=True))))
+    hull = ConvexHull(points)
+    a, b, c = np.moveaxis(points[hull.simplices], 1, 0)
+    inwards = np.sum(np.cross(b - a, c - a) * hull.equations[:, :3], axis=1) < 0.0
+    triangles = hull.simplices.copy()
+    triangles[inwards == outwards] = triangles[inwards == outwards, ::-1]
+    return points, triangles
+
+
+def write_boxes(path, *boxes, flipped=()):
+    points = np.concatenate([points for points, _ in boxes])
+    shift = np.cumsum([0, *(len(points) for points, _ in boxes)])
+    triangles = np.concatenate(
+        [part + more for (_, part), more in zip(boxes, shift[:-1], strict=True)]
+    )
+    triangles[list(flipped)] = triangles[list(flipped), ::-1]
+    meshio.Mesh(points, [("triangle", triangles)]).write(path)
+    return path
+
+
+OUTER = (0.0, 0.0, 0.0), (30.0, 20.0, 20.0)
+INNER = (10.0, 5.0, 5.0), (20.0, 15.0, 15.0)
+ISLAND = (13.0, 8.0, 8.0), (17.0, 12.0, 12.0)
+
+
+@pytest.mark.parametrize(
+    ("flipped", "n"), [(range(5), 5), (range(12), 12), (range(12, 24), 0), ([], 0)]
+)
+def test_turned_triangles_are_turned_back_and_said(flipped, n, tmp_path):
+    """Some, or all; the box has a cavity, whose wall the file turns inwards or not."""
+    boxes = box_triangles(*OUTER), box_triangles(*INNER, outwards=False)
+    path = write_boxes(tmp_path / "box.stl", *boxes, flipped=flipped)
+    surface, notes = turned_outwards(read_stl(path))
+    assert surface.volume == pytest.approx(30 * 20 * 20 - 10**3)
+    of_cavity = list(flipped)[:1] == [12]
+    alike = of_cavity or n == 12
+    assert len(notes) == bool(n) + alike
+    if n:
+        assert says(notes[0], f"{n} of 24 triangles ... turned over")
+    if alike:
+        assert says(notes[-1], "(15, 10, 10) ... within another ... cavity ... delete")
+
+
+def test_a_box_in_a_box_is_said(tmp_path):
+    """Filled between both, as one whose inner triangles are turned as a cavity's."""
+    boxes = box_triangles(*OUTER), box_triangles(*INNER)
+    path = write_boxes(tmp_path / "box.stl", *boxes)
+    with pytest.warns(MeshWarning, match=r"box\.stl: .*\(15, 10, 10\).*cavity"):
+        mesh = mesh_cad(path, size=SIZE, length_unit="mm", order=1)
+    assert volumes(mesh).sum() == pytest.approx(box(30, 20, 20) - box(10, 10, 10))
+
+
+def test_all_turned_inside_out(tmp_path):
+    """With its cavity: what lies outside is told by what encloses what."""
+    boxes = box_triangles(*OUTER, outwards=False), box_triangles(*INNER)
+    surface, notes = turned_outwards(read_stl(write_boxes(tmp_path / "b.stl", *boxes)))
+    assert surface.volume == pytest.approx(30 * 20 * 20 - 10**3)
+    (note,) = notes
+    assert says(note, "24 of 24 triangles")
+
+
+def test_a_body_within_a_cavity_is_turned_outwards(tmp_path):
+    boxes = [box_triangles(*OUTER), box_triangles(*INNER, outwards=False)]
+    boxes.append(box_triangles(*ISLAND))
+    path = write_boxes(tmp_path / "b.stl", *boxes, flipped=range(24, 36))
+    surface, notes = turned_outwards(read_stl(path))
+    assert surface.volume == pytest.approx(30 * 20 * 20 - 10**3 + 4**3)
+    assert says(notes[0], "12 of 36 triangles")
+
+
+def test_an_open_surface_is_turned_as_most_of_it(tmp_path):
+    """No volume tells its outside: fTetWild fills it, which goes by the triangles."""
+    points, triangles = box_triangles(*OUTER)
+    path = write_boxes(tmp_path / "b.stl", (points, triangles[1:]), flipped=[0, 1])
+    surface, notes = turned_outwards(read_stl(path))
+    assert says(notes[0], "2 of 11 triangles")
+    again, silent = turned_outwards(surface)
+    np.testing.assert_array_equal(again.triangles, surface.triangles)
+    assert silent == []
+
+
+def test_a_moebius_strip_has_no_inside(tmp_path):
+    t = np.linspace(0.0, 2.0 * np.pi, 13)[:-1]
+    rim = lambda s: np.stack(
+        [
+            (10.0 + s * np.cos(t / 2)) * np.cos(t),
+            (10.0 + s * np.cos(t / 2)) * np.sin(t),
+            s * np.sin(t / 2),
+        ],
+        axis=1,
+    )
+    points = np.concatenate([rim(-2.0), rim(2.0)])
+    i = np.arange(12)
+    a, c = i, i + 12
+    b, d = np.roll(i, -1), np.roll(i, -1) + 12
+    b[-1], d[-1] = 12, 0  # the ends meet turned over
+    triangles = np.concatenate([np.stack(k, axis=1) for k in ((a, b, c), (b, d, c))])
+    meshio.Mesh(points, [("triangle", triangles)]).write(tmp_path / "strip.stl")
+    with pytest.raises(ValueError, match=r"strip\.stl: .*no inside.*STEP"):
+        mesh_cad(tmp_path / "strip.stl", size=SIZE, length_unit="mm")
 
 
 def test_the_unit_is_needed(stl):

@@ -34,6 +34,7 @@ from softcal_jax.configurations import (
     Support,
 )
 from softcal_jax.equilibrium import build_model
+from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.exchange.inp import write_inp
 from softcal_jax.materials import (
     Corotational,
@@ -156,21 +157,38 @@ def test_supports_and_loads(tmp_path):
 
 
 def test_elastic_supports_are_springs(tmp_path):
-    """Their sum along each axis is stiffness times area."""
+    """To the ground, stiffness times area along each axis; and between nodes.
+
+    Together they are the forces of the model for any displacement.
+    """
     model = bar(NeoHookean(2e5, 0.4))
     soft = Support("x_min", axes="xz", stiffness=1e7)
     lane = lane_of(model, Configuration("soft", [soft, Support("x_max", axes="y")]))
     write_inp(tmp_path / "job.inp", model, lane)
     blocks = blocks_of(tmp_path / "job.inp")
-    springs = only(blocks, "ELEMENT", TYPE="SPRING1")
+    springs = [
+        block
+        for block in only(blocks, "ELEMENT")
+        if block.options["TYPE"].startswith("SPRING")
+    ]
     numbers = [int(row[0]) for block in springs for row in block.rows]
     assert numbers == list(range(model.n_tets + 1, model.n_tets + 1 + len(numbers)))
-    total = np.zeros(3)
+    u = np.random.default_rng(0).normal(size=model.mesh.points.shape)
+    total, force = np.zeros(3), np.zeros_like(u)
     for elements, spring in zip(springs, only(blocks, "SPRING"), strict=True):
         assert elements.options["ELSET"] == spring.options["ELSET"]
-        (axis,), (stiffness,) = spring.rows
-        total[int(axis) - 1] += len(elements.rows) * float(stiffness)
+        axes, (stiffness,) = spring.rows
+        k = int(axes[0]) - 1
+        assert elements.options["TYPE"] == f"SPRING{len(axes)}"
+        for _, *ends in elements.rows:
+            first, *second = (int(node) - 1 for node in ends)
+            stretch = u[first, k] - sum(u[node, k] for node in second)
+            total[k] += float(stiffness) * (not second)
+            force[first, k] += float(stiffness) * stretch
+            force[second, k] -= float(stiffness) * stretch
     np.testing.assert_allclose(total, [1e7 * 4e-4, 0.0, 1e7 * 4e-4], rtol=1e-9)
+    expected = np.asarray(Posed.of(model, lane).spring_force(u))
+    np.testing.assert_allclose(force, expected, rtol=1e-9, atol=1e-6)
 
 
 def test_a_material_for_each_set_of_values(tmp_path):
