@@ -236,7 +236,7 @@ def write_values(folder, **values):
 
 
 CRUSHED = (
-    ("(20, 0, -50) mN", "(-500000, 0, 0) N"),
+    ("(20, 0, -50) mN", "(-20000, 0, 0) N"),
     ('role = "validation"', 'role = "calibration"'),
     ("[markers]\n", "[newton]\nmax_steps = 5\n\n[markers]\n"),
 )
@@ -284,7 +284,7 @@ gravity = "(0, 0, 9.81) m/s^2"
 
 [[candidates]]
 name = "crushed"
-loads = [{ surface = "x_max", force = "(-500000, 0, 0) N" }]
+loads = [{ surface = "x_max", force = "(-20000, 0, 0) N" }]
 """
 
 

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import numpy as np
-from scipy.interpolate import KroghInterpolator
 from scipy.spatial.distance import cdist
 
 from softcal_jax._typing import Array, Float, HostArray
@@ -99,6 +98,8 @@ def approach(
         most: Newton iterations after which it is given up.
         report: Called before each step with the share of the way, and the iterations.
     """
+    from scipy.interpolate import KroghInterpolator  # slow to import
+
     shares, states, step, steps = [0.0], [np.asarray(known.displacement)], first, 0
     while step >= _SMALLEST and steps < most:
         report(shares[-1], steps)

@@ -236,8 +236,8 @@ def _page(
         search = [table_html(text_table("Descents", columns, rows))]
     loaded = [file for file in [data["calibration"]] if file is not None]
     sections = [
-        Section("goals", "Goals and commands", inverse_html(result)),
         Section("notes", "Notes", [bullets(data["notes"])]),
+        Section("goals", "Goals and commands", inverse_html(result)),
         Section("pictures", "Pictures", pictures[1:]),
         Section("search", "Course of the search", search, folded=True),
         *closing("inverse", data, [data["source"]], files=loaded, options=options),

@@ -100,9 +100,9 @@ def simulation_page(
     options = [] if values is None else ["--values", values["file"]]
     errors = held_out_sentences(poses)
     sections = [
+        Section("notes", "Notes", [bullets(data["notes"])]),
         Section("errors", "Errors", sentences(errors)),
         Section("states", "States", [*map(table_html, simulation_tables(result))]),
-        Section("notes", "Notes", [bullets(data["notes"])]),
         *_pictures(data, folder, view),
         Section("model", "Model", [node("p", f"{model_words(result.model)}.")]),
         *closing("simulate", data, [data["source"]], options=options),

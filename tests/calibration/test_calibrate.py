@@ -339,7 +339,7 @@ def test_blind_direction_is_left_alone(model):
 def test_pose_that_the_model_cannot_explain_is_named(model, exact):
     strange = posed("push", exact[2].measured + np.array([0.0, 0.0, 0.03]))
     result = calibrate(model, parameter(), [exact[0], strange])
-    assert any(note.startswith("push ") for note in result.notes)
+    assert any(doubt.startswith("push ") for doubt in result.doubts)
 
 
 def test_held_out_poses_that_are_not_found_from_rest(model, exact):
@@ -376,10 +376,11 @@ def _measured_of(model, pose):
 def test_stated_noise_that_is_too_small_is_flagged(model):
     data = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), noise=5e-3)
     result = calibrate(model, parameter(), data, noise="stated")
-    assert says(result.notes, "larger", "stated noise")
+    assert says(result.doubts, "times the stated noise")
     honest = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), noise=1e-3)
     result = calibrate(model, parameter(), honest, noise="stated")
     assert result.notes == result.notes[:1]  # only the one on linear tets
+    assert not result.doubts
 
 
 def test_undetermined_parameters_are_named(model):

@@ -20,7 +20,7 @@ def page_of(result, database, **options):
     page = Read(path.read_text(encoding="utf-8"))
     assert page.of("script") == []
     assert all(image["src"].startswith("data:") for image in page.of("img"))
-    ids = [attrs["id"] for _, attrs in page.elements if "id" in attrs]
+    ids = [attrs["id"] for attrs in page.of("section") if "id" in attrs]
     links = [a["href"] for a in page.of("a")]
     assert {link for link in links if link[0] != "#"} == {database.name}
     assert {link[1:] for link in links if link[0] == "#"} == set(ids)
