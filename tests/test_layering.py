@@ -33,7 +33,7 @@ LAYERS = [
     {"inference"},
     {"unknowns"},
     {"calibration"},
-    {"identifiability", "control"},
+    {"identifiability", "control", "mistakes"},
     {"layouts"},
     {"robots"},
     {"export"},
