@@ -36,6 +36,7 @@ WIDTHS = Uncertain()
 SPREAD = 0.2
 """Spread of the logarithm of each modulus about its nominal value [-]."""
 
+Noise = Literal["estimated", "stated"]
 Force = Literal["loads", "actuation"]
 
 
@@ -59,7 +60,7 @@ class Robot(NamedTuple):
     space: ParameterSpace
     nominal: Mapping[str, float]
     poses: tuple[Configuration, ...]
-    noise: Literal["estimated", "stated"]
+    noise: Noise
     force: Force
     signed: Force
     marker: str

@@ -171,11 +171,8 @@ def _fitted(
     Z = np.clip(Z, low, high)
     squares, now = np.sum((off + W @ Z) ** 2, axis=0), np.sum(off**2, axis=0)
     along = -np.linalg.lstsq(A[:, n_p:], Y + A[:, :n_p] @ Z, rcond=RANK)[0]
-    steps = np.concatenate([Z, along]).T
-    return [
-        Refit(float(s), float(n), x)
-        for s, n, x in zip(squares, now, steps, strict=True)
-    ]
+    each = zip(squares, now, np.concatenate([Z, along]).T, strict=True)
+    return [Refit(float(after), float(before), x) for after, before, x in each]
 
 
 def _turned(w: Float[HostArray, "*n 3"], U: Float[HostArray, "*n 3 3"]) -> HostArray:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from softcal_jax._lanes import lane_of, stacked
 from softcal_jax._typing import Bool, Float, HostArray
@@ -101,17 +101,17 @@ class Simulator:
         return c, stated, z.tobytes()
 
     def _solve(self, lanes: Sequence[int], variant: Variant, z: HostArray) -> None:
-        """Solve poses from a state of the same variant, or from rest."""
+        """Solve poses, all from a state of the same variant or all from rest."""
         posed = stacked([self._posed(c, variant[c]) for c in lanes])
         problem = replace(self.problem, configurations=posed, noise=None)
         evaluate, on_device = Evaluator(problem, self.workers), jax.device_put(z)
-        near = [self._near.get((c, variant[c])) for c in lanes]
-        if near[0] is None:
+        if (lanes[0], variant[lanes[0]]) in self._near:
+            near = np.stack([self._near[c, variant[c]] for c in lanes])
+            response = evaluate.response(on_device, jax.device_put(near))
+            each = [lane_of(response, k) for k in range(len(lanes))]
+        else:
             solution = evaluate.equilibria(on_device)
             each = evaluate.closed(range(len(lanes)), on_device, solution)
-        else:
-            response = evaluate.response(on_device, jax.device_put(np.stack(near)))
-            each = [lane_of(response, k) for k in range(len(lanes))]
         for c, response in zip(lanes, each, strict=True):
             self._done[self._key(c, variant[c], z)] = response
             if bool(response.equilibrium.converged):
@@ -141,5 +141,5 @@ def _from_clamps(points: HostArray, lane: ConfigurationArrays) -> HostArray:
     distance = np.full(len(fixed), np.inf)
     clamped = points[fixed[: len(points)].all(axis=1)]
     if len(clamped):
-        distance[: len(points)] = cKDTree(clamped).query(points)[0]
+        distance[: len(points)] = KDTree(clamped).query(points)[0]
     return distance

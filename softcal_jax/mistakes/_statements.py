@@ -137,7 +137,7 @@ def forces(
     def left(variant: Variant) -> tuple[float, float]:
         """Return the squares that superposition leaves, and the share of the motion."""
         size = {f: np.array([getattr(s, f) for s in variant])[in_pose] for f in parts}
-        motion = sum(size[f] * by_force[f] for f in parts)
+        motion = np.sum([size[f] * by_force[f] for f in parts], axis=0)
         share = float(
             np.clip(motion @ measured / max(motion @ motion, 1e-300), *shares)
         )
