@@ -5,11 +5,11 @@ about 2 %; then one thing is stated wrongly, it is calibrated as by a user, and
 `likely_mistakes` is asked. `named_first_percent` counts a mistake only where the first
 one named is of its kind and has its markers, poses, axis or factor.
 `named_where_nothing_is_wrong` counts the correct data sets, `nothing_wrong` in all, for
-which any mistake is named; `named_where_the_model_is_wrong` does so for fits that lack
+which any mistake is named; `named_where_the_model_is_wrong` does so for fits with
 another error, several widths of the budget large: Poisson's ratio, density, depth of
-the clamp, direction of gravity, size of the loads. `seconds_over_fit` is the median, over the fits with a
-mistake, of the wall time of the search over that of the calibration; programs are
-compiled already.
+the clamp, direction of gravity, size of the loads. `seconds_over_fit` is the median,
+over the fits with a mistake, of the wall time of the search over that of the
+calibration; programs are compiled already.
 
 `run mistakes --count planted=1 --count right=4` does less.
 """

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations, product
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,11 +16,14 @@ from softcal_jax.mistakes._mistake import Kind
 FACTORS = (9.81, 10.0, 25.4, 1000.0)
 """Grams-force for newtons, centimetres or inches for millimetres, millimetres [-]."""
 
-MOST_SWAPS = 300
-"""Most exchanges of two markers in one configuration that are tried."""
+MOST_SWAPS = 100
+"""Most exchanges that are tried: of markers everywhere, in one pose, and of poses."""
 
 ORIGIN = 1e-6
 """Distance from the origin within which a reading is (0, 0, 0) [m]."""
+
+
+Exchange = TypeVar("Exchange", bound=tuple)
 
 
 class Change(NamedTuple):
@@ -124,7 +127,7 @@ def changes(
     """Yield all changes of readings; `simulated` values tell the likelier exchanges."""
     yield from _lost(readings)
     yield from _swapped_markers(readings, simulated)
-    yield from _swapped_poses(readings)
+    yield from _swapped_poses(readings, simulated)
     yield from _turned(readings)
     yield from _scaled(readings)
 
@@ -161,14 +164,16 @@ def _swapped_markers(
             weight = readings.weight[c, rows]
             gain = np.sum((weight * off) ** 2) - np.sum((weight * swapped) ** 2)
             gains.setdefault((a.name, b.name), {})[c] = float(gain)
-    single = [
-        (gain, pair, (c,)) for pair, of in gains.items() for c, gain in of.items()
-    ]
     every = [(sum(of.values()), pair, tuple(of)) for pair, of in gains.items()]
     several = [one for one in every if len(one[2]) > 1]
-    likeliest = lambda some: sorted(some, key=lambda one: -one[0])[:MOST_SWAPS]
-    for _, pair, poses in [*likeliest(several), *likeliest(single)]:
+    single = [(g, pair, (c,)) for pair, of in gains.items() for c, g in of.items()]
+    for _, pair, poses in [*_likeliest(several), *_likeliest(single)]:
         yield from _swap(readings, pair, poses)
+
+
+def _likeliest(exchanges: Sequence[Exchange]) -> Sequence[Exchange]:
+    """Return the exchanges with the largest gains, which come first in each."""
+    return sorted(exchanges, key=lambda one: -one[0])[:MOST_SWAPS]
 
 
 def _swap(
@@ -184,20 +189,37 @@ def _swap(
         yield Change("swapped markers", words, 1 + (len(poses) == 1) + 20 * k, measured)
 
 
-def _swapped_poses(readings: Readings) -> Iterator[Change]:
+def _swapped_poses(
+    readings: Readings, simulated: Float[HostArray, "n_c n_rows 3"]
+) -> Iterator[Change]:
     """Exchange the readings of two configurations with the same effectors."""
-    reference = np.asarray(readings.effectors.turn_reference)
+    weight, measured = readings.weight, readings.measured
+    pairs: list[tuple[float, int, int]] = []
     for a, b in combinations(range(len(readings.poses)), 2):
-        if np.any((readings.weight[a] > 0.0) != (readings.weight[b] > 0.0)):
+        if np.any((weight[a] > 0.0) != (weight[b] > 0.0)):
             continue
-        measured = readings.measured.copy()
-        measured[[a, b]] = measured[[b, a]]
-        turned = np.tile(np.eye(3), (*reference.shape[:2], 1, 1))
-        turned[a] = reference[a] @ np.swapaxes(reference[b], -1, -2)
-        turned[b] = reference[b] @ np.swapaxes(reference[a], -1, -2)
-        names = f"{readings.poses[a]} and {readings.poses[b]}"
-        words = f"Exchanging the readings of {names}"
-        yield Change("swapped poses", words, 3, measured, turned)
+        off = lambda i, j: np.sum((weight[i] * (simulated[i] - measured[j])) ** 2)
+        gain = off(a, a) + off(b, b) - off(a, b) - off(b, a)
+        pairs.append((float(gain), a, b))
+    for _, a, b in _likeliest(pairs):
+        exchanged = measured.copy()
+        exchanged[[a, b]] = measured[[b, a]]
+        words = (
+            f"Exchanging the readings of {readings.poses[a]} and {readings.poses[b]}"
+        )
+        turned = _exchanged_turns(readings, a, b)
+        yield Change("swapped poses", words, 3, exchanged, turned)
+
+
+def _exchanged_turns(readings: Readings, a: int, b: int) -> HostArray | None:
+    """Return the factors by which turns count from the references of the other pose."""
+    reference = np.asarray(readings.effectors.turn_reference)
+    if not reference.shape[1]:
+        return None
+    turned = np.tile(np.eye(3), (*reference.shape[:2], 1, 1))
+    turned[a] = reference[a] @ np.swapaxes(reference[b], -1, -2)
+    turned[b] = reference[b] @ np.swapaxes(reference[a], -1, -2)
+    return turned
 
 
 class _Frame(NamedTuple):
@@ -231,6 +253,7 @@ def _turned(readings: Readings) -> Iterator[Change]:
     shifted alike; or only the motion, where readings are nominal positions plus motion.
     """
     used = readings.weight > 0.0
+    shifts = _shifts(readings)
     for frame in _frames():
         mixed = np.abs(frame.undo) > 0.5
         seen = readings.of_points > 0.5
@@ -246,8 +269,7 @@ def _turned(readings: Readings) -> Iterator[Change]:
             yield Change(frame.kind, words, 5 + 20 * k, measured, turned)
             if k == 0:
                 words += ", and moving them along,"
-                free = _shifts(readings)
-                yield Change(frame.kind, words, 9, measured, turned, free)
+                yield Change(frame.kind, words, 9, measured, turned, shifts)
 
 
 def _all_turned(readings: Readings, undo: Float[HostArray, "3 3"]) -> HostArray | None:

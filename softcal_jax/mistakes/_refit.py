@@ -5,7 +5,7 @@ included, and dz stays within the bounds of the parameters: what a calibration t
 changed readings would do in its next step (Eq. 10).
 """
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -56,6 +56,8 @@ class Refitter:
         """Weigh errors as stated: by the noise of a fit, its jitter aside."""
         self.space, self.readings, self._noise = space, readings, noise
         self._bounds = np.asarray(space.lower()), np.asarray(space.upper())
+        self._periodic = np.array([q.periodic for q in space.parameters])
+        self._prior_weights = np.asarray(space.prior_weights())
         columns = noise.on_host(readings.effectors) * float(np.asarray(noise.jitter))
         self._columns = columns[:, np.any(columns != 0.0, axis=0)]
 
@@ -105,15 +107,15 @@ class Refitter:
         `limit` of the squares, it is only estimated.
         """
         box = self._box(simulated.z, trust)
+        prior = np.asarray(self.space.from_prior(jnp.asarray(simulated.z)))
+        groups: dict[Hashable, list[int]] = {}
+        for k, change in enumerate(changes):  # those with the same unknowns together
+            alone = None if change.turned is None else k
+            groups.setdefault((id(change.free), alone), []).append(k)
         fits: dict[int, Refit] = {}
-        plain = [
-            k for k, c in enumerate(changes) if c.turned is None and c.free is None
-        ]
-        groups = [plain] * bool(plain)
-        groups += [[k] for k in range(len(changes)) if k not in set(plain)]
-        for group in groups:
+        for group in groups.values():
             A = self._columns_of(simulated, changes[group[0]])
-            Y = self._rows_of(simulated, [changes[k] for k in group])
+            Y = self._rows_of(simulated, [changes[k] for k in group], prior)
             for k, one in zip(group, _fitted(A, Y, box, limit), strict=True):
                 fits[k] = one
         return [fits[k] for k in range(len(changes))]
@@ -121,8 +123,8 @@ class Refitter:
     def _box(self, z: HostArray, trust: float) -> tuple[HostArray, HostArray]:
         """Return the limits of a step."""
         low, high = (end - z for end in self._bounds)
-        periodic = np.array([q.periodic for q in self.space.parameters])
-        low, high = np.where(periodic, -np.inf, low), np.where(periodic, np.inf, high)
+        low = np.where(self._periodic, -np.inf, low)
+        high = np.where(self._periodic, np.inf, high)
         return np.clip(low, -trust, 0.0), np.clip(high, 0.0, trust)
 
     def _columns_of(self, simulated: Simulated, change: Change) -> HostArray:
@@ -139,14 +141,15 @@ class Refitter:
         parts = [W.reshape(-1, n_p), *([] if change.free is None else [change.free])]
         of_data = self.whiten(np.concatenate(parts, axis=1))
         of_prior = np.zeros((n_p, of_data.shape[1]))
-        of_prior[:, :n_p] = np.diag(np.asarray(self.space.prior_weights()))
+        of_prior[:, :n_p] = np.diag(self._prior_weights)
         return np.concatenate([of_data, of_prior])
 
-    def _rows_of(self, simulated: Simulated, changes: Sequence[Change]) -> HostArray:
+    def _rows_of(
+        self, simulated: Simulated, changes: Sequence[Change], prior: HostArray
+    ) -> HostArray:
         """Return whitened errors and distances from priors, one column per change."""
         weight = self.readings.weight
         r = [np.ravel(weight * self.errors(simulated, change)) for change in changes]
-        prior = np.asarray(self.space.from_prior(jnp.asarray(simulated.z)))
         of_prior = np.repeat(prior[:, None], len(changes), axis=1)
         return np.concatenate([self.whiten(np.stack(r, axis=1)), of_prior])
 

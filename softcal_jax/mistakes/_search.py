@@ -31,6 +31,7 @@ from softcal_jax.mistakes._statements import (
     clamps,
     forces,
     motions_by,
+    other_forces,
     reversible,
 )
 
@@ -200,6 +201,7 @@ class _Search:
         self.bases = [_Base(last)]
         self.as_is = _Candidate(as_read(self.readings), self.stated, self.bases)
         self.tried: list[_Candidate] = []
+        self.n_considered = 0
         self._refit([self.as_is])
 
     def run(self) -> None:
@@ -207,6 +209,7 @@ class _Search:
         last = self.bases[0].simulated
         for change in changes(self.readings, last.e):
             self.tried.append(_Candidate(change, self.stated, self.bases))
+        self.n_considered = len(self.tried)
         self._descend()
         if self.enough():
             return
@@ -216,14 +219,21 @@ class _Search:
         self._descend()
         if self.enough():
             return
+        self._forces(start)
+        if not self.enough():
+            longer = clamps(self.simulator, self.readings, start.z)
+            self.n_considered += len(longer)
+            self._state(longer)
+
+    def _forces(self, start: Simulated) -> None:
+        """Try other forces, where superposition about the start says so."""
         act = acting(list(self.simulator.problem.configurations))
         parts = motions_by(self.simulator, self.readings, act=act, start=start)
         if parts is not None:
             may_reverse = reversible(self.result.model)
-            worth = {"act": act, "parts": parts, "may_reverse": may_reverse}
-            self._state(forces(self.refitter, start=start, **worth))
-        if not self.enough():
-            self._state(clamps(self.simulator, self.readings, start.z))
+            every = list(other_forces(self.readings, act, may_reverse))
+            self.n_considered += len(every)
+            self._state(forces(self.refitter, every=every, parts=parts, start=start))
 
     def enough(self) -> bool:
         """Whether a change explains the data so well that no more are tried."""
@@ -316,11 +326,10 @@ class _Search:
 
     def _explains(self, candidate: _Candidate) -> bool:
         """Whether a change explains the data clearly better."""
-        least = np.log(max(len(self.tried), 1) / UNLIKELY)
-        better = candidate.squares <= CLEARLY * self.as_is.squares
-        return (
-            candidate.near and better and self._evidence(candidate, self.as_is) >= least
-        )
+        least = float(np.log(max(self.n_considered, 1) / UNLIKELY))
+        clearly = candidate.squares <= CLEARLY * self.as_is.squares
+        likelier = self._evidence(candidate, self.as_is) >= least
+        return candidate.near and clearly and likelier
 
     def named(self) -> tuple[Mistake, ...]:
         """Return the changes that explain the data clearly better."""

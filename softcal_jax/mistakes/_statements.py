@@ -40,6 +40,15 @@ QUIET = 3.0
 """The same over the standard deviation of its readings [-]."""
 
 
+class OtherForces(NamedTuple):
+    """A change of forces, see `Statement`."""
+
+    kind: Kind
+    words: str
+    rank: int
+    variant: Variant
+
+
 class Statement(NamedTuple):
     """What would have been stated without a mistake.
 
@@ -120,12 +129,11 @@ def motions_by(
 def forces(
     refitter: Refitter,
     *,
-    act: dict[str, list[int]],
+    every: Sequence[OtherForces],
     parts: dict[str, HostArray],
     start: Simulated,
-    may_reverse: Collection[str],
 ) -> list[Statement]:
-    """Return the changes of forces that are worth a simulation, the best first."""
+    """Return those of the changes of forces that are worth a simulation, best first."""
     readings, space = refitter.readings, refitter.space
     weight = readings.weight * readings.of_points
     in_noise = lambda motion: refitter.whiten(np.ravel(weight * motion)[:, None])[:, 0]
@@ -145,7 +153,7 @@ def forces(
 
     now, _ = left((Stated(),) * len(readings.poses))
     tried = []
-    for kind, words, rank, variant in _variants(readings, act, may_reverse):
+    for kind, words, rank, variant in every:
         squares, share = left(variant)
         if squares < BETTER * now:
             z = _softer(space, start.z, share)
@@ -153,9 +161,9 @@ def forces(
     return sorted(tried, key=lambda one: (one.expected, one.rank))[:MOST_TRIED]
 
 
-def _variants(
+def other_forces(
     readings: Readings, act: dict[str, list[int]], may_reverse: Collection[str]
-) -> Iterator[tuple[Kind, str, int, Variant]]:
+) -> Iterator[OtherForces]:
     """Yield all changes of forces: in all poses, and in one."""
     n = len(readings.poses)
     for force, where in act.items():
@@ -178,7 +186,8 @@ def _variants(
                     for c in range(n)
                 )
                 kind = "wrong sign" if sign else "wrong factor"
-                yield kind, words, (4 if sign else 6) + 2 * (not every), variant
+                rank = (4 if sign else 6) + 2 * (not every)
+                yield OtherForces(kind, words, rank, variant)
 
 
 def _the(force: str) -> str:
