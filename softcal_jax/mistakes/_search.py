@@ -227,7 +227,7 @@ class _Search:
 
     def _forces(self, start: Simulated) -> None:
         """Try other forces, where superposition about the start says so."""
-        act = acting(list(self.simulator.problem.configurations))
+        act = acting(self.simulator.poses)
         parts = motions_by(self.simulator, self.readings, act=act, start=start)
         if parts is not None:
             may_reverse = reversible(self.result.model)

@@ -2,6 +2,7 @@
 
 from collections.abc import Hashable, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import NamedTuple
 
 import equinox as eqx
@@ -10,7 +11,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from softcal_jax._lanes import lane_of, stacked
-from softcal_jax._typing import Bool, Float, HostArray
+from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import CalibrationProblem, Evaluator
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Workers
@@ -57,8 +58,7 @@ class Simulator:
     Attributes:
         problem: The calibration.
         workers: Run the poses.
-        distance: Of each node from the clamps of each pose; infinite without any, and
-            for frames of rigid bodies [m].
+        poses: The poses as they were stated.
     """
 
     def __init__(
@@ -69,13 +69,20 @@ class Simulator:
     ):
         """Begin with the displacement of each pose, as it was stated [m]."""
         self.problem, self.workers = problem, workers
-        self._each = list(problem.configurations)
+        self.poses = list(problem.configurations)
         self._done: dict[Hashable, Response] = {}
-        points = problem.model.mesh.points
-        self.distance = np.array([_from_clamps(points, lane) for lane in self._each])
         self._near: dict[Hashable, HostArray] = {}
-        if problem.model.n_points == len(points):
+        if problem.model.n_points == problem.model.mesh.n_nodes:
             self._near = {(c, Stated()): u for c, u in enumerate(displacement)}
+
+    @cached_property
+    def distance(self) -> Float[HostArray, "n_c n_points"]:
+        """Of each node from the clamps of each pose [m].
+
+        Infinite without any, and for frames of rigid bodies.
+        """
+        points = self.problem.model.mesh.points
+        return np.array([_from_clamps(points, pose) for pose in self.poses])
 
     def __call__(
         self, variant: Variant, z: Float[HostArray, " n_p"]
@@ -120,19 +127,18 @@ class Simulator:
 
     def _posed(self, c: int, stated: Stated) -> ConfigurationArrays:
         """Change the arrays of a pose."""
-        lane = self._each[c]
-        held = self._held(c, stated.depth)
+        lane = self.poses[c]
+        fixed = np.asarray(lane.fixed)
+        if stated.depth > 0.0:
+            fixed = fixed | (self.distance[c] <= stated.depth)[:, None]
         values = (
             stated.gravity * np.asarray(lane.gravity),
             stated.loads * np.asarray(lane.loads.force),
             stated.actuation * np.asarray(lane.actuation.value),
-            np.asarray(lane.fixed) | held,
+            fixed,
         )
         where = lambda c: (c.gravity, c.loads.force, c.actuation.value, c.fixed)
         return eqx.tree_at(where, lane, jax.device_put(values))
-
-    def _held(self, c: int, depth: float) -> Bool[HostArray, "n_points 1"]:
-        return (self.distance[c] <= depth)[:, None] & (depth > 0.0)
 
 
 def _from_clamps(points: HostArray, lane: ConfigurationArrays) -> HostArray:
