@@ -81,11 +81,11 @@ def run(options: Options) -> Outcome:
         _tried(robot, "", right(robot, np.random.default_rng(0)))  # compiles
         for n, (what, plant) in enumerate(MISTAKES.items()):
             for draw in range(counts["planted"]):
-                random = np.random.default_rng([50, k, n, draw])
+                random = np.random.default_rng([53, k, n, draw])
                 planted.append(_tried(robot, what, plant(robot, random)))
         share = range(k, counts["right"], len(each))
         for draw in share:
-            random = np.random.default_rng([51, draw])
+            random = np.random.default_rng([54, draw])
             correct.append(_tried(robot, "", right(robot, random)))
     others = _others(counts["others"])
     return outcome(planted, correct, others)

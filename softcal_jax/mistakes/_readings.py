@@ -14,7 +14,7 @@ from softcal_jax.configurations import EffectorArrays, EffectorRecord
 from softcal_jax.mistakes._mistake import Kind
 
 FACTORS = (9.81, 10.0, 25.4, 1000.0)
-"""Grams-force for newtons, centimetres or inches for millimetres, millimetres [-]."""
+"""Kilograms, of forces only, centimetres, inches and milli [-]."""
 
 MOST_SWAPS = 100
 """Most exchanges that are tried: of markers everywhere, in one pose, and of poses."""
@@ -295,7 +295,7 @@ def _shifts(readings: Readings) -> Float[HostArray, "n 3"]:
 
 def _scaled(readings: Readings) -> Iterator[Change]:
     """Read lengths in another unit: positions, or how far points moved."""
-    scales = [f for factor in FACTORS for f in (factor, 1.0 / factor)]
+    scales = [f for factor in FACTORS[1:] for f in (factor, 1.0 / factor)]
     for scale, (k, what) in product(scales, enumerate(("positions", "motion"))):
         rest = readings.at_rest * k
         measured = _mapped(readings, scale * np.eye(3), rest)

@@ -27,12 +27,10 @@ from softcal_jax.mistakes._refit import TRUST, Refit, Refitter
 from softcal_jax.mistakes._simulator import Simulated, Simulator, Stated, Variant
 from softcal_jax.mistakes._statements import (
     Statement,
-    acting,
     clamps,
     forces,
     motions_by,
     other_forces,
-    reversible,
 )
 
 CLEARLY = 0.5
@@ -121,12 +119,12 @@ def likely_mistakes(result: CalibrationResult) -> tuple[Mistake, ...]:
     these, or lengths, off by a factor of 9.81, 10, 25.4 or 1000; and a clamp that
     reaches up to a marker. After each, the parameters are fitted again to first order.
 
-    A mistake is named if it at least halves the residuals, and makes the data likelier
-    by a factor that chance reaches with a probability of `UNLIKELY` at most, whichever
-    of all changes is the best: without a mistake, a given change reaches a likelihood
-    ratio of k with a probability of 1 / k at most (Markov's inequality). With an
-    estimated noise, that is the ratio of the likelihoods maximised in its level. Of
-    mistakes that explain the data as well, the simplest comes first. What the
+    A mistake is named if it at least halves the squared residuals, and makes the data
+    likelier by a factor that chance reaches with a probability of `UNLIKELY` at most,
+    whichever of all changes is the best: without a mistake, a given change reaches a
+    likelihood ratio of k with a probability of 1 / k at most (Markov's inequality).
+    With an estimated noise, that is the ratio of the likelihoods maximised in its
+    level. Of mistakes that explain the data as well, the simplest comes first. What the
     parameters make up for, like a factor on all forces beside a modulus, leaves the
     residuals as they are, and is not named.
 
@@ -227,11 +225,10 @@ class _Search:
 
     def _forces(self, start: Simulated) -> None:
         """Try other forces, where superposition about the start says so."""
-        act = acting(self.simulator.poses)
-        parts = motions_by(self.simulator, self.readings, act=act, start=start)
+        parts = motions_by(self.simulator, self.readings, start)
         if parts is not None:
-            may_reverse = reversible(self.result.model)
-            every = list(other_forces(self.readings, act, may_reverse))
+            poses, model = self.simulator.poses, self.result.model
+            every = list(other_forces(self.readings, poses, model))
             self.n_considered += len(every)
             self._state(forces(self.refitter, every=every, parts=parts, start=start))
 

@@ -5,7 +5,7 @@ of a pose is about the sum of those by gravity, loads and actuation, each in pro
 to its size, and all in inverse proportion to the stiffness.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import chain
 from typing import NamedTuple
 
@@ -22,6 +22,9 @@ from softcal_jax.mistakes._refit import Refitter
 from softcal_jax.mistakes._simulator import Simulated, Simulator, Stated, Variant
 
 FORCES = "gravity", "loads", "actuation"
+
+GRAVITIES = 1.0, 30.0
+"""From the Moon's to Jupiter's [m/s2]."""
 
 MOST_TRIED = 4
 """Most changes of forces that are simulated."""
@@ -85,24 +88,14 @@ def acting(poses: Sequence[ConfigurationArrays]) -> dict[str, list[int]]:
     return {force: where for force, where in act.items() if where}
 
 
-def reversible(model: Model) -> set[str]:
-    """Return the `FORCES` that may have another sign: cables only pull."""
-    one_way = np.any(model.mechanism.actuators.unilateral)
-    return {*FORCES} - ({"actuation"} if one_way else set())
-
-
 def motions_by(
-    simulator: Simulator,
-    readings: Readings,
-    *,
-    act: dict[str, list[int]],
-    start: Simulated,
+    simulator: Simulator, readings: Readings, start: Simulated
 ) -> dict[str, HostArray] | None:
     """Split the motion of points at the start by forces, taken off one after another.
 
     None where a pose has no equilibrium without some of its forces.
     """
-    n = len(readings.poses)
+    n, act = len(readings.poses), acting(simulator.poses)
     each = [
         [force for force in reversed(FORCES) if c in act.get(force, ())]
         for c in range(n)
@@ -162,36 +155,48 @@ def forces(
 
 
 def other_forces(
-    readings: Readings, act: dict[str, list[int]], may_reverse: Collection[str]
+    readings: Readings, poses: Sequence[ConfigurationArrays], model: Model
 ) -> Iterator[OtherForces]:
-    """Yield all changes of forces: in all poses, and in one."""
-    n = len(readings.poses)
-    for force, where in act.items():
-        scopes = [where, *([c] for c in where if len(where) > 1)]
-        factors = [-1.0] * (force in may_reverse) + [
-            *chain(*((f, 1.0 / f) for f in FACTORS))
-        ]
-        for scope in scopes:
-            every = len(scope) == len(where)
-            place = readings.in_words(range(n) if every else scope)
-            for factor in factors:
-                sign = factor < 0.0
-                words = (
-                    f"Reversing {_the(force)}{place}"
-                    if sign
-                    else f"{times(factor)} {_the(force)}{by(factor)}{place}"
-                )
-                variant = tuple(
-                    Stated(**{force: factor}) if c in scope else Stated()
-                    for c in range(n)
-                )
-                kind = "wrong sign" if sign else "wrong factor"
-                rank = (4 if sign else 6) + 2 * (not every)
-                yield OtherForces(kind, words, rank, variant)
+    """Yield all changes of forces: in all poses, and in one.
+
+    Cables only pull, and gravity stays one of a planet.
+    """
+    n, act = len(poses), acting(poses)
+    one_way = bool(np.any(model.mechanism.actuators.unilateral))
+    size = [float(np.linalg.norm(np.asarray(pose.gravity))) for pose in poses]
+    factors = [-1.0, *chain(*((f, 1.0 / f) for f in FACTORS))]
+    each = (
+        (force, scope, f)
+        for force in act
+        for scope in _scopes(act[force])
+        for f in factors
+    )
+    for force, scope, factor in each:
+        sign, everywhere = factor < 0.0, len(scope) == len(act[force])
+        on_planet = all(GRAVITIES[0] <= factor * size[c] <= GRAVITIES[1] for c in scope)
+        if sign and force == "actuation" and one_way:
+            continue
+        if not sign and force == "gravity" and not on_planet:
+            continue
+        what = force if force == "gravity" else f"the {force}"
+        place = readings.in_words(range(n) if everywhere else scope)
+        words = f"Reversing {what}{place}"
+        if not sign:
+            words = f"{times(factor)} {what}{by(factor)}{place}"
+        # The weight of a mass is the commoner slip than a factor of ten.
+        rank = 4 if sign else 6 + (factor in (10.0, 0.1))
+        changed = Stated(**{force: factor})
+        yield OtherForces(
+            kind="wrong sign" if sign else "wrong factor",
+            words=words,
+            rank=rank + 2 * (not everywhere),
+            variant=tuple(changed if c in scope else Stated() for c in range(n)),
+        )
 
 
-def _the(force: str) -> str:
-    return force if force == "gravity" else f"the {force}"
+def _scopes(where: list[int]) -> list[list[int]]:
+    """Return all poses in which a force acts, and each of several."""
+    return [where, *([c] for c in where if len(where) > 1)]
 
 
 def _moduli(space: ParameterSpace) -> HostArray:
