@@ -63,7 +63,7 @@ class Robot(NamedTuple):
     noise: Noise
     force: Force
     signed: Force
-    marker: str
+    marker: str = "root"
 
     def measured(
         self,
@@ -148,7 +148,6 @@ def _silicone_beam() -> Robot:
         noise="estimated",
         force="loads",
         signed="loads",
-        marker="root",
     )
 
 
@@ -184,7 +183,6 @@ def _cable_beam() -> Robot:
         noise="stated",
         force="actuation",
         signed="loads",
-        marker="root",
     )
 
 
@@ -222,7 +220,6 @@ def _finger() -> Robot:
         noise="stated",
         force="actuation",
         signed="actuation",
-        marker="root",
     )
 
 
@@ -245,7 +242,6 @@ def _strip() -> Robot:
         noise="estimated",
         force="loads",
         signed="loads",
-        marker="root",
     )
 
 
@@ -268,11 +264,6 @@ def right(robot: Robot, random: np.random.Generator) -> Case:
     return Case(robot.measured(random))
 
 
-def _changed(c: Configuration, rows: HostArray) -> Configuration:
-    """Exchange the rows of markers of a pose."""
-    return replace(c, measured=rows)
-
-
 def _swapped(robot: Robot, random: np.random.Generator, *, everywhere: bool) -> Case:
     """Two markers exchanged."""
     poses = list(robot.measured(random))
@@ -285,7 +276,7 @@ def _swapped(robot: Robot, random: np.random.Generator, *, everywhere: bool) -> 
     for c, pose in enumerate(poses):
         if everywhere or c == chosen:
             assert pose.measured is not None
-            poses[c] = _changed(pose, pose.measured[order])
+            poses[c] = replace(pose, measured=pose.measured[order])
     where = "all poses" if everywhere else poses[chosen].name
     words = markers.names[a], markers.names[b], where
     return Case(tuple(poses), "swapped markers", words)
@@ -324,11 +315,9 @@ def _mirrored(robot: Robot, random: np.random.Generator) -> Case:
 
 def _gravity(robot: Robot, random: np.random.Generator) -> Case:
     """Gravity stated upwards."""
-    poses = []
-    for c in robot.measured(random):
-        up = tuple((-np.array(c.gravity)).tolist())
-        poses.append(replace(c, gravity=up))
-    return Case(tuple(poses), "wrong sign", ("gravity",))
+    up = lambda c: tuple((-np.array(c.gravity)).tolist())
+    poses = tuple(replace(c, gravity=up(c)) for c in robot.measured(random))
+    return Case(poses, "wrong sign", ("gravity",))
 
 
 def _reversed(robot: Robot, random: np.random.Generator) -> Case:
@@ -366,7 +355,7 @@ def _lost(robot: Robot, random: np.random.Generator) -> Case:
     k = int(random.integers(len(markers.names)))
     measured = measured.copy()
     measured[k] = 0.0
-    poses[c] = _changed(poses[c], measured)
+    poses[c] = replace(poses[c], measured=measured)
     return Case(tuple(poses), "lost marker", (markers.names[k], poses[c].name))
 
 
