@@ -32,7 +32,7 @@ LAYERS = [
     {"inference"},
     {"unknowns"},
     {"calibration"},
-    {"identifiability", "control"},
+    {"identifiability", "control", "mistakes"},
     {"layouts"},
     {"robots"},
     {"export"},

@@ -323,6 +323,8 @@ class CalibrationResult(Result):
         noise: Covariance of the stacked errors that weighed them.
         noise_settled: Whether an estimated noise had settled when the fit ended.
         checks: What the residuals say about the model.
+        mistakes: Sentences on mistakes that would explain contradictory data, the likeliest
+            first, if they were sought: see `likely_mistakes`.
         left_out: What was not computed; standard errors are then by the noise alone.
         source: The project file that it was made from; None for one made in Python.
     """
@@ -347,6 +349,7 @@ class CalibrationResult(Result):
     checks: ResidualChecks | None = None
     precision: float = PRECISION
     interrupted: bool = False
+    mistakes: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
     source: ProjectSource | None = None
 
@@ -408,6 +411,7 @@ class CalibrationResult(Result):
         if self.checks is not None:
             lines += [f"  {line}" for line in self.checks.agreement]
         lines += [f"  Doubt: {reason}" for reason in self.doubts]
+        lines += [f"  Mistake? {sentence}" for sentence in self.mistakes]
         return "\n".join(lines + [f"  Note: {note}" for note in self.notes])
 
     def value(self, name: str) -> float:

@@ -60,6 +60,7 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> None:
     check_folder(args)
     from softcal_jax import report
     from softcal_jax.identifiability import assess
+    from softcal_jax.mistakes import likely_mistakes
 
     project = load(path, show)
     with bad_input():
@@ -83,6 +84,11 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> None:
         )
     show.lap("solve", compiling=result.timing_s["compile"])
     assessment = assess(result)
+    if assessment.contradicted and not (args.quick or result.interrupted):
+        show.now("the likeliest mistake in the data or the project")
+        mistakes = tuple(map(str, likely_mistakes(result)))
+        result = replace(result, mistakes=mistakes)
+        show.lap("mistakes")
     show.line()
     if args.verbose:
         show.line(report.summary_table(result, assessment))

@@ -55,7 +55,7 @@ def result_dict(
             "newton": result.newton,
             "noise": result.uncertainty.noise,
         },
-        **pick(result, "uncertainty noise checks starts notes"),
+        **pick(result, "uncertainty noise checks starts mistakes notes"),
         "budget": budget_dict(result.budget),
         "assessment": assessment,
         "identifiability": assessment.identifiability,

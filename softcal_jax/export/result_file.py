@@ -226,6 +226,7 @@ class ResultFile(Entry):
     assessment: AssessmentEntry
     identifiability: Annotated[Any, IDENTIFIABILITY] = None
     starts: Annotated[Any, _STARTS] = None
+    mistakes: Plain = None
     notes: Plain = None
     versions: dict[str, str]
     """Versions of Python and its packages, and the machine."""

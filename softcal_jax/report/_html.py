@@ -258,6 +258,7 @@ def answer_html(answer: Answer) -> Html:
         said.append(node("details", more, bullets(reasons[MOST_REASONS:])))
     head = node("h2", "Verdict")
     content.append(node("section", head, *said, class_=f"verdict {tone}"))
+    content += sentences([f"A mistake? {text}" for text in answer.mistakes])
     content += sentences([*answer.held_out, f"Next: {answer.next_step}"])
     return node("div", *content, node("p", SCOPE, class_="kind"), class_="answer")
 

@@ -57,12 +57,14 @@ class Answer(NamedTuple):
     Attributes:
         values: Name, value and interval of each parameter.
         verdict: Whether the values can be used.
+        mistakes: What would explain contradictory data, the likeliest first.
         held_out: How well poses are predicted that were not fitted, in sentences.
         next_step: What to do next.
     """
 
     values: tuple[tuple[str, str, str], ...]
     verdict: RunVerdict
+    mistakes: tuple[str, ...]
     held_out: tuple[str, ...]
     next_step: str
 
@@ -77,6 +79,7 @@ class Answer(NamedTuple):
         lines += [f"  {text}" for text in self.verdict.reasons[:MOST_REASONS]]
         more = len(self.verdict.reasons) - MOST_REASONS
         lines += [f"  and {more} more."] if more > 0 else []
+        lines += [f"A mistake? {sentence}" for sentence in self.mistakes[:1]]
         return [*lines, *self.held_out, f"Next: {self.next_step}", SCOPE]
 
 
@@ -88,6 +91,7 @@ def answer_of(result: CalibrationResult, assessment: Assessment) -> Answer:
     return Answer(
         values=values,
         verdict=verdict_of(assessment),
+        mistakes=result.mistakes,
         held_out=tuple(held_out or [none]),
         next_step=_next_step(result, assessment),
     )
