@@ -323,8 +323,8 @@ class CalibrationResult(Result):
         noise: Covariance of the stacked errors that weighed them.
         noise_settled: Whether an estimated noise had settled when the fit ended.
         checks: What the residuals say about the model.
-        mistakes: Sentences on mistakes that would explain contradictory data, the likeliest
-            first, if they were sought: see `likely_mistakes`.
+        mistakes: Sentences on mistakes that would explain contradictory data, the
+            likeliest first, if they were sought: see `likely_mistakes`.
         left_out: What was not computed; standard errors are then by the noise alone.
         source: The project file that it was made from; None for one made in Python.
     """
