@@ -49,6 +49,7 @@ def test_result_is_strict_json_with_all_its_keys(data):
         "assessment",
         "identifiability",
         "starts",
+        "mistakes",
         "notes",
         "versions",
         "timing_s",
