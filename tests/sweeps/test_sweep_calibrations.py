@@ -31,10 +31,10 @@ seed = 7
 start = [0, 1]
 noise = [0, 1]
 "settings.max_steps" = [1, 50]
-"shared.gravity" = ["(0, 0, -9.81) m/s^2", "(0, 0, -1e8) m/s^2"]
+"shared.gravity" = ["(0, 0, -9.81) m/s^2", "(0, 0, -2e6) m/s^2"]
 """
 
-WEIGHT, CRUSHED = "(0, 0, -9.81) m/s^2", "(0, 0, -1e8) m/s^2"
+WEIGHT, CRUSHED = "(0, 0, -9.81) m/s^2", "(0, 0, -2e6) m/s^2"
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_sweep_and_show(swept, capsys, tmp_path, monkeypatch):
     assert code == 1
     assert says(errors, "12 of 16 trials")
     assert says(text, "reading sweep.toml ... 16 trials")
-    assert "failed: settings.max_steps = 1, shared.gravity = (0, 0, -1e8) m/s^2" in text
+    assert "failed: settings.max_steps = 1, shared.gravity = (0, 0, -2e6) m/s^2" in text
     assert says(text, "16 of 16", "4 converged, 4 not converged, 8 failed")
     assert says(text, "within max_steps = 1")
     assert "no equilibrium found" in text
