@@ -361,6 +361,12 @@ def test_the_answer_has_few_lines_in_the_order_of_reading():
     assert says(lines[3], "more poses ... E is uncertain by 2 % through noise")
 
 
+def test_a_mistake_that_was_found_is_what_to_look_at_next():
+    text = answered(make_result(mistakes=("Swapping a and b helps.", "So does c.")))
+    assert says(text, "A mistake? Swapping a and b helps. ... Next: find out whether")
+    assert "So does c" not in text
+
+
 def test_many_values_and_reasons_are_counted():
     result = make_result(
         parameters=tuple(

@@ -123,6 +123,8 @@ def _next_step(result: CalibrationResult, assessment: Assessment) -> str:
     """Say what helps most: against what contradicts, is not seen, or errs most."""
     if not result.converged:
         return "raise max_steps under [settings], or start from other values."
+    if result.mistakes:
+        return "find out whether that mistake was made, and calibrate again."
     outlook = assessment.identifiability
     worst = int(np.argmax([p.ratio for p in outlook.parameters]))
     step = result.budget.advice(result.budget.names[worst])
