@@ -136,7 +136,9 @@ class Assessment(Result):
 
     def __str__(self) -> str:
         """The verdict and its reasons, then the identifiability report."""
-        lines = ["\n  ".join([self.headline, *self.reasons]), str(self.identifiability)]
+        lines = ["\n  ".join([self.headline, *self.reasons])]
+        lines += ["If the model is right:"] * self.contradicted
+        lines.append(str(self.identifiability))
         return "\n".join([*lines, self.prediction]).rstrip()
 
 

@@ -320,7 +320,8 @@ def _calibration_cell(result: CalibrationResult) -> Html:
 @notebook_html.register
 def _assessment_cell(assessment: Assessment) -> Html:
     outlook = assessment.identifiability
-    content = [*sentences([outlook.headline]), *_known(outlook)]
+    provided = ["If the model is right:"] * assessment.contradicted
+    content = [*sentences([*provided, outlook.headline]), *_known(outlook)]
     content += sentences([assessment.prediction or ""])
     return output(verdict_of(assessment), content)
 

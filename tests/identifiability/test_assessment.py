@@ -217,6 +217,8 @@ def test_what_contradicts_the_model_makes_no_parameter_identifiable(good):
     wrong = assess(eqx.tree_at(lambda r: r.uncertainty.chi_squared, good, 50.0))
     assert wrong.seen("identifiable") == "identifiable if the model is right"
     assert wrong.seen("not identifiable") == "not identifiable"
+    assert says(wrong, "with care ... If the model is right: Identifiable")
+    assert "If the model" not in str(assess(good))
 
 
 def test_noise_that_did_not_settle(good):
