@@ -192,7 +192,7 @@ def test_ctrl_c_writes_what_has_been_fitted(tmp_path, out, capsys, monkeypatch, 
 
 def stands(errors, checkpoint):
     """Whether it is said that the checkpoint stands, and what goes on from it."""
-    return says(errors, f"checkpoint {checkpoint} stands ... same command ... --force")
+    return says(errors, f"checkpoint {checkpoint} is kept ... same command ... --force")
 
 
 def test_simulate(tmp_path, out, capsys):
@@ -305,7 +305,7 @@ def test_identify(tmp_path, out, capsys):
     assert "upside down, crushed would add" in printed
     # Two markers on three axes; `pulled` is held out.
     assert says(printed, "Weakly identifiable", "6 measured", "1 parameter")
-    assert says(printed, "'upside down' adds most")
+    assert says(printed, "'upside down' is the most informative")
     assert "Not ranked: 'crushed': " in printed
     assert "[[candidates]]" not in printed
     assert f"Results in {out}: open {out / 'report.html'}" in printed

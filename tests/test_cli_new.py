@@ -161,7 +161,7 @@ def test_a_mesh_with_markers(tmp_path, body, capsys):
 def test_a_mesh_alone_can_be_judged_and_not_calibrated(tmp_path, body, capsys):
     assert new(tmp_path / "mine", "--model", body, "--length-unit", "mm") == 0
     text = capsys.readouterr().out
-    assert "Nothing measured yet" in text
+    assert "There are no readings yet" in text
     assert "softcal calibrate " not in text.split("Next:")[1]
     project = loaded(tmp_path / "mine")
     project.check_identify()
