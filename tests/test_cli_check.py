@@ -53,7 +53,7 @@ def test_one_of_each_kind(every_kind, capsys):
         # From (0, 10, 20) to (45, 10, 20) mm.
         "left cable 45 mm long",
         "hinged candidate 9.81 m/s2 along -z arm 20 deg, left 1 N, tip hinged",
-        "imposed forces sensor, position moved 59.9 mm from rest 0.3 mm",
+        "imposed forces sensor, position moved by 59.9 mm from rest 0.3 mm",
         "middle, position moved 5 mm from rest not stated: 1 mm as a weight",
         "clamp, reaction (0, 0, 1) N 10 mN",
         "E 300 kPa 100 kPa 1 MPa log +- 30 %",
@@ -96,7 +96,7 @@ def test_markers_of_recordings(tmp_path, capsys):
         "softcal calibrate ready to run",
     ):
         assert line in lines
-    assert any(line.startswith("weight 2 markers moved 0.57 to") for line in lines)
+    assert any(line.startswith("weight 2 markers moved by 0.57 to") for line in lines)
     picture.write_bytes(b"a picture of someone else")
     assert main(["check", str(path), *option]) == 2
     assert says(capsys.readouterr().err, "exists already ... another name")

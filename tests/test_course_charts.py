@@ -41,7 +41,7 @@ def test_what_is_drawn():
     _, charts = drawn(make_result())
     rms, size, E, nu = charts
     assert says(rms, "markers", "rms [mm]")
-    assert says(size, "step", "largest |lambda_p| [-]")
+    assert says(size, "Step size", "largest |lambda_p| [-]")
     assert (E, nu) == ("E [kPa]", "nu [-]")
     # As a share of the span of two lines of the grid, whose pixels are rounded.
     close: Any = {"atol": 2e-3}
