@@ -375,7 +375,7 @@ def test_many_values_and_reasons_are_counted():
         )
     )
     text = answered(result)
-    assert says(text, "E 7 = ... and 4 more parameters")
+    assert says(text, "E 7 = ... and 4 more")
     assert says(text, "E 2 ended on a bound ... and 9 more")
 
 
@@ -388,7 +388,7 @@ def test_many_blind_directions_are_counted():
     )
     text = printed(summary_table(axis_result(*np.zeros((3, 8)), space=space)))
     assert says(text, "leave 8 of 8 directions")
-    assert "and 2 more directions." in text
+    assert "and 2 more." in text
 
 
 def test_an_outlook_as_a_folder(tmp_path):

@@ -136,12 +136,7 @@ def add_inverse(commands: "argparse._SubParsersAction") -> None:
     for flag, metavar, needed, text in (
         ("--goal", "NAME=VALUE", True, "a goal (repeat the option for several)"),
         ("--limit", "NAME=LOW to HIGH", False, "limits of an actuator"),
-        (
-            "--start",
-            "NAME=VALUE",
-            False,
-            "command this actuator, from this start value",
-        ),
+        ("--start", "NAME=VALUE", False, "command this actuator from this value"),
     ):
         more = {"required": True} if needed else {"default": []}
         command.add_argument(flag, metavar=metavar, action="append", help=text, **more)

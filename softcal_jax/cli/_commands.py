@@ -70,9 +70,7 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> None:
         show.note(f"predict: {_names(project.validation)}")
     if project.registrations:
         left = (f"{n} {1e3 * r.rms:.2f} mm" for n, r in project.registrations.items())
-        show.note(
-            f"camera frame to mesh frame, rms residual at markers: {', '.join(left)}"
-        )
+        show.note(f"camera frame to mesh frame, rms residuals: {', '.join(left)}")
     show.now("first equilibrium")
     with interruptible(args), bad_input(), no_equilibrium("Nothing was written."):
         result = project.calibrate(

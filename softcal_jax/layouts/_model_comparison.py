@@ -241,12 +241,7 @@ class ModelComparison(Result):
     def tabulated(self) -> TextTable:
         """A table of how well each model predicts."""
         head = ("model", "parameters", "held-out error [mm]", "error / noise")
-        head += (
-            "squared [noise^2]",
-            "excess over the best",
-            "fit [mm]",
-            "failed folds",
-        )
+        head += ("squared [noise^2]", "excess over best", "fit [mm]", "failed folds")
         rows = []
         for model, worse in zip(self.models, (None, *self.differences), strict=True):
             failed = f"{len(model.failed)} of {len(model.folds)}"

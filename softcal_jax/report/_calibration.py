@@ -154,7 +154,7 @@ def blindness(outlook: Identifiability) -> list[str]:
     ]
     lines += [f"{d.words} ({percent(d.ratio)})" for d in blind[:MOST_DIRECTIONS]]
     if len(blind) > MOST_DIRECTIONS:
-        lines.append(f"and {len(blind) - MOST_DIRECTIONS} more directions.")
+        lines.append(f"and {len(blind) - MOST_DIRECTIONS} more.")
     return lines
 
 

@@ -140,7 +140,7 @@ def budget_chart(result: CalibrationResult) -> list[Html]:
         "The source with the longest bar is the first to measure better."
     )
     if len(known) > MOST_BARS:
-        caption += f" {len(known) - MOST_BARS} more parameters are in the table."
+        caption += f" Only in the table: {len(known) - MOST_BARS} more."
     return [figure(joined([legend, *bars]), caption)]
 
 

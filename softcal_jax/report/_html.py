@@ -250,13 +250,11 @@ def answer_html(answer: Answer) -> Html:
     content = [node("dl", *values, class_=size)]
     left = len(answer.values) - MOST_VALUES
     if left > 0:
-        content.append(
-            node("p", node("a", f"{left} more parameters", href="#parameters"))
-        )
+        content.append(node("p", node("a", f"and {left} more", href="#parameters")))
     sentence, tone, reasons = answer.verdict
     said = [node("p", node("strong", sentence)), bullets(reasons[:MOST_REASONS])]
     if len(reasons) > MOST_REASONS:
-        more = node("summary", f"{len(reasons) - MOST_REASONS} more reasons")
+        more = node("summary", f"and {len(reasons) - MOST_REASONS} more")
         said.append(node("details", more, bullets(reasons[MOST_REASONS:])))
     head = node("h2", "Verdict")
     content.append(node("section", head, *said, class_=f"verdict {tone}"))
@@ -289,10 +287,7 @@ def closing(
     if named:
         words = ["softcal", command, *(file["file"] for file in named), *options]
         code = node("code", shlex.join([*words, "-o", out]))
-        content = [
-            node("p", "Run in the folder of this page:"),
-            node("pre", code),
-        ]
+        content = [node("p", "In the folder of this page:"), node("pre", code)]
     for source in known if files is None else ():
         if source["changes"]:
             rows = [(key, repr(value)) for key, value in source["changes"].items()]

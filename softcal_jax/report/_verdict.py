@@ -74,11 +74,11 @@ class Answer(NamedTuple):
         for name, value, interval in self.values[:MOST_VALUES]:
             lines.append(f"{name} = {value}{f' ({interval})' if interval else ''}")
         if len(self.values) > MOST_VALUES:
-            lines.append(f"and {len(self.values) - MOST_VALUES} more parameters.")
+            lines.append(f"and {len(self.values) - MOST_VALUES} more.")
         lines.append(self.verdict.sentence)
         lines += [f"  {text}" for text in self.verdict.reasons[:MOST_REASONS]]
         more = len(self.verdict.reasons) - MOST_REASONS
-        lines += [f"  and {more} more reasons."] if more > 0 else []
+        lines += [f"  and {more} more."] if more > 0 else []
         lines += [f"Possible mistake: {sentence}" for sentence in self.mistakes[:1]]
         return [*lines, *self.held_out, f"Next: {self.next_step}", SCOPE]
 
