@@ -90,7 +90,7 @@ def test_markers_of_recordings(tmp_path, capsys):
         code, lines, programs = checked(path, capsys, *option)
         assert (code, programs) == (0, [])
     for line in (
-        "tip (60, 10, 10) in it",
+        "tip (60, 10, 10) inside",
         "pulled held out 9.81 m/s2 along -z x_min (4 nodes) "
         "53.85 mN along (0.371, 0, -0.928) on x_max = 0.229 x weight",
         "softcal calibrate ready to run",

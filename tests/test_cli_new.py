@@ -115,7 +115,7 @@ def test_a_mesh_with_markers(tmp_path, body, capsys):
     text = " ".join(capsys.readouterr().out.split())
     assert says(text, "60 x 20 x 20 mm ... mm")
     assert says(text, "Poses: rest ... a")
-    assert "tip in it top 1 mm foot in it" in text
+    assert "tip inside top 1 mm foot inside" in text
     assert {p.name for p in folder.iterdir()} == {
         "body.msh",
         "poses.csv",

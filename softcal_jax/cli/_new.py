@@ -116,7 +116,7 @@ def _finding_lines(findings: "Findings") -> Iterator[str]:
     yield "Markers at rest, and their recorded distance from the mesh:"
     off = lambda marker: readable_values([marker.distance], "m", digits=3)
     markers = findings.markers
-    yield from aligned([(m.name, off(m) if m.distance else "in it") for m in markers])
+    yield from aligned([(m.name, off(m) if m.distance else "inside") for m in markers])
     if findings.own_frame:
         yield (
             "That is too far: the recording has its own frame. Follow the remarks at "

@@ -161,7 +161,7 @@ def _placed(
     off = locate(mesh, places, max_distance=math.inf).distance
     for name, place, distance in zip(names, places, off, strict=True):
         text = readable_values([float(distance)], "m", digits=3)
-        yield name, _in_mm(place), f"{text} off" if distance else "in it"
+        yield name, _in_mm(place), f"{text} off" if distance else "inside"
 
 
 def _markers(
