@@ -54,7 +54,7 @@ def test_one_of_each_kind(every_kind, capsys):
         "left cable 45 mm long",
         "hinged candidate 9.81 m/s2 along -z arm 20 deg, left 1 N, tip hinged",
         "imposed forces sensor, position moved by 59.9 mm from rest 0.3 mm",
-        "middle, position moved 5 mm from rest not stated: 1 mm as a weight",
+        "middle, position moved by 5 mm from rest not stated: 1 mm as a weight",
         "clamp, reaction (0, 0, 1) N 10 mN",
         "E 300 kPa 100 kPa 1 MPa log +- 30 %",
         "mounting z of arm 2 mm 0 m 4 mm linear none",
