@@ -65,7 +65,7 @@ def test_sweep_and_show(swept, capsys, tmp_path, monkeypatch):
     assert says(text, "within max_steps = 1")
     assert "no equilibrium found" in text
     assert says(text, f"{swept / 'sweep.sqlite'} ... softcal sweep show")
-    assert f"Open {swept / 'sweep_report.html'} in a browser" in text
+    assert f"open {swept / 'sweep_report.html'} in a browser" in text
     check_rows(swept)
     check_page(swept)
     # Once more: all is there.
