@@ -43,7 +43,7 @@ OF_DATA = (
     "The data do not determine",
     "The data determine",
     "The data leave",
-    "less certain than its bounds",
+    "wider than its bounds",
     "ended on a bound",
     "Other values fit as well",
 )

@@ -90,8 +90,14 @@ def test_calibrate(tmp_path, out, capsys):
     assert says(text, "rms ", "weight 0.00 mm, pulled 0.00 mm")
     assert "step 1 " in text
     assert "E = 300.00 kPa" in text
-    assert says(text, "So far", "E = ... kPa", "Residuals: 0.00 mm", "pulled: 0.00 mm")
-    assert text.index("So far") < text.index("the error budget (")
+    assert says(
+        text,
+        "Preliminary values",
+        "E = ... kPa",
+        "Residuals: 0.00 mm",
+        "pulled: 0.00 mm",
+    )
+    assert text.index("Preliminary values") < text.index("the error budget (")
     assert "predicting pulled ..." in text
     assert says(text, "Held-out", "pulled: 0.00 mm", "2 markers, 0.0 %")
     assert f"Results in {out}: open {out / 'report.html'} in a browser" in text
@@ -192,7 +198,7 @@ def test_ctrl_c_writes_what_has_been_fitted(tmp_path, out, capsys, monkeypatch, 
 
 def stands(errors, checkpoint):
     """Whether it is said that the checkpoint stands, and what goes on from it."""
-    return says(errors, f"checkpoint {checkpoint} stands ... same command ... --force")
+    return says(errors, f"checkpoint {checkpoint} is kept ... same command ... --force")
 
 
 def test_simulate(tmp_path, out, capsys):
@@ -249,7 +255,7 @@ def test_simulate_writes_what_has_an_equilibrium(tmp_path, out, capsys):
     text, errors = capsys.readouterr()
     assert says(errors, "error: no equilibrium ... 'pulled'")
     assert "'weight'" not in errors
-    assert says(errors, "results hold the others")
+    assert says(errors, "results contain the others")
     assert "Simulation" in text
     weight, pulled = json.loads((out / "simulation.json").read_text())["configurations"]
     assert (weight["converged"], pulled["converged"]) == (True, False)
@@ -301,11 +307,11 @@ def test_identify(tmp_path, out, capsys):
     assert main(["identify", str(path), "-o", str(out)]) == 0
     printed, errors = capsys.readouterr()
     assert errors == ""
-    assert "what weight would tell ..." in printed
+    assert "what the data of weight would determine ..." in printed
     assert "upside down, crushed would add" in printed
     # Two markers on three axes; `pulled` is held out.
     assert says(printed, "Weakly identifiable", "6 measured", "1 parameter")
-    assert says(printed, "'upside down' adds most")
+    assert says(printed, "'upside down' is the most informative")
     assert "Not ranked: 'crushed': " in printed
     assert "[[candidates]]" not in printed
     assert f"Results in {out}: open {out / 'report.html'}" in printed
@@ -357,7 +363,7 @@ def test_identify_help(capsys):
     text = capsys.readouterr().out
     assert "No measured positions" in text
     assert "[[candidates]]" in text
-    assert "exit codes: 0 judged" in text
+    assert "exit codes: 0 assessed" in text
 
 
 # Twenty seconds of compiling. `test_anisotropic` calibrates such a project, and tests

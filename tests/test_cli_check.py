@@ -53,26 +53,26 @@ def test_one_of_each_kind(every_kind, capsys):
         # From (0, 10, 20) to (45, 10, 20) mm.
         "left cable 45 mm long",
         "hinged candidate 9.81 m/s2 along -z arm 20 deg, left 1 N, tip hinged",
-        "imposed forces sensor, position moved 59.9 mm from rest 0.3 mm",
-        "middle, position moved 5 mm from rest not stated: 1 mm as a weight",
+        "imposed forces sensor, position moved by 59.9 mm from rest 0.3 mm",
+        "middle, position moved by 5 mm from rest not stated: 1 mm as a weight",
         "clamp, reaction (0, 0, 1) N 10 mN",
         "E 300 kPa 100 kPa 1 MPa log +- 30 %",
         "mounting z of arm 2 mm 0 m 4 mm linear none",
         'actuators.left.guides[1].point "(0, 1, 2) cm" (0, 10, 20) mm',
         'material.density "1 g/cm^3" 1000 kg/m^3',
         'effectors.torque.std "1 N*mm" 0.001 N*m',
-        "softcal identify has all it needs",
+        "softcal identify ready to run",
     ):
         assert line in lines
     assert says(lines, "Nothing was solved")
     assert says(lines, "softcal export not for SOFA", "(arm, tip, collar)")
     loaded = next(line for line in lines if line.startswith("loaded fitted"))
-    assert "foot (4 nodes, only z, moved (0, 0, 1) mm)" in loaded
+    assert "foot (4 nodes, only z, displaced by (0, 0, 1) mm)" in loaded
     assert "2 N along +y on y_max = 6 x weight" in loaded
     (refused,) = (i for i, line in enumerate(lines) if "would refuse: 2" in line)
     assert says(lines[refused + 1], "configurations.held: ... no `measured`")
     picture = every_kind.with_name("robot_check.png")
-    assert f"Picture in {picture}." in lines
+    assert f"Picture: {picture}" in lines
     pixels = imread(picture)[..., :3]
     assert pixels.shape[1] == 1600
     for colour in ("#8c510a", "#1b7837", "#d95f02", "#7b3294", "#e3001b"):
@@ -90,13 +90,13 @@ def test_markers_of_recordings(tmp_path, capsys):
         code, lines, programs = checked(path, capsys, *option)
         assert (code, programs) == (0, [])
     for line in (
-        "tip (60, 10, 10) in it",
+        "tip (60, 10, 10) inside",
         "pulled held out 9.81 m/s2 along -z x_min (4 nodes) "
         "53.85 mN along (0.371, 0, -0.928) on x_max = 0.229 x weight",
-        "softcal calibrate has all it needs",
+        "softcal calibrate ready to run",
     ):
         assert line in lines
-    assert any(line.startswith("weight 2 markers moved 0.57 to") for line in lines)
+    assert any(line.startswith("weight 2 markers moved by 0.57 to") for line in lines)
     picture.write_bytes(b"a picture of someone else")
     assert main(["check", str(path), *option]) == 2
     assert says(capsys.readouterr().err, "exists already ... another name")

@@ -101,7 +101,7 @@ def test_the_force_that_brings_the_tip_to_a_height(calibrated, tmp_path, capsys)
     command = f"softcal inverse {data['calibration']['file']} --configuration weight"
     quoted = "--goal 'tip=(-, -, 8) mm' --limit 'push=0 N to 1 N' -o repeated"
     assert f"{command} {quoted}" in page.text
-    files = dict(page.tables["Files that were read"][1:])
+    files = dict(page.tables["Input files"][1:])
     assert set(files.values()) == {
         sha256_of(calibrated / name)
         for name in ("out/result.json", "project.toml", "markers.csv")

@@ -81,7 +81,7 @@ def test_on_a_full_disk_the_fit_is_printed_and_written_elsewhere(
         assert says(then, f"results are in {folder} instead")
         assert json.loads((folder / "result.json").read_text())["converged"]
     else:
-        assert says(then, f"Nor ... {second}")
+        assert says(then, f"not be written elsewhere ... {second}")
         assert not [path for path in second.rglob("*") if path.is_file()]
         monkeypatch.undo()
         assert main(command) == 0

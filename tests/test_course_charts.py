@@ -40,8 +40,8 @@ def test_what_is_drawn():
     """rms, lambda_p and each parameter, in units that are written above."""
     _, charts = drawn(make_result())
     rms, size, E, nu = charts
-    assert says(rms, "markers", "root mean square [mm]")
-    assert says(size, "step", "largest lambda_p [-]")
+    assert says(rms, "markers", "rms [mm]")
+    assert says(size, "Step size", "largest |lambda_p| [-]")
     assert (E, nu) == ("E [kPa]", "nu [-]")
     # As a share of the span of two lines of the grid, whose pixels are rounded.
     close: Any = {"atol": 2e-3}
@@ -64,7 +64,7 @@ def test_where_the_noise_is_estimated_a_line_is_drawn():
     pairs = zip(result.history, [1.0, 1.0, 1.0, 0.4, 0.4], strict=True)
     history = tuple(replace(entry, noise_level=level) for entry, level in pairs)
     words, charts = drawn(replace(result, history=history))
-    assert "noise was estimated anew" in words
+    assert "noise was re-estimated" in words
     # 2.5 of 4 steps, between 14 % and 96 % of the width.
     line = f'x1="{14 + 82 * 2.5 / 4:.2f}%"'
     assert all(line in chart and "2 4" in chart for chart in charts.values())
@@ -119,7 +119,7 @@ def ended(size=None, **changes):
 def test_the_criterion_that_ended_the_fit_is_named():
     """Also where the last step stands above the tolerance, as nothing was to gain."""
     assert says(ended(), "|lambda_p| = 1.0e-08", "below 1e-06")
-    assert says(ended(1.5e-6), "|lambda_p| = 1.5e-06", "lower the cost", "less")
+    assert says(ended(1.5e-6), "|lambda_p| = 1.5e-06", "reduce the cost", "less")
     assert says(ended(rejected=(4,)), "refused ... flat")
     assert "every step was refused" in ended(converged=False, rejected=(4,))
     assert ended() in [*drawn(make_result())[1].values()][1]

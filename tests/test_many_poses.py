@@ -45,7 +45,7 @@ def test_orientations_are_summed_up_too(fits):
     turned = [_turned(fit, a) for fit, a in zip(fits[1:], angles, strict=True)]
     (sentence,) = held_out_sentences(turned)
     degrees = np.degrees(np.sqrt(np.mean(angles**2)))
-    assert says(sentence, f"{degrees:.2f} deg rms of orientations")
+    assert says(sentence, f"{degrees:.2f} deg rms in orientation")
 
 
 def _turned(fit, angle):
@@ -73,7 +73,7 @@ def test_a_few_are_listed_one_by_one(fits):
     few = fits[: 1 + MOST_LISTED]
     assert listed_fits(few) == list(few)
     (sentence,) = held_out_sentences(few)
-    assert "half below" not in sentence
+    assert "median" not in sentence
 
 
 def test_errors_are_drawn_over_the_workspace(fits):

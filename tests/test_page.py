@@ -333,7 +333,7 @@ def test_blind_directions_and_what_to_do_are_in_words(tmp_path):
     check_page(tmp_path / "out")
     assert says(page.text, "1 of 2 directions")
     assert "theta (blind)" in page.text
-    assert says(page.text, "1 more measured coordinate")
+    assert says(page.text, "lack at least 1 measured coordinate")
     assert "-33.94 ± 0.12 deg" in page.text
 
 
@@ -345,7 +345,7 @@ def test_command_and_hashes(tmp_path):
     page, data = written(tmp_path / "out", result)
     check_page(tmp_path / "out")
     assert "softcal calibrate '../my project.toml' -o repeated" in page.text
-    assert page.tables["Files that were read"][1:] == [
+    assert page.tables["Input files"][1:] == [
         ["../my project.toml", data["source"]["project"]["sha256"]],
         ["../data/markers.csv", data["source"]["files"][0]["sha256"]],
     ]
@@ -382,7 +382,7 @@ def test_command_and_hashes_of_the_other_runs(tmp_path, command):
     page = check_page(folder)
     files = [f"../{name}.toml" for name in named]
     assert f"softcal {command} {' '.join(files)} -o repeated" in page.text
-    rows = dict(page.tables["Files that were read"][1:])
+    rows = dict(page.tables["Input files"][1:])
     assert rows == {
         **{f"../{name}.toml": f"aa{name}" for name in named},
         "../body.msh": "bb",
@@ -469,7 +469,7 @@ def test_page_of_a_comparison(tmp_path):
     for row, model in zip(rows, data["models"], strict=True):
         assert float(row[2]) == pytest.approx(model["held_out_rms_mm"], rel=1e-3)
         assert float(row[6]) == pytest.approx(model["fit_rms_mm"])
-    _, *rows = page.tables["Error of each configuration, held out"]
+    _, *rows = page.tables["Held-out error of each configuration"]
     for k, model in enumerate(data["models"]):
         for row, fold in zip(rows, model["folds"], strict=True):
             assert row[0] == fold["held_out"]
@@ -499,9 +499,9 @@ def test_page_of_what_data_would_tell(tmp_path):
         data = json.loads((out / "identifiability.json").read_text())
         assert colours(page) == colour
         assert outlook.headline in page.text
-        assert says(page.text, "'turned' adds most")
+        assert says(page.text, "'turned' is the most informative")
         assert "Not ranked: 'crushed': inverted." in page.text
-        _, *rows = page.tables["Standard errors to expect"]
+        _, *rows = page.tables["Predicted standard errors"]
         for row, q in zip(rows, data["identifiability"]["parameters"], strict=True):
             assert (row[0], row[-1]) == (q["name"], q["verdict"])
         assert number(rows[0][1]) == pytest.approx(500.0)
@@ -509,7 +509,7 @@ def test_page_of_what_data_would_tell(tmp_path):
         assert number(rows[0][2]) == pytest.approx(1e-3 * std, rel=5e-3)
         assert ("leave 1 of 2" in page.text) == (colour == "bad")
     write_identifiability(outlook, None, tmp_path / "alone")
-    assert says(check_page(tmp_path / "alone").text, "What to do")
+    assert says(check_page(tmp_path / "alone").text, "Add a configuration")
     write_identifiability(None, make_ranking(), tmp_path / "ranking")
     assert colours(check_page(tmp_path / "ranking")) == "plain"
 

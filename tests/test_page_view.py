@@ -126,7 +126,7 @@ def test_standard_errors_are_shares_and_missing_ones_are_grey():
     (field,) = (f for f in data["fields"] if f["label"].startswith("standard"))
     tets = surface_of(model, 4).tets
     assert field["label"] == "standard error of E [%]"
-    assert field["note"].endswith("Grey: there is none.")
+    assert field["note"].endswith("Grey: no value.")
     check_values(field, 0, 100.0 * (errors["E"] / np.asarray(model.law.E))[tets])
 
 

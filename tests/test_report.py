@@ -259,7 +259,7 @@ def test_summary_shows_intervals_and_their_kinds():
     text = printed(summary_table(make_result(intervals=(E, nothing))))
     for shown in ("90 % interval", "0.21 to 1 (bound) MPa", "one-sided", "too little"):
         assert shown in text
-    assert "±" not in text.replace("value ± std. error", "")
+    assert "±" not in text.replace("value ± standard error", "")
     straight = ParameterInterval(
         "E", 0.9, 2.3e5, 2.5e5, *2 * ["likelihood"], "Pa", "first-order"
     )
@@ -319,7 +319,7 @@ def test_summary_names_what_the_data_do_not_see():
         ["theta", "blind", "not identifiable"],
     ]
     flat = " ".join(text.split())
-    assert says(flat, "up to the asked one ... 0.1 ... 3 times")
+    assert says(flat, "at most the target ... 0.1 ... 3 times")
     assert says(flat, "W_ep ... inf")
     assert says(flat, "1 of 2 directions ... theta (blind)")
     assert "…" not in text
@@ -363,7 +363,7 @@ def test_the_answer_has_few_lines_in_the_order_of_reading():
 
 def test_a_mistake_that_was_found_is_what_to_look_at_next():
     text = answered(make_result(mistakes=("Swapping a and b helps.", "So does c.")))
-    assert says(text, "A mistake? Swapping a and b helps. ... Next: find out whether")
+    assert says(text, "Possible mistake: Swapping a and b helps. ... Next: check")
     assert "So does c" not in text
 
 
@@ -375,7 +375,7 @@ def test_many_values_and_reasons_are_counted():
         )
     )
     text = answered(result)
-    assert says(text, "E 7 = ... and 4 more parameters")
+    assert says(text, "E 7 = ... and 4 more")
     assert says(text, "E 2 ended on a bound ... and 9 more")
 
 

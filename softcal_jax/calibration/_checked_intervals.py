@@ -163,7 +163,7 @@ def check_level(level: float) -> None:
     low, high = LEVELS
     if not low <= level <= high:
         raise ValueError(
-            f"level must lie between {low:g} and {high:g}, like 0.95; got {level:g}."
+            f"level must lie between {low:g} and {high:g}, e.g. 0.95; got {level:g}."
         )
 
 
@@ -186,9 +186,9 @@ def with_intervals(
         notes += ("Interrupted before the intervals of all parameters were known.",)
     if result is not first:
         notes += (
-            f"While intervals were computed, a lower cost was found than that of the "
-            f"first fit, {result.history[-1].cost:.6g} instead of "
-            f"{first.history[-1].cost:.6g}: the calibration went on from there.",
+            "While intervals were computed, a lower cost than in the first fit was "
+            f"found ({result.history[-1].cost:.6g} instead of "
+            f"{first.history[-1].cost:.6g}); the calibration continued from there.",
         )
     pairs = zip(result.parameters, intervals, strict=True)
     timing = {k: result.timing_s[k] + more for k, more in clock.seconds.items()}
@@ -221,7 +221,7 @@ def _settled(
             optima = (Optimum(last.cost, last.values, ()), *search.optima)
             search = replace(search, optima=optima)
             fitted = other._replace(result=replace(other.result, starts=search))
-    why = "the cost still falls along its profile: calibrate from more `starts`"
+    why = "the cost still decreases along its profile: calibrate from more `starts`"
     return fitted, _none(fitted, level, why)
 
 
@@ -245,7 +245,7 @@ def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInte
         # The ends are closer to the fit than the equilibria are exact.
         straight, bent = known, []
     else:
-        stage("the intervals of the parameters, an evaluation for each end")
+        stage("the intervals of the parameters, one evaluation per end")
         holds = _first_order_holds(fitted, quantile, known)
         checked = list(zip(known, holds, strict=True))
         straight = [column for column, good in checked if good]
@@ -290,7 +290,7 @@ def _by_profile(
     names = ", ".join(result.space.names[column] for column in which)
     with suppress(KeyboardInterrupt):
         stage(
-            f"the intervals of {names} by profile likelihood, some fits for each "
+            f"the intervals of {names} by profile likelihood, several fits each "
             f"(the calibration took {result.history[-1].seconds:.0f} s)"
         )
         problem, poses = fitted.problem, fitted.configurations

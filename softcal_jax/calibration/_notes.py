@@ -100,13 +100,13 @@ class ResidualChecks(Module):
             reasons.append(
                 f"The residuals are {self.level:.3g} times the stated std (p = "
                 f"{self.probability:.1g}): the model cannot match the data that well, "
-                "or they were measured worse than stated."
+                "or the measurements are noisier than stated."
             )
         test = self.lack_of_fit
         if test is not None and test.probability < UNLIKELY:
             worst = self.names[int(np.argmax(test.shares))]
             reasons.append(
-                f"The markers of a pose err together, most of all in {worst} (F = "
+                f"The markers of a pose share an error, the largest in {worst} (F = "
                 f"{test.ratio:.3g} with {test.between} and {test.within} degrees of "
                 f"freedom, p = {test.probability:.1g}): check its load and supports, "
                 "or the law."
@@ -138,14 +138,14 @@ def _contradiction(pose: LeftOut) -> str:
             percent = 100.0 * pose.rms / pose.motion
             share = f", {percent:.0f} % of its motion"
         return (
-            f"The other poses predict {pose.name} {1e3 * pose.rms:.2f} mm off{share}; "
-            f"known errors explain {1e3 * pose.expected:.2g} mm."
+            f"Predicted from the other poses, {pose.name} is {1e3 * pose.rms:.2f} mm "
+            f"off{share}; known errors explain {1e3 * pose.expected:.2g} mm."
         )
     why = "which has no markers"
     if math.isfinite(pose.motion):
-        why = "whose markers depend on what it alone determines"
+        why = "whose markers depend on parameters that it alone determines"
     return (
-        f"The other poses contradict {pose.name}, {why}, so that no distance can be "
+        f"The other poses contradict {pose.name}, {why}, so no distance can be "
         f"predicted (p = {pose.probability:.1g})."
     )
 
@@ -253,10 +253,10 @@ def fit_notes(state: CalibrationState, settings: CalibrationSettings) -> list[st
     size = float(np.max(np.abs(state.lambda_p)))
     if state.stalled:
         return [
-            "Not converged: steps were refused until they were shorter than "
-            f"{size:.0e}. Beyond here a configuration has no equilibrium, or the "
-            "equilibria are too coarse (newton rtol) to see the fit improve. Do not "
-            "use these values."
+            f"Not converged: every step was refused, down to a size of {size:.0e}. "
+            "Beyond this point a configuration has no equilibrium, or the equilibria "
+            "are too inaccurate (newton rtol) to show an improvement. Do not use these "
+            "values."
         ]
     if state.converged:
         return []
@@ -270,10 +270,10 @@ def fit_notes(state: CalibrationState, settings: CalibrationSettings) -> list[st
 def _rounding_notes(fits: Sequence[ConfigurationResult]) -> list[str]:
     """Name configurations that are in balance up to rounding only."""
     return [
-        f"{fit.name} is in balance only up to {fit.residual:.1e} of its forces, where "
-        f"rounding, estimated at {fit.rounding:.1e}, stopped Newton before its rtol: a "
-        "region is stiffer than the others by orders of magnitude, or the loads are "
-        "tiny for the stiffness. Check units and moduli."
+        f"{fit.name}: rounding, estimated at {fit.rounding:.1e}, stopped Newton above "
+        f"its rtol, at a relative residual of {fit.residual:.1e}: a region is stiffer "
+        "than the others by orders of magnitude, or the loads are tiny compared with "
+        "the stiffness. Check units and moduli."
         for fit in fits
         # Without any load, rounding is all there is.
         if fit.at_rounding and fit.rounding < 1.0
@@ -291,9 +291,10 @@ def order_notes(space: ParameterSpace, z: Float[Array, " n_p"]) -> list[str]:
             pairs.append((space.names[small], space.names[large]))
             held.append(bool(z[large] - z[small] <= EQUAL))
     return [
-        f"{small} ended equal to {large}, held by their order: the body is isotropic "
-        "there, and the angle of its axis has no effect. Without `axes` this can be a "
-        "trap with the axis a quarter turn wrong: calibrate from several starts."
+        f"{small} and {large} ended equal, at the limit of their order: the body is "
+        "isotropic there, and the angle of its axis has no effect. Without `axes` the "
+        "fit may be stuck there with the axis off by 90 degrees: calibrate from "
+        "several starts."
         for (small, large), equal in zip(pairs, held, strict=True)
         if equal
     ]
@@ -304,8 +305,8 @@ def uncertainty_notes(problem: CalibrationProblem, spread: Uncertainty) -> list[
     dof = spread.degrees_of_freedom
     names, std = np.array(problem.space.names), np.sqrt(np.diag(spread.covariance))
     notes = [
-        f"{name} ended on a bound: widen it, or the model cannot match the data. It "
-        "has no standard error."
+        f"{name} ended on a bound and has no standard error. Widen the bound; if that "
+        "does not help, the model cannot match the data."
         for name in names[spread.at_bound]
     ]
     undetermined = np.isnan(std) & ~spread.at_bound
@@ -314,13 +315,13 @@ def uncertainty_notes(problem: CalibrationProblem, spread: Uncertainty) -> list[
         if dof <= 0:
             why = (
                 f"there are {dof} more measured coordinates than parameters, too few "
-                'to estimate the noise; with noise = "stated" it is taken as it is'
+                'to estimate the noise; noise = "stated" takes the stated std'
             )
         notes.append(f"No standard error for {blind}: {why}. Add measurements.")
     elif spread.noise == "estimated":
         notes.append(
-            f"Standard errors rest on the noise estimated from the residuals ({dof} "
-            "degrees of freedom), which holds model error as well."
+            f"Standard errors use the noise estimated from the residuals ({dof} "
+            "degrees of freedom), which includes the model error."
         )
     return notes
 
@@ -352,7 +353,7 @@ def warn_if_too_few_data(problem: CalibrationProblem) -> None:
         without = " without a prior" if problem.space.has_prior else ""
         warnings.warn(
             f"{wanted} parameters{without} but only {measured} measured coordinates: "
-            f"at least {wanted - measured} more are missing (a marker gives 3 in each "
+            f"at least {wanted - measured} more needed (a marker gives 3 in each "
             "configuration). The fit is not unique.",
             CalibrationWarning,
             stacklevel=4,

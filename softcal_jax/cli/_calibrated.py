@@ -33,11 +33,11 @@ examples:
   softcal inverse results --configuration "20 kPa" --goal tip="(-, -, 2) mm" \\
       --limit air="0 kPa to 45 kPa" --start air="10 kPa" -o command
 
-RESULTS is the folder of softcal calibrate; project file, mesh and measurements must be
-where and what they were. The configuration says what holds and loads the robot, and
-which actuators are commanded: those in its `actuation`, as a start. A goal is a
-value of a marker or of an effector, in the words of the project file, and counts as met
-within a hundredth of its `std`; what was measured is no goal. A pose of a frame is an
+RESULTS is the folder of softcal calibrate; project file, mesh and measurements must
+be in the same place and unchanged. The configuration says what holds and loads the
+robot, and which actuators are commanded: those in its `actuation`, as a start. A goal
+is a value of a marker or effector, written as in the project file, and counts as met
+within a hundredth of its `std`; measured values are not goals. A pose of a frame is an
 inline table, --goal sensor='{ position = "(100, 10, 12) mm", azimuth = "10 deg" }'.
 
 exit codes: 0 all goals are met, 1 some are not (the nearest point is written), or no
@@ -128,19 +128,19 @@ def add_inverse(commands: "argparse._SubParsersAction") -> None:
         "inverse",
         help="the pressure, force or motor angle that brings the robot to a goal",
         description="Searches, with the calibrated model, for the actuation that "
-        "brings markers or effectors to goals, or as near as the limits let it, and "
-        "says what holds it where a goal is out of reach.",
+        "brings markers or effectors to goals, or as close as the limits allow, and "
+        "says what prevents a goal that is out of reach.",
         epilog=_INVERSE,
     )
     add_path(command, "results", "RESULTS", "folder of the results, or result.json")
     for flag, metavar, needed, text in (
-        ("--goal", "NAME=VALUE", True, "a goal (several times for several)"),
+        ("--goal", "NAME=VALUE", True, "a goal (repeat the option for several)"),
         ("--limit", "NAME=LOW to HIGH", False, "limits of an actuator"),
-        ("--start", "NAME=VALUE", False, "command this actuator, from this value on"),
+        ("--start", "NAME=VALUE", False, "command this actuator from this value"),
     ):
         more = {"required": True} if needed else {"default": []}
         command.add_argument(flag, metavar=metavar, action="append", help=text, **more)
-    which = "the configuration (may be left out if there is one)"
+    which = "the configuration (optional if there is only one)"
     command.add_argument("--configuration", metavar="NAME", help=which)
     add_path(command, "--output", "DIR", "folder for the results", required=True)
     add_path(command, "--project", "PROJECT.toml", "the project file, if it was moved")
@@ -156,10 +156,10 @@ examples:
   softcal export icesl results -o print     graded foam, for the slicer IceSL
   softcal export icesl project.toml -o print   the start values: a designed field
 
-RESULTS is the folder of softcal calibrate; project file, mesh and measurements must be
-where and what they were.
+RESULTS is the folder of softcal calibrate; project file, mesh and measurements must
+be in the same place and unchanged.
 
-exit codes: 0 written (what differs is said), 1 the calibration for SOFA or
+exit codes: 0 written (differences are listed), 1 the calibration for SOFA or
 MuJoCo did not converge, so that nothing was written, 2 bad input
 """
 

@@ -44,8 +44,8 @@ def check(args: argparse.Namespace, show: Display) -> None:
     from softcal_jax.project import quantities_as_read
     from softcal_jax.report import outline, roles_of
 
-    above = f", with the warnings above: {len(doubts)}" if doubts else ""
-    show.line(f"Nothing was solved; the project reads as follows{above}.")
+    above = f" (warnings above: {len(doubts)})" if doubts else ""
+    show.line(f"Nothing was solved. This is what the project describes{above}:")
     with bad_input():
         quantities = quantities_as_read(args.project)
         lines = list(outline(project, quantities))
@@ -58,7 +58,7 @@ def check(args: argparse.Namespace, show: Display) -> None:
             show.lap("picture")
     show.line()
     if not args.no_pictures:
-        show.line(f"Picture in {picture}.")
+        show.line(f"Picture: {picture}")
     show.document(
         {
             "name": project.name,
@@ -119,7 +119,7 @@ configuration. Nothing is solved, so it takes seconds.""",
     add_path(command, "project", "PROJECT.toml", "the project file")
     where = "the picture, .png or .svg (default: PROJECT_check.png, beside the project)"
     add_path(command, "--output", "FILE", where)
-    again = "replace a picture that is not of an earlier check"
+    again = "replace a picture that softcal check did not draw"
     add_output(command, force=again, pictures=True)
     command.set_defaults(run=check)
 
@@ -218,9 +218,9 @@ def add_mesh(commands: "argparse._SubParsersAction") -> None:
         "mesh",
         help="from a CAD model to tets, with a picture of the groups",
         description="""\
-Fills a CAD model (STEP or STL) with tets, names its faces, and draws them. With a
-project file, it makes the mesh of [mesh] and draws the groups of [groups], so that they
-are seen before anything is computed; with another mesh file, the groups of that.""",
+Meshes a CAD model (STEP or STL) with tets, names its faces, and draws them. With a
+project file, it makes the mesh of [mesh] and draws the groups of [groups] before
+anything is computed; with a mesh file, it draws the groups of that file.""",
         epilog=_MESH,
     )
     add_path(command, "model", "MODEL", "CAD model, project file or mesh file")

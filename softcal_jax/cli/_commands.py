@@ -70,7 +70,7 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> None:
         show.note(f"predict: {_names(project.validation)}")
     if project.registrations:
         left = (f"{n} {1e3 * r.rms:.2f} mm" for n, r in project.registrations.items())
-        show.note(f"camera frame to mesh frame, rms left at markers: {', '.join(left)}")
+        show.note(f"camera frame to mesh frame, rms residuals: {', '.join(left)}")
     show.now("first equilibrium")
     with interruptible(args), bad_input(), no_equilibrium("Nothing was written."):
         result = project.calibrate(
@@ -140,7 +140,7 @@ def simulate(args: argparse.Namespace, show: Display) -> None:
     more |= pictures_with_a_bar(args, show)
     write = partial(report.write_simulation, result, made=_made(project), **more)
     write_results(write, args, show, index="simulation.json")
-    with no_equilibrium("The results hold the others, if any."):
+    with no_equilibrium("The results contain the others, if any."):
         check_converged(solution, tuple(c.name for c in project.configurations))
 
 
@@ -156,7 +156,7 @@ def identify(args: argparse.Namespace, show: Display) -> None:
     outlook = ranking = None
     with bad_input(), no_equilibrium("Nothing was written."):
         if project.calibration:
-            show.now(f"what {_names(project.calibration)} would tell")
+            show.now(f"what the data of {_names(project.calibration)} would determine")
             outlook = project.identify(progress=equilibrium_lines(show))
         if project.candidates:
             show.now(f"what {_names(project.candidates)} would add")
@@ -165,14 +165,14 @@ def identify(args: argparse.Namespace, show: Display) -> None:
     show.line()
     blind = [c for c in project.calibration if not (c.markers or c.effectors)]
     if blind:
-        show.line(f"No markers or effectors, so nothing to learn, in: {_names(blind)}.")
-    show.line("At the start values, with the stated noise of what is measured:")
+        show.line(f"Without markers or effectors, so without data: {_names(blind)}.")
+    show.line("At the start values, with the stated noise of the measurements:")
     for part in filter(None, (outlook, ranking)):
         show.line(f"{part}\n")
     if ranking is None:
         show.line(
             "To see what another configuration would add, describe it in "
-            "[[candidates]] (keys as in [[configurations]]) and run this again."
+            "[[candidates]] (keys as in [[configurations]]) and repeat this command."
         )
     more = {"name": project.name, "made": _made(project, precision=project.precision)}
     if args.output is None:
@@ -213,7 +213,7 @@ def compare(args: argparse.Namespace, show: Display) -> None:
 
     projects = [load(path, show) for path in args.projects]
     n = sum(len(project.calibration) + 1 for project in projects)
-    show.note(f"{n} fits, each of all configurations but one, or of all")
+    show.note(f"{n} fits, each to all configurations or to all but one")
     with bad_input(), no_equilibrium("Nothing was written."):
         comparison = compare_projects(
             projects, progress=lambda name: show.now(f"fits of {name}")
@@ -236,11 +236,11 @@ def compare(args: argparse.Namespace, show: Display) -> None:
 def add_compare(commands: "argparse._SubParsersAction") -> None:
     command = commands.add_parser(
         "compare",
-        help="which law, or mesh, predicts best? fits of the same data",
+        help="which law or mesh predicts best? fits to the same data",
         description="""\
-Fits each project to all configurations but one and predicts that one, in turn. Ranks
-the projects by how well they do, and says whether the data can tell them apart: by the
-differences on the same configurations, with their scatter.
+Fits each project to all configurations but one and predicts the one left out, for each
+configuration in turn. Ranks the projects by held-out error, and says whether the data
+can distinguish them, from the scatter of the differences between configurations.
 
 The files have the same configurations with the same measured values, and differ in
 [material], [mesh] or [[parameters]].""",
@@ -294,13 +294,13 @@ def add_transfer(commands: "argparse._SubParsersAction") -> None:
         "transfer",
         help="do the values of one robot hold for another?",
         description="""\
-Calibrates robot B, and compares the values of the material with those that were
-calibrated on robot A: do they agree within their errors, in which direction do they
-not, and does A predict the poses of B as well as its own fit? Parameters are those of
-the same names; those of the setup belong to each robot.""",
+Calibrates robot B and compares its material values with those calibrated on robot A. Do
+they agree within their errors? In which direction do they differ? Do the values of A
+predict the poses of B as well as the fit to B does? Parameters are matched by name;
+parameters of the setup belong to each robot.""",
         epilog=_TRANSFER,
     )
-    add_path(command, "result", "RESULTS", "folder of softcal calibrate, of A")
-    add_path(command, "project", "PROJECT.toml", "the project file of B")
+    add_path(command, "result", "RESULTS", "results folder of robot A")
+    add_path(command, "project", "PROJECT.toml", "the project file of robot B")
     add_output(command)
     command.set_defaults(run=transfer)

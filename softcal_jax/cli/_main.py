@@ -49,10 +49,10 @@ examples:
   softcal demo                            calibrate a real silicone beam
   softcal new my_robot --robot beam       a ready-made robot, to start from
   softcal new my_robot --model body.step  a project for your own mesh or CAD model
-  softcal check my_robot/project.toml     what it says, drawn, before any solve
+  softcal check my_robot/project.toml     what it describes, before any solve
   softcal calibrate my_robot/project.toml -o results
   softcal simulate my_robot/project.toml -o forward
-  softcal identify my_robot/project.toml  would the data suffice? before measuring
+  softcal identify my_robot/project.toml  would the data suffice? ask before measuring
   softcal mesh finger.step -o finger.msh  from CAD to tets, with a picture
   softcal compare a.toml b.toml           which law or mesh predicts best?
   softcal transfer results b/project.toml   do its values hold for another robot?
@@ -65,11 +65,11 @@ examples:
   softcal tags -o tags.pdf                tags to print and photograph
 
 exit codes:
-    0  done: the numbers are those of a converged solve
+    0  done: the numbers come from a converged solve
     1  not converged, no equilibrium, or a goal that is not met: do not use the values
-    2  bad input; nothing was solved or written, unless the message says so
-    3  calibrated, but the values must not be used: the model misses the data by far
-  130  interrupted by Ctrl-C or SIGTERM; the message says what stands
+    2  bad input; nothing was solved or written, unless the message says otherwise
+    3  calibrated, but do not use the values: the model is far from the data
+  130  interrupted by Ctrl-C or SIGTERM; the message says what was saved
 """
 
 _IDENTIFY = """\
@@ -77,7 +77,7 @@ examples:
   softcal identify project.toml
   softcal identify project.toml -o outlook    and as identifiability.json and .txt
 
-exit codes: 0 judged, whatever the verdict, 1 no equilibrium, 2 bad input
+exit codes: 0 assessed, whatever the verdict, 1 no equilibrium, 2 bad input
 """
 
 
@@ -138,8 +138,8 @@ def _parser(formats: Mapping[str, AbstractExporter]) -> argparse.ArgumentParser:
     beam = commands.add_parser(
         "demo",
         help="calibrate a real robot from its motion capture",
-        description="Calibrates a robot that was really measured, predicts poses that "
-        "are held out, and writes the results. beam: Young's modulus of a clamped "
+        description="Calibrates a real robot from measured poses, predicts held-out "
+        "poses, and writes the results. beam: Young's modulus of a clamped "
         "silicone beam, from two loads; under a minute. arm: matrix and fibres of a "
         "pneumatic arm, from three pressures; many minutes, and it needs "
         "softcal-jax[mocap].",
@@ -158,7 +158,7 @@ def _parser(formats: Mapping[str, AbstractExporter]) -> argparse.ArgumentParser:
         description="Fits the parameters of a project file to its measured "
         "configurations, predicts those held out, and writes the results.",
     )
-    text = "keep the state in FILE after every step; if it is there, go on from it"
+    text = "save the state to FILE after every step; resume from FILE if it exists"
     add_path(fit, "--checkpoint", "FILE", text)
     fit.set_defaults(run=lambda args, show: calibrate(args, show, args.project))
     forward = commands.add_parser(
@@ -166,25 +166,25 @@ def _parser(formats: Mapping[str, AbstractExporter]) -> argparse.ArgumentParser:
         help="solve the configurations of a project file, without a fit",
         description="Solves the equilibrium of every configuration of a project file "
         "with the start values of its parameters, or with values that were calibrated, "
-        "and writes the results. It says how far poses that were measured are off.",
+        "and writes the results. It reports the error of each measured pose.",
     )
-    text = "take the values of this folder of softcal calibrate, by their names"
+    text = "use the values in this results folder of softcal calibrate, by name"
     add_path(forward, "--values", "RESULTS", text)
     forward.set_defaults(run=simulate)
     outlook = commands.add_parser(
         "identify",
-        help="would the data determine the parameters? before any is measured",
+        help="would the data determine the parameters? ask before measuring",
         description="""\
 Solves the configurations of a project file at the start values and says whether their
 markers and other effectors would determine the parameters: a verdict for each, the
 directions that the data are blind to, and condition numbers. A verdict compares the
-standard error with what is asked for, `precision` under [settings]: 10 % by default.
+standard error with its target, `precision` under [settings]: 10 % by default.
 
-No measured positions are needed; those that are there are not looked at. What counts is
-the `std` of markers and effectors, and the axes of the markers.
+No measured positions are needed, and any that are given are ignored. Only the `std` of
+markers and effectors and the axes of the markers count.
 
 Candidates, [[candidates]] in the project file with the keys of [[configurations]], are
-ranked by what measuring them as well would add.""",
+ranked by how much information measuring them would add.""",
         epilog=_IDENTIFY,
     )
     outlook.set_defaults(run=identify)
@@ -193,7 +193,7 @@ ranked by what measuring them as well would add.""",
         needed = command is not outlook
         add_path(command, "--output", "DIR", where, required=needed)
     for command in (beam, fit):
-        text = "print the tables of the report, too"
+        text = "also print the tables of the report"
         command.add_argument("--verbose", "-v", action="store_true", help=text)
         text = "stop at the first answer: no error budget, intervals or pictures"
         command.add_argument("--quick", action="store_true", help=text)

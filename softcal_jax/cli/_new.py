@@ -84,8 +84,8 @@ def _proposed(args: argparse.Namespace, show: Display) -> bool:
         show.line(line)
     many = len(guesses_left(args.folder / "project.toml"))
     show.line(
-        f'{many} lines hold a guess, with a remark "{CHANGE}..." that says what is to '
-        "be changed or confirmed. `softcal check` lists them."
+        f'{many} lines hold a guess; a remark "{CHANGE}..." on each says what to '
+        "change or confirm. `softcal check` lists them."
     )
     return findings.recorded is not None and not findings.own_frame
 
@@ -107,20 +107,20 @@ def _finding_lines(findings: "Findings") -> Iterator[str]:
         yield f"Chamber: {group}, by its name{rim}."
     if recorded is None:
         yield (
-            "Nothing measured yet: `softcal identify` and `softcal simulate` run, and "
-            "`softcal calibrate` once there are readings (`--markers` of this command)."
+            "There are no readings yet: `softcal identify` and `softcal simulate` run; "
+            "`softcal calibrate` needs readings (`--markers` of this command)."
         )
         return
     others = ", ".join(pose.name for pose in recorded.others) or "no other"
-    yield f"Poses: {recorded.rest.name}, as the one at rest, and {others}."
-    yield "Markers at rest, and how far from the mesh they were recorded:"
+    yield f"Poses: {recorded.rest.name} (at rest) and {others}."
+    yield "Markers at rest, and their recorded distance from the mesh:"
     off = lambda marker: readable_values([marker.distance], "m", digits=3)
     markers = findings.markers
-    yield from aligned([(m.name, off(m) if m.distance else "in it") for m in markers])
+    yield from aligned([(m.name, off(m) if m.distance else "inside") for m in markers])
     if findings.own_frame:
         yield (
-            "That is too far: the recording has a frame of its own. Follow the remarks "
-            "at [markers] and [shared.measured]; `softcal calibrate` runs then."
+            "That is too far: the recording has its own frame. Follow the remarks at "
+            "[markers] and [shared.measured]; then `softcal calibrate` runs."
         )
 
 
@@ -135,11 +135,11 @@ With --robot, that is a ready-made robot: beam, pneumatic-arm, tentacle, emio
 (measured), cable-beam, pneumatic-finger or parallel-robot (synthetic readings).
 
 With --model, the project is for your own mesh or CAD model. Groups of the file are
-listed in it; the unit, what is held, loads and moduli are proposed where no file tells.
-Each such guess has a remark, to be changed or confirmed.""",
+listed in it. Where no file gives the unit, supports, loads or moduli, they are guessed;
+each guess has a remark that says what to change or confirm.""",
         epilog=_NEW,
     )
-    add_path(command, "folder", "DIR", "the folder, which must not be there")
+    add_path(command, "folder", "DIR", "the new folder, which must not exist yet")
     source = command.add_mutually_exclusive_group(required=True)
     source.add_argument("--robot", metavar="NAME", help="name of a ready-made robot")
     text = "a mesh (.msh, .vtu, .inp, ...) or CAD model (.step, .stl)"

@@ -90,9 +90,9 @@ def add_output(
     """Add the options on replacing files, on what is printed, and on `pictures`."""
     if force:
         command.add_argument("--force", action="store_true", help=force)
-    text = "no progress: only the result, warnings and errors"
+    text = "hide the progress: print only the result, warnings and errors"
     command.add_argument("--quiet", "-q", action="store_true", help=text)
-    text = "the result as JSON on standard output; all else goes to standard error"
+    text = "print the result as JSON; everything else goes to standard error"
     command.add_argument("--json", action="store_true", help=text)
     if pictures:
         which = command.add_mutually_exclusive_group()

@@ -66,7 +66,7 @@ def _elsewhere(write: Callable[..., Path], show: Display) -> str:
         second = Path(tempfile.mkdtemp(prefix="softcal_"))
         write(second, timing_s=show.laps)
     except OSError as error:
-        return f"Nor could they be written elsewhere ({error}); they are printed above."
+        return f"They could not be written elsewhere ({error}); they are printed above."
     return f"The results are in {second} instead: copy them before it is emptied."
 
 
@@ -88,8 +88,8 @@ def checkpoint_stands(args: argparse.Namespace) -> str:
     if path is None or not path.is_file():
         return ""
     return (
-        f"The checkpoint {path} stands: the same command goes on from it, with --force "
-        "if the folder of the results is no longer empty."
+        f"The checkpoint {path} is kept: the same command resumes from it, with "
+        "--force if the results folder is no longer empty."
     )
 
 
@@ -109,7 +109,7 @@ def step_lines(project: "Project", show: Display) -> "Callable[[HistoryEntry], N
         values = _values(project.parameters, entry.values)
         note = "" if entry.accepted else "   (step refused)"
         if noise not in (None, entry.noise_level):
-            note += "   (noise estimated anew)"
+            note += "   (noise re-estimated)"
         noise = entry.noise_level
         what = f"step {entry.step}" if entry.step else "start"
         show.note(f"{what:<8} {misfit}   {moved}   {values}{note}")
@@ -124,7 +124,7 @@ def so_far(result: "CalibrationResult", show: Display) -> None:
     from softcal_jax.export import readable_estimate
     from softcal_jax.report import held_out_sentences
 
-    show.note("So far, with standard errors by the noise alone:")
+    show.note("Preliminary values, with standard errors from the noise alone:")
     for p in result.parameters:
         value = readable_estimate(p.value, p.standard_error, p.unit)
         show.note(f"  {p.name} = {value}")
@@ -146,7 +146,7 @@ def equilibrium_lines(show: Display) -> "Callable[[EquilibriumProgress], None]":
         if now.stiffer > raised:
             raised = now.stiffer
             show.note(
-                f"no equilibrium yet: moduli raised to {raised:g} times the start"
+                f"no equilibrium yet: moduli raised to {raised:g} times their start"
             )
         show.now(str(now), log=False)
 

@@ -41,13 +41,13 @@ A sweep file names a project file and the axes of the sweep:
   noise = { count = 20 }            # draws added to what is fitted; 0 adds none
   "material.nu" = [0.3, 0.4]        # any key of the project file
 
-Each trial is a row of an SQLite file as soon as it has ended. A sweep that was stopped
-or killed goes on when the same command is given again. Its page is written beside the
+Each trial becomes a row of an SQLite file as soon as it ends. To resume a sweep that
+was stopped or killed, run the same command again. Its page is written beside the
 database: sweep_report.html for sweep.sqlite. More than 100 000 trials run in parts, as
 jobs of a cluster: --part 17 --of 1000 writes one Parquet file into a folder.
 
 exit codes: 0 all trials converged, 1 some failed or did not converge, 2 bad input,
-130 interrupted: the rows so far stand
+130 interrupted: the rows so far are kept
 """
 
 _SHOW = """\
@@ -91,7 +91,7 @@ def sweep(args: argparse.Namespace, show: Display) -> None:
         with bad_input():
             result = loaded.run(database, retry_failed=args.retry_failed, **options)
     except KeyboardInterrupt:
-        text = f"interrupted: the same command goes on from what is in {database}."
+        text = f"interrupted: the same command resumes from {database}."
         with suppress(OSError, ValueError):  # as on a full disk, or without a database
             result = read_sweep(database)
             page = write_sweep(result, database, sweep=loaded, timing_s=show.laps)
@@ -102,10 +102,10 @@ def sweep(args: argparse.Namespace, show: Display) -> None:
     show.lap("trials")
     show.line()
     show.line(sweep_table(result))
-    show.line(f"Rows in {database}; `softcal sweep show {database}` has more.")
+    show.line(f"Rows in {database}; `softcal sweep show {database}` shows more.")
     with bad_input():
         page = write_sweep(result, database, sweep=loaded, timing_s=show.laps)
-    show.line(f"Open {page} in a browser to read them.")
+    show.line(f"Report: open {page} in a browser.")
     show.times()
     bad = len(result.rows) - len(result.of_state("converged"))
     if bad:
@@ -122,7 +122,7 @@ def _part(
         with bad_input():
             path = loaded.run_part(folder, part=args.part, of=args.of, **options)
     except KeyboardInterrupt:
-        text = "interrupted: nothing of this part was written; it begins anew."
+        text = "interrupted: this part was not written; run it again from the start."
         raise Stop(INTERRUPTED, text) from None
     except RuntimeError as error:
         raise Stop(BAD_INPUT, f"error: {error}") from error
@@ -146,7 +146,7 @@ def _progress_lines(show: Display) -> "Callable[[Progress], None]":
         nonlocal last
         what = str(now)
         if now.row is None:
-            done = f", {now.before} of them before" if now.before else ""
+            done = f", {now.before} of them already done" if now.before else ""
             show.note(f"{now.total} trials{done}")
             what += ", the first trial compiles"
         else:
@@ -222,25 +222,25 @@ def add_sweep(commands: "argparse._SubParsersAction") -> None:
     cluster = 'run on a Dask cluster, like "tcp://10.0.0.1:8786"'
     run.add_argument("--scheduler", metavar="ADDRESS", help=cluster)
     run.add_argument(
-        "--retry-failed", action="store_true", help="try again what failed before"
+        "--retry-failed", action="store_true", help="retry the trials that failed"
     )
     add_output(run)
     run.set_defaults(run=sweep)
 
     table = commands.add_parser(
         "sweep show",
-        help="what a sweep has found, also while it runs",
+        help="the results of a sweep, even while it runs",
         description="Tabulates the rows of a sweep, and draws them if asked to.",
         epilog=_SHOW,
     )
     add_path(table, "database", "SWEEP.sqlite", "the database of the sweep")
     for flag, metavar, what in (
-        ("--by", "AXIS", "group trials by this axis (several times for several)"),
-        ("--figure", "NAME", "show this figure (several times for several)"),
+        ("--by", "AXIS", "group trials by this axis (repeat for several)"),
+        ("--figure", "NAME", "show this figure (repeat for several)"),
     ):
         table.add_argument(flag, metavar=metavar, action="append", help=what)
     table.add_argument("--all", action="store_true", help="one line per trial")
     add_path(table, "--plot", "FILE", "draw a picture, .png or .svg")
-    add_path(table, "--csv", "FILE.csv", "write one line per trial, in SI")
+    add_path(table, "--csv", "FILE.csv", "write one line per trial, in SI units")
     add_output(table)
     table.set_defaults(run=show_sweep)

@@ -171,7 +171,7 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
     checks += _rivals(result.starts, spread.level)
     if result.left_out:
         checks.append(
-            "The standard errors are those by the noise alone: left out were "
+            "The standard errors include the noise alone; left out were "
             f"{listed(result.left_out)}."
         )
     useless = fatal or _size_of_residuals(result) > FAR_OUT
@@ -197,9 +197,7 @@ def _fatal(result: CalibrationResult) -> list[str]:
         )
     missed = _missed(result)
     if missed > MISSED:
-        fatal.append(
-            f"Held-out poses are missed by {100 * missed:.0f} % of their motion."
-        )
+        fatal.append(f"The held-out error is {100 * missed:.0f} % of the motion.")
     return fatal
 
 
@@ -272,8 +270,8 @@ def _wide(report: Identifiability, result: CalibrationResult) -> list[str]:
     """Name parameters that are less certain than the bounds that the user typed."""
     pairs = zip(report.parameters, result.space.parameters, strict=True)
     return [
-        f"{p.name} is less certain than its bounds are wide: they say more than the "
-        "data."
+        f"The standard error of {p.name} is wider than its bounds, which say more than "
+        "the data."
         for p, bounds in pairs
         if float(bounds.upper - bounds.lower) < p.standard_error < np.inf
     ]

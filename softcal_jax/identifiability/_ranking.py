@@ -76,9 +76,9 @@ class Gain(Module):
         if not np.isfinite(self.after) or self.before < HARDLY * self.after:
             return "hardly changes any standard error"
         if np.isinf(self.before):
-            return f"sees what nothing saw before, {self.effect}"
+            return f"reveals a direction that was blind ({self.effect})"
         ratio = self.before / self.after
-        return f"divides a standard error by {number(ratio, 2)}, of {self.effect}"
+        return f"reduces a standard error {number(ratio, 2)}-fold ({self.effect})"
 
 
 class Unranked(Module):
@@ -116,10 +116,10 @@ class Ranking(Result):
         if best.d_gain <= 0.0:
             fewer = ", or calibrate fewer parameters" if self.blind_before else ""
             return (
-                "No candidate makes the values more certain as a whole: know better "
-                f"what is held fixed{fewer}."
+                "No candidate reduces the overall uncertainty: measure what is held "
+                f"fixed more accurately{fewer}."
             )
-        return f"Candidate {best.name!r} adds most: it {best.words}."
+        return f"Candidate {best.name!r} is the most informative: it {best.words}."
 
     @property
     def tabulated(self) -> TextTable:
@@ -140,16 +140,16 @@ class Ranking(Result):
     def legend(self) -> str:
         """What the columns of the table mean."""
         text = (
-            f"Without a candidate {self.blind_before} of {self.n_parameters} "
-            "directions are blind. Volume: factor on that of the uncertainty, "
-            "exp(-D gain / 2). E gain: information added where there is least, in "
-            "units of what the asked standard error tells."
+            f"Without a candidate, {self.blind_before} of {self.n_parameters} "
+            "directions are blind. Volume: factor on the volume of the uncertainty, "
+            "exp(-D gain / 2). E gain: information added in the worst direction, in "
+            "units of that which gives the target standard error."
         )
         if any(gain.d_gain < 0.0 for gain in self.gains):
             text += (
-                " D gain below 0: the fit weighs readings by their noise alone, and "
-                "that pose passes on more error of what is held fixed (clamp, loads, "
-                "mesh) than it tells."
+                " D gain below 0: the fit weights readings by their noise alone, and "
+                "the pose adds more error from what is held fixed (clamp, loads, mesh) "
+                "than information."
             )
         return text
 

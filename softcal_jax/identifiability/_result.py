@@ -116,27 +116,27 @@ class Identifiability(Result):
     @property
     def tabulated(self) -> TextTable:
         """What is known of each parameter, in texts."""
-        head = ("parameter", "value", "standard error", "asked", "verdict")
+        head = ("parameter", "value", "standard error", "target", "verdict")
         if self.has_prior:
-            head = (*head[:3], "from data alone", *head[3:])
+            head = (*head[:3], "from the data alone", *head[3:])
         rows = [_row(p, self.has_prior) for p in self.parameters]
-        return text_table("Standard errors to expect", head, rows)
+        return text_table("Predicted standard errors", head, rows)
 
     @property
     def advice(self) -> tuple[str, ...]:
         """What to do, in sentences; empty if nothing needs to be done."""
         if self.n_data == 0:
-            return ("Nothing is measured: give the configurations markers.",)
+            return ("Nothing is measured: add markers to the configurations.",)
         if self.verdict == "identifiable":
             return ()
         missing, first = self.n_parameters - self.n_data, ""
         if missing > 0:
-            more = f"{missing} more measured coordinate{'s' * (missing > 1)}"
-            first = f"It takes at least {more}. "
+            more = f"{missing} measured coordinate{'s' * (missing > 1)}"
+            first = f"The data lack at least {more}. "
         return (
-            f"{first}What to do: another configuration (load, orientation, other end "
-            "clamped), more markers, or less noise; ranking candidates tells which "
-            "configuration adds most. Or calibrate fewer parameters.",
+            f"{first}Add a configuration (another load or orientation, the other end "
+            "clamped) or markers, or reduce the noise; rank candidates to find the "
+            "most informative configuration. Or calibrate fewer parameters.",
         )
 
     def __str__(self) -> str:
@@ -147,7 +147,7 @@ class Identifiability(Result):
         if worst_first:
             lines.append(
                 f"The data leave {len(worst_first)} of {n_p} "
-                f"direction{'s' * (n_p != 1)} undetermined (standard error / asked):"
+                f"direction{'s' * (n_p != 1)} undetermined (standard error / target):"
             )
             shown = worst_first[:MOST_SHOWN]
             lines += [f"  {d.words} ({percent(d.ratio)})" for d in shown]
@@ -166,9 +166,9 @@ class Identifiability(Result):
     def scale(self) -> str:
         """What the verdicts mean, in words."""
         text = (
-            "Identifiable: a standard error up to the asked one (precision "
-            f"{self.precision:g}), weakly: up to {WEAK_UP_TO:g} times that. Bounds are "
-            "no data."
+            "Identifiable: standard error at most the target (precision "
+            f"{self.precision:g}); weakly identifiable: at most {WEAK_UP_TO:g} times "
+            "the target. Bounds do not count as data."
         )
         if self.has_prior:
             text += " A stated prior counts as a measurement."

@@ -88,15 +88,15 @@ class Difference(Module):
             ]
             text = f"Both agree within their errors ({found})"
             if hidden:
-                return f"{text}, but could hide that they differ in {listed(hidden)}."
-            return f"{text}: as far as a second robot tells, these are the material's."
+                return f"{text}, but a difference could hide: {listed(hidden)}."
+            return f"{text}, as material properties would."
         largest = np.argsort(-np.abs(self.worst / self.unseen))[:4].tolist()
         changes = [
             f"{self.names[i]} by {readable_by(i, self.worst[i])}" for i in largest
         ]
         return (
-            f"They do not agree ({found}): the values of one of them, or of both, hold "
-            "for its loads and its shape alone. From A to B they differ most in "
+            f"They do not agree ({found}): the values of at least one robot hold only "
+            "for its loads and shape. From A to B they differ most in "
             f"{listed(changes)} ({self.worst_size:.1f} standard errors)."
         )
 

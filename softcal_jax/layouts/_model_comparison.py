@@ -198,8 +198,9 @@ class ModelComparison(Result):
         if best is None:
             return "No model predicts every configuration, so none can be preferred."
         first = (
-            f"{best.name!r} predicts best: {1e3 * best.held_out_rms:.3g} mm, "
-            f"{best.held_out_noise_rms:.2f} times the noise."
+            f"{best.name!r} has the smallest held-out error: "
+            f"{1e3 * best.held_out_rms:.3g} mm, {best.held_out_noise_rms:.2f} times "
+            "the noise."
         )
         rivals = [model for model in self.models[1:] if not model.failed]
         worse = [m.name for m in rivals if m.name not in self.undecided]
@@ -211,10 +212,10 @@ class ModelComparison(Result):
         close = listed([repr(name) for name in self.undecided])
         alike = [best, *(m for m in rivals if m.name in self.undecided)]
         fewest = min(alike, key=lambda m: (m.n_parameters, m.score))
-        text = f"{first} The data cannot tell it from {close}"
-        text += f", but from {listed([repr(n) for n in worse])}." if worse else "."
+        text = f"{first} The data cannot distinguish it from {close}"
+        text += f", but can from {listed([repr(n) for n in worse])}." if worse else "."
         if fewest.n_parameters < best.n_parameters:
-            text += f" Of these {fewest.name!r} has the fewest parameters."
+            text += f" Of these, {fewest.name!r} has the fewest parameters."
         return text
 
     def __str__(self) -> str:
@@ -239,8 +240,8 @@ class ModelComparison(Result):
     @property
     def tabulated(self) -> TextTable:
         """A table of how well each model predicts."""
-        head = ("model", "parameters", "held-out [mm]", "in noise", "squared [noise^2]")
-        head += ("worse than the best by", "fit [mm]", "failed folds")
+        head = ("model", "parameters", "held-out error [mm]", "error / noise")
+        head += ("squared [noise^2]", "excess over best", "fit [mm]", "failed folds")
         rows = []
         for model, worse in zip(self.models, (None, *self.differences), strict=True):
             failed = f"{len(model.failed)} of {len(model.folds)}"

@@ -89,7 +89,7 @@ def motion_words(fit: ConfigurationResult) -> str:
     text = size(fit.rms_after)
     if fit.role != "prediction":
         text = f"{size(fit.rms_before)} before, {text} after"
-    text = f"rms distance of the markers: {text}"
+    text = f"rms residual of the markers: {text}"
     if math.isfinite(fit.rms_share):
         text += f" ({100 * fit.rms_share:.1f} % of their motion)"
     if math.isfinite(fit.turn_after):

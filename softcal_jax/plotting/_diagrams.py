@@ -68,7 +68,7 @@ def plot_traces(traces: Traces, path: str | Path, *, name: str = "recording") ->
     for text in panels[0].legend(fontsize=12, frameon=False, **place).get_texts():
         text.set_parse_math(False)  # a label may hold a dollar sign
     panels[-1].set_xlabel("time [s]", fontsize=14)
-    title = f"{name}: what was taken of {Path(recording.source).name}"
+    title = f"{name}: windows taken from {Path(recording.source).name}"
     style = {"fontsize": 19, "weight": "bold", "color": TEXT, "parse_math": False}
     figure.suptitle(title, **style)
     save(figure, path)

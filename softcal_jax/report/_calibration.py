@@ -55,13 +55,13 @@ def parameter_table(result: CalibrationResult, outlook: Identifiability) -> Text
         value = Cell(value_of(q), "strong" if sound else "bad")
         rows.append((q.name, value, start, bounds))
     return text_table(
-        title, ("parameter", "value ± std. error", "start", "bounds"), rows
+        title, ("parameter", "value ± standard error", "start", "bounds"), rows
     )
 
 
 def budget_table(result: CalibrationResult) -> TextTable:
     """Tabulate in words what the standard errors come from."""
-    columns = "parameter", "standard error over the value"
+    columns = "parameter", "relative standard error"
     rows = [(name, result.budget.sentence(name)) for name in result.budget.names]
     return text_table("Standard errors by cause", columns, rows)
 
@@ -104,8 +104,8 @@ def error_tables(
     left_out = [] if checks is None else checks.left_out
     rows = [(c.name, distance(c.rms), distance(c.expected)) for c in left_out]
     if rows:
-        heads = ("configuration", "residual", "known errors explain")
-        title = "Each configuration, predicted by the others"
+        heads = ("configuration", "residual", "expected from known errors")
+        title = "Each configuration, predicted from the others"
         shown.append(text_table(title, heads, rows))
     if turns:
         title = "Residuals of the orientations, rms"
@@ -120,7 +120,7 @@ def outlook_table(assessment: Assessment) -> TextTable:
         tone = outlook_tone(p.verdict, assessment)
         verdict = Cell(assessment.seen(p.verdict), tone)
         rows.append((p.name, percent(p.ratio), verdict))
-    columns = "parameter", "standard error / asked", "verdict"
+    columns = "parameter", "standard error / target", "verdict"
     return text_table("What the data determine", columns, rows)
 
 
@@ -135,7 +135,7 @@ def outlook_legend(outlook: Identifiability) -> str:
     words = [outlook.scale]
     if outlook.has_prior:
         shares = f"{outlook.informed} of {outlook.n_parameters} directions"
-        words.append(f"The data determine {shares} better than the prior.")
+        words.append(f"The data constrain {shares} more tightly than the prior.")
     if outlook.n_data:
         words.append(str(outlook.conditioning).splitlines()[0])
     return " ".join(words)
@@ -149,8 +149,8 @@ def blindness(outlook: Identifiability) -> list[str]:
     by = "the prior and the start" if outlook.has_prior else "the start"
     lines = [
         f"The data leave {len(blind)} of {outlook.n_parameters} directions of the "
-        f"parameters undetermined; {by} decide{'s' * (not outlook.has_prior)} these. "
-        "The worst first (standard error / asked):"
+        f"parameters undetermined; along these, the result depends on {by}. "
+        "Worst first (standard error / target):"
     ]
     lines += [f"{d.words} ({percent(d.ratio)})" for d in blind[:MOST_DIRECTIONS]]
     if len(blind) > MOST_DIRECTIONS:
@@ -177,7 +177,7 @@ def _correlation_table(outlook: Identifiability) -> TextTable:
     first = np.argsort(-strength, kind="stable")[:MOST_PAIRS]
     pairs = zip(i[first], j[first], strict=True)
     rows = [(names[a], names[b], or_dash(float(C[a, b]), ".2f")) for a, b in pairs]
-    columns = "parameter", "of", "correlation"
+    columns = "parameter", "with", "correlation"
     return text_table(f"The {MOST_PAIRS} strongest correlations", columns, rows)
 
 

@@ -51,10 +51,10 @@ def error_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
         return []
     rows = [_errors(fit, longest) for fit in shown]
     caption = (
-        "Root mean square distance of the simulated from the measured markers, with "
-        "the start values (open circle) and the calibrated ones (filled circle). The "
-        "upright line is how far the markers moved. All rows have the same scale, from "
-        f"0 to {distance(longest)}."
+        "Root mean square distance between simulated and measured markers, with the "
+        "start values (open circle) and the calibrated values (filled circle). The "
+        "vertical line is the motion of the markers. All rows have the same scale, "
+        f"from 0 to {distance(longest)}."
     )
     return [figure(joined(rows), caption)]
 
@@ -87,9 +87,9 @@ def workspace_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
         for k in (across, up)
     ]
     caption = (
-        f"Across {spans[0]}, upwards {spans[1]}: the mean place of the points of each "
-        "configuration. The larger a circle, the larger its error; the largest has "
-        f"{distance(worst)}. Filled circles were held out."
+        f"Horizontal axis: {spans[0]}; vertical axis: {spans[1]}. Each circle is the "
+        "mean position of the points of a configuration, and its size is the error, up "
+        f"to {distance(worst)}. Filled circles were held out."
     )
     return [figure(drawn, caption, title="Errors over the workspace")]
 
@@ -98,7 +98,7 @@ def _errors(fit: ConfigurationResult, longest: float) -> Html:
     """Draw one row, with its numbers in words."""
     x = lambda value: f"{2.0 + 96.0 * value / longest:.2f}%"
     parts = [_line("2%", 14, "98%", 14, stroke=LINE)]
-    before, after = "no equilibrium before", x(fit.rms_after)
+    before, after = "no equilibrium before the fit", x(fit.rms_after)
     if math.isfinite(fit.motion):
         moved = x(fit.motion)
         parts.append(_line(moved, 3, moved, 25, stroke=INK, stroke_width="3"))
@@ -106,10 +106,10 @@ def _errors(fit: ConfigurationResult, longest: float) -> Html:
         start = x(fit.rms_before)
         parts.append(_line(after, 14, start, 14, stroke=BLUE, stroke_width="3"))
         parts.append(_circle(start, 14, filled=False))
-        before = f"{distance(fit.rms_before)} before"
+        before = f"{distance(fit.rms_before)} before the fit"
     parts.append(_circle(after, 14))
     held = " (held out)" if fit.role == "validation" else ""
-    words = f"{before}, {distance(fit.rms_after)} after, moved {distance(fit.motion)}"
+    words = f"{before}, {distance(fit.rms_after)} after; motion {distance(fit.motion)}"
     return _row(f"{fit.name}{held}", parts, words)
 
 
@@ -136,11 +136,11 @@ def budget_chart(result: CalibrationResult) -> list[Html]:
             entries.append(node("li", drawn, cause))
     legend = node("ul", *entries, class_="legend")
     caption = (
-        "Where the standard error of each parameter comes from: share of each cause in "
-        "its square. The longest part is what to measure better first."
+        "Sources of the standard error of each parameter, as shares of its variance. "
+        "The source with the longest bar is the first to measure better."
     )
     if len(known) > MOST_BARS:
-        caption += f" {len(known) - MOST_BARS} more parameters are in the table."
+        caption += f" Only in the table: {len(known) - MOST_BARS} more."
     return [figure(joined([legend, *bars]), caption)]
 
 
@@ -214,17 +214,17 @@ def course_charts(result: CalibrationResult) -> list[Html]:
         curves.append(_step_size(result))
     curves += [_parameter(result, q) for q in result.parameters[:MOST_PARAMETERS]]
     charts = node("div", *(_drawn(curve, result) for curve in curves), class_="charts")
-    words = "Each against the number of the step; 0 is the start."
+    words = "Each curve is plotted against the step number; step 0 is the start."
     if not all(entry.accepted for entry in result.history):
         words += " Open circles: steps that were refused."
     if _noise_changes(result):
-        words += " Dotted line: there the noise was estimated anew."
+        words += " Dotted line: the noise was re-estimated here."
     return [node("p", words), charts]
 
 
 def _fit(result: CalibrationResult) -> _Curve:
     fitted = [fit for fit in result.configurations if fit.role == "calibration"]
-    title = "Distance of the markers, root mean square [mm]"
+    title = "Residual of the markers, rms [mm]"
     values = [1e3 * entry.rms for entry in result.history]
     if not any(fit.points for fit in fitted):  # lengths, angles or forces alone
         title, values = "Cost [-]", [entry.cost for entry in result.history]
@@ -242,7 +242,7 @@ def _step_size(result: CalibrationResult) -> _Curve:
     low, high = math.floor(min(ends)), math.ceil(max(ends))
     every = max(1, math.ceil((high - low) / 5))
     ticks = {float(k): f"1e{k}" for k in range(low, high + 1, every)}
-    title = "Size of the step, largest lambda_p [-]"
+    title = "Step size, largest |lambda_p| [-]"
     return _Curve(title, values, ticks, level, end_of(result))
 
 

@@ -40,11 +40,11 @@ def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
         if rms[1] > 0.0:
             parts[0] += f", {100.0 * rms[0] / rms[1]:.1f} % of the motion"
     if turns:
-        parts.append(f"{math.degrees(_rms(turns)):.2f} deg rms of orientations")
+        parts.append(f"{math.degrees(_rms(turns)):.2f} deg rms in orientation")
     held_out = poses[0].role == "validation"
     head = "Held-out error" if held_out else "Prediction error"
     of = poses[0].name if len(poses) == 1 else f"{len(poses)} poses"
-    seen = " that the fit has not seen" * (held_out and len(poses) > 1)
+    seen = " not used in the fit" * (held_out and len(poses) > 1)
     return [f"{head} of {of}{seen}: {'; '.join(parts)}{_range(points)}."]
 
 
@@ -63,7 +63,7 @@ def _range(poses: Sequence[ConfigurationResult]) -> str:
     if len(poses) <= MOST_LISTED:
         return f"; {ends}"
     half, most = np.quantile(errors, [0.5, 0.95])
-    return f"; {ends}, half below {half:.2f} mm, 95 % below {most:.2f} mm"
+    return f"; {ends}, median {half:.2f} mm, 95th percentile {most:.2f} mm"
 
 
 def _points(poses: Sequence[ConfigurationResult]) -> str:

@@ -209,7 +209,7 @@ def page(
         node(
             "footer",
             f"Written by softcal_jax {installed_version('softcal-jax')} on {when}. The "
-            f"same numbers for programs, in {units}: ",
+            f"same numbers in machine-readable form, in {units}: ",
             node("a", index, href=index),
             ".",
         ),
@@ -250,15 +250,15 @@ def answer_html(answer: Answer) -> Html:
     content = [node("dl", *values, class_=size)]
     left = len(answer.values) - MOST_VALUES
     if left > 0:
-        content.append(node("p", node("a", f"{left} more", href="#parameters")))
+        content.append(node("p", node("a", f"and {left} more", href="#parameters")))
     sentence, tone, reasons = answer.verdict
     said = [node("p", node("strong", sentence)), bullets(reasons[:MOST_REASONS])]
     if len(reasons) > MOST_REASONS:
-        more = node("summary", f"{len(reasons) - MOST_REASONS} more")
+        more = node("summary", f"and {len(reasons) - MOST_REASONS} more")
         said.append(node("details", more, bullets(reasons[MOST_REASONS:])))
     head = node("h2", "Verdict")
     content.append(node("section", head, *said, class_=f"verdict {tone}"))
-    content += sentences([f"A mistake? {text}" for text in answer.mistakes])
+    content += sentences([f"Possible mistake: {text}" for text in answer.mistakes])
     content += sentences([*answer.held_out, f"Next: {answer.next_step}"])
     return node("div", *content, node("p", SCOPE, class_="kind"), class_="answer")
 
@@ -282,7 +282,7 @@ def closing(
     named = files or []
     if files is None and len(known) == len(every):
         named = [source["project"] for source in known]
-    made_in_python = "This was made in Python, so there is no command that repeats it."
+    made_in_python = "This result was made in Python, so no command repeats it."
     content = [node("p", made_in_python)]
     if named:
         words = ["softcal", command, *(file["file"] for file in named), *options]
@@ -294,18 +294,18 @@ def closing(
             of = f" of {source['project']['file']}" if len(known) > 1 else ""
             columns = "key of the project file", "value"
             text = (
-                "Some values of the project file were replaced when it was loaded. Set "
-                "them in the file, or give them to load_project(changes=...) in Python:"
+                "Some values in the project file were overridden when it was loaded. "
+                "Set them in the file, or pass them to load_project(changes=...):"
             )
             changes = text_table(f"Changes{of}", columns, rows)
             content += [node("p", text), table_html(changes)]
     read = [*(files or ()), *(file for source in known for file in _files_of(source))]
     if read:
         rows = dict.fromkeys((file["file"], file["sha256"]) for file in read)
-        table = text_table("Files that were read", ("file", "SHA-256"), rows)
+        table = text_table("Input files", ("file", "SHA-256"), rows)
         content.append(table_html(table))
     return [
-        Section("repeat", "Repeat it", content, folded=True),
+        Section("repeat", "How to repeat this run", content, folded=True),
         Section("made", "Settings, versions and times", _made_html(data), folded=True),
     ]
 

@@ -59,7 +59,7 @@ def inverse_html(result: InverseResult | TrajectoryResult) -> list[Html]:
     """Show how closely the goals are met, and what the actuators do for it."""
     if isinstance(result, InverseResult):
         tables = map(table_html, (goal_table(result.goals), actuator_table(result)))
-        limits = "Limits that are reached:" if result.active_limits else ""
+        limits = "Active limits:" if result.active_limits else ""
         return [*tables, *sentences([limits]), bullets(result.active_limits)]
     rows = [
         (str(i), _inputs(point), Cell(point.message, "good" if point.met else "bad"))
@@ -157,7 +157,7 @@ def write_inverse(
     data["calibration"] = loaded and file_dict(loaded, directory)
     suffix = None if problem else pictures
     seen = "the body at the commands found, coloured by displacement, with the goals "
-    seen += "(circles) and what is reached (crosses)"
+    seen += "(circles) and the positions reached (crosses)"
     bodies, captions = [], {}
     with results_folder(directory, force=force) as folder:
         progress(0, len(points))
@@ -232,7 +232,7 @@ def _page(
     search = []
     if isinstance(result, InverseResult) and result.attempts:
         rows = [(a.way, str(a.n_steps), f"{a.error:.3g}") for a in result.attempts]
-        columns = "begun from", "steps", "largest error, in standard deviations"
+        columns = "started from", "steps", "largest error, in standard deviations"
         search = [table_html(text_table("Descents", columns, rows))]
     loaded = [file for file in [data["calibration"]] if file is not None]
     sections = [

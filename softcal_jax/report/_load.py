@@ -227,9 +227,9 @@ def _check_unchanged(path: Path, project: Path, source: SourceEntry) -> None:
             )
     if problems:
         raise ResultError(
-            f"{path}: the files that it was calibrated from are not what they were, so "
-            f"its values may belong to another model.{problems}\nTo go on, calibrate "
-            f"again (softcal calibrate), or put back the file as it was{moved}."
+            f"{path}: the input files have changed since the calibration, so its "
+            f"values may belong to another model.{problems}\nTo go on, calibrate again "
+            f"(softcal calibrate), or restore the original file{moved}."
         )
 
 

@@ -75,7 +75,7 @@ def outline(
     posed = (*project.configurations, *project.candidates)
     guesses = guesses_left(project.path)
     rows = [(f"line {guess.line}", guess.text, guess.remark) for guess in guesses]
-    yield from _section("Guesses, to be changed or confirmed", (), rows)
+    yield from _section("Guesses to change or confirm", (), rows)
     lanes = configuration_lanes(mesh, posed, model.mechanism)
     yield from _section("Model", (), _model(model))
     head = ("name", "nodes", "origin [mm]", "own mass", "tied to")
@@ -86,7 +86,7 @@ def outline(
     for fields, points in control_point_sets(project).items():
         placed = _placed(mesh, points.names, points.positions)
         rows = [(str(i), *place) for i, place in enumerate(placed, 1)]
-        head = ("", "name", "place [mm]", "mesh")
+        head = ("", "name", "position [mm]", "mesh")
         yield from _section(f"Control points of {fields}", head, rows)
     roles = roles_of(project)
     rows = [_configuration(model, c, roles[c.name]) for c in posed]
@@ -95,7 +95,7 @@ def outline(
     head = ("configuration", "what", "value", "standard deviation")
     yield from _section("Measured", head, _measured(posed, lanes))
     rows = [(k, f"{1e3 * r.rms:.2f} mm") for k, r in project.registrations.items()]
-    head = ("configuration", "rms left at the markers")
+    head = ("configuration", "rms residual at the markers")
     yield from _section("Camera frames, registered to the mesh", head, rows)
     head = ("name", "start", "lower", "upper", "scale", "prior")
     yield from _section("Parameters", head, map(_parameter, project.parameters))
@@ -120,9 +120,9 @@ def _model(model: Model) -> Iterator[tuple[str, str]]:
     density = np.unique(np.asarray(model.density))
     ends = dict.fromkeys([density[0], density[-1]])
     yield "density", f"{' to '.join(f'{d:.4g}' for d in ends)} kg/m3"
-    yield "unknowns", f"{3 * mesh.n_nodes} coordinates of nodes"
+    yield "unknowns", f"{3 * mesh.n_nodes} nodal coordinates"
     if mesh.order == 1:
-        yield "note", "linear tets lock in bending: their moduli are those of this mesh"
+        yield "note", "linear tets lock in bending: moduli hold only for this mesh"
 
 
 def _bodies(model: Model) -> Iterator[tuple[str, ...]]:
@@ -161,7 +161,7 @@ def _placed(
     off = locate(mesh, places, max_distance=math.inf).distance
     for name, place, distance in zip(names, places, off, strict=True):
         text = readable_values([float(distance)], "m", digits=3)
-        yield name, _in_mm(place), f"{text} off" if distance else "in it"
+        yield name, _in_mm(place), f"{text} off" if distance else "inside"
 
 
 def _markers(
@@ -194,7 +194,7 @@ def _support(support: Support, mesh: TetMesh) -> str:
     text += "" if support.axes == "xyz" else f", only {support.axes}"
     text += "" if support.stiffness is None else ", elastic"
     if np.any(support.displacement):
-        text += f", moved {readable_values(support.displacement, 'm')}"
+        text += f", displaced by {readable_values(support.displacement, 'm')}"
     return f"{text})"
 
 
@@ -289,7 +289,7 @@ def _motion(
         return "not measured"
     since = "since the reference" if before else "from rest"
     ends = dict.fromkeys(f"{1e3 * end:.3g}" for end in (min(moved), max(moved)))
-    return f"moved {' to '.join(ends)} mm {since}"
+    return f"moved by {' to '.join(ends)} mm {since}"
 
 
 def _value_seen(record: EffectorRecord, before: Mapping[str, EffectorRecord]) -> str:
@@ -333,7 +333,7 @@ def _commands(project: Project) -> Rows:
     ):
         try:
             check()
-            rows.append((f"softcal {command}", "has all it needs"))
+            rows.append((f"softcal {command}", "ready to run"))
         except ProjectError as error:
             text = str(error).removeprefix(f"{project.path}: ")
             first, *others = [line.strip() for line in text.splitlines()]
@@ -357,7 +357,7 @@ def mesh_lines(mesh: TetMesh) -> list[str]:
     edges = np.linalg.norm(corners[:, [1, 2, 3]] - corners[:, :1], axis=2)
     mean = readable_values([float(edges.mean())], "m", digits=3)
     volume = _read(float(volumes(mesh).sum()), "m3")
-    line = f"{mesh.words}, edges of {mean} in the mean, volume {volume}"
+    line = f"{mesh.words}, mean edge length {mean}, volume {volume}"
     rows = []
     for name, faces in mesh.surface_groups.items():
         centres = mesh.points[faces[:, :3]].mean(axis=1)

@@ -70,7 +70,7 @@ def calibration_page(
         Section("errors", "Residuals", _errors(result, assessment)),
         Section("parameters", "Parameters", _parameters(result, assessment)),
         Section("data", "What the data determine", _outlook(assessment)),
-        Section("agreement", "Each recording by itself", [bullets(agreement)]),
+        Section("agreement", "Each recording fitted alone", [bullets(agreement)]),
         Section("notes", "Notes", [bullets(data["notes"])]),
         *_pictures(data, folder, view),
         Section("robot", "Robot", [*map(table_html, robot_tables(listed_fits(fits)))]),
@@ -214,7 +214,7 @@ def shown_pictures(
         left -= path.stat().st_size
         if left < 0:
             link = node("a", name, href=name)
-            text = "to keep the page small, this picture stays beside it, as "
+            text = "to keep the page small, this picture is a separate file, "
             drawn = node("p", f"{caption}; {text}", link, ".")
         else:
             drawn = figure(picture(path, caption), f"{caption}.")
@@ -228,7 +228,7 @@ def identifiability_page(
     outlook: Identifiability | None, ranking: Ranking | None, data: Mapping[str, Any]
 ) -> str:
     """Write the page on what data would tell, from the content of its index."""
-    verdict = RunVerdict("There is nothing to judge.", "plain")
+    verdict = RunVerdict("There is nothing to assess.", "plain")
     sections = [Section("next", "What to measure next", _next_html(outlook, ranking))]
     if outlook is not None:
         verdict = _outlook_verdict(outlook)
@@ -273,7 +273,7 @@ def comparison_page(comparison: ModelComparison, data: Mapping[str, Any]) -> str
         for fold in model.folds:
             text = "failed" if fold.failure else f"{1e3 * fold.rms:.4g} mm"
             cells.setdefault(fold.held_out, [fold.held_out]).append(text)
-    title = "Error of each configuration, held out"
+    title = "Held-out error of each configuration"
     held_out = text_table(title, columns, cells.values())
     sections = [
         Section("failures", "What failed", [bullets(comparison.failures)]),

@@ -60,8 +60,8 @@ def check_sweep_page(database: str | os.PathLike[str]) -> None:
     head = path.read_bytes()[:200_000] if path.is_file() else b""
     if str(node("p", KIND, class_="kind")).encode() not in head:
         raise FileExistsError(
-            f"{path} is no page of a sweep and would be overwritten. Move it away, or "
-            "give the database another name."
+            f"{path} is not a page of a sweep and would be overwritten. Move it away, "
+            "or give the database another name."
         )
 
 
@@ -160,6 +160,6 @@ def _trials(result: SweepResult, figures: tuple[str, ...]) -> list[Html]:
         text = "more are in the database; softcal sweep show lists all of them with"
         words.append(f"{more} {text} --all.")
     if not_drawn := figures[MOST_CHARTED:]:
-        words.append(f"In this table, and not drawn: {', '.join(not_drawn)}.")
+        words.append(f"In this table but not plotted: {', '.join(not_drawn)}.")
     table = tabulated("Trials", result, figures, result.rows[:MOST_TRIALS])
     return [table_html(table), *sentences(words)]

@@ -59,14 +59,14 @@ class Transfer(Module):
                 self.poses, self.motion, self.rms_own, self.rms_of_a, strict=True
             )
         ]
-        titles = "parameter", "from A", "from B", "not detectable below"
+        titles = "parameter", "from A", "from B", "smallest detectable difference"
         lines = text_table("", titles, values).lines()
-        titles = "pose of B", "motion", "error of its own fit", "with the values of A"
+        titles = "pose of B", "motion", "error, fitted to B", "error, values of A"
         lines += ["", *text_table("", titles, errors).lines()]
         lines += ["", d.verdict]
         if self.lost:
             lost = listed(self.lost)
-            lines.append(f"With the values of A no equilibrium was found of {lost}.")
+            lines.append(f"With the values of A, no equilibrium was found for {lost}.")
         return "\n".join(lines)
 
 

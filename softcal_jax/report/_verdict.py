@@ -15,8 +15,8 @@ from softcal_jax.identifiability import Assessment
 from softcal_jax.report._held_out import held_out_sentences
 
 SCOPE = (
-    "The values hold for these loads and this shape; a second robot tells whether they "
-    "are those of the material (softcal transfer)."
+    "The values hold for these loads and this shape. To test whether they are material "
+    "properties, calibrate a second robot (softcal transfer)."
 )
 """For what calibrated values hold."""
 
@@ -74,12 +74,12 @@ class Answer(NamedTuple):
         for name, value, interval in self.values[:MOST_VALUES]:
             lines.append(f"{name} = {value}{f' ({interval})' if interval else ''}")
         if len(self.values) > MOST_VALUES:
-            lines.append(f"and {len(self.values) - MOST_VALUES} more parameters.")
+            lines.append(f"and {len(self.values) - MOST_VALUES} more.")
         lines.append(self.verdict.sentence)
         lines += [f"  {text}" for text in self.verdict.reasons[:MOST_REASONS]]
         more = len(self.verdict.reasons) - MOST_REASONS
         lines += [f"  and {more} more."] if more > 0 else []
-        lines += [f"A mistake? {sentence}" for sentence in self.mistakes[:1]]
+        lines += [f"Possible mistake: {sentence}" for sentence in self.mistakes[:1]]
         return [*lines, *self.held_out, f"Next: {self.next_step}", SCOPE]
 
 
@@ -87,7 +87,7 @@ def answer_of(result: CalibrationResult, assessment: Assessment) -> Answer:
     """Collect what a calibration answers."""
     values = tuple((p.name, value_of(p), _interval_of(p)) for p in result.parameters)
     held_out = held_out_sentences(result.configurations)
-    none = "Held-out error: unknown, since every pose was fitted."
+    none = "Held-out error: unknown, because every pose was used in the fit."
     return Answer(
         values=values,
         verdict=verdict_of(assessment),
@@ -124,37 +124,37 @@ def _next_step(result: CalibrationResult, assessment: Assessment) -> str:
     if not result.converged:
         return "raise max_steps under [settings], or start from other values."
     if result.mistakes:
-        return "find out whether that mistake was made, and calibrate again."
+        return "check whether this mistake was made, correct it, and calibrate again."
     outlook = assessment.identifiability
     worst = int(np.argmax([p.ratio for p in outlook.parameters]))
     step = result.budget.advice(result.budget.names[worst])
     if outlook.advice:
-        step = outlook.advice[0]
+        step = outlook.advice[0][0].lower() + outlook.advice[0][1:]
     if assessment.contradicted:
-        return f"check what the verdict names; then {step}"
+        return f"check the points that the verdict lists; then {step}"
     return step
 
 
 def end_of(result: CalibrationResult) -> str:
     """Say which criterion ended the fit, see `CalibrationSettings`."""
     if result.interrupted:
-        return "The user interrupted it."
+        return "The user interrupted the fit."
     if len(result.history) < 2:
         return "The fit ended before its first step."
     settings, last = result.settings, result.history[-1]
     size = max(abs(step) for step in last.lambda_p)
     if not result.converged and last.step >= settings.max_steps:
-        where = f"at max_steps = {settings.max_steps}"
+        why = f"at max_steps = {settings.max_steps}"
     elif not result.converged:
-        where = "where every step was refused, though the cost still falls"
+        why = "because every step was refused, although the cost still decreases"
     elif not last.accepted:
-        where = "where steps were refused and the cost is flat: its slope vanishes to "
-        where += f"{FLAT:g}"
+        why = "because steps were refused and the cost is flat: its slope vanishes to "
+        why += f"within {FLAT:g}"
     elif size <= settings.tol:
-        where = f"as |lambda_p| = {size:.1e} is below {settings.tol:g}"
+        why = f"because |lambda_p| = {size:.1e} is below {settings.tol:g}"
     else:
-        where = (
-            f"as one more step, |lambda_p| = {size:.1e}, would lower the cost by less "
-            f"than {NOT_TAKEN**2:g} of it"
+        why = (
+            f"because one more step, |lambda_p| = {size:.1e}, would reduce the cost by "
+            f"less than {NOT_TAKEN**2:g} of its value"
         )
-    return f"The fit ended {where}."
+    return f"The fit ended {why}."

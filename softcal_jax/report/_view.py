@@ -140,7 +140,7 @@ def body_view(
         why = f"the surface of this mesh, {n} faces, is too large for a page; "
         why += "configurations.pvd is for ParaView"
     if drawing is None:
-        return PageView(node("p", f"There is no body to turn: {why}."), "", frozenset())
+        return PageView(node("p", f"No 3-D view: {why}."), "", frozenset())
     converged = not isinstance(result, CalibrationResult) or result.converged
     drawn = Html(drawing.text)
     data = node("script", drawn, type="application/json", id="view-data")

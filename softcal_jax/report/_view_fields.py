@@ -149,7 +149,7 @@ def view_fields(
         values = [state[name][surface.tets] if state else None for state in states]
         fields.append(_of_faces(name, unit, values, surface))
     label = "distance at markers [mm]"
-    note = "Discs at the measured markers; between them nothing is known."
+    note = "Discs at the measured markers; there are no values in between."
     fields.append(Field(label, "mm", "marker", tuple(map(_distances, shown)), note))
     has_values = lambda v: v is not None and np.isfinite(v).any()
     return [field for field in fields if any(map(has_values, field.values))]
@@ -218,5 +218,5 @@ def _of_faces(
     if unit == "rad":
         note.append("Angles that differ by 180 deg are one axis.")
     if not np.isfinite(present).all():
-        note.append("Grey: there is none.")
+        note.append("Grey: no value.")
     return Field(f"{name} [{shown or '-'}]", shown, "face", converted, " ".join(note))

@@ -304,7 +304,7 @@ def test_a_run_whose_steps_are_all_refused_is_not_converged(model, exact):
     np.testing.assert_array_equal(state.z, z)
     notes = fit_notes(state, settings)
     assert len(notes) == 1
-    assert "steps were refused" in notes[0]
+    assert "every step was refused" in notes[0]
 
 
 def test_a_step_held_short_by_its_bound_is_no_convergence(model, exact):

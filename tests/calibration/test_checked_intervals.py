@@ -334,13 +334,13 @@ def test_a_lower_cost_is_gone_on_from(result, poses, monkeypatch, times):
     assert says(after.notes[-1], "lower cost", "first fit")
     costs = [optimum.cost / last.cost for optimum in after.starts.optima]
     np.testing.assert_allclose(costs, 0.9 ** np.arange(times, -1.0, -1.0))
-    still = "cost still falls" in after.intervals[0].why
+    still = "cost still decreases" in after.intervals[0].why
     assert still == (times == MOST_RETURNS)
     # Where the way on leads nowhere, the first fit is kept.
     lower = iter(range(1))
     kept = with_intervals(fitted, 0.95, lambda done, z: done, never)
     assert kept.starts is starts
-    assert "cost still falls" in kept.intervals[0].why
+    assert "cost still decreases" in kept.intervals[0].why
 
 
 def test_kinds_and_reasons():

@@ -27,7 +27,7 @@ def test_equal_moduli_of_an_axis_are_named(tensor_steps):
     parameters = space(tensor_steps=tensor_steps)
     z = at(parameters, np.array([0.5, 1.0]))
     (note,) = order_notes(parameters, parameters.admissible(z))
-    assert says(note, "E_l of CP 2", "equal", "E_t of CP 2", "several starts")
+    assert says(note, "E_l of CP 2", "E_t of CP 2", "equal", "several starts")
     both = parameters.admissible(at(parameters, np.array([1.0, 1.0])))
     assert len(order_notes(parameters, both)) == 2
 
@@ -46,7 +46,7 @@ NAN = float("nan")
 @pytest.mark.parametrize(
     ("rms", "motion", "words"),
     [
-        (2e-3, 1e-2, "predict bx 2.49 2.00 mm off, 20 % of its motion; ... 0.1 mm"),
+        (2e-3, 1e-2, "bx 2.49 is 2.00 mm off, 20 % of its motion; ... 0.1 mm"),
         (NAN, NAN, "contradict bx 2.49 ... no markers ... (p = 1e-06)"),
         (
             NAN,

@@ -125,8 +125,8 @@ def test_noise_and_checks_are_in_millimetres():
     (row,) = data["checks"]["recordings"]
     assert (row["recording"], row["apart"]) == ("monday", -4.0)
     off, far, alone = data["checks"]["reasons"]
-    assert says(off, "most of all in beam ... check its load")
-    assert says(far, "predict held out ... 1.00 mm off, 10 % ... 0.2 mm")
+    assert says(off, "the largest in beam ... check its load")
+    assert says(far, "held out is 1.00 mm off, 10 % ... 0.2 mm")
     assert says(alone, "monday ... E = 200 kPa, 4.0 standard ... fit's 240 kPa")
     assert data["checks"]["level"] is data["checks"]["probability"] is None
     (agreement,) = data["checks"]["agreement"]

@@ -49,7 +49,7 @@ def test_a_constant_known_to_44_percent_is_not_identifiable(upper):
     outlook = judge([[upper / (0.44 * 33e3)]], c2)
     assert outlook.verdict == "not identifiable"
     assert outlook.parameters[0].relative == pytest.approx(0.44)
-    assert "bounds" not in str(outlook).replace("Bounds are no data", "")
+    assert "bounds" not in str(outlook).replace("Bounds do not count as data", "")
     # Somebody may ask for less.
     half = judge([[upper / (0.44 * 33e3)]], c2, precision=0.5)
     assert half.verdict == "identifiable"
@@ -72,7 +72,7 @@ def test_a_stated_prior_counts_like_a_measurement():
     assert outlook.informed == 0
     text = str(outlook)
     assert says(text, "prior", "counts")
-    assert "from data alone" in text
+    assert "from the data alone" in text
     assert "5 kPa (5 %)" in text
     assert says(text, "prior", "0 of 1 direction")
     assert judge([[30.0]], known).informed == 1  # 3.3 % by the data

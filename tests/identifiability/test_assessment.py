@@ -244,7 +244,7 @@ def test_data_too_coarse_to_tell(model, data):
     assert not verdict.identified
     assert verdict.identifiability.verdict == "not identifiable"
     assert says(verdict.reasons, "not determine", "E of")
-    wide = [r for r in verdict.reasons if "less certain" in r and "bounds" in r]
+    wide = [r for r in verdict.reasons if "wider" in r and "bounds" in r]
     assert len(wide) == 2
     assert not any("cannot match" in reason for reason in verdict.reasons)
 

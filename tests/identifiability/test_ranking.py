@@ -120,7 +120,7 @@ def test_text(ranking):
     lines = str(ranking).splitlines()
     assert says(lines[0], "'swap'", "E of tip")
     assert [line.split()[0] for line in lines[2:4]] == ["swap", "pull"]
-    assert says(lines[6], "1 of 2 directions", "blind", "asked standard error")
+    assert says(lines[6], "1 of 2 directions", "blind", "target standard error")
     assert sum(line.startswith("Not ranked") for line in lines) == 2
     assert "nan" not in str(ranking)
 
@@ -161,7 +161,7 @@ def test_with_nothing_known_a_candidate_gives_its_own_verdict():
         ranked.gains[0].after, alone.parameters[index].standard_error, rtol=1e-9
     )
     assert ranked.gains[0].before == np.inf
-    assert says(ranked.gains[0].words, "nothing saw before", "E of", "blind to")
+    assert says(ranked.gains[0].words, "direction that was blind", "E of", "blind to")
     assert ranked.blind_before == 2
 
 

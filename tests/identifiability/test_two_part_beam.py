@@ -166,7 +166,7 @@ def test_one_pose_sees_a_mixture():
     assert outlook.verdict == "not identifiable"
     assert outlook.conditioning.condition_weighted == np.inf
     assert all(p.data_only == np.inf for p in outlook.parameters)
-    assert says(outlook, "1 more measured coordinate")
+    assert says(outlook, "lack at least 1 measured coordinate")
 
 
 def test_measurements_are_not_looked_at():

@@ -206,15 +206,15 @@ def test_report_is_in_the_units_of_a_person():
     assert says(text, "100 kPa", "3.33 kPa (3.3 %)", "10 kPa", "identifiable")
     assert says(text, "17.19 deg", "blind", "5.73 deg", "not identifiable")
     assert "theta of CP 2 (blind)" in text
-    assert says(text, "1 more measured coordinate")
-    assert "ranking candidates" in text
-    assert "Bounds are no data." in text
+    assert says(text, "lack at least 1 measured coordinate")
+    assert "rank candidates" in text
+    assert "Bounds do not count as data." in text
 
 
 def test_a_good_verdict_asks_for_nothing():
     text = str(judge(1e3 * np.eye(2), modulus("E"), angle()))
     assert text.startswith("Identifiable at these values")
-    assert "What to do" not in text
+    assert "Add a configuration" not in text
     assert "prior" not in text
     assert "undetermined" not in text
 

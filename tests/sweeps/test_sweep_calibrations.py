@@ -65,12 +65,12 @@ def test_sweep_and_show(swept, capsys, tmp_path, monkeypatch):
     assert says(text, "within max_steps = 1")
     assert "no equilibrium found" in text
     assert says(text, f"{swept / 'sweep.sqlite'} ... softcal sweep show")
-    assert f"Open {swept / 'sweep_report.html'} in a browser" in text
+    assert f"open {swept / 'sweep_report.html'} in a browser" in text
     check_rows(swept)
     check_page(swept)
     # Once more: all is there.
     code, text, _ = run(swept, capsys)
-    assert (code, "16 trials, 16 of them before\n" in text) == (1, True)
+    assert (code, "16 trials, 16 of them already done\n" in text) == (1, True)
     check_show(swept, capsys, tmp_path)
 
 
@@ -133,7 +133,7 @@ def check_page(swept):
     assert says(page.text, "16 of 16 trials ... 4 converged")
     assert "softcal sweep sweep.toml -o repeated.sqlite" in page.text
     files = ["sweep.toml", "project.toml", "markers.csv"]
-    assert page.tables["Files that were read"][1:] == [
+    assert page.tables["Input files"][1:] == [
         [name, sha256_of(swept / name)] for name in files
     ]
     assert dict(page.tables["Settings"])["seed"] == "7"

@@ -137,7 +137,7 @@ def test_a_file_of_the_user_is_not_replaced(tmp_path, name):
     database = tmp_path / f"{name}.sqlite"
     check_sweep_page(database)
     (tmp_path / f"{name}_report.html").write_text("mine")
-    with pytest.raises(FileExistsError, match=r"no page .*another name"):
+    with pytest.raises(FileExistsError, match=r"not a page .*another name"):
         check_sweep_page(database)
 
 
