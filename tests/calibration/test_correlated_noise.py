@@ -224,7 +224,7 @@ def test_a_pose_with_a_wrong_load_is_named_with_either_noise():
     data[2] = replace(data[2], loads=poses()[1].loads)
     for noise in ("stated", "estimated"):
         result = fit(data, known, noise=noise)
-        assert says(result.checks.reasons, "predict load 2"), noise
+        assert says(result.checks.reasons, "from the other poses, load 2 is"), noise
         assert set(result.checks.reasons) <= set(assess(result).reasons)
 
 

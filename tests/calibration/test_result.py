@@ -60,4 +60,4 @@ def test_a_pose_in_balance_up_to_rounding_alone_is_noted():
     stopped = replace(fit, residual=3e-6, rounding=5e-6, at_rounding=True)
     idle = replace(fit, residual=0.1, rounding=1.0, at_rounding=True)
     (note,) = _rounding_notes([fit, stopped, idle])
-    assert says(note, "droop", "3.0e-06", "rounding", "5.0e-06", "rtol")
+    assert says(note, "droop", "rounding", "5.0e-06", "rtol", "3.0e-06")
