@@ -17,6 +17,7 @@ from wording import says
 from softcal_jax._files import sha256_of
 from softcal_jax.cli import _commands, main
 from softcal_jax.export import RESULT_FORMAT
+from softcal_jax.mistakes import Mistake
 from softcal_jax.robots import silicone_beam_path
 
 
@@ -194,6 +195,37 @@ def test_ctrl_c_writes_what_has_been_fitted(tmp_path, out, capsys, monkeypatch, 
     monkeypatch.undo()
     assert main([*command, "--force"]) == 0
     assert "Do not use" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_the_likeliest_mistake_is_sought_below_the_answer(
+    tmp_path, out, capsys, monkeypatch, stopped
+):
+    """Where the data contradict the model; Ctrl-C in the search loses nothing."""
+    tip, side = 'tip = "(60, 10, 10) mm"', 'side = { position = "(60, 20, 0) mm"'
+    moved = 'tip = "(60, 20, 0) mm"', 'side = { position = "(0, 10, 10) mm"'
+    path = write_small_project(tmp_path, (tip, moved[0]), (side, moved[1]))
+
+    def search(result):
+        if stopped:
+            raise KeyboardInterrupt
+        return (Mistake("swapped markers", "Swapping tip and side", 2e-3, 1e-4, 9, 1),)
+
+    monkeypatch.setattr("softcal_jax.mistakes.likely_mistakes", search)
+    code = main(["calibrate", str(path), "-o", str(out), "--no-pictures"])
+    text = capsys.readouterr().out
+    result = json.loads((out / "result.json").read_text())
+    assert result["assessment"]["contradicted"]
+    if stopped:
+        assert code == 130
+        assert result["mistakes"] == []
+        assert says(result["notes"], "Interrupted")
+    else:
+        assert code in (0, 3)
+        assert says(text, "Next: ... Possible mistake: Swapping tip and side would")
+        assert says(result["mistakes"], "from 2 mm to 0.1 mm")
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert ("Possible mistake" in page) == (not stopped)
 
 
 def stands(errors, checkpoint):

@@ -12,6 +12,7 @@ from softcal_jax.calibration._checked_intervals import (
     LEVEL as LEVEL,
     check_level as check_level,
 )
+from softcal_jax.calibration._checkpoint import HistoryEntry as HistoryEntry
 from softcal_jax.calibration._configuration_result import (
     ConfigurationResult as ConfigurationResult,
     SimulationResult as SimulationResult,
@@ -44,7 +45,6 @@ from softcal_jax.calibration._profile import (
 from softcal_jax.calibration._qp import QPStep as QPStep, bounded_step as bounded_step
 from softcal_jax.calibration._result import (
     CalibrationResult as CalibrationResult,
-    HistoryEntry as HistoryEntry,
     MultiStartResult as MultiStartResult,
     Optimum as Optimum,
     ParameterEstimate as ParameterEstimate,

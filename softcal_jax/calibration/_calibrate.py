@@ -21,6 +21,7 @@ from softcal_jax.calibration._checked_intervals import (
     whole_interval,
     with_intervals,
 )
+from softcal_jax.calibration._checkpoint import HistoryEntry
 from softcal_jax.calibration._evaluation import effector_errors, evaluate
 from softcal_jax.calibration._fit import Resume, Watch, fit
 from softcal_jax.calibration._noise import check_references, correlated_noise
@@ -35,7 +36,6 @@ from softcal_jax.calibration._problem import (
 from softcal_jax.calibration._profile import profile_ends
 from softcal_jax.calibration._result import (
     CalibrationResult,
-    HistoryEntry,
     ParameterInterval,
 )
 from softcal_jax.calibration._starts import SearchProgress

@@ -21,7 +21,7 @@ import numpy as np
 from softcal_jax._process import Clock
 from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checked_intervals import Fitted
-from softcal_jax.calibration._checkpoint import Journal
+from softcal_jax.calibration._checkpoint import HistoryEntry, Journal
 from softcal_jax.calibration._evaluation import (
     Evaluation,
     Evaluator,
@@ -40,7 +40,6 @@ from softcal_jax.calibration._prediction import Predicted, predict
 from softcal_jax.calibration._problem import Batch, Task
 from softcal_jax.calibration._result import (
     CalibrationResult,
-    HistoryEntry,
     MultiStartResult,
     parameter_estimates,
 )

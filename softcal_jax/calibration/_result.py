@@ -3,7 +3,6 @@
 import math
 from typing import Literal
 
-import equinox as eqx
 import numpy as np
 
 from softcal_jax._files import ProjectSource
@@ -11,6 +10,7 @@ from softcal_jax._module import Module, Result
 from softcal_jax._names import check_known, listed
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax._units import readable_estimate, readable_unit
+from softcal_jax.calibration._checkpoint import HistoryEntry
 from softcal_jax.calibration._configuration_result import ConfigurationResult
 from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._notes import ResidualChecks
@@ -159,46 +159,6 @@ def parameter_estimates(
         )
         for i, parameter in enumerate(space.parameters)
     )
-
-
-class HistoryEntry(Module):
-    """One step of the outer loop.
-
-    Attributes:
-        step: Index of the step; 0 is the start.
-        cost: Half the sum of squared errors in noise units [-].
-        rms: Root mean square of the marker distances [m].
-        lambda_p: The QP step [-].
-        step_bound: Bound on the next step [-].
-        accepted: Whether the step was accepted.
-        kkt_residual: Optimality residual of the QP [-].
-        newton_steps: Newton iterations of each configuration.
-        values: Parameters after the step, in SI units.
-        noise_level: Factor on the stated standard deviations that weighed the data; it
-            changes where the noise has been estimated anew [-].
-        seconds: Wall time spent so far, without pauses before a resume [s].
-    """
-
-    step: int
-    cost: float
-    rms: float
-    lambda_p: tuple[float, ...] = eqx.field(converter=tuple)
-    step_bound: float
-    accepted: bool
-    kkt_residual: float
-    newton_steps: tuple[int, ...] = eqx.field(converter=tuple)
-    values: dict[str, float]
-    noise_level: float
-    seconds: float
-
-    def __str__(self) -> str:
-        """Write the fit and the parameters after the step, in one line."""
-        values = ", ".join(f"{name} {value:.5g}" for name, value in self.values.items())
-        refused = "" if self.accepted else " (step refused)"
-        misfit = f"rms {1e3 * self.rms:.3f} mm"
-        if math.isnan(self.rms):  # no points are measured
-            misfit = f"cost {self.cost:.3g}"
-        return f"step {self.step}: {misfit}, {values}{refused}"
 
 
 class Optimum(Module):

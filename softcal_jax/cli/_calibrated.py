@@ -89,7 +89,7 @@ def inverse(args: argparse.Namespace, show: Display) -> None:
         made=Made(loaded.model, {"control": settings}, project.source),
         calibration=loaded.path,
         options=options,
-        notes=(*with_care(loaded.doubts), *show.warnings),
+        notes=(*with_care(loaded.outcome, loaded.doubts), *show.warnings),
         **pictures_with_a_bar(args, show),
     )
     write_results(write, args, show, index="inverse.json")
@@ -209,15 +209,16 @@ def _export(
     with bad_input():
         if exporter.takes_projects and args.results.suffix == ".toml":
             source = project = load_project(args.results)
-            doubts = ()
+            care = []
         else:
             source = load_result(args.results, project=args.project)
-            project, doubts = source.project, source.doubts
+            project = source.project
+            care = with_care(source.outcome, source.doubts)
     show.lap("reading")
     said: list[str] = []
     progress = ExportProgress(show.now, step_lines(project, show), said.append)
     with bad_input(), no_equilibrium("Nothing was written."):
-        notes = [*exporter.write(source, output, args, progress), *with_care(doubts)]
+        notes = [*exporter.write(source, output, args, progress), *care]
     show.lap("export")
     for text in said:
         show.line()

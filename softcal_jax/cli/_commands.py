@@ -33,6 +33,7 @@ from softcal_jax.cli._steps import (
 )
 
 if TYPE_CHECKING:
+    from softcal_jax.calibration import CalibrationResult
     from softcal_jax.configurations import Configuration
     from softcal_jax.export import Made
     from softcal_jax.project import Project
@@ -60,7 +61,6 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> None:
     check_folder(args)
     from softcal_jax import report
     from softcal_jax.identifiability import assess
-    from softcal_jax.mistakes import likely_mistakes
 
     project = load(path, show)
     with bad_input():
@@ -84,16 +84,13 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> None:
         )
     show.lap("solve", compiling=result.timing_s["compile"])
     assessment = assess(result)
-    if assessment.contradicted and not (args.quick or result.interrupted):
-        show.now("the likeliest mistake in the data or the project")
-        mistakes = tuple(map(str, likely_mistakes(result)))
-        result = replace(result, mistakes=mistakes)
-        show.lap("mistakes")
     show.line()
     if args.verbose:
         show.line(report.summary_table(result, assessment))
     for text in report.answer_of(result, assessment).lines():
         show.line(text)
+    if assessment.contradicted and not (args.quick or result.interrupted):
+        result = _with_mistakes(result, show)
     more = {"name": project.name, "traces": project.traces}
     more |= pictures_with_a_bar(args, show)
     write = partial(report.write_results, result, assessment=assessment, **more)
@@ -109,6 +106,22 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> None:
         raise Stop(NOT_CONVERGED, text)
     if assessment.outcome == "do not use":
         raise Stop(NOT_TO_USE, f"do not use the values: {' '.join(assessment.reasons)}")
+
+
+def _with_mistakes(result: "CalibrationResult", show: Display) -> "CalibrationResult":
+    """Search the likeliest mistake below the answer; Ctrl-C leaves it out."""
+    from softcal_jax.mistakes import likely_mistakes
+
+    show.now("the likeliest mistake in the data or the project")
+    try:
+        mistakes = tuple(map(str, likely_mistakes(result)))
+    except KeyboardInterrupt:
+        notes = (*result.notes, "Interrupted while mistakes were sought.")
+        return replace(result, notes=notes, interrupted=True)
+    show.lap("mistakes")
+    for sentence in mistakes[:1]:
+        show.line(f"Possible mistake: {sentence}")
+    return replace(result, mistakes=mistakes)
 
 
 def simulate(args: argparse.Namespace, show: Display) -> None:

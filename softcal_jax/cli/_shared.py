@@ -45,9 +45,11 @@ def sigterm_as_ctrl_c() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
 
 
-def with_care(doubts: Sequence[str]) -> list[str]:
+def with_care(outcome: str, doubts: Sequence[str]) -> list[str]:
     """Write the doubts about calibrated values as notes for whoever uses the values."""
-    return [f"take the values with care: {reason}" for reason in doubts]
+    useless = outcome == "do not use"
+    what = "do not use the values" if useless else "take the values with care"
+    return [f"{what}: {reason}" for reason in doubts]
 
 
 @contextmanager

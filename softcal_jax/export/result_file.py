@@ -196,7 +196,7 @@ class AssessmentEntry(Entry):
     """Whether the values may be trusted."""
 
     of = Assessment
-    outcome: Plain = None
+    outcome: str = "take with care"  # of files from before outcomes were written
     contradicted: Plain = None
     reasons: list[str]
     misfit_probability: Plain = None

@@ -6,7 +6,7 @@ stated is changed next, where superposition of forces says that it may help.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import jax
 import numpy as np
@@ -135,9 +135,9 @@ def likely_mistakes(result: CalibrationResult) -> tuple[Mistake, ...]:
         The mistakes, the likeliest first; none where the model does not contradict the
         data, or no mistake explains them clearly better.
     """
-    if not result.doubts:
-        return ()
     fits = [fit for fit in result.configurations if fit.role == "calibration"]
+    if not replace(result, configurations=tuple(fits)).doubts:
+        return ()
     posed = [fit.posed for fit in result.configurations]
     poses = [p for p in posed if p is not None]
     if result.noise is None or len(poses) < len(posed):

@@ -55,7 +55,8 @@ class LoadedResult(Module):
         errors: Root mean square of the distances of markers and other points from
             where they were measured, by configuration; nan without points [m].
         converged: Whether the calibration converged; if not, do not use the values.
-        doubts: Why the values are to be taken with care, see `assess`.
+        outcome: What may be done with the values, see `Assessment`.
+        doubts: Why it is no more than that.
     """
 
     path: Path
@@ -67,6 +68,7 @@ class LoadedResult(Module):
     covariance: Float[HostArray, "n_p n_p"]
     errors: dict[str, float]
     converged: bool
+    outcome: str
     doubts: tuple[str, ...]
 
     def _words(self) -> str:
@@ -150,6 +152,7 @@ def load_result(
             for fit in data.configurations
         },
         converged=data.converged,
+        outcome=data.assessment.outcome,
         doubts=tuple(data.assessment.reasons),
     )
 

@@ -79,7 +79,6 @@ class Answer(NamedTuple):
         lines += [f"  {text}" for text in self.verdict.reasons[:MOST_REASONS]]
         more = len(self.verdict.reasons) - MOST_REASONS
         lines += [f"  and {more} more."] if more > 0 else []
-        lines += [f"Possible mistake: {sentence}" for sentence in self.mistakes[:1]]
         return [*lines, *self.held_out, f"Next: {self.next_step}", SCOPE]
 
 
