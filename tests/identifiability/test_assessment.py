@@ -300,10 +300,10 @@ def test_linear_tets_reach_the_verdict(good):
 
 @pytest.mark.parametrize(
     ("across", "error", "doubted"),
-    [(1, 0.05, True), (2, 0.05, True), (3, 0.05, False), (2, 0.03, False)],
+    [(1, 0.05, True), (2, 0.05, True), (3, 0.05, False), (2, 0.02, False)],
 )
 def test_two_quadratic_tets_across_are_few(good, across, error, doubted):
-    """Where three times the estimated error is more than the asked 10 %."""
+    """Where 3.6 times the estimated error is more than the asked 10 %."""
     mesh = beam(0.1, 0.02, 0.02, (4, across, across), order=2)
     model = build_model(mesh, NeoHookean(1e5, 0.3), density=1e3)
     refinement = Cause(MESH, ("refinement",), np.array([[error], [0.01]]))
@@ -311,7 +311,7 @@ def test_two_quadratic_tets_across_are_few(good, across, error, doubted):
     reasons = assess(replace(good, model=model, budget=budget)).reasons
     few = [reason for reason in reasons if "two quadratic tets across" in reason]
     assert bool(few) == doubted
-    assert not few or says(few, "E of root may be off by 15 %", "Refine")
+    assert not few or says(few, "E of root may be off by 18 %", "Refine")
 
 
 def test_the_precision_that_is_asked_for_decides(good):
