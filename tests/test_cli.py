@@ -197,7 +197,7 @@ def test_ctrl_c_writes_what_has_been_fitted(tmp_path, out, capsys, monkeypatch, 
 
 
 def stands(errors, checkpoint):
-    """Whether it is said that the checkpoint stands, and what goes on from it."""
+    """Whether it is said that the checkpoint is kept, and what resumes from it."""
     return says(errors, f"checkpoint {checkpoint} is kept ... same command ... --force")
 
 
