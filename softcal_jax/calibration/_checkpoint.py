@@ -270,7 +270,7 @@ class Journal:
                 "and holds an earlier state or none."
             )
             if note not in self.notes:
-                more = f"{note} The calibration continues without it: free some disk space."
+                more = f"{note} The calibration continues without it: free disk space."
                 warnings.warn(more, CalibrationWarning, stacklevel=2)
             self.notes = (note,)
 
