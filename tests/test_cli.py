@@ -229,7 +229,7 @@ def test_the_likeliest_mistake_is_sought_below_the_answer(
 
 
 def stands(errors, checkpoint):
-    """Whether it is said that the checkpoint stands, and what goes on from it."""
+    """Whether it is said that the checkpoint is kept, and what resumes from it."""
     return says(errors, f"checkpoint {checkpoint} is kept ... same command ... --force")
 
 

@@ -252,7 +252,7 @@ class Journal:
         )
         if self._path is not None and self._path.exists():
             text += (
-                f" The checkpoint {self._path} stands: the same call goes on from it."
+                f" The checkpoint {self._path} is kept: the same call resumes from it."
             )
         return text
 
@@ -310,7 +310,7 @@ class Journal:
                 "and holds an earlier state or none."
             )
             if note not in self.notes:
-                more = f"{note} The calibration goes on: make room for it."
+                more = f"{note} The calibration continues without it: free disk space."
                 warnings.warn(more, CalibrationWarning, stacklevel=2)
             self.notes = (note,)
 

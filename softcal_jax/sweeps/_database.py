@@ -272,7 +272,7 @@ def _explained(path: Path) -> Iterator[None]:
             ) from error
         raise OSError(
             f"the database {path} cannot be used: {error}. Rows that were written are "
-            "safe; the same sweep goes on from them."
+            "safe; the same sweep resumes from them."
         ) from error
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
         raise ValueError(

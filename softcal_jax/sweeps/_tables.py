@@ -255,7 +255,7 @@ def doubts(result: SweepResult) -> Iterator[str]:
     yield from (f"{state.capitalize()}, {text}" for state, text in result.reasons)
     if left := len(result.missing):
         what = "trial is" if left == 1 else "trials are"
-        yield f"{left} {what} left to do: the same command goes on from here."
+        yield f"{left} {what} left to do: the same command resumes from here."
 
 
 def notes_of_trials(result: SweepResult) -> tuple[str, ...]:

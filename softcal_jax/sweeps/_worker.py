@@ -267,7 +267,7 @@ def _row(future: "distributed.Future", trial: Trial, address: str) -> TrialRow:
     if future.status != "error":
         raise OSError(
             f"the Dask scheduler at {address} was lost ({future.status}). Rows that "
-            "were written are safe; the same sweep goes on from them."
+            "were written are safe; the same sweep resumes from them."
         )
     from distributed import KilledWorker
 
