@@ -80,7 +80,8 @@ class Loaded:
     class project:
         calibration, parameters, settings = (), (), None
 
-    values, doubts = {"E": 1.0, "nu": 0.3}, ("few data",)
+    values, outcome = {"E": 1.0, "nu": 0.3}, "take with care"
+    doubts = ("few data",)
 
 
 @pytest.mark.usefixtures("names")
