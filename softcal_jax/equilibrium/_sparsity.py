@@ -116,6 +116,10 @@ def from_entries(
     )
 
 
+_AT_ONCE = 100_000
+"""Entries of all cliques that are looked up at once."""
+
+
 def destinations(
     sparsity: Sparsity, nodes: Int[HostArray, "n m"]
 ) -> Int[HostArray, "n_entries n"]:
@@ -125,13 +129,16 @@ def destinations(
     first = sparsity.positions(3 * nodes[:, :, None], 3 * nodes[:, None])
     entries = np.transpose(element_entries(nodes.shape[1], sparsity.symmetric))
     positions = np.empty((len(entries), len(nodes)), np.int32)
-    # One entry at a time: all at once would take a gigabyte for 25 000 quadratic tets.
-    for position, (p, q) in zip(positions, entries, strict=True):
+    # Some entries at a time: all would take a gigabyte for 25 000 quadratic tets.
+    some = max(1, _AT_ONCE // max(1, len(nodes)))
+    for start in range(0, len(entries), some):
+        p, q = entries[start : start + some].T
         ends = (3 * nodes[:, k // 3] + k % 3 for k in (p, q))
         row, column = _upward(sparsity.symmetric, *ends)
         i, j = row % 3, column % 3
         within = sparsity.indptr[row] - sparsity.indptr[row - i]
-        position[:] = first[:, p // 3, q // 3] + within - i * sparsity.symmetric + j
+        place = first[:, p // 3, q // 3] + within - i * sparsity.symmetric + j
+        positions[start : start + some] = place.T
     return positions
 
 
