@@ -192,16 +192,21 @@ class Registration(Module):
 
 
 def register(
-    measured: Float[ArrayLike, "n_markers 3"], nominal: Float[ArrayLike, "n_markers 3"]
+    measured: Float[ArrayLike, "n_markers 3"],
+    nominal: Float[ArrayLike, "n_markers 3"],
+    *,
+    rotation: Float[ArrayLike, "3 3"] | None = None,
 ) -> Registration:
     """Fit the rigid motion that takes measured markers onto nominal positions.
 
     The least-squares rotation of Kabsch (Acta Cryst. A32, 1976), by
     `scipy.spatial.transform.Rotation.align_vectors`. Positions are `measured` in the
-    camera frame and `nominal` in the mesh frame [m].
+    camera frame and `nominal` in the mesh frame [m]. With a known `rotation`, camera
+    axes to mesh axes, one marker is enough [-].
 
     Raises:
-        ValueError: If there are not three finite markers in both that span a triangle.
+        ValueError: If there are not three finite markers in both that span a triangle,
+            or not one where the rotation is known.
     """
     measured, nominal = np.asarray(measured, float), np.asarray(nominal, float)
     if measured.shape != nominal.shape or measured.ndim != 2 or measured.shape[1] != 3:
@@ -209,12 +214,20 @@ def register(
             "registration needs as many measured as nominal markers, shape "
             f"(n, 3) each [m], got {measured.shape} and {nominal.shape}."
         )
-    if len(measured) < 3 or not np.all(np.isfinite([measured, nominal])):
+    least = 3 if rotation is None else 1
+    if len(measured) < least or not np.all(np.isfinite([measured, nominal])):
         raise ValueError(
-            f"registration needs at least 3 markers, got {len(measured)}; their "
+            f"registration needs at least {least} markers, got {len(measured)}; their "
             "positions must be finite."
         )
     centre_m, centre_n = measured.mean(axis=0), nominal.mean(axis=0)
+    R = _rotation_onto(measured, nominal) if rotation is None else np.asarray(rotation)
+    t = centre_n - R @ centre_m
+    return Registration(R, t, measured @ R.T + t - nominal)
+
+
+def _rotation_onto(measured, nominal) -> Float[HostArray, "3 3"]:
+    """Fit the rotation; the markers must span a triangle."""
     for kind, points in (("measured", measured), ("nominal", nominal)):
         spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
         # Far from the origin, rounding spreads even points that coincide.
@@ -224,10 +237,9 @@ def register(
                 "rotation free: choose at least three that span a triangle, and check "
                 "their positions."
             )
-    turn, *_ = Rotation.align_vectors(nominal - centre_n, measured - centre_m)
-    R = turn.as_matrix()
-    t = centre_n - R @ centre_m
-    return Registration(R, t, measured @ R.T + t - nominal)
+    about = [points - points.mean(axis=0) for points in (nominal, measured)]
+    turn, *_ = Rotation.align_vectors(*about)
+    return turn.as_matrix()
 
 
 class MarkerTable(Module):

@@ -5,10 +5,12 @@ A wide table has a row for each frame and three columns for each marker. Motive
 Manager export them. They differ only in the lines above the numbers, which say what the
 columns are. Sources: docs.optitrack.com, "Data Export: CSV" (Motive 3);
 docs.qualisys.com, "Motion data (.tsv)" (QTM 2024); for Nexus files that it wrote.
+Scripts often write the numbers alone; their markers are named by place, "1", "2", ...
 """
 
 import math
 import os
+import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,7 +33,7 @@ def is_recording(path: Path) -> bool:
     if path.suffix.lower() == C3D:
         return True
     rows, _ = _rows_of(path, None)
-    return _program_of(rows) is not None
+    return _program_of(rows) is not None or _is_plain(rows)
 
 
 def read_c3d(path: str | os.PathLike[str]) -> Recording:
@@ -126,15 +128,18 @@ def read_recording(
     delimiter: str | None = None,
     decimal: str | None = None,
 ) -> Recording:
-    """Read a recording: C3D, see `read_c3d`, or text of Motive, Nexus or QTM.
+    """Read a recording: C3D, see `read_c3d`, text of Motive, Nexus or QTM, or numbers.
 
-    Of text, labels and unit are those of the header, and blank cells are occlusions; in
-    a file of QTM, which may write zeros instead, so are markers at exactly (0, 0, 0).
-    Of Motive's columns only the measured ones, of type "Marker", are read, and not
+    A table of numbers alone has the time in seconds, perhaps after the number of the
+    frame, then x, y, z of each marker; markers are named by place, "1", "2" and so on.
+    Of other text, labels and unit are those of the header. Blank cells are occlusions;
+    in a file of QTM, which may write zeros instead, so are markers at exactly (0, 0,
+    0). Of Motive's columns only the measured ones, of type "Marker", are read, and not
     those that it computes from rigid bodies.
 
     Options are for text only. The `length_unit` is for a file that states none, like
-    those of QTM (which are in mm); `delimiter` and `decimal` are as for `read_markers`.
+    those of QTM (which are in mm) or of numbers alone; `delimiter` and `decimal` are as
+    for `read_markers`.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -156,19 +161,19 @@ def read_recording(
             f"{path} is a table of rows, with a column marker: take its rows by values "
             "of columns, not by a window of time."
         )
-    program = _program_of(rows)
+    program = _PLAIN if _is_plain(rows) else _program_of(rows)
     if program is None:
         raise ValueError(
             f"{path} is no table of motion capture that is known: expected a header "
             'that begins with "Format Version" (Motive), with "NO_OF_FRAMES" '
-            '(Qualisys), or a section "Trajectories" (Vicon).'
+            '(Qualisys), or a section "Trajectories" (Vicon), or rows of numbers alone.'
         )
     try:
         layout = program.layout(rows)
     except (IndexError, KeyError, ValueError) as error:
         raise ValueError(
-            f"the header of {path} is not as {program.name} writes it ({error}): "
-            f"export {program.needs}."
+            f"{path} cannot be read as a file of {program.name} ({error}): export "
+            f"{program.needs}."
         ) from error
     check_rate(path, layout.rate)
     metres = metres_of(path, layout.unit, length_unit)
@@ -327,6 +332,26 @@ def _qualisys(rows: NumberedCells) -> _Layout:
     )
 
 
+def _is_plain(rows: NumberedCells) -> bool:
+    """Whether a table begins with a row of numbers, so that it has no header."""
+    number = re.compile(r"[-+]?\d+([.,]\d*)?(e[-+]?\d+)?", re.IGNORECASE)
+    return bool(rows) and all(number.fullmatch(cell) for cell in rows[0][1])
+
+
+def _plain(rows: NumberedCells) -> _Layout:
+    """Take columns by place: perhaps the frame, the time, then those of the markers."""
+    n = len(rows[0][1])
+    n_markers, before = divmod(n, 3)
+    if not (n_markers and before):
+        raise ValueError(f"it has {n} columns")
+    return _Layout(
+        labels=[(str(i + 1), before + 3 * i) for i in range(n_markers)],
+        rows=rows,
+        unit=None,
+        time_column=before - 1,
+    )
+
+
 class _MotionProgram(NamedTuple):
     """A program: how it lays out a table, and what to export from it."""
 
@@ -345,6 +370,10 @@ _PROGRAMS = {
     ),
 }
 """Programs by how a row near the top of their tables begins."""
+
+_PLAIN = _MotionProgram(
+    "numbers alone", _plain, "the time, after the frame or not, then x, y, z by marker"
+)
 
 
 def _program_of(rows: NumberedCells) -> _MotionProgram | None:

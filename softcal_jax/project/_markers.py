@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -84,6 +84,8 @@ def _which(value: Any, kinds: Sequence[Any]) -> Any:
 Which = Annotated[WindowTable | Selection, Choice(_which)]
 """What is taken of a file: a window of a recording, or rows of a table."""
 
+CameraAxis = Literal["x", "y", "z", "-x", "-y", "-z"]
+
 WhichOrName = Annotated[WindowTable | Selection | str, Choice(_which)]
 
 
@@ -131,10 +133,29 @@ class MarkersTable(Table):
 
 
 class RegistrationTable(Table):
-    """How to register the frame of the cameras to the frame of the mesh."""
+    """How to register the frame of the cameras to the frame of the mesh.
+
+    With `axes` the frames are known to be turned so: the axes of the cameras along x,
+    y and z of the mesh. One marker is enough then.
+    """
 
     markers: tuple[str, ...] = Field(description='markers to fit: ["4", "5", "6"]')
+    axes: tuple[CameraAxis, CameraAxis, CameraAxis] | None = None
     select: Which = Field(default_factory=dict)
+
+    def rotation(self) -> Float[HostArray, "3 3"] | None:
+        """Return the rotation from axes of the cameras to those of the mesh [-]."""
+        if self.axes is None:
+            return None
+        R = np.zeros((3, 3))
+        for row, axis in zip(R, self.axes, strict=True):
+            row["xyz".index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
+        if not np.isclose(np.linalg.det(R), 1.0):
+            raise ValueError(
+                f"axes {', '.join(self.axes)} are no turn of a right-handed frame: "
+                "name x, y and z once each, with signs that do not mirror it."
+            )
+        return R
 
 
 class MeasuredMarkers(NamedTuple):
@@ -247,7 +268,8 @@ class MeasuredTable(DialectTable):
         if self.registration is not None:
             fitted = self.registration.markers
             seen = self._positions(windows["registration.select"], fitted)
-            registration = register(seen, nominal.positions_of(fitted))
+            places, turn = nominal.positions_of(fitted), self.registration.rotation()
+            registration = register(seen, places, rotation=turn)
             loaded, R = registration.apply(loaded), registration.rotation
             start = None if start is None else registration.apply(start)
         if start is not None:

@@ -28,6 +28,13 @@ def test_three_markers_are_enough_and_give_no_reflection():
     assert np.linalg.det(register(mirrored, NOMINAL).rotation) > 0
 
 
+def test_one_marker_is_enough_where_the_rotation_is_known():
+    fit = register(SEEN[:1], NOMINAL[:1], rotation=Q)
+    np.testing.assert_allclose(fit.apply(SEEN), NOMINAL, rtol=0, atol=1e-14)
+    with pytest.raises(ValueError, match="at least 1 marker"):
+        register(SEEN[:0], NOMINAL[:0], rotation=Q)
+
+
 def test_residuals_are_what_is_left():
     """A stretch of 1 % cannot be registered away: it stays in the residual."""
     seen = 1.01 * SEEN

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from recordings import NAMES, RATE, motion, write_motive, write_qualisys, write_vicon
 
-from softcal_jax.configurations import read_recording
+from softcal_jax.configurations import is_recording, read_recording
 
 
 def seen():
@@ -148,6 +148,27 @@ def test_units_are_stated_once(tmp_path):
         read_recording(motive, length_unit="m")
     with pytest.raises(ValueError, match="for tables; leave it"):
         read_recording(tmp_path / "a.c3d", length_unit="m")
+
+
+@pytest.mark.parametrize("before", [("t",), ("frame", "t")])
+def test_numbers_alone(tmp_path, before):
+    """As scripts write them: markers are named by place, from the first frame on."""
+    path = tmp_path / "run.csv"
+    columns = {"frame": np.arange(40.0), "t": 2.0 + np.arange(40) / RATE}
+    firsts = np.stack([columns[name] for name in before], axis=1)
+    table = np.concatenate([firsts, seen().reshape(40, -1)], axis=1)
+    np.savetxt(path, table, delimiter=",", fmt="%.9g")
+    assert is_recording(path)
+    check(read_recording(path, length_unit="mm"), labels=("1", "2"))
+    with pytest.raises(ValueError, match="give length_unit"):
+        read_recording(path)
+
+
+def test_numbers_alone_need_the_time(tmp_path):
+    path = tmp_path / "run.csv"
+    np.savetxt(path, seen().reshape(40, -1), delimiter=",")
+    with pytest.raises(ValueError, match=r"6 columns.* the time, .*x, y, z by marker"):
+        read_recording(path, length_unit="mm")
 
 
 def test_a_table_of_rows_is_none(tmp_path):

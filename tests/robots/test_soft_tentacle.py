@@ -2,14 +2,14 @@
 
 import tomllib
 from ast import literal_eval
+from shutil import copytree
 
 import numpy as np
 import pytest
 
 from benchmarks import _tentacle_mesh
-from softcal_jax.configurations import read_markers
 from softcal_jax.mesh import volumes
-from softcal_jax.project import load_project
+from softcal_jax.project import ProjectError, load_project
 from softcal_jax.robots import ready_made_path
 
 FOLDER = ready_made_path("tentacle").parent
@@ -38,14 +38,28 @@ def test_files():
     assert "MIT" in (FOLDER / "LICENSE-recordings.txt").read_text()
 
 
-def test_figures():
-    """One pose of the source's table, typed by hand."""
-    file = FOLDER / "static_markers.csv"
-    pose = read_markers(file, select={"pose": "m2_018"})
-    assert pose.names == ("p1", "p2", "p3", "p4")
-    np.testing.assert_allclose(
-        pose.positions_of(["p4"]), [[0.0937189, -0.1509909, -0.1807376]], rtol=1e-12
-    )
+def test_readings(project):
+    """Two poses of the authors' table of means, typed by hand; the robot drifts."""
+    pose = {c.name: c for c in project.configurations}
+    assert pose["m2_018"].markers.names == ("p1", "p2", "p3", "p4")
+    tip = pose["m2_018"].measured[3]
+    np.testing.assert_allclose(tip, [0.0937189, -0.1509909, -0.1807376], atol=1e-5)
+    whole = [
+        [0.0302523, 0.0020687, -0.1355361],
+        [-0.0095580, 0.0189019, -0.2213397],
+        [0.0409111, 0.0441615, -0.2648422],
+        [0.0534472, 0.1138177, -0.3174834],
+    ]
+    np.testing.assert_allclose(pose["m1u01"].measured, whole, atol=1e-4)
+
+
+def test_axes_of_the_cameras_are_a_turn(tmp_path):
+    text = (FOLDER / "project.toml").read_text()
+    for old, new in (('"-y"', '"y"'), ('"-y"', '"x"')):
+        copytree(FOLDER, tmp_path / new)
+        (tmp_path / new / "project.toml").write_text(text.replace(old, new))
+        with pytest.raises(ProjectError, match=r"axes x, z, . are no turn.*mirror"):
+            load_project(tmp_path / new / "project.toml", solve=False)
 
 
 def test_poses(project):
@@ -59,18 +73,15 @@ def test_poses(project):
 
 @pytest.mark.parametrize("tendon", ANGLES)
 def test_tensions(project, tendon):
-    """The torques of the table, over the radius of the pulley."""
-    rows = np.genfromtxt(
-        FOLDER / "static_markers.csv", delimiter=",", names=True, dtype=None
-    )
-    column = f"torque_{tendon[-1]}_Nm"
-    torques = {str(row["pose"]): float(row[column]) for row in rows}
+    """The torques that the names state, over the radius of the pulley."""
     pulled = [c for c in project.configurations if tendon in c.actuation]
     assert len(pulled) == 7
     for pose in pulled:
         assert list(pose.actuation) == [tendon]
+        assert pose.name[1] == tendon[-1]
+        torque = float(f"0.{pose.name[4:]}")
         tension = pose.actuation[tendon].value
-        assert tension == pytest.approx(torques[pose.name] / PULLEY, rel=1e-4)
+        assert tension == pytest.approx(torque / PULLEY, rel=1e-4)
 
 
 @pytest.mark.parametrize("tendon", ANGLES)
