@@ -201,6 +201,7 @@ class AssessmentEntry(Entry):
     reasons: list[str]
     misfit_probability: Plain = None
     predictions: Annotated[Any, Keys(Prediction, "name role std_mm")] = None
+    held: Plain = None
 
 
 class ResultFile(Entry):

@@ -13,6 +13,7 @@ from softcal_jax.calibration import (
     ConfigurationResult,
     MultiStartResult,
 )
+from softcal_jax.fields import constants_of
 from softcal_jax.identifiability._identify import identifiability
 from softcal_jax.identifiability._result import Identifiability
 from softcal_jax.identifiability._spread import Verdict
@@ -39,6 +40,10 @@ UNDERRATED = 3.6
 
 Under torsion the estimate can be too small there.
 """
+
+
+UNSEEN = 0.9
+"""Share of a stated error from which the data say nothing of what is held fixed [-]."""
 
 
 class Prediction(Module):
@@ -93,6 +98,8 @@ class Assessment(Result):
             noise are right; None if the noise was estimated from them [-].
         identifiability: Which parameters and directions the data see.
         predictions: What the uncertainty of the parameters does to each pose.
+        held: Constants of the material that are not fitted, and that the data would not
+            determine either: they leave at least `UNSEEN` of the stated errors.
     """
 
     outcome: Outcome
@@ -101,6 +108,7 @@ class Assessment(Result):
     misfit_probability: float | None
     identifiability: Identifiability
     predictions: tuple[Prediction, ...] = ()
+    held: tuple[str, ...] = ()
 
     @property
     def identified(self) -> bool:
@@ -125,6 +133,15 @@ class Assessment(Result):
         )
 
     @property
+    def held_fixed(self) -> str:
+        """Which constants are held fixed and not identifiable, in a sentence, or ""."""
+        if not self.held:
+            return ""
+        return (
+            f"Held fixed, and not identifiable from these data: {', '.join(self.held)}."
+        )
+
+    @property
     def headline(self) -> str:
         """The verdict; it ends with a colon where reasons follow."""
         return HEADLINES[self.outcome]
@@ -142,7 +159,8 @@ class Assessment(Result):
         lines = ["\n  ".join([self.headline, *self.reasons])]
         lines += ["If the model is right:"] * self.contradicted
         lines.append(str(self.identifiability))
-        return "\n".join([*lines, self.prediction]).rstrip()
+        lines += filter(None, [self.held_fixed, self.prediction])
+        return "\n".join(lines)
 
 
 def assess(result: CalibrationResult, *, precision: float | None = None) -> Assessment:
@@ -185,7 +203,16 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
         misfit_probability=spread.misfit_probability,
         identifiability=report,
         predictions=_predictions(result.configurations, report),
+        held=_held(result),
     )
+
+
+def _held(result: CalibrationResult) -> tuple[str, ...]:
+    """Name the constants that are held fixed and that the data say nothing of."""
+    linear = result.linear.of_fit()
+    constants = {path.rpartition(".")[2] for path, _ in constants_of(result.model)}
+    left = zip(linear.considered.names, linear.considered_left(), strict=True)
+    return tuple(name for name, share in left if name in constants and share >= UNSEEN)
 
 
 def _fatal(result: CalibrationResult) -> list[str]:

@@ -279,6 +279,17 @@ class LinearModel(Module):
         of_data = self.solution.basis[: len(self.r)]
         return self.whiten(white - of_data @ (of_data.T @ white)) / self.scale**2
 
+    def considered_left(self) -> Float[HostArray, " n_errors"]:
+        """Compute how much of each considered error the data would leave [-].
+
+        The square root of the diagonal of (I + W_c^T M W_c)^-1: standard errors if all
+        were estimated with the unknowns, over the stated ones. 1 where the data say
+        nothing; all rows must be fitted.
+        """
+        W_c = self.considered.values
+        information = np.eye(W_c.shape[1]) + W_c.T @ self.left(W_c)
+        return np.sqrt(np.diag(np.linalg.inv(information)))
+
     def errors_left(self) -> Float[HostArray, " n"]:
         """Compute V^-1 times the errors at the best dz; all rows must be fitted."""
         error, basis = np.asarray(self.whitened().error), self.solution.basis

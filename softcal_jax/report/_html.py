@@ -17,7 +17,6 @@ from softcal_jax._text_table import TextTable, text_table
 from softcal_jax.report._verdict import (
     MOST_REASONS,
     MOST_VALUES,
-    SCOPE,
     Answer,
     RunVerdict,
 )
@@ -260,7 +259,9 @@ def answer_html(answer: Answer) -> Html:
     content.append(node("section", head, *said, class_=f"verdict {tone}"))
     content += sentences([f"Possible mistake: {text}" for text in answer.mistakes])
     content += sentences([*answer.held_out, f"Next: {answer.next_step}"])
-    return node("div", *content, node("p", SCOPE, class_="kind"), class_="answer")
+    return node(
+        "div", *content, node("p", answer.scope, class_="kind"), class_="answer"
+    )
 
 
 def closing(

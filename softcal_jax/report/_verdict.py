@@ -14,7 +14,7 @@ from softcal_jax.calibration import (
 from softcal_jax.identifiability import Assessment
 from softcal_jax.report._held_out import held_out_sentences
 
-SCOPE = (
+_SCOPE = (
     "The values hold for these loads and this shape. To test whether they are material "
     "properties, calibrate a second robot (softcal transfer)."
 )
@@ -60,6 +60,7 @@ class Answer(NamedTuple):
         mistakes: What would explain contradictory data, the likeliest first.
         held_out: How well poses are predicted that were not fitted, in sentences.
         next_step: What to do next.
+        scope: For what the values hold, and what is held fixed.
     """
 
     values: tuple[tuple[str, str, str], ...]
@@ -67,6 +68,7 @@ class Answer(NamedTuple):
     mistakes: tuple[str, ...]
     held_out: tuple[str, ...]
     next_step: str
+    scope: str
 
     def lines(self) -> list[str]:
         """Write it for a terminal."""
@@ -79,7 +81,7 @@ class Answer(NamedTuple):
         lines += [f"  {text}" for text in self.verdict.reasons[:MOST_REASONS]]
         more = len(self.verdict.reasons) - MOST_REASONS
         lines += [f"  and {more} more."] if more > 0 else []
-        return [*lines, *self.held_out, f"Next: {self.next_step}", SCOPE]
+        return [*lines, *self.held_out, f"Next: {self.next_step}", self.scope]
 
 
 def answer_of(result: CalibrationResult, assessment: Assessment) -> Answer:
@@ -93,6 +95,7 @@ def answer_of(result: CalibrationResult, assessment: Assessment) -> Answer:
         mistakes=result.mistakes,
         held_out=tuple(held_out or [none]),
         next_step=_next_step(result, assessment),
+        scope=" ".join(filter(None, [assessment.held_fixed, _SCOPE])),
     )
 
 

@@ -19,7 +19,7 @@ from softcal_jax.configurations import Configuration, Markers, Support, SurfaceF
 from softcal_jax.equilibrium import build_model
 from softcal_jax.fields import ParameterSpace, Uncertain, exactly_known
 from softcal_jax.identifiability import assess
-from softcal_jax.inference import UNLIKELY, Cause
+from softcal_jax.inference import UNLIKELY, Cause, ErrorColumns
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 from softcal_jax.robots import synthetic_measurements
@@ -123,6 +123,26 @@ def test_a_default_std_states_nothing(model, data):
     verdicts = [assess(fit(model, space(), posed)) for posed in (unstated, stated)]
     shown = [any("stated std" in reason for reason in v.reasons) for v in verdicts]
     assert shown == [False, True]
+
+
+def test_what_is_held_fixed_and_not_seen_is_named(good):
+    """One error changes nothing, one mostly what no parameter does, one is no constant.
+
+    Of the second, orthogonal to the parameters, 1 / sqrt(1 + a^2) is left.
+    """
+    a = 3.0
+    basis, _ = np.linalg.qr(np.column_stack([good.linear.W, np.eye(N_DATA)]))
+    across = a * good.linear.scale * basis[:, 2]
+    nothing = np.zeros(N_DATA)
+    names = "nu", "density", "clamp"
+    columns = np.stack([nothing, across, nothing], axis=1)
+    linear = replace(good.linear, considered=ErrorColumns(columns, names, names))
+    left = linear.considered_left()
+    np.testing.assert_allclose(left, [1.0, 1.0 / np.hypot(1.0, a), 1.0], rtol=1e-9)
+    verdict = assess(replace(good, linear=linear))
+    assert verdict.held == ("nu",)
+    assert says(verdict, "not identifiable from these data: nu.")
+    assert assess(good).held_fixed == ""
 
 
 def test_a_pose_that_is_not_explained_reaches_the_verdict(model, data):
