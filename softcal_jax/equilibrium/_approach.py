@@ -3,7 +3,8 @@
 At the share s of the way from a configuration a to b, loads, imposed motions and
 actuation are a + s (b - a). Each state begins where a parabola through the last three
 leads: what turns far moves on a curve, and the tangent alone would stretch it. Steps
-grow where few iterations are needed, and are halved where Newton's method fails.
+grow where few iterations are needed, and are halved where Newton's method fails. What
+stops the straight way may lie beside a detour.
 """
 
 from collections.abc import Callable, Sequence
@@ -82,7 +83,7 @@ def distances(
 def approach(
     at_once: Callable[[ConfigurationArrays, Nodal], EquilibriumSolution],
     known: Known,
-    wanted: ConfigurationArrays,
+    stops: Sequence[ConfigurationArrays],
     *,
     first: float,
     most: int,
@@ -93,11 +94,33 @@ def approach(
     Args:
         at_once: Solves a configuration from a guess, without load steps.
         known: Where the way begins.
-        wanted: Where it leads.
-        first: First step [-].
+        stops: Where it turns, and at last where it leads.
+        first: First step towards each of them [-].
         most: Newton iterations after which it is given up.
         report: Called before each step with the share of the way, and the iterations.
     """
+    part, taken = Approach(0.0, None, 0), 0
+    for k, stop in enumerate(stops):
+
+        def say(share: float, steps: int, k: int = k, taken: int = taken) -> None:
+            report((k + share) / len(stops), taken + steps)
+
+        part = _straight(at_once, known, stop, first, most - taken, say)
+        taken += part.steps
+        if part.solution is None:
+            return Approach((k + part.share) / len(stops), None, taken)
+        known = Known(stop, part.solution.displacement)
+    return Approach(1.0, part.solution, taken)
+
+
+def _straight(
+    at_once: Callable[[ConfigurationArrays, Nodal], EquilibriumSolution],
+    known: Known,
+    wanted: ConfigurationArrays,
+    first: float,
+    most: int,
+    report: Callable[[float, int], None],
+) -> Approach:
     from scipy.interpolate import KroghInterpolator  # slow to import
 
     shares, states, step, steps = [0.0], [np.asarray(known.displacement)], first, 0
@@ -120,6 +143,27 @@ def approach(
         states.append(np.asarray(solution.displacement))
         step *= float(np.clip(WANTED_ITERATIONS / iterations, 0.5, 2.0))
     return Approach(shares[-1], None, steps)
+
+
+def detours(
+    a: ConfigurationArrays, b: ConfigurationArrays
+) -> list[tuple[ConfigurationArrays, ...]]:
+    """List other ways from a to b, by where they turn, and their end.
+
+    Of several actuators that differ, one changes after the other. If loads and
+    something else differ, the loads change first, or last.
+    """
+    loads = lambda c: (c.loads.force, c.loads.factor, c.gravity, c.tilt)
+    start, end = (np.asarray(c.actuation.value) for c in (a, b))
+    order = np.cumsum(start != end)
+    inputs = [np.where(order <= k, end, start) for k in range(1, order.max(initial=0))]
+    turns = [
+        [eqx.tree_at(lambda c: c.actuation.value, b, value) for value in inputs],
+        [eqx.tree_at(lambda c: (c.key, *loads(c)), a, (b.key, *loads(b)))],
+        [eqx.tree_at(loads, b, loads(a))],
+    ]
+    differ = lambda turn: np.all(distances([a, b, turn])[2, :2] > 0.0)
+    return [(*jax.device_put(way), b) for way in turns if way and all(map(differ, way))]
 
 
 def _between(

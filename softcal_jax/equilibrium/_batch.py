@@ -13,7 +13,13 @@ import numpy as np
 from softcal_jax._lanes import stacked
 from softcal_jax._typing import Array, Float
 from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium._approach import Known, approach, distances, unloaded
+from softcal_jax.equilibrium._approach import (
+    Known,
+    approach,
+    detours,
+    distances,
+    unloaded,
+)
 from softcal_jax.equilibrium._effectors import effector_values
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonSettings, NewtonState
@@ -106,10 +112,10 @@ def equilibria(
     With a `guess`, each solve begins there; one that is not finite counts as rest. By
     default it begins at rest. Where that does not lead to the full load in one step,
     `approach` leads there from the nearest equilibrium: of another configuration, of
-    one that is `known`, or rest. If that fails there are load steps from rest and, with
-    `arc_length`, the path along the load (see `LoadPath`). With rigid bodies each
-    begins at the nearest equilibrium, because poses of a robot lie near each other and
-    far from its state before mounting.
+    one that is `known`, or rest; straight, or by `detours`. If that fails there are
+    load steps from rest and, with `arc_length`, the path along the load (see
+    `LoadPath`). With rigid bodies each begins at the nearest equilibrium, because poses
+    of a robot lie near each other and far from its state before mounting.
 
     `report` is called after every few iterations of a configuration, from its thread;
     `ended` with the index and solution of each that has ended.
@@ -244,25 +250,29 @@ class _Lanes:
     ) -> EquilibriumSolution:
         """Solve a lane from an equilibrium; failing that, by load steps from rest."""
         before = 0 if begun is None else int(begun.step)
+        taken, led = before, 0.0
 
         def at_once(lane: ConfigurationArrays, u: Nodal) -> EquilibriumSolution:
             (state,) = self.workers.map(self._at_once[0], [(lane, u)])
             return self._run(self._at_once[1], lane, state)[1]
 
         from_rest = not np.any(near.displacement)  # where `begin` has tried it
-        way = approach(
-            at_once,
-            near,
-            self.each[c],
-            first=0.5 if from_rest else 1.0,
-            most=self._most - before,
-            report=lambda share, steps: self._say(c, share, before + steps),
-        )
-        if way.solution is not None:
-            self._say(c, way.share, before + way.steps)
-            return _with_steps(way.solution, before + way.steps)
-        solution = self.solve(c, begun=begun, taken=way.steps)
-        return eqx.tree_at(lambda s: s.approached, solution, jnp.asarray(way.share))
+        say = lambda share, steps: self._say(c, share, taken + steps)
+        for stops in ([self.each[c]], *detours(near.configuration, self.each[c])):
+            end = approach(
+                at_once,
+                near,
+                stops,
+                first=0.5 if from_rest else 1.0,
+                most=self._most - taken,
+                report=say,
+            )
+            taken, led = taken + end.steps, max(led, end.share)
+            if end.solution is not None:
+                self._say(c, 1.0, taken)
+                return _with_steps(end.solution, taken)
+        solution = self.solve(c, begun=begun, taken=taken - before)
+        return eqx.tree_at(lambda s: s.approached, solution, jnp.asarray(led))
 
     def along_path(self, c: int, failed: EquilibriumSolution) -> EquilibriumSolution:
         """Follow the path of a lane along its load, and solve it from the end."""

@@ -47,8 +47,8 @@ class EquilibriumSolution(Module):
             state; at a limit point the fewest of any iterate beyond it; -1 if unknown,
             because the linear solver does not count them or the model is not
             conservative.
-        approached: Share of the way from the nearest equilibrium that was found where
-            it did not lead to the end, see `equilibria`; nan if none was tried [-].
+        approached: Largest share that was found of the ways from the nearest
+            equilibrium where none led to the end; nan if none was tried [-].
         along_path: Share of the load that its path carries where it does not lead to
             the end, see `LoadPath`; nan if none was followed [-].
     """
@@ -86,7 +86,8 @@ def other_ways(solution: EquilibriumSolution) -> str:
     ways = [
         (
             solution.approached,
-            "The way from the nearest equilibrium led {:.3g} % there",
+            "The ways from the nearest equilibrium (straight; actuator by actuator, "
+            "where several differ; loads first or last) led at most {:.3g} % there",
         ),
         (
             solution.along_path,

@@ -2,15 +2,19 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from bodies import lane
 from wording import says
 
+from softcal_jax._results import RESULTS
+from softcal_jax.actuators import Cable
 from softcal_jax.bodies import BodyState, Pose, RigidBody
 from softcal_jax.configurations import (
     Configuration,
+    ImposedForce,
     Support,
     SurfaceForce,
     configuration_lanes,
@@ -24,7 +28,7 @@ from softcal_jax.equilibrium import (
     no_equilibrium,
     solve_equilibrium,
 )
-from softcal_jax.equilibrium._approach import approach, distances, unloaded
+from softcal_jax.equilibrium._approach import approach, detours, distances, unloaded
 from softcal_jax.equilibrium._solve import without_readings
 from softcal_jax.materials import Isotropic, NeoHookean, StVenantKirchhoff
 from softcal_jax.mesh import beam
@@ -142,7 +146,7 @@ def test_a_way_is_followed_on_a_parabola():
     way = approach(
         at_once,
         unloaded(end),
-        end,
+        [end],
         first=1.0,
         most=100,
         report=lambda *now: told.append(now),
@@ -154,3 +158,65 @@ def test_a_way_is_followed_on_a_parabola():
     shares = [share for share, _ in told]
     assert shares[:4] == [0.0] * 4
     assert shares[4:] == pytest.approx(np.arange(1, 8) / 8)
+
+
+CABLES = tuple(
+    Cable(f"cable {side}", [(0.0, y, 0.005), (0.06, y, 0.005)])
+    for side, y in (("left", 0.0), ("right", 0.01))
+)
+ACTUATED = build_model(MESH, LAW, density=1e3, actuators=CABLES)
+
+
+def commanded(name, left, right, force=0.0, gravity=NONE):
+    inputs = {"cable left": ImposedForce(left), "cable right": ImposedForce(right)}
+    load = SurfaceForce("x_max", (0.0, 0.0, force))
+    return Configuration(name, "x_min", gravity, load, actuation=inputs)
+
+
+def test_detours_turn_where_actuators_or_loads_are_done():
+    poses = [commanded("a", 1.0, 2.0), commanded("b", 3.0, 5.0, 0.4, (0, 0, -9.81))]
+    lanes = configuration_lanes(MESH, poses, ACTUATED.mechanism).arrays
+    a, b = (without_readings(lane(lanes, c)) for c in (0, 1))
+    state = lambda c: (*np.asarray(c.actuation.value).tolist(), np.any(c.gravity))
+    ways = [[state(stop) for stop in way] for way in detours(a, b)]
+    end = (3.0, 5.0, True)
+    assert ways == [
+        [(3.0, 2.0, True), end],
+        [(1.0, 2.0, True), end],
+        [(3.0, 5.0, False), end],
+    ]
+    for way in detours(a, b):
+        assert all(np.array_equal(stop.key, b.key) for stop in way)
+    assert detours(a, a) == []
+    one = eqx.tree_at(lambda c: c.actuation.value, a, np.array([1.0, 4.0]))
+    assert detours(a, one) == []
+
+
+def test_a_pose_behind_a_limit_is_reached_around_it():
+    """Nothing converges where both cables pull by halves; one by one leads on."""
+    poses = [commanded("a", 0.0, 0.0), commanded("b", 0.2, 0.2)]
+    lanes = configuration_lanes(MESH, poses, ACTUATED.mechanism).arrays
+    a, b = (without_readings(lane(lanes, c)) for c in (0, 1))
+
+    def at_once(pose, guess):
+        left, right = np.asarray(pose.actuation.value)
+        solution = solve_equilibrium(ACTUATED, pose, guess=guess)
+        barred = 0.05 < left < 0.15 and 0.05 < right < 0.15
+        far = np.hypot(left - at_once.at[0], right - at_once.at[1]) > 0.21
+        if barred or far:
+            return replace(solution, result=RESULTS.max_steps)
+        at_once.at = left, right
+        return solution
+
+    more = {"first": 1.0, "most": 1000, "report": lambda *_: None}
+    known = Known(a, solve_equilibrium(ACTUATED, a).displacement)
+    at_once.at = 0.0, 0.0
+    straight = approach(at_once, known, [b], **more)
+    assert straight.solution is None
+    assert straight.share == pytest.approx(0.25, abs=1 / 32)
+    at_once.at = 0.0, 0.0
+    (way,) = detours(a, b)
+    end = approach(at_once, known, way, **more)
+    assert end.solution is not None
+    expected = solve_equilibrium(ACTUATED, b).displacement
+    np.testing.assert_allclose(end.solution.displacement, expected, atol=1e-9)
