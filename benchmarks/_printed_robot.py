@@ -71,6 +71,7 @@ def printed_robot(
     seed: int,
     errors: PrintingErrors | None = None,
     size: float = 0.005,
+    assembly: int | None = None,
 ) -> PrintedRobot:
     """Build a robot with another law, and fields that vary about the ordered ones.
 
@@ -81,6 +82,7 @@ def printed_robot(
         seed: Seed of all its errors.
         errors: The size of its errors.
         size: Edge length of its (quadratic) tets [m].
+        assembly: Seed of the zeros and mountings of its motors, if another.
     """
     geometry, errors = geometry or ParallelRobotGeometry(), errors or PrintingErrors()
     random = np.random.default_rng(seed)
@@ -99,6 +101,8 @@ def printed_robot(
     shear = np.sqrt(E_t * E_l) / (2.0 * (1.0 + geometry.nu))
     law = TransverseHyperelastic(E_t, E_l, geometry.nu, shear, fibre)
     bodies, motors = mechanism(geometry)
+    if assembly is not None:
+        random = np.random.default_rng(assembly)
     zero = errors.motor_zero * random.standard_normal(len(motors))
     shift = np.zeros((len(bodies), 3))
     shift[: len(motors)] = errors.mounting * random.standard_normal((len(motors), 3))

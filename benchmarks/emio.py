@@ -20,10 +20,11 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks import _emio_leg
 from benchmarks._emio_robot import MOTORS
+from benchmarks._predicted import called_identified, coverage
 from benchmarks._problem import Better, Figure, Goal, Options, Outcome, Table
 from softcal_jax.calibration import CalibrationResult, ConfigurationResult
 from softcal_jax.configurations import Configuration, ImposedDisplacement
-from softcal_jax.identifiability import WEAK_UP_TO, assess
+from softcal_jax.identifiability import assess
 from softcal_jax.project import Project, load_project
 from softcal_jax.robots import ready_made_path
 
@@ -136,33 +137,6 @@ def posed(project: Project, row: dict[str, str]) -> Configuration:
 def errors_mm(fits: Sequence[ConfigurationResult]) -> np.ndarray:
     """Simulated minus measured positions of the sensor [mm]."""
     return 1e3 * np.concatenate([c.error_after for c in fits])
-
-
-def coverage(result: CalibrationResult, fits: Sequence[ConfigurationResult]) -> float:
-    """Share of the coordinates that are within their intervals of 95 % [-].
-
-    Parameters and noise are uncertain; that the model is, its misfit tells as noise.
-    """
-    inside = []
-    for fit in fits:
-        (marker,) = fit.points
-        assert fit.W_ep is not None
-        rows = fit.W_ep[marker.index]
-        variance = np.sum(rows @ result.budget.covariance * rows, axis=1)
-        noise = marker.std * result.uncertainty.level
-        inside.append(np.abs(fit.error_after[0]) < 1.96 * np.sqrt(variance + noise**2))
-    return float(np.mean(inside))
-
-
-def called_identified(result: CalibrationResult) -> int:
-    """Parameters that neither data nor prior know well enough, yet called known."""
-    outlook = assess(result).identifiability
-    return sum(
-        p.verdict == "identifiable"
-        and p.data_only > WEAK_UP_TO * p.asked
-        and (p.prior is None or p.prior > WEAK_UP_TO * p.asked)
-        for p in outlook.parameters
-    )
 
 
 def _authors(file: str, fitted: Sequence[str]) -> dict[str, float]:
