@@ -83,18 +83,13 @@ class EquilibriumSolution(Module):
 
 def other_ways(solution: EquilibriumSolution) -> str:
     """Say which ways failed beside load steps from rest, in sentences."""
-    ways = [
-        (
-            solution.approached,
-            "The way from the nearest equilibrium led {:.3g} % there",
-        ),
-        (
-            solution.along_path,
-            "Along its path (`LoadPath`) it carries at most {:.3g} %",
-        ),
-    ]
-    tried = [text.format(100.0 * share) for share, text in ways if np.isfinite(share)]
-    return "".join(f" {text}." for text in tried)
+    way, path = 100.0 * solution.approached, 100.0 * solution.along_path
+    said = ""
+    if np.isfinite(way):
+        said += f" The way from the nearest equilibrium led {way:.3g} % there."
+    if np.isfinite(path):
+        said += f" Along its path (`LoadPath`) it carries at most {path:.3g} %."
+    return said
 
 
 def no_equilibrium(solution: EquilibriumSolution, names: tuple[str, ...]) -> str:
