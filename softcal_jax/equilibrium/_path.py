@@ -328,15 +328,8 @@ def trace(
         ds = min(ds * float(np.clip(np.sqrt(fewer), 0.5, 2.0)), path.largest)
     if not bool(state.ok):
         result = RESULTS.singular
-    stack = lambda pick: np.stack([np.asarray(pick(s)) for s in states])
-    load = stack(lambda s: s.load)
+    kept = [(s.load, s.u, s.lambda_a, s.n_negative, s.readings) for s in states]
+    load, *others = (np.stack(jax.device_get(each)) for each in zip(*kept, strict=True))
     if result == RESULTS.states_used_up and np.any(np.diff(load) < 0.0):
         result = RESULTS.limit_point
-    return EquilibriumPath(
-        load=load,
-        displacement=stack(lambda s: s.u),
-        multipliers=stack(lambda s: s.lambda_a),
-        n_negative=stack(lambda s: s.n_negative),
-        readings=stack(lambda s: s.readings),
-        result=result,
-    )
+    return EquilibriumPath(load, *others, result=result)
