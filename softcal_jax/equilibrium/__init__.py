@@ -48,7 +48,6 @@ from softcal_jax.equilibrium._path import (
     LoadPath as LoadPath,
 )
 from softcal_jax.equilibrium._posed import (
-    external_force as external_force,
     one_lane as one_lane,
 )
 from softcal_jax.equilibrium._robot_state import (

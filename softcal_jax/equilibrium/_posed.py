@@ -95,18 +95,13 @@ def turned_by_motors(model: Model) -> Bool[Array, " n_b"]:
     return jnp.asarray(np.isin(bodies, mechanism.actuators.motor_body))
 
 
-def external_force(model: Model, configuration: ConfigurationArrays) -> Nodal:
-    """Compute dead loads and weight as nodal forces, f_ext(p) [N]."""
-    return configuration.dead_loads + gravity_load(model, configuration.acceleration)
-
-
 class Posed(NamedTuple):
     """One configuration of a model under a share of its load; built by `of`.
 
-    `f_ext` are the forces at full load [N]. `fixed` flags the unknowns that are not
-    free: held, or of nodes that follow a body. Without bodies, their `states` (as
-    constrained by configuration and motors), `arms` (for `winding`) [m] and `mounted`
-    frames at this load are None.
+    `f_ext` are dead loads and weight at full load [N]. `fixed` flags the unknowns that
+    are not free: held, or of nodes that follow a body. Without bodies, their `states`
+    (as constrained by configuration and motors), `arms` (for `winding`) [m] and
+    `mounted` frames at this load are None.
     """
 
     model: Model
@@ -121,7 +116,8 @@ class Posed(NamedTuple):
     @classmethod
     def of(cls, model: Model, configuration: ConfigurationArrays) -> "Posed":
         """Pose a model at full load; friction opposes the configuration's motion."""
-        f_ext = external_force(model, configuration)
+        weight = gravity_load(model, configuration.acceleration)
+        f_ext = configuration.dead_loads + weight
         if any(model.mechanism.actuators.has_friction):
             actuators = actuators_moving(
                 model.mechanism.actuators, configuration.actuation.releasing
