@@ -13,7 +13,7 @@ import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.bodies._arrays import BodyArrays, BodyStateArrays
-from softcal_jax.bodies._body import KINDS
+from softcal_jax.bodies._body import KINDS, hinge_axes
 
 # Squared angle below which the series are exact to rounding [rad2].
 _SMALL = 1e-4
@@ -126,13 +126,9 @@ def angle_about(
 ) -> Float[Array, ""]:
     """Compute the angle of the rotation other^T R about an axis fixed on the other."""
     relative = jnp.sum(other[:, :, None] * R[:, None, :], axis=0)
-    # A direction normal to the axis, from the coordinate axis farthest from it.
-    start = np.eye(3)[np.argmin(np.abs(axis))]
-    across = start - axis * np.sum(axis * start)
-    across = across / np.linalg.norm(across)
-    turned = jnp.sum(relative * across[None, :], axis=1)
-    y = jnp.sum(turned * np.cross(axis, across))
-    return jnp.arctan2(y, jnp.sum(turned * across))
+    first, second, _ = hinge_axes(axis)
+    turned = jnp.sum(relative * first[None, :], axis=1)
+    return jnp.arctan2(jnp.sum(turned * second), jnp.sum(turned * first))
 
 
 def frame_nodes(bodies: BodyArrays, frames: Frames) -> Float[Array, "n_b 4 3"]:
