@@ -35,10 +35,17 @@ from softcal_jax.equilibrium._effectors import (
 )
 from softcal_jax.equilibrium._element import Formulation as Formulation
 from softcal_jax.equilibrium._linearisation import (
+    InputRows as InputRows,
     Linearisation as Linearisation,
+    Readings as Readings,
+    Sensitivity as Sensitivity,
+    adjoint_rows as adjoint_rows,
+    derivatives as derivatives,
     factor_solve as factor_solve,
+    input_rows as input_rows,
     linearise as linearise,
     residual as residual,
+    sensitivity as sensitivity,
     solved_forces as solved_forces,
 )
 from softcal_jax.equilibrium._model import Model as Model
@@ -58,15 +65,6 @@ from softcal_jax.equilibrium._robot_state import (
     actuator_states as actuator_states,
     marker_positions as marker_positions,
     robot_states as robot_states,
-)
-from softcal_jax.equilibrium._sensitivity import (
-    InputRows as InputRows,
-    Readings as Readings,
-    Sensitivity as Sensitivity,
-    adjoint_rows as adjoint_rows,
-    derivatives as derivatives,
-    input_rows as input_rows,
-    sensitivity as sensitivity,
 )
 from softcal_jax.equilibrium._solve import (
     EquilibriumSolution as EquilibriumSolution,

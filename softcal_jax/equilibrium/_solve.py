@@ -18,12 +18,15 @@ from softcal_jax.configurations import (
     ConfigurationArrays,
     configuration_arrays,
 )
-from softcal_jax.equilibrium._linearisation import linearise
+from softcal_jax.equilibrium._linearisation import (
+    input_rows,
+    linearise,
+    sensitivity,
+)
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonLoop, NewtonSettings, NewtonState
 from softcal_jax.equilibrium._path import EquilibriumPath, LoadPath, trace
 from softcal_jax.equilibrium._posed import Posed, one_lane
-from softcal_jax.equilibrium._sensitivity import input_rows, sensitivity
 
 
 class EquilibriumSolution(Module):
