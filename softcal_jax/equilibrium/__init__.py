@@ -41,7 +41,6 @@ from softcal_jax.equilibrium._linearisation import (
     Sensitivity as Sensitivity,
     adjoint_rows as adjoint_rows,
     derivatives as derivatives,
-    factor_solve as factor_solve,
     input_rows as input_rows,
     linearise as linearise,
     residual as residual,

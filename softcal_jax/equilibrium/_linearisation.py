@@ -25,7 +25,6 @@ from softcal_jax.equilibrium._balance import (
     unbalanced,
 )
 from softcal_jax.equilibrium._bordered import Bordered, System, zeros_of
-from softcal_jax.equilibrium._linear_solver import LinearSolution
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import product
@@ -186,26 +185,6 @@ def linearise(
         regular=jnp.ones((), bool),
         differentiable=differentiable,
     )
-
-
-@eqx.filter_jit
-def factor_solve(
-    model: Model,
-    configuration: ConfigurationArrays,
-    u: Nodal,
-    rhs: Float[Array, "n_rhs n_points 3"],
-    *,
-    transpose: bool = False,
-) -> LinearSolution:
-    """Solve K(u) dx = rhs on the free unknowns, with one factorization for all rows.
-
-    Imposed actuator displacements are kept. Entries of `rhs` on held nodes are ignored
-    [N], where `x` is zero [m]. `transpose` solves with K^T.
-    """
-    lin = linearise(model, configuration, u)
-    gap = jnp.zeros((rhs.shape[0], lin.system.active.size))
-    solved = lin.solve(jax.vmap(lin.free)(rhs), gap, transpose=transpose)
-    return LinearSolution(lin.scatter(solved.x), solved.n_negative, solved.ok)
 
 
 OfInputs = Callable[[Model, ConfigurationArrays], Any]
