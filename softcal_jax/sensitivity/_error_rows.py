@@ -71,7 +71,7 @@ def clamp_row(
         return weight - internal_force(longer, lin.u + depth * turned)
 
     _, row = jax.jvp(force, (jnp.zeros(()),), (jnp.ones(()),))
-    return rows_of_forces(lin, row[None], held=turned[None])
+    return rows_of_forces(lin, row[None], turned[None])
 
 
 def _stretched(model: Model, v: Float[Array, "n_nodes 3"]) -> Model:
@@ -131,7 +131,7 @@ def mesh_row(linearisation: Linearisation, patches: Recovery) -> InputRows:
         of_pressure = jnp.sum(_squared(patches, state.excess), axis=1)
         gradient += of_pressure[:, None, None, None] * state.pressure_slope
     force = SAFETY * force_of_gradients(model, gradient)
-    return rows_of_forces(lin, force[None], held=jnp.zeros((1, *force.shape)))
+    return rows_of_forces(lin, force[None])
 
 
 def _squared(
