@@ -29,7 +29,7 @@ FieldOfLaw = Callable[[Any], Any]
 
 
 def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, **same):
-    """Apply a function of (u, tet, active, ...) to all tets, block by block.
+    """Apply a function of (u, tet, ...) to all tets, block by block.
 
     The kernel is defined at module level so that its trace is cached; a closure would
     be traced at every call and keep its program alive. `per_tet` are further values of
@@ -57,8 +57,8 @@ def _mapped(how, u, arrays, shared, nodes, *of_tets):
     static = jax.tree.unflatten(tree, leaves)
     axes = (-1, -1, -1, 0, -1) + (-1,) * (len(of_tets) - 4)
 
-    def one(u, dN, w, law, *others):
-        tet = Tet(dN, w, eqx.combine(law, shared, static), mixed)
+    def one(u, dN, w, law, active, *others):
+        tet = Tet(dN, w, eqx.combine(law, shared, static), active, mixed)
         return kernel(u, tet, *others, **arrays, **dict(options))
 
     vectorised = jax.vmap(one, in_axes=axes, out_axes=-1)
@@ -94,9 +94,9 @@ def _by_tet(model: Model, values: Float[Array, "n_blocks ... block"]):
     return by_tet.reshape(-1, *by_tet.shape[2:])[: model.n_tets]
 
 
-def _state(u, tet, active):
+def _state(u, tet):
     energy, cauchy, F = element_state(u, tet)
-    return active * energy, active * cauchy, F
+    return tet.active * energy, tet.active * cauchy, F
 
 
 class TetStresses(NamedTuple):
@@ -118,12 +118,8 @@ class TetStresses(NamedTuple):
 
 def tet_stresses(model: Model, u: Nodal) -> TetStresses:
     """Compute stress and deformation of each tet."""
-    return TetStresses(*(_by_tet(model, v) for v in _map_blocks(model, u, _stresses)))
-
-
-def _stresses(u, tet, active):
-    del active
-    return element_stresses(u, tet)
+    blocks = _map_blocks(model, u, element_stresses)
+    return TetStresses(*(_by_tet(model, v) for v in blocks))
 
 
 def force_of_gradients(model: Model, values: Float[Array, "n_tets n_qp 3 3"]) -> Nodal:
@@ -143,8 +139,8 @@ def internal_force(model: Model, u: Nodal) -> Nodal:
     return _add_forces(model, _map_blocks(model, u, _force))
 
 
-def _force(u, tet, active):
-    return active * element_energy_and_force(u, tet)[1]
+def _force(u, tet):
+    return tet.active * element_energy_and_force(u, tet)[1]
 
 
 def energy_and_force(model: Model, u: Nodal):
@@ -154,10 +150,10 @@ def energy_and_force(model: Model, u: Nodal):
     return jnp.sum(energy), jnp.sum(jnp.abs(energy)), force, jnp.min(det)
 
 
-def _energy_and_force(u, tet, active):
+def _energy_and_force(u, tet):
     energy, force = element_energy_and_force(u, tet)
     det = jax.vmap(determinant)(deformation_gradients(u, tet.dN))
-    return active * energy, active * force, jnp.min(det)
+    return tet.active * energy, tet.active * force, jnp.min(det)
 
 
 def tangent_values(
@@ -174,10 +170,10 @@ def tangent_values(
     return _add_entries(model, _map_blocks(model, both, _stiffness, **options))
 
 
-def _stiffness(u, tet, active, symmetric, stepped):
+def _stiffness(u, tet, symmetric, stepped):
     u, before = u[:, :3], None if stepped is None else u[:, 3:]
     K = element_stiffness(u, tet, before, stepped)
-    return active * _kept(K, symmetric)
+    return tet.active * _kept(K, symmetric)
 
 
 def mixed_tangent(
@@ -190,9 +186,9 @@ def mixed_tangent(
     return _add_entries(model, entries), _add_forces(model, forces)
 
 
-def _mixed_newton(u, tet, active, theta, symmetric):
+def _mixed_newton(u, tet, theta, symmetric):
     K, f = mixed_newton(u, theta, tet)
-    return active * _kept(K, symmetric), active * f
+    return tet.active * _kept(K, symmetric), tet.active * f
 
 
 def _kept(K: Float[Array, "n_en 3 n_en 3"], symmetric: bool):
@@ -208,8 +204,7 @@ def predicted_dilatation(
     return _map_blocks(model, jnp.concatenate([u, du], axis=1), _predicted_dilatation)
 
 
-def _predicted_dilatation(both, tet, active):
-    del active
+def _predicted_dilatation(both, tet):
     u, du = both[:, :3], both[:, 3:]
     J, dJ = jax.jvp(lambda u: mean_dilatation(u, tet), (u,), (du,))
     # First order is meaningless where a step would invert a tet: limit to a factor 4.
@@ -227,7 +222,7 @@ def field_forces(
     return _map_blocks(model, u, _field_forces, fields=tuple(fields.items()))
 
 
-def _field_forces(u, tet, active, fields):
+def _field_forces(u, tet, fields):
     values = {name: where(tet.law) for name, where in fields}
 
     def force(values):
@@ -240,7 +235,7 @@ def _field_forces(u, tet, active, fields):
     _, slope = jax.linearize(force, values)
     still = jax.tree.map(jnp.zeros_like, values)
     along = lambda name: slope(still | {name: jnp.ones_like(values[name])})
-    return {name: active * along(name) for name in values}
+    return {name: tet.active * along(name) for name in values}
 
 
 def add_weighted(

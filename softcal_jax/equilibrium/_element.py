@@ -30,12 +30,14 @@ class Tet(NamedTuple):
     Attributes:
         dN: Shape gradients dN_a/dX at the quadrature points [1/m].
         w: Weights of these points, volume included [m3].
+        active: Whether it deforms and counts, see `Model`: 1 or 0.
         mixed: Whether the volume ratio of every point is replaced by the tet's mean.
     """
 
     dN: Float[Array, "n_qp n_en 3"]
     w: Float[Array, " n_qp"]
     law: AbstractLaw
+    active: Float[Array, ""]
     mixed: bool
 
 
