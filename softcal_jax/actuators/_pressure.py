@@ -107,8 +107,10 @@ class ChamberFaces(AbstractPressedFaces, AbstractPotentialCliques):
 
     centre: Float[Array, "*cliques 3"]
 
-    def contribution(self, x: Float[Array, "n_fn 3"]) -> Float[Array, ""]:
-        return _cones(x - self.centre[None])
+    def contribution(self, x: Float[AnyArray, "*n n_fn 3"]) -> Any:
+        arm = x - self.centre[..., None, :]
+        n_dA, N = _vector_areas(arm)
+        return -(n_dA * (N @ arm)).sum(axis=(-2, -1)) / 3.0
 
 
 class SurfacePressure(AbstractActuator):
@@ -168,23 +170,12 @@ def enclosed_volumes(
     """
     volumes: dict[int, float] = defaultdict(float)
     for group in cliques:
-        if not isinstance(group, ChamberFaces | ChamberLids):
-            continue
-        arms = x[np.asarray(group.nodes)] - np.asarray(group.centre)[:, None]
-        if isinstance(group, ChamberFaces):
-            cones = np.asarray(_cones(arms))
-        else:
-            lids = zip(arms, np.asarray(group.weights), strict=True)
-            cones = [lid_cone(*each, quadratic=group.quadratic) for each in lids]
-        for owner, cone in zip(np.asarray(group.owner).tolist(), cones, strict=True):
-            volumes[owner] += float(cone)
+        if isinstance(group, ChamberFaces | ChamberLids):
+            all_at_once = jax.device_get(group)
+            cones = all_at_once.contribution(x[all_at_once.nodes])
+            for owner, cone in zip(all_at_once.owner.tolist(), cones, strict=True):
+                volumes[owner] += float(cone)
     return dict(volumes)
-
-
-def _cones(arm: Float[AnyArray, "*n n_fn 3"]) -> Any:
-    """Compute the volumes of cones from the origin to one face, or to many [m3]."""
-    n_dA, N = _vector_areas(arm)
-    return -(n_dA * (N @ arm)).sum(axis=(-2, -1)) / 3.0
 
 
 def _vector_areas(x: Float[AnyArray, "*n n_fn 3"]) -> tuple[Any, Any]:
@@ -254,25 +245,6 @@ def rims(
     return rings
 
 
-def lid_cone(
-    arm: Float[Array | HostArray, "m 3"],
-    weights: Float[Array | HostArray, " m"],
-    *,
-    quadratic: bool,
-) -> Any:
-    """Compute the volume of the cone from the origin to a lid, given its rim [m3]."""
-    xp: Any = np if isinstance(arm, np.ndarray) else jnp
-    if quadratic:
-        # The integral of x cross dx along the parabola through a, m and b.
-        a, m = arm[0::2], arm[1::2]
-        b = xp.roll(a, -1, axis=0)
-        turns = 4.0 * (xp.cross(a, m) + xp.cross(m, b)) - xp.cross(a, b)
-        area = xp.sum(turns, axis=0) / 6.0
-    else:
-        area = 0.5 * xp.sum(xp.cross(arm, xp.roll(arm, -1, axis=0)), axis=0)
-    return xp.dot(weights @ arm, area) / 3.0
-
-
 class ChamberLids(AbstractPotentialCliques):
     """Lids of chambers, one ring of nodes each; each adds a cone's volume to delta_a.
 
@@ -291,8 +263,16 @@ class ChamberLids(AbstractPotentialCliques):
     centre: Float[Array, "*cliques 3"]
     quadratic: bool = eqx.field(static=True)
 
-    def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
-        return lid_cone(x - self.centre[None], self.weights, quadratic=self.quadratic)
+    def contribution(self, x: Float[AnyArray, "*n m 3"]) -> Any:
+        xp: Any = np if isinstance(x, np.ndarray) else jnp
+        arm = x - self.centre[..., None, :]
+        a = arm[..., :: 1 + self.quadratic, :]
+        b = xp.roll(a, -1, axis=-2)
+        mid = arm[..., 1::2, :] if self.quadratic else 0.5 * (a + b)
+        # The integral of x cross dx along the parabola through a, mid and b.
+        turns = 4.0 * (xp.cross(a, mid) + xp.cross(mid, b)) - xp.cross(a, b)
+        mean = xp.sum(self.weights[..., None] * arm, axis=-2)
+        return xp.sum(mean * xp.sum(turns, axis=-2), axis=-1) / 18.0
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         return ActuatorGeometry()  # neither material nor faces
