@@ -91,10 +91,10 @@ def each_clique(
     return jax.vmap(method)(cliques, x[cliques.nodes])
 
 
-def owned(nodes: HostArray, owner: int) -> tuple[Array, Array]:
-    """Return nodes and owner of the cliques of one actuator."""
+def owned(nodes: HostArray, owner: int, *more: HostArray) -> tuple[Array, ...]:
+    """Return the arrays of the cliques of one actuator: nodes, owner and others."""
     # Not jnp.asarray, which would compile a program for every shape.
-    return jax.device_put((nodes, np.full(len(nodes), owner, nodes.dtype)))
+    return jax.device_put((nodes, np.full(len(nodes), owner, nodes.dtype), *more))
 
 
 _OUTSIDE = 1e-3

@@ -55,10 +55,14 @@ class Chamber(AbstractActuator):
     ) -> "tuple[ChamberFaces | ChamberLids, ...]":
         faces = _outward_faces(rest.mesh, self.surface, self.label)
         openings = self._openings(rest, faces)
-        centre = np.mean(rest.points[np.unique(faces)], axis=0)
-        centres = jax.device_put(np.tile(centre, (len(faces), 1)))
-        wall = ChamberFaces(*owned(faces, owner), centres)
-        lids = [lid(rim, rest, centre, owner) for rim in openings]
+        centre = np.mean(rest.points[np.unique(faces)], axis=0, keepdims=True)
+        wall = ChamberFaces(*owned(faces, owner, centre.repeat(len(faces), axis=0)))
+        quadratic = rest.mesh.order == 2
+        shares = [_shares(rest.points[rim], quadratic)[None] for rim in openings]
+        lids = [
+            ChamberLids(*owned(rim[None], owner, share, centre), quadratic=quadratic)
+            for rim, share in zip(openings, shares, strict=True)
+        ]
         volume = enclosed_volumes((wall, *lids), rest.points)[owner]
         if not volume > 0.0:
             raise ValueError(
@@ -289,19 +293,6 @@ def free_rim_nodes(
     lids = [group for group in groups if isinstance(group, ChamberLids)]
     rims = [np.asarray(each.nodes)[np.asarray(each.owner) == owner] for each in lids]
     return len({node for rim in rims for node in rim.ravel() if not fixed[node].all()})
-
-
-def lid(
-    rim: Int[HostArray, " m"],
-    rest: RestState,
-    centre: Float[HostArray, "3"],
-    owner: int,
-) -> ChamberLids:
-    """Close an opening, given by its ring of nodes."""
-    quadratic = rest.mesh.order == 2
-    weights = jax.device_put(_shares(rest.points[rim], quadratic)[None])
-    of, o = owned(rim[None], owner), jax.device_put(centre[None])
-    return ChamberLids(*of, weights, o, quadratic=quadratic)
 
 
 def _shares(x: Float[HostArray, "m 3"], quadratic: bool) -> Float[HostArray, " m"]:
