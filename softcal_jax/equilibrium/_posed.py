@@ -159,11 +159,7 @@ class Posed(NamedTuple):
         springs = self.configuration.springs
         if not springs.names:
             return jnp.zeros_like(u)
-        return self.stretched(u - self.load * jnp.asarray(springs.rest))
-
-    def stretched(self, stretch: Nodal) -> Nodal:
-        """Compute the forces that stretch the springs so far [N]."""
-        springs = self.configuration.springs
+        stretch = u - self.load * jnp.asarray(springs.rest)
         force = springs.coefficients() * stretch
         if springs.tets.size == 0:
             return force
