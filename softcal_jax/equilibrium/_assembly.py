@@ -24,9 +24,6 @@ from softcal_jax.equilibrium._element import (
 from softcal_jax.equilibrium._model import Model, Nodal, check_law, to_blocks
 from softcal_jax.equilibrium._sparsity import element_entries
 
-FieldOfLaw = Callable[[Any], Any]
-"""Accessor of one field of a law, as `eqx.tree_at` expects it."""
-
 
 def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, **same):
     """Apply a function of (u, tet, ...) to all tets, block by block.
@@ -212,10 +209,11 @@ def _predicted_dilatation(both, tet):
 
 
 def field_forces(
-    model: Model, u: Nodal, fields: Mapping[str, FieldOfLaw]
+    model: Model, u: Nodal, fields: Mapping[str, Callable[[Any], Any]]
 ) -> dict[str, Float[Array, "n_blocks n_en 3 block"]]:
     """Differentiate each tet's internal force by its own value of some fields [N].
 
+    Each field is a function, which can be hashed, from a model to a field of its law.
     One pass over the tets gives the derivatives by all values. Those by a parameter
     that spreads a field over the mesh are weighted sums of these.
     """
@@ -223,13 +221,13 @@ def field_forces(
 
 
 def _field_forces(u, tet, fields):
-    values = {name: where(tet.law) for name, where in fields}
+    values = {name: where(tet) for name, where in fields}
 
     def force(values):
-        law = tet.law
+        changed = tet
         for name, where in fields:
-            law = eqx.tree_at(where, law, values[name])
-        return element_energy_and_force(u, tet._replace(law=law))[1]
+            changed = eqx.tree_at(where, changed, values[name])
+        return element_energy_and_force(u, changed)[1]
 
     # Linearise once: what a law computes from F is shared by all fields.
     _, slope = jax.linearize(force, values)

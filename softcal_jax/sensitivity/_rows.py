@@ -6,9 +6,7 @@ Sign: Eqs. (1) and (7) of the paper give K dx = ... - (df/dp) S lambda_p, Eq. (8
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
-from types import SimpleNamespace
 from typing import Any
 
 import equinox as eqx
@@ -159,7 +157,7 @@ def _field_rows(
     are zero. The model has the parameters of `z` applied.
     """
     wheres = {name: find_field(model, name) for name in space.field_names}
-    in_law = {f: _InLaw(where) for f, where in wheres.items() if f != "density"}
+    in_law = {f: where for f, where in wheres.items() if f != "density"}
     fields = lambda z: {
         name: jnp.broadcast_to(where(space.model_at(model, z)), (model.n_tets,))
         for name, where in wheres.items()
@@ -193,7 +191,7 @@ def adjoint_of_tets(
     """
     model, configuration = linearisation.posed.model, linearisation.posed.configuration
     moved = linearisation.scatter(adjoint)
-    law = {f: _InLaw(find_field(model, f)) for f in fields if f != "density"}
+    law = {f: find_field(model, f) for f in fields if f != "density"}
     forces = field_forces(model, linearisation.u, law) if law else {}
 
     def of_law(field: str, row: Float[Array, "n_points 3"]) -> Float[Array, " n_tets"]:
@@ -209,16 +207,6 @@ def adjoint_of_tets(
         [of_density(row) if f == "density" else of_law(f, row) for f in fields]
     )
     return jnp.swapaxes(jax.lax.map(one, moved), 0, 1)
-
-
-@dataclass(frozen=True)
-class _InLaw:
-    """A model's field accessor applied to its law; equal if the accessors are."""
-
-    where: Callable[[Any], Any]
-
-    def __call__(self, law: Any) -> Any:
-        return self.where(SimpleNamespace(law=law))
 
 
 class DerivativeCheck(Module):
