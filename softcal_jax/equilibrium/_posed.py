@@ -75,17 +75,15 @@ def _arms_from_supports(
     if configuration.springs.names:
         area = jnp.asarray(configuration.springs.area)
         held = held | jnp.any(area > 0.0, axis=(0, 2))
-    n_held = jnp.sum(held, dtype=points.dtype)
-    total = jnp.sum(jnp.where(held[:, None], points, 0.0), axis=0)
-    origin = jnp.asarray(bodies.origin)
-    others = (states.kind == KINDS.index("held"))[None] & ~jnp.eye(
-        bodies.n_bodies, dtype=bool
-    )
-    n_others = jnp.sum(others, axis=1, dtype=points.dtype)
-    of_others = jnp.sum(jnp.where(others[:, :, None], origin[None], 0.0), axis=1)
-    of_others = of_others / jnp.maximum(n_others, 1.0)[:, None]
-    of_others = jnp.where(n_others[:, None] > 0.0, of_others, origin)
-    base = jnp.where(n_held > 0.0, total[None] / jnp.maximum(n_held, 1.0), of_others)
+
+    def mean(points, chosen, otherwise):
+        n = jnp.sum(chosen, axis=1, keepdims=True, dtype=points.dtype)
+        total = jnp.sum(jnp.where(chosen[:, :, None], points[None], 0.0), axis=1)
+        return jnp.where(n > 0.0, total / jnp.maximum(n, 1.0), otherwise)
+
+    origin, itself = jnp.asarray(bodies.origin), jnp.eye(bodies.n_bodies, dtype=bool)
+    others = (states.kind == KINDS.index("held"))[None] & ~itself
+    base = mean(points, held[None], mean(origin, others, origin))
     return jnp.where(turned_by_motors(model)[:, None], 0.0, origin - base)
 
 
