@@ -124,11 +124,8 @@ def newton_direction(
     which = model.with_multiplier
     to_close = (to_go[which] - on_held)[None]
     solve = partial(tangent.system.solve, model.solver, rhs[None], to_close)
-    solved = (
-        solve()
-        if near is None
-        else jax.lax.cond(near, lambda: solve(near=True), lambda: solve())
-    )
+    again = partial(solve, near=True)
+    solved = solve() if near is None else jax.lax.cond(near, again, solve)
     d = solved.x[0]
     slope = jnp.sum(posed.on_free(u, tangent.g) * d)
     supports = jnp.where(jnp.asarray(posed.configuration.fixed), held_step, 0.0)
