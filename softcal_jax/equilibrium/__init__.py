@@ -53,9 +53,7 @@ from softcal_jax.equilibrium._path import (
     EquilibriumPath as EquilibriumPath,
     LoadPath as LoadPath,
 )
-from softcal_jax.equilibrium._posed import (
-    one_lane as one_lane,
-)
+from softcal_jax.equilibrium._posed import one_lane as one_lane
 from softcal_jax.equilibrium._robot_state import (
     ActuatorState as ActuatorState,
     BodyPlace as BodyPlace,

@@ -8,11 +8,7 @@ import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
 from softcal_jax.bodies import frames_at, rotation_vector
-from softcal_jax.configurations import (
-    ConfigurationArrays,
-    EffectorArrays,
-    Observed,
-)
+from softcal_jax.configurations import ConfigurationArrays, EffectorArrays, Observed
 from softcal_jax.equilibrium._linearisation import residual, solved_forces
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed

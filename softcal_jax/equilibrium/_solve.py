@@ -18,11 +18,7 @@ from softcal_jax.configurations import (
     ConfigurationArrays,
     configuration_arrays,
 )
-from softcal_jax.equilibrium._linearisation import (
-    input_rows,
-    linearise,
-    sensitivity,
-)
+from softcal_jax.equilibrium._linearisation import input_rows, linearise, sensitivity
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonLoop, NewtonSettings, NewtonState
 from softcal_jax.equilibrium._path import EquilibriumPath, LoadPath, trace
