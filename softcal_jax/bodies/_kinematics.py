@@ -36,16 +36,8 @@ def cross_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
 
 def rotation_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """Compute the matrix exp(hat(w)) of a rotation vector [rad] (Rodrigues)."""
-    square = jnp.sum(w * w)
-    small = square < _SMALL
-    angle = _safe_angle(square)
-    sine = jnp.where(
-        small,
-        1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0)),
-        jnp.sin(angle) / angle,
-    )
-    W = cross_matrix(w)
-    return jnp.eye(3) + sine * W + _versine(square) * (W @ W)
+    square, W = jnp.sum(w * w), cross_matrix(w)
+    return jnp.eye(3) + _sinc(square) * W + _versine(square) * (W @ W)
 
 
 def _safe_angle(square: Float[Array, ""]) -> Float[Array, ""]:
@@ -56,14 +48,16 @@ def _safe_angle(square: Float[Array, ""]) -> Float[Array, ""]:
     return jnp.sqrt(jnp.where(square < _SMALL, 1.0, square))
 
 
-def _versine(square: Float[Array, ""]) -> Float[Array, ""]:
-    """Compute (1 - cos a) / a^2 of the angle a with this square."""
+def _sinc(square: Float[Array, ""]) -> Float[Array, ""]:
+    """Compute sin(a) / a of the angle a with this square."""
     angle = _safe_angle(square)
-    return jnp.where(
-        square < _SMALL,
-        0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0)),
-        (1.0 - jnp.cos(angle)) / angle**2,
-    )
+    series = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
+    return jnp.where(square < _SMALL, series, jnp.sin(angle) / angle)
+
+
+def _versine(square: Float[Array, ""]) -> Float[Array, ""]:
+    """Compute (1 - cos a) / a^2, by half the angle so that nothing cancels."""
+    return 0.5 * _sinc(0.25 * square) ** 2
 
 
 def rotation_vector(R: Float[Array, "3 3"]) -> Float[Array, "3"]:
@@ -185,7 +179,7 @@ def _screw(w: Float[Array, "3"]) -> tuple[Float[Array, "3 3"], Float[Array, "3 3
     W = cross_matrix(w)
     W2 = W @ W
     V = jnp.eye(3) + first * W + second * W2
-    across = jnp.where(small, 1.0 - square / 12.0, 2.0 * first)
+    across = 2.0 * first
     along = 1.0 / (1.0 + WIND**2)
     # -W^2 / a^2 projects onto the plane across the axis.
     more = jnp.where(small, 0.0, (along - 1.0 / (across + WIND**2)) / angle**2)
