@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.mesh import TetMesh, locate
 
@@ -126,8 +126,7 @@ class RestState(Module):
     bodies: Mapping[str, int]
 
     def frame_nodes(self, body: str, owner: str) -> Int[HostArray, "4"]:
-        if body not in self.bodies:
-            raise unknown_name(f"rigid body of {owner}", body, self.bodies)
+        check_known(f"rigid body of {owner}", self.bodies, body)
         return self.mesh.n_nodes + 4 * self.bodies[body] + np.arange(4, dtype=np.int32)
 
     def on_mesh(

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators._actuator import (
     AbstractActuator,
@@ -140,8 +140,7 @@ class Cable(AbstractActuator):
         if guide.on == "mesh":
             return *rest.on_mesh(guide.point, owner), np.zeros(3)
         known = ["mesh", "ground", *rest.bodies]
-        if guide.on not in known:
-            raise unknown_name(f"carrier of {owner}", guide.on, known)
+        check_known(f"carrier of {owner}", known, guide.on)
         return *rest.on_body(guide.point, guide.on, owner), np.zeros(3)
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import check_unique, unknown_name
+from softcal_jax._names import check_known, check_unique
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.bodies._body import KINDS, RigidBody
 from softcal_jax.mesh import TetMesh, node_indices
@@ -146,8 +146,7 @@ def _owners(bodies: Sequence[RigidBody], names: tuple[str, ...]) -> HostArray:
     for k, body in enumerate(bodies):
         if body.tied_to is None:
             continue
-        if body.tied_to not in names:
-            raise unknown_name(f"tied_to of body {body.name!r}", body.tied_to, names)
+        check_known(f"tied_to of body {body.name!r}", names, body.tied_to)
         owner[k] = names.index(body.tied_to)
         root = bodies[owner[k]].tied_to
         if root is not None:

@@ -8,7 +8,7 @@ from jaxtyping import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from softcal_jax._module import Module
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import Float, HostArray, Int
 
 Vector = Sequence[float] | Float[ArrayLike, "3"]
@@ -184,8 +184,7 @@ class BodyState(Module):
     pose: Pose = eqx.field(default_factory=Pose)
 
     def __check_init__(self):
-        if self.kind not in KINDS:
-            raise unknown_name("state of a rigid body", self.kind, KINDS)
+        check_known("state of a rigid body", KINDS, self.kind)
         shift, turn = self.pose.translation.tolist(), self.pose.rotation_vector.tolist()
         unused = {"free": shift + turn, "hinged": turn, "held": []}[self.kind]
         if any(unused):
