@@ -6,7 +6,7 @@ opening to its mean.
 
 from collections import defaultdict
 from collections.abc import Iterable
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -77,14 +77,14 @@ class Chamber(AbstractActuator):
     ) -> list[Int[HostArray, " m"]]:
         """Return the rims of the openings to seal, given faces with outward normals."""
         edges = open_edges(faces)
-        if self.seal == bool(len(edges.ends)):
+        if self.seal == bool(len(edges)):
             return rims(edges, rest.points, self.label)
         what = f"{self.label}: surface {self.surface!r}"
         if self.seal:
             raise ValueError(f"{what} is closed. Leave seal out.")
-        where = rest.points[edges.ends[0]].mean(axis=0)
+        where = rest.points[edges[0, [0, -1]]].mean(axis=0)
         raise ValueError(
-            f"{what} is not closed, it has {len(edges.ends)} open edges, one at "
+            f"{what} is not closed, it has {len(edges)} open edges, one at "
             f"{where.tolist()} m. Add the faces of the wall that are missing, seal the "
             "opening if it is an inlet (seal = true), or take a SurfacePressure."
         )
@@ -198,19 +198,12 @@ def _vector_areas(x: Float[AnyArray, "*n n_fn 3"]) -> tuple[Any, Any]:
     return weights[:, None] * xp.cross(tangents[0], tangents[1]), N
 
 
-class OpenEdges(NamedTuple):
-    """Edges that faces do not traverse equally often in both directions.
+def open_edges(faces: Int[HostArray, "n _"]) -> Int[HostArray, "n_edges _"]:
+    """Find the open edges of a surface, given its faces with consistent normals.
 
-    `ends` follow the direction that prevails, which occurs `excess` times more often.
+    Faces do not traverse them equally often in both directions. The nodes of each are
+    in the direction that prevails; one that prevails twice is listed twice.
     """
-
-    ends: Int[HostArray, "n_edges 2"]
-    mids: Int[HostArray, "n_edges n_mids"]
-    excess: Int[HostArray, " n_edges"]
-
-
-def open_edges(faces: Int[HostArray, "n_faces n_fn"]) -> OpenEdges:
-    """Find the open edges of a surface, given its faces with consistent normals."""
     corners = faces[:, :3]
     ways = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 2)
     mids = faces[:, 3:].reshape(len(ways), -1)
@@ -222,30 +215,30 @@ def open_edges(faces: Int[HostArray, "n_faces n_fn"]) -> OpenEdges:
     excess = total[edge] * sense
     open_ways = np.flatnonzero(excess > 0)
     chosen = open_ways[np.unique(edge[open_ways], return_index=True)[1]]
-    return OpenEdges(ways[chosen], mids[chosen], excess[chosen])
+    nodes = np.column_stack([ways[:, 0], mids, ways[:, 1]])
+    return np.repeat(nodes[chosen], excess[chosen], axis=0)
 
 
 def rims(
-    edges: OpenEdges, points: Float[HostArray, "n_all 3"], owner: str
+    edges: Int[HostArray, "n_edges _"], points: Float[HostArray, "n_all 3"], owner: str
 ) -> list[Int[HostArray, " m"]]:
     """Link open edges to closed rings of corners, with mid nodes between them."""
-    starts, count = np.unique(edges.ends[:, 0], return_counts=True)
-    crowded = starts[count > 1].tolist() + edges.ends[edges.excess > 1, 0].tolist()
-    if crowded:
+    starts, count = np.unique(edges[:, 0], return_counts=True)
+    crowded = starts[count > 1]
+    if crowded.size:
         where = readable_values(points[crowded[0]].tolist(), "m")
         raise ValueError(
             f"{owner}: openings of the wall meet at {where}. Choose the faces of the "
             "wall so that they are apart."
         )
-    following = {int(a): k for k, a in enumerate(edges.ends[:, 0])}
+    following = {int(side[0]): side for side in edges}
     rings = []
     while following:
         node, ring = next(iter(following)), []
         while node in following:
-            k = following.pop(node)
-            ring += [node, *edges.mids[k].tolist()]
-            node = int(edges.ends[k, 1])
-        rings.append(np.array(ring, edges.ends.dtype))
+            *part, node = following.pop(node).tolist()
+            ring += part
+        rings.append(np.array(ring, edges.dtype))
     return rings
 
 
