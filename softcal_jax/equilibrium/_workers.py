@@ -40,12 +40,6 @@ def _remembered():
     """Do nothing; `jax.clear_caches` forgets this program like all others."""
 
 
-def _forget_as_jax() -> None:
-    if _remembered._cache_size() == 0:  # pyright: ignore[reportAttributeAccessIssue]
-        _COMPILED.clear()
-        _remembered()
-
-
 class Program:
     """A compiled function of shared arguments and of a lane; lanes have one shape.
 
@@ -195,7 +189,9 @@ class Workers:
         self._free: SimpleQueue[AbstractLinearSolver] = SimpleQueue()
 
     def __enter__(self) -> "Workers":
-        _forget_as_jax()
+        if _remembered._cache_size() == 0:  # pyright: ignore[reportAttributeAccessIssue]
+            _COMPILED.clear()
+            _remembered()
         with ExitStack() as opened:
             if _THREAD.run is None:
                 opened.enter_context(_TURN)
