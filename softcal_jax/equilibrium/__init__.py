@@ -3,7 +3,6 @@
 from softcal_jax._results import RESULTS as RESULTS
 from softcal_jax.equilibrium._approach import Known as Known
 from softcal_jax.equilibrium._assembly import (
-    TetStates as TetStates,
     add_weighted as add_weighted,
     energy_and_force as energy_and_force,
     field_forces as field_forces,
@@ -33,7 +32,10 @@ from softcal_jax.equilibrium._effectors import (
     actuator_forces as actuator_forces,
     effector_values as effector_values,
 )
-from softcal_jax.equilibrium._element import Formulation as Formulation
+from softcal_jax.equilibrium._element import (
+    Formulation as Formulation,
+    TetStates as TetStates,
+)
 from softcal_jax.equilibrium._linearisation import (
     InputRows as InputRows,
     Linearisation as Linearisation,

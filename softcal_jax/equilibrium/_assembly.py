@@ -2,17 +2,19 @@
 
 import functools
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Array, Float
 from softcal_jax.elements import determinant, sum_of
 from softcal_jax.equilibrium._element import (
     Tet,
+    TetStates,
+    TetStresses,
     deformation_gradients,
     element_energy_and_force,
     element_state,
@@ -21,8 +23,11 @@ from softcal_jax.equilibrium._element import (
     mean_dilatation,
     mixed_newton,
 )
-from softcal_jax.equilibrium._model import Model, Nodal, check_law, to_blocks
+from softcal_jax.equilibrium._model import Model, Nodal, check_law
 from softcal_jax.equilibrium._sparsity import element_entries
+from softcal_jax.materials import split_law
+
+T = TypeVar("T")
 
 
 def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, **same):
@@ -37,8 +42,9 @@ def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, *
             f"displacements have the shape {u.shape}; expected ({model.n_points}, 3): "
             "nodes of the mesh, then those of the rigid bodies' frames."
         )
-    law, shared = model.law_blocks()
+    law, shared = split_law(model.law)
     shared, static = eqx.partition(shared, eqx.is_array)
+    law = jax.tree.map(model.blocks, law)
     blocks = (model.shape_gradients, model.weights, law, model.active)
     arrays = {name: value for name, value in same.items() if eqx.is_array(value)}
     options = tuple((name, same[name]) for name in same if name not in arrays)
@@ -67,56 +73,29 @@ def _mapped(how, u, arrays, shared, nodes, *of_tets):
     return jax.lax.map(block, (nodes, *of_tets))
 
 
-class TetStates(NamedTuple):
-    """Strain energy [J], mean Cauchy stress [Pa] and F at quadrature points of tets."""
-
-    energy: Float[HostArray, " n_tets"]
-    cauchy: Float[HostArray, "n_tets 3 3"]
-    F: Float[HostArray, "n_tets n_qp 3 3"]
-
-
 def tet_states(model: Model, u: Nodal) -> TetStates:
     """Compute energy, stress and deformation of each tet; zero energy if rigid."""
-    return TetStates(*map(np.asarray, _states(model, u)))
+    return jax.tree.map(np.asarray, _states(model, u))
 
 
 @eqx.filter_jit
-def _states(model: Model, u: Nodal):
-    return [_by_tet(model, v) for v in _map_blocks(model, u, _state)]
+def _states(model: Model, u: Nodal) -> TetStates:
+    return _by_tet(model, _map_blocks(model, u, element_state))
 
 
-def _by_tet(model: Model, values: Float[Array, "n_blocks ... block"]):
-    """Return the values of all tets, without the copies that pad the last block."""
-    by_tet = jnp.moveaxis(values, -1, 1)
-    return by_tet.reshape(-1, *by_tet.shape[2:])[: model.n_tets]
+def _by_tet(model: Model, blocks: T) -> T:
+    """Return values of all tets, without the copies that pad the last block."""
 
+    def joined(values):
+        by_tet = jnp.moveaxis(values, -1, 1)
+        return by_tet.reshape(-1, *by_tet.shape[2:])[: model.n_tets]
 
-def _state(u, tet):
-    energy, cauchy, F = element_state(u, tet)
-    return tet.active * energy, tet.active * cauchy, F
-
-
-class TetStresses(NamedTuple):
-    """Stress and deformation of tets; see `element_stresses`.
-
-    Attributes:
-        stress: First Piola-Kirchhoff stress P at the quadrature points [Pa].
-        F: Mean deformation gradient [-].
-        excess: J - J_bar at the points with "mean-dilatation", else None [-].
-        pressure_slope: Derivative of the pressure by the displacement gradient at the
-            points, times their shares of the volume, else None [Pa].
-    """
-
-    stress: Float[Array, "n_tets n_qp 3 3"]
-    F: Float[Array, "n_tets 3 3"]
-    excess: Float[Array, "n_tets n_qp"] | None = None
-    pressure_slope: Float[Array, "n_tets n_qp 3 3"] | None = None
+    return jax.tree.map(joined, blocks)
 
 
 def tet_stresses(model: Model, u: Nodal) -> TetStresses:
     """Compute stress and deformation of each tet."""
-    blocks = _map_blocks(model, u, element_stresses)
-    return TetStresses(*(_by_tet(model, v) for v in blocks))
+    return _by_tet(model, _map_blocks(model, u, element_stresses))
 
 
 def force_of_gradients(model: Model, values: Float[Array, "n_tets n_qp 3 3"]) -> Nodal:
@@ -125,8 +104,7 @@ def force_of_gradients(model: Model, values: Float[Array, "n_tets n_qp 3 3"]) ->
     The values are stresses times the volumes of the points [Pa m3]; those of a tet that
     does not deform do not count.
     """
-    n_blocks, _, block = model.weights.shape
-    blocked = jnp.moveaxis(to_blocks(values, model.n_tets, n_blocks, block), 1, -1)
+    blocked = jnp.moveaxis(model.blocks(values), 1, -1)
     both = jnp.einsum("bqiJt,bqaJt->bait", blocked, model.shape_gradients)
     return _add_forces(model, model.active[:, None, None] * both)
 
@@ -244,9 +222,7 @@ def add_weighted(
     """Sum `field_forces`, weighted by the change of each field per parameter [N]."""
 
     def of_tets(name, weight):
-        n_blocks, *_, block = forces[name].shape
-        blocked = to_blocks(weight, model.n_tets, n_blocks, block)
-        return forces[name] * blocked[:, None, None, :]
+        return forces[name] * model.blocks(weight)[:, None, None, :]
 
     def one(weight):
         return _add_forces(model, sum_of(of_tets(n, w) for n, w in weight.items()))

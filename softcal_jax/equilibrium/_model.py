@@ -18,7 +18,6 @@ from softcal_jax.materials import (
     DENSITY,
     AbstractLaw,
     fields_of_tets,
-    split_law,
     with_arrays,
 )
 from softcal_jax.mesh import TetMesh, volumes
@@ -142,12 +141,10 @@ class Model(Module):
         law = eqx.combine(jax.lax.optimization_barrier(arrays), rest)
         return eqx.tree_at(lambda m: m.law, self, law)
 
-    def law_blocks(self) -> tuple[AbstractLaw, AbstractLaw]:
-        """Return the law with its values per tet in blocks, and what tets share."""
+    def blocks(self, values: Shaped[Array, "..."]) -> Any:
+        """Cut values of all tets into blocks, see `to_blocks`."""
         n_blocks, _, block = self.weights.shape
-        cut = lambda leaf: to_blocks(leaf, self.n_tets, n_blocks, block)
-        of_tets, shared = split_law(self.law)
-        return jax.tree.map(cut, of_tets), shared
+        return to_blocks(values, self.n_tets, n_blocks, block)
 
 
 def to_blocks(
