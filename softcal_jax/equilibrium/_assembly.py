@@ -43,26 +43,24 @@ def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, *
             "nodes of the mesh, then those of the rigid bodies' frames."
         )
     law, shared = split_law(model.law)
-    shared, static = eqx.partition(shared, eqx.is_array)
     law = jax.tree.map(model.blocks, law)
     blocks = (model.shape_gradients, model.weights, law, model.active)
-    arrays = {name: value for name, value in same.items() if eqx.is_array(value)}
-    options = tuple((name, same[name]) for name in same if name not in arrays)
+    arrays, static = eqx.partition((shared, same), eqx.is_array)
     # Flattened, as a module that holds a list has no hash.
     leaves, tree = jax.tree.flatten(static)
-    how = kernel, model.has_volume_unknowns, options, tuple(leaves), tree
-    return _mapped(how, u, arrays, shared, model.nodes, *blocks, *per_tet)
+    how = kernel, model.has_volume_unknowns, tuple(leaves), tree
+    return _mapped(how, u, arrays, model.nodes, *blocks, *per_tet)
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _mapped(how, u, arrays, shared, nodes, *of_tets):
-    kernel, mixed, options, leaves, tree = how
-    static = jax.tree.unflatten(tree, leaves)
+def _mapped(how, u, arrays, nodes, *of_tets):
+    kernel, mixed, leaves, tree = how
+    shared, same = eqx.combine(arrays, jax.tree.unflatten(tree, leaves))
     axes = (-1, -1, -1, 0, -1) + (-1,) * (len(of_tets) - 4)
 
     def one(u, dN, w, law, active, *others):
-        tet = Tet(dN, w, eqx.combine(law, shared, static), active, mixed)
-        return kernel(u, tet, *others, **arrays, **dict(options))
+        tet = Tet(dN, w, eqx.combine(law, shared), active, mixed)
+        return kernel(u, tet, *others, **same)
 
     vectorised = jax.vmap(one, in_axes=axes, out_axes=-1)
 
