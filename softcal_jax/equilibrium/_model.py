@@ -10,6 +10,7 @@ from jaxtyping import Shaped
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax.bodies import Frames, frames_at
 from softcal_jax.configurations import Mechanism
 from softcal_jax.equilibrium._element import Formulation
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
@@ -93,6 +94,10 @@ class Model(Module):
     def positions(self, u: Nodal) -> Nodal:
         """Return the positions of all nodes [m]."""
         return jnp.asarray(self.mechanism.points) + u
+
+    def frames(self, u: Nodal) -> Frames:
+        """Return the frames of the rigid bodies."""
+        return frames_at(self.mechanism.bodies, self.positions(u)[self.mesh.n_nodes :])
 
     def displacements(self, u: Nodal) -> Float[Array, " n_a"]:
         """Return the displacements delta_a of the actuators."""

@@ -21,7 +21,6 @@ from softcal_jax.bodies import (
     Mounted,
     blocked,
     frame_nodes,
-    frames_at,
     mounted,
     place,
     rotation_matrix,
@@ -215,7 +214,7 @@ class Posed(NamedTuple):
         """Make every body of a guess rigid again, as its frame is placed [m]."""
         if self.model.reduction is None:
             return u
-        return self._with_bodies(u, self._frames(u))
+        return self._with_bodies(u, self.model.frames(u))
 
     def move(self, u: Nodal, d: Float[Array, " n_dof"]) -> Nodal:
         """Apply a step of the unknowns to a displacement; bodies move rigidly [m].
@@ -227,7 +226,7 @@ class Posed(NamedTuple):
             return u + d.reshape(u.shape)
         bodies = self.model.mechanism.bodies
         twists = d[u.size :].reshape(-1, 6)
-        frames = place(bodies, self.states, self.mounted, self._frames(u), twists)
+        frames = place(bodies, self.states, self.mounted, self.model.frames(u), twists)
         return self._with_bodies(u + d[: u.size].reshape(u.shape), frames)
 
     def swing(self, u: Nodal, d: Float[Array, " n_dof"]) -> Nodal:
@@ -246,7 +245,7 @@ class Posed(NamedTuple):
         alone = (jnp.sum(hinged) == 1) & ~held & ~jnp.any(self.configuration.fixed)
         alone = alone & ~jnp.any(jnp.asarray(self.configuration.springs.area) > 0.0)
         k = jnp.argmax(hinged)
-        axes, origins = self.mounted.axes, self._frames(u).origin
+        axes, origins = self.mounted.axes, self.model.frames(u).origin
         twists = d[u.size :].reshape(-1, 6)
         turn = jnp.where(alone, twists[k, 5] / bodies.length, 0.0) * axes[k, 2]
         along = lambda v: jnp.sum(axes * v[:, None], axis=2)
@@ -300,10 +299,6 @@ class Posed(NamedTuple):
     @property
     def _n_bodies(self) -> int:
         return self.model.mechanism.bodies.n_bodies
-
-    def _frames(self, u: Nodal) -> Frames:
-        n_nodes = self.model.mesh.n_nodes
-        return frames_at(self.model.mechanism.bodies, self.model.positions(u)[n_nodes:])
 
     def _with_bodies(self, u: Nodal, frames: Frames):
         bodies, n_nodes = self.model.mechanism.bodies, self.model.mesh.n_nodes

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.bodies import frames_at
 from softcal_jax.equilibrium import (
     InputRows,
     Linearisation,
@@ -53,13 +52,11 @@ def clamp_row(
     """
     lin = linearisation
     model, bodies = lin.posed.model, lin.posed.model.mechanism.bodies
-    n_nodes = model.mesh.n_nodes
-    follow = jnp.zeros((model.n_points, 3)).at[:n_nodes].set(motion)
+    follow = jnp.zeros((model.n_points, 3)).at[: model.mesh.n_nodes].set(motion)
     turned = jnp.zeros_like(follow)
     if bodies.n_bodies > 0:
         # What a body holds goes with it: its displacement is (R - 1) X, at any X.
-        frames = (jnp.asarray(model.mechanism.points) + lin.u)[n_nodes:]
-        R = frames_at(bodies, frames).rotation[bodies.body]
+        R = model.frames(lin.u).rotation[bodies.body]
         moved = follow[bodies.attached]
         turned = turned.at[bodies.attached].set(
             jnp.sum(R * moved[:, None, :], axis=2) - moved
