@@ -12,8 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray
-from softcal_jax.bodies._arrays import BodyArrays, BodyStateArrays
-from softcal_jax.bodies._body import KINDS, hinge_axes
+from softcal_jax.bodies._body import (
+    KINDS,
+    BodyArrays,
+    BodyStateArrays,
+    hinge_axes,
+)
 
 # Squared angle below which the series are exact to rounding [rad2].
 _SMALL = 1e-4
