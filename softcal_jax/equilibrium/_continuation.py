@@ -23,8 +23,8 @@ from softcal_jax.equilibrium._balance import (
     nodal_tangent,
     relative,
     unbalanced,
+    zeros_of,
 )
-from softcal_jax.equilibrium._bordered import zeros_of
 from softcal_jax.equilibrium._direction import (
     Factor,
     Step,

@@ -19,6 +19,7 @@ from softcal_jax.equilibrium._assembly import (
 )
 from softcal_jax.equilibrium._balance import (
     Point,
+    System,
     assemble,
     evaluate,
     gap,
@@ -26,7 +27,6 @@ from softcal_jax.equilibrium._balance import (
     stiffness_of_gaps,
     unbalanced,
 )
-from softcal_jax.equilibrium._bordered import System
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import product

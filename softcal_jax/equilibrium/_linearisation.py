@@ -17,14 +17,16 @@ from softcal_jax._typing import Array, Bool, Float
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._assembly import tangent_values
 from softcal_jax.equilibrium._balance import (
+    Bordered,
     Point,
+    System,
     assemble,
     deform,
     estimated_forces,
     taut,
     unbalanced,
+    zeros_of,
 )
-from softcal_jax.equilibrium._bordered import Bordered, System, zeros_of
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import product

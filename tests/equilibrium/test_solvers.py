@@ -23,7 +23,7 @@ from bodies import (
 
 from softcal_jax.configurations import configuration_arrays
 from softcal_jax.equilibrium import build_model, tangent_values
-from softcal_jax.equilibrium._bordered import System
+from softcal_jax.equilibrium._balance import System
 from softcal_jax.equilibrium._linear_solver import (
     _MINIMUM_DEGREE,
     _MKL_DOMAIN_PARDISO,
