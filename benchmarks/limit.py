@@ -45,7 +45,7 @@ from softcal_jax.equilibrium import (
     Model,
     NewtonSettings,
     Workers,
-    factor_solve,
+    linearise,
     residual,
 )
 from softcal_jax.fields import (
@@ -207,11 +207,13 @@ def newton_errors(model: Model, lane: ConfigurationArrays) -> list[float]:
         Over the largest displacement, down to rounding.
     """
     exact = solve(model, lane, settings=NewtonSettings(rtol=ROUNDING)).displacement
-    step = eqx.filter_jit(
-        lambda model, lane, u: factor_solve(
-            model, lane, u, -residual(model, lane, u)[None]
-        ).x[0]
-    )
+
+    @eqx.filter_jit
+    def step(model, lane, u):
+        system = linearise(model, lane, u)
+        force = system.free(-residual(model, lane, u))[None]
+        return system.scatter(system.solve(force, jnp.zeros((1, 0))).x)[0]
+
     u, errors = jnp.zeros_like(exact), [1.0]
     while errors[-1] > ROUNDING and len(errors) <= MOST_ITERATIONS:
         u = u + step(model, lane, u)

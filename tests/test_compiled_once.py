@@ -27,7 +27,6 @@ from softcal_jax.equilibrium import (
     continue_equilibrium,
     effector_values,
     energy_and_force,
-    factor_solve,
     linearise,
     marker_positions,
     sensitivity,
@@ -106,7 +105,6 @@ CALLS = {
         MODEL, LANE, u, settings=NewtonSettings()
     ),
     "energy_and_force": lambda u, lin: energy_and_force(MODEL, u),
-    "factor_solve": lambda u, lin: factor_solve(MODEL, LANE, u, u[None]),
     "linearise": lambda u, lin: linearise(MODEL, LANE, u),
     "effector_values": lambda u, lin: effector_values(MODEL, LANE, u),
     "parameter_forces": lambda u, lin: parameter_forces(MODEL, LANE, u, SPACE, Z),

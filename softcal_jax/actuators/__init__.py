@@ -28,9 +28,7 @@ from softcal_jax.actuators._forces import (
 )
 from softcal_jax.actuators._pressure import (
     Chamber as Chamber,
-    ChamberFaces as ChamberFaces,
     ChamberLids as ChamberLids,
-    PressureFaces as PressureFaces,
     SurfacePressure as SurfacePressure,
     enclosed_volumes as enclosed_volumes,
     free_rim_nodes as free_rim_nodes,

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.mesh import TetMesh, locate
 
@@ -91,10 +91,10 @@ def each_clique(
     return jax.vmap(method)(cliques, x[cliques.nodes])
 
 
-def owned(nodes: HostArray, owner: int) -> tuple[Array, Array]:
-    """Return nodes and owner of the cliques of one actuator."""
+def owned(nodes: HostArray, owner: int, *more: HostArray) -> tuple[Array, ...]:
+    """Return the arrays of the cliques of one actuator: nodes, owner and others."""
     # Not jnp.asarray, which would compile a program for every shape.
-    return jax.device_put((nodes, np.full(len(nodes), owner, nodes.dtype)))
+    return jax.device_put((nodes, np.full(len(nodes), owner, nodes.dtype), *more))
 
 
 _OUTSIDE = 1e-3
@@ -126,8 +126,7 @@ class RestState(Module):
     bodies: Mapping[str, int]
 
     def frame_nodes(self, body: str, owner: str) -> Int[HostArray, "4"]:
-        if body not in self.bodies:
-            raise unknown_name(f"rigid body of {owner}", body, self.bodies)
+        check_known(f"rigid body of {owner}", self.bodies, body)
         return self.mesh.n_nodes + 4 * self.bodies[body] + np.arange(4, dtype=np.int32)
 
     def on_mesh(

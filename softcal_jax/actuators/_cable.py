@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators._actuator import (
     AbstractActuator,
@@ -19,6 +19,7 @@ from softcal_jax.actuators._actuator import (
     ActuatorGeometry,
     Kind,
     RestState,
+    owned,
 )
 from softcal_jax.bodies import Vector, as_floats, three_numbers
 
@@ -123,8 +124,8 @@ class Cable(AbstractActuator):
         if self.friction:
             # Tension is passed on from the pulled end, which is put last here.
             order = carriers[::-1] if self.pulled_from == "first" else carriers
-            path, friction = _stacked([_along(order)], owner), float(self.friction)
-            return (FrictionalCables(*path, jnp.full(1, friction), jnp.ones(1)),)
+            pulled = np.full(1, float(self.friction)), np.ones(1)
+            return (FrictionalCables(*_stacked([_along(order)], owner, *pulled)),)
         m = 2 * max(4, rest.mesh.tets.shape[1])
         # Only segments that can change their length.
         both = zip(pairwise(carriers), pairwise(self.guides), strict=True)
@@ -139,8 +140,7 @@ class Cable(AbstractActuator):
         if guide.on == "mesh":
             return *rest.on_mesh(guide.point, owner), np.zeros(3)
         known = ["mesh", "ground", *rest.bodies]
-        if guide.on not in known:
-            raise unknown_name(f"carrier of {owner}", guide.on, known)
+        check_known(f"carrier of {owner}", known, guide.on)
         return *rest.on_body(guide.point, guide.on, owner), np.zeros(3)
 
 
@@ -161,11 +161,10 @@ def _along(guides, n_nodes: int | None = None):
     return nodes, weights, np.stack([fixed for *_, fixed in guides])
 
 
-def _stacked(pieces, owner: int) -> tuple[Array, Array, Array, Array]:
+def _stacked(pieces, owner: int, *more: HostArray) -> tuple[Array, ...]:
     """Stack what `_along` returns of several pieces, with their owner."""
-    nodes, weights, fixed = map(np.stack, zip(*pieces, strict=True))
-    of = np.full(len(pieces), owner, nodes.dtype)
-    return jax.device_put((nodes, of, weights, fixed))
+    nodes, *others = map(np.stack, zip(*pieces, strict=True))
+    return owned(nodes, owner, *others, *more)
 
 
 def _length(v: Float[Array, "3"]) -> Float[Array, ""]:

@@ -3,7 +3,6 @@
 from typing import ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -42,7 +41,7 @@ class ForceActuator(AbstractActuator):
     def cliques(self, rest: RestState, owner: int) -> "tuple[WeightedNodes]":
         nodes, weights = rest.on_mesh(self.point, self.label)
         parts = weights[None, :, None] * unit_vector("direction", self.direction)
-        return (WeightedNodes(*owned(nodes[None], owner), jax.device_put(parts)),)
+        return (WeightedNodes(*owned(nodes[None], owner, parts)),)
 
 
 class SurfaceForceActuator(AbstractActuator):
@@ -68,7 +67,7 @@ class SurfaceForceActuator(AbstractActuator):
         shares = face_shares(rest.mesh, faces)
         weights = (shares / shares.sum())[..., None]
         parts = weights * unit_vector("direction", self.direction)
-        return (WeightedNodes(*owned(faces, owner), jax.device_put(parts)),)
+        return (WeightedNodes(*owned(faces, owner, parts)),)
 
 
 class WeightedNodes(AbstractPotentialCliques):
@@ -111,8 +110,8 @@ class Motor(AbstractActuator):
     def cliques(self, rest: RestState, owner: int) -> "tuple[MotorFrames]":
         nodes = rest.frame_nodes(self.body, self.label)
         origin, first, second, _ = rest.points[nodes]
-        plane = jax.device_put(np.array([[first - origin, second - origin]]))
-        return (MotorFrames(*owned(nodes[None], owner), plane),)
+        plane = np.array([[first - origin, second - origin]])
+        return (MotorFrames(*owned(nodes[None], owner, plane)),)
 
 
 class MotorFrames(AbstractPotentialCliques):

@@ -6,7 +6,7 @@ opening to its mean.
 
 from collections import defaultdict
 from collections.abc import Iterable
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -55,10 +55,14 @@ class Chamber(AbstractActuator):
     ) -> "tuple[ChamberFaces | ChamberLids, ...]":
         faces = _outward_faces(rest.mesh, self.surface, self.label)
         openings = self._openings(rest, faces)
-        centre = np.mean(rest.points[np.unique(faces)], axis=0)
-        centres = jax.device_put(np.tile(centre, (len(faces), 1)))
-        wall = ChamberFaces(*owned(faces, owner), centres)
-        lids = [lid(rim, rest, centre, owner) for rim in openings]
+        centre = np.mean(rest.points[np.unique(faces)], axis=0, keepdims=True)
+        wall = ChamberFaces(*owned(faces, owner, centre.repeat(len(faces), axis=0)))
+        quadratic = rest.mesh.order == 2
+        shares = [_shares(rest.points[rim], quadratic)[None] for rim in openings]
+        lids = [
+            ChamberLids(*owned(rim[None], owner, share, centre), quadratic=quadratic)
+            for rim, share in zip(openings, shares, strict=True)
+        ]
         volume = enclosed_volumes((wall, *lids), rest.points)[owner]
         if not volume > 0.0:
             raise ValueError(
@@ -73,14 +77,14 @@ class Chamber(AbstractActuator):
     ) -> list[Int[HostArray, " m"]]:
         """Return the rims of the openings to seal, given faces with outward normals."""
         edges = open_edges(faces)
-        if self.seal == bool(len(edges.ends)):
+        if self.seal == bool(len(edges)):
             return rims(edges, rest.points, self.label)
         what = f"{self.label}: surface {self.surface!r}"
         if self.seal:
             raise ValueError(f"{what} is closed. Leave seal out.")
-        where = rest.points[edges.ends[0]].mean(axis=0)
+        where = rest.points[edges[0, [0, -1]]].mean(axis=0)
         raise ValueError(
-            f"{what} is not closed, it has {len(edges.ends)} open edges, one at "
+            f"{what} is not closed, it has {len(edges)} open edges, one at "
             f"{where.tolist()} m. Add the faces of the wall that are missing, seal the "
             "opening if it is an inlet (seal = true), or take a SurfacePressure."
         )
@@ -107,8 +111,10 @@ class ChamberFaces(AbstractPressedFaces, AbstractPotentialCliques):
 
     centre: Float[Array, "*cliques 3"]
 
-    def contribution(self, x: Float[Array, "n_fn 3"]) -> Float[Array, ""]:
-        return _cones(x - self.centre[None])
+    def contribution(self, x: Float[AnyArray, "*n n_fn 3"]) -> Any:
+        arm = x - self.centre[..., None, :]
+        n_dA, N = _vector_areas(arm)
+        return -(n_dA * (N @ arm)).sum(axis=(-2, -1)) / 3.0
 
 
 class SurfacePressure(AbstractActuator):
@@ -168,23 +174,12 @@ def enclosed_volumes(
     """
     volumes: dict[int, float] = defaultdict(float)
     for group in cliques:
-        if not isinstance(group, ChamberFaces | ChamberLids):
-            continue
-        arms = x[np.asarray(group.nodes)] - np.asarray(group.centre)[:, None]
-        if isinstance(group, ChamberFaces):
-            cones = np.asarray(_cones(arms))
-        else:
-            lids = zip(arms, np.asarray(group.weights), strict=True)
-            cones = [lid_cone(*each, quadratic=group.quadratic) for each in lids]
-        for owner, cone in zip(np.asarray(group.owner).tolist(), cones, strict=True):
-            volumes[owner] += float(cone)
+        if isinstance(group, ChamberFaces | ChamberLids):
+            all_at_once = jax.device_get(group)
+            cones = all_at_once.contribution(x[all_at_once.nodes])
+            for owner, cone in zip(all_at_once.owner.tolist(), cones, strict=True):
+                volumes[owner] += float(cone)
     return dict(volumes)
-
-
-def _cones(arm: Float[AnyArray, "*n n_fn 3"]) -> Any:
-    """Compute the volumes of cones from the origin to one face, or to many [m3]."""
-    n_dA, N = _vector_areas(arm)
-    return -(n_dA * (N @ arm)).sum(axis=(-2, -1)) / 3.0
 
 
 def _vector_areas(x: Float[AnyArray, "*n n_fn 3"]) -> tuple[Any, Any]:
@@ -203,19 +198,12 @@ def _vector_areas(x: Float[AnyArray, "*n n_fn 3"]) -> tuple[Any, Any]:
     return weights[:, None] * xp.cross(tangents[0], tangents[1]), N
 
 
-class OpenEdges(NamedTuple):
-    """Edges that faces do not traverse equally often in both directions.
+def open_edges(faces: Int[HostArray, "n _"]) -> Int[HostArray, "n_edges _"]:
+    """Find the open edges of a surface, given its faces with consistent normals.
 
-    `ends` follow the direction that prevails, which occurs `excess` times more often.
+    Faces do not traverse them equally often in both directions. The nodes of each are
+    in the direction that prevails; one that prevails twice is listed twice.
     """
-
-    ends: Int[HostArray, "n_edges 2"]
-    mids: Int[HostArray, "n_edges n_mids"]
-    excess: Int[HostArray, " n_edges"]
-
-
-def open_edges(faces: Int[HostArray, "n_faces n_fn"]) -> OpenEdges:
-    """Find the open edges of a surface, given its faces with consistent normals."""
     corners = faces[:, :3]
     ways = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 2)
     mids = faces[:, 3:].reshape(len(ways), -1)
@@ -227,50 +215,31 @@ def open_edges(faces: Int[HostArray, "n_faces n_fn"]) -> OpenEdges:
     excess = total[edge] * sense
     open_ways = np.flatnonzero(excess > 0)
     chosen = open_ways[np.unique(edge[open_ways], return_index=True)[1]]
-    return OpenEdges(ways[chosen], mids[chosen], excess[chosen])
+    nodes = np.column_stack([ways[:, 0], mids, ways[:, 1]])
+    return np.repeat(nodes[chosen], excess[chosen], axis=0)
 
 
 def rims(
-    edges: OpenEdges, points: Float[HostArray, "n_all 3"], owner: str
+    edges: Int[HostArray, "n_edges _"], points: Float[HostArray, "n_all 3"], owner: str
 ) -> list[Int[HostArray, " m"]]:
     """Link open edges to closed rings of corners, with mid nodes between them."""
-    starts, count = np.unique(edges.ends[:, 0], return_counts=True)
-    crowded = starts[count > 1].tolist() + edges.ends[edges.excess > 1, 0].tolist()
-    if crowded:
+    starts, count = np.unique(edges[:, 0], return_counts=True)
+    crowded = starts[count > 1]
+    if crowded.size:
         where = readable_values(points[crowded[0]].tolist(), "m")
         raise ValueError(
             f"{owner}: openings of the wall meet at {where}. Choose the faces of the "
             "wall so that they are apart."
         )
-    following = {int(a): k for k, a in enumerate(edges.ends[:, 0])}
+    following = {int(side[0]): side for side in edges}
     rings = []
     while following:
         node, ring = next(iter(following)), []
         while node in following:
-            k = following.pop(node)
-            ring += [node, *edges.mids[k].tolist()]
-            node = int(edges.ends[k, 1])
-        rings.append(np.array(ring, edges.ends.dtype))
+            *part, node = following.pop(node).tolist()
+            ring += part
+        rings.append(np.array(ring, edges.dtype))
     return rings
-
-
-def lid_cone(
-    arm: Float[Array | HostArray, "m 3"],
-    weights: Float[Array | HostArray, " m"],
-    *,
-    quadratic: bool,
-) -> Any:
-    """Compute the volume of the cone from the origin to a lid, given its rim [m3]."""
-    xp: Any = np if isinstance(arm, np.ndarray) else jnp
-    if quadratic:
-        # The integral of x cross dx along the parabola through a, m and b.
-        a, m = arm[0::2], arm[1::2]
-        b = xp.roll(a, -1, axis=0)
-        turns = 4.0 * (xp.cross(a, m) + xp.cross(m, b)) - xp.cross(a, b)
-        area = xp.sum(turns, axis=0) / 6.0
-    else:
-        area = 0.5 * xp.sum(xp.cross(arm, xp.roll(arm, -1, axis=0)), axis=0)
-    return xp.dot(weights @ arm, area) / 3.0
 
 
 class ChamberLids(AbstractPotentialCliques):
@@ -291,8 +260,16 @@ class ChamberLids(AbstractPotentialCliques):
     centre: Float[Array, "*cliques 3"]
     quadratic: bool = eqx.field(static=True)
 
-    def contribution(self, x: Float[Array, "m 3"]) -> Float[Array, ""]:
-        return lid_cone(x - self.centre[None], self.weights, quadratic=self.quadratic)
+    def contribution(self, x: Float[AnyArray, "*n m 3"]) -> Any:
+        xp: Any = np if isinstance(x, np.ndarray) else jnp
+        arm = x - self.centre[..., None, :]
+        a = arm[..., :: 1 + self.quadratic, :]
+        b = xp.roll(a, -1, axis=-2)
+        mid = arm[..., 1::2, :] if self.quadratic else 0.5 * (a + b)
+        # The integral of x cross dx along the parabola through a, mid and b.
+        turns = 4.0 * (xp.cross(a, mid) + xp.cross(mid, b)) - xp.cross(a, b)
+        mean = xp.sum(self.weights[..., None] * arm, axis=-2)
+        return xp.sum(mean * xp.sum(turns, axis=-2), axis=-1) / 18.0
 
     def picture(self, x: Float[HostArray, "n_all 3"]) -> ActuatorGeometry:
         return ActuatorGeometry()  # neither material nor faces
@@ -309,19 +286,6 @@ def free_rim_nodes(
     lids = [group for group in groups if isinstance(group, ChamberLids)]
     rims = [np.asarray(each.nodes)[np.asarray(each.owner) == owner] for each in lids]
     return len({node for rim in rims for node in rim.ravel() if not fixed[node].all()})
-
-
-def lid(
-    rim: Int[HostArray, " m"],
-    rest: RestState,
-    centre: Float[HostArray, "3"],
-    owner: int,
-) -> ChamberLids:
-    """Close an opening, given by its ring of nodes."""
-    quadratic = rest.mesh.order == 2
-    weights = jax.device_put(_shares(rest.points[rim], quadratic)[None])
-    of, o = owned(rim[None], owner), jax.device_put(centre[None])
-    return ChamberLids(*of, weights, o, quadratic=quadratic)
 
 
 def _shares(x: Float[HostArray, "m 3"], quadratic: bool) -> Float[HostArray, " m"]:

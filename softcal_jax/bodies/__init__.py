@@ -1,17 +1,15 @@
 """Rigid bodies: groups of nodes that move as one frame."""
 
-from softcal_jax.bodies._arrays import (
-    BodyArrays as BodyArrays,
-    BodyStateArrays as BodyStateArrays,
-    body_arrays as body_arrays,
-)
 from softcal_jax.bodies._body import (
     KINDS as KINDS,
+    BodyArrays as BodyArrays,
     BodyState as BodyState,
+    BodyStateArrays as BodyStateArrays,
     Pose as Pose,
     RigidBody as RigidBody,
     Vector as Vector,
     as_floats as as_floats,
+    body_arrays as body_arrays,
     hinge_axes as hinge_axes,
     if_any as if_any,
     three_numbers as three_numbers,

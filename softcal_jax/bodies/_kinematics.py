@@ -12,8 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Bool, Float, HostArray
-from softcal_jax.bodies._arrays import BodyArrays, BodyStateArrays
-from softcal_jax.bodies._body import KINDS
+from softcal_jax.bodies._body import (
+    KINDS,
+    BodyArrays,
+    BodyStateArrays,
+    hinge_axes,
+)
 
 # Squared angle below which the series are exact to rounding [rad2].
 _SMALL = 1e-4
@@ -36,16 +40,8 @@ def cross_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
 
 def rotation_matrix(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
     """Compute the matrix exp(hat(w)) of a rotation vector [rad] (Rodrigues)."""
-    square = jnp.sum(w * w)
-    small = square < _SMALL
-    angle = _safe_angle(square)
-    sine = jnp.where(
-        small,
-        1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0)),
-        jnp.sin(angle) / angle,
-    )
-    W = cross_matrix(w)
-    return jnp.eye(3) + sine * W + _versine(square) * (W @ W)
+    square, W = jnp.sum(w * w), cross_matrix(w)
+    return jnp.eye(3) + _sinc(square) * W + _versine(square) * (W @ W)
 
 
 def _safe_angle(square: Float[Array, ""]) -> Float[Array, ""]:
@@ -56,14 +52,16 @@ def _safe_angle(square: Float[Array, ""]) -> Float[Array, ""]:
     return jnp.sqrt(jnp.where(square < _SMALL, 1.0, square))
 
 
-def _versine(square: Float[Array, ""]) -> Float[Array, ""]:
-    """Compute (1 - cos a) / a^2 of the angle a with this square."""
+def _sinc(square: Float[Array, ""]) -> Float[Array, ""]:
+    """Compute sin(a) / a of the angle a with this square."""
     angle = _safe_angle(square)
-    return jnp.where(
-        square < _SMALL,
-        0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0)),
-        (1.0 - jnp.cos(angle)) / angle**2,
-    )
+    series = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
+    return jnp.where(square < _SMALL, series, jnp.sin(angle) / angle)
+
+
+def _versine(square: Float[Array, ""]) -> Float[Array, ""]:
+    """Compute (1 - cos a) / a^2, by half the angle so that nothing cancels."""
+    return 0.5 * _sinc(0.25 * square) ** 2
 
 
 def rotation_vector(R: Float[Array, "3 3"]) -> Float[Array, "3"]:
@@ -126,13 +124,9 @@ def angle_about(
 ) -> Float[Array, ""]:
     """Compute the angle of the rotation other^T R about an axis fixed on the other."""
     relative = jnp.sum(other[:, :, None] * R[:, None, :], axis=0)
-    # A direction normal to the axis, from the coordinate axis farthest from it.
-    start = np.eye(3)[np.argmin(np.abs(axis))]
-    across = start - axis * np.sum(axis * start)
-    across = across / np.linalg.norm(across)
-    turned = jnp.sum(relative * across[None, :], axis=1)
-    y = jnp.sum(turned * np.cross(axis, across))
-    return jnp.arctan2(y, jnp.sum(turned * across))
+    first, second, _ = hinge_axes(axis)
+    turned = jnp.sum(relative * first[None, :], axis=1)
+    return jnp.arctan2(jnp.sum(turned * second), jnp.sum(turned * first))
 
 
 def frame_nodes(bodies: BodyArrays, frames: Frames) -> Float[Array, "n_b 4 3"]:
@@ -189,7 +183,7 @@ def _screw(w: Float[Array, "3"]) -> tuple[Float[Array, "3 3"], Float[Array, "3 3
     W = cross_matrix(w)
     W2 = W @ W
     V = jnp.eye(3) + first * W + second * W2
-    across = jnp.where(small, 1.0 - square / 12.0, 2.0 * first)
+    across = 2.0 * first
     along = 1.0 / (1.0 + WIND**2)
     # -W^2 / a^2 projects onto the plane across the axis.
     more = jnp.where(small, 0.0, (along - 1.0 / (across + WIND**2)) / angle**2)

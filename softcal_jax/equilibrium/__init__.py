@@ -3,7 +3,6 @@
 from softcal_jax._results import RESULTS as RESULTS
 from softcal_jax.equilibrium._approach import Known as Known
 from softcal_jax.equilibrium._assembly import (
-    TetStates as TetStates,
     add_weighted as add_weighted,
     energy_and_force as energy_and_force,
     field_forces as field_forces,
@@ -33,12 +32,21 @@ from softcal_jax.equilibrium._effectors import (
     actuator_forces as actuator_forces,
     effector_values as effector_values,
 )
-from softcal_jax.equilibrium._element import Formulation as Formulation
+from softcal_jax.equilibrium._element import (
+    Formulation as Formulation,
+    TetStates as TetStates,
+)
 from softcal_jax.equilibrium._linearisation import (
+    InputRows as InputRows,
     Linearisation as Linearisation,
-    factor_solve as factor_solve,
+    Readings as Readings,
+    Sensitivity as Sensitivity,
+    adjoint_rows as adjoint_rows,
+    derivatives as derivatives,
+    input_rows as input_rows,
     linearise as linearise,
     residual as residual,
+    sensitivity as sensitivity,
     solved_forces as solved_forces,
 )
 from softcal_jax.equilibrium._model import Model as Model
@@ -47,10 +55,7 @@ from softcal_jax.equilibrium._path import (
     EquilibriumPath as EquilibriumPath,
     LoadPath as LoadPath,
 )
-from softcal_jax.equilibrium._posed import (
-    external_force as external_force,
-    one_lane as one_lane,
-)
+from softcal_jax.equilibrium._posed import one_lane as one_lane
 from softcal_jax.equilibrium._robot_state import (
     ActuatorState as ActuatorState,
     BodyPlace as BodyPlace,
@@ -59,15 +64,6 @@ from softcal_jax.equilibrium._robot_state import (
     actuator_states as actuator_states,
     marker_positions as marker_positions,
     robot_states as robot_states,
-)
-from softcal_jax.equilibrium._sensitivity import (
-    InputRows as InputRows,
-    Readings as Readings,
-    Sensitivity as Sensitivity,
-    adjoint_rows as adjoint_rows,
-    derivatives as derivatives,
-    input_rows as input_rows,
-    sensitivity as sensitivity,
 )
 from softcal_jax.equilibrium._solve import (
     EquilibriumSolution as EquilibriumSolution,

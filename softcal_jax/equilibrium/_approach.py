@@ -57,9 +57,7 @@ def unloaded(configuration: ConfigurationArrays) -> Known:
     return Known(rest, jax.device_put(np.zeros(np.shape(configuration.imposed))))
 
 
-def distances(
-    configurations: Sequence[ConfigurationArrays],
-) -> Float[HostArray, "n n"]:
+def distances(configurations: Sequence[ConfigurationArrays]) -> Float[HostArray, "n n"]:
     """Compute by how much what acts and is imposed differs [-].
 
     A number counts per the largest of its kind, an array by its root mean square. It is

@@ -2,17 +2,19 @@
 
 import functools
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Array, Float
 from softcal_jax.elements import determinant, sum_of
 from softcal_jax.equilibrium._element import (
     Tet,
+    TetStates,
+    TetStresses,
     deformation_gradients,
     element_energy_and_force,
     element_state,
@@ -21,15 +23,15 @@ from softcal_jax.equilibrium._element import (
     mean_dilatation,
     mixed_newton,
 )
-from softcal_jax.equilibrium._model import Model, Nodal, check_law, to_blocks
+from softcal_jax.equilibrium._model import Model, Nodal, check_law
 from softcal_jax.equilibrium._sparsity import element_entries
+from softcal_jax.materials import split_law
 
-FieldOfLaw = Callable[[Any], Any]
-"""Accessor of one field of a law, as `eqx.tree_at` expects it."""
+T = TypeVar("T")
 
 
 def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, **same):
-    """Apply a function of (u, tet, active, ...) to all tets, block by block.
+    """Apply a function of (u, tet, ...) to all tets, block by block.
 
     The kernel is defined at module level so that its trace is cached; a closure would
     be traced at every call and keep its program alive. `per_tet` are further values of
@@ -40,26 +42,25 @@ def _map_blocks(model: Model, u: Float[Array, "n_points _"], kernel, *per_tet, *
             f"displacements have the shape {u.shape}; expected ({model.n_points}, 3): "
             "nodes of the mesh, then those of the rigid bodies' frames."
         )
-    law, shared = model.law_blocks()
-    shared, static = eqx.partition(shared, eqx.is_array)
+    law, shared = split_law(model.law)
+    law = jax.tree.map(model.blocks, law)
     blocks = (model.shape_gradients, model.weights, law, model.active)
-    arrays = {name: value for name, value in same.items() if eqx.is_array(value)}
-    options = tuple((name, same[name]) for name in same if name not in arrays)
+    arrays, static = eqx.partition((shared, same), eqx.is_array)
     # Flattened, as a module that holds a list has no hash.
     leaves, tree = jax.tree.flatten(static)
-    how = kernel, model.has_volume_unknowns, options, tuple(leaves), tree
-    return _mapped(how, u, arrays, shared, model.nodes, *blocks, *per_tet)
+    how = kernel, model.has_volume_unknowns, tuple(leaves), tree
+    return _mapped(how, u, arrays, model.nodes, *blocks, *per_tet)
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _mapped(how, u, arrays, shared, nodes, *of_tets):
-    kernel, mixed, options, leaves, tree = how
-    static = jax.tree.unflatten(tree, leaves)
+def _mapped(how, u, arrays, nodes, *of_tets):
+    kernel, mixed, leaves, tree = how
+    shared, same = eqx.combine(arrays, jax.tree.unflatten(tree, leaves))
     axes = (-1, -1, -1, 0, -1) + (-1,) * (len(of_tets) - 4)
 
-    def one(u, dN, w, law, *others):
-        tet = Tet(dN, w, eqx.combine(law, shared, static), mixed)
-        return kernel(u, tet, *others, **arrays, **dict(options))
+    def one(u, dN, w, law, active, *others):
+        tet = Tet(dN, w, eqx.combine(law, shared), active, mixed)
+        return kernel(u, tet, *others, **same)
 
     vectorised = jax.vmap(one, in_axes=axes, out_axes=-1)
 
@@ -70,60 +71,29 @@ def _mapped(how, u, arrays, shared, nodes, *of_tets):
     return jax.lax.map(block, (nodes, *of_tets))
 
 
-class TetStates(NamedTuple):
-    """Strain energy [J], mean Cauchy stress [Pa] and F at quadrature points of tets."""
-
-    energy: Float[HostArray, " n_tets"]
-    cauchy: Float[HostArray, "n_tets 3 3"]
-    F: Float[HostArray, "n_tets n_qp 3 3"]
-
-
 def tet_states(model: Model, u: Nodal) -> TetStates:
     """Compute energy, stress and deformation of each tet; zero energy if rigid."""
-    return TetStates(*map(np.asarray, _states(model, u)))
+    return jax.tree.map(np.asarray, _states(model, u))
 
 
 @eqx.filter_jit
-def _states(model: Model, u: Nodal):
-    return [_by_tet(model, v) for v in _map_blocks(model, u, _state)]
+def _states(model: Model, u: Nodal) -> TetStates:
+    return _by_tet(model, _map_blocks(model, u, element_state))
 
 
-def _by_tet(model: Model, values: Float[Array, "n_blocks ... block"]):
-    """Return the values of all tets, without the copies that pad the last block."""
-    by_tet = jnp.moveaxis(values, -1, 1)
-    return by_tet.reshape(-1, *by_tet.shape[2:])[: model.n_tets]
+def _by_tet(model: Model, blocks: T) -> T:
+    """Return values of all tets, without the copies that pad the last block."""
 
+    def joined(values):
+        by_tet = jnp.moveaxis(values, -1, 1)
+        return by_tet.reshape(-1, *by_tet.shape[2:])[: model.n_tets]
 
-def _state(u, tet, active):
-    energy, cauchy, F = element_state(u, tet)
-    return active * energy, active * cauchy, F
-
-
-class TetStresses(NamedTuple):
-    """Stress and deformation of tets; see `element_stresses`.
-
-    Attributes:
-        stress: First Piola-Kirchhoff stress P at the quadrature points [Pa].
-        F: Mean deformation gradient [-].
-        excess: J - J_bar at the points with "mean-dilatation", else None [-].
-        pressure_slope: Derivative of the pressure by the displacement gradient at the
-            points, times their shares of the volume, else None [Pa].
-    """
-
-    stress: Float[Array, "n_tets n_qp 3 3"]
-    F: Float[Array, "n_tets 3 3"]
-    excess: Float[Array, "n_tets n_qp"] | None = None
-    pressure_slope: Float[Array, "n_tets n_qp 3 3"] | None = None
+    return jax.tree.map(joined, blocks)
 
 
 def tet_stresses(model: Model, u: Nodal) -> TetStresses:
     """Compute stress and deformation of each tet."""
-    return TetStresses(*(_by_tet(model, v) for v in _map_blocks(model, u, _stresses)))
-
-
-def _stresses(u, tet, active):
-    del active
-    return element_stresses(u, tet)
+    return _by_tet(model, _map_blocks(model, u, element_stresses))
 
 
 def force_of_gradients(model: Model, values: Float[Array, "n_tets n_qp 3 3"]) -> Nodal:
@@ -132,8 +102,7 @@ def force_of_gradients(model: Model, values: Float[Array, "n_tets n_qp 3 3"]) ->
     The values are stresses times the volumes of the points [Pa m3]; those of a tet that
     does not deform do not count.
     """
-    n_blocks, _, block = model.weights.shape
-    blocked = jnp.moveaxis(to_blocks(values, model.n_tets, n_blocks, block), 1, -1)
+    blocked = jnp.moveaxis(model.blocks(values), 1, -1)
     both = jnp.einsum("bqiJt,bqaJt->bait", blocked, model.shape_gradients)
     return _add_forces(model, model.active[:, None, None] * both)
 
@@ -143,8 +112,8 @@ def internal_force(model: Model, u: Nodal) -> Nodal:
     return _add_forces(model, _map_blocks(model, u, _force))
 
 
-def _force(u, tet, active):
-    return active * element_energy_and_force(u, tet)[1]
+def _force(u, tet):
+    return tet.active * element_energy_and_force(u, tet)[1]
 
 
 def energy_and_force(model: Model, u: Nodal):
@@ -154,10 +123,10 @@ def energy_and_force(model: Model, u: Nodal):
     return jnp.sum(energy), jnp.sum(jnp.abs(energy)), force, jnp.min(det)
 
 
-def _energy_and_force(u, tet, active):
+def _energy_and_force(u, tet):
     energy, force = element_energy_and_force(u, tet)
     det = jax.vmap(determinant)(deformation_gradients(u, tet.dN))
-    return active * energy, active * force, jnp.min(det)
+    return tet.active * energy, tet.active * force, jnp.min(det)
 
 
 def tangent_values(
@@ -174,10 +143,10 @@ def tangent_values(
     return _add_entries(model, _map_blocks(model, both, _stiffness, **options))
 
 
-def _stiffness(u, tet, active, symmetric, stepped):
+def _stiffness(u, tet, symmetric, stepped):
     u, before = u[:, :3], None if stepped is None else u[:, 3:]
     K = element_stiffness(u, tet, before, stepped)
-    return active * _kept(K, symmetric)
+    return tet.active * _kept(K, symmetric)
 
 
 def mixed_tangent(
@@ -190,9 +159,9 @@ def mixed_tangent(
     return _add_entries(model, entries), _add_forces(model, forces)
 
 
-def _mixed_newton(u, tet, active, theta, symmetric):
+def _mixed_newton(u, tet, theta, symmetric):
     K, f = mixed_newton(u, theta, tet)
-    return active * _kept(K, symmetric), active * f
+    return tet.active * _kept(K, symmetric), tet.active * f
 
 
 def _kept(K: Float[Array, "n_en 3 n_en 3"], symmetric: bool):
@@ -208,8 +177,7 @@ def predicted_dilatation(
     return _map_blocks(model, jnp.concatenate([u, du], axis=1), _predicted_dilatation)
 
 
-def _predicted_dilatation(both, tet, active):
-    del active
+def _predicted_dilatation(both, tet):
     u, du = both[:, :3], both[:, 3:]
     J, dJ = jax.jvp(lambda u: mean_dilatation(u, tet), (u,), (du,))
     # First order is meaningless where a step would invert a tet: limit to a factor 4.
@@ -217,30 +185,31 @@ def _predicted_dilatation(both, tet, active):
 
 
 def field_forces(
-    model: Model, u: Nodal, fields: Mapping[str, FieldOfLaw]
+    model: Model, u: Nodal, fields: Mapping[str, Callable[[Any], Any]]
 ) -> dict[str, Float[Array, "n_blocks n_en 3 block"]]:
     """Differentiate each tet's internal force by its own value of some fields [N].
 
+    Each field is a function, which can be hashed, from a model to a field of its law.
     One pass over the tets gives the derivatives by all values. Those by a parameter
     that spreads a field over the mesh are weighted sums of these.
     """
     return _map_blocks(model, u, _field_forces, fields=tuple(fields.items()))
 
 
-def _field_forces(u, tet, active, fields):
-    values = {name: where(tet.law) for name, where in fields}
+def _field_forces(u, tet, fields):
+    values = {name: where(tet) for name, where in fields}
 
     def force(values):
-        law = tet.law
+        changed = tet
         for name, where in fields:
-            law = eqx.tree_at(where, law, values[name])
-        return element_energy_and_force(u, tet._replace(law=law))[1]
+            changed = eqx.tree_at(where, changed, values[name])
+        return element_energy_and_force(u, changed)[1]
 
     # Linearise once: what a law computes from F is shared by all fields.
     _, slope = jax.linearize(force, values)
     still = jax.tree.map(jnp.zeros_like, values)
     along = lambda name: slope(still | {name: jnp.ones_like(values[name])})
-    return {name: active * along(name) for name in values}
+    return {name: tet.active * along(name) for name in values}
 
 
 def add_weighted(
@@ -251,9 +220,7 @@ def add_weighted(
     """Sum `field_forces`, weighted by the change of each field per parameter [N]."""
 
     def of_tets(name, weight):
-        n_blocks, *_, block = forces[name].shape
-        blocked = to_blocks(weight, model.n_tets, n_blocks, block)
-        return forces[name] * blocked[:, None, None, :]
+        return forces[name] * model.blocks(weight)[:, None, None, :]
 
     def one(weight):
         return _add_forces(model, sum_of(of_tets(n, w) for n, w in weight.items()))

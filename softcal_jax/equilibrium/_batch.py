@@ -161,29 +161,25 @@ def _from_nearest(
     Those go side by side that have no other to wait for: one that is nearer to what is
     known, and nearer to them than that. So the order does not depend on the cores.
     """
-    first, each = len(known), [*begun]
-    states = dict(enumerate(known))
+    states, lane_at = dict(enumerate(known)), dict(enumerate(begun, len(known)))
     of_known = [state.configuration for state in known]
-    apart = distances([*of_known, *(lanes.each[c] for c in each)])
-    waiting = list(range(first, len(apart)))
-    while waiting:
+    apart = distances([*of_known, *(lanes.each[c] for c in lane_at.values())])
+    while waiting := [*lane_at]:
         to_known = apart[np.ix_([*states], waiting)]
         nearest = np.min(to_known, axis=0, initial=np.inf)
         beside = apart[np.ix_(waiting, waiting)]
         waits = (nearest[:, None] < nearest) & (beside < nearest)
-        ready = np.flatnonzero(~waits.any(axis=0) & np.isfinite(nearest))
-        calls = []
-        for k in ready:
+        calls = {}
+        for k in np.flatnonzero(~waits.any(axis=0) & np.isfinite(nearest)):
             near = states[[*states][int(np.argmin(to_known[:, k]))]]
-            c = each[waiting[k] - first]
-            calls.append(partial(lanes.from_known, c, near, begun[c]))
+            c = lane_at[waiting[k]]
+            calls[waiting[k]] = partial(lanes.from_known, c, near, begun[c])
         if not calls:  # none holds and imposes the same: the last one is a guess
             last = [*states.values()][-1].displacement if states else None
-            ready, calls = [0], [partial(lanes.solve, each[waiting[0] - first], last)]
-        solutions = lanes.workers.side_by_side(calls)
-        for row, solution in zip([waiting[k] for k in ready], solutions, strict=True):
-            c = each[row - first]
-            waiting.remove(row)
+            calls[waiting[0]] = partial(lanes.solve, lane_at[waiting[0]], last)
+        solutions = lanes.workers.side_by_side(calls.values())
+        for row, solution in zip(calls, solutions, strict=True):
+            c = lane_at.pop(row)
             if arc_length and not solution.converged:
                 solution = lanes.along_path(c, solution)
             if solution.converged:

@@ -4,7 +4,6 @@ After a step of the parameters, x + (dx/dp) dp is close to the new equilibrium, 
 or two full Newton steps reach it.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -17,14 +16,15 @@ from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._assembly import tangent_values
 from softcal_jax.equilibrium._balance import (
     Point,
+    Residual,
     estimated_forces,
     evaluate,
     merit,
     nodal_tangent,
     relative,
     unbalanced,
+    zeros_of,
 )
-from softcal_jax.equilibrium._bordered import zeros_of
 from softcal_jax.equilibrium._direction import (
     Factor,
     Step,
@@ -65,19 +65,23 @@ of any data. Above this residual, the tangent is assembled once more at the end.
 
 
 class _Quick(NamedTuple):
-    """State of the quick steps.
+    """State of the quick steps; nothing was solved before the first of them.
 
-    `before` is where the last step began, or where it ended if the residual is small
-    (`SHORT`), and `sharp` tells whether that is below `SHARP`. `factor` belongs to the
-    last Newton step; with `chord` the next step reuses it. `arrived`: converged, but
-    the tangent is still that of an earlier state.
+    `residual` and `steps` are those of the last step that was taken. `before` is where
+    the last step began, or where it ended if the residual is small (`SHORT`), and
+    `sharp` tells whether that is below `SHARP`. `factor` belongs to the last Newton
+    step; with `chord` the next step reuses it. `arrived`: in equilibrium, but the
+    tangent may still be that of an earlier state; `converged`: and that step was taken.
     """
 
-    solution: EquilibriumSolution
     point: Point
+    lambda_a: Float[Array, " n_a"]
+    residual: Residual
+    steps: Int[Array, ""]
+    n_negative: Int[Array, ""]
+    converged: Bool[Array, ""]
     before: Nodal
     sharp: Bool[Array, ""]
-    lambda_a: Float[Array, " n_a"]
     factor: Factor
     chord: Bool[Array, ""]
     arrived: Bool[Array, ""]
@@ -119,15 +123,28 @@ def continue_equilibrium(
     quick = _QuickSteps(tabulated, settings, most, precise)
     start = quick.start(guess, before)
     state = jax.lax.while_loop(lambda s: ~s.done, quick.step, start)
-    u, lambda_a = state.solution.displacement, state.solution.multipliers
+    u, lambda_a = state.point.u, state.lambda_a
     # Without an equilibrium, no displacement may be mistaken for one.
-    or_nan = lambda a: jnp.where(state.solution.converged, a, jnp.nan)
-    solution = replace(
-        state.solution, displacement=or_nan(u), multipliers=or_nan(lambda_a)
+    or_nan = lambda a: jnp.where(state.converged, a, jnp.nan)
+    unknown = jnp.full_like(state.residual.size, jnp.nan)
+    solution = EquilibriumSolution(
+        displacement=or_nan(u),
+        multipliers=or_nan(lambda_a),
+        result=RESULTS.where(state.converged, RESULTS.converged, RESULTS.max_steps),
+        steps=state.steps,
+        load_steps=jnp.minimum(state.steps, 1),
+        load_reached=jnp.minimum(state.steps, 1).astype(u.dtype),
+        residual=state.residual.size,
+        rounding=state.residual.rounding,
+        at_rounding=state.residual.at_rounding(settings.rtol),
+        min_det_F=state.point.min_det_F,
+        n_negative=state.n_negative,
+        approached=unknown,
+        along_path=unknown,
     )
     return solution, Linearisation(
         posed=posed,
-        point=state.point._replace(u=u),
+        point=state.point,
         lambda_a=lambda_a,
         # Compiled only for inputs that move something held, and readings of forces.
         nodal=nodal_tangent(posed, u, lambda_a, tangent_values(quick.model, u)),
@@ -158,30 +175,18 @@ class _QuickSteps(NamedTuple):
         # After a moved support, only the careful solve is safe.
         usable = usable & ~jnp.any(posed.motion(rigid, held) != 0.0)
         lambda_a = estimated_forces(posed, point)
-        no, zero = jnp.zeros((), bool), jnp.zeros(())
-        count = jnp.zeros((), jnp.int32)
+        no, count = jnp.zeros((), bool), jnp.zeros((), jnp.int32)
         before = held if before is None else before
         size = self.residual(point, lambda_a)
         return _Quick(
-            solution=EquilibriumSolution(
-                displacement=point.u,
-                multipliers=lambda_a,
-                result=RESULTS.max_steps,
-                steps=count,
-                load_steps=count,
-                load_reached=zero,
-                residual=zero + jnp.inf,
-                rounding=zero,
-                at_rounding=no,
-                min_det_F=point.min_det_F,
-                n_negative=count,
-                approached=zero + jnp.nan,
-                along_path=zero + jnp.nan,
-            ),
             point=point,
+            lambda_a=lambda_a,
+            residual=Residual(jnp.full_like(size, jnp.inf), jnp.zeros_like(size)),
+            steps=count,
+            n_negative=count,
+            converged=no,
             before=jnp.where(size <= SHORT, point.u, before),
             sharp=size <= SHARP,
-            lambda_a=lambda_a,
             # Nothing yet, and not ok.
             factor=zeros_of(lambda: self.newton_step(point, lambda_a, held, None)[1]),
             chord=no,
@@ -214,7 +219,7 @@ class _QuickSteps(NamedTuple):
 
     def step(self, s: _Quick) -> _Quick:
         """Take a Newton step, with a new factor unless `arrived`, or a chord step."""
-        posed, rtol, solution = self.posed, self.settings.rtol, s.solution
+        posed, rtol, last = self.posed, self.settings.rtol, s.residual
         newton_step = lambda: self.newton_step(s.point, s.lambda_a, s.before, s.arrived)
         if self.model.with_multiplier.size > 0:
             step, factor = newton_step()
@@ -233,41 +238,27 @@ class _QuickSteps(NamedTuple):
         stable = factor.ok & (factor.n_negative <= 0) & (new.min_det_F > 0.0)
         sound = stable & jnp.isfinite(new.energy) & jnp.isfinite(residual.size)
         arrived = sound & residual.settled(rtol)
-        falls = residual.size <= solution.residual
-        steps = solution.steps + anew.astype(solution.steps.dtype)
+        falls = residual.size <= last.size
+        steps = s.steps + anew.astype(s.steps.dtype)
         contracts = s.chord | (sound & falls & (steps < self.most))
         # The residual says nothing of gaps that actuators still have to close.
         sharp = s.sharp & anew & (self.model.with_multiplier.size == 0)
-        last = s.arrived | (arrived & (sharp | ~jnp.asarray(self.precise)))
-        quick = replace(
-            solution,
-            displacement=new.u,
-            multipliers=new_lambda,
-            result=RESULTS.where(arrived, RESULTS.converged, RESULTS.max_steps),
-            steps=steps,
-            load_steps=jnp.ones_like(steps),
-            load_reached=jnp.ones_like(residual.size),
-            residual=residual.size,
-            rounding=residual.rounding,
-            at_rounding=residual.at_rounding(rtol),
-            min_det_F=new.min_det_F,
-            n_negative=factor.n_negative,
-        )
+        done = s.arrived | (arrived & (sharp | ~jnp.asarray(self.precise)))
         taken = sound & (falls | anew)
         # Extrapolate the fall of the residual: will a few chord steps be enough?
-        rate = residual.size / solution.residual
+        rate = residual.size / last.size
         to_come = residual._replace(size=residual.size * rate**MOST_CHORDS)
         close = jnp.where(s.chord, to_come.settled(rtol), residual.size <= CHORDS_FROM)
-        pick = lambda a, b: jnp.where(taken, a, b)
         size = self.residual(new, new_lambda)
+        old = s.point, s.lambda_a, last, s.steps, s.n_negative, s.converged
+        moved = new, new_lambda, residual, steps, factor.n_negative, arrived
+        pick = lambda a, b: jnp.where(taken, a, b)
         return _Quick(
-            solution=jax.tree.map(pick, quick, solution),
-            point=jax.tree.map(pick, new, s.point),
+            *jax.tree.map(pick, moved, old),
             before=jnp.where(taken & (size <= SHORT), new.u, s.point.u),
             sharp=taken & (size <= SHARP),
-            lambda_a=pick(new_lambda, s.lambda_a),
             factor=factor,
             chord=taken & ~arrived & close,
             arrived=arrived,
-            done=last | ~(arrived | contracts),
+            done=done | ~(arrived | contracts),
         )

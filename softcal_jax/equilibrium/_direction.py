@@ -19,6 +19,7 @@ from softcal_jax.equilibrium._assembly import (
 )
 from softcal_jax.equilibrium._balance import (
     Point,
+    System,
     assemble,
     evaluate,
     gap,
@@ -26,7 +27,6 @@ from softcal_jax.equilibrium._balance import (
     stiffness_of_gaps,
     unbalanced,
 )
-from softcal_jax.equilibrium._bordered import System
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import product
@@ -124,11 +124,8 @@ def newton_direction(
     which = model.with_multiplier
     to_close = (to_go[which] - on_held)[None]
     solve = partial(tangent.system.solve, model.solver, rhs[None], to_close)
-    solved = (
-        solve()
-        if near is None
-        else jax.lax.cond(near, lambda: solve(near=True), lambda: solve())
-    )
+    again = partial(solve, near=True)
+    solved = solve() if near is None else jax.lax.cond(near, again, solve)
     d = solved.x[0]
     slope = jnp.sum(posed.on_free(u, tangent.g) * d)
     supports = jnp.where(jnp.asarray(posed.configuration.fixed), held_step, 0.0)

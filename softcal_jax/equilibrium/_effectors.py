@@ -7,12 +7,8 @@ import jax
 import jax.numpy as jnp
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.bodies import frames_at, rotation_vector
-from softcal_jax.configurations import (
-    ConfigurationArrays,
-    EffectorArrays,
-    Observed,
-)
+from softcal_jax.bodies import rotation_vector
+from softcal_jax.configurations import ConfigurationArrays, EffectorArrays, Observed
 from softcal_jax.equilibrium._linearisation import residual, solved_forces
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._posed import Posed
@@ -87,17 +83,10 @@ def observed_state(
             model, configuration, u, multipliers, unbalanced
         ),
         actuator_displacements=model.displacements(u),
-        body_rotations=_rotations(model, u),
+        body_rotations=model.frames(u).rotation,
         # Spring forces are part of the balance, but the ground carries them too.
         ground_forces=unbalanced - Posed.of(model, configuration).spring_force(u),
     )
-
-
-def _rotations(model: Model, u: Nodal) -> Float[Array, "n_b 3 3"]:
-    bodies, x = model.mechanism.bodies, model.positions(u)
-    if bodies.n_bodies == 0:
-        return jnp.zeros((0, 3, 3))
-    return frames_at(bodies, x[model.mesh.n_nodes :]).rotation
 
 
 def _observe(
@@ -132,7 +121,7 @@ def placed(
     points = effectors.base.point(points, centre)
     if effectors.turn_body.shape[0] == 0:
         return points
-    rotation = _rotations(model, u)
+    rotation = model.frames(u).rotation
     reference = jnp.asarray(effectors.turn_reference)
     seen = effectors.base.turn(rotation[effectors.turn_body])
     # Rotation vectors from the reference orientations, in the frame of the mesh.

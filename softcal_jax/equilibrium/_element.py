@@ -17,10 +17,11 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from softcal_jax._typing import Array, Bool, Float
+from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.elements import cofactor, determinant, matmul, sum_of
 from softcal_jax.materials import AbstractLaw
 
+AnyArray = Array | HostArray
 Formulation = Literal["displacement", "mean-dilatation"]
 
 
@@ -30,12 +31,14 @@ class Tet(NamedTuple):
     Attributes:
         dN: Shape gradients dN_a/dX at the quadrature points [1/m].
         w: Weights of these points, volume included [m3].
+        active: Whether it deforms and counts, see `Model`: 1 or 0.
         mixed: Whether the volume ratio of every point is replaced by the tet's mean.
     """
 
     dN: Float[Array, "n_qp n_en 3"]
     w: Float[Array, " n_qp"]
     law: AbstractLaw
+    active: Float[Array, ""]
     mixed: bool
 
 
@@ -81,32 +84,53 @@ def element_energy_and_force(
     return jnp.sum(tet.w * psi), _push(P, tet.dN)
 
 
-def element_state(
-    u: Float[Array, "n_en 3"], tet: Tet
-) -> tuple[Float[Array, ""], Float[Array, "3 3"], Float[Array, "n_qp 3 3"]]:
-    """Compute strain energy [J], mean Cauchy stress [Pa] and F of a tet.
+class TetStates(NamedTuple):
+    """Strain energy [J], mean Cauchy stress [Pa] and F at quadrature points of tets.
+
+    Energy and stress are 0 if the tet does not deform.
+    """
+
+    energy: Float[AnyArray, "*n_tets"]
+    cauchy: Float[AnyArray, "*n_tets 3 3"]
+    F: Float[AnyArray, "*n_tets n_qp 3 3"]
+
+
+def element_state(u: Float[Array, "n_en 3"], tet: Tet) -> TetStates:
+    """Compute energy, stress and deformation of a tet.
 
     sigma = P F^T / J, so its integral over the deformed tet is that of P F^T at rest.
     """
     F, psi, P = _energies_and_stresses(u, tet)
     force = jnp.sum(jax.vmap(matmul)(P, jnp.swapaxes(F, 1, 2)), axis=0)
     volume = jnp.sum(tet.w * jax.vmap(determinant)(F))
-    return jnp.sum(tet.w * psi), force / volume, F
+    energy = jnp.sum(tet.w * psi)
+    return TetStates(tet.active * energy, tet.active * force / volume, F)
 
 
-def element_stresses(
-    u: Float[Array, "n_en 3"], tet: Tet
-) -> tuple[Float[Array, "..."], ...]:
-    """Compute P at the quadrature points [Pa] and the mean F of a tet.
+class TetStresses(NamedTuple):
+    """Stress and deformation of tets.
 
-    With "mean-dilatation", further J - J_bar at the points [-] and the derivative of
-    the pressure by the displacement gradient there [Pa].
+    Attributes:
+        stress: First Piola-Kirchhoff stress P at the quadrature points [Pa].
+        F: Mean deformation gradient [-].
+        excess: J - J_bar at the points with "mean-dilatation", else None [-].
+        pressure_slope: Derivative of the pressure by the displacement gradient at the
+            points, times their shares of the volume, else None [Pa].
     """
+
+    stress: Float[Array, "*n_tets n_qp 3 3"]
+    F: Float[Array, "*n_tets 3 3"]
+    excess: Float[Array, "*n_tets n_qp"] | None = None
+    pressure_slope: Float[Array, "*n_tets n_qp 3 3"] | None = None
+
+
+def element_stresses(u: Float[Array, "n_en 3"], tet: Tet) -> TetStresses:
+    """Compute stress and deformation of a tet."""
     F, _, P = _energies_and_stresses(u, tet)
     P, share = P / _each(tet.w), tet.w / jnp.sum(tet.w)
     mean = jnp.sum(_each(share) * F, axis=0)
     if not tet.mixed:
-        return P, mean
+        return TetStresses(P, mean)
     J, matrix = jax.vmap(determinant)(F), tet.law.parts()[0]
 
     def pressure(scale):
@@ -116,7 +140,7 @@ def element_stresses(
     _, per_stretch = jax.jvp(pressure, (jnp.ones(()),), (jnp.ones(()),))
     bulk = per_stretch / (3.0 * determinant(mean))  # J grows by three times the stretch
     slope = bulk * _each(share) * jax.vmap(cofactor)(F)
-    return P, mean, J - jnp.sum(share * J), slope
+    return TetStresses(P, mean, J - jnp.sum(share * J), slope)
 
 
 def _energies_and_stresses(

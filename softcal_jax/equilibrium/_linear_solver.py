@@ -184,20 +184,6 @@ def _load_pardiso(sparsity: Sparsity):
     return primitive, MatrixType.REAL_STRUCTURALLY_SYMMETRIC
 
 
-def _analyse(sparsity: Sparsity, options: _Options, number: int):
-    """Analyse a pattern outside jit; return its token and PARDISO's report.
-
-    pardiso-mkl-jax tells analyses apart by their inputs: `number` goes into the values.
-    """
-    primitive, kind = _load_pardiso(sparsity)
-    return primitive.analyze(
-        *jax.device_put((sparsity.indptr, sparsity.indices)),
-        jax.device_put(np.full(sparsity.nnz, 1.0 + number)),
-        matrix_type=kind,
-        options=dict(options),
-    )
-
-
 class Pardiso(AbstractLinearSolver):
     """Intel oneMKL PARDISO through pardiso-mkl-jax.
 
@@ -226,7 +212,14 @@ class Pardiso(AbstractLinearSolver):
 
     @classmethod
     def _of(cls, sparsity: Sparsity, options: _Options, number: int) -> "Pardiso":
-        token, report = _analyse(sparsity, options, number)
+        primitive, kind = _load_pardiso(sparsity)
+        # pardiso-mkl-jax tells analyses apart by their inputs.
+        values = np.full(sparsity.nnz, 1.0 + number)
+        token, report = primitive.analyze(
+            *jax.device_put((sparsity.indptr, sparsity.indices, values)),
+            matrix_type=kind,
+            options=dict(options),
+        )
         spare = None if options == _NESTED else cls._of(sparsity, _NESTED, number)
         return cls(sparsity, token, options, np.asarray(report[_MFLOP]), spare)
 

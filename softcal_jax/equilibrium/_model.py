@@ -10,6 +10,7 @@ from jaxtyping import Shaped
 
 from softcal_jax._module import Module
 from softcal_jax._typing import Array, Float, HostArray, Int
+from softcal_jax.bodies import Frames, frames_at
 from softcal_jax.configurations import Mechanism
 from softcal_jax.equilibrium._element import Formulation
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
@@ -18,7 +19,6 @@ from softcal_jax.materials import (
     DENSITY,
     AbstractLaw,
     fields_of_tets,
-    split_law,
     with_arrays,
 )
 from softcal_jax.mesh import TetMesh, volumes
@@ -95,6 +95,10 @@ class Model(Module):
         """Return the positions of all nodes [m]."""
         return jnp.asarray(self.mechanism.points) + u
 
+    def frames(self, u: Nodal) -> Frames:
+        """Return the frames of the rigid bodies."""
+        return frames_at(self.mechanism.bodies, self.positions(u)[self.mesh.n_nodes :])
+
     def displacements(self, u: Nodal) -> Float[Array, " n_a"]:
         """Return the displacements delta_a of the actuators."""
         return self.mechanism.displacements(self.positions(u))
@@ -142,12 +146,10 @@ class Model(Module):
         law = eqx.combine(jax.lax.optimization_barrier(arrays), rest)
         return eqx.tree_at(lambda m: m.law, self, law)
 
-    def law_blocks(self) -> tuple[AbstractLaw, AbstractLaw]:
-        """Return the law with its values per tet in blocks, and what tets share."""
+    def blocks(self, values: Shaped[Array, "..."]) -> Any:
+        """Cut values of all tets into blocks, see `to_blocks`."""
         n_blocks, _, block = self.weights.shape
-        cut = lambda leaf: to_blocks(leaf, self.n_tets, n_blocks, block)
-        of_tets, shared = split_law(self.law)
-        return jax.tree.map(cut, of_tets), shared
+        return to_blocks(values, self.n_tets, n_blocks, block)
 
 
 def to_blocks(

@@ -24,7 +24,6 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int, is_traced
-from softcal_jax.actuators import actuator_rows
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium._assembly import mixed_tangent, tangent_values
 from softcal_jax.equilibrium._balance import (
@@ -36,6 +35,7 @@ from softcal_jax.equilibrium._balance import (
     merit,
     relative,
     stiffness_of_gaps,
+    unbalanced,
 )
 from softcal_jax.equilibrium._direction import dilatation
 from softcal_jax.equilibrium._effectors import effector_values
@@ -147,28 +147,26 @@ def _both_steps(posed: Posed, point: Point, lambda_a, theta):
     else:
         mesh, internal = tangent_values(model, u), point.force
     tangent = assemble(posed, point, lambda_a, mesh=mesh, active=active)
-    held_at = lambda load: posed.at_load(load).held_at(u)
-    _, held = jax.jvp(held_at, (posed.load,), (jnp.ones_like(posed.load),))
-    rows = actuator_rows(model.mechanism.actuators, model.positions(u))
-    imposed = jnp.where(posed.by_multiplier, 0.0, configuration.actuation.forces)
-    force = posed.f_ext + jnp.sum(imposed[:, None, None] * rows, axis=0)
-    if configuration.springs.names:
-        force = force + posed.stretched(jnp.asarray(configuration.springs.rest))
-    force = force - product(model.pattern, tangent.nodal, held.ravel()).reshape(u.shape)
+
+    def at_load(load):
+        loaded = posed.at_load(load)
+        return loaded.held_at(u), unbalanced(loaded, point, lambda_a)[0]
+
+    one = jnp.ones_like(posed.load)
+    _, (held, by_load) = jax.jvp(at_load, (posed.load,), (one,))
+    pull = product(model.pattern, tangent.nodal, held.ravel()).reshape(u.shape)
     which = model.with_multiplier
     wanted = jnp.asarray(configuration.actuation.value)[which]
-    by_load = jnp.where(
-        active[which], wanted - jnp.sum(tangent.H_a * held[None], axis=(1, 2)), 0.0
-    )
+    wanted = wanted - jnp.sum(tangent.H_a * held[None], axis=(1, 2))
     solved = tangent.system.solve(
         model.solver,
         jnp.stack(
             [
                 -posed.on_free(u, tangent.g + internal - point.force),
-                posed.on_free(u, force),
+                -posed.on_free(u, by_load + pull),
             ]
         ),
-        jnp.stack([to_go[which], by_load]),
+        jnp.stack([to_go[which], jnp.where(active[which], wanted, 0.0)]),
     )
     return tangent, solved, held
 
@@ -328,15 +326,8 @@ def trace(
         ds = min(ds * float(np.clip(np.sqrt(fewer), 0.5, 2.0)), path.largest)
     if not bool(state.ok):
         result = RESULTS.singular
-    stack = lambda pick: np.stack([np.asarray(pick(s)) for s in states])
-    load = stack(lambda s: s.load)
+    kept = [(s.load, s.u, s.lambda_a, s.n_negative, s.readings) for s in states]
+    load, *others = (np.stack(jax.device_get(each)) for each in zip(*kept, strict=True))
     if result == RESULTS.states_used_up and np.any(np.diff(load) < 0.0):
         result = RESULTS.limit_point
-    return EquilibriumPath(
-        load=load,
-        displacement=stack(lambda s: s.u),
-        multipliers=stack(lambda s: s.lambda_a),
-        n_negative=stack(lambda s: s.n_negative),
-        readings=stack(lambda s: s.readings),
-        result=result,
-    )
+    return EquilibriumPath(load, *others, result=result)

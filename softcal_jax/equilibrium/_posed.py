@@ -21,7 +21,6 @@ from softcal_jax.bodies import (
     Mounted,
     blocked,
     frame_nodes,
-    frames_at,
     mounted,
     place,
     rotation_matrix,
@@ -75,17 +74,15 @@ def _arms_from_supports(
     if configuration.springs.names:
         area = jnp.asarray(configuration.springs.area)
         held = held | jnp.any(area > 0.0, axis=(0, 2))
-    n_held = jnp.sum(held, dtype=points.dtype)
-    total = jnp.sum(jnp.where(held[:, None], points, 0.0), axis=0)
-    origin = jnp.asarray(bodies.origin)
-    others = (states.kind == KINDS.index("held"))[None] & ~jnp.eye(
-        bodies.n_bodies, dtype=bool
-    )
-    n_others = jnp.sum(others, axis=1, dtype=points.dtype)
-    of_others = jnp.sum(jnp.where(others[:, :, None], origin[None], 0.0), axis=1)
-    of_others = of_others / jnp.maximum(n_others, 1.0)[:, None]
-    of_others = jnp.where(n_others[:, None] > 0.0, of_others, origin)
-    base = jnp.where(n_held > 0.0, total[None] / jnp.maximum(n_held, 1.0), of_others)
+
+    def mean(points, chosen, otherwise):
+        n = jnp.sum(chosen, axis=1, keepdims=True, dtype=points.dtype)
+        total = jnp.sum(jnp.where(chosen[:, :, None], points[None], 0.0), axis=1)
+        return jnp.where(n > 0.0, total / jnp.maximum(n, 1.0), otherwise)
+
+    origin, itself = jnp.asarray(bodies.origin), jnp.eye(bodies.n_bodies, dtype=bool)
+    others = (states.kind == KINDS.index("held"))[None] & ~itself
+    base = mean(points, held[None], mean(origin, others, origin))
     return jnp.where(turned_by_motors(model)[:, None], 0.0, origin - base)
 
 
@@ -95,18 +92,13 @@ def turned_by_motors(model: Model) -> Bool[Array, " n_b"]:
     return jnp.asarray(np.isin(bodies, mechanism.actuators.motor_body))
 
 
-def external_force(model: Model, configuration: ConfigurationArrays) -> Nodal:
-    """Compute dead loads and weight as nodal forces, f_ext(p) [N]."""
-    return configuration.dead_loads + gravity_load(model, configuration.acceleration)
-
-
 class Posed(NamedTuple):
     """One configuration of a model under a share of its load; built by `of`.
 
-    `f_ext` are the forces at full load [N]. `fixed` flags the unknowns that are not
-    free: held, or of nodes that follow a body. Without bodies, their `states` (as
-    constrained by configuration and motors), `arms` (for `winding`) [m] and `mounted`
-    frames at this load are None.
+    `f_ext` are dead loads and weight at full load [N]. `fixed` flags the unknowns that
+    are not free: held, or of nodes that follow a body. Without bodies, their `states`
+    (as constrained by configuration and motors), `arms` (for `winding`) [m] and
+    `mounted` frames at this load are None.
     """
 
     model: Model
@@ -121,7 +113,8 @@ class Posed(NamedTuple):
     @classmethod
     def of(cls, model: Model, configuration: ConfigurationArrays) -> "Posed":
         """Pose a model at full load; friction opposes the configuration's motion."""
-        f_ext = external_force(model, configuration)
+        weight = gravity_load(model, configuration.acceleration)
+        f_ext = configuration.dead_loads + weight
         if any(model.mechanism.actuators.has_friction):
             actuators = actuators_moving(
                 model.mechanism.actuators, configuration.actuation.releasing
@@ -163,11 +156,7 @@ class Posed(NamedTuple):
         springs = self.configuration.springs
         if not springs.names:
             return jnp.zeros_like(u)
-        return self.stretched(u - self.load * jnp.asarray(springs.rest))
-
-    def stretched(self, stretch: Nodal) -> Nodal:
-        """Compute the forces that stretch the springs so far [N]."""
-        springs = self.configuration.springs
+        stretch = u - self.load * jnp.asarray(springs.rest)
         force = springs.coefficients() * stretch
         if springs.tets.size == 0:
             return force
@@ -225,7 +214,7 @@ class Posed(NamedTuple):
         """Make every body of a guess rigid again, as its frame is placed [m]."""
         if self.model.reduction is None:
             return u
-        return self._with_bodies(u, self._frames(u))
+        return self._with_bodies(u, self.model.frames(u))
 
     def move(self, u: Nodal, d: Float[Array, " n_dof"]) -> Nodal:
         """Apply a step of the unknowns to a displacement; bodies move rigidly [m].
@@ -237,7 +226,7 @@ class Posed(NamedTuple):
             return u + d.reshape(u.shape)
         bodies = self.model.mechanism.bodies
         twists = d[u.size :].reshape(-1, 6)
-        frames = place(bodies, self.states, self.mounted, self._frames(u), twists)
+        frames = place(bodies, self.states, self.mounted, self.model.frames(u), twists)
         return self._with_bodies(u + d[: u.size].reshape(u.shape), frames)
 
     def swing(self, u: Nodal, d: Float[Array, " n_dof"]) -> Nodal:
@@ -256,7 +245,7 @@ class Posed(NamedTuple):
         alone = (jnp.sum(hinged) == 1) & ~held & ~jnp.any(self.configuration.fixed)
         alone = alone & ~jnp.any(jnp.asarray(self.configuration.springs.area) > 0.0)
         k = jnp.argmax(hinged)
-        axes, origins = self.mounted.axes, self._frames(u).origin
+        axes, origins = self.mounted.axes, self.model.frames(u).origin
         twists = d[u.size :].reshape(-1, 6)
         turn = jnp.where(alone, twists[k, 5] / bodies.length, 0.0) * axes[k, 2]
         along = lambda v: jnp.sum(axes * v[:, None], axis=2)
@@ -310,10 +299,6 @@ class Posed(NamedTuple):
     @property
     def _n_bodies(self) -> int:
         return self.model.mechanism.bodies.n_bodies
-
-    def _frames(self, u: Nodal) -> Frames:
-        n_nodes = self.model.mesh.n_nodes
-        return frames_at(self.model.mechanism.bodies, self.model.positions(u)[n_nodes:])
 
     def _with_bodies(self, u: Nodal, frames: Frames):
         bodies, n_nodes = self.model.mechanism.bodies, self.model.mesh.n_nodes

@@ -129,16 +129,8 @@ def _state(
         for k, (kind, owner) in enumerate(zip(of_bodies, bodies.owner, strict=True))
     ]
     moved = u[model.mesh.n_nodes :: 4]
-    places = (
-        BodyPlace(
-            name=bodies.names[k],
-            state=kind,
-            position=bodies.origin[k] + moved[k],
-            translation=moved[k],
-            rotation_vector=Rotation.from_matrix(state.body_rotations[k]).as_rotvec(),
-        )
-        for k, kind in enumerate(kinds)
-    )
+    turns = [Rotation.from_matrix(R).as_rotvec() for R in state.body_rotations]
+    places = map(BodyPlace, bodies.names, kinds, bodies.origin + moved, moved, turns)
     of_actuators = state.actuator_forces, state.actuator_displacements
     actuators = actuator_states(model, lane, *of_actuators)
     reactions = (

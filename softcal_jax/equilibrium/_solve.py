@@ -18,12 +18,11 @@ from softcal_jax.configurations import (
     ConfigurationArrays,
     configuration_arrays,
 )
-from softcal_jax.equilibrium._linearisation import linearise
+from softcal_jax.equilibrium._linearisation import input_rows, linearise, sensitivity
 from softcal_jax.equilibrium._model import Model, Nodal
 from softcal_jax.equilibrium._newton import NewtonLoop, NewtonSettings, NewtonState
 from softcal_jax.equilibrium._path import EquilibriumPath, LoadPath, trace
 from softcal_jax.equilibrium._posed import Posed, one_lane
-from softcal_jax.equilibrium._sensitivity import input_rows, sensitivity
 
 
 class EquilibriumSolution(Module):
@@ -83,19 +82,16 @@ class EquilibriumSolution(Module):
 
 def other_ways(solution: EquilibriumSolution) -> str:
     """Say which ways failed beside load steps from rest, in sentences."""
-    ways = [
-        (
-            solution.approached,
-            "The ways from the nearest equilibrium (straight; actuator by actuator, "
-            "where several differ; loads first or last) led at most {:.3g} % there",
-        ),
-        (
-            solution.along_path,
-            "Along its path (`LoadPath`) it carries at most {:.3g} %",
-        ),
-    ]
-    tried = [text.format(100.0 * share) for share, text in ways if np.isfinite(share)]
-    return "".join(f" {text}." for text in tried)
+    way, path = 100.0 * solution.approached, 100.0 * solution.along_path
+    said = ""
+    if np.isfinite(way):
+        said += (
+            " The ways from the nearest equilibrium (straight; actuator by actuator, "
+            f"where several differ; loads first or last) led at most {way:.3g} % there."
+        )
+    if np.isfinite(path):
+        said += f" Along its path (`LoadPath`) it carries at most {path:.3g} %."
+    return said
 
 
 def no_equilibrium(solution: EquilibriumSolution, names: tuple[str, ...]) -> str:

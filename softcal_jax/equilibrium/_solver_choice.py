@@ -135,9 +135,7 @@ class NoSolver(AbstractLinearSolver):
 
 
 _ON_CPU = {"pardiso": Pardiso, "klu": Klu}
-_PACKAGES = {"pardiso_mkl_jax": Pardiso, "klujax": Klu}
-_ANYWHERE = {"none": NoSolver, "pardiso-host": HostPardiso}
-_NAMES = sorted(_ON_CPU | _ANYWHERE)
+_KINDS = {**_ON_CPU, "none": NoSolver, "pardiso-host": HostPardiso}
 
 
 def solver_kind(name: str | None) -> type[AbstractLinearSolver]:
@@ -147,24 +145,22 @@ def solver_kind(name: str | None) -> type[AbstractLinearSolver]:
     where JAX does not compute on the CPU.
     """
     backend = jax.default_backend()
-    if name in _ANYWHERE:
-        return _ANYWHERE[name]
-    if name in _ON_CPU:
-        if backend == "cpu":
-            return _ON_CPU[name]
+    if name in _ON_CPU and backend != "cpu":
         raise ValueError(
             f"solver={name!r} runs on the CPU alone, and JAX computes on {backend!r}: "
             'leave solver out for "pardiso-host", or set JAX_PLATFORMS=cpu before '
             "Python starts."
         )
+    if name in _KINDS:
+        return _KINDS[name]
     if name is not None:
         raise ValueError(
-            f"solver must be one of {_NAMES}, or left out for that of the platform, "
-            f"got {name!r}.{suggestion(name, _NAMES)}"
+            f"solver must be one of {sorted(_KINDS)}, or left out for that of the "
+            f"platform, got {name!r}.{suggestion(name, _KINDS)}"
         )
     if backend != "cpu":
         return HostPardiso
-    for package, kind in _PACKAGES.items():
+    for package, kind in (("pardiso_mkl_jax", Pardiso), ("klujax", Klu)):
         if find_spec(package) is not None:
             return kind
     raise ImportError(

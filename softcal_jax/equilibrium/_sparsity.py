@@ -79,19 +79,23 @@ def build_sparsity(
 ) -> Sparsity:
     """Build the pattern of a matrix that couples the nodes of cliques, like tets."""
     # Sort pairs of nodes first: nine times fewer keys than pairs of unknowns.
-    node = np.arange(n_nodes, dtype=np.int64)
-    keys = [node * n_nodes + node]
-    for nodes in cliques:
-        m = nodes.shape[1]
-        a, b = np.triu_indices(m) if symmetric else np.indices((m, m))
-        low, high = _upward(symmetric, nodes[:, a], nodes[:, b])
-        keys.append(_distinct(low.astype(np.int64) * n_nodes + high))
-    pairs = _distinct(np.concatenate(keys))
-    row_node, col_node = pairs // n_nodes, pairs % n_nodes
+    with_itself = np.arange(n_nodes)[:, None]
+    row_node, col_node = _pairs((with_itself, *cliques), n_nodes, symmetric)
     i, j = np.repeat(np.arange(3), 3), np.tile(np.arange(3), 3)
     rows = (3 * row_node[:, None] + i).ravel()
     columns = (3 * col_node[:, None] + j).ravel()
     return from_entries(rows, columns, 3 * n_nodes, symmetric=symmetric)
+
+
+def _pairs(cliques, n_nodes: int, upward: bool) -> tuple[HostArray, HostArray]:
+    """List the distinct pairs of nodes of one clique; `upward`: low, high only."""
+    keys = []
+    for nodes in cliques:
+        m = nodes.shape[1]
+        a, b = np.triu_indices(m) if upward else np.indices((m, m))
+        row, column = _upward(upward, nodes[:, a], nodes[:, b])
+        keys.append(_distinct(row.astype(np.int64) * n_nodes + column))
+    return np.divmod(_distinct(np.concatenate(keys)), n_nodes)
 
 
 def from_entries(
@@ -212,7 +216,7 @@ def build_reduction(
     owner = bodies.owner[np.concatenate([bodies.body, of_frames])]
     index = np.full(n_nodes, -1)
     index[rigid] = np.arange(rigid.size)
-    a, b = _ordered_pairs(cliques, n_nodes)
+    a, b = _pairs(cliques, n_nodes, upward=False)
     mixed = (index[a] < 0) & (index[b] >= 0)
     inner = (index[a] >= 0) & (index[b] >= 0)
     first, second = index[a[inner]], index[b[inner]]
@@ -259,15 +263,6 @@ def build_reduction(
         bodies=flat[in_pattern].astype(np.int32),
         bodies_at=reduced.positions(body_row[in_pattern], body_col[in_pattern]),
     )
-
-
-def _ordered_pairs(cliques, n_nodes: int) -> tuple[HostArray, HostArray]:
-    keys = [
-        _distinct(nodes[:, :, None].astype(np.int64) * n_nodes + nodes[:, None, :])
-        for nodes in cliques
-    ]
-    pairs = _distinct(np.concatenate(keys))
-    return pairs // n_nodes, pairs % n_nodes
 
 
 def _node_rows(nodes: HostArray) -> HostArray:

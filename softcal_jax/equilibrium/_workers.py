@@ -11,6 +11,7 @@ from concurrent.futures import (
     wait,
 )
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from queue import SimpleQueue
 from threading import Event, Lock, RLock
 from typing import Any, NamedTuple, TypeVar
@@ -37,12 +38,6 @@ _COMPILING: dict[Hashable, Lock] = {}
 @jax.jit
 def _remembered():
     """Do nothing; `jax.clear_caches` forgets this program like all others."""
-
-
-def _forget_as_jax() -> None:
-    if _remembered._cache_size() == 0:  # pyright: ignore[reportAttributeAccessIssue]
-        _COMPILED.clear()
-        _remembered()
 
 
 class Program:
@@ -134,15 +129,10 @@ class _SideBySide(NamedTuple):
 
 
 class _Thread(threading.local):
-    shares_turn: bool = False
     run: _SideBySide | None = None
 
 
 _THREAD = _Thread()
-
-
-def _begin_thread(run: _SideBySide | None = None) -> None:
-    _THREAD.shares_turn, _THREAD.run = True, run
 
 
 @contextmanager
@@ -199,17 +189,18 @@ class Workers:
         self._free: SimpleQueue[AbstractLinearSolver] = SimpleQueue()
 
     def __enter__(self) -> "Workers":
-        _forget_as_jax()
+        if _remembered._cache_size() == 0:  # pyright: ignore[reportAttributeAccessIssue]
+            _COMPILED.clear()
+            _remembered()
         with ExitStack() as opened:
-            if not _THREAD.shares_turn:
+            if _THREAD.run is None:
                 opened.enter_context(_TURN)
             self._ahead = ThreadPoolExecutor(1)
             opened.callback(self._ahead.shutdown, wait=False, cancel_futures=True)
             if self.n == 1:
                 self._free.put(self._solver)
             else:
-                pool = ThreadPoolExecutor(self.n, initializer=_begin_thread)
-                self._pool = opened.enter_context(pool)
+                self._pool = opened.enter_context(ThreadPoolExecutor(self.n))
                 with self._solver.side_by_side():
                     for k in range(1, self.n + 1):
                         self._free.put(jax.block_until_ready(self._solver.another(k)))
@@ -297,9 +288,8 @@ class Workers:
 
         futures: list[Future] = []
         # One more than lanes can run, so that none idles while a run computes its step.
-        pool = ThreadPoolExecutor(
-            self.n + 1, initializer=_begin_thread, initargs=(run,)
-        )
+        begin = partial(setattr, _THREAD, "run", run)
+        pool = ThreadPoolExecutor(self.n + 1, initializer=begin)
         with self._solver.side_by_side(), _lets_others_think(), pool:
             try:
                 for call in runs:

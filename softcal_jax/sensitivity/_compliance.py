@@ -55,14 +55,7 @@ def parameter_compliance(
 
 
 @eqx.filter_jit
-def _parameter_compliance(
-    model: Model,
-    configuration: ConfigurationArrays,
-    u: Float[Array, "n_points 3"],
-    space: ParameterSpace,
-    z: Float[Array, " n_p"],
-    method: str,
-) -> Sensitivity:
+def _parameter_compliance(model, configuration, u, space: ParameterSpace, z, method):
     lin = linearise(*space.apply(model, configuration, z), u)
     rows = parameter_rows(lin, space, z)
     fewer = z.shape[0] > configuration.effectors.measured.size

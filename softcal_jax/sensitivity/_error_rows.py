@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
-from softcal_jax.bodies import frames_at
 from softcal_jax.equilibrium import (
     InputRows,
     Linearisation,
@@ -53,13 +52,11 @@ def clamp_row(
     """
     lin = linearisation
     model, bodies = lin.posed.model, lin.posed.model.mechanism.bodies
-    n_nodes = model.mesh.n_nodes
-    follow = jnp.zeros((model.n_points, 3)).at[:n_nodes].set(motion)
+    follow = jnp.zeros((model.n_points, 3)).at[: model.mesh.n_nodes].set(motion)
     turned = jnp.zeros_like(follow)
     if bodies.n_bodies > 0:
         # What a body holds goes with it: its displacement is (R - 1) X, at any X.
-        frames = (jnp.asarray(model.mechanism.points) + lin.u)[n_nodes:]
-        R = frames_at(bodies, frames).rotation[bodies.body]
+        R = model.frames(lin.u).rotation[bodies.body]
         moved = follow[bodies.attached]
         turned = turned.at[bodies.attached].set(
             jnp.sum(R * moved[:, None, :], axis=2) - moved
@@ -71,7 +68,7 @@ def clamp_row(
         return weight - internal_force(longer, lin.u + depth * turned)
 
     _, row = jax.jvp(force, (jnp.zeros(()),), (jnp.ones(()),))
-    return rows_of_forces(lin, row[None], held=turned[None])
+    return rows_of_forces(lin, row[None], turned[None])
 
 
 def _stretched(model: Model, v: Float[Array, "n_nodes 3"]) -> Model:
@@ -131,7 +128,7 @@ def mesh_row(linearisation: Linearisation, patches: Recovery) -> InputRows:
         of_pressure = jnp.sum(_squared(patches, state.excess), axis=1)
         gradient += of_pressure[:, None, None, None] * state.pressure_slope
     force = SAFETY * force_of_gradients(model, gradient)
-    return rows_of_forces(lin, force[None], held=jnp.zeros((1, *force.shape)))
+    return rows_of_forces(lin, force[None])
 
 
 def _squared(

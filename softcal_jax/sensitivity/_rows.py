@@ -6,9 +6,7 @@ Sign: Eqs. (1) and (7) of the paper give K dx = ... - (df/dp) S lambda_p, Eq. (8
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
-from types import SimpleNamespace
 from typing import Any
 
 import equinox as eqx
@@ -85,34 +83,14 @@ def parameter_rows(
     lin = linearisation
     model, configuration = lin.posed.model, lin.posed.configuration
     forces = _field_rows(model, configuration, lin.u, space, z)
-    rows = rows_of_forces(lin, forces, held=jnp.zeros_like(forces))
-    if readings is not effector_values or configuration.effectors.observed:
-        direct = _direct_changes(lin, space, z, forces, readings)
-        rows = rows._replace(reading=direct)
+    by_steps = lambda dz: space.apply(model, configuration, z + dz)
+    rows = rows_of_forces(lin, forces, readings=readings, by_steps=by_steps)
     others = _others(space)
     if others.size == 0:
         return rows
     by_others = _by_others(model, configuration, space, z)
     of_others = input_rows(lin, by_others, readings)
     return jax.tree.map(lambda leaf, new: leaf.at[others].set(new), rows, of_others)
-
-
-def _direct_changes(
-    lin: Linearisation,
-    space: ParameterSpace,
-    z: Float[Array, " n_p"],
-    forces: Float[Array, "n_p n_points 3"],
-    readings: Readings,
-) -> Float[Array, "n_p n_e"]:
-    """Compute the change of readings of a fixed state, which may depend on fields."""
-    model, configuration = lin.posed.model, lin.posed.configuration
-
-    def read(z, unbalanced):
-        changed = space.apply(model, configuration, z)
-        return readings(*changed, lin.u, lin.lambda_a, unbalanced).ravel()
-
-    _, slope = jax.linearize(read, z, lin.unbalanced(lin.u, lin.lambda_a))
-    return jax.lax.map(lambda d: slope(d[0], -d[1]), (jnp.eye(z.shape[0]), forces))
 
 
 def _others(space: ParameterSpace) -> Int[HostArray, " n_other"]:
@@ -134,24 +112,32 @@ def _by_others(
 
 def rows_of_forces(
     lin: Linearisation,
-    forces: Float[Array, "n_p n_points 3"],
+    forces: Float[Array, "n n_points 3"],
+    held: Float[Array, "n n_points 3"] | None = None,
     *,
-    held: Float[Array, "n_p n_points 3"],
+    readings: Readings = effector_values,
+    by_steps: Callable[[Array], tuple[Model, ConfigurationArrays]] | None = None,
 ) -> InputRows:
     """Build rows from forces on the nodes [N] and the motion of held nodes [m].
 
-    The state is fixed, so of the readings only those of forces change directly.
+    In a fixed state, readings of forces change directly, and those of the robot that
+    steps of the inputs change, as `by_steps` says.
     """
-    effectors = lin.posed.configuration.effectors
-    reading = jnp.zeros((len(forces), effectors.measured.size))
-    if effectors.observed:
-        state = (lin.posed.model, lin.posed.configuration, lin.u, lin.lambda_a)
-        read = lambda unbalanced: effector_values(*state, unbalanced).ravel()
-        unbalanced = lin.unbalanced(lin.u, lin.lambda_a)
-        reading = jax.vmap(lambda f: jax.jvp(read, (unbalanced,), (-f,))[1])(forces)
+    robot = lin.posed.model, lin.posed.configuration
+    reading = jnp.zeros((len(forces), robot[1].effectors.measured.size))
+    if readings is not effector_values or robot[1].effectors.observed:
+
+        def read(steps, unbalanced):
+            changed = robot if by_steps is None else by_steps(steps)
+            return readings(*changed, lin.u, lin.lambda_a, unbalanced).ravel()
+
+        at = jnp.zeros(len(forces)), lin.unbalanced(lin.u, lin.lambda_a)
+        _, slope = jax.linearize(read, *at)
+        inputs = jnp.eye(len(forces)), forces
+        reading = jax.lax.map(lambda d: slope(d[0], -d[1]), inputs)
     return InputRows(
         force=jax.vmap(lin.free)(forces),
-        held=held,
+        held=jnp.zeros_like(forces) if held is None else held,
         gap=jnp.zeros((len(forces), lin.system.active.size)),
         reading=reading,
     )
@@ -171,7 +157,7 @@ def _field_rows(
     are zero. The model has the parameters of `z` applied.
     """
     wheres = {name: find_field(model, name) for name in space.field_names}
-    in_law = {f: _InLaw(where) for f, where in wheres.items() if f != "density"}
+    in_law = {f: where for f, where in wheres.items() if f != "density"}
     fields = lambda z: {
         name: jnp.broadcast_to(where(space.model_at(model, z)), (model.n_tets,))
         for name, where in wheres.items()
@@ -205,7 +191,7 @@ def adjoint_of_tets(
     """
     model, configuration = linearisation.posed.model, linearisation.posed.configuration
     moved = linearisation.scatter(adjoint)
-    law = {f: _InLaw(find_field(model, f)) for f in fields if f != "density"}
+    law = {f: find_field(model, f) for f in fields if f != "density"}
     forces = field_forces(model, linearisation.u, law) if law else {}
 
     def of_law(field: str, row: Float[Array, "n_points 3"]) -> Float[Array, " n_tets"]:
@@ -221,16 +207,6 @@ def adjoint_of_tets(
         [of_density(row) if f == "density" else of_law(f, row) for f in fields]
     )
     return jnp.swapaxes(jax.lax.map(one, moved), 0, 1)
-
-
-@dataclass(frozen=True)
-class _InLaw:
-    """A model's field accessor applied to its law; equal if the accessors are."""
-
-    where: Callable[[Any], Any]
-
-    def __call__(self, law: Any) -> Any:
-        return self.where(SimpleNamespace(law=law))
 
 
 class DerivativeCheck(Module):

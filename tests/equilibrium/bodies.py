@@ -16,6 +16,7 @@ from softcal_jax.equilibrium import (
     build_model,
     energy_and_force,
     internal_force,
+    linearise,
     solve_equilibrium,
     tangent_values,
 )
@@ -70,6 +71,14 @@ def energy(model: Model, u):
 
 def energy_gradient(model: Model, u):
     return _energy_and_gradient(model, u)[1]
+
+
+def factor_solve(model, configuration, u, rhs, *, transpose=False):
+    """Solve K(u) dx = rhs for steps of all nodes, or with K^T; see `Bordered`."""
+    lin = linearise(model, configuration, u)
+    gap = jnp.zeros((rhs.shape[0], lin.system.active.size))
+    solved = lin.solve(jax.vmap(lin.free)(rhs), gap, transpose=transpose)
+    return solved._replace(x=lin.scatter(solved.x))
 
 
 def stiffness(model: Model, u) -> np.ndarray:

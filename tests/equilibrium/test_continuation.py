@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import TIGHT, lane, solve
+from bodies import TIGHT, factor_solve, lane, solve
 
 from softcal_jax.configurations import (
     Configuration,
@@ -22,7 +22,6 @@ from softcal_jax.equilibrium import (
     EquilibriumSolution,
     build_model,
     continue_equilibrium,
-    factor_solve,
     internal_force,
     residual,
     solve_equilibrium,

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import jax.random as jr
 import numpy as np
 import pytest
+from bodies import factor_solve
 from mechanisms import (
     LENGTH,
     NO_GRAVITY,
@@ -38,7 +39,6 @@ from softcal_jax.equilibrium import (
     Model,
     build_model,
     continue_equilibrium,
-    factor_solve,
     residual,
 )
 from softcal_jax.equilibrium._linearisation import linearise

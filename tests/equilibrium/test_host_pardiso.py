@@ -8,7 +8,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import DENSITY, LENGTH, POISSON, SIDE, YOUNG, hanging, lane, stiffness
+from bodies import (
+    DENSITY,
+    LENGTH,
+    POISSON,
+    SIDE,
+    YOUNG,
+    factor_solve,
+    hanging,
+    lane,
+    stiffness,
+)
 
 from softcal_jax.calibration import (
     CalibrationSettings,
@@ -18,7 +28,7 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.calibration._evaluation import weighed
 from softcal_jax.configurations import configuration_arrays
-from softcal_jax.equilibrium import build_model, factor_solve
+from softcal_jax.equilibrium import build_model
 from softcal_jax.equilibrium._linear_solver import AbstractLinearSolver
 from softcal_jax.equilibrium._solver_choice import HostPardiso
 from softcal_jax.equilibrium._sparsity import Sparsity

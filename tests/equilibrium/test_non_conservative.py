@@ -5,7 +5,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bodies import TIGHT, force_jacobian, lane, solve, solve_as_users, stiffness
+from bodies import (
+    TIGHT,
+    factor_solve,
+    force_jacobian,
+    lane,
+    solve,
+    solve_as_users,
+    stiffness,
+)
 from classical_beam import (
     E_T,
     ELASTICITIES,
@@ -31,7 +39,6 @@ from softcal_jax.equilibrium import (
     RESULTS,
     NewtonSettings,
     build_model,
-    factor_solve,
     residual,
     solve_equilibrium,
     tangent_values,

@@ -12,6 +12,7 @@ from bodies import (
     SIDE,
     TIGHT,
     YOUNG,
+    factor_solve,
     hanging,
     lane,
     small_lanes,
@@ -21,8 +22,8 @@ from bodies import (
 )
 
 from softcal_jax.configurations import configuration_arrays
-from softcal_jax.equilibrium import build_model, factor_solve, tangent_values
-from softcal_jax.equilibrium._bordered import System
+from softcal_jax.equilibrium import build_model, tangent_values
+from softcal_jax.equilibrium._balance import System
 from softcal_jax.equilibrium._linear_solver import (
     _MINIMUM_DEGREE,
     _MKL_DOMAIN_PARDISO,

@@ -27,7 +27,8 @@ from wording import says
 
 from softcal_jax.calibration import build_problem, evaluate
 from softcal_jax.configurations import Configuration, Support, configuration_arrays
-from softcal_jax.equilibrium import energy_and_force, external_force, solve_equilibrium
+from softcal_jax.equilibrium import energy_and_force, solve_equilibrium
+from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.fields import Parameter, exactly_known
 from softcal_jax.identifiability import identify as identify_with
 from softcal_jax.sensitivity import energy_compliance
@@ -58,7 +59,7 @@ def solved(model, lane, z):
 def potential(model, lane, z, u):
     """Pi = strain energy - f_ext . u [J]."""
     changed = SPACE.model_at(model, z)
-    load = jnp.sum(external_force(changed, lane) * u)
+    load = jnp.sum(Posed.of(changed, lane).f_ext * u)
     return energy_and_force(changed, u)[0] - load
 
 
