@@ -2,7 +2,7 @@
 
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -146,7 +146,10 @@ def read_poses(
         )
     points, turns = metres * values[:, :3], values[:, 3:]
     if turn_columns == _QUATERNION:
-        rotations = _from_quaternions(table.path, table.lines, turns)
+        rotations = np.empty((len(turns), 3, 3))
+        for i, line in enumerate(table.lines):
+            with csv_table.at_line(table.path, line):
+                rotations[i] = from_quaternion(turns[i])
     else:
         unit = turn_columns[0].removeprefix("azimuth_")
         rotations = _from_angles(table.path, table.lines, turns, unit)
@@ -230,19 +233,21 @@ def _seven_numbers(path: Path, line: int, text: str) -> list[float]:
     return values
 
 
-def _from_quaternions(
-    path: Path, lines: tuple[int, ...], quaternions: Float[HostArray, "n 4"]
-) -> Float[HostArray, "n 3 3"]:
-    """Convert quaternions, scalar part first, to rotation matrices [-]."""
-    lengths = np.linalg.norm(quaternions, axis=1)
-    bad = np.flatnonzero(np.abs(lengths - 1.0) > _UNIT_LENGTH)
-    if bad.size:
+def from_quaternion(
+    quaternion: Sequence[float] | Float[HostArray, "4"],
+) -> Float[HostArray, "3 3"]:
+    """Convert a quaternion, scalar part first, to a rotation matrix [-].
+
+    Raises:
+        ValueError: If it is not of unit length.
+    """
+    length = float(np.linalg.norm(quaternion))
+    if not abs(length - 1.0) <= _UNIT_LENGTH:
         raise ValueError(
-            f"{path}, line {lines[bad[0]]}: the quaternion has the length "
-            f"{lengths[bad[0]]:.6g}, not 1: write four digits or more, and neither "
-            "scale nor average quaternions."
+            f"the quaternion has the length {length:.6g}, not 1: write four digits or "
+            "more, the scalar part first, and neither scale nor average quaternions."
         )
-    return Rotation.from_quat(quaternions[:, [1, 2, 3, 0]]).as_matrix()
+    return Rotation.from_quat(np.roll(quaternion, -1)).as_matrix()
 
 
 def _from_angles(

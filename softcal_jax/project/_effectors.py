@@ -123,7 +123,7 @@ class BodyFrameTable(EffectorTable):
         rest = bodies.origin[bodies.names.index(self.body)]
         if self.point is not None:
             rest = np.array(self.point)
-        pose, covariance = value.motion(folder, self.base, self.orientation, rest)
+        pose, covariance = value.motion(folder, self.base.pose, self.orientation, rest)
         if covariance is None:
             return replace(effector, measured=pose)
         std, std_angle = np.sqrt(np.diag(covariance)).reshape(2, 3)
