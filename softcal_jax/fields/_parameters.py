@@ -88,20 +88,21 @@ class AbstractEntry(Module):
     def check(self, model: Any) -> None:
         """Raise ValueError unless the model has what the entry sets."""
 
-    @abstractmethod
     def renamed(self, points: Names, names: Names) -> "AbstractEntry":
-        """Return the same entry with other names of control points and parameters."""
+        """Return the same entry with other names of control points and parameters.
+
+        An entry with more than its `name` to change overrides this.
+        """
+        return replace(self, name=names[self.label])
 
 
-def as_number(value) -> Float[Array, ""]:
+def as_number(value: Any) -> Any:
+    if value is None:
+        return None
     if isinstance(value, jax.Array):
         return jnp.asarray(value, float)
     # Not jnp.asarray, which compiles a program for plain numbers.
     return jax.device_put(np.asarray(value, float))
-
-
-def _number_or_none(value) -> Float[Array, ""] | None:
-    return None if value is None else as_number(value)
 
 
 class AbstractFieldEntry(AbstractEntry):
@@ -123,15 +124,15 @@ class AbstractFieldEntry(AbstractEntry):
         static=True, default="log", kw_only=True
     )
     S: Float[Array, ""] | None = eqx.field(
-        default=None, converter=_number_or_none, kw_only=True
+        default=None, converter=as_number, kw_only=True
     )
     region: str | None = eqx.field(static=True, default=None, kw_only=True)
     unit: str = eqx.field(static=True, default="", kw_only=True)
     max_step: Float[Array, ""] | None = eqx.field(
-        default=None, converter=_number_or_none, kw_only=True
+        default=None, converter=as_number, kw_only=True
     )
     prior_std: Float[Array, ""] | None = eqx.field(
-        default=None, converter=_number_or_none, kw_only=True
+        default=None, converter=as_number, kw_only=True
     )
 
     @property
@@ -227,10 +228,6 @@ class Parameter(AbstractFieldEntry):
                 f"{values.max():g}. Name the tet group it is for in `region`."
             )
 
-    def renamed(self, points: Names, names: Names) -> "Parameter":
-        del points
-        return replace(self, name=names[self.name])
-
 
 class AbstractError(AbstractEntry):
     """An error that is considered, not calibrated: it counts by its derivative at zero.
@@ -252,11 +249,6 @@ class AbstractError(AbstractEntry):
             self.name, "", 0.0, -1.0, 1.0, scale="linear", S=1.0, prior_std=1.0
         )
         return (unknown,)
-
-    def renamed(self, points: Names, names: Names) -> "AbstractError":
-        """Return the same error with another name."""
-        del points
-        return replace(self, name=names[self.name])
 
 
 class FieldError(AbstractError):
