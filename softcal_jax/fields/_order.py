@@ -7,8 +7,8 @@ import numpy as np
 
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray, Int, is_traced
+from softcal_jax.fields._control_points import ControlPointParameters
 from softcal_jax.fields._parameters import AbstractEntry, Parameter, Values
-from softcal_jax.fields._spread import ControlPointParameters
 
 Entries = tuple[AbstractEntry, ...]
 
@@ -38,10 +38,7 @@ def order_terms(entries: Entries, order: Groups) -> list[tuple[Term, Term]]:
     pairs = []
     for smaller, larger in order:
         if smaller == larger:
-            raise ValueError(
-                f"order ({smaller!r}, {larger!r}): a parameter is not below itself; "
-                "name two."
-            )
+            raise ValueError(f"order ({smaller!r}, {larger!r}): name two parameters.")
         left, right = (_sides(entries, name, "order") for name in (smaller, larger))
         shared = [key for key in left if key in right]
         if not shared:
@@ -62,8 +59,7 @@ def order_terms(entries: Entries, order: Groups) -> list[tuple[Term, Term]]:
                 continue
             elif float(small.constant) > float(large.constant):
                 raise ValueError(
-                    f"order: {small.name} <= {large.name}, but both are fixed, the "
-                    "first above the second."
+                    f"order: {small.name} is fixed above {large.name}, fixed as well."
                 )
     return pairs
 
@@ -148,8 +144,7 @@ def _check_axis(axis: tuple[str, ...], members: list[Parameter]) -> None:
     for member in members:
         if member is not angle and member.scale != "log":
             raise ValueError(
-                f'axes {axis}: {member.name!r} must have scale="log", got '
-                f"{member.scale!r}."
+                f'axes {axis}: {member.name!r} needs scale="log", not {member.scale!r}.'
             )
         if member.max_step is not None:
             raise ValueError(
@@ -245,8 +240,7 @@ def fading_axes(entries: Entries, axes: Groups) -> list[FadingAxis]:
         if axis is None:
             raise ValueError(
                 f"{angle.field} has a core, in which the contrast of two moduli fades: "
-                f'say which in axes, like ("E_l", "E_t", "{angle.field}"), or leave '
-                "core out."
+                f'name them in axes, like ("E_l", "E_t", "{angle.field}").'
             )
         beside = {e.field: e for e in fields if e.region == angle.region}
         for field in axis:

@@ -322,10 +322,7 @@ def recording_offset(
         ValueError: If neither limit is given.
     """
     if limit is None and turn_limit is None:
-        raise ValueError(
-            "a recording_offset needs limit, for its offset, turn_limit, for its "
-            "rotation, or both."
-        )
+        raise ValueError("a recording_offset needs limit, turn_limit or both.")
     unknowns = partial(setup_parameters, each=each, by=by)
     made: tuple[SetupParameter, ...] = ()
     if limit is not None:

@@ -12,6 +12,7 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._names import check_unique, unknown_name
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax.fields._control_points import ControlPointParameters
 from softcal_jax.fields._order import (
     AxisChart,
     Groups,
@@ -21,7 +22,6 @@ from softcal_jax.fields._order import (
     order_terms,
 )
 from softcal_jax.fields._parameters import AbstractEntry, Parameter, Values, once
-from softcal_jax.fields._spread import ControlPointParameters
 
 Entry = AbstractEntry
 

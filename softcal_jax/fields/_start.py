@@ -10,7 +10,7 @@ import numpy as np
 from softcal_jax._limits import TRIALS
 from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.fields._model_fields import find_field, region_tets
+from softcal_jax.fields._parameters import find_field, region_tets
 from softcal_jax.fields._setup import SetupParameter
 from softcal_jax.fields._space import ParameterSpace
 
