@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module
-from softcal_jax._names import check_known, parse_axes, unknown_name
+from softcal_jax._names import check_known, parse_axes
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable_values
 from softcal_jax.fields._parameters import (
@@ -92,9 +92,7 @@ class ControlPoints(Module):
                 "control point would count the same everywhere; the paper takes 2."
             )
         if self.nearest is not None and not 1 <= self.nearest <= len(x):
-            raise ValueError(
-                f"nearest must lie between 1 and {len(x)} points, got {self.nearest}."
-            )
+            raise ValueError(f"nearest must be from 1 to {len(x)}, got {self.nearest}.")
         if self.max_distance is not None and not self.max_distance >= 0.0:
             raise ValueError(
                 f"max_distance must not be negative [m], got {self.max_distance:g}."
@@ -113,9 +111,7 @@ class ControlPoints(Module):
         """Columns of a position that count for the distance."""
         return parse_axes(self.axes)
 
-    def weights(
-        self, points: Float[ArrayLike, "n_points 3"]
-    ) -> Float[Array, "n_points n_cp"]:
+    def weights(self, points: Float[ArrayLike, "n 3"]) -> Float[Array, "n n_cp"]:
         """Compute weights that spread values at control points over other points [-].
 
         Inverse-distance weighting, paper Sec. IV.A (Shepard 1968): w_ij is proportional
@@ -225,21 +221,14 @@ class ControlPointParameters(AbstractFieldEntry):
 
     def __check_init__(self):
         known, tied = self.control_points.names, dict(self.tied)
-        for name in (*self.fixed, *tied):
-            if name not in known:
-                what = "fixed" if name in self.fixed else "tied"
-                error = unknown_name("control point", name, known)
-                raise ValueError(f"{what} of {self.field}: {error}")
+        check_known(f"control point in fixed of {self.field}:", known, *self.fixed)
+        check_known(f"control point in tied of {self.field}:", known, *tied)
         both = sorted(set(self.fixed) & set(tied))
         if both:
-            raise ValueError(
-                f"control point {both[0]!r} of {self.field} is both fixed and tied."
-            )
+            raise ValueError(f"{both[0]!r} of {self.field} is both fixed and tied.")
         check_known("interpolation", get_args(Interpolation), self.interpolation)
         if not 0.0 <= self.core < 1.0:
-            raise ValueError(
-                f"core of {self.field} must lie in [0, 1), got {self.core:g}."
-            )
+            raise ValueError(f"core of {self.field} is {self.core:g}, not in [0, 1).")
         if self.interpolation == "director":
             span = float(np.max(self.upper - self.lower))
             if span > np.pi * (1 + 1e-9):
@@ -345,12 +334,10 @@ class ControlPointParameters(AbstractFieldEntry):
             distance = float(np.min(np.linalg.norm(nodes - x, axis=1)))
             if distance > max(reach, 0.5 * coarse):
                 where = "the body" if self.region is None else repr(self.region)
-                far, near = (
-                    readable_values([d], "m", digits=3) for d in (distance, reach)
-                )
+                show = lambda distance: readable_values([distance], "m", digits=3)
                 raise ValueError(
-                    f"control point {name!r} of {self.field} lies {far} from {where}: "
-                    f"check its unit and frame, or raise max_distance, {near}."
+                    f"control point {name!r} of {self.field} is {show(distance)} from "
+                    f"{where}: check its frame, or raise max_distance, {show(reach)}."
                 )
         strongest = np.asarray(self._weights(mesh)).max(axis=0)
         why = f"nearest is {points.nearest}. Raise `nearest`"

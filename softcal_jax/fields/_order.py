@@ -58,9 +58,7 @@ def order_terms(entries: Entries, order: Groups) -> list[tuple[Term, Term]]:
             elif is_traced(small.constant) or is_traced(large.constant):
                 continue
             elif float(small.constant) > float(large.constant):
-                raise ValueError(
-                    f"order: {small.name} is fixed above {large.name}, fixed as well."
-                )
+                raise ValueError(f"order: {small.name} is fixed above {large.name}.")
     return pairs
 
 
@@ -128,9 +126,7 @@ def axis_columns(entries: Entries, axes: Groups) -> Int[HostArray, "n_axes 3"]:
     used = [column for row in rows for column in row]
     for column in used:
         if used.count(column) > 1:
-            raise ValueError(
-                f"axes: {parameters[column].name!r} belongs to more than one axis."
-            )
+            raise ValueError(f"axes: {parameters[column].name!r} is in two of them.")
     return np.array(rows, dtype=int).reshape(-1, 3)
 
 
@@ -209,27 +205,25 @@ class AxisChart(NamedTuple):
         return z.at[s].set(low).at[l].set(top)
 
 
-class FadingAxis(NamedTuple):
-    """The three fields of an axis whose angle has a core."""
-
-    small: ControlPointParameters
-    large: ControlPointParameters
-    angle: ControlPointParameters
-
-    def apply(self, model: Any, values: Values) -> Any:
-        """Reduce the contrast of the moduli in the cores; their geometric mean stays.
-
-        `model` has the three fields as they would be without a core.
-        """
-        low = jnp.log(self.small.evaluate(model.mesh, values))
-        high = jnp.log(self.large.evaluate(model.mesh, values))
-        middle, half = 0.5 * (high + low), 0.5 * (high - low)
-        half = half * self.angle.contrast(model.mesh, values)
-        model = self.small.set_on(model, jnp.exp(middle - half))
-        return self.large.set_on(model, jnp.exp(middle + half))
+Axis = tuple[ControlPointParameters, ControlPointParameters, ControlPointParameters]
+"""The fields of an axis: smaller modulus, larger modulus, angle."""
 
 
-def fading_axes(entries: Entries, axes: Groups) -> list[FadingAxis]:
+def faded(model: Any, values: Values, axis: Axis) -> Any:
+    """Reduce the contrast of the moduli in the cores; their geometric mean stays.
+
+    `model` has the three fields as they would be without a core.
+    """
+    small, large, angle = axis
+    low = jnp.log(small.evaluate(model.mesh, values))
+    high = jnp.log(large.evaluate(model.mesh, values))
+    middle, half = 0.5 * (high + low), 0.5 * (high - low)
+    half = half * angle.contrast(model.mesh, values)
+    model = small.set_on(model, jnp.exp(middle - half))
+    return large.set_on(model, jnp.exp(middle + half))
+
+
+def fading_axes(entries: Entries, axes: Groups) -> list[Axis]:
     """Return the axes whose angle has a core."""
     fields = [e for e in entries if isinstance(e, ControlPointParameters)]
     fading = []
@@ -249,5 +243,6 @@ def fading_axes(entries: Entries, axes: Groups) -> list[FadingAxis]:
                     f"{angle.field} has a core, and {field} is not set where it is: "
                     f"give both region={angle.region!r}, or leave core out."
                 )
-        fading.append(FadingAxis(*(beside[field] for field in axis)))
+        small, large, _ = axis
+        fading.append((beside[small], beside[large], angle))
     return fading

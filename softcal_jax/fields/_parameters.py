@@ -77,9 +77,7 @@ def find_field(model: Any, field: str):
         problem = "is not unique" if named else "does not exist"
         if hasattr(model.law, field):
             problem = "is shared by all tets: change it by eqx.tree_at"
-        raise ValueError(
-            f"field {field!r} of the model {problem}; it has {', '.join(paths)}."
-        )
+        raise ValueError(f"field {field!r} {problem}; there are {', '.join(paths)}.")
     return _Accessor(named[0])
 
 
@@ -200,6 +198,10 @@ def as_number(value: Any) -> Any:
     return jax.device_put(np.asarray(value, float))
 
 
+Real = Float[Array, ""]
+"""One number."""
+
+
 class AbstractFieldEntry(AbstractEntry):
     """Unknowns that set one field of the law, or the density.
 
@@ -218,17 +220,11 @@ class AbstractFieldEntry(AbstractEntry):
     scale: Literal["log", "linear"] = eqx.field(
         static=True, default="log", kw_only=True
     )
-    S: Float[Array, ""] | None = eqx.field(
-        default=None, converter=as_number, kw_only=True
-    )
+    S: Real | None = eqx.field(default=None, converter=as_number, kw_only=True)
     region: str | None = eqx.field(static=True, default=None, kw_only=True)
     unit: str = eqx.field(static=True, default="", kw_only=True)
-    max_step: Float[Array, ""] | None = eqx.field(
-        default=None, converter=as_number, kw_only=True
-    )
-    prior_std: Float[Array, ""] | None = eqx.field(
-        default=None, converter=as_number, kw_only=True
-    )
+    max_step: Real | None = eqx.field(default=None, converter=as_number, kw_only=True)
+    prior_std: Real | None = eqx.field(default=None, converter=as_number, kw_only=True)
 
     @property
     def tet_group(self) -> str | None:
@@ -268,13 +264,9 @@ class Parameter(AbstractFieldEntry):
                 f"{show(start)}, lower {show(lower)} and upper {show(upper)}."
             )
         if self.scale not in ("log", "linear"):
-            raise ValueError(
-                f'{what}: scale must be "log" or "linear", got {self.scale!r}.'
-            )
+            raise ValueError(f'{what}: scale is {self.scale!r}, not "log" or "linear".')
         if self.scale == "log" and lower <= 0.0:
-            raise ValueError(
-                f'{what}: lower {lower:g} is not positive: use scale="linear".'
-            )
+            raise ValueError(f'{what}: lower {lower:g} needs scale="linear".')
         for name in ("S", "max_step", "prior_std"):
             value = getattr(self, name)
             if value is not None and not 0.0 < float(value) < np.inf:

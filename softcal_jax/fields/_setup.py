@@ -48,13 +48,11 @@ class Poses(Module):
     recordings: Sequence[str]
 
 
-def each_of(
-    names: Sequence[str], present: Bool[HostArray, "n_c n"]
-) -> dict[str, Scope]:
+def each_of(names: Sequence[str], has: Bool[HostArray, "n_c n"]) -> dict[str, Scope]:
     """Return a scope for each name: one error for all configurations that have it."""
     return {
         name: tuple("" if has_it else None for has_it in flags)
-        for name, flags in zip(names, present.T, strict=True)
+        for name, flags in zip(names, has.T, strict=True)
         if name
     }
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import check_unique, unknown_name
+from softcal_jax._names import check_known, check_unique
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.fields._control_points import ControlPointParameters
 from softcal_jax.fields._order import (
@@ -18,6 +18,7 @@ from softcal_jax.fields._order import (
     Groups,
     Scaled,
     axis_columns,
+    faded,
     fading_axes,
     order_terms,
 )
@@ -300,7 +301,7 @@ class ParameterSpace(Module):
         for entry in self.entries:
             model, configuration = entry.apply(model, configuration, values)
         for axis in fading_axes(self.entries, self.axes):
-            model = axis.apply(model, values)
+            model = faded(model, values, axis)
         return model, configuration
 
     def model_at(self, model: Any, z: Scaled) -> Any:
@@ -334,6 +335,5 @@ def check_names(entries: tuple[Entry, ...]) -> None:
     for entry in entries:
         if isinstance(entry, ControlPointParameters):
             for point, name in entry.tied:
-                if name not in names:
-                    error = unknown_name("parameter", name, names)
-                    raise ValueError(f"{entry.field} of {point} is tied to an {error}")
+                what = f"parameter that {entry.field} of {point} is tied to,"
+                check_known(what, names, name)

@@ -62,9 +62,7 @@ def asked_errors(
 def check_precision(precision: float) -> None:
     """Raise ValueError unless a precision is positive and finite."""
     if not 0.0 < precision < np.inf:
-        raise ValueError(
-            f"precision must be positive, like 0.1 for 10 %; got {precision:g}."
-        )
+        raise ValueError(f"precision must be positive, like 0.1, got {precision:g}.")
 
 
 def _unit(entry: AbstractEntry, q: Parameter, size: float, kinds: dict) -> float:
