@@ -5,7 +5,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import compress
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from softcal_jax._names import check_known, listed
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import AbstractEffector, Configuration, ImposedForce
 from softcal_jax.control import Limits
-from softcal_jax.project._effectors import EffectorTable, build_effectors
+from softcal_jax.project._effectors import build_effectors
 from softcal_jax.project._mechanism import ActuatorTable
 from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._project import Project
@@ -87,7 +87,7 @@ def _with_goals(
             if name not in effectors:
                 places[name] = _place(text)
                 continue
-            kind, value = cast(EffectorTable, table.effectors[name]), _value(text)
+            kind, value = table.effectors[name], _value(text)
             folder = project.path.parent
             aimed.append(kind.measured(effectors[name], value, folder, model))
     return replace(_with_markers(configuration, places), effectors=tuple(aimed))
@@ -97,9 +97,7 @@ def _limited(actuator: ActuatorTable, text: str) -> dict[str, tuple[float, float
     """Parse limits; their unit says whether they are of force or displacement."""
     ends = re.split(r"\s+to\s+", text.strip())
     if len(ends) != 2:
-        raise ValueError(
-            f'got {text!r}; expected two values with their units, like "0 N to 5 N".'
-        )
+        raise ValueError(f'got {text!r}; expected two values, like "0 N to 5 N".')
     low, high = map(actuator.imposed, ends)
     if type(low) is not type(high):
         raise ValueError(

@@ -1,8 +1,7 @@
 """What else is known only roughly: the kinds of [[setup]], and [uncertain].
 
 To add a kind of [[setup]], which is calibrated beside the material, write one table
-with a key of its own, named like the function of `softcal_jax.fields` that makes it,
-and list it in `AnySetup`.
+with a key of its own, named like the function of `softcal_jax.fields` that makes it.
 """
 
 import dataclasses
@@ -255,15 +254,4 @@ class ClampStiffnessTable(FactorTable):
         return dict(nominal)
 
 
-AnySetup = Annotated[
-    MotorZeroTable
-    | MountingTable
-    | GravityTiltTable
-    | RecordingOffsetTable
-    | LoadFactorTable
-    | ActuatorFactorTable
-    | ClampStiffnessTable
-    | MarkerOffsetTable
-    | FrictionTable,
-    Choice(by_keys),
-]
+AnySetup = Annotated[SetupTable, Choice(by_keys)]
