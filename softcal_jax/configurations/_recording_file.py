@@ -9,14 +9,14 @@ docs.qualisys.com, "Motion data (.tsv)" (QTM 2024); for Nexus files that it wrot
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from softcal_jax._files import check_file
-from softcal_jax._names import METRES
+from softcal_jax._names import METRES, check_known
 from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import _csv_table as csv_table
@@ -31,7 +31,7 @@ def is_recording(path: Path) -> bool:
     if path.suffix.lower() == C3D:
         return True
     rows, _ = _rows_of(path, None)
-    return _program_of(rows) is not None
+    return bool(_known_rows(rows))
 
 
 def read_c3d(path: str | os.PathLike[str]) -> Recording:
@@ -79,9 +79,7 @@ def read_c3d(path: str | os.PathLike[str]) -> Recording:
     )
 
 
-def _events(
-    parameters: Mapping[str, Any], trimmed: float
-) -> tuple[tuple[str, float], ...]:
+def _events(parameters: Any, trimmed: float) -> tuple[tuple[str, float], ...]:
     event = parameters.get("EVENT", {})
     if "LABELS" not in event or "TIMES" not in event:
         return ()
@@ -156,25 +154,24 @@ def read_recording(
             f"{path} is a table of rows, with a column marker: take its rows by values "
             "of columns, not by a window of time."
         )
-    program = _program_of(rows)
-    if program is None:
+    known = _known_rows(rows)
+    if not known:
         raise ValueError(
             f"{path} is no table of motion capture that is known: expected a header "
             'that begins with "Format Version" (Motive), with "NO_OF_FRAMES" '
             '(Qualisys), or a section "Trajectories" (Vicon).'
         )
+    read_header, needed = _LAYOUTS[known[0]]
     try:
-        layout = program.layout(rows)
+        layout = read_header(rows)
     except (IndexError, KeyError, ValueError) as error:
         raise ValueError(
-            f"the header of {path} is not as {program.name} writes it ({error}): "
-            f"export {program.needs}."
+            f"the header of {path} is not as expected ({error}): export {needed}."
         ) from error
     check_rate(path, layout.rate)
     metres = metres_of(path, layout.unit, length_unit)
-    point = decimal or csv_table.decimal_of(
-        (cells for _, cells in layout.rows), delimiter
-    )
+    cells = [cells for _, cells in layout.rows]
+    point = decimal or csv_table.decimal_of(cells, delimiter)
     times, positions = _numbers(path, layout, point)
     begin = times[0] if times.size else 0.0
     return Recording(
@@ -197,20 +194,16 @@ def _rows_of(path: Path, delimiter: str | None) -> tuple[NumberedCells, str]:
 
 def check_rate(path: Path, rate: float) -> None:
     if not 0.0 < rate < math.inf:
-        raise ValueError(
-            f"{path}: its rate of frames is {rate:g}; expected a positive number."
-        )
+        raise ValueError(f"{path}: its rate of frames is {rate:g}, not positive.")
 
 
 def metres_of(path: Path, stated: str | None, given: str | None = None) -> float:
     """Return the unit of length that a recording states or that is given [m]."""
     if given is not None:
-        csv_table.check_length_unit(given)
+        check_known("length unit", METRES, given)
     unit = given if stated is None else stated
     if unit is None:
-        raise ValueError(
-            f"{path} states no unit of length; give length_unit (Qualisys writes mm)."
-        )
+        raise ValueError(f"{path} states no length_unit; give it (for Qualisys mm).")
     if unit not in _STATED_METRES:
         raise ValueError(
             f"{path} states the unit of length {unit!r}; expected one of "
@@ -218,8 +211,7 @@ def metres_of(path: Path, stated: str | None, given: str | None = None) -> float
         )
     if given is not None and METRES[given] != _STATED_METRES[unit]:
         raise ValueError(
-            f"{path} states the unit of length {unit!r}, but length_unit is {given!r}; "
-            "leave length_unit out."
+            f"{path} states the unit {unit!r}: leave length_unit = {given!r} out."
         )
     return _STATED_METRES[unit]
 
@@ -241,10 +233,7 @@ def _numbers(
                 if cells[column].lower() not in _GAPS:
                     values[i, k] = csv_table.parse_number(cells[column], point, _CELL)
             if i and not times[i] > times[i - 1]:
-                raise ValueError(
-                    f"its time, {times[i]:g} s, is not after that of the frame before, "
-                    f"{times[i - 1]:g} s."
-                )
+                raise ValueError(f"time {times[i]:g} is not after {times[i - 1]:g} s.")
     positions = values.reshape(len(times), -1, 3)
     if layout.zero_is_gap:
         positions[np.all(positions == 0.0, axis=2)] = np.nan
@@ -327,26 +316,13 @@ def _qualisys(rows: NumberedCells) -> _Layout:
     )
 
 
-class _MotionProgram(NamedTuple):
-    """A program: how it lays out a table, and what to export from it."""
-
-    name: str
-    layout: Callable[[NumberedCells], _Layout]
-    needs: str
-
-
-_PROGRAMS = {
-    "Format Version": _MotionProgram(
-        "Motive", _motive, "Markers with the header and times"
-    ),
-    "NO_OF_FRAMES": _MotionProgram("QTM", _qualisys, "3D data with the TSV header"),
-    "Trajectories": _MotionProgram(
-        "Nexus", _vicon, "Trajectories with their four rows"
-    ),
+_LAYOUTS: dict[str, tuple[Callable[[NumberedCells], _Layout], str]] = {
+    "Format Version": (_motive, "Markers with the header and times from Motive"),
+    "NO_OF_FRAMES": (_qualisys, "3D data with the TSV header from QTM"),
+    "Trajectories": (_vicon, "Trajectories with their four rows from Nexus"),
 }
-"""Programs by how a row near the top of their tables begins."""
+"""Readers of a header, and what to export, by how a row near its top begins."""
 
 
-def _program_of(rows: NumberedCells) -> _MotionProgram | None:
-    starts = _starts(rows)
-    return next((_PROGRAMS[row] for row in _PROGRAMS if row in starts), None)
+def _known_rows(rows: NumberedCells) -> list[str]:
+    return [row for row in _LAYOUTS if row in _starts(rows)]

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softcal_jax._module import Module
-from softcal_jax._names import METRES, suggestion, unknown_name
+from softcal_jax._names import METRES, check_known, suggestion
 from softcal_jax._text import shortened
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._warnings import SoftcalWarning
@@ -130,9 +130,8 @@ def read_poses(
     Warns:
         TrackerWarning: If angles in degrees look like radians.
     """
-    table = csv_table.read_table(
-        path, "sensor", select, delimiter=delimiter, decimal=decimal
-    )
+    dialect = {"delimiter": delimiter, "decimal": decimal}
+    table = csv_table.read_table(path, "sensor", select, **dialect)
     point_columns, metres = csv_table.coordinates(table, length_unit)
     turn_columns = _turn_columns(table)
     columns = point_columns + turn_columns
@@ -178,9 +177,8 @@ def read_polhemus(
     Warns:
         TrackerWarning: As for `read_poses`.
     """
-    csv_table.check_length_unit(length_unit)
-    if angle_unit not in _RADIANS:
-        raise unknown_name("angle unit", angle_unit, _RADIANS)
+    check_known("length unit", METRES, length_unit)
+    check_known("angle unit", _RADIANS, angle_unit)
     path = Path(path)
     readings = [
         (line, _seven_numbers(path, line, text))
@@ -191,8 +189,7 @@ def read_polhemus(
         present = dict.fromkeys(f"{values[0]:.0f}" for _, values in readings)
         wanted = "readings" if station is None else f"station {station}"
         raise ValueError(
-            f"tracker file {path} has no {wanted}. Stations: "
-            f"{', '.join(present) or 'none'}."
+            f"{path} has no {wanted}. Stations: {', '.join(present) or 'none'}."
         )
     lines = tuple(line for line, _ in chosen)
     values = np.array([v for _, v in chosen])
@@ -226,9 +223,8 @@ def _seven_numbers(path: Path, line: int, text: str) -> list[float]:
         values = []
     if len(values) != 7 or not np.all(np.isfinite(values)) or values[0] % 1.0:
         raise ValueError(
-            f"{path}, line {line}: got {shortened(text)!r}; expected 7 finite numbers "
-            "with spaces between: station (an integer), x, y, z, azimuth, elevation, "
-            "roll."
+            f"{path}, line {line}: got {shortened(text)!r}; expected 7 finite numbers: "
+            "an integer station, x, y, z, azimuth, elevation, roll."
         )
     return values
 
