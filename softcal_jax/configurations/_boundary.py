@@ -47,10 +47,7 @@ class Support(Module):
                 f"[N/m3], got {self.stiffness!r}; leave it out for a rigid support."
             )
         if not isinstance(self.where, str):
-            raise ValueError(
-                "a support with a stiffness needs the name of a surface group, whose "
-                "area it acts on; got node indices."
-            )
+            raise ValueError("a support with a stiffness needs a surface group.")
 
     def apply(
         self,

@@ -186,8 +186,7 @@ class Recording(Module):
         """Return the time from which times count [s], and words for it in messages."""
         if None not in (after_step_of, after_event):
             raise ValueError(
-                f"times count from the step of {after_step_of!r} or from the event "
-                f"{after_event!r}, not from both."
+                f"times count from {after_step_of!r} or {after_event!r}, not both."
             )
         if after_step_of is not None:
             return self.step_of(after_step_of), f" from the step of {after_step_of!r}"

@@ -95,8 +95,7 @@ class Uncertain(Module):
         for name, std in vars(self).items():
             if name not in self.estimated and not 0.0 <= float(std) < np.inf:
                 raise ValueError(
-                    f"the uncertainty of {name} must be finite and not negative, got "
-                    f"{std}; 0 if it is known exactly."
+                    f"uncertainty of {name} must be finite and not negative, got {std}."
                 )
 
 

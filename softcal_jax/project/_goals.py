@@ -97,7 +97,7 @@ def _limited(actuator: ActuatorTable, text: str) -> dict[str, tuple[float, float
     """Parse limits; their unit says whether they are of force or displacement."""
     ends = re.split(r"\s+to\s+", text.strip())
     if len(ends) != 2:
-        raise ValueError(f'got {text!r}; expected two values, like "0 N to 5 N".')
+        raise ValueError(f'got {text!r}; expected lowest to highest: "0 N to 5 N".')
     low, high = map(actuator.imposed, ends)
     if type(low) is not type(high):
         raise ValueError(

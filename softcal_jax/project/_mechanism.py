@@ -7,7 +7,6 @@ import contextlib
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from softcal_jax import actuators
@@ -54,12 +53,11 @@ class BodyTable(Table):
         return self
 
     def build(self, name: str) -> RigidBody:
-        axes = None if self.axes is None else np.array(self.axes)
         return RigidBody(
             name=name,
             where=self.group,
             origin=self.origin,
-            axes=axes if self.hinge is None else hinge_axes(self.hinge),
+            axes=self.axes if self.hinge is None else hinge_axes(self.hinge),
             mounting=self.mounting.pose,
             **self.model_dump(include={"tied_to", "mass", "centre_of_mass"}),
         )

@@ -5,6 +5,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from softcal_jax._names import check_unique
 from softcal_jax.fields import (
     ControlPointParameters,
     ControlPoints,
@@ -38,10 +39,7 @@ class ControlPointsTable(Table):
     @model_validator(mode="after")
     def _check(self) -> "ControlPointsTable":
         if self.names is not None and isinstance(self.positions, dict):
-            raise ValueError(
-                "`positions` is a table, which names its points; leave `names` out, or "
-                "give a list of positions."
-            )
+            raise ValueError("`positions` names its points: leave `names` out.")
         return self
 
     def build(self) -> ControlPoints:
@@ -127,10 +125,7 @@ class ParameterTable(Table):
         if (info.data.get("scale") or constant.scale) == "linear":
             return typed.parse_in_si(value, constant.unit)
         if not typed.is_number(value):
-            raise ValueError(
-                f"got {typed.shown(value)}; on a log scale it is relative: expected a "
-                "number, like 0.3 for 30 %."
-            )
+            raise ValueError(f"got {typed.shown(value)}; it is relative, like 0.3.")
         return float(value)
 
     @model_validator(mode="after")
@@ -200,6 +195,7 @@ def build_space(table: WholeFile) -> ParameterSpace | None:
     for parameter in table.parameters:
         with under(f"parameters.{parameter.label}"):
             entries.append(parameter.build(table))
+            check_unique("parameter", [q.name for q in entries[-1].parameters])
     for i, error in enumerate(table.setup, start=1):
         with under(f"setup[{i}].{error.label}"):
             entries += error.build(table)

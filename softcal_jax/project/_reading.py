@@ -162,9 +162,7 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
     except ValidationError as error:
         problems = describe(error, raw)
     if not (raw.get("configurations") or raw.get("candidates")):
-        problems.append(
-            "configurations: missing. Expected at least one table [[configurations]]."
-        )
+        problems.append("configurations: missing. Expected a table [[configurations]].")
     if problems or table is None:
         raise one_by_one(path, problems)
     return table
@@ -201,9 +199,7 @@ def _with_changes(
             table = table.setdefault(part, {}) if isinstance(table, dict) else None
         if not isinstance(table, dict):
             where = ".".join(way)
-            raise ProjectError(
-                f"{path}: {key}: {where} is no table of the project file."
-            )
+            raise ProjectError(f"{path}: {key}: {where} is no table of the file.")
         if value is None:
             table.pop(last, None)
         else:

@@ -139,7 +139,8 @@ def _mean(readings: PoseTable, base: Pose) -> Seen:
             f"{readings.source} has the sensors {', '.join(means)}; say which one is "
             f"meant, by `sensor` or `station`."
         )
-    return Seen(*means.values())
+    (mean,) = means.values()
+    return Seen(mean)
 
 
 class WrittenPoseTable(MotionSource, OrientationTable):
@@ -181,9 +182,7 @@ class PolhemusFileTable(MotionSource):
 
     file: str
     format: Literal["polhemus"]
-    length_unit: LengthUnit = Field(
-        description='what the tracker was set to: "cm" or "inch"'
-    )
+    length_unit: LengthUnit = Field(description='unit of the tracker: "cm" or "inch"')
     angle_unit: Literal["deg", "rad"] = "deg"
     station: typed.Integer | None = None
 
