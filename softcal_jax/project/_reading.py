@@ -213,19 +213,15 @@ def _with_shared(raw: dict[str, Any]) -> dict[str, Any]:
     for key, kind in kinds.items():
         if isinstance(raw.get(key), list) and isinstance(shared, dict):
             base = {k: value for k, value in shared.items() if k in kind.model_fields}
-            merged[key] = [
-                _merged(base, e) if isinstance(e, dict) else e for e in raw[key]
-            ]
+            merged[key] = [_merged(base, entry) for entry in raw[key]]
     return merged
 
 
-def _merged(shared: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
-    """Merge a table over the shared one, recursively where both have a table."""
-    out = dict(shared)
-    for key, value in table.items():
-        both = isinstance(value, dict) and isinstance(out.get(key), dict)
-        out[key] = _merged(out[key], value) if both else value
-    return out
+def _merged(shared: Any, own: Any) -> Any:
+    """Merge a value over the shared one, key by key where both are tables."""
+    if not (isinstance(shared, dict) and isinstance(own, dict)):
+        return own
+    return shared | {key: _merged(shared.get(key), own[key]) for key in own}
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
