@@ -5,9 +5,9 @@ from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
-import jax
 import numpy as np
 
+from softcal_jax._lanes import stacked
 from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS, check_unique, name_key
 from softcal_jax._typing import Float, HostArray
@@ -191,9 +191,7 @@ def configuration_lanes(
         numbered = zip(of_c, indices, strict=True)
         described = (effector_record(*both, mechanism.points) for both in numbered)
         records.append(tuple(described))
-    # Not jnp.asarray, which would compile a program for every shape.
-    arrays = jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *lanes))
-    return ConfigurationLanes(arrays, tuple(records))
+    return ConfigurationLanes(stacked(lanes), tuple(records))
 
 
 def _lane(
