@@ -70,6 +70,7 @@ from softcal_jax.configurations._tracker import (
     PoseTable as PoseTable,
     TrackerWarning as TrackerWarning,
     average_poses as average_poses,
+    from_quaternion as from_quaternion,
     in_frame as in_frame,
     read_polhemus as read_polhemus,
     read_poses as read_poses,

@@ -1,8 +1,6 @@
 """How a body is held and pushed: supports, whether they are enough, and dead loads."""
 
 from abc import abstractmethod
-from collections.abc import Sequence
-from typing import NamedTuple
 
 import equinox as eqx
 import numpy as np
@@ -12,6 +10,7 @@ from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS, parse_axes
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.bodies import KINDS, three_numbers
+from softcal_jax.configurations._arrays import Springs
 from softcal_jax.configurations._mechanism import Mechanism
 from softcal_jax.mesh import TetMesh
 
@@ -80,36 +79,33 @@ class Support(Module):
         return areas
 
 
-class Couplings(NamedTuple):
-    """Springs between the nodes of the faces of elastic supports; see `Springs`."""
+def coupled_springs(
+    mesh: TetMesh, groups: tuple[str, ...], rest: Float[HostArray, "n_points 3"]
+) -> Springs:
+    """Make springs on surface groups with their coupling, but no stiffness yet.
 
-    tets: Int[HostArray, " n_faces"]
-    support: Int[HostArray, " n_faces"]
-    areas: Float[HostArray, "n_faces n_en n_en"]
-
-
-def couplings(mesh: TetMesh, groups: Sequence[str]) -> Couplings:
-    """Compute what nodal areas leave of the work of elastic supports on their faces.
-
-    On quadratic tets the areas of corners are zero: alone, they would leave corners
-    free. None on linear tets, whose nodal areas hold every node.
+    The coupling is what nodal areas leave of the work of elastic supports on their
+    faces. On quadratic tets the areas of corners are zero: alone, they would leave
+    corners free. None on linear tets, whose nodal areas hold every node.
     """
-    n_en = mesh.tets.shape[1]
+    n_en, n_groups = mesh.tets.shape[1], len(groups)
+    area, stiffness = np.zeros((n_groups, *rest.shape)), np.zeros(n_groups)
     if mesh.order == 1 or not groups:
-        none = np.zeros(0, np.int32)
-        return Couplings(none, none, np.zeros((0, n_en, n_en)))
+        none, areas = np.zeros(0, np.int32), np.zeros((0, n_en, n_en))
+        return Springs(area, stiffness, rest, none, none, areas, groups)
     several = [mesh.faces(group) for group in groups]
     faces = np.concatenate(several)
     tets = meshes.face_indices(faces, meshes.tet_faces(mesh.tets)) // 4
     local = np.argmax(mesh.tets[tets][:, None] == faces[:, :, None], axis=2)
-    rest = meshes.face_products(mesh, faces)
+    products = meshes.face_products(mesh, faces)
     diagonal = np.arange(6)
-    rest[:, diagonal, diagonal] -= rest.sum(axis=2)
+    products[:, diagonal, diagonal] -= products.sum(axis=2)
     areas = np.zeros((len(faces), n_en, n_en))
     which = np.arange(len(faces))[:, None, None]
-    areas[which, local[:, :, None], local[:, None]] = rest
+    areas[which, local[:, :, None], local[:, None]] = products
     of = np.repeat(np.arange(len(several)), [len(part) for part in several])
-    return Couplings(tets.astype(np.int32), of.astype(np.int32), areas)
+    tets, of = tets.astype(np.int32), of.astype(np.int32)
+    return Springs(area, stiffness, rest, tets, of, areas, groups)
 
 
 def check_apart(mesh: TetMesh, mechanism: Mechanism, fixed, name: str) -> None:
@@ -226,14 +222,10 @@ class NodalForces(AbstractLoad):
     def nodal_forces(self, mesh: TetMesh) -> Float[HostArray, "n_nodes 3"]:
         nodes = meshes.node_indices(mesh, self.nodes, "a nodal force")
         forces = np.asarray(self.forces, float)
-        if forces.shape != (len(nodes), 3):
-            raise ValueError(
-                f"{len(nodes)} nodes need forces of shape ({len(nodes)}, 3) [N], got "
-                f"{forces.shape}."
-            )
+        if forces.shape != (n := len(nodes), 3):
+            raise ValueError(f"forces need the shape ({n}, 3), got {forces.shape}.")
         for node, force in zip(nodes, forces, strict=True):
-            if not np.all(np.isfinite(force)):
-                raise ValueError(f"node {node} needs a finite force [N], got {force}.")
+            three_numbers(f"the force on node {node}", "N", force)
         return _added(mesh, nodes, forces)
 
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
-import jax
 import numpy as np
 
+from softcal_jax._lanes import stacked
 from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS, check_unique, name_key
 from softcal_jax._typing import Float, HostArray
@@ -21,11 +21,10 @@ from softcal_jax.configurations._arrays import (
 )
 from softcal_jax.configurations._boundary import (
     AbstractLoad,
-    Couplings,
     Support,
     check_apart,
     check_held,
-    couplings,
+    coupled_springs,
     motors_of,
 )
 from softcal_jax.configurations._effector import (
@@ -45,10 +44,8 @@ STANDARD_GRAVITY = 9.80665
 """Standard acceleration of gravity [m/s2]."""
 
 
-def _as_supports(
-    supports: str | Support | Iterable[str | Support],
-) -> tuple[Support, ...]:
-    several = [supports] if isinstance(supports, str | Support) else supports
+def _as_supports(given: str | Support | Iterable[str | Support]) -> tuple[Support, ...]:
+    several = [given] if isinstance(given, str | Support) else given
     return tuple(Support(s) if isinstance(s, str) else s for s in several)
 
 
@@ -132,9 +129,7 @@ class Configuration(Module):
             )
         if self.measured is not None:
             if self.markers is None:
-                raise ValueError(
-                    f"configuration {self.name!r} has measured positions, no markers."
-                )
+                raise ValueError(f"{self.name!r} has measured positions, no markers.")
             self.markers.check_measured(self.measured, self.name)
 
 
@@ -180,26 +175,23 @@ def configuration_lanes(
         if by_key.setdefault(name_key(name), name) != name:
             raise ValueError(
                 f"the names {by_key[name_key(name)]!r} and {name!r} of configurations "
-                "or recordings cannot be told apart: their CRC-32 is the same. Rename "
-                "one of them."
+                "or recordings have the same CRC-32: rename one of them."
             )
     supports = [support for c in configurations for support in c.supports]
-    springs = dict.fromkeys(s.name for s in supports if s.stiffness is not None)
-    loads = dict.fromkeys(load.name for c in configurations for load in c.loads)
-    named = {"springs": (*springs,), "loads": (*loads,) or (UNNAMED_LOADS,)}
+    elastic = dict.fromkeys(s.name for s in supports if s.stiffness is not None)
     # Those of all supports in every lane, so that lanes have one shape.
-    named["coupled"] = couplings(mesh, named["springs"])
+    springs = coupled_springs(mesh, (*elastic,), np.zeros_like(mechanism.points))
+    named = dict.fromkeys(load.name for c in configurations for load in c.loads)
+    loads = (*named,) or (UNNAMED_LOADS,)
     rows = [_effector_rows(mesh, c, mechanism) for c in configurations]
     lanes, records = [], []
     every = zip(configurations, rows, stack_effectors(rows), strict=True)
     for c, of_c, (effectors, indices) in every:
-        lanes.append(_lane(mesh, mechanism, c, effectors, **named))
+        lanes.append(_lane(mesh, mechanism, c, effectors, springs=springs, loads=loads))
         numbered = zip(of_c, indices, strict=True)
         described = (effector_record(*both, mechanism.points) for both in numbered)
         records.append(tuple(described))
-    # Not jnp.asarray, which would compile a program for every shape.
-    arrays = jax.device_put(jax.tree.map(lambda *leaves: np.stack(leaves), *lanes))
-    return ConfigurationLanes(arrays, tuple(records))
+    return ConfigurationLanes(stacked(lanes), tuple(records))
 
 
 def _lane(
@@ -208,8 +200,7 @@ def _lane(
     c: Configuration,
     effectors: EffectorArrays,
     *,
-    springs: tuple[str, ...],
-    coupled: Couplings,
+    springs: Springs,
     loads: tuple[str, ...],
 ) -> ConfigurationArrays:
     fixed, sprung = np.zeros((2, mesh.n_nodes, 3), bool)
@@ -238,7 +229,7 @@ def _lane(
         key=np.array([name_key(c.name), name_key(c.recording or c.name)], np.int64),
         fixed=all_nodes(fixed),
         imposed=all_nodes(imposed),
-        springs=_springs(mesh, c, all_nodes(rest), names=springs, coupled=coupled),
+        springs=_stiffened(springs, mesh, c, all_nodes(rest)),
         loads=DeadLoads(force, np.ones(len(force)), loads),
         gravity=np.asarray(c.gravity, float),
         tilt=np.zeros(2),
@@ -248,20 +239,13 @@ def _lane(
     )
 
 
-def _springs(
-    mesh: TetMesh,
-    c: Configuration,
-    rest: Float[HostArray, "n_points 3"],
-    *,
-    names: tuple[str, ...],
-    coupled: Couplings,
+def _stiffened(
+    springs: Springs, mesh: TetMesh, c: Configuration, rest: HostArray
 ) -> Springs:
-    """Stack the elastic supports of a configuration among those of the whole batch."""
-    area, stiffness = np.zeros((len(names), *rest.shape)), np.zeros(len(names))
-    for support in c.supports:
-        if support.stiffness is None:
-            continue
-        s = names.index(support.name)
+    """Give the springs of the whole batch the stiffness that a configuration states."""
+    area, stiffness = np.zeros_like(springs.area), np.zeros_like(springs.stiffness)
+    for support in [s for s in c.supports if s.stiffness is not None]:
+        s = springs.names.index(support.name)
         if stiffness[s] > 0.0:
             raise ValueError(
                 f"configuration {c.name!r}: the group {support.name!r} has two "
@@ -269,7 +253,7 @@ def _springs(
             )
         area[s, : mesh.n_nodes] = support.areas(mesh)
         stiffness[s] = support.stiffness
-    return Springs(area, stiffness, rest, *coupled, names)
+    return replace(springs, area=area, stiffness=stiffness, rest=rest)
 
 
 def _effector_rows(
@@ -317,10 +301,7 @@ def measured_at_rest(
         ValueError: If it has neither markers nor other effectors.
     """
     if c.markers is None and not c.effectors:
-        raise ValueError(
-            f"configuration {c.name!r} has no markers and no other effectors: it sees "
-            "nothing."
-        )
+        raise ValueError(f"configuration {c.name!r} has no markers or effectors.")
     rest = np.zeros((len(_effector_rows(mesh, c, mechanism)), 3))
     if c.markers is not None:
         rest[: len(c.markers.names)] = c.markers.positions

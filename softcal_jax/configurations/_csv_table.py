@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax._files import check_file
-from softcal_jax._names import METRES, check_unique, suggestion, unknown_name
+from softcal_jax._names import METRES, check_known, check_unique, suggestion
 from softcal_jax._text import check_characters, from_cell
 from softcal_jax._typing import Float, HostArray
 
@@ -116,9 +116,7 @@ def check_dialect(delimiter: str | None, decimal: str | None) -> None:
     stated = {"delimiter": (delimiter, _DELIMITERS), "decimal": (decimal, (".", ","))}
     for name, (value, known) in stated.items():
         if value is not None and value not in known:
-            raise ValueError(
-                f"{name} is {value!r}; expected one of {', '.join(map(repr, known))}."
-            )
+            raise ValueError(f"{name} is {value!r}; expected one of {known}.")
     if delimiter == decimal == ",":
         raise ValueError("delimiter and decimal are both a comma; give another one.")
 
@@ -203,16 +201,11 @@ def read_lines(path: Path, key: str) -> list[tuple[int, str]]:
     return lines
 
 
-def check_length_unit(unit: str) -> None:
-    if unit not in METRES:
-        raise unknown_name("length unit", unit, METRES)
-
-
 def coordinates(table: CsvTable, length_unit: str | None) -> tuple[list[str], float]:
     """Find the columns x, y, z or x_mm, y_mm, z_mm, and their unit in metres."""
     path, header = table.path, table.header
     if length_unit is not None:
-        check_length_unit(length_unit)
+        check_known("length unit", METRES, length_unit)
     named = lambda axes: [u for u in METRES if {f"{a}_{u}" for a in axes} & {*header}]
     units = named("x") or named("yz")
     if len(units) > 1:

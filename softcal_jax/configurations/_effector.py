@@ -81,6 +81,10 @@ class EffectorRow(NamedTuple):
         return (self._replace(measured=measured, inverse_std=weights),)
 
 
+Readings = Float[HostArray, "k 3"]
+"""Measured values of an effector, one row of coordinates each."""
+
+
 class AbstractEffector(Module):
     """Something that is measured on the robot, or brought to a goal."""
 
@@ -94,9 +98,7 @@ class AbstractEffector(Module):
             ValueError: If it does not fit the model, or its value is not finite.
         """
 
-    def measured_as(
-        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
-    ) -> "AbstractEffector":
+    def measured_as(self, values: Readings, mechanism: Mechanism) -> "AbstractEffector":
         """Return the effector with other measured values, one per row and from rest."""
         return replace(self, measured=values[0])  # pyright: ignore
 
@@ -104,9 +106,7 @@ class AbstractEffector(Module):
 class AbstractScalar(AbstractEffector):
     """An effector of one coordinate: a length, a volume, an angle, a force."""
 
-    def measured_as(
-        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
-    ) -> "AbstractScalar":
+    def measured_as(self, values: Readings, mechanism: Mechanism) -> "AbstractScalar":
         return replace(self, measured=float(values[0, 0]))  # pyright: ignore
 
     def _row(
@@ -124,8 +124,7 @@ def inverse_std(
     bad = values[~(np.isfinite(values) & (values > 0.0))]
     if bad.size:
         raise ValueError(
-            f"{what} of effector {name!r} must be positive and finite [{unit}], got "
-            f"{bad[0]:g}."
+            f"{what} of effector {name!r} must be positive and finite, got {bad[0]:g}."
         )
     return np.asarray(1.0 / values)
 

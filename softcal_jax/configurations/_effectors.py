@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.bodies import (
     BodyArrays,
@@ -22,6 +22,7 @@ from softcal_jax.configurations._effector import (
     AbstractEffector,
     AbstractScalar,
     EffectorRow,
+    Readings,
     Unstated,
     inverse_std,
 )
@@ -83,9 +84,8 @@ class BodyFrame(AbstractEffector):
         nodes = (mesh.n_nodes + 4 * k + np.arange(4)).astype(np.int32)
         weights, *along = bodies.at(k, point + np.eye(4, 3, -1))
         slopes = np.array(along).T - weights[:, None]
-        row = EffectorRow(
-            self.name, "point", "m", nodes=nodes, weights=weights, slopes=slopes
-        )
+        carriers = {"nodes": nodes, "weights": weights, "slopes": slopes}
+        row = EffectorRow(self.name, "point", "m", **carriers)
         turn = EffectorRow(self.name, "turn", "rad", body=k)
         weight_angle = inverse_std(self.name, "std_angle", self.std_angle, "rad")
         if self.measured is None:
@@ -102,9 +102,7 @@ class BodyFrame(AbstractEffector):
         k = _index_of(self.body, bodies.names, "rigid body", self.name)
         return k, bodies.origin[k] if self.point is None else self.point
 
-    def measured_as(
-        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
-    ) -> "BodyFrame":
+    def measured_as(self, values: Readings, mechanism: Mechanism) -> "BodyFrame":
         """Replace the measured position [m] and rotation vector from rest [rad]."""
         _, point = self._place(mechanism.bodies)
         return replace(self, measured=Pose(values[0] - point, values[1]))
@@ -202,8 +200,7 @@ class ActuatorDisplacement(AbstractScalar):
         if kind.displacement_unit is None:
             raise ValueError(
                 f"effector {self.name!r}: {kind.noun} {self.actuator!r} has no "
-                "displacement; use ActuatorForce (in a project file type = "
-                '"actuator-force").'
+                'displacement; use ActuatorForce (type = "actuator-force" in a file).'
             )
         reading = _Reading(_of_actuator, ("actuator_displacements", a))
         return self._row("scalar", kind.displacement_unit, reading)
@@ -256,10 +253,7 @@ class Observation(AbstractEffector):
 
     def __check_init__(self):
         if isinstance(self.std, Unstated):
-            raise ValueError(
-                f"effector {self.name!r} needs a std [{self.unit}]: no size suits all "
-                "units."
-            )
+            raise ValueError(f"effector {self.name!r} needs a std [{self.unit}].")
 
     @property
     def n_values(self) -> int:
@@ -278,21 +272,17 @@ class Observation(AbstractEffector):
                 f"std of effector {self.name!r} has {np.size(self.std)} values, its "
                 f"measured value {n}: give one for all, or one for each."
             )
-        row = EffectorRow(
-            self.name, "observation", self.unit, function=self.function, n_values=n
-        )
+        reading: dict[str, Any] = {"function": self.function, "n_values": n}
+        row = EffectorRow(self.name, "observation", self.unit, **reading)
         return row.with_value(self.measured, self.std)
 
-    def measured_as(
-        self, values: Float[HostArray, "k 3"], mechanism: Mechanism
-    ) -> "Observation":
+    def measured_as(self, values: Readings, mechanism: Mechanism) -> "Observation":
         value = values[0, : self.n_values]
         return replace(self, measured=value if value.size > 1 else float(value[0]))
 
 
 def _index_of(wanted: str, names: Sequence[str], kind: str, owner: str) -> int:
-    if wanted not in names:
-        raise unknown_name(f"{kind} of effector {owner!r}", wanted, names)
+    check_known(f"{kind} of effector {owner!r}", names, wanted)
     return list(names).index(wanted)
 
 

@@ -13,7 +13,7 @@ from softcal_jax._module import Module
 from softcal_jax._names import check_unique, parse_axes, suggestion
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax._units import readable
-from softcal_jax.bodies import as_floats
+from softcal_jax.bodies import as_floats, three_numbers
 from softcal_jax.configurations._csv_table import coordinates, read_table
 from softcal_jax.configurations._effector import EffectorRow, Unstated
 from softcal_jax.mesh import TetMesh, locate, volumes
@@ -52,22 +52,13 @@ class Markers(Module):
     def __check_init__(self):
         parse_axes(self.axes)
         for name in ("max_distance", "base_radius"):
-            if not 0.0 <= getattr(self, name) < np.inf:
-                raise ValueError(
-                    f"{name} must be finite and not negative [m], "
-                    f"got {getattr(self, name):g}."
-                )
-        n = len(self.names)
-        if self.positions.shape != (n, 3):
-            raise ValueError(
-                f"{n} marker names need positions of shape ({n}, 3) [m], got "
-                f"{self.positions.shape}."
-            )
+            if not 0.0 <= (value := getattr(self, name)) < np.inf:
+                raise ValueError(f"{name} must be finite, 0 or more; got {value:g}.")
+        n, shape = len(self.names), self.positions.shape
+        if shape != (n, 3):
+            raise ValueError(f"positions need the shape ({n}, 3) [m], got {shape}.")
         for name, position in zip(self.names, self.positions, strict=True):
-            if not np.all(np.isfinite(position)):
-                raise ValueError(
-                    f"marker {name!r} needs a finite position [m], got {position}."
-                )
+            three_numbers(f"the position of marker {name!r}", "m", position)
         check_unique("marker", self.names)
         std = np.asarray(self.std, float)
         fits = std.shape in ((), (n,), (n, 3))
@@ -87,13 +78,11 @@ class Markers(Module):
         counts = np.isin(range(3), parse_axes(self.axes))
         return np.where(counts, 1.0 / std, np.zeros((len(self.names), 3)))
 
-    def check_measured(
-        self, measured: Float[HostArray, "n_markers 3"], configuration: str
-    ) -> None:
+    def check_measured(self, measured: Float[HostArray, "n 3"], owner: str) -> None:
         """Raise ValueError unless each marker has a finite position on its axes."""
         if measured.shape != self.positions.shape:
             raise ValueError(
-                f"configuration {configuration!r} has {len(self.names)} markers "
+                f"configuration {owner!r} has {len(self.names)} markers "
                 f"({', '.join(self.names)}), so `measured` needs the shape "
                 f"{self.positions.shape}, got {measured.shape}."
             )
@@ -101,7 +90,7 @@ class Markers(Module):
         bad = np.flatnonzero(~np.isfinite(used).all(axis=1))
         if bad.size:
             raise ValueError(
-                f"marker {self.names[bad[0]]!r} of configuration {configuration!r} was "
+                f"marker {self.names[bad[0]]!r} of configuration {owner!r} was "
                 f"measured at {measured[bad[0]]}: expected finite numbers [m]. Leave a "
                 "marker that was lost out of this configuration's markers."
             )
@@ -184,9 +173,7 @@ class Registration(Module):
         """Root mean square of the residual distances [m]."""
         return float(np.sqrt(np.mean(np.sum(self.residuals**2, axis=1))))
 
-    def apply(
-        self, points: Float[ArrayLike, "n_points 3"]
-    ) -> Float[HostArray, "n_points 3"]:
+    def apply(self, points: Float[ArrayLike, "n 3"]) -> Float[HostArray, "n 3"]:
         """Move points from the camera frame to the mesh frame [m]."""
         return np.asarray(points, float) @ self.rotation.T + self.translation
 
@@ -217,8 +204,7 @@ def register(
     least = 3 if rotation is None else 1
     if len(measured) < least or not np.all(np.isfinite([measured, nominal])):
         raise ValueError(
-            f"registration needs at least {least} markers, got {len(measured)}; their "
-            "positions must be finite."
+            f"registration needs at least {least} finite markers, got {len(measured)}."
         )
     centre_m, centre_n = measured.mean(axis=0), nominal.mean(axis=0)
     R = _rotation_onto(measured, nominal) if rotation is None else np.asarray(rotation)
@@ -234,8 +220,7 @@ def _rotation_onto(measured, nominal) -> Float[HostArray, "3 3"]:
         if spread[1] <= max(1e-6 * spread[0], 1e-12 * np.abs(points).max()):
             raise ValueError(
                 f"the {kind} markers of the registration lie on a line, which leaves a "
-                "rotation free: choose at least three that span a triangle, and check "
-                "their positions."
+                "rotation free: choose at least three that span a triangle."
             )
     about = [points - points.mean(axis=0) for points in (nominal, measured)]
     turn, *_ = Rotation.align_vectors(*about)

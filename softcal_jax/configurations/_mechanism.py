@@ -7,7 +7,7 @@ import numpy as np
 
 from softcal_jax import bodies as rigid
 from softcal_jax._module import Module
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.actuators import (
     AbstractActuator,
@@ -76,9 +76,7 @@ def build_mechanism(
         driven, root = stacked.names[body], stacked.names[stacked.owner[body]]
         what = f"motor {name!r} turns {driven!r}"
         if driven != root:
-            raise ValueError(
-                f"{what}, which is tied to {root!r}: let it turn {root!r}."
-            )
+            raise ValueError(f"{what}, which is tied to {root!r}: let it turn that.")
         if body in turned:
             raise ValueError(f"{what}, and so does motor {turned[body]!r}.")
         if np.any(np.asarray(stacked.mounting_rotation)[body] != 0.0):
@@ -138,8 +136,7 @@ def actuation_arrays(
     value = np.zeros(len(actuators.names))
     releasing = np.zeros(len(actuators.names), bool)
     for name, asked in actuation.items():
-        if name not in actuators.names:
-            raise unknown_name(f"actuator of {what}", name, actuators.names)
+        check_known(f"actuator of {what}", actuators.names, name)
         a = actuators.names.index(name)
         kind = actuators.kinds[a]
         label = f"{what}: {kind.noun} {name!r}"
@@ -191,8 +188,7 @@ def body_state_arrays(
     translation = np.zeros((bodies.n_bodies, 3))
     rotation = np.zeros((bodies.n_bodies, 3))
     for name, given in states.items():
-        if name not in bodies.names:
-            raise unknown_name(f"rigid body of {what}", name, bodies.names)
+        check_known(f"rigid body of {what}", bodies.names, name)
         k = bodies.names.index(name)
         if bodies.owner[k] != k:
             raise ValueError(

@@ -186,8 +186,7 @@ class Recording(Module):
         """Return the time from which times count [s], and words for it in messages."""
         if None not in (after_step_of, after_event):
             raise ValueError(
-                f"times count from the step of {after_step_of!r} or from the event "
-                f"{after_event!r}, not from both."
+                f"times count from {after_step_of!r} or {after_event!r}, not both."
             )
         if after_step_of is not None:
             return self.step_of(after_step_of), f" from the step of {after_step_of!r}"
@@ -273,20 +272,16 @@ def find_plateau(
     noise = NOISE * np.sqrt(3.0) * _noise(whole)
     moving = motion > 2.0 * noise + 1e-12  # the first frame has noise as well
     allowed = STILL * np.max(motion[moving], initial=0.0) + noise
-    with np.errstate(invalid="ignore", divide="ignore"):
-        share = (away / motion)[:, moving]
-    seen = np.isfinite(share)
-    total, n_seen = np.sum(np.where(seen, share, 0.0), axis=1), seen.sum(axis=1)
-    held = (total >= HELD * n_seen) & (n_seen > 0) | ~moving.any()
+    share = np.ma.masked_invalid(away[:, moving] / motion[moving]).mean(axis=1)
+    held = np.ma.filled(share >= HELD, False) | ~moving.any()
     first, stop = _stretches(times, held, length)
     mean = _means(positions)
     # Relative to where they were first seen, so that no digits are lost.
     near = np.nan_to_num(_first_seen(positions))
     square = _means(np.square(positions - near))(first, stop)
     scatter = np.sum(square - np.square(mean(first, stop) - near), axis=2)
-    scatter = np.where(np.isfinite(scatter), scatter, -np.inf)
-    spread = scatter.max(axis=1, initial=-np.inf)
-    spread = np.where(spread > -np.inf, spread, np.inf)  # if no marker is seen
+    # Of the markers that are seen; there may be none.
+    spread = np.ma.filled(np.ma.masked_invalid(scatter).max(axis=1), np.inf)
     if not np.any(np.isfinite(spread)):
         raise ValueError(
             f"the markers are held for less than {length:g} s away from where they "

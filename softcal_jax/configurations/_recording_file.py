@@ -11,14 +11,14 @@ Scripts often write the numbers alone; their markers are named by place, "1", "2
 import math
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from softcal_jax._files import check_file
-from softcal_jax._names import METRES
+from softcal_jax._names import METRES, check_known
 from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import _csv_table as csv_table
@@ -33,7 +33,7 @@ def is_recording(path: Path) -> bool:
     if path.suffix.lower() == C3D:
         return True
     rows, _ = _rows_of(path, None)
-    return _program_of(rows) is not None or _is_plain(rows)
+    return _reader_of(rows) is not None
 
 
 def read_c3d(path: str | os.PathLike[str]) -> Recording:
@@ -81,9 +81,7 @@ def read_c3d(path: str | os.PathLike[str]) -> Recording:
     )
 
 
-def _events(
-    parameters: Mapping[str, Any], trimmed: float
-) -> tuple[tuple[str, float], ...]:
+def _events(parameters: Any, trimmed: float) -> tuple[tuple[str, float], ...]:
     event = parameters.get("EVENT", {})
     if "LABELS" not in event or "TIMES" not in event:
         return ()
@@ -161,25 +159,24 @@ def read_recording(
             f"{path} is a table of rows, with a column marker: take its rows by values "
             "of columns, not by a window of time."
         )
-    program = _PLAIN if _is_plain(rows) else _program_of(rows)
-    if program is None:
+    reader = _reader_of(rows)
+    if reader is None:
         raise ValueError(
             f"{path} is no table of motion capture that is known: expected a header "
             'that begins with "Format Version" (Motive), with "NO_OF_FRAMES" '
             '(Qualisys), or a section "Trajectories" (Vicon), or rows of numbers alone.'
         )
+    read_layout, needed = reader
     try:
-        layout = program.layout(rows)
+        layout = read_layout(rows)
     except (IndexError, KeyError, ValueError) as error:
         raise ValueError(
-            f"{path} cannot be read as a file of {program.name} ({error}): export "
-            f"{program.needs}."
+            f"{path} is not laid out as it begins ({error}): export {needed}."
         ) from error
     check_rate(path, layout.rate)
     metres = metres_of(path, layout.unit, length_unit)
-    point = decimal or csv_table.decimal_of(
-        (cells for _, cells in layout.rows), delimiter
-    )
+    cells = [cells for _, cells in layout.rows]
+    point = decimal or csv_table.decimal_of(cells, delimiter)
     times, positions = _numbers(path, layout, point)
     begin = times[0] if times.size else 0.0
     return Recording(
@@ -202,15 +199,13 @@ def _rows_of(path: Path, delimiter: str | None) -> tuple[NumberedCells, str]:
 
 def check_rate(path: Path, rate: float) -> None:
     if not 0.0 < rate < math.inf:
-        raise ValueError(
-            f"{path}: its rate of frames is {rate:g}; expected a positive number."
-        )
+        raise ValueError(f"{path}: its rate of frames is {rate:g}, not positive.")
 
 
 def metres_of(path: Path, stated: str | None, given: str | None = None) -> float:
     """Return the unit of length that a recording states or that is given [m]."""
     if given is not None:
-        csv_table.check_length_unit(given)
+        check_known("length unit", METRES, given)
     unit = given if stated is None else stated
     if unit is None:
         raise ValueError(
@@ -223,8 +218,7 @@ def metres_of(path: Path, stated: str | None, given: str | None = None) -> float
         )
     if given is not None and METRES[given] != _STATED_METRES[unit]:
         raise ValueError(
-            f"{path} states the unit of length {unit!r}, but length_unit is {given!r}; "
-            "leave length_unit out."
+            f"{path} states the unit {unit!r}: leave length_unit = {given!r} out."
         )
     return _STATED_METRES[unit]
 
@@ -332,12 +326,6 @@ def _qualisys(rows: NumberedCells) -> _Layout:
     )
 
 
-def _is_plain(rows: NumberedCells) -> bool:
-    """Whether a table begins with a row of numbers, so that it has no header."""
-    number = re.compile(r"[-+]?\d+([.,]\d*)?(e[-+]?\d+)?", re.IGNORECASE)
-    return bool(rows) and all(number.fullmatch(cell) for cell in rows[0][1])
-
-
 def _plain(rows: NumberedCells) -> _Layout:
     """Take columns by place: perhaps the frame, the time, then those of the markers."""
     n = len(rows[0][1])
@@ -352,30 +340,23 @@ def _plain(rows: NumberedCells) -> _Layout:
     )
 
 
-class _MotionProgram(NamedTuple):
-    """A program: how it lays out a table, and what to export from it."""
+_Reader = tuple[Callable[[NumberedCells], _Layout], str]
+"""What reads a layout, and what to export for it."""
 
-    name: str
-    layout: Callable[[NumberedCells], _Layout]
-    needs: str
-
-
-_PROGRAMS = {
-    "Format Version": _MotionProgram(
-        "Motive", _motive, "Markers with the header and times"
-    ),
-    "NO_OF_FRAMES": _MotionProgram("QTM", _qualisys, "3D data with the TSV header"),
-    "Trajectories": _MotionProgram(
-        "Nexus", _vicon, "Trajectories with their four rows"
-    ),
+_LAYOUTS: dict[str, _Reader] = {
+    "Format Version": (_motive, "Markers with the header and times from Motive"),
+    "NO_OF_FRAMES": (_qualisys, "3D data with the TSV header from QTM"),
+    "Trajectories": (_vicon, "Trajectories with their four rows from Nexus"),
 }
-"""Programs by how a row near the top of their tables begins."""
+"""Readers by how a row near the top of a table begins."""
 
-_PLAIN = _MotionProgram(
-    "numbers alone", _plain, "the time, after the frame or not, then x, y, z by marker"
-)
+_PLAIN: _Reader = _plain, "the time, after the frame or not, then x, y, z by marker"
+_NUMBER = re.compile(r"[-+]?\d+([.,]\d*)?(e[-+]?\d+)?", re.IGNORECASE)
 
 
-def _program_of(rows: NumberedCells) -> _MotionProgram | None:
+def _reader_of(rows: NumberedCells) -> _Reader | None:
+    """Return how a table is read: numbers alone, if its first row has nothing else."""
+    if rows and all(map(_NUMBER.fullmatch, rows[0][1])):
+        return _PLAIN
     starts = _starts(rows)
-    return next((_PROGRAMS[row] for row in _PROGRAMS if row in starts), None)
+    return next((_LAYOUTS[row] for row in _LAYOUTS if row in starts), None)

@@ -2,7 +2,7 @@
 
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from softcal_jax._module import Module
-from softcal_jax._names import METRES, suggestion, unknown_name
+from softcal_jax._names import METRES, check_known, suggestion
 from softcal_jax._text import shortened
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._warnings import SoftcalWarning
@@ -130,9 +130,8 @@ def read_poses(
     Warns:
         TrackerWarning: If angles in degrees look like radians.
     """
-    table = csv_table.read_table(
-        path, "sensor", select, delimiter=delimiter, decimal=decimal
-    )
+    dialect = {"delimiter": delimiter, "decimal": decimal}
+    table = csv_table.read_table(path, "sensor", select, **dialect)
     point_columns, metres = csv_table.coordinates(table, length_unit)
     turn_columns = _turn_columns(table)
     columns = point_columns + turn_columns
@@ -146,7 +145,10 @@ def read_poses(
         )
     points, turns = metres * values[:, :3], values[:, 3:]
     if turn_columns == _QUATERNION:
-        rotations = _from_quaternions(table.path, table.lines, turns)
+        rotations = np.empty((len(turns), 3, 3))
+        for i, line in enumerate(table.lines):
+            with csv_table.at_line(table.path, line):
+                rotations[i] = from_quaternion(turns[i])
     else:
         unit = turn_columns[0].removeprefix("azimuth_")
         rotations = _from_angles(table.path, table.lines, turns, unit)
@@ -175,9 +177,8 @@ def read_polhemus(
     Warns:
         TrackerWarning: As for `read_poses`.
     """
-    csv_table.check_length_unit(length_unit)
-    if angle_unit not in _RADIANS:
-        raise unknown_name("angle unit", angle_unit, _RADIANS)
+    check_known("length unit", METRES, length_unit)
+    check_known("angle unit", _RADIANS, angle_unit)
     path = Path(path)
     readings = [
         (line, _seven_numbers(path, line, text))
@@ -188,8 +189,7 @@ def read_polhemus(
         present = dict.fromkeys(f"{values[0]:.0f}" for _, values in readings)
         wanted = "readings" if station is None else f"station {station}"
         raise ValueError(
-            f"tracker file {path} has no {wanted}. Stations: "
-            f"{', '.join(present) or 'none'}."
+            f"{path} has no {wanted}. Stations: {', '.join(present) or 'none'}."
         )
     lines = tuple(line for line, _ in chosen)
     values = np.array([v for _, v in chosen])
@@ -223,26 +223,27 @@ def _seven_numbers(path: Path, line: int, text: str) -> list[float]:
         values = []
     if len(values) != 7 or not np.all(np.isfinite(values)) or values[0] % 1.0:
         raise ValueError(
-            f"{path}, line {line}: got {shortened(text)!r}; expected 7 finite numbers "
-            "with spaces between: station (an integer), x, y, z, azimuth, elevation, "
-            "roll."
+            f"{path}, line {line}: got {shortened(text)!r}; expected 7 finite numbers: "
+            "an integer station, x, y, z, azimuth, elevation, roll."
         )
     return values
 
 
-def _from_quaternions(
-    path: Path, lines: tuple[int, ...], quaternions: Float[HostArray, "n 4"]
-) -> Float[HostArray, "n 3 3"]:
-    """Convert quaternions, scalar part first, to rotation matrices [-]."""
-    lengths = np.linalg.norm(quaternions, axis=1)
-    bad = np.flatnonzero(np.abs(lengths - 1.0) > _UNIT_LENGTH)
-    if bad.size:
+def from_quaternion(
+    quaternion: Sequence[float] | Float[HostArray, "4"],
+) -> Float[HostArray, "3 3"]:
+    """Convert a quaternion, scalar part first, to a rotation matrix [-].
+
+    Raises:
+        ValueError: If it is not of unit length.
+    """
+    length = float(np.linalg.norm(quaternion))
+    if not abs(length - 1.0) <= _UNIT_LENGTH:
         raise ValueError(
-            f"{path}, line {lines[bad[0]]}: the quaternion has the length "
-            f"{lengths[bad[0]]:.6g}, not 1: write four digits or more, and neither "
-            "scale nor average quaternions."
+            f"the quaternion has the length {length:.6g}, not 1: write four digits or "
+            "more, the scalar part first, and neither scale nor average quaternions."
         )
-    return Rotation.from_quat(quaternions[:, [1, 2, 3, 0]]).as_matrix()
+    return Rotation.from_quat(np.roll(quaternion, -1)).as_matrix()
 
 
 def _from_angles(

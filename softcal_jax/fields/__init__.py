@@ -1,17 +1,18 @@
 """Parameters: control points, bounds, scaling S, place in the model (Sec. IV.A)."""
 
-from softcal_jax.fields._control_points import ControlPoints as ControlPoints
-from softcal_jax.fields._model_fields import (
-    constants_of as constants_of,
-    find_field as find_field,
-    kind_of as kind_of,
-    set_field as set_field,
+from softcal_jax.fields._control_points import (
+    ControlPointParameters as ControlPointParameters,
+    ControlPoints as ControlPoints,
 )
 from softcal_jax.fields._parameters import (
     AbstractEntry as AbstractEntry,
     AbstractFieldEntry as AbstractFieldEntry,
     FieldError as FieldError,
     Parameter as Parameter,
+    constants_of as constants_of,
+    find_field as find_field,
+    kind_of as kind_of,
+    set_field as set_field,
 )
 from softcal_jax.fields._setup import (
     QUANTITIES as QUANTITIES,
@@ -43,7 +44,6 @@ from softcal_jax.fields._space import (
     as_space as as_space,
     check_names as check_names,
 )
-from softcal_jax.fields._spread import ControlPointParameters as ControlPointParameters
 from softcal_jax.fields._standard_errors import (
     PRECISION as PRECISION,
     asked_errors as asked_errors,

@@ -7,8 +7,8 @@ import numpy as np
 
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray, Int, is_traced
+from softcal_jax.fields._control_points import ControlPointParameters
 from softcal_jax.fields._parameters import AbstractEntry, Parameter, Values
-from softcal_jax.fields._spread import ControlPointParameters
 
 Entries = tuple[AbstractEntry, ...]
 
@@ -38,10 +38,7 @@ def order_terms(entries: Entries, order: Groups) -> list[tuple[Term, Term]]:
     pairs = []
     for smaller, larger in order:
         if smaller == larger:
-            raise ValueError(
-                f"order ({smaller!r}, {larger!r}): a parameter is not below itself; "
-                "name two."
-            )
+            raise ValueError(f"order ({smaller!r}, {larger!r}): name two parameters.")
         left, right = (_sides(entries, name, "order") for name in (smaller, larger))
         shared = [key for key in left if key in right]
         if not shared:
@@ -148,8 +145,7 @@ def _check_axis(axis: tuple[str, ...], members: list[Parameter]) -> None:
     for member in members:
         if member is not angle and member.scale != "log":
             raise ValueError(
-                f'axes {axis}: {member.name!r} must have scale="log", got '
-                f"{member.scale!r}."
+                f'axes {axis}: {member.name!r} needs scale="log", not {member.scale!r}.'
             )
         if member.max_step is not None:
             raise ValueError(
@@ -214,27 +210,25 @@ class AxisChart(NamedTuple):
         return z.at[s].set(low).at[l].set(top)
 
 
-class FadingAxis(NamedTuple):
-    """The three fields of an axis whose angle has a core."""
-
-    small: ControlPointParameters
-    large: ControlPointParameters
-    angle: ControlPointParameters
-
-    def apply(self, model: Any, values: Values) -> Any:
-        """Reduce the contrast of the moduli in the cores; their geometric mean stays.
-
-        `model` has the three fields as they would be without a core.
-        """
-        low = jnp.log(self.small.evaluate(model.mesh, values))
-        high = jnp.log(self.large.evaluate(model.mesh, values))
-        middle, half = 0.5 * (high + low), 0.5 * (high - low)
-        half = half * self.angle.contrast(model.mesh, values)
-        model = self.small.set_on(model, jnp.exp(middle - half))
-        return self.large.set_on(model, jnp.exp(middle + half))
+Axis = tuple[ControlPointParameters, ControlPointParameters, ControlPointParameters]
+"""The fields of an axis: smaller modulus, larger modulus, angle."""
 
 
-def fading_axes(entries: Entries, axes: Groups) -> list[FadingAxis]:
+def faded(model: Any, values: Values, axis: Axis) -> Any:
+    """Reduce the contrast of the moduli in the cores; their geometric mean stays.
+
+    `model` has the three fields as they would be without a core.
+    """
+    small, large, angle = axis
+    low = jnp.log(small.evaluate(model.mesh, values))
+    high = jnp.log(large.evaluate(model.mesh, values))
+    middle, half = 0.5 * (high + low), 0.5 * (high - low)
+    half = half * angle.contrast(model.mesh, values)
+    model = small.set_on(model, jnp.exp(middle - half))
+    return large.set_on(model, jnp.exp(middle + half))
+
+
+def fading_axes(entries: Entries, axes: Groups) -> list[Axis]:
     """Return the axes whose angle has a core."""
     fields = [e for e in entries if isinstance(e, ControlPointParameters)]
     fading = []
@@ -245,8 +239,7 @@ def fading_axes(entries: Entries, axes: Groups) -> list[FadingAxis]:
         if axis is None:
             raise ValueError(
                 f"{angle.field} has a core, in which the contrast of two moduli fades: "
-                f'say which in axes, like ("E_l", "E_t", "{angle.field}"), or leave '
-                "core out."
+                f'name them in axes, like ("E_l", "E_t", "{angle.field}").'
             )
         beside = {e.field: e for e in fields if e.region == angle.region}
         for field in axis:
@@ -255,5 +248,6 @@ def fading_axes(entries: Entries, axes: Groups) -> list[FadingAxis]:
                     f"{angle.field} has a core, and {field} is not set where it is: "
                     f"give both region={angle.region!r}, or leave core out."
                 )
-        fading.append(FadingAxis(*(beside[field] for field in axis)))
+        small, large, _ = axis
+        fading.append((beside[small], beside[large], angle))
     return fading

@@ -1,8 +1,9 @@
-"""Entries of a parameter space: an unknown constant, and an error of a field."""
+"""The fields of a model, and entries of a parameter space: an unknown, an error."""
 
+import operator
 from abc import abstractmethod
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
@@ -10,11 +11,103 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module
-from softcal_jax._typing import Array, Float, is_traced
+from softcal_jax._typing import Array, Float, HostArray, is_traced
 from softcal_jax._units import readable
-from softcal_jax.fields._model_fields import find_field, set_field
+from softcal_jax.materials import UNREMARKABLE, ConstantKind, fields_of_tets
+
+
+def set_field(
+    model: Any, field: str, value: Float[ArrayLike, "..."], region: str | None = None
+) -> Any:
+    """Change one field of a model; traceable and differentiable.
+
+    Args:
+        model: Anything with `law`, `density` and `mesh`.
+        field: Name of a field of the law, like "E", or "density".
+        value: New value in SI units: one for all, or one per tet of the region.
+        region: Tet group that it applies to; the whole mesh by default.
+
+    Raises:
+        ValueError: If the field or the region does not exist, the field is not unique,
+            or there are neither one value nor as many as tets.
+    """
+    where = find_field(model, field)
+    old = where(model)
+    new = jnp.asarray(value, float)
+    mesh = model.mesh
+    n_tets = mesh.n_tets if region is None else len(mesh.tets_of(region))
+    if new.shape not in ((), (n_tets,)):
+        of = "the mesh" if region is None else f"region {region!r}"
+        raise ValueError(
+            f"{field} has shape {new.shape}; expected one value, or {n_tets} for {of}."
+        )
+    if region is None:
+        new = jnp.broadcast_to(new, jnp.broadcast_shapes(new.shape, jnp.shape(old)))
+    elif is_traced(old) or is_traced(new):
+        new = jnp.broadcast_to(old, (mesh.n_tets,)).at[mesh.tets_of(region)].set(new)
+    else:
+        # What is known is changed on the host, where nothing is compiled.
+        values = np.broadcast_to(old, (mesh.n_tets,)).copy()
+        values[np.asarray(mesh.tets_of(region))] = new
+        new = jax.device_put(values)
+    return eqx.tree_at(where, model, new)
+
+
+def region_tets(mesh: Any, region: str | None) -> HostArray:
+    """Return the indices of the tets of a region; of all tets without one."""
+    if region is None:
+        return np.arange(mesh.n_tets)
+    return np.asarray(mesh.tets_of(region))
+
+
+def find_field(model: Any, field: str):
+    """Return the function from a model to a field of its law, or to its density.
+
+    The name is like "E", or a dotted path if that is not unique.
+
+    Raises:
+        ValueError: If no field has that name, or more than one.
+    """
+    paths = [path for path, _ in constants_of(model)]
+    named = [path for path in paths if ("." + path).endswith("." + field)]
+    if len(named) != 1:
+        problem = "is not unique" if named else "does not exist"
+        if hasattr(model.law, field):
+            problem = "is shared by all tets: change it by eqx.tree_at"
+        raise ValueError(f"field {field!r} {problem}; there are {', '.join(paths)}.")
+    return _Accessor(named[0])
+
+
+def constants_of(model: Any) -> Iterator[tuple[str, ConstantKind]]:
+    """List paths and kinds of the constants of a model: of its law, and its density."""
+    of_law = ["law" + path for path, _ in fields_of_tets(model.law)]
+    for path in [*of_law, "density"]:
+        if "[" in path:  # of a tuple, like the local axes of a fibre
+            continue
+        owner, _, name = ("." + path).rpartition(".")
+        owner = operator.attrgetter(owner[1:])(model) if owner else model
+        declared = fields(owner) if is_dataclass(owner) else ()
+        kinds = {f.name: f.metadata.get("kind") for f in declared}
+        yield path, kinds.get(name) or UNREMARKABLE
+
+
+def kind_of(model: Any, field: str) -> ConstantKind:
+    """Return the kind of a field that `find_field` finds."""
+    return dict(constants_of(model))[find_field(model, field).path]
+
+
+@dataclass(frozen=True)
+class _Accessor:
+    """Accessor by dotted path; hashable, so equal ones share compiled programs."""
+
+    path: str
+
+    def __call__(self, model: Any) -> Any:
+        return operator.attrgetter(self.path)(model)
+
 
 Value = TypeVar("Value")
 
@@ -88,20 +181,25 @@ class AbstractEntry(Module):
     def check(self, model: Any) -> None:
         """Raise ValueError unless the model has what the entry sets."""
 
-    @abstractmethod
     def renamed(self, points: Names, names: Names) -> "AbstractEntry":
-        """Return the same entry with other names of control points and parameters."""
+        """Return the same entry with other names of control points and parameters.
+
+        An entry with more than its `name` to change overrides this.
+        """
+        return replace(self, name=names[self.label])
 
 
-def as_number(value) -> Float[Array, ""]:
+def as_number(value: Any) -> Any:
+    if value is None:
+        return None
     if isinstance(value, jax.Array):
         return jnp.asarray(value, float)
     # Not jnp.asarray, which compiles a program for plain numbers.
     return jax.device_put(np.asarray(value, float))
 
 
-def _number_or_none(value) -> Float[Array, ""] | None:
-    return None if value is None else as_number(value)
+Real = Float[Array, ""]
+"""One number."""
 
 
 class AbstractFieldEntry(AbstractEntry):
@@ -122,17 +220,11 @@ class AbstractFieldEntry(AbstractEntry):
     scale: Literal["log", "linear"] = eqx.field(
         static=True, default="log", kw_only=True
     )
-    S: Float[Array, ""] | None = eqx.field(
-        default=None, converter=_number_or_none, kw_only=True
-    )
+    S: Real | None = eqx.field(default=None, converter=as_number, kw_only=True)
     region: str | None = eqx.field(static=True, default=None, kw_only=True)
     unit: str = eqx.field(static=True, default="", kw_only=True)
-    max_step: Float[Array, ""] | None = eqx.field(
-        default=None, converter=_number_or_none, kw_only=True
-    )
-    prior_std: Float[Array, ""] | None = eqx.field(
-        default=None, converter=_number_or_none, kw_only=True
-    )
+    max_step: Real | None = eqx.field(default=None, converter=as_number, kw_only=True)
+    prior_std: Real | None = eqx.field(default=None, converter=as_number, kw_only=True)
 
     @property
     def tet_group(self) -> str | None:
@@ -168,14 +260,11 @@ class Parameter(AbstractFieldEntry):
         finite = np.all(np.isfinite([start, lower, upper]))
         if not (finite and lower < upper and lower <= start <= upper):
             raise ValueError(
-                f"{what}: start and bounds must be finite, the bounds not crossed and "
-                f"the start between them; got start {show(start)}, lower {show(lower)} "
-                f"and upper {show(upper)}."
+                f"{what}: start and bounds must be finite and none crossed; got start "
+                f"{show(start)}, lower {show(lower)} and upper {show(upper)}."
             )
         if self.scale not in ("log", "linear"):
-            raise ValueError(
-                f'{what}: scale must be "log" or "linear", got {self.scale!r}.'
-            )
+            raise ValueError(f'{what}: scale is {self.scale!r}, not "log" or "linear".')
         if self.scale == "log" and lower <= 0.0:
             raise ValueError(
                 f"{what}: a log scale needs positive bounds, got lower {lower:g}; use "
@@ -227,10 +316,6 @@ class Parameter(AbstractFieldEntry):
                 f"{values.max():g}. Name the tet group it is for in `region`."
             )
 
-    def renamed(self, points: Names, names: Names) -> "Parameter":
-        del points
-        return replace(self, name=names[self.name])
-
 
 class AbstractError(AbstractEntry):
     """An error that is considered, not calibrated: it counts by its derivative at zero.
@@ -252,11 +337,6 @@ class AbstractError(AbstractEntry):
             self.name, "", 0.0, -1.0, 1.0, scale="linear", S=1.0, prior_std=1.0
         )
         return (unknown,)
-
-    def renamed(self, points: Names, names: Names) -> "AbstractError":
-        """Return the same error with another name."""
-        del points
-        return replace(self, name=names[self.name])
 
 
 class FieldError(AbstractError):

@@ -48,13 +48,11 @@ class Poses(Module):
     recordings: Sequence[str]
 
 
-def each_of(
-    names: Sequence[str], present: Bool[HostArray, "n_c n"]
-) -> dict[str, Scope]:
+def each_of(names: Sequence[str], has: Bool[HostArray, "n_c n"]) -> dict[str, Scope]:
     """Return a scope for each name: one error for all configurations that have it."""
     return {
         name: tuple("" if has_it else None for has_it in flags)
-        for name, flags in zip(names, present.T, strict=True)
+        for name, flags in zip(names, has.T, strict=True)
         if name
     }
 
@@ -211,25 +209,8 @@ class SetupParameter(AbstractSetupEntry):
     by: By = eqx.field(static=True, default="recording")
 
     def __check_init__(self):
-        check_known("kind of a setup parameter", QUANTITIES, self.kind)
-        quantity, what = self.quantity, f"parameter {self.label!r}"
-        if self.axis or quantity.components:
-            check_known(f"axis of {what}", quantity.components, self.axis)
-        if not quantity.relative and self.unknowns[0].scale != "linear":
-            raise ValueError(
-                f'{what} needs scale="linear": zero is a value that it may have.'
-            )
+        what = f"parameter {self.label!r}"
         check_known(f"`by` of {what}", _BY, self.by)
-        if self.each and not quantity.of_configuration:
-            raise ValueError(
-                f"{what}: {self.kind} belongs to the robot, which all configurations "
-                "share; leave `each` out."
-            )
-        if len(self.unknowns) != max(1, len(self.each)):
-            raise ValueError(
-                f"{what} has {len(self.unknowns)} unknowns; expected one for each "
-                f"{self.by} named, or one for all."
-            )
         for name in self.each:
             if self.each.count(name) > 1:
                 raise ValueError(f"{what}: {name!r} stands twice in `each`.")
@@ -265,7 +246,6 @@ class SetupParameter(AbstractSetupEntry):
 
     def renamed(self, points: Names, names: Names) -> "SetupParameter":
         """Return the same unknowns with other names."""
-        del points
         unknowns = [replace(q, name=names[q.name], unit="") for q in self.unknowns]
         return replace(self, unknowns=unknowns)
 

@@ -95,8 +95,7 @@ class Uncertain(Module):
         for name, std in vars(self).items():
             if name not in self.estimated and not 0.0 <= float(std) < np.inf:
                 raise ValueError(
-                    f"the uncertainty of {name} must be finite and not negative, got "
-                    f"{std}; 0 if it is known exactly."
+                    f"uncertainty of {name} must be finite and not negative, got {std}."
                 )
 
 
@@ -322,10 +321,7 @@ def recording_offset(
         ValueError: If neither limit is given.
     """
     if limit is None and turn_limit is None:
-        raise ValueError(
-            "a recording_offset needs limit, for its offset, turn_limit, for its "
-            "rotation, or both."
-        )
+        raise ValueError("a recording_offset needs limit, turn_limit or both.")
     unknowns = partial(setup_parameters, each=each, by=by)
     made: tuple[SetupParameter, ...] = ()
     if limit is not None:

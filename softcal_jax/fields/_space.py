@@ -1,6 +1,6 @@
 """The space of all calibrated parameters: scaling, bounds, order constraints."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,41 +10,29 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import check_unique, unknown_name
+from softcal_jax._names import check_known, check_unique
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax.fields._control_points import ControlPointParameters
 from softcal_jax.fields._order import (
     AxisChart,
     Groups,
     Scaled,
     axis_columns,
+    faded,
     fading_axes,
     order_terms,
 )
 from softcal_jax.fields._parameters import AbstractEntry, Parameter, Values, once
-from softcal_jax.fields._spread import ControlPointParameters
 
 Entry = AbstractEntry
 
 
-def _groups(size: int, expected: str) -> Callable[[Iterable[Sequence[str]]], Groups]:
-    """Make the converter of an option that lists groups of names of one size."""
-
-    def convert(groups: Iterable[Sequence[str]]) -> Groups:
-        groups = tuple(groups)
-        for group in groups:
-            if isinstance(group, str) or len(group) != size:
-                raise ValueError(f"{expected}; got {group!r}.")
-        return tuple(tuple(map(str, group)) for group in groups)
-
-    return convert
+def _groups(groups: Iterable[str | Sequence[str]]) -> Groups:
+    return tuple((g,) if isinstance(g, str) else tuple(map(str, g)) for g in groups)
 
 
-_PAIRS = _groups(2, 'order takes pairs (smaller, larger), like ("E_l", "E_t")')
-_TRIPLES = _groups(
-    3,
-    "axes takes triples (smaller modulus, larger modulus, angle), like "
-    '("E_l", "E_t", "theta")',
-)
+_EXAMPLES = {"order": ("E_l", "E_t"), "axes": ("E_l", "E_t", "theta")}
+"""Members of a group: smaller and larger value, and the angle of an axis."""
 
 
 class Pin(Module):
@@ -80,8 +68,8 @@ class ParameterSpace(Module):
     """
 
     entries: tuple[Entry, ...] = eqx.field(converter=tuple)
-    order: Groups = eqx.field(static=True, default=(), converter=_PAIRS)
-    axes: Groups = eqx.field(static=True, default=(), converter=_TRIPLES)
+    order: Groups = eqx.field(static=True, default=(), converter=_groups)
+    axes: Groups = eqx.field(static=True, default=(), converter=_groups)
     tensor_steps: bool = eqx.field(static=True, default=True)
     pin: Pin | None = None
 
@@ -89,6 +77,10 @@ class ParameterSpace(Module):
         if not self.parameters:
             raise ValueError("at least one parameter is needed, got none.")
         check_names(self.entries)
+        for option, like in _EXAMPLES.items():
+            for group in getattr(self, option):
+                if len(group) != len(like):
+                    raise ValueError(f"{option} takes groups like {like}; got {group}.")
         order_terms(self.entries, self.order)
         axis_columns(self.entries, self.axes)
         fading_axes(self.entries, self.axes)
@@ -300,7 +292,7 @@ class ParameterSpace(Module):
         for entry in self.entries:
             model, configuration = entry.apply(model, configuration, values)
         for axis in fading_axes(self.entries, self.axes):
-            model = axis.apply(model, values)
+            model = faded(model, values, axis)
         return model, configuration
 
     def model_at(self, model: Any, z: Scaled) -> Any:
@@ -334,6 +326,5 @@ def check_names(entries: tuple[Entry, ...]) -> None:
     for entry in entries:
         if isinstance(entry, ControlPointParameters):
             for point, name in entry.tied:
-                if name not in names:
-                    error = unknown_name("parameter", name, names)
-                    raise ValueError(f"{entry.field} of {point} is tied to an {error}")
+                what = f"parameter that {entry.field} of {point} is tied to,"
+                check_known(what, names, name)

@@ -23,8 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.fields._model_fields import find_field
-from softcal_jax.fields._parameters import AbstractEntry, Parameter
+from softcal_jax.fields._parameters import AbstractEntry, Parameter, find_field
 from softcal_jax.fields._setup import SetupParameter
 from softcal_jax.fields._setup_parameters import Uncertain
 from softcal_jax.fields._space import ParameterSpace
@@ -63,10 +62,7 @@ def asked_errors(
 def check_precision(precision: float) -> None:
     """Raise ValueError unless a precision is positive and finite."""
     if not 0.0 < precision < np.inf:
-        raise ValueError(
-            f"precision must be positive and finite, got {precision:g}; 0.1 asks for "
-            "10 % of a value."
-        )
+        raise ValueError(f"precision must be positive, like 0.1, got {precision:g}.")
 
 
 def _unit(entry: AbstractEntry, q: Parameter, size: float, kinds: dict) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from softcal_jax._limits import TRIALS
 from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Float, HostArray
-from softcal_jax.fields._model_fields import find_field, region_tets
+from softcal_jax.fields._parameters import find_field, region_tets
 from softcal_jax.fields._setup import SetupParameter
 from softcal_jax.fields._space import ParameterSpace
 
@@ -73,11 +73,8 @@ def _check_overlaps(model: Any, space: ParameterSpace) -> None:
 def _check_twice(space: ParameterSpace) -> None:
     """Raise if two entries set the same quantity of the setup in one place."""
     taken: dict[tuple[str, ...], SetupParameter] = {}
-    for entry in space.entries:
-        if not isinstance(entry, SetupParameter):
-            continue
-        key = (entry.kind, entry.of, entry.axis)
-        other = taken.setdefault(key, entry)
+    for entry in [e for e in space.entries if isinstance(e, SetupParameter)]:
+        other = taken.setdefault((entry.kind, entry.of, entry.axis), entry)
         if other is not entry:
             raise ValueError(
                 f"parameters {other.label!r} and {entry.label!r} are the same "

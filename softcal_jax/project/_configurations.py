@@ -1,6 +1,6 @@
 """Tables of a project file that make configurations, their supports and loads.
 
-To add a load, write one table and list it in `AnyLoad`.
+To add a load, write one table.
 """
 
 from pathlib import Path
@@ -36,9 +36,7 @@ class LoadTable(Maker):
     )
 
 
-TotalForce = Annotated[
-    typed.Force, Field(description='the total force: "(0, 0, -1) N"')
-]
+TotalForce = Annotated[typed.Force, Field(description='total force: "(0, 0, -1) N"')]
 
 
 class PointForceTable(LoadTable):
@@ -65,10 +63,7 @@ class SurfaceTractionTable(LoadTable):
     traction: typed.Traction = Field(description='force per area: "(0, 0, -1) kPa"')
 
 
-AnyLoad = Annotated[
-    PointForceTable | EdgeForceTable | SurfaceForceTable | SurfaceTractionTable,
-    Choice(by_keys),
-]
+AnyLoad = Annotated[LoadTable, Choice(by_keys)]
 
 
 class GravityTable(Table):
@@ -110,9 +105,7 @@ class ConfigurationTable(CandidateTable):
     def _not_yet(cls, value: Any) -> Any:
         """Read false as None: the readings in [shared] are not of this pose."""
         if value is True:
-            raise ValueError(
-                "got true; expected a table, or false if not measured yet."
-            )
+            raise ValueError("got true; expected a table, or false if not measured.")
         return None if value is False else value
 
 

@@ -1,6 +1,6 @@
 """Tables of a project file that make effectors and their measured values.
 
-To add an effector, write one table and list it in `AnyEffector`.
+To add an effector, write one table.
 """
 
 from collections.abc import Mapping, Sequence
@@ -72,9 +72,8 @@ class EffectorTable(Table):
 
     def build(self, name: str, mesh: TetMesh, mechanism: Mechanism) -> AbstractEffector:
         """Build the effector without a measured value, and check that it fits."""
-        given = self.model_dump(
-            exclude={"type", "std"}, exclude_none=True, by_alias=True
-        )
+        others = {"type", "std"}
+        given = self.model_dump(exclude=others, exclude_none=True, by_alias=True)
         effector: Any = self.makes(name, **given)
         unit = effector.rows(mesh, mechanism)[0].unit
         if self.std is None:
@@ -89,9 +88,7 @@ class EffectorTable(Table):
         """Return the effector with its measured value; paths start from `folder`."""
         dimension = dimension_of(effector.rows(model.mesh, model.mechanism)[0].unit)
         if isinstance(value, MotionSource):
-            raise ValueError(
-                f'got a table; expected {dimension.name}, like "{dimension.example}".'
-            )
+            raise ValueError(f'expected {dimension.name}, like "{dimension.example}".')
         if issubclass(self.makes, configurations.AbstractScalar):
             return replace(effector, measured=parse_scalar(value, dimension))
         return replace(effector, measured=np.array(parse_vector(value, dimension)))
@@ -123,7 +120,7 @@ class BodyFrameTable(EffectorTable):
         rest = bodies.origin[bodies.names.index(self.body)]
         if self.point is not None:
             rest = np.array(self.point)
-        pose, covariance = value.motion(folder, self.base, self.orientation, rest)
+        pose, covariance = value.motion(folder, self.base.pose, self.orientation, rest)
         if covariance is None:
             return replace(effector, measured=pose)
         std, std_angle = np.sqrt(np.diag(covariance)).reshape(2, 3)
@@ -173,15 +170,7 @@ class ActuatorForceTable(_OfActuator):
     type: Literal["actuator-force"]
 
 
-AnyEffector = Annotated[
-    BodyFrameTable
-    | CentroidTable
-    | SupportReactionTable
-    | BodyAngleTable
-    | ActuatorDisplacementTable
-    | ActuatorForceTable,
-    Choice(by_type),
-]
+AnyEffector = Annotated[EffectorTable, Choice(by_type)]
 
 
 def build_effectors(

@@ -5,15 +5,15 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import compress
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
-from softcal_jax._names import listed, unknown_name
+from softcal_jax._names import check_known, listed
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import AbstractEffector, Configuration, ImposedForce
 from softcal_jax.control import Limits
-from softcal_jax.project._effectors import EffectorTable, build_effectors
+from softcal_jax.project._effectors import build_effectors
 from softcal_jax.project._mechanism import ActuatorTable
 from softcal_jax.project._problems import known_name, under
 from softcal_jax.project._project import Project
@@ -82,13 +82,12 @@ def _with_goals(
     aimed: list[AbstractEffector] = []
     places: dict[str, Float[HostArray, 3]] = {}
     for name, text in goals.items():
-        if name not in known:
-            raise unknown_name("marker or effector with a goal", name, known)
+        check_known("marker or effector with a goal", known, name)
         with under(f"goal of {name!r}"):
             if name not in effectors:
                 places[name] = _place(text)
                 continue
-            kind, value = cast(EffectorTable, table.effectors[name]), _value(text)
+            kind, value = table.effectors[name], _value(text)
             folder = project.path.parent
             aimed.append(kind.measured(effectors[name], value, folder, model))
     return replace(_with_markers(configuration, places), effectors=tuple(aimed))
@@ -98,10 +97,7 @@ def _limited(actuator: ActuatorTable, text: str) -> dict[str, tuple[float, float
     """Parse limits; their unit says whether they are of force or displacement."""
     ends = re.split(r"\s+to\s+", text.strip())
     if len(ends) != 2:
-        raise ValueError(
-            f"got {text!r}; expected the lowest and the highest value with their "
-            'units, like "0 N to 5 N".'
-        )
+        raise ValueError(f'got {text!r}; expected lowest to highest: "0 N to 5 N".')
     low, high = map(actuator.imposed, ends)
     if type(low) is not type(high):
         raise ValueError(
@@ -128,15 +124,12 @@ def _value(text: str) -> Any:
 
 def _place(text: str) -> Float[HostArray, "3"]:
     """Parse the goal of a marker; NaN for coordinates that are left free."""
-    inner = re.fullmatch(r"(\s*\()([^()]*)(\).*)", text)
-    if inner is None:
-        return np.array(parse_vector(text, LENGTH))
-    parts = [part.strip() for part in inner[2].split(",")]
-    free = [part == FREE for part in parts]
+    coordinates = text.partition("(")[2].partition(")")[0].split(",")
+    free = [coordinate.strip() == FREE for coordinate in coordinates]
+    filled = re.sub(rf"(?<=[(,])\s*{FREE}\s*(?=[,)])", "0", text)
+    place = np.array(parse_vector(filled, LENGTH))
     if all(free):
         raise ValueError(f"got {text!r}, which leaves every coordinate free.")
-    numbers = ", ".join("0" if part == FREE else part for part in parts)
-    place = np.array(parse_vector(f"{inner[1]}{numbers}{inner[3]}", LENGTH))
     return np.where(free, np.nan, place)
 
 
@@ -152,8 +145,7 @@ def _with_markers(
     if (asked != asked[0]).any():
         raise ValueError(
             f"the goals of {listed([repr(name) for name in places])} leave different "
-            "coordinates free; expected the same of all markers. An effector of type "
-            '"centroid" needs all three.'
+            "coordinates free; expected the same of all markers."
         )
     rows = [markers.names.index(name) for name in places]
     std, rest = np.asarray(markers.std), markers.positions[rows]

@@ -27,7 +27,7 @@ from softcal_jax.materials import (
 )
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project import _quantities as typed
-from softcal_jax.project._mesh import AnyDirections, TetData
+from softcal_jax.project._mesh import AnyDirections, Frames, TetData
 from softcal_jax.project._problems import under
 from softcal_jax.project._quantities import Size, dimension_of, scalar
 from softcal_jax.project._table import Table, as_table, wrong_choice, wrong_key
@@ -112,10 +112,7 @@ class Material(_OfLaw):
         stated = {name: value for name, value in regions.items() if value is not None}
         if getattr(self, key) is None:
             for name in stated:
-                raise ValueError(
-                    f"regions.{name} has {key}, which the body lacks; give {key} in "
-                    "[material] too."
-                )
+                raise ValueError(f"regions.{name} has {key}: give [material] one too.")
             return None
         base = np.asarray(getattr(self, key), float)
         for name, value in stated.items():
@@ -133,9 +130,7 @@ class Material(_OfLaw):
 
         return type(self).makes(value)
 
-    def _frames(
-        self, mesh: TetMesh, data: TetData
-    ) -> Float[HostArray, "n_tets 3 3"] | None:
+    def _frames(self, mesh: TetMesh, data: TetData) -> Frames | None:
         """Compute the local axes of the fibres; None for the axes of the mesh."""
         base = getattr(self, _FRAME)
         owners = {n: r for n, r in self.regions.items() if getattr(r, _FRAME)}
@@ -288,16 +283,13 @@ def _plug_in(name: str, plug_ins: EntryPoints) -> type[AbstractLaw]:
     if len(packages) > 1:
         raise wrong_key(
             "law",
-            f'the packages {" and ".join(packages)} both have a law "{name}"; '
-            "uninstall one of them.",
+            f'two packages have a law "{name}": uninstall {" or ".join(packages)}.',
         )
     (entry,) = plug_ins
     try:
         law = entry.load()
         if not (isinstance(law, type) and issubclass(law, AbstractLaw)):
-            raise TypeError(
-                f"{law!r} is no subclass of softcal_jax.materials.AbstractLaw"
-            )
+            raise TypeError(f"{law!r} is no softcal_jax.materials.AbstractLaw")
         _recipe(law, Isotropic)
     except Exception as error:  # a foreign module may raise anything
         raise wrong_key(

@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from softcal_jax._names import check_unique
 from softcal_jax._process import check_process
 from softcal_jax._units import readable, readable_values
 from softcal_jax._warnings import SoftcalWarning
-from softcal_jax.actuators import AbstractActuator
-from softcal_jax.bodies import RigidBody
 from softcal_jax.calibration import CalibrationSettings, ProjectSource
 from softcal_jax.configurations import (
     STANDARD_GRAVITY,
@@ -158,8 +157,23 @@ def _built(
 
 
 def _model(folder: Path, table: ProjectTable, solver: str | None) -> Model:
+    """Build the model; each body and each actuator is checked under its own key."""
     mesh = _mesh(folder, table)
-    bodies, actuators = _parts(table, mesh)
+    bodies, actuators = [], []
+    for name, body in table.bodies.items():
+        with under(f"bodies.{name}"):
+            bodies.append(body.build(name))
+            # A tied body needs the other ones, so it is checked below with them.
+            if body.tied_to is None:
+                build_mechanism(mesh, bodies[-1:])
+    with under("bodies"):
+        build_mechanism(mesh, bodies)
+    for name, actuator in table.actuators.items():
+        with under(f"actuators.{name}"):
+            actuators.append(actuator.build(name))
+            build_mechanism(mesh, bodies, actuators[-1:], at_rest=False)
+    with under("actuators"):
+        build_mechanism(mesh, bodies, actuators, at_rest=False)
     with under("material"):
         density = table.material.values("density", mesh)
         assert density is not None  # which every law has
@@ -184,28 +198,6 @@ def _mesh(folder: Path, table: ProjectTable | MeshTables) -> TetMesh:
     return mesh
 
 
-def _parts(
-    table: ProjectTable, mesh: TetMesh
-) -> tuple[list[RigidBody], list[AbstractActuator]]:
-    """Build rigid bodies and actuators, each checked under its own key."""
-    bodies, actuators = [], []
-    for name, body in table.bodies.items():
-        with under(f"bodies.{name}"):
-            bodies.append(body.build(name))
-            # A tied body needs the other ones, so it is checked below with them.
-            if body.tied_to is None:
-                build_mechanism(mesh, bodies[-1:])
-    with under("bodies"):
-        build_mechanism(mesh, bodies)
-    for name, actuator in table.actuators.items():
-        with under(f"actuators.{name}"):
-            actuators.append(actuator.build(name))
-            build_mechanism(mesh, bodies, actuators[-1:], at_rest=False)
-    with under("actuators"):
-        build_mechanism(mesh, bodies, actuators, at_rest=False)
-    return bodies, actuators
-
-
 def _configurations(
     folder: Path, table: ProjectTable, model: Model
 ) -> tuple[list[Posed], list[Posed]]:
@@ -220,14 +212,9 @@ def _configurations(
             if built:
                 every = [configuration for configuration, _ in built]
                 configuration_arrays(model.mesh, every, model.mechanism)
-    names = {c.name for c in table.configurations}
-    for candidate in table.candidates:
-        if candidate.name in names:
-            with under("candidates"):
-                raise ValueError(
-                    f"{candidate.name!r} is a configuration already; give the "
-                    "candidate a name of its own."
-                )
+    with under("candidates"):
+        every = [pose.name for pose in (*table.configurations, *table.candidates)]
+        check_unique("configuration or candidate", every)
     return posed["configurations"], posed["candidates"]
 
 
@@ -326,8 +313,7 @@ def _gravity(posed: Mapping[str, Configuration]) -> Iterator[str]:
         if size and not low <= size <= high:
             yield (
                 f"{key}.gravity: {readable_values(c.gravity, 'm/s^2')} is "
-                f"{size / STANDARD_GRAVITY:.3g} times that of the Earth: check its "
-                "unit."
+                f"{size / STANDARD_GRAVITY:.3g} times the Earth's: check its unit."
             )
 
 

@@ -197,15 +197,9 @@ class MeasuredTable(DialectTable):
         given = sorted(self.model_fields_set - others)
         if self.file is None and (given or not self.effectors):
             which = f"{given[0]} is for the file of the markers; " if given else ""
-            raise ValueError(
-                f'{which}expected file = "markers.csv", or `effectors` with what was '
-                "measured beside markers."
-            )
+            raise ValueError(f'{which}expected file = "markers.csv", or `effectors`.')
         if self.recording and isinstance(self.select, WindowTable):
-            raise ValueError(
-                "`recording` is for tables of rows; a window of time is of a file with "
-                "one recording."
-            )
+            raise ValueError("`recording` is for rows, a window for a file over time.")
         return self
 
     def _which(self) -> dict[str, WindowTable | Selection]:
@@ -281,9 +275,7 @@ class MeasuredTable(DialectTable):
             std = _with_scatter(markers, R @ np.sum(seen, axis=0) @ R.T)
             markers = replace(markers, std=std)
         if recording is not None:
-            times = {
-                key: table.window for key, table in windows.items() if table.window
-            }
+            times = {k: t.window for k, t in windows.items() if t.window}
             traces = Traces(recording, times, names)
         return MeasuredMarkers(markers, loaded, registration, traces)
 

@@ -1,14 +1,12 @@
 """Tables of a project file that make rigid bodies and actuators, and their states.
 
-To add an actuator, write one table with the keys of its class and list it in
-`AnyActuator`.
+To add an actuator, write one table with the keys of its class.
 """
 
 import contextlib
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from softcal_jax import actuators
@@ -52,18 +50,16 @@ class BodyTable(Table):
     def _check(self) -> "BodyTable":
         if self.hinge is not None and self.axes is not None:
             raise ValueError(
-                "got hinge and axes; the hinge is the third of the axes, so give one "
-                "of them."
+                "got hinge and axes; the hinge is the third of the axes: give one."
             )
         return self
 
     def build(self, name: str) -> RigidBody:
-        axes = None if self.axes is None else np.array(self.axes)
         return RigidBody(
             name=name,
             where=self.group,
             origin=self.origin,
-            axes=axes if self.hinge is None else hinge_axes(self.hinge),
+            axes=self.axes if self.hinge is None else hinge_axes(self.hinge),
             mounting=self.mounting.pose,
             **self.model_dump(include={"tied_to", "mass", "centre_of_mass"}),
         )
@@ -112,17 +108,13 @@ class ActuatorTable(Maker):
                 )
             releasing, value = value.get("releasing", False), value.get("value")
         kind = self.makes.kind
-        forms = {
-            ImposedForce: kind.force_unit,
-            ImposedDisplacement: kind.displacement_unit,
-        }
-        for impose, unit in forms.items():
+        units = kind.force_unit, kind.displacement_unit
+        both = zip((ImposedForce, ImposedDisplacement), units, strict=True)
+        for impose, unit in both:
             with contextlib.suppress(ValueError):  # of the other dimension, or neither
                 if unit is not None:
                     return impose(parse_scalar(value, dimension_of(unit)), releasing)
-        raise ValueError(
-            f"got {shown(value)}; expected of a {kind.noun}, {self.asked}."
-        )
+        raise ValueError(f"got {shown(value)}; expected of a {kind.noun} {self.asked}.")
 
 
 class GuideTable(Maker):
@@ -186,15 +178,7 @@ class SurfaceForceActuatorTable(ActuatorTable):
     direction: Positive
 
 
-AnyActuator = Annotated[
-    CableTable
-    | ChamberTable
-    | SurfacePressureTable
-    | MotorTable
-    | ForceActuatorTable
-    | SurfaceForceActuatorTable,
-    Choice(by_type),
-]
+AnyActuator = Annotated[ActuatorTable, Choice(by_type)]
 
 
 def build_actuation(

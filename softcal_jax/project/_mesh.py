@@ -61,9 +61,7 @@ class MeshFileTable(_MeshTable):
 
 class CadMeshTable(_MeshTable):
     file: str = Field(description='a CAD model: "finger.step" or "finger.stl"')
-    size: typed.PositiveLength = Field(
-        description='length of the edges of its tets: "3 mm"'
-    )
+    size: typed.PositiveLength = Field(description='length of its edges: "3 mm"')
     length_unit: LengthUnit | None = None
 
     def build(self, folder: Path) -> TetMesh:
@@ -126,18 +124,14 @@ class SphereTable(Maker):
 class CylinderTable(Maker):
     makes = meshes.Cylinder
     start: typed.Position = Field(description='the middle of one end: "(0, 0, 0) mm"')
-    end: typed.Position = Field(
-        description='the middle of the other end: "(10, 0, 0) mm"'
-    )
+    end: typed.Position = Field(description='the middle of the other: "(10, 0, 0) mm"')
     radius: typed.PositiveLength = Field(description='its radius: "5 mm"')
 
 
 class AnnulusTable(Maker):
     makes = meshes.Annulus
     start: typed.Position = Field(description='the middle of one end: "(0, 0, 0) mm"')
-    end: typed.Position = Field(
-        description='the middle of the other end: "(10, 0, 0) mm"'
-    )
+    end: typed.Position = Field(description='the middle of the other: "(10, 0, 0) mm"')
     inner: typed.Length = Field(description='the radius of its hole: "4 mm"')
     outer: typed.PositiveLength = Field(description='its outer radius: "6 mm"')
 
@@ -166,10 +160,8 @@ class ReachableTable(_SurfaceTable):
     stop_at: typed.Names = ()
 
     def faces(self, mesh: TetMesh) -> Int[HostArray, "n n_fn"]:
-        start = np.array(self.point)
-        return meshes.select_reachable(
-            mesh, start, angle=self.angle, stop_at=self.stop_at
-        )
+        options = self.model_dump(include={"angle", "stop_at"})
+        return meshes.select_reachable(mesh, np.array(self.point), **options)
 
 
 class InsideTable(_SurfaceTable):
@@ -238,9 +230,7 @@ Frames = Float[HostArray, "n 3 3"]
 
 class AlongTable(Table):
     type: Literal["along"]
-    axis: typed.Direction = Field(
-        description='direction of the fibres: "z" or [0, 0, 1]'
-    )
+    axis: typed.Direction = Field(description='where fibres point: "z" or [0, 0, 1]')
 
     def frames(self, mesh: TetMesh, tets: HostArray, data: TetData) -> Frames:
         return frames_along(np.broadcast_to(np.asarray(self.axis), (len(tets), 3)))

@@ -5,7 +5,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from softcal_jax._units import readable
+from softcal_jax._names import check_unique
 from softcal_jax.fields import (
     ControlPointParameters,
     ControlPoints,
@@ -17,7 +17,6 @@ from softcal_jax.fields import (
 from softcal_jax.project import _quantities as typed
 from softcal_jax.project._laws import Constant
 from softcal_jax.project._problems import known_name, one_of, under
-from softcal_jax.project._quantities import is_number, parse_in_si, shown
 from softcal_jax.project._table import Table, TableOr, WholeFile
 
 PerPoint = float | dict[str, float]
@@ -40,10 +39,7 @@ class ControlPointsTable(Table):
     @model_validator(mode="after")
     def _check(self) -> "ControlPointsTable":
         if self.names is not None and isinstance(self.positions, dict):
-            raise ValueError(
-                "`positions` is a table, which names its points; leave `names` out, or "
-                "give a list of positions."
-            )
+            raise ValueError("`positions` names its points: leave `names` out.")
         return self
 
     def build(self) -> ControlPoints:
@@ -91,7 +87,7 @@ class ParameterTable(Table):
         if material is not None and value not in material.constants:
             known = one_of(value, material.constants)
             elsewhere = material.foreign(value)
-            raise ValueError(f"got {shown(value)}; expected {known}{elsewhere}")
+            raise ValueError(f"got {typed.shown(value)}; expected {known}{elsewhere}")
         return value
 
     @field_validator("sampling", mode="before")
@@ -99,8 +95,8 @@ class ParameterTable(Table):
     def _check_sampling(cls, value: Any) -> Any:
         if value not in (None, "centroids"):
             raise ValueError(
-                f"got {shown(value)}; a field has one value per tet, the one at its "
-                "centroid. Leave `sampling` out."
+                f"got {typed.shown(value)}; a field has one value per tet, the one at "
+                "its centroid. Leave `sampling` out."
             )
         return value
 
@@ -110,7 +106,7 @@ class ParameterTable(Table):
         # `field` is validated first, so it is known here unless it is wrong itself.
         constant = _constant(info)
         parsed = lambda quantity: (
-            0.0 if constant is None else parse_in_si(quantity, constant.unit)
+            0.0 if constant is None else typed.parse_in_si(quantity, constant.unit)
         )
         if not isinstance(value, dict):
             return value if info.field_name == "fixed" else parsed(value)
@@ -127,12 +123,9 @@ class ParameterTable(Table):
         if constant is None:
             return None
         if (info.data.get("scale") or constant.scale) == "linear":
-            return parse_in_si(value, constant.unit)
-        if not is_number(value):
-            raise ValueError(
-                f"got {shown(value)}; on a log scale it is relative: expected a "
-                "number, like 0.3 for 30 %."
-            )
+            return typed.parse_in_si(value, constant.unit)
+        if not typed.is_number(value):
+            raise ValueError(f"got {typed.shown(value)}; it is relative, like 0.3.")
         return float(value)
 
     @model_validator(mode="after")
@@ -148,8 +141,8 @@ class ParameterTable(Table):
         for key, value in self:
             if value if key in options else isinstance(value, dict):
                 raise ValueError(
-                    f"{key} = {shown(value)} is for control points: name a set of "
-                    'them, like control_points = "ends".'
+                    f"{key} = {typed.shown(value)} is for control points: name a set "
+                    'of them, like control_points = "ends".'
                 )
         return self
 
@@ -170,26 +163,22 @@ class ParameterTable(Table):
             # An axis at -90 degrees is the same as at +90.
             half_turn = constant.is_angle and np.isclose(self.upper - self.lower, np.pi)
             span["periodic"] = bool(half_turn)
-            entry = Parameter(self.label, self.field, **span, **common)
-        else:
-            known_name("set", self.control_points, sets, "[control_points]")
-            points = sets[self.control_points].build()
-            free = [n for n in points.names if n not in {*self.fixed, *self.tied}]
-            for key, value in span.items():
-                span[key] = _each(key, value, points.names, free, nominal)
-            entry = ControlPointParameters(
-                self.field,
-                points,
-                **span,
-                **common,
-                # +90 and -90 degrees are the same axis, so their mean is not 0.
-                interpolation=self.interpolation
-                or ("director" if constant.is_angle else "linear"),
-                **self.model_dump(include={"fixed", "tied", "core"}),
-            )
-        for parameter in entry.parameters:
-            _check_within(parameter, constant.within)
-        return entry
+            return Parameter(self.label, self.field, **span, **common)
+        known_name("set", self.control_points, sets, "[control_points]")
+        points = sets[self.control_points].build()
+        free = [n for n in points.names if n not in {*self.fixed, *self.tied}]
+        for key, value in span.items():
+            span[key] = _each(key, value, points.names, free, nominal)
+        # +90 and -90 degrees are the same axis, so their mean is not 0.
+        usual = "director" if constant.is_angle else "linear"
+        return ControlPointParameters(
+            self.field,
+            points,
+            **span,
+            **common,
+            interpolation=self.interpolation or usual,
+            **self.model_dump(include={"fixed", "tied", "core"}),
+        )
 
 
 class ParameterSpaceTable(Table):
@@ -206,6 +195,7 @@ def build_space(table: WholeFile) -> ParameterSpace | None:
     for parameter in table.parameters:
         with under(f"parameters.{parameter.label}"):
             entries.append(parameter.build(table))
+            check_unique("parameter", [q.name for q in entries[-1].parameters])
     for i, error in enumerate(table.setup, start=1):
         with under(f"setup[{i}].{error.label}"):
             entries += error.build(table)
@@ -238,15 +228,3 @@ def _each(
         raise ValueError(f"{key} has no value for {', '.join(missing)}.")
     spare = nominal if key == "start" else next(iter(value.values()), 0.0)
     return [value.get(name, spare) for name in names]
-
-
-def _check_within(parameter: Parameter, within: tuple[float, float]) -> None:
-    """Raise unless the bounds lie where the law is meaningful."""
-    low, high = within
-    for key in ("lower", "upper"):
-        bound = float(getattr(parameter, key))
-        if not low < bound < high:
-            raise ValueError(
-                f"{key} of {parameter.name} must lie in ({low:g}, {high:g}), got "
-                f"{readable(bound, parameter.unit)}."
-            )

@@ -106,10 +106,7 @@ class Project(Module):
         """Raise ProjectError without parameters, or without data to fit them to."""
         problems = [] if self.space else [_NO_PARAMETERS]
         if not self.calibration:
-            problems.append(
-                'configurations: none has role = "calibration", so there is nothing '
-                "to fit."
-            )
+            problems.append('configurations: none has role = "calibration".')
         problems += [
             f"configurations.{c.name}: it has no `measured` positions or effectors."
             for c in self.configurations
@@ -178,14 +175,9 @@ class Project(Module):
         problems = [] if self.space else [_NO_PARAMETERS]
         posed = (*self.calibration, *self.candidates)
         if not posed:
-            problems.append(
-                'configurations: none has role = "calibration", and there are no '
-                "candidates."
-            )
+            problems.append("configurations: none to fit, and no candidates.")
         elif not any(c.markers or c.effectors for c in posed):
-            problems.append(
-                "markers: there are none to measure; add [markers] or [effectors]."
-            )
+            problems.append("markers: none to measure; add [markers] or [effectors].")
         if problems:
             raise one_by_one(self.path, problems)
 
@@ -224,9 +216,7 @@ class Project(Module):
         self.check_identify()
         assert self.space is not None
         if not self.candidates:
-            raise ProjectError(
-                f"{self.path}: candidates: there are none; add [[candidates]]."
-            )
+            raise ProjectError(f"{self.path}: candidates: none; add [[candidates]].")
         return identifiability.rank_configurations(
             self.model,
             self.space,
@@ -241,10 +231,7 @@ class Project(Module):
     def check_simulation(self) -> None:
         """Raise ProjectError if there are no configurations to solve."""
         if not self.configurations:
-            raise ProjectError(
-                f"{self.path}: configurations: there is none to simulate; add "
-                "[[configurations]]."
-            )
+            raise ProjectError(f"{self.path}: configurations: add [[configurations]].")
 
     def simulate(
         self,
@@ -282,10 +269,8 @@ class Project(Module):
             model, arrays = fitted.at(z)
             lanes = lanes._replace(arrays=arrays)
         report = reports_of(progress, [c.name for c in posed])
-        with Workers(model, len(posed)) as workers:
-            solved = equilibria(
-                workers, model, lanes.arrays, self.newton, report=report
-            )
+        with Workers(model, len(posed)) as pool:
+            solved = equilibria(pool, model, lanes.arrays, self.newton, report=report)
         return calibrations.simulation_result(model, posed, solved, lanes), solved
 
 
@@ -307,9 +292,7 @@ def compare_projects(
         ValueError: If there are fewer than two configurations, or measurements differ.
     """
     if len(projects) < 2:
-        raise ProjectError(
-            f"a comparison needs at least two project files, got {len(projects)}."
-        )
+        raise ProjectError(f"a comparison needs two projects, got {len(projects)}.")
     first, names = projects[0], [c.name for c in projects[0].calibration]
     for project in projects:
         project.check_calibration()

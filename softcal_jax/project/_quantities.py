@@ -133,16 +133,11 @@ def shown(value: Any) -> str:
 
 def recognised(text: str) -> tuple[tuple[float, ...], str] | None:
     """Read a quantity of any dimension: one value or three, and their SI unit."""
-    match = _VECTOR.fullmatch(text) or _SCALAR.fullmatch(text)
-    if match is None or not match[2]:
-        return None
-    numbers = [part.strip() for part in match[1].split(",")]
-    if not all(re.fullmatch(_NUMBER, number) for number in numbers):
-        return None
     for dimension in (*OF_UNIT.values(), ACCELERATION, TIME, MASS):
         with contextlib.suppress(ValueError):
-            factor = _factor(match[2], dimension, text)
-            return tuple(factor * float(number) for number in numbers), dimension.si
+            if _VECTOR.fullmatch(text):
+                return parse_vector(text, dimension), dimension.si
+            return (parse_scalar(text, dimension),), dimension.si
     return None
 
 

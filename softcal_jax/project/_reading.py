@@ -162,9 +162,7 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
     except ValidationError as error:
         problems = describe(error, raw)
     if not (raw.get("configurations") or raw.get("candidates")):
-        problems.append(
-            "configurations: missing. Expected at least one table [[configurations]]."
-        )
+        problems.append("configurations: missing. Expected a table [[configurations]].")
     if problems or table is None:
         raise one_by_one(path, problems)
     return table
@@ -201,9 +199,7 @@ def _with_changes(
             table = table.setdefault(part, {}) if isinstance(table, dict) else None
         if not isinstance(table, dict):
             where = ".".join(way)
-            raise ProjectError(
-                f"{path}: {key}: {where} is no table of the project file."
-            )
+            raise ProjectError(f"{path}: {key}: {where} is no table of the file.")
         if value is None:
             table.pop(last, None)
         else:
@@ -217,19 +213,15 @@ def _with_shared(raw: dict[str, Any]) -> dict[str, Any]:
     for key, kind in kinds.items():
         if isinstance(raw.get(key), list) and isinstance(shared, dict):
             base = {k: value for k, value in shared.items() if k in kind.model_fields}
-            merged[key] = [
-                _merged(base, e) if isinstance(e, dict) else e for e in raw[key]
-            ]
+            merged[key] = [_merged(base, entry) for entry in raw[key]]
     return merged
 
 
-def _merged(shared: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
-    """Merge a table over the shared one, recursively where both have a table."""
-    out = dict(shared)
-    for key, value in table.items():
-        both = isinstance(value, dict) and isinstance(out.get(key), dict)
-        out[key] = _merged(out[key], value) if both else value
-    return out
+def _merged(shared: Any, own: Any) -> Any:
+    """Merge a value over the shared one, key by key where both are tables."""
+    if not (isinstance(shared, dict) and isinstance(own, dict)):
+        return own
+    return shared | {key: _merged(shared.get(key), own[key]) for key in own}
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -12,7 +12,7 @@ from softcal_jax import configurations
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.bodies import Pose
 from softcal_jax.configurations import PoseTable
-from softcal_jax.exchange.camera import TagPose, find_photos, tag_pose
+from softcal_jax.exchange.camera import find_photos, tag_pose
 from softcal_jax.project import _quantities as typed
 from softcal_jax.project._mesh import LengthUnit
 from softcal_jax.project._table import Table
@@ -32,10 +32,6 @@ class DialectTable(Table):
     def dialect(self) -> dict[str, Any]:
         """These keys, as arguments of the function that reads the file."""
         return self.model_dump(include=set(DialectTable.model_fields))
-
-
-_UNIT_LENGTH = 1e-3
-"""Tolerance on the length of a quaternion, above the rounding of four digits."""
 
 
 class OrientationTable(Table):
@@ -68,14 +64,7 @@ class OrientationTable(Table):
         The angles are those of Polhemus: R = Rz(azimuth) Ry(elevation) Rx(roll).
         """
         if self.quaternion is not None:
-            w, *xyz = self.quaternion
-            length = float(np.linalg.norm(self.quaternion))
-            if not abs(length - 1.0) <= _UNIT_LENGTH:
-                raise ValueError(
-                    f"quaternion has the length {length:.6g}, not 1: write four digits "
-                    "or more, the scalar part first."
-                )
-            return Rotation.from_quat([*xyz, w]).as_matrix()
+            return configurations.from_quaternion(self.quaternion)
         if self.rotation_vector is not None:
             return Rotation.from_rotvec(self.rotation_vector).as_matrix()
         angles = [self.azimuth or 0.0, self.elevation or 0.0, self.roll or 0.0]
@@ -93,69 +82,79 @@ class FrameTable(OrientationTable):
         return Pose.from_matrix(self.rotation, np.array(self.position))
 
 
-Motion = tuple[Pose, Float[HostArray, "6 6"] | None]
-"""The motion of a rigid body, and the covariance of its translation and of a rotation
-vector in the axes of the mesh; None where its measurement says nothing of it [m, rad].
-"""
+class Seen(NamedTuple):
+    """A pose or a motion in the frame of the mesh.
+
+    The covariance is that of its translation and of a rotation vector in the axes of
+    the mesh; None where the measurement says nothing of it [m, rad].
+    """
+
+    pose: Pose
+    covariance: Float[HostArray, "6 6"] | None = None
 
 
-class SensorPoseTable(Table):
-    """The pose of a 6-D sensor, written out or read from a file."""
+class MotionSource(Table):
+    """What the motion of a rigid body is found from: poses of a sensor or of a tag."""
 
     @abstractmethod
-    def readings(self, folder: Path) -> PoseTable:
-        """Return the readings of the pose; paths start from `folder`."""
+    def seen(self, folder: Path, base: Pose) -> Seen:
+        """Return the pose; paths start from `folder`."""
 
-    def earlier_readings(self, folder: Path) -> PoseTable | None:
-        """Return the readings that displacements start from; None for rest."""
+    def seen_before(self, folder: Path, base: Pose) -> Seen | None:
+        """Return the pose that displacements start from; None for rest."""
 
     def motion(
         self,
         folder: Path,
-        base: FrameTable,
+        base: Pose,
         mounted: OrientationTable,
         rest: Float[HostArray, "3"],
-    ) -> Motion:
+    ) -> Seen:
         """Compute the motion of a rigid body, from rest or from an earlier pose.
 
         The `base` is the frame of the tracker's base, or of the base tag. At rest, the
         sensor or tag stands at `rest` [m] and is `mounted` on the mesh; with an earlier
         pose it does not matter exactly where it was glued.
         """
-        seen = _mean(self.readings(folder), base)
+        pose, covariance = self.seen(folder, base)
         before, mounting = rest, mounted.rotation
-        earlier = self.earlier_readings(folder)
-        if earlier is not None:
-            start = _mean(earlier, base)
-            before, mounting = start.translation, start.matrix
-        turn = seen.matrix @ mounting.T
-        return Pose.from_matrix(turn, seen.translation - before), None
+        start = self.seen_before(folder, base)
+        if start is not None:
+            before, mounting = start.pose.translation, start.pose.matrix
+        turn = pose.matrix @ mounting.T
+        earlier = None if start is None else start.covariance
+        if covariance is not None and earlier is not None:
+            # Turned by the motion: exp(r) R (exp(s) S)^T = exp(r - R S^T s) R S^T.
+            change = np.eye(6)
+            change[3:, 3:] = turn
+            covariance = covariance + change @ earlier @ change.T
+        return Seen(Pose.from_matrix(turn, pose.translation - before), covariance)
 
 
-def _mean(readings: PoseTable, base: FrameTable) -> Pose:
+def _mean(readings: PoseTable, base: Pose) -> Seen:
     """Average the pose of one sensor in the mesh's frame."""
-    means = configurations.average_poses(configurations.in_frame(readings, base.pose))
+    means = configurations.average_poses(configurations.in_frame(readings, base))
     if len(means) > 1:
         raise ValueError(
             f"{readings.source} has the sensors {', '.join(means)}; say which one is "
             f"meant, by `sensor` or `station`."
         )
     (mean,) = means.values()
-    return mean
+    return Seen(mean)
 
 
-class WrittenPoseTable(SensorPoseTable, OrientationTable):
+class WrittenPoseTable(MotionSource, OrientationTable):
     position: typed.Position = Field(
         description='the pose, { position = "(0, 0, 100) mm", azimuth = "10 deg" }, or '
         'where it was read, { file = "tracker.csv" }'
     )
 
-    def readings(self, folder: Path) -> PoseTable:
+    def seen(self, folder: Path, base: Pose) -> Seen:
         p, R = np.array([self.position], float), self.rotation[None]
-        return PoseTable(("sensor",), p, R, (1,), "the pose")
+        return _mean(PoseTable(("sensor",), p, R, (1,), "the pose"), base)
 
 
-class PoseFileTable(SensorPoseTable, DialectTable):
+class PoseFileTable(MotionSource, DialectTable):
     """A table of poses, with a header and columns to select by."""
 
     file: str
@@ -164,40 +163,39 @@ class PoseFileTable(SensorPoseTable, DialectTable):
     select: Selection = Field(default_factory=dict)
     displacement_from: Selection | None = None
 
-    def readings(self, folder: Path) -> PoseTable:
+    def seen(self, folder: Path, base: Pose) -> Seen:
         rows = configurations.read_poses(
             folder / self.file, select=self.select, **self.dialect
         )
-        return rows if self.sensor is None else rows.readings_of(self.sensor)
+        one = rows if self.sensor is None else rows.readings_of(self.sensor)
+        return _mean(one, base)
 
-    def earlier_readings(self, folder: Path) -> PoseTable | None:
+    def seen_before(self, folder: Path, base: Pose) -> Seen | None:
         if self.displacement_from is None:
             return None
         select = self.select | self.displacement_from
-        return self.model_copy(update={"select": select}).readings(folder)
+        return self.model_copy(update={"select": select}).seen(folder, base)
 
 
-class PolhemusFileTable(SensorPoseTable):
+class PolhemusFileTable(MotionSource):
     """The bare text of a tracker."""
 
     file: str
     format: Literal["polhemus"]
-    length_unit: LengthUnit = Field(
-        description='what the tracker was set to: "cm" or "inch"'
-    )
+    length_unit: LengthUnit = Field(description='unit of the tracker: "cm" or "inch"')
     angle_unit: Literal["deg", "rad"] = "deg"
     station: typed.Integer | None = None
 
-    def readings(self, folder: Path) -> PoseTable:
+    def seen(self, folder: Path, base: Pose) -> Seen:
         options = self.model_dump(include={"length_unit", "angle_unit", "station"})
-        return configurations.read_polhemus(folder / self.file, **options)
+        return _mean(configurations.read_polhemus(folder / self.file, **options), base)
 
 
 class EarlierPhotosTable(Table):
     photos: typed.Names = Field(description='photographs: "rest/*.jpg"')
 
 
-class PhotosTable(Table):
+class PhotosTable(MotionSource):
     """The pose of a tag on a rigid body, from photographs of it and of a base tag.
 
     `base` of the effector is the frame of the base tag, and `orientation` that of the
@@ -218,41 +216,22 @@ class PhotosTable(Table):
         more = () if earlier is None else earlier.photos
         return find_photos([*self.photos, *more, *self.board], folder)
 
-    def motion(
-        self,
-        folder: Path,
-        base: FrameTable,
-        mounted: OrientationTable,
-        rest: Float[HostArray, "3"],
-    ) -> Motion:
-        """Compute the motion, as from a sensor, in the frame of the base tag."""
-        tag = self._pose(folder, self.photos)
-        turn, covariance = base.pose.matrix, tag.covariance
-        position = turn @ tag.position + base.pose.translation
-        rotation = turn @ tag.rotation
-        before, mounting = rest, mounted.rotation
-        if self.displacement_from is not None:
-            earlier = self._pose(folder, self.displacement_from.photos)
-            before = turn @ earlier.position + base.pose.translation
-            mounting = turn @ earlier.rotation
-            # Turned by the motion: exp(r) R (exp(s) S)^T = exp(r - R S^T s) R S^T.
-            change = np.eye(6)
-            change[3:, 3:] = tag.rotation @ earlier.rotation.T
-            covariance = covariance + change @ earlier.covariance @ change.T
-        axes = np.kron(np.eye(2), turn)
-        motion = Pose.from_matrix(rotation @ mounting.T, position - before)
-        return motion, axes @ covariance @ axes.T
-
-    def _pose(self, folder: Path, photos: tuple[str, ...]) -> TagPose:
-        return tag_pose(
-            find_photos(photos, folder),
+    def seen(self, folder: Path, base: Pose) -> Seen:
+        tag = tag_pose(
+            find_photos(self.photos, folder),
             tag=self.tag,
             base_tag=self.base_tag,
             size=self.size,
             base_size=self.base_size,
             board=find_photos(self.board, folder),
         )
+        turn, axes = base.matrix, np.kron(np.eye(2), base.matrix)
+        position = turn @ tag.position + base.translation
+        pose = Pose.from_matrix(turn @ tag.rotation, position)
+        return Seen(pose, axes @ tag.covariance @ axes.T)
 
-
-MotionSource = SensorPoseTable | PhotosTable
-"""What the motion of a rigid body is found from."""
+    def seen_before(self, folder: Path, base: Pose) -> Seen | None:
+        if self.displacement_from is None:
+            return None
+        photos = self.displacement_from.photos
+        return self.model_copy(update={"photos": photos}).seen(folder, base)

@@ -1,8 +1,7 @@
 """What else is known only roughly: the kinds of [[setup]], and [uncertain].
 
 To add a kind of [[setup]], which is calibrated beside the material, write one table
-with a key of its own, named like the function of `softcal_jax.fields` that makes it,
-and list it in `AnySetup`.
+with a key of its own, named like the function of `softcal_jax.fields` that makes it.
 """
 
 import dataclasses
@@ -21,8 +20,7 @@ from softcal_jax.project._problems import known_name
 from softcal_jax.project._quantities import (
     dimension_of,
     is_number,
-    parse_number,
-    parse_scalar,
+    parse_in_si,
     scalar,
     shown,
 )
@@ -79,14 +77,12 @@ class SetupTable(Table):
     """An error of the setup that is known up to a limit.
 
     `makes` is the function that makes its parameters, named like the key of the table,
-    from limit, prior, and the name and nominal value of what the error belongs to: a
-    `noun` in the `section`, or the robot if there is no `noun`. `limit` and `prior_std`
-    have the dimension that the error `measures`, or are plain numbers.
+    from limit, prior, and the name and nominal value of what the error belongs to, in
+    the `section`. `limit` and `prior_std` have the dimension of the quantity, or are
+    plain numbers.
     """
 
     makes: ClassVar[Callable[..., fields.Entry | Sequence[fields.Entry]]]
-    measures: ClassVar[typed.Dimension | None] = None
-    noun: ClassVar[str | None] = None
     section: ClassVar[str] = "[actuators]"
 
     limit: float | None = Field(description='largest error looked for: "3 deg", "2 mm"')
@@ -95,8 +91,8 @@ class SetupTable(Table):
     @field_validator("limit", "prior_std", mode="before")
     @classmethod
     def _parse(cls, value: Any) -> float:
-        kind = cls.measures
-        number = parse_number(value) if kind is None else parse_scalar(value, kind)
+        quantity = fields.QUANTITIES[cls.makes.__name__]
+        number = parse_in_si(value, "" if quantity.relative else quantity.unit)
         if not number > 0.0:
             raise ValueError(f'got "{value}"; expected more than zero.')
         return number
@@ -115,10 +111,11 @@ class SetupTable(Table):
 
     def build(self, project: WholeFile) -> list[fields.Entry]:
         known, of = self.known(project), [()]
-        if self.noun is not None:
-            subjects, names = self.subjects(project), getattr(self, self.label)
+        noun, names = fields.QUANTITIES[self.label].noun, getattr(self, self.label)
+        if noun:
+            subjects = self.subjects(project)
             for name in names:
-                known_name(self.noun, name, subjects, self.section)
+                known_name(noun, name, subjects, self.section)
             of = [(name, *subjects[name]) for name in names]
         made = [type(self).makes(*subject, **known) for subject in of]
         several = ([m] if isinstance(m, fields.Entry) else m for m in made)
@@ -127,8 +124,6 @@ class SetupTable(Table):
 
 class MotorZeroTable(SetupTable):
     makes = fields.motor_zero
-    measures = typed.ANGLE
-    noun = "motor"
     motor_zero: typed.Names
 
     def subjects(self, project: WholeFile) -> Subjects:
@@ -138,8 +133,6 @@ class MotorZeroTable(SetupTable):
 
 class MountingTable(SetupTable):
     makes = fields.mounting
-    measures = typed.LENGTH
-    noun = "rigid body"
     section = "[bodies]"
     mounting: typed.Names
 
@@ -150,7 +143,6 @@ class MountingTable(SetupTable):
 
 class FrictionTable(SetupTable):
     makes = fields.friction
-    noun = "cable with friction"
     friction: typed.Names
 
     def subjects(self, project: WholeFile) -> Subjects:
@@ -161,8 +153,6 @@ class FrictionTable(SetupTable):
 
 class MarkerOffsetTable(SetupTable):
     makes = fields.marker_offset
-    measures = typed.LENGTH
-    noun = "marker or 6-D sensor"
     section = "[markers.positions] or [effectors]"
     marker_offset: typed.Names
 
@@ -200,7 +190,6 @@ class ScopedTable(SetupTable):
 
 class GravityTiltTable(ScopedTable):
     makes = fields.gravity_tilt
-    measures = typed.ANGLE
     gravity_tilt: Literal[True]
 
 
@@ -211,7 +200,6 @@ class RecordingOffsetTable(ScopedTable):
     """
 
     makes = fields.recording_offset
-    measures = typed.LENGTH
     limit: float | None = None
     recording_offset: Literal[True]
     turn_limit: typed.Angle | None = None
@@ -228,7 +216,6 @@ class LoadFactorTable(FactorTable):
     """Factors on dead loads, one parameter each; true for loads without a name."""
 
     makes = fields.load_factor
-    noun = "load"
     section = "`loads` of a configuration"
     load_factor: Annotated[
         typed.Names,
@@ -242,7 +229,6 @@ class LoadFactorTable(FactorTable):
 
 class ActuatorFactorTable(FactorTable):
     makes = fields.actuator_factor
-    noun = "actuator"
     actuator_factor: typed.Names
 
     def subjects(self, project: WholeFile) -> Subjects:
@@ -251,7 +237,6 @@ class ActuatorFactorTable(FactorTable):
 
 class ClampStiffnessTable(FactorTable):
     makes = fields.clamp_stiffness
-    noun = "support with a stiffness"
     section = "`supports` of a configuration"
     limit: float | None = 1e3
     clamp_stiffness: typed.Names
@@ -264,21 +249,9 @@ class ClampStiffnessTable(FactorTable):
             group, stiffness = support.group, support.stiffness
             if stiffness and nominal.setdefault(group, (stiffness,)) != (stiffness,):
                 raise ValueError(
-                    f"configurations state several stiffnesses for {group!r}; "
-                    "state one, about which it is calibrated."
+                    f"configurations state several stiffnesses for {group!r}; give one."
                 )
         return dict(nominal)
 
 
-AnySetup = Annotated[
-    MotorZeroTable
-    | MountingTable
-    | GravityTiltTable
-    | RecordingOffsetTable
-    | LoadFactorTable
-    | ActuatorFactorTable
-    | ClampStiffnessTable
-    | MarkerOffsetTable
-    | FrictionTable,
-    Choice(by_keys),
-]
+AnySetup = Annotated[SetupTable, Choice(by_keys)]

@@ -93,8 +93,9 @@ _adapter = functools.cache(TypeAdapter)
 class Choice:
     """Mark a union whose member is chosen by a function of the value and the members.
 
-    pydantic's own unions would add the name of the member to the place of an error. The
-    function raises ValueError where no member fits.
+    The members of a table are all that derive from it. pydantic's own unions would add
+    the name of the member to the place of an error. The function raises ValueError
+    where no member fits.
     """
 
     choose: Callable[[Any, Sequence[Any]], Any]
@@ -102,13 +103,20 @@ class Choice:
     def __get_pydantic_core_schema__(
         self, source: Any, handler: GetCoreSchemaHandler
     ) -> core_schema.CoreSchema:
-        kinds = get_args(source)
+        kinds = get_args(source) or _members(source)
 
         def validate(value: Any, info: Any) -> Any:
             adapter = _adapter(self.choose(value, kinds))
             return adapter.validate_python(value, context=info.context)
 
         return core_schema.with_info_plain_validator_function(validate)
+
+
+def _members(source: Any) -> list[type[Table]]:
+    if not (isinstance(source, type) and issubclass(source, Table)):
+        return []
+    below = [kind for table in source.__subclasses__() for kind in _members(table)]
+    return below or [source]
 
 
 TableOr = Annotated[

@@ -59,5 +59,5 @@ def test_base_without_enough_nodes_is_refused():
 
 @pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
 def test_base_radius_must_be_a_length(value):
-    with pytest.raises(ValueError, match=f"base_radius .*not .* got {value:g}"):
+    with pytest.raises(ValueError, match=f"base_radius .*finite.* got {value:g}"):
         Markers(("post",), POST, base_radius=value)

@@ -177,7 +177,7 @@ def test_bad_loads():
         (EdgeForce, [0, -1], FORCE, "edge force: node -1"),
         (NodalForces, [60], [FORCE], "nodal force: node 60"),
         (NodalForces, [-1], [FORCE], "nodal .* node -1.* 0 to 59"),
-        (NodalForces, [4, 5], FORCE, r"2 nodes .*\(2, 3\) \[N\], got \(3,\)"),
+        (NodalForces, [4, 5], FORCE, r"shape \(2, 3\), got \(3,\)"),
         (NodalForces, [4, 5], [FORCE, (0.0, np.nan, 0.0)], "node 5 .*finite .*nan"),
     ],
 )

@@ -79,8 +79,8 @@ def test_an_axis_that_is_not_measured_may_be_missing():
     ("changed", "message"),
     [
         ({"names": ["a", "a"]}, "marker 'a' .*another name"),
-        ({"names": ["a"]}, r"1 marker .*positions .*\(1, 3\) .*got \(2, 3\)"),
-        ({"positions": [INSIDE, [0, np.nan, 0]]}, "'b' .*finite position .*nan"),
+        ({"names": ["a"]}, r"positions .*\(1, 3\) .*got \(2, 3\)"),
+        ({"positions": [INSIDE, [0, np.nan, 0]]}, "'b' .*three finite .*nan"),
         ({"std": 0.0}, r"std .*positive .*\[m\].* got 0"),
         ({"std": [1e-3, -1.0]}, "got -1; .*`axes`"),
         ({"std": [1e-3, np.inf]}, "got .*inf"),

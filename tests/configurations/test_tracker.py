@@ -174,7 +174,7 @@ def test_polhemus_in_radians(table):
         ("1 0 0 0 0 0\n", "line 1: got '1 0 0 0 0 0' ... 7"),
         ("1 0 0 x 0 0 0\n", "line 1: got '1 0 0 x 0 0 0' ... finite numbers"),
         ("\n1 0 0 0 inf 0 0\n", "line 2: got '1 0 0 0 inf 0 0' ... finite"),
-        ("1.5 0 0 0 0 0 0\n", "line 1: got '1.5 0 0 0 0 0 0' ... station (an integer)"),
+        ("1.5 0 0 0 0 0 0\n", "line 1: got '1.5 0 0 0 0 0 0' ... an integer station"),
     ],
 )
 def test_bad_polhemus_text(table, text, message):

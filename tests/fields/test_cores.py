@@ -155,8 +155,8 @@ def test_plain_steps_and_numbers_keep_the_fields(model):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"core": 1.0}, r"core of theta .*\[0, 1\), got 1:"),
-        ({"core": -0.1}, r"core of theta .*\[0, 1\), got -0\.1:"),
+        ({"core": 1.0}, r"core of theta is 1, .*\[0, 1\)"),
+        ({"core": -0.1}, r"core of theta is -0\.1, .*\[0, 1\)"),
         ({"of_angle": {"interpolation": "linear"}}, "theta .*director.*'linear'"),
         ({"of_angle": {"region": "one"}}, "theta .*E_l .* region='one'"),
     ],

@@ -26,7 +26,6 @@ from softcal_jax.equilibrium import (
 from softcal_jax.fields import (
     Parameter,
     ParameterSpace,
-    SetupParameter,
     check_parameters,
     gravity_tilt,
     load_factor,
@@ -126,19 +125,6 @@ def test_bad_input():
         check_parameters(
             MODEL, ParameterSpace((motor_zero("M", limit=0.1, prior_std=None),))
         )
-    with pytest.raises(ValueError, match=r"kind .* 'zero'.* 'motor_zero'"):
-        SetupParameter("zero", "m", [SPACE.parameters[1]])
-    zero, place = SPACE.parameters[1:3]
-    with pytest.raises(ValueError, match=r"axis .* 'w'.* 'x', 'y', 'z'"):
-        SetupParameter("mounting", "base", [place], "w")
-    with pytest.raises(ValueError, match=r"axis .*'zero of m' 'x'"):
-        SetupParameter("motor_zero", "m", [zero], "x")
-    with pytest.raises(ValueError, match=r'needs scale="linear"'):
-        SetupParameter("motor_zero", "m", [Parameter("zero", "", 1.0, 0.5, 2.0)])
-    with pytest.raises(ValueError, match=r"motor_zero .*leave `each`"):
-        SetupParameter("motor_zero", "m", [zero], each=["a"])
-    with pytest.raises(ValueError, match=r"zero.*mounting.* 2 unknowns"):
-        SetupParameter("gravity_tilt", "", [zero, place], "first")
     with pytest.raises(ValueError, match=r"'a' .*twice.*`each`"):
         load_factor(prior_std=None, each=["a", "a"])
     for make in (gravity_tilt, load_factor):

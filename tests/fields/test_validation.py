@@ -118,7 +118,7 @@ def test_max_distance_and_the_region_decide_what_is_far():
         check(model(), spread(points=ControlPoints(outside)))
     check(model(), spread(points=ControlPoints(outside, max_distance=1.01)))
     near = {"root": (0.0, 0.25, 0.25), "tip": (1.0, 0.25, 0.25)}
-    message = "'tip' of E .* 612 mm .*'near', .* 100 mm"
+    message = "'tip' of E .* 612 mm .*'near': .* 100 mm"
     points = ControlPoints(near, max_distance=0.1)
     with pytest.raises(ValueError, match=message):
         check(model(), spread(points=points, region="near"))

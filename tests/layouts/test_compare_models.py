@@ -145,7 +145,7 @@ FITTED = ('role = "validation"\nloads', "loads")
 
 def test_projects_must_have_the_same_data(tmp_path):
     one = load_project(write_small_project(tmp_path / "one", FITTED))
-    with pytest.raises(ProjectError, match=r"two project files, got 1"):
+    with pytest.raises(ProjectError, match=r"two projects, got 1"):
         compare_projects([one])
     with pytest.raises(ProjectError, match=r"twice: .*one"):
         compare_projects([one, one])

@@ -90,7 +90,7 @@ CASES = {
     ),
     "names twice": (
         ("power = 2", 'names = ["a", "b"]'),
-        "control_points.ends: `positions` is a table ... leave",
+        "control_points.ends: `positions` ... leave",
     ),
     "too few names": (
         (POSITIONS, 'positions = ["(0, 0, 0) mm"]\nnames = ["a", "b"]'),
@@ -102,7 +102,7 @@ CASES = {
     ),
     "nearest": (
         ("power = 2", "nearest = 3"),
-        "control_points.ends: nearest ... between 1",
+        "control_points.ends: nearest ... from 1",
     ),
     "coinciding": (
         ('"CP 2" = "(150, 7.5, 7.5) mm"', '"CP 2" = "(0, 7.5, 7.5) mm"'),
@@ -152,11 +152,11 @@ CASES = {
     ),
     "fixed unknown": (
         (E_L, f'{E_L}fixed = {{ "CP 9" = "1 kPa" }}\n'),
-        "parameters.E_l: fixed of E_l: ... 'CP 9' ... CP 1",
+        "parameters.E_l: ... fixed of E_l: 'CP 9' ... CP 1",
     ),
     "tied to nothing": (
         (E_L, f'{E_L}tied = {{ "CP 2" = "E of CP 1" }}\n'),
-        "parameters: E_l of CP 2 ... tied to ... 'E of CP 1'",
+        "parameters: ... E_l of CP 2 ... tied to ... 'E of CP 1'",
     ),
     "interpolation": (
         (E_L, f'{E_L}interpolation = "axis"\n'),
@@ -219,7 +219,7 @@ CASES = {
     ),
     "candidate named like a configuration": (
         ('name = "pose 2"', 'name = "pose 1"'),
-        "candidates: 'pose 1' is a configuration already",
+        "candidates: configuration or candidate 'pose 1' is named more than once",
     ),
     "candidate with an unknown group": (
         ('group = "x_max"', 'group = "x_mx"'),

@@ -125,14 +125,14 @@ CASES = {
     ),
     "negative modulus": (
         ('lower = "100 kPa"', 'lower = "-1 Pa"\nscale = "linear"'),
-        "parameters.E: lower of E ... (0, inf), got -1 Pa",
+        "parameters: ... lower bound: E must be positive ... got -1",
     ),
     "bounds of nu": (
         (
             'field = "E"\nlower = "100 kPa"\nupper = "1 MPa"',
             'field = "nu"\nlower = 0.2\nupper = 0.5',
         ),
-        "parameters.nu: upper of nu ... (-1, 0.5), got 0.5",
+        "parameters: ... upper bound: nu ... (-1, 0.5), got 0.5",
     ),
     "parameter twice": (
         (
@@ -216,7 +216,7 @@ CASES = {
     ),
     "registration on a line": (
         ('markers = ["a", "b", "c"]', 'markers = ["a", "b"]'),
-        "configurations.weight.measured: registration ... 3 markers, got 2",
+        "configurations.weight.measured: registration ... 3 finite markers, got 2",
     ),
     "missing file": (
         ('file = "markers.csv"', 'file = "marker.csv"'),

@@ -182,7 +182,7 @@ CASES = {
     ),
     "a pose for a length": (
         ('wound = "1.96 mm"', 'wound = { position = "(1, 2, 3) mm" }'),
-        "configurations.pulled.measured.effectors.wound: got a table ... length",
+        "configurations.pulled.measured.effectors.wound: expected a length",
     ),
     "no such file": (
         ('file = "tracker.csv"', 'file = "trackr.csv"'),
@@ -209,8 +209,8 @@ CASES = {
     ),
     "a quaternion of another length": (
         ('azimuth = "90 deg" }\nstd', "quaternion = [1, 0, 0, 1] }\nstd"),
-        "configurations.slack.measured.effectors.sensor: quaternion ... 1.41421, not "
-        "1 ... four digits",
+        "configurations.slack.measured.effectors.sensor: ... quaternion ... 1.41421, "
+        "not 1 ... four digits",
     ),
     "keys of the other format": (
         ('file = "tracker.csv"', 'file = "tracker.csv"\nstation = 1'),
@@ -240,9 +240,9 @@ CASES = {
     ),
     "an empty setup": (
         (WOUND, f'[[setup]]\nlimit = "3 mm"\n{WOUND}'),
-        "setup[1]: ... one of motor_zero, mounting, gravity_tilt, recording_offset, "
-        "load_factor, actuator_factor, clamp_stiffness, marker_offset, "
-        "friction; got none",
+        "setup[1]: ... one of motor_zero, mounting, friction, marker_offset, "
+        "gravity_tilt, recording_offset, load_factor, actuator_factor, "
+        "clamp_stiffness; got none",
     ),
     "an absolute prior on a log scale": (
         ("# prior_std = 0.3", 'prior_std = "50 kPa"'),

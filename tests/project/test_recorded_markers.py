@@ -131,7 +131,7 @@ CASES = {
     "one recording of many": (
         'file = "run.c3d"',
         'file = "run.c3d"\nrecording = { run = "weight" }',
-        "`recording` ... tables of rows",
+        "`recording` is for rows",
     ),
     "unknown delimiter": (
         'file = "run.c3d"',
@@ -202,7 +202,7 @@ OF_THE_FILE = {
     "event and step": (
         'after_step_of = "tip"',
         'after_step_of = "tip", after_event = "valve"',
-        "not from both",
+        "not both",
     ),
     "unknown event": (
         'after_step_of = "tip"',

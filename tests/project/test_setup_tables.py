@@ -153,7 +153,7 @@ def test_a_recording_may_be_turned_alone(tmp_path):
         ('load_factor = "weight"', "no load .weight."),
         ("load_factor = true\nprior_std = true", "expected a number"),
         ('clamp_stiffness = "x_max"', "support .* .x_max."),
-        ('friction = "rope"\nlimit = 0.1', "cable .* .rope."),
+        ('friction = "rope"\nlimit = 0.1', "actuator with friction .rope."),
         ('actuator_factor = "rope"', "no actuator .rope."),
         ("recording_offset = true", "needs limit.* turn_limit"),
         ('marker_offset = "top"\nlimit = "1 mm"', "no marker or 6-D sensor .top.* tip"),

@@ -14,6 +14,7 @@ from benchmarks._photographs import (
     random_views,
 )
 from benchmarks._tags import difference, photograph_board
+from softcal_jax.bodies import Pose
 from softcal_jax.exchange.camera import find_photos, read_photo, tag_corners, tag_pose
 from softcal_jax.exchange.camera._adjustment import Placement
 from softcal_jax.plotting import rendering_problem
@@ -179,7 +180,7 @@ def test_a_project_with_photographs(pose, tmp_path):
 
 def test_motion_between_two_poses(pose, tmp_path):
     """The mounting of the tag cancels, and both covariances count."""
-    from softcal_jax.project._sensors import FrameTable, OrientationTable, PhotosTable
+    from softcal_jax.project._sensors import OrientationTable, PhotosTable
 
     for name, indices in (("a", (0, 1, 2)), ("b", (1, 2, 3))):
         (tmp_path / name).mkdir()
@@ -195,9 +196,7 @@ def test_motion_between_two_poses(pose, tmp_path):
             "displacement_from": {"photos": "a/*.jpg"},
         }
     )
-    motion, covariance = table.motion(
-        tmp_path, FrameTable(), OrientationTable(), np.zeros(3)
-    )
+    motion, covariance = table.motion(tmp_path, Pose(), OrientationTable(), np.zeros(3))
     one, two = (
         tag_pose(sorted((tmp_path / n).iterdir()), tag=TAG, base_tag=BASE, size=SIZE)
         for n in "ab"
