@@ -12,12 +12,9 @@ from softcal_jax.unknowns._considered import (
     nothing_considered as nothing_considered,
 )
 from softcal_jax.unknowns._unknowns import (
-    CREEP as CREEP,
-    FIRST_SHARE as FIRST_SHARE,
     MESH as MESH,
     Setting as Setting,
     Unknown as Unknown,
-    creep_of as creep_of,
     held_nodes as held_nodes,
     recording_names as recording_names,
     unknowns as unknowns,

@@ -1,4 +1,4 @@
-"""Every unknown of a calibration, once: fitted, considered, or part of the noise.
+"""Every unknown of a calibration that is not fitted: considered, or part of the noise.
 
 A considered error is held at its nominal value: fitted values move with it, and their
 standard errors say by how much. An error that is part of the noise is marginalised: it
@@ -38,19 +38,11 @@ from softcal_jax.fields import (
     find_field,
     grounded_bodies,
 )
-from softcal_jax.inference import ATTACHMENTS
 from softcal_jax.mesh import TetMesh, boundary_faces
 from softcal_jax.sensitivity import clamp_row, mesh_row, stress_patches
-from softcal_jax.unknowns._attachments import FAR_BEYOND, attachments
 
 MESH = "mesh"
 """Name of the error of the mesh, see `mesh_row`."""
-
-CREEP = "creep"
-"""Name of the share of the motion in the budget."""
-
-FIRST_SHARE = 0.02
-"""Share of the motion to begin with, where it is to be estimated [-]."""
 
 
 class Unknown(NamedTuple):
@@ -60,11 +52,10 @@ class Unknown(NamedTuple):
         cause: What it is called in the budget.
         name: Its name among those of the same cause.
         entry: What it sets, if that is an array of the model or of a configuration.
-        prior: Its standard deviation, in SI units or relative; nan where it is fitted,
-            as each of its parameters has a prior of its own.
-        role: Whether it is fitted, considered or part of the noise.
+        prior: Its standard deviation, in SI units or relative.
+        role: Whether it is considered or part of the noise.
         scope: For each configuration, a key that those with the same error have in
-            common; None where the error cannot occur, or has another role.
+            common; None where the error cannot occur, or is fitted.
         row: Makes the row of one unit of it if no entry sets it, see `clamp_row`: from
             the linearised equilibrium and what `data` returns for the configuration.
     """
@@ -114,29 +105,20 @@ class Setting(NamedTuple):
         """The configurations as arrays."""
         return self.lanes.arrays
 
-    @property
-    def poses(self) -> Poses:
-        """The configurations, as kinds of parameters take them."""
-        on_host = jax.tree.map(np.asarray, self.arrays)
-        return Poses(self.model, on_host, recording_names(self.configurations))
-
 
 def unknowns(setting: Setting) -> tuple[Unknown, ...]:
-    """List all unknowns of a calibration.
+    """List what may be wrong and has an entry or a row of its own.
 
-    They include errors that cannot occur in any configuration, with no key in their
+    Creep and attachments, which are noise of the readings, are in `correlated_noise`.
+    Errors that cannot occur in any configuration are listed, with no key in their
     scope: which entries are computed is part of a compiled program, so that one serves
     all poses.
     """
-    poses = setting.poses
     return (
-        *_fitted(setting, poses),
         *_of_fields(setting),
-        *_of_setup(setting, poses),
+        *_of_setup(setting),
         _of_clamps(setting),
         _of_mesh(setting),
-        *_of_creep(setting),
-        *_of_attachments(setting),
     )
 
 
@@ -145,18 +127,10 @@ def recording_names(configurations: Sequence[Configuration]) -> list[str]:
     return [c.recording or c.name for c in configurations]
 
 
-def _fitted(setting: Setting, poses: Poses) -> Iterator[Unknown]:
-    """List what is fitted, and where it occurs."""
-    everywhere: Scope = ("",) * len(setting.configurations)
-    for entry in setting.space.entries:
-        scope = everywhere
-        if isinstance(entry, SetupParameter):
-            scope = entry.quantity.occurs(poses).get(entry.of, everywhere)
-        yield Unknown(entry.label, entry.label, entry, np.nan, "fitted", scope)
-
-
-def _of_setup(setting: Setting, poses: Poses) -> Iterator[Unknown]:
+def _of_setup(setting: Setting) -> Iterator[Unknown]:
     """List errors of the setup, the loads and the recordings that are not fitted."""
+    on_host = jax.tree.map(np.asarray, setting.arrays)
+    poses = Poses(setting.model, on_host, recording_names(setting.configurations))
     for kind, quantity in QUANTITIES.items():
         if quantity.role not in ("considered", "noise"):
             continue
@@ -241,31 +215,6 @@ def _of_mesh(setting: Setting) -> Unknown:
     scope = _where(("",) * n, np.full(n, std > 0.0 and np.any(model.active)))
     error = MESH, name, None, std, "considered", scope
     return Unknown(*error, mesh_row, lambda: (stress_patches(model),) * n)
-
-
-def _of_creep(setting: Setting) -> Iterator[Unknown]:
-    """List the share of the motion of each configuration that is noise."""
-    n_c = len(setting.configurations)
-    for c, configuration in enumerate(setting.configurations):
-        std = configuration.relative_std
-        share = FIRST_SHARE if std == "estimated" else std
-        scope = _where(("",) * n_c, (np.arange(n_c) == c) & (share > 0.0))
-        yield Unknown(CREEP, creep_of(configuration), None, share, "noise", scope)
-
-
-def creep_of(configuration: Configuration) -> str:
-    """Name the share of the motion of a configuration that is noise."""
-    return f"creep in {configuration.name}"
-
-
-def _of_attachments(setting: Setting) -> Iterator[Unknown]:
-    """List the offsets of points and frames whose displacement counts."""
-    lanes, n_rows = setting.lanes, setting.arrays.effectors.measured.shape[1]
-    attached = attachments(setting.configurations, lanes.effectors, n_rows)
-    for k, key in enumerate(attached.keys):
-        has_it = np.any(attached.of_row == k, axis=1)
-        scope, far = _where(("",) * len(has_it), has_it), FAR_BEYOND[key[-1]]
-        yield Unknown(ATTACHMENTS, " ".join(key), None, far, "noise", scope)
 
 
 def held_nodes(
