@@ -17,7 +17,6 @@ from softcal_jax.calibration._checked_intervals import (
     LEVEL,
     Fitted,
     check_level,
-    quantile_of,
     whole_interval,
     with_intervals,
 )
@@ -33,11 +32,7 @@ from softcal_jax.calibration._problem import (
     Task,
     check_effects,
 )
-from softcal_jax.calibration._profile import profile_ends
-from softcal_jax.calibration._result import (
-    CalibrationResult,
-    ParameterInterval,
-)
+from softcal_jax.calibration._result import CalibrationResult, ParameterInterval
 from softcal_jax.calibration._starts import SearchProgress
 from softcal_jax.configurations import (
     Configuration,
@@ -280,14 +275,8 @@ def profile_intervals(
     now = evaluate(problem, result.z)
     check_converged(now.equilibrium, tuple(c.name for c in configurations))
     columns = [space.names.index(name) for name in names]
-    ends = profile_ends(
-        problem,
-        result.settings,
-        z=result.z,
-        linear=now.linear(problem, configurations, result.z),
-        rise=spread.noise_scale * quantile_of(result, level),
-        which=columns,
-    )
+    fit = Fitted(result, problem, tuple(configurations), now)
+    ends = fit.profile_ends(level, columns)
     return tuple(
         whole_interval(result, column, level, pair)
         for column, pair in zip(columns, ends, strict=True)
