@@ -182,22 +182,13 @@ def calibrate(
         return replace(first.result, left_out=left_out)
 
     def go_on(done: Fitted, z: Float[Array, " n_p"]) -> Fitted:
-        old, last = done.result, done.result.history[-1]
+        old = done.result
         assert old.noise is not None
-        later = lambda entry: replace(
-            entry, step=entry.step + last.step, seconds=entry.seconds + last.seconds
-        )
-
-        def report(entry: HistoryEntry) -> None:
-            if progress is not None and entry.step:
-                progress(later(entry))
-
-        again = Watch(progress=report)
-        new = fit(task._replace(starts=1), batch, again, Resume(z, old.noise))
-        history = (*old.history, *map(later, new.result.history[1:]))
+        resume = Resume(z, old.noise, old.history)
+        new = fit(task._replace(starts=1), batch, Watch(progress=progress), resume)
         timing = {k: s + new.result.timing_s[k] for k, s in old.timing_s.items()}
-        changed = {"history": history, "starts": old.starts, "timing_s": timing}
-        return new._replace(result=replace(new.result, **changed))
+        result = replace(new.result, starts=old.starts, timing_s=timing)
+        return new._replace(result=result)
 
     try:
         return with_intervals(first, intervals, go_on, stage)

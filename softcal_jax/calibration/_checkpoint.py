@@ -5,7 +5,7 @@ import math
 import os
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -211,9 +211,10 @@ class Journal:
         progress: Callable[[HistoryEntry], None] | None = None,
         *,
         search: tuple = (),
+        history: Sequence[HistoryEntry] = (),
     ):
         """Note where steps are saved and reported; for `search` see `fingerprint`."""
-        self.history: list[HistoryEntry] = []
+        self.history = [*history]
         self.interrupted = False
         self.notes: tuple[str, ...] = ()
         self._problem, self._progress = problem, progress
@@ -226,15 +227,14 @@ class Journal:
 
     def __enter__(self) -> "Journal":
         """Begin with what the file holds, if there is one."""
-        if self._path is None:
-            return self
-        with ExitStack() as opened:
-            opened.enter_context(only_writer(self._path, "calibration"))
-            self._mark = fingerprint(*self._depends_on)
-            if self._path.exists():
-                saved = read_checkpoint(self._path, self._mark)
-                self._arrays, self.history = saved.arrays, [*saved.history]
-            self._open = opened.pop_all()
+        if self._path is not None:
+            with ExitStack() as opened:
+                opened.enter_context(only_writer(self._path, "calibration"))
+                self._mark = fingerprint(*self._depends_on)
+                if self._path.exists():
+                    saved = read_checkpoint(self._path, self._mark)
+                    self._arrays, self.history = saved.arrays, [*saved.history]
+                self._open = opened.pop_all()
         if self.history:
             self._begin -= self.history[-1].seconds
         return self
@@ -284,7 +284,7 @@ class Journal:
     ) -> tuple[CalibrationState, CorrelatedNoise]:
         """Return the saved state and noise; without any, record and return these."""
         kept = self.kept("state", (state, noise))
-        if kept is None:
+        if kept is None and not self.history:
             self.note(state, noise)
         self.last = kept or (state, noise)
         return self.last

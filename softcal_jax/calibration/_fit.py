@@ -84,6 +84,7 @@ class Resume(NamedTuple):
 
     z: Float[Array, " n_p"]
     noise: CorrelatedNoise
+    history: tuple[HistoryEntry, ...]
 
 
 class _Solved(NamedTuple):
@@ -103,7 +104,12 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
     given = () if task.start is None else tuple(task.start.tolist())
     mark = (task.starts, task.seed, *given, task.noise, *task.uncertain.estimated)
     journal = Journal(
-        batch.fitted, task.settings, watch.checkpoint, watch.progress, search=mark
+        batch.fitted,
+        task.settings,
+        watch.checkpoint,
+        watch.progress,
+        search=mark,
+        history=() if resume is None else resume.history,
     )
     most = task.starts * max(len(task.fitted), 2 * len(task.held_out))
     with journal, Clock() as clock, Workers(task.model, most) as workers:
