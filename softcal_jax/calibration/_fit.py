@@ -51,18 +51,12 @@ from softcal_jax.calibration._weighing import SoughtNoise, Weighed, weighed_fit
 from softcal_jax.configurations import check_numbers
 from softcal_jax.equilibrium import EquilibriumProgress, Workers, reports_of
 from softcal_jax.inference import (
-    LinearModel,
+    ErrorColumns,
     error_budget,
     recording_estimates,
     uncertainty,
 )
-from softcal_jax.unknowns import (
-    ConsideredErrors,
-    Setting,
-    compile_considered,
-    considered_errors,
-    nothing_considered,
-)
+from softcal_jax.unknowns import Setting, compile_considered, considered_errors
 
 BUDGET = "the error budget"
 """What is left out of the answer so far."""
@@ -130,8 +124,7 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
         solved = _Solved(start, search, weighed, predicted, journal, clock)
         lanes = lanes._replace(arrays=predicted.problem.configurations)
         setting = setting._replace(lanes=lanes)
-        none = nothing_considered(setting)
-        so_far = cache(lambda: replace(_result(task, solved, none), left_out=(BUDGET,)))
+        so_far = cache(lambda: replace(_result(task, solved), left_out=(BUDGET,)))
         if watch.answer is not None:
             watch.answer(so_far())
         if task.quick or journal.interrupted:
@@ -140,11 +133,15 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
             try:
                 taken = journal.history[-1].seconds
                 watch.stage(f"{BUDGET} (the fit took {taken:.0f} s)")
-                equilibrium = predicted.response.equilibrium
-                doubts = considered_errors(
-                    workers, setting, z=z, equilibrium=equilibrium
+                considered = considered_errors(
+                    workers,
+                    setting,
+                    z=z,
+                    equilibrium=predicted.response.equilibrium,
+                    n_fitted=len(task.fitted),
+                    weight=np.asarray(lanes.arrays.effectors.inverse_std),
                 )
-                result = _result(task, solved, doubts)
+                result = _result(task, solved, considered)
             except KeyboardInterrupt:
                 result = so_far()
                 notes = (*result.notes, f"Interrupted before {BUDGET} was known.")
@@ -153,17 +150,25 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
     return Fitted(result, problem, task.fitted, weighed.state.evaluation)
 
 
-def _result(task: Task, solved: _Solved, doubts: ConsideredErrors) -> CalibrationResult:
-    """Make the result of a fit, judged by its linear model with the errors `doubts`."""
+def _result(
+    task: Task, solved: _Solved, considered: ErrorColumns | None = None
+) -> CalibrationResult:
+    """Make the result of a fit, judged by its linear model at the optimum."""
     start, search, weighed, predicted, journal, clock = solved
     state, space, z = weighed.state, task.space, weighed.state.z
-    linear = _linear(task, weighed, predicted, doubts)
+    n_fitted, problem = len(task.fitted), predicted.problem
+    whole = replace(
+        state.evaluation,
+        response=predicted.response,
+        delta_e=effector_errors(problem, predicted.response.effectors),
+    )
+    more = {"n_fitted": n_fitted, "considered": considered}
+    linear = whole.linear(problem, task.configurations, z, **more)
     spread = uncertainty(linear.with_scale(1.0), task.noise, weighed.scale)
     noise_is_known = bool(np.isfinite(spread.noise_scale))
     linear = linear.with_scale(spread.noise_scale if noise_is_known else 1.0)
-    of_fit, n_fitted = linear.of_fit(), len(task.fitted)
+    of_fit, problem = linear.of_fit(), problem.of_first(n_fitted)
     budget = error_budget(of_fit, space, z, noise_is_known=noise_is_known)
-    problem = predicted.problem.of_first(n_fitted)
     checks = residual_checks(
         of_fit,
         task.fitted,
@@ -274,24 +279,6 @@ def _descended(task: Task, start: Start, place: Start, journal: Journal) -> Weig
             settled=True,
         )
     return weighed._replace(notes=(*of_steps, *journal.notes, *weighed.notes))
-
-
-def _linear(
-    task: Task, weighed: Weighed, predicted: Predicted, doubts: ConsideredErrors
-) -> LinearModel:
-    """Make the linear model of all configurations at the optimum."""
-    n_fitted, problem = len(task.fitted), predicted.problem
-    effectors = problem.configurations.effectors
-    whole = replace(
-        weighed.state.evaluation,
-        response=predicted.response,
-        delta_e=effector_errors(problem, predicted.response.effectors),
-    )
-    considered = doubts.in_std(n_fitted, np.asarray(effectors.inverse_std))
-    z, configurations = weighed.state.z, task.configurations
-    return whole.linear(
-        problem, configurations, z, n_fitted=n_fitted, considered=considered
-    )
 
 
 def _witnesses(task: Task) -> list[str | None]:

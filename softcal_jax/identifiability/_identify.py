@@ -263,6 +263,9 @@ def survey(
     problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
     required = len(names) if required is None else required
     setting = Setting(model, space, configurations, lanes, uncertain)
+    weight = np.asarray(arrays.effectors.inverse_std)
+    if noise is not None:
+        weight = np.where(weight > 0.0, 1.0 / noise, 0.0)
     with Workers(model, len(names)) as workers:
         compile_considered(workers, setting, z)
         evaluator = Evaluator(problem, workers)
@@ -271,16 +274,20 @@ def survey(
         if required:
             check_converged(lane_of(solution, slice(required)), names)
         compliance = evaluator.energy_compliances(z, solution.displacement)
-        doubts = considered_errors(workers, setting, z=z, equilibrium=solution)
+        considered = considered_errors(
+            workers,
+            setting,
+            z=z,
+            equilibrium=solution,
+            n_fitted=len(names),
+            weight=weight,
+        )
     if required:
         check_numbers(names[:required], lanes.effectors, moved, compliance.W_ep)
     failures = _failures(solution, np.asarray(compliance.ok))
     for name, failure in zip(names[:required], failures, strict=False):
         if failure:
             raise RuntimeError(f"configuration {name!r}: {failure}.")
-    weight = np.asarray(arrays.effectors.inverse_std)
-    if noise is not None:
-        weight = np.where(weight > 0.0, 1.0 / noise, 0.0)
     of_problem = lambda p: p.configurations.effectors.inverse_std
     weighed = eqx.tree_at(of_problem, problem, weight)
     # Nothing is measured yet: the motion is that of the model.
@@ -298,7 +305,7 @@ def survey(
         ok=[not failure for failure in failures],
         delta_e=np.zeros(weight.shape),
         n_fitted=required,
-        considered=doubts.in_std(len(names), weight),
+        considered=considered,
     )
     seen = (weight > 0.0) & (np.array(failures) == "")[:, None, None]
     return Survey(

@@ -5,16 +5,12 @@ from softcal_jax.unknowns._attachments import (
     Attachments as Attachments,
     attachments as attachments,
 )
-from softcal_jax.unknowns._considered import (
-    ConsideredErrors as ConsideredErrors,
-    compile_considered as compile_considered,
-    considered_errors as considered_errors,
-    nothing_considered as nothing_considered,
-)
 from softcal_jax.unknowns._unknowns import (
     MESH as MESH,
     Setting as Setting,
     Unknown as Unknown,
+    compile_considered as compile_considered,
+    considered_errors as considered_errors,
     held_nodes as held_nodes,
     recording_names as recording_names,
     unknowns as unknowns,
