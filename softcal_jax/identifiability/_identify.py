@@ -48,9 +48,9 @@ from softcal_jax.fields import (
 )
 from softcal_jax.identifiability._result import Identifiability, ParameterOutlook
 from softcal_jax.identifiability._spread import (
+    WEAK_UP_TO,
     Spread,
     conditioning,
-    count_informed,
     information,
     named_directions,
     spread_of,
@@ -101,6 +101,9 @@ def identifiability(
     in_asked = fit.per(asked)
     spread, alone = spread_of(in_asked), spread_of(in_asked.by_data_alone())
     outlooks = _outlooks(space, z, asked, spread=spread, alone=alone)
+    # Where there is no prior, the data must tell enough for "weakly identifiable".
+    prior = np.where(in_asked.prior_weights, in_asked.prior_weights, 1.0 / WEAK_UP_TO)
+    beside_prior = information(in_asked) / np.outer(prior, prior)
     return Identifiability(
         verdict=verdict(max(p.ratio for p in outlooks)),
         parameters=outlooks,
@@ -109,7 +112,7 @@ def identifiability(
         asked=asked,
         precision=precision,
         has_prior=space.has_prior,
-        informed=count_informed(information(in_asked), in_asked.prior_weights),
+        informed=int(np.sum(np.linalg.eigvalsh(beside_prior) > 1.0)),
         conditioning=numbers,
         n_data=int(np.any(fit.W != 0.0, axis=1).sum()),
     )
