@@ -83,10 +83,6 @@ class Unknown(NamedTuple):
     row: Callable[[Linearisation, Any], InputRows] | None = None
     data: Callable[[], tuple[Any, ...]] = tuple
 
-    def in_each(self) -> Float[HostArray, " n_c"]:
-        """Return its standard deviation in each configuration, 0 where it has none."""
-        return np.array([0.0 if key is None else self.prior for key in self.scope])
-
     @property
     def happens(self) -> bool:
         """Whether any configuration has it."""
@@ -311,13 +307,8 @@ def compile_considered(
     workers: Workers, setting: Setting, z: Float[Array, " n_p"]
 ) -> None:
     """Compile what `considered_errors` runs, while what comes before it still runs."""
-
-    def program() -> tuple[Program, list[tuple]]:
-        n_c, n_points = len(setting.configurations), setting.model.n_points
-        work = _work(setting, z, jnp.zeros((n_c, n_points, 3)))
-        return work.program, work.lanes
-
-    workers.ahead(program)
+    rest = np.zeros((len(setting.configurations), setting.model.n_points, 3))
+    workers.ahead(lambda: _work(setting, z, rest)[1:])
 
 
 class _Work(NamedTuple):

@@ -286,7 +286,11 @@ def correlated_noise(setting: Setting) -> CorrelatedNoise:
     """Collect what is part of the noise; what is to be estimated has a first value."""
     effectors, records = setting.arrays.effectors, setting.lanes.effectors
     names = recording_names(setting.configurations)
-    offset = [u.in_each() for u in unknowns(setting) if u.role == "noise"]
+    offset = [
+        [0.0 if key is None else unknown.prior for key in unknown.scope]
+        for unknown in unknowns(setting)
+        if unknown.role == "noise"
+    ]
     shares = [c.relative_std for c in setting.configurations]
     shares = [FIRST_SHARE if share == "estimated" else share for share in shares]
     dtype = np.asarray(effectors.inverse_std).dtype
