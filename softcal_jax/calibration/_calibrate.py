@@ -34,11 +34,7 @@ from softcal_jax.calibration._problem import (
 )
 from softcal_jax.calibration._result import CalibrationResult, ParameterInterval
 from softcal_jax.calibration._starts import SearchProgress
-from softcal_jax.configurations import (
-    Configuration,
-    ConfigurationLanes,
-    configuration_lanes,
-)
+from softcal_jax.configurations import Configuration, configuration_lanes
 from softcal_jax.equilibrium import (
     EquilibriumProgress,
     Model,
@@ -200,15 +196,16 @@ def calibrate(
 
 def _batch(task: Task) -> Batch:
     """Stack all configurations, and check them before the first solve."""
-    everything, lanes = _stacked(
+    everything, setting = _stacked(
         task.model, task.space, task.configurations, task.newton, task.uncertain
     )
     fitted = everything.of_first(len(task.fitted))
     check_scopes(task.space, task.fitted)
     check_effects(fitted)
-    check_references(task.configurations, lanes.effectors, fitted=task.fitted)
+    records = setting.lanes.effectors
+    check_references(task.configurations, records, fitted=task.fitted)
     warn_if_too_few_data(fitted)
-    return Batch(everything, fitted, lanes)
+    return Batch(everything, fitted, setting)
 
 
 def profile_intervals(
@@ -293,8 +290,8 @@ def build_problem(
     """
     posed, space = as_sequence(configurations), as_space(parameters)
     newton, uncertain = newton or NewtonSettings(), uncertain or exactly_known()
-    problem, lanes = _stacked(model, space, posed, newton, uncertain)
-    check_references(posed, lanes.effectors)
+    problem, setting = _stacked(model, space, posed, newton, uncertain)
+    check_references(posed, setting.lanes.effectors)
     return problem
 
 
@@ -304,8 +301,8 @@ def _stacked(
     configurations: Sequence[Configuration],
     newton: NewtonSettings,
     uncertain: Uncertain,
-) -> tuple[CalibrationProblem, ConfigurationLanes]:
-    """Stack a calibration into arrays, and return its lanes with effector records."""
+) -> tuple[CalibrationProblem, Setting]:
+    """Stack a calibration into arrays."""
     check_process()
     for configuration in configurations:
         if not configuration.is_measured:
@@ -318,7 +315,7 @@ def _stacked(
     warn_if_locking(model, space)
     setting = Setting(model, space, configurations, lanes, uncertain)
     noise = correlated_noise(setting)
-    return CalibrationProblem(model, space, lanes.arrays, newton, noise), lanes
+    return CalibrationProblem(model, space, lanes.arrays, newton, noise), setting
 
 
 def as_sequence(

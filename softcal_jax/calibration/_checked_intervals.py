@@ -88,9 +88,6 @@ def _first_order_holds(
     rise of twice the cost must be the quantile within `CURVED`, also once the others
     have taken one more Gauss-Newton step: the first test sees a valley that bends, the
     second a floor that falls off. One evaluation for each end, all side by side.
-
-    Raises:
-        LowerCostFound: If the cost is lower at an end than at the fit.
     """
     result, problem, configurations, evaluation = fitted
     linear = result.linear.of_fit()

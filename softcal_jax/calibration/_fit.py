@@ -56,7 +56,7 @@ from softcal_jax.inference import (
     recording_estimates,
     uncertainty,
 )
-from softcal_jax.unknowns import Setting, compile_considered, considered_errors
+from softcal_jax.unknowns import compile_considered, considered_errors
 
 BUDGET = "the error budget"
 """What is left out of the answer so far."""
@@ -110,9 +110,7 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
         start = _start(task, watch, batch, workers)
         place, search = _place(task, watch, start, journal, resume)
         weighed = _descended(task, start, place, journal)
-        poses, lanes = task.configurations, batch.lanes
-        setting = Setting(task.model, task.space, poses, lanes, task.uncertain)
-        z = weighed.state.z
+        setting, z = batch.setting, weighed.state.z
         if not (task.quick or journal.interrupted):
             compile_considered(workers, setting, z)
         held_out = tuple(c.name for c in task.held_out)
@@ -122,7 +120,7 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
         predicted = predict(task, batch, start, weighed, report)
         journal.interrupted |= predicted.interrupted
         solved = _Solved(start, search, weighed, predicted, journal, clock)
-        lanes = lanes._replace(arrays=predicted.problem.configurations)
+        lanes = setting.lanes._replace(arrays=predicted.problem.configurations)
         setting = setting._replace(lanes=lanes)
         so_far = cache(lambda: replace(_result(task, solved), left_out=(BUDGET,)))
         if watch.answer is not None:
@@ -218,7 +216,8 @@ def _start(task: Task, watch: Watch, batch: Batch, workers: Workers) -> Start:
     evaluate = Evaluator(batch.fitted, workers)
     start = begin(evaluate, first, names, watch.equilibrium_progress)
     read = start.evaluation.response
-    check_numbers(names, batch.lanes.effectors, read.effectors, read.W_ep)
+    records = batch.setting.lanes.effectors
+    check_numbers(names, records, read.effectors, read.W_ep)
     check_cost(batch.fitted, start.evaluation, names)
     check_sensitive(batch.fitted, start.evaluation)
     return start

@@ -15,11 +15,7 @@ from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._noise import CorrelatedNoise, noise_columns
 from softcal_jax.calibration._qp import DAMPING
-from softcal_jax.configurations import (
-    Configuration,
-    ConfigurationArrays,
-    ConfigurationLanes,
-)
+from softcal_jax.configurations import Configuration, ConfigurationArrays
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import (
     AbstractFieldEntry,
@@ -37,7 +33,7 @@ from softcal_jax.inference import (
     span,
     whitened_rows,
 )
-from softcal_jax.unknowns import held_nodes
+from softcal_jax.unknowns import Setting, held_nodes
 
 MOST_STEPS = 1_000_000
 """Largest `max_steps`: the history of every run has room for so many."""
@@ -282,4 +278,4 @@ class Batch(NamedTuple):
 
     everything: CalibrationProblem
     fitted: CalibrationProblem
-    lanes: ConfigurationLanes
+    setting: Setting

@@ -56,11 +56,7 @@ def check_inp(path: Path) -> None:
 
 
 def included_files(path: Path) -> list[Path]:
-    """List the files that an Abaqus file includes, and those that they include.
-
-    Raises:
-        ValueError: If one lies outside the folder of the mesh, or is included twice.
-    """
+    """List the files that an Abaqus file includes, once each and in its folder."""
     folder, files = path.resolve().parent, [path.resolve()]
     for source in files:  # the list grows meanwhile
         for name in _named_files(source):
