@@ -275,8 +275,7 @@ def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInte
         intervals[column] = replace(intervals[column], why=why)
     for column in straight:
         ends = (ProfileEnd(float(quantile * std[column]), "likelihood"),) * 2
-        whole = whole_interval(result, column, level, ends, first_order=True)
-        intervals[column] = whole
+        intervals[column] = whole_interval(result, column, level, ends, "first-order")
     if bent:
         # The least certain first, since Ctrl-C keeps the intervals found before it.
         bent.sort(key=lambda column: -np.nan_to_num(std[column]))
@@ -338,8 +337,7 @@ def whole_interval(
     column: int,
     level: float,
     ends: Sequence[ProfileEnd],
-    *,
-    first_order: bool = False,
+    kind: IntervalKind = "profile",
 ) -> ParameterInterval:
     """Make the interval of a parameter from its ends by the noise alone.
 
@@ -355,7 +353,7 @@ def whole_interval(
         else:
             wider.append(end if end.why == "bound" else ProfileEnd(distance, end.why))
     parameter, z = result.space.parameters[column], result.z[column]
-    return interval_between(parameter, z, wider, level=level, first_order=first_order)
+    return interval_between(parameter, z, wider, level=level, kind=kind)
 
 
 def interval_between(
@@ -364,12 +362,11 @@ def interval_between(
     ends: Sequence[ProfileEnd],
     *,
     level: float,
-    first_order: bool = False,
+    kind: IntervalKind = "profile",
 ) -> ParameterInterval:
     """Make the interval of a parameter from its lower and its upper end."""
     low, high = ends
     whys: list[str] = [end.why for end in ends]
-    kind: IntervalKind = "first-order" if first_order else "profile"
     why = ""
     if "not found" in whys:
         kind, why = "none", "fits along its profile do not converge"

@@ -350,7 +350,7 @@ def test_kinds_and_reasons():
     lost = ProfileEnd(np.nan, "not found")
     kind = lambda *ends: interval_between(E, z, ends, level=0.95)
     assert kind(far, far).kind == "profile"
-    assert interval_between(E, z, (far, far), level=0.9, first_order=True).kind == (
+    assert interval_between(E, z, (far, far), level=0.9, kind="first-order").kind == (
         "first-order"
     )
     assert str(kind(far, bound)) == "181 to 400 (bound) kPa"
