@@ -293,14 +293,15 @@ def where_shared(
     weight: Float[HostArray, "n_c n_rows 3"],
 ) -> ErrorColumns:
     """Take columns as if every configuration had every error to where it occurs."""
-    parts: list[tuple[str, str, HostArray]] = []
+    causes, names, changes = [], [], [np.zeros(weight.size)]
     for error, column in zip(errors, columns, strict=True):
         for name, sharing in error.groups(n_fitted):
             change = np.ravel(np.where(sharing[:, None], column, 0.0))
-            parts.append((error.cause, name, np.ravel(weight) * change))
-    values = np.stack([np.zeros(weight.size), *(part[2] for part in parts)], axis=1)
-    causes, names = (tuple(part[k] for part in parts) for k in (0, 1))
-    return ErrorColumns(values[:, 1:], causes, names)
+            changes.append(np.ravel(weight) * change)
+            causes.append(error.cause)
+            names.append(name)
+    values = np.stack(changes, axis=1)[:, 1:]
+    return ErrorColumns(values, tuple(causes), tuple(names))
 
 
 def compile_considered(
