@@ -268,15 +268,7 @@ def _descended(task: Task, start: Start, place: Start, journal: Journal) -> Weig
         of_steps = fit_notes(weighed.state, task.settings)
     except KeyboardInterrupt:
         journal.interrupted, of_steps = True, []
-        state, noise = journal.last
-        weighed = Weighed(
-            state=state,
-            noise=noise,
-            sought=sought,
-            scale=None,
-            notes=(journal.interruption,),
-            settled=True,
-        )
+        weighed = Weighed(*journal.last, sought, (journal.interruption,))
     return weighed._replace(notes=(*of_steps, *journal.notes, *weighed.notes))
 
 

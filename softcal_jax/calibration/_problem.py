@@ -185,9 +185,8 @@ def linear_model(
     effectors = problem.configurations.effectors
     weight = np.asarray(effectors.inverse_std)
     considered = no_errors(weight.size) if considered is None else considered
-    n_doubts = considered.values.shape[1]
-    doubts = considered.values.reshape(n_c, weight[0].size, n_doubts)
-    regular = np.asarray(ok) & np.isfinite(doubts).all(axis=(1, 2))
+    finite = np.isfinite(considered.values).all(axis=1).reshape(n_c, -1).all(axis=1)
+    regular = np.asarray(ok) & finite
     used = regular | (np.arange(n_c) < n_fitted)
     measured = ((weight > 0.0) & used[:, None, None]).ravel()
     pose = np.repeat(np.arange(n_c), weight[0].size)

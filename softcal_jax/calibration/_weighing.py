@@ -71,18 +71,18 @@ class Weighed(NamedTuple):
         state: End of the fit, in units of the noise.
         noise: The noise.
         sought: Which components of it were estimated in the end.
+        notes: What went otherwise than asked for.
         scale: Factor on the stated standard deviations of coordinates that was
             estimated together with correlated noise; None if it was not [-].
-        notes: What went otherwise than asked for.
         settled: Whether the noise stood still in the end.
     """
 
     state: CalibrationState
     noise: CorrelatedNoise
     sought: SoughtNoise
-    scale: float | None
     notes: tuple[str, ...]
-    settled: bool
+    scale: float | None = None
+    settled: bool = True
 
     def of_all(
         self, start: CorrelatedNoise, configurations: Sequence[Configuration]
@@ -146,7 +146,7 @@ def weighed_fit(
         evaluation = weighed(evaluate.numbered, state.z, state.evaluation.response)
         state = initial_state(settings, state.z, evaluation)
     notes += _noise_notes(noise, sought, None if settled else change)
-    return Weighed(state, noise, sought, scale, tuple(notes), settled)
+    return Weighed(state, noise, sought, tuple(notes), scale, settled)
 
 
 def _until(
