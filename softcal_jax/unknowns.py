@@ -270,13 +270,13 @@ def considered_errors(
     z: Float[Array, " n_p"],
     equilibrium: EquilibriumSolution,
     n_fitted: int,
-    weight: Float[HostArray, "n_c n_rows 3"],
 ) -> ErrorColumns:
     """Compute W_c: change of the rows per standard deviation of each error.
 
-    The first `n_fitted` configurations were fitted; `weight` is one over the stated
-    standard deviations of the rows.
+    In stated standard deviations of the rows; the first `n_fitted` configurations were
+    fitted.
     """
+    weight = np.asarray(setting.arrays.effectors.inverse_std)
     work = _work(setting, z, equilibrium.displacement)
     columns = np.zeros((len(work.errors), len(weight), weight[0].size))
     for c, of_pose in enumerate(workers.map(work.program, work.lanes)):

@@ -131,13 +131,9 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
             try:
                 taken = journal.history[-1].seconds
                 watch.stage(f"{BUDGET} (the fit took {taken:.0f} s)")
+                solution, n = predicted.response.equilibrium, len(task.fitted)
                 considered = considered_errors(
-                    workers,
-                    setting,
-                    z=z,
-                    equilibrium=predicted.response.equilibrium,
-                    n_fitted=len(task.fitted),
-                    weight=np.asarray(lanes.arrays.effectors.inverse_std),
+                    workers, setting, z=z, equilibrium=solution, n_fitted=n
                 )
                 result = _result(task, solved, considered)
             except KeyboardInterrupt:

@@ -261,14 +261,17 @@ def survey(
     ]
     lanes = configuration_lanes(mesh, posed, mechanism)
     check_references(configurations, lanes.effectors)
-    arrays, uncertain = lanes.arrays, uncertain or Uncertain()
-    check_parameters(model, space, lane_of(arrays, 0))
-    problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
-    required = len(names) if required is None else required
-    setting = Setting(model, space, configurations, lanes, uncertain)
-    weight = np.asarray(arrays.effectors.inverse_std)
+    weight = np.asarray(lanes.arrays.effectors.inverse_std)
     if noise is not None:
         weight = np.where(weight > 0.0, 1.0 / noise, 0.0)
+        weights = lambda arrays: arrays.effectors.inverse_std
+        weighed = eqx.tree_at(weights, lanes.arrays, jax.device_put(weight))
+        lanes = lanes._replace(arrays=weighed)
+    check_parameters(model, space, lane_of(lanes.arrays, 0))
+    newton, uncertain = newton or NewtonSettings(), uncertain or Uncertain()
+    problem = CalibrationProblem(model, space, lanes.arrays, newton)
+    required = len(names) if required is None else required
+    setting = Setting(model, space, configurations, lanes, uncertain)
     with Workers(model, len(names)) as workers:
         compile_considered(workers, setting, z)
         evaluator = Evaluator(problem, workers)
@@ -278,12 +281,7 @@ def survey(
             check_converged(lane_of(solution, slice(required)), names)
         compliance = evaluator.energy_compliances(z, solution.displacement)
         considered = considered_errors(
-            workers,
-            setting,
-            z=z,
-            equilibrium=solution,
-            n_fitted=len(names),
-            weight=weight,
+            workers, setting, z=z, equilibrium=solution, n_fitted=len(names)
         )
     if required:
         check_numbers(names[:required], lanes.effectors, moved, compliance.W_ep)
@@ -291,17 +289,15 @@ def survey(
     for name, failure in zip(names[:required], failures, strict=False):
         if failure:
             raise RuntimeError(f"configuration {name!r}: {failure}.")
-    of_problem = lambda p: p.configurations.effectors.inverse_std
-    weighed = eqx.tree_at(of_problem, problem, weight)
     # Nothing is measured yet: the motion is that of the model.
     records = tuple(
         tuple(replace(e, measured=e.among(rows)) for e in of_pose)
         for of_pose, rows in zip(lanes.effectors, np.nan_to_num(moved), strict=True)
     )
-    moving = lanes._replace(arrays=weighed.configurations, effectors=records)
+    moving = lanes._replace(effectors=records)
     correlated = correlated_noise(setting._replace(lanes=moving))
     linear = linear_model(
-        weighed.with_noise(correlated),
+        problem.with_noise(correlated),
         configurations,
         z=z,
         W_ep=compliance.W_ep,

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from refinement import refine
@@ -63,16 +65,14 @@ def considered_at_start(problem, configurations):
         assert np.all(equilibrium.converged)
         model = problem.model
         lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
-        lanes = lanes._replace(arrays=problem.configurations)
+        weights, arrays = lambda c: c.effectors.inverse_std, problem.configurations
+        ones = eqx.tree_at(weights, arrays, jnp.ones_like(weights(arrays)))
+        lanes = lanes._replace(arrays=ones)
         setting = Setting(model, problem.space, configurations, lanes, ONLY_THE_MESH)
         read = evaluator.effectors(z, equilibrium)
+        n_c = len(configurations)
         errors = considered_errors(
-            workers,
-            setting,
-            z=z,
-            equilibrium=equilibrium,
-            n_fitted=len(configurations),
-            weight=np.ones(np.shape(read)),
+            workers, setting, z=z, equilibrium=equilibrium, n_fitted=n_c
         )
         return read, errors
 
