@@ -59,6 +59,9 @@ AnyArray = Array | HostArray
 FAR_BEYOND: Mapping[str, float] = {"point": 1.0, "turn": 100.0}
 """Standard deviation of an unknown offset, far beyond any real offset [m, rad]."""
 
+Attachment = tuple[str, str, str]
+"""Names of the reference and of an effector, and its quantity."""
+
 
 class Attachments(NamedTuple):
     """Attachments of the effectors whose displacement counts, not their position.
@@ -66,12 +69,12 @@ class Attachments(NamedTuple):
     Attributes:
         of_row: Index of the attachment of each row, -1 for rows without.
         axes: Axes of its offset, as a matrix for each row [-].
-        std: Standard deviation of the offset of each attachment [m, rad].
+        keys: What each attachment is, by this index.
     """
 
-    of_row: Int[AnyArray, "n_c n_rows"]
-    axes: Float[AnyArray, "n_c n_rows 3 3"]
-    std: Float[AnyArray, " n_attachments"]
+    of_row: Int[HostArray, "n_c n_rows"]
+    axes: Float[HostArray, "n_c n_rows 3 3"]
+    keys: tuple[Attachment, ...]
 
     def shifts(
         self,
@@ -82,14 +85,13 @@ class Attachments(NamedTuple):
 
         Offsets fit the weighted errors of the first configurations, by least squares.
         """
-        of_row, axes = np.asarray(self.of_row), np.asarray(self.axes)
-        shifts, n = np.zeros((*of_row.shape, 3)), len(weight)
-        for k in range(int(of_row.max(initial=-1)) + 1):
-            mine = of_row == k
+        shifts, n = np.zeros((*self.of_row.shape, 3)), len(weight)
+        for k in range(int(self.of_row.max(initial=-1)) + 1):
+            mine = self.of_row == k
             w = weight[mine[:n]]
-            A, b = w[:, :, None] * axes[:n][mine[:n]], w * delta_e[mine[:n]]
+            A, b = w[:, :, None] * self.axes[:n][mine[:n]], w * delta_e[mine[:n]]
             offset, *_ = np.linalg.lstsq(A.reshape(-1, 3), b.ravel(), rcond=RANK)
-            shifts[mine] = axes[mine] @ offset
+            shifts[mine] = self.axes[mine] @ offset
         return shifts
 
 
@@ -106,7 +108,7 @@ def attachments(
     references = {c.displacement_from for c in configurations} - {None}
     index = np.full((len(configurations), n_rows), -1, np.int32)
     axes = np.tile(np.eye(3), (*index.shape, 1, 1))
-    keys: dict[tuple[str, str, str], int] = {}
+    keys: dict[Attachment, int] = {}
     for lane, (c, records) in enumerate(zip(configurations, effectors, strict=True)):
         reference = c.displacement_from or (c.name if c.name in references else None)
         if reference is None:
@@ -118,8 +120,7 @@ def attachments(
                 key = (reference, e.name, e.quantity)
                 index[lane, e.index] = keys.setdefault(key, len(keys))
                 axes[lane, e.index] = turned.get(e.name, np.eye(3))
-    std = np.array([FAR_BEYOND[quantity] for *_, quantity in keys], float)
-    return Attachments(index, axes, std)
+    return Attachments(index, axes, tuple(keys))
 
 
 def check_references(
@@ -182,7 +183,9 @@ class CorrelatedNoise(Module):
         motion: Motion of the points, as measured or simulated; 0 for other rows [m].
         share: Standard deviation of the share of this motion that is noise [-].
         jitter: Factor on the stated standard deviations of the coordinates [-].
-        attachments: Attachments whose offsets the rows have.
+        attachment: Index of the attachment whose offset each row has; -1 for none.
+        attachment_axes: Axes of this offset, as a matrix for each row [-].
+        attachment_std: Standard deviation of the offset of each attachment [m, rad].
     """
 
     recording: Int[AnyArray, " n_c"]
@@ -190,7 +193,9 @@ class CorrelatedNoise(Module):
     motion: Float[AnyArray, "n_c n_rows 3"]
     share: Float[AnyArray, " n_c"]
     jitter: Float[AnyArray, ""]
-    attachments: Attachments
+    attachment: Int[AnyArray, "n_c n_rows"]
+    attachment_axes: Float[AnyArray, "n_c n_rows 3 3"]
+    attachment_std: Float[AnyArray, " n_attachments"]
 
     @property
     def n_common(self) -> int:
@@ -216,13 +221,12 @@ class CorrelatedNoise(Module):
         shifts = xp.einsum("crx,cx,cg,xy->crxgy", of_points, noise.offset, same, axes)
         shares = xp.einsum("crx,c,cd->crxd", weight * noise.motion, noise.share, each)
         parts = [shifts.reshape(n_e, 3 * n_c), shares.reshape(n_e, n_c)]
-        of_row, turned, std = noise.attachments
-        n = std.shape[-1]
+        n = self.attachment_std.shape[-1]
         if n > 0:
-            index = xp.arange(n, dtype=of_row.dtype)
-            has = (of_row[:, :, None] == index[None, None]).astype(dtype)
-            stds = has * std[None, None]
-            attached = xp.einsum("crx,crm,crxy->crxmy", weight, stds, turned)
+            index = xp.arange(n, dtype=noise.attachment.dtype)
+            of_row = (noise.attachment[:, :, None] == index[None, None]).astype(dtype)
+            std, turned = noise.attachment_std[None, None], noise.attachment_axes
+            attached = xp.einsum("crx,crm,crxy->crxmy", weight, of_row * std, turned)
             parts.append(attached.reshape(n_e, 3 * n))
         return xp.concatenate(parts, axis=1) / noise.jitter
 
@@ -236,10 +240,11 @@ class CorrelatedNoise(Module):
 
         Only errors of configurations that are `fitted` tell them, by default all.
         """
+        of_row, axes = np.asarray(self.attachment), np.asarray(self.attachment_axes)
         errors, weight = np.asarray(delta_e), np.asarray(effectors.inverse_std)
         rows = np.ones(len(weight), bool) if fitted is None else fitted
         counted = np.where(rows[:, None, None], weight, 0.0)
-        shifts = self.attachments.shifts(counted, errors)
+        shifts = Attachments(of_row, axes, ()).shifts(counted, errors)
         return np.where(weight > 0.0, errors - shifts, 0.0)
 
     def on_host(self, effectors: EffectorArrays) -> Float[HostArray, "n_e n_columns"]:
@@ -256,9 +261,8 @@ class CorrelatedNoise(Module):
     def of_first(self, n: int) -> "CorrelatedNoise":
         """Return the noise of the first few configurations of the batch."""
         per_lane = ("recording", "offset", "motion", "share")
-        first: dict[str, Any] = {k: np.asarray(getattr(self, k))[:n] for k in per_lane}
-        of_row, axes = (np.asarray(array)[:n] for array in self.attachments[:2])
-        first["attachments"] = self.attachments._replace(of_row=of_row, axes=axes)
+        per_lane += ("attachment", "attachment_axes")
+        first = {name: np.asarray(getattr(self, name))[:n] for name in per_lane}
         return replace(self, **jax.device_put(first))
 
     def scaled(
@@ -308,7 +312,9 @@ def correlated_noise(setting: Setting) -> CorrelatedNoise:
         motion=motion,
         share=np.asarray(shares, dtype),
         jitter=np.ones((), dtype),
-        attachments=attached,
+        attachment=attached.of_row,
+        attachment_axes=np.asarray(attached.axes, dtype),
+        attachment_std=np.array([FAR_BEYOND[key[-1]] for key in attached.keys], dtype),
     )
     return jax.device_put(noise)
 

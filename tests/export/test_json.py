@@ -19,7 +19,6 @@ from softcal_jax.calibration import (
     ParameterInterval,
     ResidualChecks,
 )
-from softcal_jax.calibration._noise import Attachments
 from softcal_jax.equilibrium import RESULTS
 from softcal_jax.export import result_dict, simulation_dict
 from softcal_jax.inference import LackOfFit, RecordingEstimate, Uncertainty
@@ -101,14 +100,15 @@ def test_noise_and_checks_are_null_where_there_are_none(data):
 
 
 def test_noise_and_checks_are_in_millimetres():
-    of_row, axes = np.full((2, 1), -1), np.tile(np.eye(3), (2, 1, 1, 1))
     noise = CorrelatedNoise(
         recording=np.array([0, 0]),
         offset=np.full((2, 3), 5e-4),
         motion=np.zeros((2, 1, 3)),
         share=np.array([0.0, 0.02]),
         jitter=np.array(1.5),
-        attachments=Attachments(of_row, axes, np.zeros(0)),
+        attachment=np.full((2, 1), -1),
+        attachment_axes=np.tile(np.eye(3), (2, 1, 1, 1)),
+        attachment_std=np.zeros(0),
     )
     predicted = LeftOut("held out", 1e-3, 2e-4, 1e-2, 1e-3, np.nan)
     test = LackOfFit(4.0, 7, 9, 1e-3, 0.8, np.array([0.75, 0.25]))
