@@ -11,7 +11,7 @@ from scipy.special import chdtrc
 from softcal_jax._lanes import lane_of
 from softcal_jax._module import Module, Result
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.calibration._noise import AnyArray, CorrelatedNoise, attachments
+from softcal_jax.calibration._noise import AnyArray, CorrelatedNoise
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationLanes,
@@ -29,6 +29,7 @@ from softcal_jax.equilibrium import (
 )
 from softcal_jax.inference import UNLIKELY, whitened
 from softcal_jax.sensitivity import Response
+from softcal_jax.unknowns import attachments
 
 Role = Literal["calibration", "validation", "prediction", "simulation"]
 

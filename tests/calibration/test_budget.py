@@ -35,7 +35,8 @@ from softcal_jax.inference import NOISE
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam, to_quadratic
 from softcal_jax.robots import simulated_measurements
-from softcal_jax.unknowns import Setting, Unknown, unknowns, where_shared
+from softcal_jax.unknowns import Setting, unknowns
+from softcal_jax.unknowns._unknowns import Unknown, where_shared
 
 calibrate = partial(calibrate_with, intervals=None)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softcal_jax.mesh import beam
-from softcal_jax.unknowns import outward_motion
+from softcal_jax.unknowns._unknowns import outward_motion
 
 
 @pytest.mark.parametrize("order", [1, 2])
