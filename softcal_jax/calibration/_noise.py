@@ -28,10 +28,13 @@ from softcal_jax.configurations import Configuration, EffectorArrays, EffectorRe
 from softcal_jax.fields import QUANTITIES
 from softcal_jax.inference import ATTACHMENTS, ErrorColumns, no_errors
 from softcal_jax.unknowns import (
+    CREEP,
     FAR_BEYOND,
     Attachments,
     Setting,
+    Unknown,
     attachments,
+    creep_of,
     recording_names,
     unknowns,
 )
@@ -39,11 +42,8 @@ from softcal_jax.unknowns import (
 ((OFFSETS, _OFFSET),) = ((k, q) for k, q in QUANTITIES.items() if q.role == "noise")
 """The kind of unknown that is part of the noise: an offset of each recording."""
 
-RECORDINGS, CREEP = _OFFSET.uncertain, "creep"
-"""Names of the offsets of recordings, and of the share of the motion, in the budget."""
-
-FIRST_SHARE = 0.02
-"""Share of the motion to begin with, where it is to be estimated [-]."""
+RECORDINGS = _OFFSET.uncertain
+"""Name of the offsets of recordings in the budget."""
 
 AnyArray = Array | HostArray
 
@@ -212,16 +212,18 @@ def _on_device(new: Any, *, like: Float[AnyArray, "..."]) -> Float[Array, "..."]
 
 
 def correlated_noise(setting: Setting) -> CorrelatedNoise:
-    """Collect what is part of the noise; what is to be estimated has a first value."""
+    """Collect the unknowns that are part of the noise, as arrays.
+
+    What is to be estimated has its first value.
+    """
     effectors, records = setting.arrays.effectors, setting.lanes.effectors
     names = recording_names(setting.configurations)
-    offset = [
-        [0.0 if key is None else unknown.prior for key in unknown.scope]
-        for unknown in unknowns(setting)
-        if unknown.role == "noise"
-    ]
-    shares = [c.relative_std for c in setting.configurations]
-    shares = [FIRST_SHARE if share == "estimated" else share for share in shares]
+    by_cause: dict[str, list[Unknown]] = {RECORDINGS: [], CREEP: [], ATTACHMENTS: []}
+    for unknown in unknowns(setting):
+        if unknown.role == "noise":
+            by_cause[unknown.cause].append(unknown)
+    offset = [unknown.in_each() for unknown in by_cause[RECORDINGS]]
+    shares = np.sum([np.zeros(len(names)), *(u.in_each() for u in by_cause[CREEP])], 0)
     dtype = np.asarray(effectors.inverse_std).dtype
     n_rows = np.shape(effectors.measured)[1]
     attached = attachments(setting.configurations, records, n_rows)
@@ -239,14 +241,9 @@ def correlated_noise(setting: Setting) -> CorrelatedNoise:
         jitter=np.ones((), dtype),
         attachment=attached.of_row,
         attachment_axes=np.asarray(attached.axes, dtype),
-        attachment_std=np.array([FAR_BEYOND[key[-1]] for key in attached.keys], dtype),
+        attachment_std=np.array([u.prior for u in by_cause[ATTACHMENTS]], dtype),
     )
     return jax.device_put(noise)
-
-
-def creep_of(configuration: Configuration) -> str:
-    """Name the share of the motion of a configuration that is noise."""
-    return f"creep in {configuration.name}"
 
 
 def noise_columns(

@@ -16,13 +16,7 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.calibration._evaluation import Evaluator, weighed
-from softcal_jax.calibration._noise import (
-    FIRST_SHARE,
-    RECORDINGS,
-    AnyArray,
-    CorrelatedNoise,
-    creep_of,
-)
+from softcal_jax.calibration._noise import RECORDINGS, AnyArray, CorrelatedNoise
 from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._runs import settle
 from softcal_jax.calibration._step import SMALLEST_FALL, CalibrationState, initial_state
@@ -36,6 +30,7 @@ from softcal_jax.inference import (
     restricted_likelihood,
     span,
 )
+from softcal_jax.unknowns import FIRST_SHARE, creep_of
 
 SETTLED = 0.01
 """Relative change of a standard deviation at which the noise has settled [-]."""

@@ -1,4 +1,4 @@
-"""Every unknown of a calibration that is not fitted: considered, or part of the noise.
+"""Every unknown of a calibration, once: fitted, considered, or part of the noise.
 
 A considered error is held at its nominal value: fitted values move with it, and their
 standard errors say by how much. An error that is part of the noise is marginalised: it
@@ -11,13 +11,10 @@ it do not pull at the values.
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._lanes import lane_of
-from softcal_jax._typing import Array, Bool, Float, HostArray
+from softcal_jax._typing import Bool, Float, HostArray
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -25,15 +22,9 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.elements import TET_EDGES
 from softcal_jax.equilibrium import (
-    EquilibriumSolution,
     InputRows,
     Linearisation,
     Model,
-    Program,
-    Workers,
-    effector_values,
-    linearise,
-    sensitivity,
 )
 from softcal_jax.fields import (
     OFFSET,
@@ -51,12 +42,19 @@ from softcal_jax.fields import (
     find_field,
     grounded_bodies,
 )
-from softcal_jax.inference import ErrorColumns
+from softcal_jax.inference import ATTACHMENTS
 from softcal_jax.mesh import TetMesh, boundary_faces
-from softcal_jax.sensitivity import clamp_row, mesh_row, parameter_rows, stress_patches
+from softcal_jax.sensitivity import clamp_row, mesh_row, stress_patches
+from softcal_jax.unknowns._attachments import FAR_BEYOND, attachments
 
 MESH = "mesh"
 """Name of the error of the mesh, see `mesh_row`."""
+
+CREEP = "creep"
+"""Name of the share of the motion in the budget."""
+
+FIRST_SHARE = 0.02
+"""Share of the motion to begin with, where it is to be estimated [-]."""
 
 
 class Unknown(NamedTuple):
@@ -66,10 +64,11 @@ class Unknown(NamedTuple):
         cause: What it is called in the budget.
         name: Its name among those of the same cause.
         entry: What it sets, if that is an array of the model or of a configuration.
-        prior: Its standard deviation, in SI units or relative.
-        role: Whether it is considered or part of the noise.
+        prior: Its standard deviation, in SI units or relative; nan where it is fitted,
+            as each of its parameters has a prior of its own.
+        role: Whether it is fitted, considered or part of the noise.
         scope: For each configuration, a key that those with the same error have in
-            common; None where the error cannot occur, or is fitted.
+            common; None where the error cannot occur, or has another role.
         row: Makes the row of one unit of it if no entry sets it, see `clamp_row`: from
             the linearised equilibrium and what `data` returns for the configuration.
     """
@@ -82,6 +81,10 @@ class Unknown(NamedTuple):
     scope: Scope
     row: Callable[[Linearisation, Any], InputRows] | None = None
     data: Callable[[], tuple[Any, ...]] = tuple
+
+    def in_each(self) -> Float[HostArray, " n_c"]:
+        """Return its standard deviation in each configuration, 0 where it has none."""
+        return np.array([0.0 if key is None else self.prior for key in self.scope])
 
     @property
     def happens(self) -> bool:
@@ -115,20 +118,29 @@ class Setting(NamedTuple):
         """The configurations as arrays."""
         return self.lanes.arrays
 
+    @property
+    def poses(self) -> Poses:
+        """The configurations, as kinds of parameters take them."""
+        on_host = jax.tree.map(np.asarray, self.arrays)
+        return Poses(self.model, on_host, recording_names(self.configurations))
+
 
 def unknowns(setting: Setting) -> tuple[Unknown, ...]:
-    """List what may be wrong and has an entry or a row of its own.
+    """List all unknowns of a calibration.
 
-    Creep and attachments, which are noise of the readings, are in `correlated_noise`.
-    Errors that cannot occur in any configuration are listed, with no key in their
+    They include errors that cannot occur in any configuration, with no key in their
     scope: which entries are computed is part of a compiled program, so that one serves
     all poses.
     """
+    poses = setting.poses
     return (
+        *_fitted(setting, poses),
         *_of_fields(setting),
-        *_of_setup(setting),
+        *_of_setup(setting, poses),
         _of_clamps(setting),
         _of_mesh(setting),
+        *_of_creep(setting),
+        *_of_attachments(setting),
     )
 
 
@@ -137,10 +149,18 @@ def recording_names(configurations: Sequence[Configuration]) -> list[str]:
     return [c.recording or c.name for c in configurations]
 
 
-def _of_setup(setting: Setting) -> Iterator[Unknown]:
+def _fitted(setting: Setting, poses: Poses) -> Iterator[Unknown]:
+    """List what is fitted, and where it occurs."""
+    everywhere: Scope = ("",) * len(setting.configurations)
+    for entry in setting.space.entries:
+        scope = everywhere
+        if isinstance(entry, SetupParameter):
+            scope = entry.quantity.occurs(poses).get(entry.of, everywhere)
+        yield Unknown(entry.label, entry.label, entry, np.nan, "fitted", scope)
+
+
+def _of_setup(setting: Setting, poses: Poses) -> Iterator[Unknown]:
     """List errors of the setup, the loads and the recordings that are not fitted."""
-    on_host = jax.tree.map(np.asarray, setting.arrays)
-    poses = Poses(setting.model, on_host, recording_names(setting.configurations))
     for kind, quantity in QUANTITIES.items():
         if quantity.role not in ("considered", "noise"):
             continue
@@ -227,6 +247,31 @@ def _of_mesh(setting: Setting) -> Unknown:
     return Unknown(*error, mesh_row, lambda: (stress_patches(model),) * n)
 
 
+def _of_creep(setting: Setting) -> Iterator[Unknown]:
+    """List the share of the motion of each configuration that is noise."""
+    n_c = len(setting.configurations)
+    for c, configuration in enumerate(setting.configurations):
+        std = configuration.relative_std
+        share = FIRST_SHARE if std == "estimated" else std
+        scope = _where(("",) * n_c, (np.arange(n_c) == c) & (share > 0.0))
+        yield Unknown(CREEP, creep_of(configuration), None, share, "noise", scope)
+
+
+def creep_of(configuration: Configuration) -> str:
+    """Name the share of the motion of a configuration that is noise."""
+    return f"creep in {configuration.name}"
+
+
+def _of_attachments(setting: Setting) -> Iterator[Unknown]:
+    """List the offsets of points and frames whose displacement counts."""
+    lanes, n_rows = setting.lanes, setting.arrays.effectors.measured.shape[1]
+    attached = attachments(setting.configurations, lanes.effectors, n_rows)
+    for k, key in enumerate(attached.keys):
+        has_it = np.any(attached.of_row == k, axis=1)
+        scope, far = _where(("",) * len(has_it), has_it), FAR_BEYOND[key[-1]]
+        yield Unknown(ATTACHMENTS, " ".join(key), None, far, "noise", scope)
+
+
 def held_nodes(
     model: Model, configurations: ConfigurationArrays
 ) -> Bool[HostArray, "n_c n_nodes"]:
@@ -261,104 +306,3 @@ def outward_motion(
         ends = mesh.tets[:, np.array(TET_EDGES)]
         motion[mesh.tets[:, 4:]] = motion[ends].mean(axis=2)
     return motion
-
-
-def considered_errors(
-    workers: Workers,
-    setting: Setting,
-    *,
-    z: Float[Array, " n_p"],
-    equilibrium: EquilibriumSolution,
-    n_fitted: int,
-) -> ErrorColumns:
-    """Compute W_c: change of the rows per standard deviation of each error.
-
-    In stated standard deviations of the rows; the first `n_fitted` configurations were
-    fitted.
-    """
-    weight = np.asarray(setting.arrays.effectors.inverse_std)
-    work = _work(setting, z, equilibrium.displacement)
-    columns = np.zeros((len(work.errors), len(weight), weight[0].size))
-    for c, of_pose in enumerate(workers.map(work.program, work.lanes)):
-        columns[:, c] = np.asarray(of_pose).T
-    for column, error in zip(columns, work.errors, strict=True):
-        column *= 1.0 if error.row is None else error.prior
-    return where_shared(work.errors, columns, n_fitted, weight)
-
-
-def where_shared(
-    errors: Sequence[Unknown],
-    columns: Float[HostArray, "n_columns n_c n_e"],
-    n_fitted: int,
-    weight: Float[HostArray, "n_c n_rows 3"],
-) -> ErrorColumns:
-    """Take columns as if every configuration had every error to where it occurs."""
-    causes, names, changes = [], [], [np.zeros(weight.size)]
-    for error, column in zip(errors, columns, strict=True):
-        for name, sharing in error.groups(n_fitted):
-            change = np.ravel(np.where(sharing[:, None], column, 0.0))
-            changes.append(np.ravel(weight) * change)
-            causes.append(error.cause)
-            names.append(name)
-    values = np.stack(changes, axis=1)[:, 1:]
-    return ErrorColumns(values, tuple(causes), tuple(names))
-
-
-def compile_considered(
-    workers: Workers, setting: Setting, z: Float[Array, " n_p"]
-) -> None:
-    """Compile what `considered_errors` runs, while what comes before it still runs."""
-    rest = np.zeros((len(setting.configurations), setting.model.n_points, 3))
-    workers.ahead(lambda: _work(setting, z, rest)[1:])
-
-
-class _Work(NamedTuple):
-    """A program that runs for each configuration, as if it had every error."""
-
-    errors: tuple[Unknown, ...]
-    program: Program
-    lanes: list[tuple]
-
-
-def _work(setting: Setting, z, displacement) -> _Work:
-    considered = [u for u in unknowns(setting) if u.role == "considered"]
-    errors = tuple(u for u in considered if u.happens or u.row is None)
-    if not any(error.happens for error in errors):
-        errors = ()
-    entries = tuple(error.entry for error in errors if error.entry is not None)
-    space = ParameterSpace(entries) if entries else None
-    rows = tuple(error.row for error in errors if error.row is not None)
-    data = [error.data() for error in errors if error.row is not None]
-    some = errors and setting.arrays.effectors.measured.size
-    lanes = [
-        (
-            tuple(jax.device_put(of_pose[c]) for of_pose in data),
-            z,
-            lane_of(setting.arrays, c),
-            lane_of(displacement, c),
-        )
-        for c in range(len(displacement) if some else 0)
-    ]
-    shared = setting.model, setting.space.numbered, space, rows
-    return _Work(errors, Program(_of_pose, *shared), lanes)
-
-
-@eqx.filter_jit
-def _of_pose(
-    model,
-    space: ParameterSpace,
-    errors: ParameterSpace | None,
-    rows: tuple[Callable[[Linearisation, Any], InputRows], ...],
-    data: tuple[Any, ...],
-    z,
-    c,
-    u,
-) -> Float[Array, "n_e n_rows"]:
-    """Compute W_c of one configuration, in the units of its effectors; Eq. (9)."""
-    lin = linearise(*space.apply(model, c, z), u)
-    of_all = [] if errors is None else [parameter_rows(lin, errors, errors.start())]
-    of_all += [row(lin, of_pose) for row, of_pose in zip(rows, data, strict=True)]
-    stacked = jax.tree.map(lambda *parts: jnp.concatenate(parts), *of_all)
-    fewer = len(stacked.force) > c.effectors.measured.size
-    response = sensitivity(lin, stacked, effector_values, adjoint=fewer)
-    return jnp.where(response.ok, response.W_ep, jnp.nan)

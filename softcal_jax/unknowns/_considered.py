@@ -1,0 +1,127 @@
+"""What considered errors do to the rows of a calibration."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from softcal_jax._lanes import lane_of
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.equilibrium import (
+    EquilibriumSolution,
+    InputRows,
+    Linearisation,
+    Program,
+    Workers,
+    effector_values,
+    linearise,
+    sensitivity,
+)
+from softcal_jax.fields import ParameterSpace
+from softcal_jax.inference import ErrorColumns
+from softcal_jax.sensitivity import parameter_rows
+from softcal_jax.unknowns._unknowns import Setting, Unknown, unknowns
+
+
+def considered_errors(
+    workers: Workers,
+    setting: Setting,
+    *,
+    z: Float[Array, " n_p"],
+    equilibrium: EquilibriumSolution,
+    n_fitted: int,
+) -> ErrorColumns:
+    """Compute W_c: change of the rows per standard deviation of each error.
+
+    In stated standard deviations of the rows; the first `n_fitted` configurations were
+    fitted.
+    """
+    weight = np.asarray(setting.arrays.effectors.inverse_std)
+    work = _work(setting, z, equilibrium.displacement)
+    columns = np.zeros((len(work.errors), len(weight), weight[0].size))
+    for c, of_pose in enumerate(workers.map(work.program, work.lanes)):
+        columns[:, c] = np.asarray(of_pose).T
+    for column, error in zip(columns, work.errors, strict=True):
+        column *= 1.0 if error.row is None else error.prior
+    return where_shared(work.errors, columns, n_fitted, weight)
+
+
+def where_shared(
+    errors: Sequence[Unknown],
+    columns: Float[HostArray, "n_columns n_c n_e"],
+    n_fitted: int,
+    weight: Float[HostArray, "n_c n_rows 3"],
+) -> ErrorColumns:
+    """Take columns as if every configuration had every error to where it occurs."""
+    causes, names, changes = [], [], [np.zeros(weight.size)]
+    for error, column in zip(errors, columns, strict=True):
+        for name, sharing in error.groups(n_fitted):
+            change = np.ravel(np.where(sharing[:, None], column, 0.0))
+            changes.append(np.ravel(weight) * change)
+            causes.append(error.cause)
+            names.append(name)
+    values = np.stack(changes, axis=1)[:, 1:]
+    return ErrorColumns(values, tuple(causes), tuple(names))
+
+
+def compile_considered(
+    workers: Workers, setting: Setting, z: Float[Array, " n_p"]
+) -> None:
+    """Compile what `considered_errors` runs, while what comes before it still runs."""
+    rest = np.zeros((len(setting.configurations), setting.model.n_points, 3))
+    workers.ahead(lambda: _work(setting, z, rest)[1:])
+
+
+class _Work(NamedTuple):
+    """A program that runs for each configuration, as if it had every error."""
+
+    errors: tuple[Unknown, ...]
+    program: Program
+    lanes: list[tuple]
+
+
+def _work(setting: Setting, z, displacement) -> _Work:
+    considered = [u for u in unknowns(setting) if u.role == "considered"]
+    errors = tuple(u for u in considered if u.happens or u.row is None)
+    if not any(error.happens for error in errors):
+        errors = ()
+    entries = tuple(error.entry for error in errors if error.entry is not None)
+    space = ParameterSpace(entries) if entries else None
+    rows = tuple(error.row for error in errors if error.row is not None)
+    data = [error.data() for error in errors if error.row is not None]
+    some = errors and setting.arrays.effectors.measured.size
+    lanes = [
+        (
+            tuple(jax.device_put(of_pose[c]) for of_pose in data),
+            z,
+            lane_of(setting.arrays, c),
+            lane_of(displacement, c),
+        )
+        for c in range(len(displacement) if some else 0)
+    ]
+    shared = setting.model, setting.space.numbered, space, rows
+    return _Work(errors, Program(_of_pose, *shared), lanes)
+
+
+@eqx.filter_jit
+def _of_pose(
+    model,
+    space: ParameterSpace,
+    errors: ParameterSpace | None,
+    rows: tuple[Callable[[Linearisation, Any], InputRows], ...],
+    data: tuple[Any, ...],
+    z,
+    c,
+    u,
+) -> Float[Array, "n_e n_rows"]:
+    """Compute W_c of one configuration, in the units of its effectors; Eq. (9)."""
+    lin = linearise(*space.apply(model, c, z), u)
+    of_all = [] if errors is None else [parameter_rows(lin, errors, errors.start())]
+    of_all += [row(lin, of_pose) for row, of_pose in zip(rows, data, strict=True)]
+    stacked = jax.tree.map(lambda *parts: jnp.concatenate(parts), *of_all)
+    fewer = len(stacked.force) > c.effectors.measured.size
+    response = sensitivity(lin, stacked, effector_values, adjoint=fewer)
+    return jnp.where(response.ok, response.W_ep, jnp.nan)
