@@ -17,7 +17,6 @@ from softcal_jax.calibration._checked_intervals import (
     LEVEL,
     Fitted,
     check_level,
-    quantile_of,
     whole_interval,
     with_intervals,
 )
@@ -33,17 +32,9 @@ from softcal_jax.calibration._problem import (
     Task,
     check_effects,
 )
-from softcal_jax.calibration._profile import profile_ends
-from softcal_jax.calibration._result import (
-    CalibrationResult,
-    ParameterInterval,
-)
+from softcal_jax.calibration._result import CalibrationResult, ParameterInterval
 from softcal_jax.calibration._starts import SearchProgress
-from softcal_jax.configurations import (
-    Configuration,
-    ConfigurationLanes,
-    configuration_lanes,
-)
+from softcal_jax.configurations import Configuration, configuration_lanes
 from softcal_jax.equilibrium import (
     EquilibriumProgress,
     Model,
@@ -187,22 +178,13 @@ def calibrate(
         return replace(first.result, left_out=left_out)
 
     def go_on(done: Fitted, z: Float[Array, " n_p"]) -> Fitted:
-        old, last = done.result, done.result.history[-1]
+        old = done.result
         assert old.noise is not None
-        later = lambda entry: replace(
-            entry, step=entry.step + last.step, seconds=entry.seconds + last.seconds
-        )
-
-        def report(entry: HistoryEntry) -> None:
-            if progress is not None and entry.step:
-                progress(later(entry))
-
-        again = Watch(progress=report)
-        new = fit(task._replace(starts=1), batch, again, Resume(z, old.noise))
-        history = (*old.history, *map(later, new.result.history[1:]))
+        resume = Resume(z, old.noise, old.history)
+        new = fit(task._replace(starts=1), batch, Watch(progress=progress), resume)
         timing = {k: s + new.result.timing_s[k] for k, s in old.timing_s.items()}
-        changed = {"history": history, "starts": old.starts, "timing_s": timing}
-        return new._replace(result=replace(new.result, **changed))
+        result = replace(new.result, starts=old.starts, timing_s=timing)
+        return new._replace(result=result)
 
     try:
         return with_intervals(first, intervals, go_on, stage)
@@ -214,15 +196,16 @@ def calibrate(
 
 def _batch(task: Task) -> Batch:
     """Stack all configurations, and check them before the first solve."""
-    everything, lanes = _stacked(
+    everything, setting = _stacked(
         task.model, task.space, task.configurations, task.newton, task.uncertain
     )
     fitted = everything.of_first(len(task.fitted))
     check_scopes(task.space, task.fitted)
     check_effects(fitted)
-    check_references(task.configurations, lanes.effectors, fitted=task.fitted)
+    records = setting.lanes.effectors
+    check_references(task.configurations, records, fitted=task.fitted)
     warn_if_too_few_data(fitted)
-    return Batch(everything, fitted, lanes)
+    return Batch(everything, fitted, setting)
 
 
 def profile_intervals(
@@ -280,14 +263,8 @@ def profile_intervals(
     now = evaluate(problem, result.z)
     check_converged(now.equilibrium, tuple(c.name for c in configurations))
     columns = [space.names.index(name) for name in names]
-    ends = profile_ends(
-        problem,
-        result.settings,
-        z=result.z,
-        linear=now.linear(problem, configurations, result.z),
-        rise=spread.noise_scale * quantile_of(result, level),
-        which=columns,
-    )
+    fit = Fitted(result, problem, tuple(configurations), now)
+    ends = fit.profile_ends(level, columns)
     return tuple(
         whole_interval(result, column, level, pair)
         for column, pair in zip(columns, ends, strict=True)
@@ -313,8 +290,8 @@ def build_problem(
     """
     posed, space = as_sequence(configurations), as_space(parameters)
     newton, uncertain = newton or NewtonSettings(), uncertain or exactly_known()
-    problem, lanes = _stacked(model, space, posed, newton, uncertain)
-    check_references(posed, lanes.effectors)
+    problem, setting = _stacked(model, space, posed, newton, uncertain)
+    check_references(posed, setting.lanes.effectors)
     return problem
 
 
@@ -324,8 +301,8 @@ def _stacked(
     configurations: Sequence[Configuration],
     newton: NewtonSettings,
     uncertain: Uncertain,
-) -> tuple[CalibrationProblem, ConfigurationLanes]:
-    """Stack a calibration into arrays, and return its lanes with effector records."""
+) -> tuple[CalibrationProblem, Setting]:
+    """Stack a calibration into arrays."""
     check_process()
     for configuration in configurations:
         if not configuration.is_measured:
@@ -338,7 +315,7 @@ def _stacked(
     warn_if_locking(model, space)
     setting = Setting(model, space, configurations, lanes, uncertain)
     noise = correlated_noise(setting)
-    return CalibrationProblem(model, space, lanes.arrays, newton, noise), lanes
+    return CalibrationProblem(model, space, lanes.arrays, newton, noise), setting
 
 
 def as_sequence(

@@ -59,6 +59,24 @@ class Fitted(NamedTuple):
     configurations: tuple[Configuration, ...]
     evaluation: Evaluation
 
+    def profile_ends(
+        self,
+        level: float,
+        which: Sequence[int],
+        ended: Callable[[int, tuple[ProfileEnd, ProfileEnd]], None] = lambda *_: None,
+    ) -> list[tuple[ProfileEnd, ProfileEnd]]:
+        """Find how far parameters can move, see the function of this name."""
+        result, problem, poses, evaluation = self
+        return profile_ends(
+            problem,
+            result.settings,
+            z=result.z,
+            linear=evaluation.linear(problem, poses, result.z),
+            rise=result.uncertainty.noise_scale * quantile_of(result, level),
+            which=which,
+            ended=ended,
+        )
+
 
 def _first_order_holds(
     fitted: Fitted, quantile: float, which: Sequence[int]
@@ -70,9 +88,6 @@ def _first_order_holds(
     rise of twice the cost must be the quantile within `CURVED`, also once the others
     have taken one more Gauss-Newton step: the first test sees a valley that bends, the
     second a floor that falls off. One evaluation for each end, all side by side.
-
-    Raises:
-        LowerCostFound: If the cost is lower at an end than at the fit.
     """
     result, problem, configurations, evaluation = fitted
     linear = result.linear.of_fit()
@@ -226,8 +241,12 @@ def _settled(
 
 
 def _none(fitted: Fitted, level: float, why: str) -> list[ParameterInterval]:
-    parameters = fitted.problem.space.parameters
-    return [no_interval(parameter, level=level, why=why) for parameter in parameters]
+    """Make intervals of parameters that have none."""
+    ends = (math.nan, math.nan, "not found", "not found")
+    return [
+        ParameterInterval(parameter.name, level, *ends, parameter.unit, "none", why)
+        for parameter in fitted.problem.space.parameters
+    ]
 
 
 def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInterval]:
@@ -256,13 +275,11 @@ def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInte
         intervals[column] = replace(intervals[column], why=why)
     for column in straight:
         ends = (ProfileEnd(float(quantile * std[column]), "likelihood"),) * 2
-        whole = whole_interval(result, column, level, ends, first_order=True)
-        intervals[column] = whole
+        intervals[column] = whole_interval(result, column, level, ends, "first-order")
     if bent:
         # The least certain first, since Ctrl-C keeps the intervals found before it.
         bent.sort(key=lambda column: -np.nan_to_num(std[column]))
-        rise = quantile * spread.noise_scale
-        profiled = _by_profile(fitted, level, rise, bent, stage)
+        profiled = _by_profile(fitted, level, bent, stage)
         for column in bent:
             none = replace(intervals[column], why=INTERRUPTED)
             intervals[column] = profiled.get(column, none)
@@ -270,16 +287,16 @@ def _intervals(fitted: Fitted, level: float, stage: Stage) -> list[ParameterInte
 
 
 def _by_profile(
-    fitted: Fitted, level: float, rise: float, which: Sequence[int], stage: Stage
+    fitted: Fitted, level: float, which: Sequence[int], stage: Stage
 ) -> dict[int, ParameterInterval]:
     """Find intervals by profile likelihood, in the order of `which`, until Ctrl-C."""
     result, intervals = fitted.result, {}
-    began, n = time.perf_counter(), len(which)
+    names, began = result.space.names, time.perf_counter()
 
     def keep(column: int, ends: tuple[ProfileEnd, ProfileEnd]) -> None:
         intervals[column] = whole_interval(result, column, level, ends)
-        k, all_names = len(intervals), result.space.names
-        left = [all_names[other] for other in which if other not in intervals]
+        k, n = len(intervals), len(which)
+        left = [names[other] for other in which if other not in intervals]
         if left:
             seconds = (time.perf_counter() - began) / k * (n - k)
             stage(
@@ -287,22 +304,13 @@ def _by_profile(
                 f"{ends_at(seconds)}; next {listed(left[:3])}"
             )
 
-    names = ", ".join(result.space.names[column] for column in which)
+    asked = ", ".join(names[column] for column in which)
     with suppress(KeyboardInterrupt):
         stage(
-            f"the intervals of {names} by profile likelihood, several fits each "
+            f"the intervals of {asked} by profile likelihood, several fits each "
             f"(the calibration took {result.history[-1].seconds:.0f} s)"
         )
-        problem, poses = fitted.problem, fitted.configurations
-        profile_ends(
-            problem,
-            result.settings,
-            z=result.z,
-            linear=fitted.evaluation.linear(problem, poses, result.z),
-            rise=rise,
-            which=which,
-            ended=keep,
-        )
+        fitted.profile_ends(level, which, keep)
     return intervals
 
 
@@ -329,8 +337,7 @@ def whole_interval(
     column: int,
     level: float,
     ends: Sequence[ProfileEnd],
-    *,
-    first_order: bool = False,
+    kind: IntervalKind = "profile",
 ) -> ParameterInterval:
     """Make the interval of a parameter from its ends by the noise alone.
 
@@ -346,7 +353,7 @@ def whole_interval(
         else:
             wider.append(end if end.why == "bound" else ProfileEnd(distance, end.why))
     parameter, z = result.space.parameters[column], result.z[column]
-    return interval_between(parameter, z, wider, level=level, first_order=first_order)
+    return interval_between(parameter, z, wider, level=level, kind=kind)
 
 
 def interval_between(
@@ -355,12 +362,11 @@ def interval_between(
     ends: Sequence[ProfileEnd],
     *,
     level: float,
-    first_order: bool = False,
+    kind: IntervalKind = "profile",
 ) -> ParameterInterval:
     """Make the interval of a parameter from its lower and its upper end."""
     low, high = ends
     whys: list[str] = [end.why for end in ends]
-    kind: IntervalKind = "first-order" if first_order else "profile"
     why = ""
     if "not found" in whys:
         kind, why = "none", "fits along its profile do not converge"
@@ -383,9 +389,3 @@ def interval_between(
         kind=kind,
         why=why,
     )
-
-
-def no_interval(parameter: Parameter, *, level: float, why: str) -> ParameterInterval:
-    """Make the interval of a parameter that has none."""
-    ends = (math.nan, math.nan, "not found", "not found")
-    return ParameterInterval(parameter.name, level, *ends, parameter.unit, "none", why)

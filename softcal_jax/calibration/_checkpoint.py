@@ -5,7 +5,7 @@ import math
 import os
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -29,6 +29,9 @@ from softcal_jax.calibration._step import CalibrationState
 from softcal_jax.equilibrium import effector_values
 
 T = TypeVar("T")
+
+ANEW = "remove it to start anew, or give another path."
+"""What to do about a file that is not the checkpoint of a calibration."""
 
 # One row at a time, so that the program does not depend on the number of rows.
 from_scaled = eqx.filter_jit(lambda space, z: space.from_scaled(z))
@@ -82,11 +85,7 @@ class Saved(NamedTuple):
 
 
 def write_checkpoint(path: Path, mark: str, saved: Saved) -> None:
-    """Replace a checkpoint as a whole or leave it as it is; `mark` is a `fingerprint`.
-
-    Raises:
-        OSError: If it cannot be written.
-    """
+    """Replace a checkpoint as a whole, or leave it; `mark` is a `fingerprint`."""
     content = saved.arrays | {
         "version": np.array(version("softcal-jax")),
         "mark": np.array(mark),
@@ -105,11 +104,9 @@ def write_checkpoint(path: Path, mark: str, saved: Saved) -> None:
 
 
 def read_checkpoint(path: Path, mark: str) -> Saved:
-    """Read the checkpoint of the calibration whose `fingerprint` is `mark`.
+    """Read the checkpoint of the calibration whose `fingerprint` is `mark`, as it was.
 
-    Raises:
-        ValueError: If it is no checkpoint, one of another calibration or version, or
-            has been changed; the text says what to do.
+    Anything else is refused with what to do.
     """
     try:
         # Opened here, since np.load does not close a file that it cannot read.
@@ -124,27 +121,25 @@ def read_checkpoint(path: Path, mark: str) -> Saved:
         entries = tuple(HistoryEntry(**entry) for entry in json.loads(history))
     except Exception as error:  # a dozen kinds, as the file may be anything
         raise ValueError(
-            f"{path} is not a checkpoint of a calibration ({error}); give another "
-            "path, or remove it."
+            f"{path} is not a checkpoint of a calibration ({error}): {ANEW}"
         ) from error
     installed = version("softcal-jax")
     if written_by != installed:
         raise ValueError(
             f"{path} was written by softcal_jax {written_by}, and this is {installed}: "
-            "remove it to start anew, or give another path."
+            + ANEW
         )
     changed |= set(digests)
     if changed:
         raise ValueError(
             f"{path} is not as a calibration wrote it: {listed(sorted(changed))} "
-            "differ. Take an earlier copy of it, remove it to start anew, or give "
-            "another path."
+            f"differ. Take an earlier copy of it, {ANEW}"
         )
     if its_mark != mark:
         raise ValueError(
             f"{path} is a checkpoint of another calibration: mesh, material, "
             "parameters, configurations, measurements, noise, solver and settings must "
-            "be the same. Remove it to start anew, or give another path."
+            f"be the same. Otherwise {ANEW}"
         )
     return Saved(content, entries)
 
@@ -211,9 +206,10 @@ class Journal:
         progress: Callable[[HistoryEntry], None] | None = None,
         *,
         search: tuple = (),
+        history: Sequence[HistoryEntry] = (),
     ):
         """Note where steps are saved and reported; for `search` see `fingerprint`."""
-        self.history: list[HistoryEntry] = []
+        self.history = [*history]
         self.interrupted = False
         self.notes: tuple[str, ...] = ()
         self._problem, self._progress = problem, progress
@@ -226,15 +222,14 @@ class Journal:
 
     def __enter__(self) -> "Journal":
         """Begin with what the file holds, if there is one."""
-        if self._path is None:
-            return self
-        with ExitStack() as opened:
-            opened.enter_context(only_writer(self._path, "calibration"))
-            self._mark = fingerprint(*self._depends_on)
-            if self._path.exists():
-                saved = read_checkpoint(self._path, self._mark)
-                self._arrays, self.history = saved.arrays, [*saved.history]
-            self._open = opened.pop_all()
+        if self._path is not None:
+            with ExitStack() as opened:
+                opened.enter_context(only_writer(self._path, "calibration"))
+                self._mark = fingerprint(*self._depends_on)
+                if self._path.exists():
+                    saved = read_checkpoint(self._path, self._mark)
+                    self._arrays, self.history = saved.arrays, [*saved.history]
+                self._open = opened.pop_all()
         if self.history:
             self._begin -= self.history[-1].seconds
         return self
@@ -284,7 +279,7 @@ class Journal:
     ) -> tuple[CalibrationState, CorrelatedNoise]:
         """Return the saved state and noise; without any, record and return these."""
         kept = self.kept("state", (state, noise))
-        if kept is None:
+        if kept is None and not self.history:
             self.note(state, noise)
         self.last = kept or (state, noise)
         return self.last
@@ -324,8 +319,7 @@ class Journal:
         kind = lambda leaf: (np.shape(leaf), np.asarray(leaf).dtype)
         if jax.tree.map(kind, saved) != jax.tree.map(kind, wanted):
             raise ValueError(
-                f"{self._path} was written by another version of softcal_jax: remove "
-                "it to start anew, or give another path."
+                f"{self._path} was written by another version of softcal_jax: {ANEW}"
             )
         values = [_alike(leaf, saved[key]) for key, leaf in wanted.items()]
         return jax.tree.unflatten(tree, values)

@@ -252,20 +252,13 @@ def configuration_results(
     `before` are the effectors with the start parameters; `model` and `response` are
     those with the calibrated ones.
     """
-    effectors, values = [], (np.asarray(before), np.asarray(response.effectors))
-    for records, first, last in zip(lanes.effectors, *values, strict=True):
-        filled_in = [
-            replace(e, simulated_before=e.among(first), simulated=e.among(last))
-            for e in records
-        ]
-        effectors.append(tuple(filled_in))
     held_out = len(configurations) - n_fitted
     roles: tuple[Role, ...] = ("calibration",) * n_fitted + ("validation",) * held_out
-    arrays, solution = lanes.arrays, response.equilibrium
+    after, solution = np.asarray(response.effectors), response.equilibrium
     results = _results(
-        model, configurations, arrays, solution, roles=roles, effectors=effectors
+        model, configurations, lanes, solution, roles=roles, before=before, after=after
     )
-    W_ep = np.asarray(response.W_ep).reshape(*np.shape(response.effectors), -1)
+    W_ep = np.asarray(response.W_ep).reshape(*after.shape, -1)
     columns = [None] * len(results) if noise is None else _columns(lanes, noise)
     return tuple(
         replace(result, W_ep=W, columns=A)
@@ -327,31 +320,32 @@ def simulation_result(
         states = lane_of((solution.displacement, solution.multipliers), i)
         values[i] = np.asarray(compute(model, lane_of(arrays, i), *states))
     errors = values - np.asarray(arrays.effectors.measured)
-    records = displaced(configurations, lanes, errors).effectors
-    effectors = [
-        tuple(replace(e, simulated=e.among(of_pose)) for e in of_lane)
-        for of_lane, of_pose in zip(records, values, strict=True)
-    ]
-    measured = [any(e.seen.any() for e in of_lane) for of_lane in records]
+    lanes = displaced(configurations, lanes, errors)
+    measured = [any(e.seen.any() for e in of_lane) for of_lane in lanes.effectors]
     roles: list[Role] = ["prediction" if some else "simulation" for some in measured]
+    before = np.full(values.shape, np.nan)
     results = _results(
-        model, configurations, arrays, solution, roles=roles, effectors=effectors
+        model, configurations, lanes, solution, roles=roles, before=before, after=values
     )
     return SimulationResult(model, results)
 
 
 def _results(
-    model, configurations, arrays, solution, *, roles: Sequence[Role], effectors
+    model, configurations, lanes, solution, *, roles: Sequence[Role], before, after
 ) -> tuple[ConfigurationResult, ...]:
-    states = robot_states(model, configurations, solution, arrays)
+    """Make the results of all configurations, with the effectors filled in."""
+    states = robot_states(model, configurations, solution, lanes.arrays)
     solution = jax.device_get(solution)
+    fill_in = lambda e, i: replace(
+        e, simulated_before=e.among(before[i]), simulated=e.among(after[i])
+    )
     return tuple(
         ConfigurationResult(
             name=configuration.name,
             role=roles[i],
             converged=bool(solution.converged[i]),
             outcome=_outcome(solution, i),
-            effectors=effectors[i],
+            effectors=tuple(fill_in(e, i) for e in lanes.effectors[i]),
             displacement=np.asarray(solution.displacement[i])[: model.mesh.n_nodes],
             newton_steps=int(solution.steps[i]),
             load_steps=int(solution.load_steps[i]),

@@ -1,9 +1,9 @@
 """One fit, stage by stage: start, search, descend, predict, judge.
 
-    Task -> Batch -> Start -> Place -> Weighed -> Predicted -> Judged -> result
+    Task -> Batch -> Start -> Weighed -> Predicted -> result
 
-It is judged twice: by the noise alone, which is the answer so far, and with the errors
-of everything that is held fixed.
+The result is judged twice: by the noise alone, which is the answer so far, and with the
+errors of everything that is held fixed.
 
 One batch holds all configurations, the fitted ones first. Those held out are solved
 after the fit, as many of them would slow every step down, and have no weight in it.
@@ -23,19 +23,13 @@ from softcal_jax._typing import Array, Float
 from softcal_jax.calibration._checked_intervals import Fitted
 from softcal_jax.calibration._checkpoint import HistoryEntry, Journal
 from softcal_jax.calibration._evaluation import (
-    Evaluation,
     Evaluator,
     check_cost,
     check_sensitive,
     effector_errors,
 )
 from softcal_jax.calibration._noise import CorrelatedNoise, independent_recordings
-from softcal_jax.calibration._notes import (
-    ResidualChecks,
-    fit_notes,
-    residual_checks,
-    result_notes,
-)
+from softcal_jax.calibration._notes import fit_notes, residual_checks, result_notes
 from softcal_jax.calibration._prediction import Predicted, predict
 from softcal_jax.calibration._problem import Batch, Task
 from softcal_jax.calibration._result import (
@@ -57,20 +51,12 @@ from softcal_jax.calibration._weighing import SoughtNoise, Weighed, weighed_fit
 from softcal_jax.configurations import check_numbers
 from softcal_jax.equilibrium import EquilibriumProgress, Workers, reports_of
 from softcal_jax.inference import (
-    ErrorBudget,
-    LinearModel,
-    Uncertainty,
+    ErrorColumns,
     error_budget,
     recording_estimates,
     uncertainty,
 )
-from softcal_jax.unknowns import (
-    ConsideredErrors,
-    Setting,
-    compile_considered,
-    considered_errors,
-    nothing_considered,
-)
+from softcal_jax.unknowns import compile_considered, considered_errors
 
 BUDGET = "the error budget"
 """What is left out of the answer so far."""
@@ -92,32 +78,14 @@ class Resume(NamedTuple):
 
     z: Float[Array, " n_p"]
     noise: CorrelatedNoise
-
-
-class _Place(NamedTuple):
-    """Where the steps begin, the noise that weighs them, and a search before them."""
-
-    z: Float[Array, " n_p"]
-    evaluation: Evaluation
-    noise: CorrelatedNoise
-    search: MultiStartResult | None
-
-
-class _Judged(NamedTuple):
-    """The linear model at the optimum, and what it says about the values."""
-
-    linear: LinearModel
-    spread: Uncertainty
-    budget: ErrorBudget
-    checks: ResidualChecks
-    notes: list[str]
+    history: tuple[HistoryEntry, ...]
 
 
 class _Solved(NamedTuple):
     """A fit and its predictions, before they are judged."""
 
     start: Start
-    place: _Place
+    search: MultiStartResult | None
     weighed: Weighed
     predicted: Predicted
     journal: Journal
@@ -130,116 +98,105 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
     given = () if task.start is None else tuple(task.start.tolist())
     mark = (task.starts, task.seed, *given, task.noise, *task.uncertain.estimated)
     journal = Journal(
-        batch.fitted, task.settings, watch.checkpoint, watch.progress, search=mark
+        batch.fitted,
+        task.settings,
+        watch.checkpoint,
+        watch.progress,
+        search=mark,
+        history=() if resume is None else resume.history,
     )
     most = task.starts * max(len(task.fitted), 2 * len(task.held_out))
     with journal, Clock() as clock, Workers(task.model, most) as workers:
         start = _start(task, watch, batch, workers)
-        place = _place(task, watch, start, journal, resume)
+        place, search = _place(task, watch, start, journal, resume)
         weighed = _descended(task, start, place, journal)
-        poses, lanes = task.configurations, batch.lanes
-        setting = Setting(task.model, task.space, poses, lanes, task.uncertain)
+        setting, z = batch.setting, weighed.state.z
         if not (task.quick or journal.interrupted):
-            compile_considered(workers, setting, weighed.state.z)
+            compile_considered(workers, setting, z)
         held_out = tuple(c.name for c in task.held_out)
         if held_out:
             watch.stage(f"predicting {', '.join(held_out)}")
         report = reports_of(watch.equilibrium_progress, held_out)
         predicted = predict(task, batch, start, weighed, report)
         journal.interrupted |= predicted.interrupted
-        solved = _Solved(start, place, weighed, predicted, journal, clock)
-        lanes = lanes._replace(arrays=predicted.problem.configurations)
+        solved = _Solved(start, search, weighed, predicted, journal, clock)
+        lanes = setting.lanes._replace(arrays=predicted.problem.configurations)
         setting = setting._replace(lanes=lanes)
-        doubts = nothing_considered(setting)
-        so_far = cache(
-            lambda: replace(_result(task, solved, doubts), left_out=(BUDGET,))
-        )
+        so_far = cache(lambda: replace(_result(task, solved), left_out=(BUDGET,)))
         if watch.answer is not None:
             watch.answer(so_far())
         if task.quick or journal.interrupted:
             result = so_far()
         else:
-            result = _with_budget(task, watch, solved, setting, workers, so_far)
+            try:
+                taken = journal.history[-1].seconds
+                watch.stage(f"{BUDGET} (the fit took {taken:.0f} s)")
+                solution, n = predicted.response.equilibrium, len(task.fitted)
+                considered = considered_errors(
+                    workers, setting, z=z, equilibrium=solution, n_fitted=n
+                )
+                result = _result(task, solved, considered)
+            except KeyboardInterrupt:
+                result = so_far()
+                notes = (*result.notes, f"Interrupted before {BUDGET} was known.")
+                result = replace(result, notes=notes, interrupted=True)
     problem = batch.fitted.with_noise(weighed.noise)
     return Fitted(result, problem, task.fitted, weighed.state.evaluation)
 
 
-def _with_budget(
-    task: Task,
-    watch: Watch,
-    solved: _Solved,
-    setting: Setting,
-    workers: Workers,
-    so_far: Callable[[], CalibrationResult],
+def _result(
+    task: Task, solved: _Solved, considered: ErrorColumns | None = None
 ) -> CalibrationResult:
-    """Judge with the considered errors, too; Ctrl-C leaves the answer so far."""
-    taken = solved.journal.history[-1].seconds
-    equilibrium, z = solved.predicted.response.equilibrium, solved.weighed.state.z
-    try:
-        watch.stage(f"{BUDGET} (the fit took {taken:.0f} s)")
-        doubts = considered_errors(workers, setting, z=z, equilibrium=equilibrium)
-        return _result(task, solved, doubts)
-    except KeyboardInterrupt:
-        notes = (*so_far().notes, f"Interrupted before {BUDGET} was known.")
-        return replace(so_far(), notes=notes, interrupted=True)
-
-
-def _result(task: Task, solved: _Solved, doubts: ConsideredErrors) -> CalibrationResult:
-    """Make the result of a fit, judged with the considered errors `doubts`."""
-    start, place, weighed, predicted, journal, clock = solved
-    state, space = weighed.state, task.space
-    judged = _judged(task, weighed, predicted, doubts)
-    spread, budget = judged.spread, judged.budget
-    first = start.z if start.notes else task.start
-    stages = start, weighed, predicted, judged
-    return CalibrationResult(
-        converged=bool(state.converged),
-        parameters=parameter_estimates(space, state.z, spread, budget, first),
-        uncertainty=spread,
-        budget=budget,
-        configurations=predicted.fits,
-        history=tuple(journal.history),
-        space=space,
-        model=predicted.model,
-        z=state.z,
-        linear=judged.linear,
-        settings=task.settings,
-        newton=task.newton,
-        noise=weighed.noise,
-        noise_settled=weighed.settled,
-        checks=judged.checks,
-        timing_s=clock.seconds,
-        notes=tuple(note for stage in stages for note in stage.notes),
-        starts=place.search,
-        precision=task.precision,
-        interrupted=journal.interrupted,
+    """Make the result of a fit, judged by its linear model at the optimum."""
+    start, search, weighed, predicted, journal, clock = solved
+    state, space, z = weighed.state, task.space, weighed.state.z
+    n_fitted, problem = len(task.fitted), predicted.problem
+    whole = replace(
+        state.evaluation,
+        response=predicted.response,
+        delta_e=effector_errors(problem, predicted.response.effectors),
     )
-
-
-def _judged(
-    task: Task, weighed: Weighed, predicted: Predicted, doubts: ConsideredErrors
-) -> _Judged:
-    """Judge the values by the linear model at the optimum."""
-    z, n_fitted = weighed.state.z, len(task.fitted)
-    linear = _linear(task, weighed, predicted, doubts)
+    more = {"n_fitted": n_fitted, "considered": considered}
+    linear = whole.linear(problem, task.configurations, z, **more)
     spread = uncertainty(linear.with_scale(1.0), task.noise, weighed.scale)
     noise_is_known = bool(np.isfinite(spread.noise_scale))
     linear = linear.with_scale(spread.noise_scale if noise_is_known else 1.0)
-    budget = error_budget(linear.of_fit(), task.space, z, noise_is_known=noise_is_known)
-    problem = predicted.problem.of_first(n_fitted)
+    of_fit, problem = linear.of_fit(), problem.of_first(n_fitted)
+    budget = error_budget(of_fit, space, z, noise_is_known=noise_is_known)
     checks = residual_checks(
-        linear.of_fit(),
+        of_fit,
         task.fitted,
         effectors=problem.configurations.effectors,
         spread=spread,
         fits=predicted.fits[:n_fitted],
     )
     recordings = recording_estimates(
-        linear, _witnesses(task), space=task.space, z=z, spread=spread
+        linear, _witnesses(task), space=space, z=z, spread=spread
     )
-    checks = replace(checks, recordings=recordings)
     notes = result_notes(problem, predicted.fits, z, spread)
-    return _Judged(linear, spread, budget, checks, notes)
+    first = start.z if start.notes else task.start
+    return CalibrationResult(
+        converged=bool(state.converged),
+        parameters=parameter_estimates(space, z, spread, budget, first),
+        uncertainty=spread,
+        budget=budget,
+        configurations=predicted.fits,
+        history=tuple(journal.history),
+        space=space,
+        model=predicted.model,
+        z=z,
+        linear=linear,
+        settings=task.settings,
+        newton=task.newton,
+        noise=weighed.noise,
+        noise_settled=weighed.settled,
+        checks=replace(checks, recordings=recordings),
+        timing_s=clock.seconds,
+        notes=(*start.notes, *weighed.notes, *predicted.notes, *notes),
+        starts=search,
+        precision=task.precision,
+        interrupted=journal.interrupted,
+    )
 
 
 def _start(task: Task, watch: Watch, batch: Batch, workers: Workers) -> Start:
@@ -255,7 +212,8 @@ def _start(task: Task, watch: Watch, batch: Batch, workers: Workers) -> Start:
     evaluate = Evaluator(batch.fitted, workers)
     start = begin(evaluate, first, names, watch.equilibrium_progress)
     read = start.evaluation.response
-    check_numbers(names, batch.lanes.effectors, read.effectors, read.W_ep)
+    records = batch.setting.lanes.effectors
+    check_numbers(names, records, read.effectors, read.W_ep)
     check_cost(batch.fitted, start.evaluation, names)
     check_sensitive(batch.fitted, start.evaluation)
     return start
@@ -263,14 +221,14 @@ def _start(task: Task, watch: Watch, batch: Batch, workers: Workers) -> Start:
 
 def _place(
     task: Task, watch: Watch, start: Start, journal: Journal, resume: Resume | None
-) -> _Place:
+) -> tuple[Start, MultiStartResult | None]:
     """Return where the steps begin: after a search, where one is asked for."""
     evaluate = start.evaluate
     if resume is not None:
         evaluate = evaluate.with_noise(resume.noise)
-        return _Place(resume.z, evaluate.from_rest(resume.z), resume.noise, None)
+        return Start(evaluate, resume.z, evaluate.from_rest(resume.z), ()), None
     if task.starts == 1:
-        return _Place(start.z, start.evaluation, start.noise, None)
+        return start, None
     others = random_starts(task.space, task.starts - 1, seed=task.seed)
     runs = search(
         evaluate,
@@ -281,10 +239,10 @@ def _place(
         progress=watch.search_progress,
     )
     z = jnp.asarray(runs.z[runs.best])
-    return _Place(z, evaluate.from_rest(z), start.noise, runs)
+    return Start(evaluate, z, evaluate.from_rest(z), ()), runs
 
 
-def _descended(task: Task, start: Start, place: _Place, journal: Journal) -> Weighed:
+def _descended(task: Task, start: Start, place: Start, journal: Journal) -> Weighed:
     """Take steps to the optimum, or to an interruption, and weigh the data."""
     first = initial_state(task.settings, place.z, place.evaluation)
     state, noise = journal.begin(first, place.noise)
@@ -306,34 +264,8 @@ def _descended(task: Task, start: Start, place: _Place, journal: Journal) -> Wei
         of_steps = fit_notes(weighed.state, task.settings)
     except KeyboardInterrupt:
         journal.interrupted, of_steps = True, []
-        state, noise = journal.last
-        weighed = Weighed(
-            state=state,
-            noise=noise,
-            sought=sought,
-            scale=None,
-            notes=(journal.interruption,),
-            settled=True,
-        )
+        weighed = Weighed(*journal.last, sought, (journal.interruption,))
     return weighed._replace(notes=(*of_steps, *journal.notes, *weighed.notes))
-
-
-def _linear(
-    task: Task, weighed: Weighed, predicted: Predicted, doubts: ConsideredErrors
-) -> LinearModel:
-    """Make the linear model of all configurations at the optimum."""
-    n_fitted, problem = len(task.fitted), predicted.problem
-    effectors = problem.configurations.effectors
-    whole = replace(
-        weighed.state.evaluation,
-        response=predicted.response,
-        delta_e=effector_errors(problem, predicted.response.effectors),
-    )
-    considered = doubts.in_std(n_fitted, np.asarray(effectors.inverse_std))
-    z, configurations = weighed.state.z, task.configurations
-    return whole.linear(
-        problem, configurations, z, n_fitted=n_fitted, considered=considered
-    )
 
 
 def _witnesses(task: Task) -> list[str | None]:

@@ -264,6 +264,5 @@ def noise_columns(
     ]
     labels += [(CREEP, creep_of(c)) for c in configurations]
     labels += [(ATTACHMENTS, "")] * (A.shape[1] - len(labels))
-    used = np.flatnonzero(np.any(A != 0.0, axis=0))
-    causes, names = (tuple(labels[k][i] for k in used) for i in (0, 1))
-    return ErrorColumns(A[:, used], causes, names)
+    causes, names = zip(*labels, strict=True)
+    return ErrorColumns(A, causes, names).only(np.ones(len(A), bool))

@@ -54,7 +54,7 @@ def predict(
     assert everything.noise is not None
     noise = weighed.of_all(everything.noise, task.configurations)
     model, arrays = everything.at(z)
-    lanes = batch.lanes._replace(arrays=arrays)
+    lanes = batch.setting.lanes._replace(arrays=arrays)
     fits = configuration_results(
         model,
         task.configurations,

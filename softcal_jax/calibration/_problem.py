@@ -15,11 +15,7 @@ from softcal_jax._module import Module
 from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration._noise import CorrelatedNoise, noise_columns
 from softcal_jax.calibration._qp import DAMPING
-from softcal_jax.configurations import (
-    Configuration,
-    ConfigurationArrays,
-    ConfigurationLanes,
-)
+from softcal_jax.configurations import Configuration, ConfigurationArrays
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import (
     AbstractFieldEntry,
@@ -37,7 +33,7 @@ from softcal_jax.inference import (
     span,
     whitened_rows,
 )
-from softcal_jax.unknowns import held_nodes
+from softcal_jax.unknowns import Setting, held_nodes
 
 MOST_STEPS = 1_000_000
 """Largest `max_steps`: the history of every run has room for so many."""
@@ -189,9 +185,8 @@ def linear_model(
     effectors = problem.configurations.effectors
     weight = np.asarray(effectors.inverse_std)
     considered = no_errors(weight.size) if considered is None else considered
-    n_doubts = considered.values.shape[1]
-    doubts = considered.values.reshape(n_c, weight[0].size, n_doubts)
-    regular = np.asarray(ok) & np.isfinite(doubts).all(axis=(1, 2))
+    finite = np.isfinite(considered.values).all(axis=1).reshape(n_c, -1).all(axis=1)
+    regular = np.asarray(ok) & finite
     used = regular | (np.arange(n_c) < n_fitted)
     measured = ((weight > 0.0) & used[:, None, None]).ravel()
     pose = np.repeat(np.arange(n_c), weight[0].size)
@@ -282,4 +277,4 @@ class Batch(NamedTuple):
 
     everything: CalibrationProblem
     fitted: CalibrationProblem
-    lanes: ConfigurationLanes
+    setting: Setting

@@ -335,14 +335,14 @@ class _Profile:
         rise = self.calibration.rise
         value = float(np.sqrt(max(higher, 0.0)) - rise)
         near = abs(value) <= CLOSE_ENOUGH * rise
-        if not (run.converged or self._is_steady(run)) and (near or value > 0.0):
+        stands = self._stands_still(run.errors[np.isfinite(run.errors)] ** 2)
+        if not (run.converged or stands) and (near or value > 0.0):
             return None
         value = 0.0 if near else value
         return _Rest(distance + self.sign * far, run.z, value)
 
-    def _is_steady(self, run: Run) -> bool:
+    def _stands_still(self, squares: Sequence[float] | HostArray) -> bool:
         """Return whether a fit stands still, as exactly as an end is sought."""
-        squares = run.errors[np.isfinite(run.errors)] ** 2
         if len(squares) <= STEADY:
             return False
         return bool(squares[-1 - STEADY] - squares[-1] <= self.least_fall)
@@ -351,12 +351,11 @@ class _Profile:
         """Calibrate with the parameter held."""
         pinned = eqx.tree_at(lambda s: s.pin, space, pin, is_leaf=lambda x: x is None)
         evaluate, settings = self.calibration.evaluate, self.calibration.settings
-        costs: list[float] = []
+        squares: list[float] = []
 
         def steady(state: CalibrationState) -> bool:
-            costs.append(float(state.evaluation.cost))
-            before = costs[-1 - STEADY] if len(costs) > STEADY else np.inf
-            return 2.0 * (before - costs[-1]) <= self.least_fall
+            squares.append(2.0 * float(state.evaluation.cost))
+            return self._stands_still(squares)
 
         return minimise(
             evaluate.with_space(pinned), settings, jnp.asarray(start), steady

@@ -82,11 +82,8 @@ def begin(
     """Evaluate a start, with moduli raised until every configuration is in equilibrium.
 
     A body that is too soft balloons, buckles or collapses under the measured loads, and
-    a fit needs an equilibrium of every configuration to begin with.
-
-    Raises:
-        RuntimeError: If a configuration has no equilibrium within the bounds; the text
-            names it, the load that it reached, and why.
+    a fit needs an equilibrium of every configuration to begin with. Where there is none
+    within the bounds, the text of the error says what was reached.
     """
     problem, raised, factor = evaluate.problem, z, 1.0
     report = partial(reports_of, progress, names)

@@ -66,18 +66,18 @@ class Weighed(NamedTuple):
         state: End of the fit, in units of the noise.
         noise: The noise.
         sought: Which components of it were estimated in the end.
+        notes: What went otherwise than asked for.
         scale: Factor on the stated standard deviations of coordinates that was
             estimated together with correlated noise; None if it was not [-].
-        notes: What went otherwise than asked for.
         settled: Whether the noise stood still in the end.
     """
 
     state: CalibrationState
     noise: CorrelatedNoise
     sought: SoughtNoise
-    scale: float | None
     notes: tuple[str, ...]
-    settled: bool
+    scale: float | None = None
+    settled: bool = True
 
     def of_all(
         self, start: CorrelatedNoise, configurations: Sequence[Configuration]
@@ -115,6 +115,8 @@ def weighed_fit(
     """
     assert evaluate.problem.noise is not None
     noise: CorrelatedNoise = evaluate.problem.noise
+    n_points = evaluate.problem.configurations.effectors.nodes.shape[-2]
+    is_point = (np.arange(motion.shape[1]) < n_points)[:, None]
     scale, notes, settled, change = None, [], True, 0.0
     for n in range(MOST_ROUNDS):
         state = _until(UNSEEN, evaluate, settings, state, note)
@@ -126,7 +128,10 @@ def weighed_fit(
         new = _estimated(linear, noise, sought, configurations)
         known = new is not None and sought.jitter
         scale = float(noise.jitter) if known else None
-        new = (new or noise).moving(motion + _errors_of_points(evaluate, state))
+        # Creep is a share of the simulated motion: a share of the measured one would
+        # favour a robot that does not move, as a share of minus one explains all data.
+        simulated = motion + np.asarray(state.evaluation.delta_e)
+        new = (new or noise).moving(np.where(is_point, simulated, motion))
         change = _change(noise, new)
         settled = change <= SETTLED
         if settled or n == MOST_ROUNDS - 1:
@@ -136,21 +141,7 @@ def weighed_fit(
         evaluation = weighed(evaluate.numbered, state.z, state.evaluation.response)
         state = initial_state(settings, state.z, evaluation)
     notes += _noise_notes(noise, sought, None if settled else change)
-    return Weighed(state, noise, sought, scale, tuple(notes), settled)
-
-
-def _errors_of_points(
-    evaluate: Evaluator, state: CalibrationState
-) -> Float[HostArray, "n_c n_rows 3"]:
-    """Return Delta_e of the points, 0 for other rows: simulated minus measured [m].
-
-    Creep is a share of the simulated motion: a share of the measured motion would
-    favour a robot that does not move, as a share of minus one explains all data.
-    """
-    n_points = evaluate.problem.configurations.effectors.nodes.shape[-2]
-    delta_e = np.array(state.evaluation.delta_e)
-    delta_e[:, n_points:] = 0.0
-    return delta_e
+    return Weighed(state, noise, sought, tuple(notes), scale, settled)
 
 
 def _until(

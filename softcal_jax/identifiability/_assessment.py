@@ -188,7 +188,13 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
     checks = [*fatal, *result.doubts]
     checks += [f"{p.name} ended on a bound." for p in result.parameters if p.at_bound]
     checks += _too_coarse(result, report)
-    checks += [*_unseen(report), *_wide(report, result)]
+    checks += _unseen(report)
+    checks += [
+        f"The standard error of {p.name} is wider than its bounds, which say more than "
+        "the data."
+        for p, bounds in zip(report.parameters, result.space.parameters, strict=True)
+        if float(bounds.upper - bounds.lower) < p.standard_error < np.inf
+    ]
     checks += _rivals(result.starts, spread.level)
     if result.left_out:
         checks.append(
@@ -292,17 +298,6 @@ def _too_coarse(result: CalibrationResult, report: Identifiability) -> list[str]
     return [
         "The body is at most two quadratic tets across, where the error of the mesh "
         f"can be {UNDERRATED:g} times its estimate: {off(UNDERRATED)}. Refine it."
-    ]
-
-
-def _wide(report: Identifiability, result: CalibrationResult) -> list[str]:
-    """Name parameters that are less certain than the bounds that the user typed."""
-    pairs = zip(report.parameters, result.space.parameters, strict=True)
-    return [
-        f"The standard error of {p.name} is wider than its bounds, which say more than "
-        "the data."
-        for p, bounds in pairs
-        if float(bounds.upper - bounds.lower) < p.standard_error < np.inf
     ]
 
 

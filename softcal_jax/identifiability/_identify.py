@@ -48,9 +48,9 @@ from softcal_jax.fields import (
 )
 from softcal_jax.identifiability._result import Identifiability, ParameterOutlook
 from softcal_jax.identifiability._spread import (
+    WEAK_UP_TO,
     Spread,
     conditioning,
-    count_informed,
     information,
     named_directions,
     spread_of,
@@ -101,6 +101,9 @@ def identifiability(
     in_asked = fit.per(asked)
     spread, alone = spread_of(in_asked), spread_of(in_asked.by_data_alone())
     outlooks = _outlooks(space, z, asked, spread=spread, alone=alone)
+    # Where there is no prior, the data must tell enough for "weakly identifiable".
+    prior = np.where(in_asked.prior_weights, in_asked.prior_weights, 1.0 / WEAK_UP_TO)
+    beside_prior = information(in_asked) / np.outer(prior, prior)
     return Identifiability(
         verdict=verdict(max(p.ratio for p in outlooks)),
         parameters=outlooks,
@@ -109,7 +112,7 @@ def identifiability(
         asked=asked,
         precision=precision,
         has_prior=space.has_prior,
-        informed=count_informed(information(in_asked), in_asked.prior_weights),
+        informed=int(np.sum(np.linalg.eigvalsh(beside_prior) > 1.0)),
         conditioning=numbers,
         n_data=int(np.any(fit.W != 0.0, axis=1).sum()),
     )
@@ -258,9 +261,15 @@ def survey(
     ]
     lanes = configuration_lanes(mesh, posed, mechanism)
     check_references(configurations, lanes.effectors)
-    arrays, uncertain = lanes.arrays, uncertain or Uncertain()
-    check_parameters(model, space, lane_of(arrays, 0))
-    problem = CalibrationProblem(model, space, arrays, newton or NewtonSettings())
+    weight = np.asarray(lanes.arrays.effectors.inverse_std)
+    if noise is not None:
+        weight = np.where(weight > 0.0, 1.0 / noise, 0.0)
+        weights = lambda arrays: arrays.effectors.inverse_std
+        weighed = eqx.tree_at(weights, lanes.arrays, jax.device_put(weight))
+        lanes = lanes._replace(arrays=weighed)
+    check_parameters(model, space, lane_of(lanes.arrays, 0))
+    newton, uncertain = newton or NewtonSettings(), uncertain or Uncertain()
+    problem = CalibrationProblem(model, space, lanes.arrays, newton)
     required = len(names) if required is None else required
     setting = Setting(model, space, configurations, lanes, uncertain)
     with Workers(model, len(names)) as workers:
@@ -271,34 +280,31 @@ def survey(
         if required:
             check_converged(lane_of(solution, slice(required)), names)
         compliance = evaluator.energy_compliances(z, solution.displacement)
-        doubts = considered_errors(workers, setting, z=z, equilibrium=solution)
+        considered = considered_errors(
+            workers, setting, z=z, equilibrium=solution, n_fitted=len(names)
+        )
     if required:
         check_numbers(names[:required], lanes.effectors, moved, compliance.W_ep)
     failures = _failures(solution, np.asarray(compliance.ok))
     for name, failure in zip(names[:required], failures, strict=False):
         if failure:
             raise RuntimeError(f"configuration {name!r}: {failure}.")
-    weight = np.asarray(arrays.effectors.inverse_std)
-    if noise is not None:
-        weight = np.where(weight > 0.0, 1.0 / noise, 0.0)
-    of_problem = lambda p: p.configurations.effectors.inverse_std
-    weighed = eqx.tree_at(of_problem, problem, weight)
     # Nothing is measured yet: the motion is that of the model.
     records = tuple(
         tuple(replace(e, measured=e.among(rows)) for e in of_pose)
         for of_pose, rows in zip(lanes.effectors, np.nan_to_num(moved), strict=True)
     )
-    moving = lanes._replace(arrays=weighed.configurations, effectors=records)
+    moving = lanes._replace(effectors=records)
     correlated = correlated_noise(setting._replace(lanes=moving))
     linear = linear_model(
-        weighed.with_noise(correlated),
+        problem.with_noise(correlated),
         configurations,
         z=z,
         W_ep=compliance.W_ep,
         ok=[not failure for failure in failures],
         delta_e=np.zeros(weight.shape),
         n_fitted=required,
-        considered=doubts.in_std(len(names), weight),
+        considered=considered,
     )
     seen = (weight > 0.0) & (np.array(failures) == "")[:, None, None]
     return Survey(

@@ -210,17 +210,6 @@ def information(linear: LinearModel) -> Float[HostArray, "n_p n_p"]:
     return A.T @ np.linalg.solve(np.eye(len(B)) + B @ B.T, A)
 
 
-def count_informed(
-    J: Float[HostArray, "n_p n_p"], weights: Float[HostArray, " n_p"]
-) -> int:
-    """Count the directions along which the data, J, tell more than the prior.
-
-    Where there is no prior, the data must tell enough for "weakly identifiable".
-    """
-    scale = np.where(weights > 0.0, weights, 1.0 / WEAK_UP_TO)
-    return int(np.sum(np.linalg.eigvalsh(J / np.outer(scale, scale)) > 1.0))
-
-
 def named_directions(spread: Spread, names: Sequence[str]) -> tuple[Direction, ...]:
     """Find the principal directions of a covariance, best seen first (Sec. V-C).
 

@@ -39,7 +39,6 @@ from softcal_jax.inference._residuals import (
 )
 from softcal_jax.inference._uncertainty import (
     EXACT as EXACT,
-    REMEDIES as REMEDIES,
     UNLIKELY as UNLIKELY,
     Cause as Cause,
     ErrorBudget as ErrorBudget,

@@ -79,21 +79,19 @@ class Difference(Module):
     def verdict(self) -> str:
         """What the values hold for, in a sentence or two."""
         found = f"chi-squared {self.chi_squared:.3g} for {self.directions}"
-        readable_by = lambda i, by: readable(float(f"{by:.2g}"), self.units[i])
+        by = lambda i, sizes: (
+            f"{self.names[i]} by {readable(float(f'{sizes[i]:.2g}'), self.units[i])}"
+        )
         if self.agree:
             size = np.where(np.array(self.units) == "rad", 1.0, np.abs(self.of_a))
             coarse = np.flatnonzero(self.unseen > _COARSE * size).tolist()
-            hidden = [
-                f"{self.names[i]} by {readable_by(i, self.unseen[i])}" for i in coarse
-            ]
+            hidden = [by(i, self.unseen) for i in coarse]
             text = f"Both agree within their errors ({found})"
             if hidden:
                 return f"{text}, but a difference could hide: {listed(hidden)}."
             return f"{text}, as material properties would."
         largest = np.argsort(-np.abs(self.worst / self.unseen))[:4].tolist()
-        changes = [
-            f"{self.names[i]} by {readable_by(i, self.worst[i])}" for i in largest
-        ]
+        changes = [by(i, self.worst) for i in largest]
         return (
             f"They do not agree ({found}): the values of at least one robot hold only "
             "for its loads and shape. From A to B they differ most in "

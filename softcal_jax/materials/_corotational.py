@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.elements import (
     axial,
@@ -64,10 +64,6 @@ def _right(X: Float[Array, "n 3 3"], A: Matrix) -> Float[Array, "n 3 3"]:
     return sum_of(X[:, :, k, None] * A[None, k, None, :] for k in range(3))
 
 
-def _symmetric(X: Float[Array, "n 3 3"]) -> Float[Array, "n 3 3"]:
-    return 0.5 * (X + X.transpose(0, 2, 1))
-
-
 class Corotational(AbstractLinearLaw):
     """Linear law in the stretch of the polar decomposition F = R S.
 
@@ -114,8 +110,9 @@ class Corotational(AbstractLinearLaw):
         R, S, sigma, M_inverse = polar
         p = sigma - skew(_times(M_inverse, axial(matmul(sigma, S))))
         hat = jnp.asarray(_HAT)
-        p, Q = jax.lax.optimization_barrier((p, _symmetric(_right(hat, S))))
-        moment = jax.vmap(self.elasticity.stress)(Q) + _symmetric(_left(p.T, hat))
+        p, Q = jax.lax.optimization_barrier((p, jax.vmap(symmetric)(_right(hat, S))))
+        moment = jax.vmap(self.elasticity.stress)(Q)
+        moment += jax.vmap(symmetric)(_left(p.T, hat))
         N = sum_of(M_inverse[:, s, None, None] * moment[None, s] for s in range(3))
         N = jax.lax.optimization_barrier(N)
         N_Q = sum_of(N[:, None, i, j] * Q[None, :, i, j] for i, j in np.ndindex(3, 3))
@@ -272,8 +269,7 @@ def _rest_matrices(
     mesh: TetMesh, rotation: SofaRotation
 ) -> Float[HostArray, "n_tets 3 3"]:
     """Compute L, scaled to a trace of 3, or Q(B) of each tet [-]."""
-    if rotation not in get_args(SofaRotation):
-        raise unknown_name("rotation", rotation, get_args(SofaRotation))
+    check_known("rotation", get_args(SofaRotation), rotation)
     if mesh.order != 1:
         raise ValueError(
             "the rotations of SOFA are those of linear tets, and the mesh is "

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 from softcal_jax._module import Module
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.materials._constants import (
     Constant,
@@ -67,8 +67,7 @@ class Fibre(Module):
     )
 
     def __check_init__(self):
-        if self.plane not in get_args(Plane):
-            raise unknown_name("plane", self.plane, get_args(Plane))
+        check_known("plane", get_args(Plane), self.plane)
         check_constants(self)
 
     @classmethod

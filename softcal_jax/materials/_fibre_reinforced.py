@@ -19,12 +19,6 @@ class _Void(AbstractLaw):
     def energy_density(self, F: Matrix) -> Float[Array, ""]:
         return jnp.zeros((), F.dtype)
 
-    def stress(self, F: Matrix) -> Matrix:
-        return jnp.zeros((3, 3), F.dtype)
-
-    def tangent(self, F: Matrix) -> Tensor:
-        return jnp.zeros((3, 3, 3, 3), F.dtype)
-
 
 BUCKLING = 1e-4
 """Strain c at which a fibre that carries tension only gives way to a push [-]."""

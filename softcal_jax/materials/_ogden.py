@@ -110,13 +110,11 @@ class Ogden(AbstractRubber):
     def energy_density(self, F: Float[Array, "3 3"]) -> Float[Array, ""]:
         J, C = determinant(F), matmul(F.T, F)
         log_J = jnp.log(J)
-        distortion = sum_of(
-            mu
-            / alpha
-            * (jnp.exp(-alpha / 3.0 * log_J) * trace_of_power(C, 0.5 * alpha) - 3.0)
-            for mu, alpha in self.terms()
-        )
-        return distortion + self.volume_energy(J)
+        energy = self.volume_energy(J)
+        for mu, alpha in self.terms():
+            traced = jnp.exp(-alpha / 3.0 * log_J) * trace_of_power(C, 0.5 * alpha)
+            energy += mu / alpha * (traced - 3.0)
+        return energy
 
     def stress(self, F: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
         """First Piola-Kirchhoff stress, term by term [Pa]."""

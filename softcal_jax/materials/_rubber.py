@@ -72,6 +72,12 @@ def signed(words: str):
     return constant("Pa", words, within=(-np.inf, np.inf))
 
 
+_FIRST = signed('first stiffness: "40 kPa"')
+_SECOND = signed('second stiffness: "5 kPa"')
+_SOFTENING = signed('second stiffness: "-300 Pa"')
+_STIFFENING = signed('third stiffness: "10 Pa"')
+
+
 class AbstractRubber(AbstractLaw):
     """A law psi = W(F_iso) + K/4 (J^2 - 1 - 2 ln J) with F_iso = J^(-1/3) F.
 
@@ -217,12 +223,8 @@ class MooneyRivlin(AbstractInvariantRubber):
         nu: Poisson's ratio at small strain [-] in (0, 0.5).
     """
 
-    c10: Constant = eqx.field(
-        converter=as_field, metadata=signed('first stiffness: "40 kPa"')
-    )
-    c01: Constant = eqx.field(
-        converter=as_field, metadata=signed('second stiffness: "5 kPa"')
-    )
+    c10: Constant = eqx.field(converter=as_field, metadata=_FIRST)
+    c01: Constant = eqx.field(converter=as_field, metadata=_SECOND)
     nu: Constant = eqx.field(
         converter=as_field, default=INCOMPRESSIBLE, metadata=RUBBER_RATIO
     )
@@ -251,15 +253,9 @@ class Yeoh(AbstractInvariantRubber):
         nu: Poisson's ratio at small strain [-] in (0, 0.5).
     """
 
-    c10: Constant = eqx.field(
-        converter=as_field, metadata=signed('first stiffness: "40 kPa"')
-    )
-    c20: Constant = eqx.field(
-        converter=as_field, metadata=signed('second stiffness: "-300 Pa"')
-    )
-    c30: Constant = eqx.field(
-        converter=as_field, metadata=signed('third stiffness: "10 Pa"')
-    )
+    c10: Constant = eqx.field(converter=as_field, metadata=_FIRST)
+    c20: Constant = eqx.field(converter=as_field, metadata=_SOFTENING)
+    c30: Constant = eqx.field(converter=as_field, metadata=_STIFFENING)
     nu: Constant = eqx.field(
         converter=as_field, default=INCOMPRESSIBLE, metadata=RUBBER_RATIO
     )

@@ -28,10 +28,6 @@ from softcal_jax.materials._fibre import Fibre
 from softcal_jax.materials._law import AbstractLaw, crossed, outer, paired
 
 
-def _outer(a: Float[Array, "3"], b: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    return a[:, None] * b[None, :]
-
-
 class PlaneStiffness(NamedTuple):
     """Stiffnesses of normal strains, with the fibre along axis 3 [Pa]."""
 
@@ -84,7 +80,7 @@ def _stress(
     trace = strain[0, 0] + strain[1, 1] + strain[2, 2]
     # u v^T + v u^T + (...) u u^T as one symmetric pair of outer products.
     a = k.shear * v + 0.5 * (k.mixed * trace + k.along * e) * u
-    pair = _outer(u, a)
+    pair = jnp.outer(u, a)
     pressure = k.lam * trace + k.mixed * e
     return 2.0 * k.mu * strain + pressure * jnp.eye(3) + pair + pair.T
 
@@ -216,8 +212,8 @@ def _modes(F: Float[Array, "3 3"], u: Float[Array, "3"]) -> _Modes:
     q = jnp.sum(F * f[:, None], axis=0)
     I4, I5 = jnp.sum(f * f), jnp.sum(q * q)
     a = 0.5 * jnp.log(I4)
-    da = _outer(f / I4, u)
-    e = (_outer(f, q) + _outer(jnp.sum(F * q[None, :], axis=1), u)) / I4
+    da = jnp.outer(f / I4, u)
+    e = (jnp.outer(f, q) + jnp.outer(jnp.sum(F * q[None, :], axis=1), u)) / I4
     return _Modes(
         I4=I4,
         a=a,
@@ -231,7 +227,7 @@ def _modes(F: Float[Array, "3 3"], u: Float[Array, "3"]) -> _Modes:
         da=da,
         dw=G - da,
         e=e,
-        b=_outer(h, jnp.sum(G * h[:, None], axis=0)),
+        b=jnp.outer(h, jnp.sum(G * h[:, None], axis=0)),
         d_section=F - e + I5 / I4 * da,
     )
 
@@ -328,7 +324,7 @@ class TransverseHyperelastic(AbstractLaw):
         X_a = X_a + C.C13 * s.dw + 2.0 * m * s.e - 2.0 * k * s.b
         X_w = 0.5 * (C_w + m * s.section) * s.dw - m * s.d_section
         X_G = 0.5 * second_G * s.G + k * s.b
-        uu, uq = _outer(u, u), _outer(u, s.q)
+        uu, uq = jnp.outer(u, u), jnp.outer(u, s.q)
         normal = (second_a + m * I5_I4) / s.I4 + self.mu_l * jnp.sum(s.h * s.h)
         D = m * (eye - (uq + uq.T) / s.I4) + normal * uu
         X_a, X_w, X_G, D = jax.lax.optimization_barrier((X_a, X_w, X_G, D))
@@ -339,6 +335,6 @@ class TransverseHyperelastic(AbstractLaw):
             - m * (crossed(F, s.da) + crossed(s.da, F))
             + paired(eye, D)
             - m / s.I4 * paired(matmul(F, F.T), uu)
-            - m / s.I4 * paired(_outer(s.f, s.f), eye)
-            + k * paired(_outer(s.h, s.h), matmul(s.G.T, s.G))
+            - m / s.I4 * paired(jnp.outer(s.f, s.f), eye)
+            + k * paired(jnp.outer(s.h, s.h), matmul(s.G.T, s.G))
         )

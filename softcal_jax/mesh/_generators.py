@@ -6,12 +6,10 @@ from itertools import permutations, product
 import numpy as np
 
 from softcal_jax._limits import TETS
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import HostArray
 from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh, check_order, to_quadratic
 from softcal_jax.mesh._topology import boundary_faces
-
-_PATTERNS = ("mirrored", "centred")
 
 
 def oriented(tets: HostArray, corners: HostArray) -> HostArray:
@@ -118,8 +116,7 @@ def beam(
     if lower.shape != (3,) or not np.isfinite(lower).all():
         raise ValueError(f"origin must be three finite numbers [m], got {origin}.")
     check_order(order)
-    if pattern not in _PATTERNS:
-        raise unknown_name("pattern", pattern, _PATTERNS)
+    check_known("pattern", ("mirrored", "centred"), pattern)
     each = len(_centred_cell() if pattern == "centred" else _KUHN_CELLS[0])
     TETS.check(f"cells = {counts.tolist()}", each * math.prod(counts.tolist()))
 

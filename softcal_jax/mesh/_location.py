@@ -5,7 +5,7 @@ of 3e-7 m on a mesh of 0.1 m, where this one ends in rounding, and they take a c
 face for flat triangles, which misses the nearest point by up to 1e-4 m.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -84,16 +84,15 @@ def locate(
     weights, dN = shape_functions(b, n_en), shape_gradients(b, n_en)
     distance, foot = np.zeros(len(p)), p.copy()
     outside = np.flatnonzero(tet < 0)
-    if outside.size:
-        boundary = _Boundary(mesh)
-        for i in outside:
-            tet[i], b0, distance[i] = boundary.nearest(p[i])
-            X = mesh.points[mesh.tets[tet[i]]]
-            N, dN[i] = shape_functions(b0, n_en), shape_gradients(b0, n_en)
-            foot[i] = N @ X
-            step = np.linalg.solve(X.T @ dN[i], p[i] - foot[i])
-            b[i] = b0 + np.concatenate([[-step.sum()], step])
-            weights[i] = N + dN[i] @ step
+    nearest = _nearest_on_boundary(mesh, p[outside])
+    for i, (carrier, b0, gap) in zip(outside, nearest, strict=False):
+        tet[i], distance[i] = carrier, gap
+        X = mesh.points[mesh.tets[tet[i]]]
+        N, dN[i] = shape_functions(b0, n_en), shape_gradients(b0, n_en)
+        foot[i] = N @ X
+        step = np.linalg.solve(X.T @ dN[i], p[i] - foot[i])
+        b[i] = b0 + np.concatenate([[-step.sum()], step])
+        weights[i] = N + dN[i] @ step
     if (distance > max_distance).any():
         labels = names or [f"point {i}" for i in range(len(p))]
         raise _too_far(p, distance, max_distance, labels)
@@ -122,34 +121,30 @@ def tets_at(mesh: TetMesh, points: HostArray) -> tuple[HostArray, HostArray]:
     return tet, barycentric
 
 
-class _Boundary:
-    """The boundary faces, their tets and the boxes around them."""
-
-    def __init__(self, mesh: TetMesh):
-        where = boundary_face_indices(mesh.tets)
-        self.tet = where // 4
-        self.local = LOCAL_FACES[mesh.tets.shape[1]][where % 4]
-        self.X = mesh.points[tet_faces(mesh.tets)[where]]
-        self.lower, self.upper = bounds(self.X)
-
-    def nearest(self, point: HostArray) -> tuple[int, HostArray, float]:
-        """Find the nearest boundary point: its tet, coordinates and distance."""
-        boxed = np.clip(point, self.lower, self.upper)
-        at_least = np.linalg.norm(point - boxed, axis=1)
-        reached = np.linalg.norm(self.X - point, axis=2).min()
+def _nearest_on_boundary(
+    mesh: TetMesh, points: HostArray
+) -> Iterator[tuple[int, HostArray, float]]:
+    """Find the nearest boundary point of each: its tet, coordinates and distance."""
+    where = boundary_face_indices(mesh.tets)
+    X = mesh.points[tet_faces(mesh.tets)[where]]
+    lower, upper = bounds(X)
+    for point in points:
+        at_least = np.linalg.norm(point - np.clip(point, lower, upper), axis=1)
+        reached = np.linalg.norm(X - point, axis=2).min()
         nearest_face, best, nearest = -1, np.zeros(3), np.inf
         # By distance of the bounding boxes, so that most faces are never tried.
         for face in np.argsort(at_least, kind="stable"):
             if at_least[face] > min(reached, nearest):
                 break
-            b = nearest_on_face(self.X[face], point)
-            x = shape_functions(b, self.X.shape[1]) @ self.X[face]
+            b = nearest_on_face(X[face], point)
+            x = shape_functions(b, X.shape[1]) @ X[face]
             gap = float(np.linalg.norm(x - point))
             if gap < nearest:
                 nearest_face, best, nearest = face, b, gap
+        tet, side = divmod(int(where[nearest_face]), 4)
         barycentric = np.zeros(4)
-        barycentric[self.local[nearest_face][:3]] = best
-        return int(self.tet[nearest_face]), barycentric, nearest
+        barycentric[LOCAL_FACES[4][side]] = best
+        yield tet, barycentric, nearest
 
 
 def _too_far(

@@ -56,11 +56,7 @@ def check_inp(path: Path) -> None:
 
 
 def included_files(path: Path) -> list[Path]:
-    """List the files that an Abaqus file includes, and those that they include.
-
-    Raises:
-        ValueError: If one lies outside the folder of the mesh, or is included twice.
-    """
+    """List the files that an Abaqus file includes, once each and in its folder."""
     folder, files = path.resolve().parent, [path.resolve()]
     for source in files:  # the list grows meanwhile
         for name in _named_files(source):
@@ -159,7 +155,10 @@ def parse_mesh_file(path: Path, kind: str) -> tuple[meshio.Mesh, str]:
         ):
             # NumPy's warnings about old calls in the parsers do not concern the file.
             warnings.simplefilter("ignore", DeprecationWarning)
-            check_unpacked_size(path)
+            # A kilobyte of a compressed file can hold a megabyte of zeros, so the sizes
+            # that it states are checked before anything is unpacked.
+            if stated_bytes := _STATED_BYTES.get(path.suffix.lower()):
+                MEGABYTES.check(f"mesh file {path}, unpacked", stated_bytes(path) / 1e6)
             # Without the format, meshio tries Ansys on a broken .msh and hangs.
             raw = meshio.read(path, file_format=kind)
     except (ModuleNotFoundError, LimitError):
@@ -224,17 +223,6 @@ def _cell_members(raw: meshio.Mesh) -> Iterator[tuple[str, int, Any]]:
                 yield name, block, np.flatnonzero(tags == tag)
 
 
-def check_unpacked_size(path: Path) -> None:
-    """Raise LimitError if the arrays of a mesh file are larger than a file may be.
-
-    A kilobyte of a compressed file can hold a megabyte of zeros, so the sizes that the
-    file states are checked before anything is unpacked.
-    """
-    stated_bytes = {".vtu": _vtu_bytes, ".med": _hdf5_bytes}.get(path.suffix.lower())
-    if stated_bytes is not None:
-        MEGABYTES.check(f"mesh file {path}, unpacked", stated_bytes(path) / 1e6)
-
-
 def _vtu_bytes(path: Path) -> int:
     """Add up the arrays of a VTK file from the attributes of its tags."""
     tags = path.read_text(errors="replace").partition("<AppendedData")[0]
@@ -264,3 +252,6 @@ def _hdf5_bytes(path: Path) -> int:
     with h5py.File(path) as file:
         file.visititems(lambda _, part: sizes.append(getattr(part, "nbytes", 0)))
     return sum(sizes)
+
+
+_STATED_BYTES = {".vtu": _vtu_bytes, ".med": _hdf5_bytes}

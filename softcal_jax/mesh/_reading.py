@@ -10,7 +10,7 @@ import meshio
 import numpy as np
 
 from softcal_jax._limits import TETS
-from softcal_jax._names import METRES, unknown_name
+from softcal_jax._names import METRES, check_known, unknown_name
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.mesh._checks import check_mesh
 from softcal_jax.mesh._meshio import (
@@ -66,14 +66,11 @@ def read_mesh(
     Warns:
         MeshWarning: If something is left out, or the size suggests a wrong unit.
     """
-    if length_unit not in METRES:
-        raise unknown_name("length unit", length_unit, METRES)
+    check_known("length unit", METRES, length_unit)
     if order not in (None, 1, 2):
         raise ValueError(f"order must be 1, 2 or None, got {order}.")
-    if unused not in ("error", "drop"):
-        raise unknown_name("choice for unused nodes", unused, ("error", "drop"))
-    if parts not in ("one", "linked"):
-        raise unknown_name("choice for parts", parts, ("one", "linked"))
+    check_known("choice for unused nodes", ("error", "drop"), unused)
+    check_known("choice for parts", ("one", "linked"), parts)
     path = Path(path)
     notes: list[str] = []
     raw = read_raw(path, notes)
@@ -275,8 +272,7 @@ def write_mesh(
     path = Path(path)
     if path.suffix.lower() != ".msh":
         raise ValueError(f"{path} ends in {path.suffix!r}; expected .msh, of Gmsh.")
-    if length_unit not in METRES:
-        raise unknown_name("length unit", length_unit, METRES)
+    check_known("length unit", METRES, length_unit)
     mesh = mesh if mesh.order == 1 else to_linear(mesh)
     names: dict[str, tuple[int, int]] = {}
     blocks: list[tuple[str, HostArray, int]] = []

@@ -223,30 +223,6 @@ def check_order(order: int) -> None:
         raise ValueError(f"order must be 1 (linear) or 2 (quadratic), got {order}.")
 
 
-class MidNodes:
-    """Index of the mid node of each edge of the mesh."""
-
-    def __init__(self, mesh: TetMesh):
-        self.n_nodes = mesh.n_nodes
-        keys = self._keys(mesh.tets[:, np.array(TET_EDGES)])
-        self.keys, self.inverse = np.unique(keys, return_inverse=True)
-        self.edges = np.stack([self.keys // self.n_nodes, self.keys % self.n_nodes], 1)
-
-    def _keys(self, edges: HostArray) -> HostArray:
-        edges = np.sort(edges.astype(np.int64), axis=-1)
-        return edges[..., 0] * self.n_nodes + edges[..., 1]
-
-    def of(self, edges: HostArray) -> HostArray:
-        """Find the mid nodes of edges that exist in the mesh."""
-        return self.n_nodes + np.searchsorted(self.keys, self._keys(edges))
-
-    def between(self, nodes: HostArray) -> HostArray:
-        """Find the mid nodes of the edges with both ends among `nodes`."""
-        chosen = np.zeros(self.n_nodes, dtype=bool)
-        chosen[nodes] = True
-        return self.n_nodes + np.flatnonzero(chosen[self.edges].all(axis=1))
-
-
 def to_quadratic(mesh: TetMesh) -> TetMesh:
     """Convert a linear mesh to straight-sided quadratic tets, with the same groups.
 
@@ -262,25 +238,34 @@ def to_quadratic(mesh: TetMesh) -> TetMesh:
     """
     if mesh.order == 2:
         raise ValueError("the mesh is quadratic already.")
-    mid = MidNodes(mesh)
-    tets = np.hstack([mesh.tets, mesh.n_nodes + mid.inverse.reshape(-1, 6)])
-    points = np.vstack([mesh.points, mesh.points[mid.edges].mean(axis=1)])
+    n = mesh.n_nodes
+
+    def numbered(pairs: HostArray) -> HostArray:
+        low, high = np.sort(pairs.astype(np.int64), axis=-1).T
+        return (low * n + high).T
+
+    of_tets = numbered(mesh.tets[:, np.array(TET_EDGES)])
+    known, mids = np.unique(of_tets, return_inverse=True)
+    edges = np.stack(np.divmod(known, n), axis=1)
+    tets = np.hstack([mesh.tets, n + mids.reshape(-1, 6)])
+    points = np.vstack([mesh.points, mesh.points[edges].mean(axis=1)])
 
     surfaces = {}
     for name, faces in mesh.surface_groups.items():
-        edges = faces[:, [[0, 1], [1, 2], [2, 0]]]
-        if not np.isin(mid._keys(edges), mid.keys).all():
+        sides = numbered(faces[:, [[0, 1], [1, 2], [2, 0]]])
+        if not np.isin(sides, known).all():
             raise ValueError(
                 f"surface group {name!r} has a face that is not a face of a tet."
             )
-        surfaces[name] = np.hstack([faces, mid.of(edges)])
+        surfaces[name] = np.hstack([faces, n + np.searchsorted(known, sides)])
 
     def grown(name: str, nodes: HostArray) -> HostArray:
         if name in surfaces and _same(nodes, mesh.surface_groups[name]):
             return np.unique(surfaces[name])
         if name in mesh.tet_groups and _same(nodes, mesh.tets[mesh.tet_groups[name]]):
             return np.unique(tets[mesh.tet_groups[name]])
-        return np.concatenate([np.unique(nodes), mid.between(nodes)])
+        within = np.isin(edges, nodes).all(axis=1)
+        return np.concatenate([np.unique(nodes), n + np.flatnonzero(within)])
 
     nodes = {name: grown(name, group) for name, group in mesh.node_groups.items()}
     return TetMesh(points, tets, nodes, surfaces, mesh.tet_groups)

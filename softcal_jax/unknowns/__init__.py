@@ -6,10 +6,8 @@ from softcal_jax.unknowns._attachments import (
     attachments as attachments,
 )
 from softcal_jax.unknowns._considered import (
-    ConsideredErrors as ConsideredErrors,
     compile_considered as compile_considered,
     considered_errors as considered_errors,
-    nothing_considered as nothing_considered,
 )
 from softcal_jax.unknowns._unknowns import (
     CREEP as CREEP,

@@ -1,6 +1,6 @@
 """What considered errors do to the rows of a calibration."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -26,74 +26,53 @@ from softcal_jax.sensitivity import parameter_rows
 from softcal_jax.unknowns._unknowns import Setting, Unknown, unknowns
 
 
-class ConsideredErrors(NamedTuple):
-    """What is held fixed and may be wrong, and what it does to configurations.
-
-    Attributes:
-        errors: The errors, and which configurations share each.
-        columns: Change of the effectors per standard deviation of each error, as if
-            every configuration had it.
-    """
-
-    errors: tuple[Unknown, ...]
-    columns: Float[HostArray, "n_columns n_c n_e"]
-
-    def in_std(
-        self, n_fitted: int, weight: Float[HostArray, "n_c n_rows 3"]
-    ) -> ErrorColumns:
-        """Return W_c of all rows, in stated standard deviations.
-
-        A change is zero in configurations that do not have the error. The first
-        `n_fitted` configurations were fitted.
-        """
-        parts: list[tuple[str, str, HostArray]] = []
-        for error, column in zip(self.errors, self.columns, strict=True):
-            for name, sharing in error.groups(n_fitted):
-                shared = np.where(sharing[:, None], column, 0.0)
-                parts.append((error.cause, name, shared))
-        changes = [np.ravel(weight) * np.ravel(change) for *_, change in parts]
-        values = np.stack([np.zeros(weight.size), *changes], axis=1)[:, 1:]
-        causes = tuple(cause for cause, *_ in parts)
-        return ErrorColumns(values, causes, tuple(name for _, name, _ in parts))
-
-
-def nothing_considered(setting: Setting) -> ConsideredErrors:
-    """Return no errors: everything that is held fixed counts as right."""
-    n_c = len(setting.configurations)
-    n_e = setting.arrays.effectors.measured.size // n_c
-    return ConsideredErrors((), np.zeros((0, n_c, n_e)))
-
-
 def considered_errors(
     workers: Workers,
     setting: Setting,
     *,
     z: Float[Array, " n_p"],
     equilibrium: EquilibriumSolution,
-) -> ConsideredErrors:
-    """Compute W_c: change of the effectors per standard deviation of each error."""
+    n_fitted: int,
+) -> ErrorColumns:
+    """Compute W_c: change of the rows per standard deviation of each error.
+
+    In stated standard deviations of the rows; the first `n_fitted` configurations were
+    fitted.
+    """
+    weight = np.asarray(setting.arrays.effectors.inverse_std)
     work = _work(setting, z, equilibrium.displacement)
-    n_c = len(setting.configurations)
-    n_e = setting.arrays.effectors.measured.size // n_c
-    columns = np.zeros((len(work.errors), n_c, n_e))
+    columns = np.zeros((len(work.errors), len(weight), weight[0].size))
     for c, of_pose in enumerate(workers.map(work.program, work.lanes)):
         columns[:, c] = np.asarray(of_pose).T
     for column, error in zip(columns, work.errors, strict=True):
         column *= 1.0 if error.row is None else error.prior
-    return ConsideredErrors(work.errors, columns)
+    return where_shared(work.errors, columns, n_fitted, weight)
+
+
+def where_shared(
+    errors: Sequence[Unknown],
+    columns: Float[HostArray, "n_columns n_c n_e"],
+    n_fitted: int,
+    weight: Float[HostArray, "n_c n_rows 3"],
+) -> ErrorColumns:
+    """Take columns as if every configuration had every error to where it occurs."""
+    causes, names, changes = [], [], [np.zeros(weight.size)]
+    for error, column in zip(errors, columns, strict=True):
+        for name, sharing in error.groups(n_fitted):
+            change = np.ravel(np.where(sharing[:, None], column, 0.0))
+            changes.append(np.ravel(weight) * change)
+            causes.append(error.cause)
+            names.append(name)
+    values = np.stack(changes, axis=1)[:, 1:]
+    return ErrorColumns(values, tuple(causes), tuple(names))
 
 
 def compile_considered(
     workers: Workers, setting: Setting, z: Float[Array, " n_p"]
 ) -> None:
     """Compile what `considered_errors` runs, while what comes before it still runs."""
-
-    def program() -> tuple[Program, list[tuple]]:
-        n_c, n_points = len(setting.configurations), setting.model.n_points
-        work = _work(setting, z, jnp.zeros((n_c, n_points, 3)))
-        return work.program, work.lanes
-
-    workers.ahead(program)
+    rest = np.zeros((len(setting.configurations), setting.model.n_points, 3))
+    workers.ahead(lambda: _work(setting, z, rest)[1:])
 
 
 class _Work(NamedTuple):

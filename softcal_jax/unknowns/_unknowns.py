@@ -21,7 +21,11 @@ from softcal_jax.configurations import (
     ConfigurationLanes,
 )
 from softcal_jax.elements import TET_EDGES
-from softcal_jax.equilibrium import InputRows, Linearisation, Model
+from softcal_jax.equilibrium import (
+    InputRows,
+    Linearisation,
+    Model,
+)
 from softcal_jax.fields import (
     OFFSET,
     QUANTITIES,

@@ -35,8 +35,8 @@ from softcal_jax.inference import NOISE
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam, to_quadratic
 from softcal_jax.robots import simulated_measurements
-from softcal_jax.unknowns import ConsideredErrors, Setting, unknowns
-from softcal_jax.unknowns._unknowns import Unknown
+from softcal_jax.unknowns import Setting, unknowns
+from softcal_jax.unknowns._unknowns import Unknown, where_shared
 
 calibrate = partial(calibrate_with, intervals=None)
 
@@ -441,8 +441,8 @@ def test_the_budget_is_that_of_the_fit_whatever_is_held_out():
     mesh = Unknown("mesh", "refinement", None, 1.0, "considered", ("", ""))
     three = lambda *values: np.repeat(np.array(values)[:, None], 3, axis=1)
     columns = np.stack([three(1.0, 2.0), three(3.0, 4.0)])
-    errors = ConsideredErrors((clamps, mesh), columns)
-    both = errors.in_std(1, np.ones((2, 1, 3)))
+    shared = lambda n: where_shared((clamps, mesh), columns, n, np.ones((2, 1, 3)))
+    both = shared(1)
     first = both.only(np.arange(6) < 3)
     assert dict(zip(first.causes, first.names, strict=True)) == {
         "clamp": "clamp",
@@ -452,5 +452,4 @@ def test_the_budget_is_that_of_the_fit_whatever_is_held_out():
     # The other has a clamp of its own.
     second = both.only(np.arange(6) >= 3)
     np.testing.assert_array_equal(second.values, np.tile([2.0, 4.0], (3, 1)))
-    names = errors.in_std(2, np.ones((2, 1, 3))).names
-    assert names == ("clamp in group 1", "clamp in group 2", "refinement")
+    assert shared(2).names == ("clamp in group 1", "clamp in group 2", "refinement")

@@ -29,8 +29,8 @@ from softcal_jax.calibration._checked_intervals import (
     ProfileEnd,
     _considered_error,
     _end_holds,
+    _none,
     interval_between,
-    no_interval,
     with_intervals,
 )
 from softcal_jax.fields import Parameter, ParameterSpace, exactly_known
@@ -292,7 +292,7 @@ def test_there_is_none_without_a_fit_or_noise(result, poses, changed, why):
 @pytest.mark.parametrize("times", [1, MOST_RETURNS])
 def test_a_lower_cost_is_gone_on_from(result, poses, monkeypatch, times):
     """A few times, and it is said; the first end stays as another optimum."""
-    intervals = [no_interval(q, level=0.95, why="-") for q in result.space.parameters]
+    intervals = _none(of_problem(result, poses), 0.95, "-")
     lower = iter(range(times))
 
     def falls(*_):
@@ -350,7 +350,7 @@ def test_kinds_and_reasons():
     lost = ProfileEnd(np.nan, "not found")
     kind = lambda *ends: interval_between(E, z, ends, level=0.95)
     assert kind(far, far).kind == "profile"
-    assert interval_between(E, z, (far, far), level=0.9, first_order=True).kind == (
+    assert interval_between(E, z, (far, far), level=0.9, kind="first-order").kind == (
         "first-order"
     )
     assert str(kind(far, bound)) == "181 to 400 (bound) kPa"

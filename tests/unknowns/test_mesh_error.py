@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from refinement import refine
@@ -63,18 +65,23 @@ def considered_at_start(problem, configurations):
         assert np.all(equilibrium.converged)
         model = problem.model
         lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
-        lanes = lanes._replace(arrays=problem.configurations)
+        weights, arrays = lambda c: c.effectors.inverse_std, problem.configurations
+        ones = eqx.tree_at(weights, arrays, jnp.ones_like(weights(arrays)))
+        lanes = lanes._replace(arrays=ones)
         setting = Setting(model, problem.space, configurations, lanes, ONLY_THE_MESH)
-        errors = considered_errors(workers, setting, z=z, equilibrium=equilibrium)
-        return evaluator.effectors(z, equilibrium), errors
+        read = evaluator.effectors(z, equilibrium)
+        n_c = len(configurations)
+        errors = considered_errors(
+            workers, setting, z=z, equilibrium=equilibrium, n_fitted=n_c
+        )
+        return read, errors
 
 
 def both_by_pose(problem, configurations):
     """Readings at the start, and what the mesh is said to do to them."""
     read, errors = considered_at_start(problem, configurations)
     n_c = len(configurations)
-    of_mesh = errors.in_std(n_c, np.ones(np.shape(read))).of(MESH)
-    return read, of_mesh.reshape(n_c, -1)
+    return read, errors.of(MESH).reshape(n_c, -1)
 
 
 def errors_of(problem, configurations):
@@ -200,7 +207,7 @@ def test_a_robot_without_a_tet_that_deforms_has_no_error():
     density = Parameter("density", "density", 1000.0, 500.0, 2000.0, unit="kg/m3")
     problem = build_problem(model, ParameterSpace([density]), [pose])
     _, errors = considered_at_start(problem, [pose])
-    assert MESH not in errors.in_std(1, np.ones((1, 1, 3))).causes
+    assert MESH not in errors.causes
 
 
 TIP_BODY = RigidBody("tip", "x_max")
