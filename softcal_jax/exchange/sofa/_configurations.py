@@ -57,12 +57,13 @@ def scene_configurations(
     scaled values `z`, may also belong to loads and supports.
     """
     lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
-    written = {}
+    mass, written = formats.vertex_masses(model)[:, None], {}
     for i, configuration in enumerate(configurations):
         lane = jax.tree.map(lambda leaf, i=i: leaf[i], lanes.arrays)
         _, lane = space.apply(model, lane, z)
         force = np.asarray(lane.dead_loads)
         loaded = np.flatnonzero(np.any(force != 0.0, axis=1))
+        loads = np.where(lane.fixed, 0.0, mass * np.asarray(lane.acceleration) + force)
         written[configuration.name] = {
             "gravity": (scale.length * np.asarray(lane.acceleration)).tolist(),
             **_supports(model, configuration, lane, scale),
@@ -77,7 +78,8 @@ def scene_configurations(
                 model.mesh.points + np.asarray(displacements[i]),
                 scale,
             ),
-            "stop at residual": _stop(model, lane, scale),
+            # Relative to the nodal loads; 0 without a load on free nodes.
+            "stop at residual": CONVERGED * scale.force * float(np.linalg.norm(loads)),
         }
     return written
 
@@ -143,15 +145,14 @@ def _actuators(model: Model, lane: ConfigurationArrays, scale: Scale) -> dict[st
             if value == 0.0 and not moves:
                 continue  # slack, or without pressure
             formats.check_rim(model, lane, owner, "SOFA")
-            name = model.mechanism.actuators.names[owner]
-            mine = np.flatnonzero(owners == owner)
-            part = jax.tree.map(lambda leaf, mine=mine: np.asarray(leaf)[mine], group)
-            cable = isinstance(part, actuators.CableSegments)
+            cable = isinstance(group, actuators.CableSegments)
             kind, unit = _IMPOSED[cable, moves]
             if cable:
-                where = _path(model, part, name, scale)
+                where = _path(model, owner, scale)
             else:  # SOFA pushes along the normals: into the body
-                where = {"triangles": part.nodes[:, ::-1].tolist()}
+                nodes = np.asarray(group.nodes)[owners == owner]
+                where = {"triangles": nodes[:, ::-1].tolist()}
+            name = model.mechanism.actuators.names[owner]
             imposed = {"value": getattr(scale, unit) * value, "value type": kind}
             written["cables" if cable else "chambers"].append(
                 {"name": name, **where, **imposed}
@@ -159,35 +160,25 @@ def _actuators(model: Model, lane: ConfigurationArrays, scale: Scale) -> dict[st
     return written
 
 
-def _path(
-    model: Model, cable: actuators.CableSegments, name: str, scale: Scale
-) -> dict[str, Any]:
+def _path(model: Model, owner: int, scale: Scale) -> dict[str, Any]:
     """Return the guides of a cable on the body, and the point on the ground, if any.
 
     SOFA allows one fixed point, from which the cable is pulled, and lists the other
     points from there.
     """
-    rest = np.asarray(model.mechanism.points)
-    ends = np.einsum("cem,cmi->cei", cable.weights, rest[cable.nodes]) + cable.fixed
-    grounded = ~np.any(np.asarray(cable.weights) != 0.0, axis=2)
-    apart = np.any(ends[:-1, 1] != ends[1:, 0])
-    inside = np.any(grounded[1:, 0]) or np.any(grounded[:-1, 1])
-    both = grounded[0, 0] and grounded[-1, 1]
-    if apart or inside or both:
+    guides = list(formats.cable_guides(model, owner))
+    grounded = np.array([not weights.any() for _, weights in guides])
+    if grounded.sum() > 1 or grounded[1:-1].any():
         raise ValueError(
-            f"the cable {name!r} has more than one guide on the ground, or one between "
-            "its ends; SOFA's CableConstraint knows one fixed point, at an end. Put "
-            "the other guides on the body."
+            f"the cable {model.mechanism.actuators.names[owner]!r} has more than one "
+            "guide on the ground, or one between its ends; SOFA's CableConstraint "
+            "knows one fixed point, at an end. Put the other guides on the body."
         )
-    points = np.concatenate([ends[:1, 0], ends[:, 1]])
-    at_end = bool(grounded[-1, 1])
-    fixed = points[-1] if at_end else points[0] if grounded[0, 0] else None
-    if fixed is not None:
-        points = points[-2::-1] if at_end else points[1:]
-    return {
-        "points": (scale.length * points).tolist(),
-        "pull point": None if fixed is None else (scale.length * fixed).tolist(),
-    }
+    points = [(scale.length * point).tolist() for point, _ in guides]
+    if grounded[-1]:
+        points.reverse()
+    pull_point = points.pop(0) if grounded.any() else None
+    return {"points": points, "pull point": pull_point}
 
 
 def _effectors(
@@ -216,12 +207,3 @@ def _effectors(
             }
         )
     return written
-
-
-def _stop(model: Model, lane: ConfigurationArrays, scale: Scale) -> float:
-    """Compute the residual at which Newton may stop; 0 without a load on free nodes."""
-    weight = formats.vertex_masses(model)[:, None] * np.asarray(lane.acceleration)[None]
-    dead = np.asarray(lane.dead_loads)[: model.mesh.n_nodes]
-    free = ~np.asarray(lane.fixed)[: model.mesh.n_nodes]
-    size = float(np.linalg.norm(np.where(free, weight + dead, 0.0)))
-    return CONVERGED * scale.force * size

@@ -2,15 +2,17 @@
 
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
+import numpy as np
+
 from softcal_jax._module import Module
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.calibration import CalibrationResult, HistoryEntry
-from softcal_jax.equilibrium import Model, model_for_law
+from softcal_jax.equilibrium import model_for_law
 from softcal_jax.exchange import _formats as formats
 from softcal_jax.exchange.sofa._component import (
     SCALES,
@@ -24,16 +26,10 @@ from softcal_jax.exchange.sofa._component import (
     law_for_sofa,
 )
 from softcal_jax.exchange.sofa._configurations import check_robot, scene_configurations
-from softcal_jax.export import (
-    check_results_folder,
-    file_stems,
-    results_folder,
-    write_json,
-)
+from softcal_jax.export import file_stems, results_folder, write_json
 from softcal_jax.materials import SofaRotation
 from softcal_jax.mesh import TetMesh
-from softcal_jax.project import Project
-from softcal_jax.report import LoadedResult, load_result
+from softcal_jax.report import LoadedResult
 
 _NEEDED = {
     "SoftRobots": "SoftRobots (cables and chambers), which the binaries of SOFA hold",
@@ -111,20 +107,20 @@ def _write_vtk(
 
     Numbers have full precision, which the writer of VTK itself does not keep.
     """
-    rows = lambda table: [" ".join(map(repr, row)) for row in table.tolist()]
-    lines = [
-        "# vtk DataFile Version 4.2",
-        "written by softcal_jax",
-        "ASCII",
-        "DATASET UNSTRUCTURED_GRID",
-        f"POINTS {len(points)} double",
-        *rows(points),
-        f"CELLS {len(tets)} {5 * len(tets)}",
-        *(f"4 {row}" for row in rows(tets)),
-        f"CELL_TYPES {len(tets)}",
-        *["10"] * len(tets),
-    ]
-    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    rows = lambda table: "\n".join(" ".join(map(repr, row)) for row in table.tolist())
+    cells = np.insert(tets, 0, 4, axis=1)
+    text = f"""\
+# vtk DataFile Version 4.2
+written by softcal_jax
+ASCII
+DATASET UNSTRUCTURED_GRID
+POINTS {len(points)} double
+{rows(points)}
+CELLS {len(cells)} {cells.size}
+{rows(cells)}
+CELL_TYPES {len(cells)}
+"""
+    path.write_text(text + "10\n" * len(cells), encoding="ascii")
 
 
 def _readme(scene: Scene, text: Sequence[str], notes: Sequence[str]) -> str:
@@ -177,29 +173,20 @@ class SofaExport(Module):
     """What was written for SOFA.
 
     Attributes:
-        folder: The folder of the scene.
-        release: The release that it is written for.
         component: The component that computes the law.
-        calibrated: The calibration that was exported.
         result: Calibration of the model of SOFA, whose values the scene has.
+        lines: The values of both models, and a table of what they predict.
         notes: What to know of the scene, in sentences.
     """
 
-    folder: Path
-    release: str
     component: str
-    calibrated: LoadedResult
     result: CalibrationResult
+    lines: tuple[str, ...]
     notes: tuple[str, ...]
 
     def __str__(self) -> str:
         """Write parameters, predictions and notes, line by line."""
         return "\n".join([*self.lines, "", *self.notes]).strip()
-
-    @property
-    def lines(self) -> list[str]:
-        """The values of both models, and a table of what they predict."""
-        return formats.lines_of_both(self.calibrated, self.result, "SOFA")
 
 
 def export_sofa(
@@ -247,23 +234,26 @@ def export_sofa(
         ValueError: If an option is unknown, or the law, the robot or a support has no
             counterpart in SOFA; the text says why, and what to do.
     """
-    for kind, name, known in (
-        ("release", release, get_args(SofaRelease)),
-        ("unit system", units, get_args(SofaUnits)),
-        ("law", law, get_args(SofaLaw)),
-    ):
-        if name not in known:
-            raise unknown_name(kind, name, known)
-    scale = SCALES[units]
-    folder = Path(directory)
-    check_results_folder(folder, force=force)
-    loaded = result if isinstance(result, LoadedResult) else load_result(result)
-    project = formats.linear_project(loaded)  # SOFA does not run quadratic tets
+    check_known("release", get_args(SofaRelease), release)
+    check_known("unit system", SCALES, units)
+    check_known("law", get_args(SofaLaw), law)
+    scale, folder = SCALES[units], Path(directory)
+    loaded, project = formats.linear_result(result, folder, force=force)
     check_robot(project.model)
-    model = _model_of_sofa(project, law, rotation)
+    sofa_law = law_for_sofa(
+        project.model.law, project.model.mesh, choice=law, rotation=rotation
+    )
+    assert project.space is not None  # it has been calibrated
+    of_plugin = isinstance(getattr(sofa_law, "elasticity", None), PluginElasticity)
+    if of_plugin and "mu_l" in project.space.field_names:
+        raise ValueError(
+            "mu_l is a parameter, but the plugin Anisotropy takes the shear modulus "
+            "along the fibre from E_t; calibrate without it, and export that."
+        )
+    model = model_for_law(project.model, sofa_law)
     component_of(model.law, model.n_tets, release, scale)  # before the work is done
-    refitted = formats.recalibrate(loaded, project, model, "SOFA", progress=progress)
-    posed, displacements = formats.with_equilibrium(project, refitted)
+    refit = formats.recalibrate(loaded, project, model, "SOFA", progress)
+    refitted, *solved = refit.result, refit.posed, refit.displacements
     scene = Scene(
         name=project.name,
         release=release,
@@ -272,51 +262,25 @@ def export_sofa(
         elasticity=component_of(refitted.model.law, model.n_tets, release, scale),
         vertex_mass=formats.vertex_masses(refitted.model),
         configurations=scene_configurations(
-            refitted.model, refitted.space, refitted.z, posed, displacements, scale
+            refitted.model, refitted.space, refitted.z, *solved, scale
         ),
     )
-    export = SofaExport(
-        folder=folder,
-        release=release,
-        component=scene.elasticity.component,
-        calibrated=loaded,
-        result=refitted,
-        notes=_notes(refitted, scene),
-    )
-    write_scene(folder, scene, text=export.lines, notes=export.notes, force=force)
-    return export
+    notes = [*refit.notes, *_notes(refitted, scene)]
+    write_scene(folder, scene, text=refit.lines, notes=notes, force=force)
+    component = scene.elasticity.component
+    return SofaExport(component, refitted, tuple(refit.lines), tuple(notes))
 
 
-def _model_of_sofa(project: Project, law: SofaLaw, rotation: SofaRotation) -> Model:
-    """Return the model of a linear project with the law that SOFA computes."""
-    model = project.model
-    sofa_law = law_for_sofa(model.law, model.mesh, choice=law, rotation=rotation)
-    assert project.space is not None  # it has been calibrated
-    of_plugin = isinstance(getattr(sofa_law, "elasticity", None), PluginElasticity)
-    if of_plugin and "mu_l" in project.space.field_names:
-        raise ValueError(
-            "mu_l is a parameter, but the plugin Anisotropy takes the shear modulus "
-            "along the fibre from E_t; calibrate without it, and export that."
-        )
-    return model_for_law(model, sofa_law)
-
-
-def _notes(refitted: CalibrationResult, scene: Scene) -> tuple[str, ...]:
-    notes = formats.left_out(refitted, "SOFA")
-    others = [
-        f"{effector.name} ({c.name})"
-        for c in refitted.configurations
-        for effector in c.others
-    ]
+def _notes(refitted: CalibrationResult, scene: Scene) -> Iterator[str]:
+    others = [f"{e.name} ({c.name})" for c in refitted.configurations for e in c.others]
     if others:
-        notes.append(
+        yield (
             "Only points are followed; lengths, volumes and forces are not: "
             f"{', '.join(others)}."
         )
     if scene.elasticity.plugin == "Anisotropy":
-        notes.append(
+        yield (
             "The plugin Anisotropy takes the shear modulus along the fibre from E_t, "
             "and its C13 is not that of the textbook: the values make up for both, and "
             "are no material constants."
         )
-    return tuple(notes)
