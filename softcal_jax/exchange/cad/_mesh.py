@@ -7,16 +7,10 @@ from pathlib import Path
 
 from softcal_jax._files import check_file
 from softcal_jax._names import METRES
-from softcal_jax.exchange.cad._filling import (
-    ENVELOPE,
-    Filled,
-    GmshError,
-    fill_step,
-    fill_stl,
-    fill_wild,
-)
+from softcal_jax.exchange.cad._filling import Filled, GmshError, fill
 from softcal_jax.exchange.cad._surface import read_stl, turned_outwards
 from softcal_jax.mesh import (
+    SHARP,
     MeshWarning,
     TetMesh,
     check_mesh,
@@ -28,9 +22,12 @@ from softcal_jax.mesh import (
     volumes,
 )
 
-_STEP, _STL = (".step", ".stp"), (".stl",)
-CAD_FORMATS = (*_STEP, *_STL)
+_STEP = (".step", ".stp")
+CAD_FORMATS = (*_STEP, ".stl")
 """Extensions of CAD models."""
+
+ENVELOPE = 1e-3
+"""How far fTetWild may move the surface, over the diagonal of the model [-]."""
 
 _LOST = 0.02
 """Share of the volume that flat faces may cut off without a warning [-]."""
@@ -86,7 +83,7 @@ def mesh_cad(
     model_size = None if size is None else size / metres
     try:
         if path.suffix.lower() in _STEP:
-            filled = fill_step(path, model_size)
+            filled = fill("gmsh, STEP", {"path": str(path)}, model_size)
         else:
             filled = _fill_surface(path, model_size, notes)
         mesh = _named(filled, metres)
@@ -132,12 +129,20 @@ def _fill_surface(path: Path, size: float | None, notes: list[str]) -> Filled:
     """Fill an STL surface, by fTetWild where gmsh refuses it."""
     triangles, turned = turned_outwards(read_stl(path))
     notes += turned
+    given = {
+        **triangles._asdict(),
+        "volume": abs(triangles.volume),
+        "sharp": SHARP,
+        "envelope": ENVELOPE,
+    }
     try:
-        return fill_stl(triangles, size)
+        if n := triangles.n_open_edges:
+            raise GmshError(f"it is not closed, {n} edges do not join two triangles.")
+        return fill("gmsh, STL", given, size)
     except GmshError as error:
         said = str(error)
     try:
-        filled = fill_wild(triangles, size)
+        filled = fill("pytetwild", given, size)
     except ImportError as error:
         raise ValueError(
             f"gmsh cannot fill this surface: {said} Mend it (holes, crossings, repeated"
