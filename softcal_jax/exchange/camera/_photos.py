@@ -33,12 +33,9 @@ _FOCAL_LENGTHS = (0.6, 0.8, 1.0, 1.3)
 Those of the main cameras of phones are 0.65 to 0.8.
 """
 
-_OUTLIER, _MOST_OFF = 3.0, 0.3
+_OUTLIER, _FIRST_OUTLIER = (3.0, 0.3), (6.0, 3.0)
 """Factor and pixels by which a photograph's errors exceed the median of all if it does
-not fit the others."""
-
-_FIRST_OUTLIER, _FIRST_OFF = 6.0, 3.0
-"""Likewise before the adjustment, which a photograph that is far off would spoil."""
+not fit the others; and before the adjustment, which one that is far off would spoil."""
 
 _LEAST_ON_BOARD = 4
 """Least tags of the board that a photograph of it must show."""
@@ -213,16 +210,15 @@ def _fitted(
     seen = Observations(*map(np.concatenate, zip(*shown, strict=True)))
     starts = [start for camera in cameras for start in _starts(seen, camera)]
     rms, best = min(starts, key=lambda start: float(np.median(start[0])))
-    _check_alike(photos, rms, factor=_FIRST_OUTLIER, off=_FIRST_OFF)
+    _check_alike(photos, rms, *_FIRST_OUTLIER)
     fit = adjust(seen, *best)
-    _check_alike(photos, fit.rms, factor=_OUTLIER, off=_MOST_OFF)
+    _check_alike(photos, fit.rms, *_OUTLIER)
     return fit
 
 
 def _check_alike(
     photos: Sequence[Photo],
     rms: Float[HostArray, " n_photos"],
-    *,
     factor: float,
     off: float,
 ) -> None:
