@@ -17,13 +17,8 @@ from softcal_jax.report import mesh_lines
 DENSITY = 1070.0
 """Density of silicone [kg/m3]."""
 
-PRESSURE = "10 kPa"
-
 _MOST_GROUPS = 40
 """Most groups of the mesh that are listed."""
-
-_NEAR = 0.01
-"""Distance of a marker from the mesh that is accepted without a word, see `Markers`."""
 
 
 def project_text(name: str, findings: Findings) -> str:
@@ -145,7 +140,7 @@ def _markers(findings: Findings) -> Iterator[str]:
     farthest = max(marker.distance for marker in findings.markers)
     yield "[markers]"
     yield 'std = "0.5 mm" # CHANGE: how well a pose repeats'
-    if farthest > _NEAR and not findings.own_frame:
+    if farthest > 0.01 and not findings.own_frame:  # more than `Markers` accepts
         yield f'max_distance = "{1.1e3 * farthest:.3g} mm" # from the mesh, on posts'
     yield "\n[markers.positions]"
     for marker in findings.markers:
@@ -240,7 +235,7 @@ def _driven(findings: Findings, name: str, load: str) -> str:
     try:
         parse_in_si(name, "Pa")
     except ValueError:
-        guess = f'actuation = {{ {actuator} = "{PRESSURE}" }}'
+        guess = f'actuation = {{ {actuator} = "10 kPa" }}'
         return f"{guess} # CHANGE: what acts in this pose"
     return f"actuation = {{ {actuator} = {quoted(name)} }} # by its name"
 

@@ -147,12 +147,8 @@ def _markers(
         places = locate(mesh, shifted, max_distance=np.inf).foot
     elif not recorded.others:
         places = located.foot
-    return tuple(
-        MarkerPlace(name, place, float(distance))
-        for name, place, distance in zip(
-            recorded.labels, places, located.distance, strict=True
-        )
-    )
+    placed = zip(recorded.labels, places, located.distance.tolist(), strict=True)
+    return tuple(MarkerPlace(*each) for each in placed)
 
 
 def _on_top(mesh: TetMesh, place: Float[HostArray, "3"]) -> Float[HostArray, "3"]:
