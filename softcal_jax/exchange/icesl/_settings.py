@@ -147,7 +147,7 @@ def _nearest_samples(samples: Samples) -> Int[HostArray, "n n n"]:
 def _setting(
     name: str,
     full: float,
-    values: Float[HostArray, " n"],
+    values: Float[HostArray, " n_samples"],
     sample_of: Int[HostArray, "n n n"],
 ) -> SlicerSetting:
     """Make a setting of values in [0, 1]: a constant if they are all the same."""
