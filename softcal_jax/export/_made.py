@@ -22,12 +22,16 @@ _PACKAGES = ("jax", "jaxlib", "numpy", "equinox", "optimistix", "jaxopt")
 
 
 def pick(owner: object, names: str) -> dict[str, Any]:
-    """Return some attributes by name; one that ends in _mm is converted from metres."""
+    """Return some attributes by name, or under another one, like "markers=points".
+
+    Those that end in _mm are converted from metres, those with percent from shares.
+    """
     picked = {}
     for name in names.split():
-        metres = name.removesuffix("_mm")
-        value = getattr(owner, metres)
-        picked[name] = value if metres == name else 1e3 * np.asarray(value)
+        key, _, attribute = name.partition("=")
+        value = getattr(owner, (attribute or key).removesuffix("_mm"))
+        factor = 1e3 if key.endswith("_mm") else 100.0 if "percent" in key else None
+        picked[key] = value if factor is None else factor * np.asarray(value)
     return picked
 
 
@@ -105,7 +109,7 @@ def made_dict(made: Made | None, directory: str | Path = ".") -> dict[str, Any]:
 def source_dict(
     source: ProjectSource | None, directory: str | Path = "."
 ) -> dict[str, Any] | None:
-    """Convert the files that results in a folder were made from, see `SourceEntry`."""
+    """Convert the files that results in a folder were made from."""
     if source is None:
         return None
     folder = source.project.path.parent
