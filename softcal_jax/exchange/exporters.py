@@ -245,7 +245,7 @@ class SofaExporter(AbstractExporter):
             force=options.force,
             progress=progress.step,
         )
-        progress.computed(str(scene))
+        progress.computed("\n".join(scene.lines))
         return ()
 
 

@@ -15,7 +15,7 @@ from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Model
 from softcal_jax.exchange._formats import check_no_bodies, check_rim
 from softcal_jax.exchange.inp._laws import InpLaw, inp_law
-from softcal_jax.mesh import TetMesh, tet_faces
+from softcal_jax.mesh import TetMesh, face_indices, tet_faces
 from softcal_jax.report import LoadedResult, load_result
 
 
@@ -272,10 +272,9 @@ def _pressures(model: Model, c: ConfigurationArrays) -> Iterator[str]:
     walls = actuator_geometry(actuators, np.asarray(model.mechanism.points))
     for a in np.flatnonzero(acting):
         check_rim(model, c, int(a), "a .inp file")
-    corners = np.sort(tet_faces(model.mesh.tets)[:, :3], axis=1)
-    place = {tuple(face): i for i, face in enumerate(corners.tolist())}
+    places = face_indices(walls.faces, tet_faces(model.mesh.tets))
     yield "*DLOAD"
-    for face, owner in zip(np.sort(walls.faces[:, :3]), walls.face_owner, strict=True):
+    for place, owner in zip(places.tolist(), walls.face_owner, strict=True):
         if acting[owner]:
-            tet, side = divmod(place[tuple(face.tolist())], 4)
+            tet, side = divmod(place, 4)
             yield f"{tet + 1}, P{side + 1}, {_number(float(forces[owner]))}"

@@ -1,4 +1,4 @@
-"""Configurations as the numbers of a scene: supports, loads, actuators, effectors."""
+"""The numbers of a scene: its law, and supports, loads, actuators and effectors."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -16,8 +16,14 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import Model
 from softcal_jax.exchange import _formats as formats
-from softcal_jax.exchange.sofa._component import Scale
-from softcal_jax.export import plain
+from softcal_jax.exchange.sofa._component import (
+    SCALES,
+    Scale,
+    SofaRelease,
+    SofaUnits,
+    component_of,
+)
+from softcal_jax.export import file_stems, plain
 from softcal_jax.fields import ParameterSpace
 
 CONVERGED = 1e-9
@@ -43,28 +49,34 @@ def check_robot(model: Model) -> None:
     )
 
 
-def scene_configurations(
+def scene_data(
+    name: str,
     model: Model,
     space: ParameterSpace,
     z: Any,
     configurations: Sequence[Configuration],
     displacements: Sequence[Float[HostArray, "n_nodes 3"]],
-    scale: Scale,
-) -> dict[str, dict[str, Any]]:
-    """Write configurations with the fitted parameters, by their names.
+    *,
+    release: SofaRelease,
+    units: SofaUnits,
+) -> dict[str, Any]:
+    """Build the content of robot.json, in the units of the scene.
 
-    `displacements` are what the linear model predicts in each [m]. The parameters, of
-    scaled values `z`, may also belong to loads and supports.
+    `displacements` are what the linear model predicts in each configuration [m]. The
+    parameters, of scaled values `z`, may also belong to loads and supports.
     """
+    scale, masses = SCALES[units], formats.vertex_masses(model)
     lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
-    mass, written = formats.vertex_masses(model)[:, None], {}
+    stems, written = file_stems([c.name for c in configurations]), {}
     for i, configuration in enumerate(configurations):
         lane = jax.tree.map(lambda leaf, i=i: leaf[i], lanes.arrays)
         _, lane = space.apply(model, lane, z)
         force = np.asarray(lane.dead_loads)
         loaded = np.flatnonzero(np.any(force != 0.0, axis=1))
-        loads = np.where(lane.fixed, 0.0, mass * np.asarray(lane.acceleration) + force)
+        loads = masses[:, None] * np.asarray(lane.acceleration) + force
+        size = float(np.linalg.norm(np.where(lane.fixed, 0.0, loads)))
         written[configuration.name] = {
+            "file": stems[i],
             "gravity": (scale.length * np.asarray(lane.acceleration)).tolist(),
             **_supports(model, configuration, lane, scale),
             "forces": {
@@ -79,9 +91,19 @@ def scene_configurations(
                 scale,
             ),
             # Relative to the nodal loads; 0 without a load on free nodes.
-            "stop at residual": CONVERGED * scale.force * float(np.linalg.norm(loads)),
+            "stop at residual": CONVERGED * scale.force * size,
         }
-    return written
+    return {
+        "format": "softcal_jax.sofa/1",
+        "name": name,
+        "release": release,
+        "units": scale.words,
+        "elasticity": component_of(model.law, model.n_tets, release, scale)._asdict(),
+        "positions": (scale.length * model.mesh.points).tolist(),
+        "vertex mass": masses.tolist(),
+        "configurations": written,
+        "files": ["robot.vtk", "scene.py", "README.md"],
+    }
 
 
 def _supports(

@@ -4,7 +4,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -16,19 +16,16 @@ from softcal_jax.equilibrium import model_for_law
 from softcal_jax.exchange import _formats as formats
 from softcal_jax.exchange.sofa._component import (
     SCALES,
-    Component,
     PluginElasticity,
-    Scale,
     SofaLaw,
     SofaRelease,
     SofaUnits,
     component_of,
     law_for_sofa,
 )
-from softcal_jax.exchange.sofa._configurations import check_robot, scene_configurations
-from softcal_jax.export import file_stems, results_folder, write_json
+from softcal_jax.exchange.sofa._configurations import check_robot, scene_data
+from softcal_jax.export import results_folder, write_json
 from softcal_jax.materials import SofaRotation
-from softcal_jax.mesh import TetMesh
 from softcal_jax.report import LoadedResult
 
 _NEEDED = {
@@ -39,64 +36,24 @@ _NEEDED = {
 }
 
 
-class Scene(NamedTuple):
-    """All of a scene but its script, with the mesh in m and masses in kg."""
-
-    name: str
-    release: str
-    scale: Scale
-    mesh: TetMesh
-    elasticity: Component
-    vertex_mass: Float[HostArray, " n_nodes"]
-    configurations: dict[str, dict[str, Any]]
-
-    @property
-    def driven(self) -> list[str]:
-        """Names of the configurations with cables or chambers."""
-        posed = self.configurations.items()
-        return [name for name, pose in posed if pose["cables"] or pose["chambers"]]
-
-    @property
-    def plugins(self) -> list[str]:
-        """Plugins that are not part of SOFA itself."""
-        plugin = self.elasticity.plugin
-        return ["SoftRobots"] * bool(self.driven) + [plugin] * (plugin in _NEEDED)
-
-
 def write_scene(
     directory: Path,
-    scene: Scene,
+    data: dict[str, Any],
+    tets: Int[HostArray, "n_tets 4"],
     *,
     text: Sequence[str],
     notes: Sequence[str],
     force: bool = False,
 ) -> None:
-    """Write a scene to a folder, whole or not at all.
+    """Write a scene to a folder, whole or not at all, from its `scene_data`.
 
     README.md quotes `text`, lines on the calibration in columns, and `notes`.
     """
-    points = scene.scale.length * scene.mesh.points
-    stems = file_stems(list(scene.configurations))
-    named = zip(scene.configurations.items(), stems, strict=True)
-    files = ["robot.vtk", "scene.py", "README.md"]
     with results_folder(directory, force=force) as folder:
-        _write_vtk(folder / files[0], points, scene.mesh.tets)
-        shutil.copyfile(Path(__file__).with_name("scene.py"), folder / files[1])
-        readme = _readme(scene, text, notes)
-        (folder / files[2]).write_text(readme, encoding="utf-8")
-        data = {
-            "format": "softcal_jax.sofa/1",
-            "name": scene.name,
-            "release": scene.release,
-            "units": scene.scale.words,
-            "elasticity": scene.elasticity._asdict(),
-            "positions": points.tolist(),
-            "vertex mass": scene.vertex_mass.tolist(),
-            "configurations": {
-                name: {"file": stem, **pose} for (name, pose), stem in named
-            },
-            "files": files,
-        }
+        _write_vtk(folder / "robot.vtk", np.array(data["positions"]), tets)
+        shutil.copyfile(Path(__file__).with_name("scene.py"), folder / "scene.py")
+        readme = _readme(data, text, notes)
+        (folder / "README.md").write_text(readme, encoding="utf-8")
         write_json(folder / "robot.json", data)
 
 
@@ -123,23 +80,26 @@ CELL_TYPES {len(cells)}
     path.write_text(text + "10\n" * len(cells), encoding="ascii")
 
 
-def _readme(scene: Scene, text: Sequence[str], notes: Sequence[str]) -> str:
+def _readme(data: dict[str, Any], text: Sequence[str], notes: Sequence[str]) -> str:
     """Say what is needed, how to run the scene, and what to expect of it."""
-    first, *_ = scene.configurations
-    units = ", ".join(f"{what} {unit}" for what, unit in scene.scale.words.items())
-    needed = "".join(f"\n- {_NEEDED[plugin]}." for plugin in scene.plugins)
-    loaded = "".join(f" -l {plugin}" for plugin in ["SofaPython3", *scene.plugins])
-    steps = 100 if first in scene.driven else 1
+    poses, elasticity = data["configurations"], data["elasticity"]
+    driven = [name for name, p in poses.items() if p["cables"] or p["chambers"]]
+    plugins = ["SoftRobots"] * bool(driven)
+    plugins += [elasticity["plugin"]] * (elasticity["plugin"] in _NEEDED)
+    units = ", ".join(f"{what} {unit}" for what, unit in data["units"].items())
+    needed = "".join(f"\n- {_NEEDED[plugin]}." for plugin in plugins)
+    loaded = "".join(f" -l {plugin}" for plugin in ["SofaPython3", *plugins])
+    steps = 100 if next(iter(poses)) in driven else 1
     on_driven = f"""
-With cables or chambers: {", ".join(scene.driven)}. SOFA solves these in time, by long \
+With cables or chambers: {", ".join(driven)}. SOFA solves these in time, by long \
 implicit steps that lose all motion: run on until the effectors stand still. If they \
 do not, shorten TIME_STEP in scene.py.
 """
     return f"""\
-# {scene.name} in SOFA
+# {data["name"]} in SOFA
 
-Written by softcal_jax for SOFA {scene.release} (from the sources of \
-{scene.release}.00), to be run with
+Written by softcal_jax for SOFA {data["release"]} (from the sources of \
+{data["release"]}.00), to be run with
 
 - SofaPython3, with NumPy in its Python.{needed}
 
@@ -152,10 +112,10 @@ effectors are to `effectors_CONFIGURATION.csv`, with the distance from what \
 softcal_jax predicts for the same mesh and law: it should fall to the tolerance of the \
 solver.
 
-Configurations: {", ".join(scene.configurations)}. The first is run, another one with \
+Configurations: {", ".join(poses)}. The first is run, another one with \
 the environment variable SOFTCAL_CONFIGURATION set to its name.
-{on_driven if scene.driven else ""}
-Units: {units}, mass kg, time s. The law is that of `{scene.elasticity.component}`.
+{on_driven if driven else ""}
+Units: {units}, mass kg, time s. The law is that of `{elasticity["component"]}`.
 
 ## Calibrated for this mesh
 
@@ -175,18 +135,12 @@ class SofaExport(Module):
     Attributes:
         component: The component that computes the law.
         result: Calibration of the model of SOFA, whose values the scene has.
-        lines: The values of both models, and a table of what they predict.
-        notes: What to know of the scene, in sentences.
+        lines: Values and predictions of both models, and notes.
     """
 
     component: str
     result: CalibrationResult
     lines: tuple[str, ...]
-    notes: tuple[str, ...]
-
-    def __str__(self) -> str:
-        """Write parameters, predictions and notes, line by line."""
-        return "\n".join([*self.lines, "", *self.notes]).strip()
 
 
 def export_sofa(
@@ -237,7 +191,7 @@ def export_sofa(
     check_known("release", get_args(SofaRelease), release)
     check_known("unit system", SCALES, units)
     check_known("law", get_args(SofaLaw), law)
-    scale, folder = SCALES[units], Path(directory)
+    folder = Path(directory)
     loaded, project = formats.linear_result(result, folder, force=force)
     check_robot(project.model)
     sofa_law = law_for_sofa(
@@ -251,34 +205,35 @@ def export_sofa(
             "along the fibre from E_t; calibrate without it, and export that."
         )
     model = model_for_law(project.model, sofa_law)
-    component_of(model.law, model.n_tets, release, scale)  # before the work is done
+    # Refused before the work is done.
+    component_of(model.law, model.n_tets, release, SCALES[units])
     refit = formats.recalibrate(loaded, project, model, "SOFA", progress)
     refitted, *solved = refit.result, refit.posed, refit.displacements
-    scene = Scene(
-        name=project.name,
+    scene = scene_data(
+        project.name,
+        refitted.model,
+        refitted.space,
+        refitted.z,
+        *solved,
         release=release,
-        scale=scale,
-        mesh=model.mesh,
-        elasticity=component_of(refitted.model.law, model.n_tets, release, scale),
-        vertex_mass=formats.vertex_masses(refitted.model),
-        configurations=scene_configurations(
-            refitted.model, refitted.space, refitted.z, *solved, scale
-        ),
+        units=units,
     )
-    notes = [*refit.notes, *_notes(refitted, scene)]
-    write_scene(folder, scene, text=refit.lines, notes=notes, force=force)
-    component = scene.elasticity.component
-    return SofaExport(component, refitted, tuple(refit.lines), tuple(notes))
+    elasticity = scene["elasticity"]
+    notes = [*refit.notes, *_notes(refitted, elasticity["plugin"])]
+    tets = model.mesh.tets
+    write_scene(folder, scene, tets, text=refit.lines, notes=notes, force=force)
+    lines = *refit.lines, *([""] if notes else []), *notes
+    return SofaExport(elasticity["component"], refitted, lines)
 
 
-def _notes(refitted: CalibrationResult, scene: Scene) -> Iterator[str]:
+def _notes(refitted: CalibrationResult, plugin: str) -> Iterator[str]:
     others = [f"{e.name} ({c.name})" for c in refitted.configurations for e in c.others]
     if others:
         yield (
             "Only points are followed; lengths, volumes and forces are not: "
             f"{', '.join(others)}."
         )
-    if scene.elasticity.plugin == "Anisotropy":
+    if plugin == "Anisotropy":
         yield (
             "The plugin Anisotropy takes the shear modulus along the fibre from E_t, "
             "and its C13 is not that of the textbook: the values make up for both, and "

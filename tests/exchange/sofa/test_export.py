@@ -130,7 +130,7 @@ def test_a_beam_with_a_fibre_takes_what_the_plugin_computes(tmp_path, no_picture
         write_results(load_project(path).calibrate(), tmp_path / "results")
     exported = export_sofa(tmp_path / "results", tmp_path / "scene")
     assert exported.component == "TetrahedronAnisotropicForceField"
-    assert says(exported.notes[0], "E_t ... C13 ... no material constants")
+    assert says(exported.lines[-1], "E_t ... C13 ... no material constants")
     readme = (tmp_path / "scene" / "README.md").read_text()
     assert says(readme, "built from source ... -l Anisotropy")
     root, monitor = run(tmp_path / "scene", "v26.06")
