@@ -213,11 +213,11 @@ def _draw_tag(axes: "Axes", number: int, middle: Sequence[float], size: float) -
     from matplotlib.patches import PathPatch, Rectangle
     from matplotlib.path import Path as Outline
 
-    corner = np.subtract(middle, 0.5 * size)
+    corner = middle[0] - 0.5 * size, middle[1] - 0.5 * size
     style = {"edgecolor": "none", "snap": False}
     axes.add_patch(Rectangle(corner, size, size, facecolor="black", **style))
     rows, columns = np.nonzero(tag_cells(number)[::-1])  # from the bottom row up
     lower = np.stack([columns, rows], axis=1)[:, None]
     cells = lower + np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
-    white = Outline.make_compound_path_from_polys(corner + size / CELLS * cells)
+    white = Outline.make_compound_path_from_polys(np.add(corner, size / CELLS * cells))
     axes.add_patch(PathPatch(white, facecolor="white", **style))
