@@ -72,12 +72,11 @@ class NotConvergedError(RuntimeError):
 class Refit(NamedTuple):
     """The model of a program, calibrated for it, and what to say of it, in lines.
 
-    `posed` are the configurations with an equilibrium, and `displacements` theirs [m].
+    `solved` are the configurations that have an equilibrium, and displacements [m].
     """
 
     result: CalibrationResult
-    posed: list[Configuration]
-    displacements: list[Float[HostArray, "n_nodes 3"]]
+    solved: tuple[list[Configuration], list[Float[HostArray, "n_nodes 3"]]]
     lines: list[str]
     notes: list[str]
 
@@ -141,8 +140,7 @@ def recalibrate(
     posed = [c for c in project.configurations if c.name in solved]
     return Refit(
         refitted,
-        posed,
-        [np.asarray(solved[c.name]) for c in posed],
+        (posed, [np.asarray(solved[c.name]) for c in posed]),
         _lines_of_both(loaded, refitted, program),
         [f"{left_out}{lost}."] if lost else [],
     )

@@ -119,8 +119,8 @@ def export_mujoco(
     every = project.configurations, at_rest
     mujoco_poses(model, project.space, loaded.z, *every)  # refused before the work
     refit = formats.recalibrate(loaded, project, model, "MuJoCo", progress)
-    refitted, *solved = refit.result, refit.posed, refit.displacements
-    poses = mujoco_poses(refitted.model, refitted.space, refitted.z, *solved)
+    refitted = refit.result
+    poses = mujoco_poses(refitted.model, refitted.space, refitted.z, *refit.solved)
     lines = [*refit.lines, "", *refit.notes]
     lines.append(
         "Damping and time step only bring the body to rest: neither was calibrated, "

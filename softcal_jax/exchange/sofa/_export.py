@@ -208,13 +208,13 @@ def export_sofa(
     # Refused before the work is done.
     component_of(model.law, model.n_tets, release, SCALES[units])
     refit = formats.recalibrate(loaded, project, model, "SOFA", progress)
-    refitted, *solved = refit.result, refit.posed, refit.displacements
+    refitted = refit.result
     scene = scene_data(
         project.name,
         refitted.model,
         refitted.space,
         refitted.z,
-        *solved,
+        *refit.solved,
         release=release,
         units=units,
     )
