@@ -18,6 +18,7 @@ from softcal_jax.configurations import Configuration, ConfigurationArrays
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import check_results_folder
 from softcal_jax.fields import exactly_known
+from softcal_jax.materials import AbstractLaw, Isotropic, NeoHookean
 from softcal_jax.project import Project, load_project
 from softcal_jax.report import LoadedResult, load_result
 
@@ -63,6 +64,20 @@ def check_rim(
             f"acts on the rim of its opening, of which {free} nodes are not held, and "
             f"{format} has no lid. Hold the rim, or close the cavity in the mesh."
         )
+
+
+def hooke_of(law: AbstractLaw) -> Isotropic | None:
+    """Return E and nu of a law that has no other constants; None if it has."""
+    constants = getattr(law, "elasticity", law)
+    if isinstance(constants, NeoHookean | Isotropic):
+        return Isotropic(constants.E, constants.nu)
+    return None
+
+
+def law_name(law: AbstractLaw) -> str:
+    """Name a law and its elasticity, like "Corotational with Isotropic"."""
+    parts = law, getattr(law, "elasticity", None)
+    return " with ".join(type(part).__name__ for part in parts if part is not None)
 
 
 class NotConvergedError(RuntimeError):

@@ -30,14 +30,7 @@ from softcal_jax.equilibrium import Model, model_for_law
 from softcal_jax.exchange import _formats as formats
 from softcal_jax.export import file_stems, results_folder, write_json
 from softcal_jax.fields import ParameterSpace
-from softcal_jax.materials import (
-    AbstractLaw,
-    ClassicalCorotational,
-    Corotational,
-    Isotropic,
-    NeoHookean,
-    StVenantKirchhoff,
-)
+from softcal_jax.materials import AbstractLaw, StVenantKirchhoff
 from softcal_jax.report import LoadedResult
 
 OPTION = {"timestep": 0.002, "integrator": "discrete", "solver": "Newton"}
@@ -152,17 +145,13 @@ def law_for_mujoco(law: AbstractLaw) -> StVenantKirchhoff:
 
     A ValueError says what to do if the law has other constants.
     """
-    linear = StVenantKirchhoff, Corotational, ClassicalCorotational
-    constants = law.elasticity if isinstance(law, linear) else law
-    if isinstance(constants, NeoHookean | Isotropic):
-        return StVenantKirchhoff(Isotropic(constants.E, constants.nu))
-    name = type(law).__name__
-    if constants is not law:
-        name += f" with {type(constants).__name__}"
+    hooke = formats.hooke_of(law)
+    if hooke is not None:
+        return StVenantKirchhoff(hooke)
     raise ValueError(
-        f"{name} has no counterpart in MuJoCo, whose flex has one law, with E and nu: "
-        "calibrate an isotropic StVenantKirchhoff law or a NeoHookean one, and export "
-        "that."
+        f"{formats.law_name(law)} has no counterpart in MuJoCo, whose flex has one law,"
+        " with E and nu: calibrate an isotropic StVenantKirchhoff law or a NeoHookean "
+        "one, and export that."
     )
 
 
