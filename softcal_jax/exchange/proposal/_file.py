@@ -23,17 +23,22 @@ _MOST_GROUPS = 40
 
 def project_text(name: str, findings: Findings) -> str:
     """Write a project file of a name, with a remark at each value that is a guess."""
-    parts = (
-        *(_title(name, findings), _mesh(findings), _material(), _actuators(findings)),
-        *(_markers(findings), _shared(findings), _configurations(findings)),
-    )
-    text = "\n\n".join("\n".join(part) for part in parts)
-    return f"""{text}
-
-{_ruler("the settings")}
-[settings]
-noise = "estimated" # from the residuals; "stated" takes the `std` as it is
-"""
+    sections = {
+        "the body": _mesh(findings),
+        "the material": _material(),
+        "the actuators": _actuators(findings),
+        "the markers": _markers(findings),
+        "the configurations": (*_shared(findings), "", *_configurations(findings)),
+        "the settings": (
+            "[settings]",
+            'noise = "estimated" # from the residuals; '
+            '"stated" takes the `std` as it is',
+        ),
+    }
+    text = "\n".join(_title(name, findings))
+    for title, lines in sections.items():
+        text += "\n".join(("\n", f"# {'-' * (86 - len(title))} {title}", *lines))
+    return f"{text}\n"
 
 
 def _title(name: str, findings: Findings) -> Iterator[str]:
@@ -61,7 +66,6 @@ def _mesh(findings: Findings) -> Iterator[str]:
     body, held = findings.body, findings.held
     extent = np.ptp(body.mesh.points, axis=0)
     sides = " x ".join(f"{1e3 * x:.4g}" for x in extent)
-    yield _ruler("the body")
     yield "[mesh]"
     yield f"file = {quoted(findings.model)}"
     if body.unit is not None:
@@ -92,7 +96,6 @@ def _mesh(findings: Findings) -> Iterator[str]:
 
 
 def _material() -> Iterator[str]:
-    yield _ruler("the material")
     yield from textwrap.wrap(
         f"Laws: {', '.join(LAWS)}.", 88, initial_indent="# ", subsequent_indent="# "
     )
@@ -112,8 +115,6 @@ upper = "100 MPa" # both far from what is likely"""
 
 def _actuators(findings: Findings) -> Iterator[str]:
     """Write a chamber for each surface that is called like one."""
-    if findings.chambers:
-        yield _ruler("the actuators")
     for k, (group, is_open) in enumerate(findings.chambers.items()):
         yield "\n" * (k > 0) + f"[actuators.{bare(f'air in {group}')}]"
         yield 'type = "chamber"'
@@ -132,7 +133,6 @@ def _actuators(findings: Findings) -> Iterator[str]:
 def _markers(findings: Findings) -> Iterator[str]:
     """Write where markers are at rest, each with its distance from the mesh."""
     recorded = findings.recorded
-    yield _ruler("the markers")
     yield "# Where they stand at rest, in the frame of the mesh."
     if findings.own_frame:
         yield """# The recording has a frame of its own, off the mesh: measure where
@@ -157,7 +157,6 @@ def _markers(findings: Findings) -> Iterator[str]:
 def _shared(findings: Findings) -> Iterator[str]:
     """Write what all configurations share."""
     held, recorded = findings.held, findings.recorded
-    yield _ruler("the configurations")
     yield "# What all of them share; each may add to it or state its own."
     yield "[shared]"
     yield 'gravity = "(0, 0, -9.81) m/s^2" # CHANGE: down, in the frame of the mesh'
@@ -254,7 +253,3 @@ def _measured(findings: Findings, pose: RecordedPose) -> Iterator[str]:
     if pose.select != "{  }":
         check = " # CHANGE: when the robot stands still" * recorded.over_time
         yield f"{off}measured.select = {pose.select}{check}"
-
-
-def _ruler(title: str) -> str:
-    return f"# {'-' * (86 - len(title))} {title}"
