@@ -167,11 +167,6 @@ def _rows(values: Iterable[str], per_line: int = 8) -> Iterator[str]:
         yield ", ".join(values[i : i + per_line]) + more
 
 
-def _members(indices: Int[HostArray, " n"]) -> Iterator[str]:
-    """Write the members of a set."""
-    return _rows((str(i + 1) for i in indices), per_line=16)
-
-
 def _mesh(mesh: TetMesh) -> Iterator[str]:
     yield "*NODE, NSET=NALL"
     for i, x in enumerate(mesh.points, start=1):
@@ -188,7 +183,7 @@ def _mesh(mesh: TetMesh) -> Iterator[str]:
             name, copy = f"{stem}_{copy}", copy + 1
         taken.add(name)
         yield f"*NSET, NSET={name}"
-        yield from _members(np.asarray(nodes))
+        yield from _rows(map(str, np.asarray(nodes) + 1), per_line=16)
 
 
 def _materials(model: Model, law: InpLaw) -> Iterator[str]:
@@ -203,7 +198,8 @@ def _materials(model: Model, law: InpLaw) -> Iterator[str]:
     axes = ", ORIENTATION=AXES" * law.oriented
     for k, (*constants, rho) in enumerate(distinct):
         tets = order[ends[k - 1] if k else 0 : ends[k]]
-        yield from (f"*ELSET, ELSET=E{k + 1}", *_members(tets))
+        yield f"*ELSET, ELSET=E{k + 1}"
+        yield from _rows(map(str, tets + 1), per_line=16)
         yield from (f"*MATERIAL, NAME=M{k + 1}", law.keyword)
         yield from _rows(map(_number, constants))
         if rho > 0.0:
