@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from pydantic import BaseModel
+from pydantic import AliasPath, BaseModel, Field
 
 
 class FileEntry(BaseModel):
@@ -34,19 +34,6 @@ class ConfigurationEntry(BaseModel):
     rms_after_mm: float | None
 
 
-class BudgetEntry(BaseModel):
-    """Covariance of the scaled parameters, by all causes."""
-
-    covariance: list[list[float | None]]
-
-
-class AssessmentEntry(BaseModel):
-    """Whether the values may be trusted."""
-
-    outcome: str = "take with care"  # of files from before outcomes were written
-    reasons: list[str]
-
-
 class ResultFile(BaseModel):
     """A result; a file needs these keys."""
 
@@ -55,6 +42,11 @@ class ResultFile(BaseModel):
     parameters: list[ParameterEntry]
     configurations: list[ConfigurationEntry]
     solver: dict[str, str | int | None]
-    budget: BudgetEntry
-    assessment: AssessmentEntry
+    covariance: list[list[float | None]] = Field(
+        validation_alias=AliasPath("budget", "covariance")
+    )
+    outcome: str = Field(  # of files from before outcomes were written
+        default="take with care", validation_alias=AliasPath("assessment", "outcome")
+    )
+    reasons: list[str] = Field(validation_alias=AliasPath("assessment", "reasons"))
     versions: dict[str, str]
