@@ -115,7 +115,11 @@ class FoamTable(Module):
 
         Outside the table, curves of the density are extended; the nearest level counts.
         """
-        return _Patch(self).moduli(density, anisotropy)
+        patch, values = _Patch(self), np.log(anisotropy) if self.is_log else anisotropy
+        s = np.interp(values, patch.levels, np.arange(len(patch.levels)))
+        low, high = (patch.at(np.full_like(s, t), s)[:, 0] for t in (0.0, 1.0))
+        t = (np.log(density) - low) / (high - low)
+        return np.exp(patch.at(t, s)[:, 1:])
 
     def find(self, E_soft: Numbers, E_stiff: Numbers) -> FoundFoam:
         """Find the foams whose moduli [Pa] are nearest, in the logarithms of both.
@@ -221,14 +225,6 @@ class _Patch:
             x = low + t[near] * (high - low)
             mixed[near] += weight[near, None] * np.column_stack([x, curve(x)])
         return mixed
-
-    def moduli(self, density: Numbers, anisotropy: Numbers) -> Pairs:
-        """Interpolate E_soft and E_stiff [Pa]; see `FoamTable.moduli`."""
-        values = np.log(anisotropy) if self.is_log else anisotropy
-        s = np.interp(values, self.levels, np.arange(len(self.levels)))
-        low, high = (self.at(np.full_like(s, t), s)[:, 0] for t in (0.0, 1.0))
-        t = (np.log(density) - low) / (high - low)
-        return np.exp(self.at(t, s)[:, 1:])
 
     def nearest(self, asked: Pairs) -> tuple[Numbers, Float[HostArray, "n 3"]]:
         """Return anisotropy and `at` where ln E_soft and ln E_stiff are nearest."""
