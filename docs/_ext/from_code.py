@@ -316,8 +316,8 @@ def _attributes(keys: Keys, before: str) -> list[tuple[str, str]]:
         attribute = (attribute or key).removesuffix("_mm")
         words = WORDS.get(before + key) or words_of(keys.of, attribute)
         rows.append((before + key, _in_mm(key, words)))
-        kinds = filter(dataclasses.is_dataclass, _classes(types.get(attribute)))
-        parts = [keys.parts[key]] if key in keys.parts else map(Keys, kinds)
+        kinds = [k for k in _classes(types.get(attribute)) if dataclasses.is_dataclass(k)]
+        parts = [keys.parts[key]] if key in keys.parts else [Keys(k) for k in kinds]
         for part in parts:
             rows += _attributes(part, f"{before}{key}.")
     return rows
