@@ -30,9 +30,8 @@ from sphinx.domains.python import PyObject
 from sphinx.util.docutils import SphinxDirective
 
 import softcal_jax
-from softcal_jax.calibration import CalibrationResult
 from softcal_jax.cli import main
-from softcal_jax.export._keys import RESULT, Keys
+from softcal_jax.export.result_file import Entry, Keys, ResultFile
 from softcal_jax.project import ProjectError, load_project
 from softcal_jax.robots import silicone_beam_path
 
@@ -272,54 +271,31 @@ class Licences(SphinxDirective):
         return self.parse_text_to_nodes("\n".join(lines))
 
 
-WORDS = {
-    "source.project": "The project file.",
-    "source.project.file": "Its path from the results.",
-    "source.project.sha256": "Its SHA-256.",
-    "source.files": "Mesh and measurements.",
-    "source.files.file": "Its path from the project file.",
-    "source.files.sha256": "Its SHA-256.",
-    "source.changes": "Changes of the project file, by key.",
-    "configurations.markers": "Markers and other points.",
-    "configurations.effectors": "Effectors that are not points, in SI units.",
-    "solver": "The sparse solver, law, formulation and size of the mesh.",
-    "settings": "Settings of the calibration, of Newton's method and of the noise.",
-    "budget.parameters": "`name`, `unit`, `standard_error` by all causes, `by_cause`, "
-    "and a `sentence`.",
-    "budget.errors": "What is uncertain: `cause`, `name` and `deviations`, changes of "
-    "parameters.",
-    "budget.covariance": "Covariance of the scaled parameters, by all causes.",
-    "checks": "What the residuals say about the model.",
-    "versions": "Versions of Python and its packages, and the machine.",
-    "timing_s": "Wall time per part.",
-}
-"""What keys of `result.json` hold that are no attributes with these words."""
-
-
-def keys_of_result() -> list[tuple[str, str]]:
-    """List the keys of `result.json`, and of the entries in it, in words."""
+def keys_of(entry: type[Entry], before: str = "") -> list[tuple[str, str]]:
+    """List the keys of an entry of `result.json`, and of those in it, in words."""
     rows = []
-    for name, keys in RESULT.items():
-        rows.append((name, WORDS.get(name) or words_of(CalibrationResult, name)))
-        if keys is None:
-            rows += [row for row in WORDS.items() if row[0].startswith(f"{name}.")]
-        else:
-            rows += _attributes(keys, f"{name}.")
+    for name, field in entry.model_fields.items():
+        attribute = str(field.validation_alias or name.removesuffix("_mm"))
+        words = field.description or words_of(entry.of, attribute)
+        rows.append((f"{before}{name}", _in_mm(name, words)))
+        for kind in _classes(field.annotation):
+            if issubclass(kind, Entry):
+                rows += keys_of(kind, f"{before}{name}.")
+        for mark in field.metadata:
+            if isinstance(mark, Keys):
+                rows += _attributes(mark, f"{before}{name}.")
     return rows
 
 
-def _attributes(keys: Keys, before: str) -> list[tuple[str, str]]:
+def _attributes(mark: Keys, before: str) -> list[tuple[str, str]]:
     """List keys that are attributes of a class, and of the classes of these."""
-    rows, types = [], {own.name: own.type for own in dataclasses.fields(keys.of)}
-    for name in keys.names.split():
-        key, _, attribute = name.partition("=")
-        attribute = (attribute or key).removesuffix("_mm")
-        words = WORDS.get(before + key) or words_of(keys.of, attribute)
+    rows, types = [], {own.name: own.type for own in dataclasses.fields(mark.of)}
+    for key in mark.names:
+        words = words_of(mark.of, key.removesuffix("_mm"))
         rows.append((before + key, _in_mm(key, words)))
-        kinds = [k for k in _classes(types.get(attribute)) if dataclasses.is_dataclass(k)]
-        parts = [keys.parts[key]] if key in keys.parts else [Keys(k) for k in kinds]
-        for part in parts:
-            rows += _attributes(part, f"{before}{key}.")
+        for kind in _classes(types.get(key)):
+            if dataclasses.is_dataclass(kind):
+                rows += _attributes(Keys(kind), f"{before}{key}.")
     return rows
 
 
@@ -350,7 +326,7 @@ class KeysTable(SphinxDirective):
         lines = ["| key | what it is |", "|---|---|"]
         lines += [
             f"| `{key}` | {words.replace('|', '&#124;')} |"
-            for key, words in keys_of_result()
+            for key, words in keys_of(ResultFile)
         ]
         return self.parse_text_to_nodes("\n".join(lines))
 

@@ -17,7 +17,6 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.control import OUTCOMES, GoalFit, InverseResult, TrajectoryResult
 from softcal_jax.equilibrium import Model
-from softcal_jax.export._keys import IDENTIFIABILITY, RESULT, SIMULATED
 from softcal_jax.export._made import Made, made_dict, pick, plain, source_dict, versions
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.inference import ErrorBudget
@@ -35,16 +34,19 @@ def result_dict(
     timing_s: Mapping[str, float] | None = None,
     directory: str | Path = ".",
 ) -> dict[str, Any]:
-    """Convert a calibration to the content of `result.json`.
+    """Convert a calibration to the content of `result.json`, see `ResultFile`.
 
     Its assessment is made if it is not given; `timing_s` are wall times of further
     parts [s], and paths of files are relative to `directory`.
     """
+    # Imported here, as pydantic takes a third of a second to load, often for nothing.
+    from softcal_jax.export.result_file import ResultFile
+
     assessment = assessment or assess(result)
     content = {
         "format": RESULT_FORMAT,
         "name": name,
-        "converged": result.converged,
+        "converged": bool(result.converged),
         "source": source_dict(result.source, directory),
         **pick(result, "parameters intervals configurations history"),
         "solver": solver_dict(result.model),
@@ -61,12 +63,12 @@ def result_dict(
         "timing_s": {**result.timing_s, **(timing_s or {})},
     }
     with np.errstate(invalid="ignore", divide="ignore"):  # an exact fit has no spread
-        parts = RESULT.items()
-        return plain({k: v.entry(content[k]) if v else content[k] for k, v in parts})
+        file = ResultFile.model_validate(content)
+    return file.model_dump(exclude_unset=True)
 
 
 def budget_dict(budget: ErrorBudget) -> dict[str, Any]:
-    """Convert the error budget of a calibration to a dictionary."""
+    """Convert the error budget of a calibration to a dictionary, see `BudgetEntry`."""
     by_cause, total = budget.by_cause(), budget.standard_errors
     return plain(
         {
@@ -105,9 +107,9 @@ def simulation_dict(
     """Convert a forward simulation to the content of `simulation.json`.
 
     Keys of `configurations` are attributes of `ConfigurationResult`, with points as
-    `markers`, other readings as `effectors` and `robot` as in `result.json`. Where
-    there is no equilibrium, positions and displacement are null, and `outcome` says
-    why. Those that were measured say how far they are off.
+    `markers`, other readings as `effectors` and `robot` as `RobotEntry`. Where there is
+    no equilibrium, positions and displacement are null, and `outcome` says why. Those
+    that were measured say how far they are off.
     """
     return plain(
         {
@@ -136,6 +138,8 @@ def outlook_dict(
     `identifiability` is as in `result.json`, null without configurations; `ranking` is
     null without candidates. Candidates have the attributes of `Gain`, the best first.
     """
+    from softcal_jax.export.result_file import IDENTIFIABILITY
+
     ranked = ranking and {
         "blind_before": ranking.blind_before,
         "candidates": [{**plain(g), "volume": g.volume} for g in ranking.gains],
@@ -146,7 +150,7 @@ def outlook_dict(
             "format": "softcal_jax.identifiability/2",
             "name": name,
             **made_dict(made, directory),
-            "identifiability": IDENTIFIABILITY.entry(outlook),
+            "identifiability": outlook and IDENTIFIABILITY.entry(outlook),
             "ranking": ranked,
             "timing_s": timing_s or {},
         }
@@ -154,7 +158,20 @@ def outlook_dict(
 
 
 def _simulated(result: ConfigurationResult) -> dict[str, Any]:
-    entry = SIMULATED.entry(result)
+    from softcal_jax.export.result_file import RobotEntry
+
+    entry = pick(
+        result,
+        "name role converged outcome newton_steps load_steps residual rounding "
+        "at_rounding min_det_F largest_displacement_mm rms_after_mm motion_mm",
+    )
+    point = "name at_rest_mm measured_mm simulated_mm"
+    entry["markers"] = [pick(p, point) for p in result.points]
+    other = "name unit is_turn measured simulated"
+    entry["effectors"] = [pick(e, other) for e in result.others]
+    entry["robot"] = None
+    if result.robot is not None:
+        entry["robot"] = RobotEntry.model_validate(result.robot).model_dump()
     if result.role == "simulation":  # nothing was measured
         entry |= {"rms_after_mm": None, "motion_mm": None}
     if not result.converged:

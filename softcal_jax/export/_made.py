@@ -22,16 +22,12 @@ _PACKAGES = ("jax", "jaxlib", "numpy", "equinox", "optimistix", "jaxopt")
 
 
 def pick(owner: object, names: str) -> dict[str, Any]:
-    """Return some attributes by name, or under another one, like "markers=points".
-
-    Those that end in _mm are converted from metres, those with percent from shares.
-    """
+    """Return some attributes by name; one that ends in _mm is converted from metres."""
     picked = {}
     for name in names.split():
-        key, _, attribute = name.partition("=")
-        value = getattr(owner, (attribute or key).removesuffix("_mm"))
-        factor = 1e3 if key.endswith("_mm") else 100.0 if "percent" in key else None
-        picked[key] = value if factor is None else factor * np.asarray(value)
+        metres = name.removesuffix("_mm")
+        value = getattr(owner, metres)
+        picked[name] = value if metres == name else 1e3 * np.asarray(value)
     return picked
 
 
@@ -109,7 +105,7 @@ def made_dict(made: Made | None, directory: str | Path = ".") -> dict[str, Any]:
 def source_dict(
     source: ProjectSource | None, directory: str | Path = "."
 ) -> dict[str, Any] | None:
-    """Convert the files that results in a folder were made from."""
+    """Convert the files that results in a folder were made from, see `SourceEntry`."""
     if source is None:
         return None
     folder = source.project.path.parent

@@ -146,14 +146,14 @@ def load_result(
         space=space,
         values=values,
         z=z,
-        covariance=np.array(data.covariance, float),
+        covariance=np.array(data.budget.covariance, float),
         errors={
             fit.name: np.nan if fit.rms_after_mm is None else 1e-3 * fit.rms_after_mm
             for fit in data.configurations
         },
         converged=data.converged,
-        outcome=data.outcome,
-        doubts=tuple(data.reasons),
+        outcome=data.assessment.outcome,
+        doubts=tuple(data.assessment.reasons),
     )
 
 
