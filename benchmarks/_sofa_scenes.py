@@ -30,11 +30,10 @@ from softcal_jax.equilibrium import (
     build_model,
     solve_equilibrium,
 )
-from softcal_jax.exchange._formats import vertex_masses
 from softcal_jax.exchange.sofa import PluginElasticity
-from softcal_jax.exchange.sofa._component import SCALES, SofaRelease, component_of
-from softcal_jax.exchange.sofa._configurations import scene_configurations
-from softcal_jax.exchange.sofa._export import Scene, write_scene
+from softcal_jax.exchange.sofa._component import SofaRelease
+from softcal_jax.exchange.sofa._configurations import scene_data
+from softcal_jax.exchange.sofa._export import write_scene
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.materials import AbstractLaw, SofaCorotational, StVenantKirchhoff
 from softcal_jax.mesh import TetMesh, beam
@@ -91,27 +90,20 @@ class Posed(eqx.Module):
 
     def write(
         self, folder: Path, *, release: SofaRelease = "v26.06", units: str = "mm-kg-s"
-    ) -> Scene:
+    ) -> None:
         """Write the scene to a folder."""
-        scale, model, space = SCALES[units], self.model, densities()
-        scene = Scene(
-            name="test",
+        model, space = self.model, densities()
+        data = scene_data(
+            "test",
+            model,
+            space,
+            space.start(),
+            self.configurations,
+            list(self.displacement),
             release=release,
-            scale=scale,
-            mesh=model.mesh,
-            elasticity=component_of(model.law, model.n_tets, release, scale),
-            vertex_mass=vertex_masses(model),
-            configurations=scene_configurations(
-                model,
-                space,
-                space.start(),
-                self.configurations,
-                list(self.displacement),
-                scale,
-            ),
+            units="SI" if units == "SI" else "mm-kg-s",
         )
-        write_scene(folder, scene, text=["E: 1 Pa"], notes=[])
-        return scene
+        write_scene(folder, data, model.mesh.tets, text=["E: 1 Pa"], notes=[])
 
 
 def run(count: int, say: Callable[[str], None]) -> dict[str, Figure]:

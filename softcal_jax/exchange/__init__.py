@@ -1,4 +1,4 @@
-"""Other programs and devices, one folder each; nothing of the method imports them.
+"""Other programs and devices; nothing of the method imports them.
 
 Project files and their commands read through `cad` (STEP and STL) and `camera` (tags on
 photographs). Results are written by `inp` (CalculiX, Abaqus), `sofa`, `mujoco` and

@@ -1,21 +1,29 @@
 """What the formats share: what they cannot hold, and calibrating once more for them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from math import isfinite, nan
+from os import PathLike
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from softcal_jax._text_table import text_table
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_estimate
-from softcal_jax.actuators import AbstractActuator, free_rim_nodes
+from softcal_jax.actuators import AbstractActuator, CableSegments, free_rim_nodes
 from softcal_jax.calibration import CalibrationResult, HistoryEntry, calibrate
 from softcal_jax.configurations import Configuration, ConfigurationArrays
 from softcal_jax.equilibrium import Model
+from softcal_jax.export import check_results_folder
 from softcal_jax.fields import exactly_known
+from softcal_jax.materials import AbstractLaw, Isotropic, NeoHookean
 from softcal_jax.project import Project, load_project
-from softcal_jax.report import LoadedResult
+from softcal_jax.report import LoadedResult, load_result
+
+_ON_NODE = 1e-9
+"""Weight below which a guide does not depend on a node [-]."""
 
 
 def check_no_bodies(model: Model, format: str) -> None:
@@ -58,27 +66,56 @@ def check_rim(
         )
 
 
+def hooke_of(law: AbstractLaw) -> Isotropic | None:
+    """Return E and nu of a law that has no other constants; None if it has."""
+    constants = getattr(law, "elasticity", law)
+    if isinstance(constants, NeoHookean | Isotropic):
+        return Isotropic(constants.E, constants.nu)
+    return None
+
+
+def law_name(law: AbstractLaw) -> str:
+    """Name a law and its elasticity, like "Corotational with Isotropic"."""
+    parts = law, getattr(law, "elasticity", None)
+    return " with ".join(type(part).__name__ for part in parts if part is not None)
+
+
 class NotConvergedError(RuntimeError):
     """The model of another program could not be calibrated, so nothing is written."""
 
 
-def linear_project(result: LoadedResult) -> Project:
-    """Return the project of a result with linear tets."""
-    project = result.project
+class Refit(NamedTuple):
+    """The model of a program, calibrated for it, and what to say of it, in lines.
+
+    `solved` are the configurations that have an equilibrium, and displacements [m].
+    """
+
+    result: CalibrationResult
+    solved: tuple[list[Configuration], list[Float[HostArray, "n_nodes 3"]]]
+    lines: list[str]
+    notes: list[str]
+
+
+def linear_result(
+    result: LoadedResult | str | PathLike[str], directory: Path, *, force: bool
+) -> tuple[LoadedResult, Project]:
+    """Load a result to be exported to a folder, and its project with linear tets."""
+    check_results_folder(directory, force=force)
+    loaded = result if isinstance(result, LoadedResult) else load_result(result)
+    project = loaded.project
     if project.model.mesh.order == 1:
-        return project
+        return loaded, project
     changes = {**project.source.changes, "mesh.element": "linear"}
-    return load_project(project.path, changes=changes)
+    return loaded, load_project(project.path, changes=changes)
 
 
 def recalibrate(
-    result: LoadedResult,
+    loaded: LoadedResult,
     project: Project,
     model: Model,
     program: str,
-    *,
     progress: Callable[[HistoryEntry], None] | None,
-) -> CalibrationResult:
+) -> Refit:
     """Fit the model of a program to the same measurements, from calibrated values.
 
     Standard errors are left out, since the values make up for errors of the mesh.
@@ -98,7 +135,7 @@ def recalibrate(
         precision=project.precision,
         settings=project.settings,
         newton=project.newton,
-        start=result.z,
+        start=loaded.z,
         intervals=None,
         progress=progress,
     )
@@ -108,37 +145,30 @@ def recalibrate(
             f"{len(refitted.history) - 1} steps: "
             f"{' '.join(refitted.notes) or 'raise max_steps under [settings].'}"
         )
-    if not any(c.converged for c in refitted.configurations):
+    solved = {c.name: c.displacement for c in refitted.configurations if c.converged}
+    if not solved:
         raise RuntimeError(
             f"no configuration has an equilibrium in the model of {program}."
         )
-    return refitted
-
-
-def with_equilibrium(
-    project: Project, refitted: CalibrationResult
-) -> tuple[list[Configuration], list[Float[HostArray, "n_nodes 3"]]]:
-    """Return the configurations that have an equilibrium, and displacements [m]."""
-    solved = {c.name: c for c in refitted.configurations if c.converged}
+    lost = ", ".join(c.name for c in refitted.configurations if not c.converged)
+    left_out = f"Without an equilibrium in the model of {program}, and so left out: "
     posed = [c for c in project.configurations if c.name in solved]
-    return posed, [np.asarray(solved[c.name].displacement) for c in posed]
+    return Refit(
+        refitted,
+        (posed, [np.asarray(solved[c.name]) for c in posed]),
+        _lines_of_both(loaded, refitted, program),
+        [f"{left_out}{lost}."] if lost else [],
+    )
 
 
-def left_out(refitted: CalibrationResult, program: str) -> list[str]:
-    """Say which configurations have no equilibrium, in at most one sentence."""
-    lost = [c.name for c in refitted.configurations if not c.converged]
-    text = f"Without an equilibrium in the model of {program}, and so left out: "
-    return [f"{text}{', '.join(lost)}."] if lost else []
-
-
-def lines_of_both(
+def _lines_of_both(
     calibrated: LoadedResult, refitted: CalibrationResult, program: str
 ) -> list[str]:
     """Write the values of both models, and a table of what they predict."""
-    lines, values = [], calibrated.values
+    lines = []
     for fitted in refitted.parameters:
-        before = readable_estimate(values[fitted.name], nan, fitted.unit)
-        now = readable_estimate(fitted.value, nan, fitted.unit)
+        values = calibrated.values[fitted.name], fitted.value
+        before, now = (readable_estimate(value, nan, fitted.unit) for value in values)
         bound = " (on a bound: widen it, and calibrate again)" * fitted.at_bound
         lines.append(f"{fitted.name}: {before} calibrated, {now} for {program}{bound}")
     # How far points move, then errors of three models: the calibrated one, that of the
@@ -152,6 +182,25 @@ def lines_of_both(
     title = "Distances of points from where they were measured, rms:"
     table = text_table(title, ("configuration", "role", "motion", *models), rows)
     return [*lines, "", title, *table.lines()]
+
+
+def cable_guides(
+    model: Model, owner: int
+) -> Iterator[tuple[Float[HostArray, "3"], Float[HostArray, " n_nodes"]]]:
+    """Yield place at rest [m] and weights of nodes of each guide, 0 on the ground."""
+    groups, points = model.mechanism.actuators.groups, model.mesh.points
+    (segments,) = (group for group in groups if isinstance(group, CableSegments))
+    last = None
+    for i in np.flatnonzero(np.asarray(segments.owner) == owner):
+        ends = np.asarray(segments.weights[i]), np.asarray(segments.fixed[i])
+        for share, ground in zip(*ends, strict=True):
+            weights = np.zeros(len(points))
+            np.add.at(weights, np.asarray(segments.nodes[i]), share)
+            weights[np.abs(weights) < _ON_NODE] = 0.0
+            point = weights @ points + ground
+            if last is None or not np.allclose(point, last, rtol=1e-9):
+                yield point, weights
+            last = point
 
 
 def vertex_masses(model: Model) -> Float[HostArray, " n_nodes"]:

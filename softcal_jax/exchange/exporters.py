@@ -101,9 +101,7 @@ def quantity(option: str, text: str, unit: str) -> float:
         raise ValueError(f"{option}: {error}") from error
 
 
-class InpExporter(AbstractExporter):
-    """An input file of CalculiX or Abaqus."""
-
+class _InpExporter(AbstractExporter):
     writes = "an input file of CalculiX or Abaqus"
     description = (
         "Writes the calibrated model in one configuration as an input file of CalculiX "
@@ -115,11 +113,11 @@ class InpExporter(AbstractExporter):
     )
     output = "FILE.inp", "the file"
 
-    def add_options(self, command: ArgumentParser) -> None:  # noqa: D102
+    def add_options(self, command: ArgumentParser) -> None:
         which = "the configuration (may be left out if there is one)"
         command.add_argument("--configuration", metavar="NAME", help=which)
 
-    def write(  # noqa: D102
+    def write(
         self, source: Any, output: Path, options: Namespace, progress: ExportProgress
     ) -> Sequence[str]:
         from softcal_jax.exchange.inp import export_inp
@@ -127,9 +125,7 @@ class InpExporter(AbstractExporter):
         return export_inp(source, output, configuration=options.configuration)
 
 
-class IceslExporter(AbstractExporter):
-    """Graded foam for the slicer IceSL."""
-
+class _IceslExporter(AbstractExporter):
     writes = "graded foam for the slicer IceSL"
     description = (
         "Writes the part as STL and a script for IceSL with density, angle and "
@@ -141,7 +137,7 @@ class IceslExporter(AbstractExporter):
     output = "DIR", "the folder"
     takes_projects = True
 
-    def add_options(self, command: ArgumentParser) -> None:  # noqa: D102
+    def add_options(self, command: ArgumentParser) -> None:
         add = command.add_argument
         text = "foam with a soft axis (default), or with a stiff one, which needs "
         text += "--table"
@@ -164,7 +160,7 @@ class IceslExporter(AbstractExporter):
         text = "the slicer counts angles clockwise"
         add("--clockwise", action="store_true", help=text)
 
-    def write(  # noqa: D102
+    def write(
         self, source: Any, output: Path, options: Namespace, progress: ExportProgress
     ) -> Sequence[str]:
         from softcal_jax.exchange.icesl import export_icesl, published_foam
@@ -193,9 +189,7 @@ class IceslExporter(AbstractExporter):
         return written.notes
 
 
-class SofaExporter(AbstractExporter):
-    """A scene of SOFA, for which the model is calibrated again."""
-
+class _SofaExporter(AbstractExporter):
     writes = "a scene of SOFA, calibrated again for it"
     description = (
         "Fits the model once more to the same measurements, with the linear mesh and "
@@ -209,7 +203,7 @@ class SofaExporter(AbstractExporter):
     output = "DIR", "folder for the scene"
     next_step = "README.md there says how to run it"
 
-    def add_options(self, command: ArgumentParser) -> None:  # noqa: D102
+    def add_options(self, command: ArgumentParser) -> None:
         choices = {
             "--release": (["v26.06", "v25.12"], "release of SOFA"),
             "--units": (["mm-kg-s", "SI"], "unit system of the scene"),
@@ -229,7 +223,7 @@ class SofaExporter(AbstractExporter):
             text = f"{text} (default: {known[0]})"
             command.add_argument(option, choices=known, default=known[0], help=text)
 
-    def write(  # noqa: D102
+    def write(
         self, source: Any, output: Path, options: Namespace, progress: ExportProgress
     ) -> Sequence[str]:
         from softcal_jax.exchange.sofa import export_sofa
@@ -245,13 +239,11 @@ class SofaExporter(AbstractExporter):
             force=options.force,
             progress=progress.step,
         )
-        progress.computed(str(scene))
+        progress.computed("\n".join(scene.lines))
         return ()
 
 
-class MujocoExporter(AbstractExporter):
-    """A model of MuJoCo, for which the robot is calibrated again."""
-
+class _MujocoExporter(AbstractExporter):
     writes = "a model of MuJoCo, calibrated again for it"
     description = (
         "Fits the model once more to the same measurements, with the linear mesh and "
@@ -265,7 +257,7 @@ class MujocoExporter(AbstractExporter):
     output = "DIR", "folder for the model"
     next_step = "python -m mujoco.viewer --mjcf=robot.xml shows it"
 
-    def write(  # noqa: D102
+    def write(
         self, source: Any, output: Path, options: Namespace, progress: ExportProgress
     ) -> Sequence[str]:
         from softcal_jax.exchange.mujoco import export_mujoco
@@ -294,10 +286,10 @@ def exporters() -> dict[str, AbstractExporter]:
             `AbstractExporter`, or has a name that is taken.
     """
     known: dict[str, AbstractExporter] = {
-        "inp": InpExporter(),
-        "sofa": SofaExporter(),
-        "mujoco": MujocoExporter(),
-        "icesl": IceslExporter(),
+        "inp": _InpExporter(),
+        "sofa": _SofaExporter(),
+        "mujoco": _MujocoExporter(),
+        "icesl": _IceslExporter(),
     }
     for point in entry_points(group=GROUP):
         try:

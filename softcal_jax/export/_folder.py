@@ -6,7 +6,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from softcal_jax._places import with_remedy
@@ -115,22 +115,20 @@ def _partial_folder(directory: Path) -> Iterator[Path]:
 
     At the end, new parents that are still empty are removed, too.
     """
-    made = []
-    try:
+    with ExitStack() as made:
         for parent in reversed(directory.parents):
             if not parent.exists():
                 parent.mkdir()
-                made.append(parent)
+                made.callback(_remove_empty, parent)
         # Not named after the folder, whose name may be as long as a name can be.
         partial = Path(tempfile.mkdtemp(prefix=".softcal.", dir=directory.parent))
-        try:
-            yield partial
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
-    finally:
-        for parent in reversed(made):
-            with suppress(OSError):
-                parent.rmdir()
+        made.callback(shutil.rmtree, partial, ignore_errors=True)
+        yield partial
+
+
+def _remove_empty(folder: Path) -> None:
+    with suppress(OSError):
+        folder.rmdir()
 
 
 def _earlier_files(directory: Path) -> set[str]:
@@ -154,22 +152,16 @@ def _move_into_place(partial: Path, directory: Path) -> None:
             f"{directory / foreign[0]} is not part of the earlier results and would be "
             "overwritten. Move it away, or choose another folder."
         )
-    fresh = not directory.exists()
-    directory.mkdir(exist_ok=True)
     backup = partial / ".replaced"
     backup.mkdir()
-    moved = []
-    try:
+    with ExitStack() as undo:
+        if not directory.exists():
+            directory.mkdir()
+            undo.callback(directory.rmdir)
         for name in sorted(old):
             os.replace(directory / name, backup / name)
+            undo.callback(os.replace, backup / name, directory / name)
         for name in new:
             os.replace(partial / name, directory / name)
-            moved.append(name)
-    except BaseException:
-        for name in moved:
-            (directory / name).unlink()
-        for path in backup.iterdir():
-            os.replace(path, directory / path.name)
-        if fresh:
-            directory.rmdir()
-        raise
+            undo.callback((directory / name).unlink)
+        undo.pop_all()

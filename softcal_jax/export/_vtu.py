@@ -74,9 +74,8 @@ def write_vtu(
     _add(grid, "cauchy_stress", stress, tuple(_SYMMETRIC))
     _add(grid, "principal_stretches", principal_stretches(states), ("1", "2", "3"))
     grid.cell_data["strain_energy_density"] = states.energy / volumes(mesh)
-    for name, values in tet_fields(model, standard_errors or {}).items():
-        grid.cell_data[name] = values
-    for name, values in fibre_directions(model).items():
+    fields = tet_fields(model, standard_errors or {}) | fibre_directions(model)
+    for name, values in fields.items():
         grid.cell_data[name] = values
     _save(path, grid)
 

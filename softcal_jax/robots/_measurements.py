@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax import equilibrium
 from softcal_jax.configurations import (
     Configuration,
     ConfigurationArrays,
@@ -13,26 +14,18 @@ from softcal_jax.configurations import (
     measured_as,
     measured_at_rest,
 )
-from softcal_jax.equilibrium import (
-    Model,
-    NewtonSettings,
-    Workers,
-    check_converged,
-    effectors_on_all_cores,
-    equilibria,
-)
 from softcal_jax.fields import ParameterSpace
 
 
 def synthetic_measurements(
-    model: Model,
+    model: equilibrium.Model,
     space: ParameterSpace,
     configurations: Sequence[Configuration],
     values: Mapping[str, float],
     *,
     noise: bool = False,
     seed: int = 0,
-    newton: NewtonSettings | None = None,
+    newton: equilibrium.NewtonSettings | None = None,
 ) -> tuple[Configuration, ...]:
     """Return configurations with the measurements that known parameters would give.
 
@@ -61,13 +54,13 @@ def synthetic_measurements(
 
 
 def simulated_measurements(
-    model: Model,
+    model: equilibrium.Model,
     configurations: Sequence[Configuration],
     *,
     noise: bool = False,
     seed: int = 0,
-    newton: NewtonSettings | None = None,
-    first: Model | None = None,
+    newton: equilibrium.NewtonSettings | None = None,
+    first: equilibrium.Model | None = None,
     change: Callable[[ConfigurationArrays], ConfigurationArrays] | None = None,
 ) -> tuple[Configuration, ...]:
     """Return configurations with the measurements that a given model would give.
@@ -91,16 +84,16 @@ def simulated_measurements(
     posed = [measured_at_rest(c, mesh, mechanism) for c in configurations]
     arrays, records = configuration_lanes(mesh, posed, mechanism)
     arrays = arrays if change is None else jax.vmap(change)(arrays)
-    newton = newton or NewtonSettings()
+    newton = newton or equilibrium.NewtonSettings()
 
     guess = None
     if first is not None:
-        with Workers(first, len(configurations)) as workers:
-            guess = equilibria(workers, first, arrays, newton).displacement
-    with Workers(model, len(configurations)) as workers:
-        solution = equilibria(workers, model, arrays, newton, guess=guess)
-        effectors = effectors_on_all_cores(workers, model, arrays, solution)
-    check_converged(solution, tuple(c.name for c in configurations))
+        with equilibrium.Workers(first, len(configurations)) as workers:
+            guess = equilibrium.equilibria(workers, first, arrays, newton).displacement
+    with equilibrium.Workers(model, len(configurations)) as workers:
+        solution = equilibrium.equilibria(workers, model, arrays, newton, guess=guess)
+        effectors = equilibrium.effectors_on_all_cores(workers, model, arrays, solution)
+    equilibrium.check_converged(solution, tuple(c.name for c in configurations))
     random = np.random.default_rng(seed)
     effectors, weights = np.asarray(effectors), np.asarray(arrays.effectors.inverse_std)
     measured = []

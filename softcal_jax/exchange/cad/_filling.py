@@ -4,6 +4,7 @@ Both run in processes of their own (`_program.py`), with limits on time and memo
 """
 
 import importlib.util
+import pickle
 import re
 import signal
 import subprocess
@@ -13,25 +14,21 @@ import threading
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from softcal_jax._limits import MESHING_MEGABYTES, MESHING_SECONDS, TETS, LimitError
+from softcal_jax._limits import (
+    MESHING_MEGABYTES,
+    MESHING_SECONDS,
+    TETS,
+    Limit,
+    LimitError,
+)
 from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray, Int
-from softcal_jax.exchange.cad._surface import Triangles
-from softcal_jax.mesh import SHARP
 
 PROGRAM = Path(__file__).with_name("_program.py")
 """What fills models, in a process of its own."""
 
-ENVELOPE = 1e-3
-"""How far fTetWild may move the surface, over the diagonal of the model [-]."""
-
-_OUT_OF_MEMORY = re.compile("MemoryError|bad_alloc|out of memory", re.IGNORECASE)
+_OUT_OF_MEMORY = re.compile("MemoryError|bad_alloc|alloc failed|out of memory", re.I)
 """How programs say that they get no more memory."""
-
-_KILLED = 9
-"""SIGKILL, by which Linux ends a process when memory runs out."""
 
 
 class GmshError(ValueError):
@@ -53,80 +50,59 @@ class Filled(NamedTuple):
     volume: float
 
 
-def fill_step(path: Path, size: float | None) -> Filled:
-    """Fill the solids of a STEP file; the size and the result are in mm."""
-    _check_gmsh()
-    return _run("gmsh, STEP", {"path": str(path)}, size)
+def fill(by: str, given: dict[str, Any], size: float | None) -> Filled:
+    """Fill a model by "gmsh, STEP", "gmsh, STL" or "pytetwild", as `_program` says.
 
-
-def fill_stl(triangles: Triangles, size: float | None) -> Filled:
-    """Fill the inside of a surface by gmsh; lengths are in the unit of the file."""
-    if n := triangles.n_open_edges:
-        raise GmshError(f"it is not closed, {n} edges do not join two triangles.")
-    _check_gmsh()
-    return _run("gmsh, STL", _surface(triangles), size)
-
-
-def fill_wild(triangles: Triangles, size: float | None) -> Filled:
-    """Fill a surface with holes, crossings or repeated triangles, by pytetwild."""
-    if importlib.util.find_spec("pytetwild") is None:
-        raise ImportError("No module named 'pytetwild'", name="pytetwild")
-    return _run("pytetwild", _surface(triangles), size)
-
-
-def _surface(triangles: Triangles) -> dict[str, Any]:
-    return {
-        **triangles._asdict(),
-        "volume": abs(triangles.volume),
-        "sharp": SHARP,
-        "envelope": ENVELOPE,
-    }
-
-
-def _check_gmsh() -> None:
-    if importlib.util.find_spec("gmsh") is None:
+    The size is in the unit of the model, that of a STEP file mm.
+    """
+    package = by.split(",")[0]
+    if importlib.util.find_spec(package) is None:
         raise ImportError(
-            "making a mesh of a CAD model needs gmsh: pip install 'softcal-jax[cad]'."
+            f"making a mesh of a CAD model needs {package}: pip install "
+            "'softcal-jax[cad]'."
         )
-
-
-def _run(by: str, given: dict[str, Any], size: float | None) -> Filled:
-    """Fill a model in a process of its own, and read what it made."""
-    limits: Any = {"most": TETS.most, "megabytes": MESHING_MEGABYTES.most}
-    given = {"by": by, "size": np.nan if size is None else size, **given, **limits}
-    seconds = min(MESHING_SECONDS.most, threading.TIMEOUT_MAX)
+    limits = {"most": TETS.most, "megabytes": MESHING_MEGABYTES.most}
+    given = {"by": by, "size": size, **given, **limits}
     with tempfile.TemporaryDirectory() as folder:
-        given_at, made_at = Path(folder, "given.npz"), Path(folder, "made.npz")
-        np.savez(given_at, **given)
+        given_at, made_at = Path(folder, "given"), Path(folder, "made")
+        given_at.write_bytes(pickle.dumps(given))
         command = [sys.executable, str(PROGRAM), str(given_at), str(made_at)]
         options = {"cwd": folder, "capture_output": True, "errors": "replace"}
+        seconds = min(MESHING_SECONDS.most, threading.TIMEOUT_MAX)
         try:
             done = subprocess.run(command, timeout=seconds, **options)
         except subprocess.TimeoutExpired as error:
-            raise LimitError(
-                f"{_name(by)} has not filled it within the limit of {seconds:g} s, as "
-                "happens where a model is damaged. Export it again, take larger tets, "
-                f"or raise the limit with the environment variable "
-                f"{MESHING_SECONDS.variable}."
-            ) from error
+            what = f"{_name(by)} has not filled it within"
+            raise _at_limit(what, MESHING_SECONDS) from error
         if done.returncode != 0:
             raise _failure(by, done.returncode, done.stderr)
-        with np.load(made_at) as file:
-            made = dict(file)
+        made = pickle.loads(made_at.read_bytes())
     if "reason" in made:
-        raise _refusal(by, made)
-    named = lambda what: [made[name] for name in made if name.startswith(what)]
-    faces, solids = named("face "), named("solid ")
-    return Filled(made["points"], made["tets"], faces, solids, float(made["volume"]))
+        raise _refusal(by, **made)
+    return Filled(**made)
 
 
 def _name(by: str) -> str:
     return "fTetWild" if by == "pytetwild" else "gmsh"
 
 
+def _at_limit(what: str, limit: Limit) -> LimitError:
+    return LimitError(
+        f"{what} the limit of {limit.most:g} {limit.unit}, as happens where a model is "
+        "damaged. Export it again, take larger tets, or raise the limit with the "
+        f"environment variable {limit.variable}."
+    )
+
+
+def _out_of_memory(by: str) -> LimitError:
+    what = f"{_name(by)} needs more memory than there is, or than"
+    return _at_limit(what, MESHING_MEGABYTES)
+
+
 def _failure(by: str, code: int, stderr: str) -> ValueError:
     """Say how the process ended that was to fill a model."""
-    if _OUT_OF_MEMORY.search(stderr) or code == -_KILLED:
+    # By SIGKILL Linux ends a process when memory runs out.
+    if _OUT_OF_MEMORY.search(stderr) or code == -9:
         return _out_of_memory(by)
     said = escaped((stderr.strip().splitlines() or ["it does not say why"])[-1])
     if code < 0:
@@ -142,22 +118,15 @@ def _failure(by: str, code: int, stderr: str) -> ValueError:
     )
 
 
-def _out_of_memory(by: str) -> LimitError:
-    return LimitError(
-        f"{_name(by)} needs more memory than there is, or than the limit of "
-        f"{MESHING_MEGABYTES.most:g} MB, as happens where a model is damaged. Export it"
-        " again, take larger tets, or raise the limit with the environment variable "
-        f"{MESHING_MEGABYTES.variable}."
-    )
-
-
-def _refusal(by: str, made: dict[str, Any]) -> ValueError | ImportError:
+def _refusal(
+    by: str, reason: str, text: str, number: float
+) -> ValueError | ImportError:
     """Return the error of a reason for which nothing was made."""
-    reason, text = str(made["reason"]), escaped(str(made["text"]))
+    text = escaped(text)
     if _OUT_OF_MEMORY.search(text):
         return _out_of_memory(by)
     if reason == "tets":
-        return TETS.error(text, float(made["number"]))
+        return TETS.error(text, number)
     if reason == "import":
         return ImportError(
             f"gmsh is installed, but cannot be loaded ({text}). On Debian or Ubuntu: "

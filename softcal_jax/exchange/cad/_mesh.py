@@ -5,32 +5,18 @@ import os
 import warnings
 from pathlib import Path
 
+from softcal_jax import mesh as meshes
 from softcal_jax._files import check_file
 from softcal_jax._names import METRES
-from softcal_jax.exchange.cad._filling import (
-    ENVELOPE,
-    Filled,
-    GmshError,
-    fill_step,
-    fill_stl,
-    fill_wild,
-)
+from softcal_jax.exchange.cad._filling import Filled, GmshError, fill
 from softcal_jax.exchange.cad._surface import read_stl, turned_outwards
-from softcal_jax.mesh import (
-    MeshWarning,
-    TetMesh,
-    check_mesh,
-    check_order,
-    matching_faces,
-    oriented,
-    surface_parts,
-    to_quadratic,
-    volumes,
-)
 
-_STEP, _STL = (".step", ".stp"), (".stl",)
-CAD_FORMATS = (*_STEP, *_STL)
+_STEP = (".step", ".stp")
+CAD_FORMATS = (*_STEP, ".stl")
 """Extensions of CAD models."""
+
+ENVELOPE = 1e-3
+"""How far fTetWild may move the surface, over the diagonal of the model [-]."""
 
 _LOST = 0.02
 """Share of the volume that flat faces may cut off without a warning [-]."""
@@ -42,7 +28,7 @@ def mesh_cad(
     size: float | None = None,
     length_unit: str | None = None,
     order: int = 2,
-) -> TetMesh:
+) -> meshes.TetMesh:
     """Fill a CAD model with tets by gmsh, and name its faces and solids.
 
     STEP files (.step, .stp) hold solids. Their faces become the surface groups
@@ -77,7 +63,7 @@ def mesh_cad(
             by more than 2 %, or triangles of an STL file are turned the wrong way.
     """
     path = Path(path)
-    check_order(order)
+    meshes.check_order(order)
     if size is not None and not (math.isfinite(size) and size > 0.0):
         raise ValueError(f"size must be positive and finite [m], got {size}.")
     unit = _unit(path, length_unit)
@@ -86,14 +72,14 @@ def mesh_cad(
     model_size = None if size is None else size / metres
     try:
         if path.suffix.lower() in _STEP:
-            filled = fill_step(path, model_size)
+            filled = fill("gmsh, STEP", {"path": str(path)}, model_size)
         else:
             filled = _fill_surface(path, model_size, notes)
         mesh = _named(filled, metres)
-        check_mesh(mesh)
+        meshes.check_mesh(mesh)
     except (ValueError, ImportError) as error:
         raise type(error)(f"{path}: {error}") from error
-    share = volumes(mesh).sum() / (filled.volume * metres**3) - 1.0
+    share = meshes.volumes(mesh).sum() / (filled.volume * metres**3) - 1.0
     if abs(share) > _LOST:
         notes.append(
             f"the mesh has {100 * abs(share):.1f} % {'more' if share > 0 else 'less'} "
@@ -101,8 +87,8 @@ def mesh_cad(
             "round faces better."
         )
     for note in notes:
-        warnings.warn(f"{path}: {note}", MeshWarning, stacklevel=2)
-    return mesh if order == 1 else to_quadratic(mesh)
+        warnings.warn(f"{path}: {note}", meshes.MeshWarning, stacklevel=2)
+    return mesh if order == 1 else meshes.to_quadratic(mesh)
 
 
 def _unit(path: Path, length_unit: str | None) -> str:
@@ -132,12 +118,20 @@ def _fill_surface(path: Path, size: float | None, notes: list[str]) -> Filled:
     """Fill an STL surface, by fTetWild where gmsh refuses it."""
     triangles, turned = turned_outwards(read_stl(path))
     notes += turned
+    given = {
+        **triangles._asdict(),
+        "volume": abs(triangles.volume),
+        "sharp": meshes.SHARP,
+        "envelope": ENVELOPE,
+    }
     try:
-        return fill_stl(triangles, size)
+        if n := triangles.n_open_edges:
+            raise GmshError(f"it is not closed, {n} edges do not join two triangles.")
+        return fill("gmsh, STL", given, size)
     except GmshError as error:
         said = str(error)
     try:
-        filled = fill_wild(triangles, size)
+        filled = fill("pytetwild", given, size)
     except ImportError as error:
         raise ValueError(
             f"gmsh cannot fill this surface: {said} Mend it (holes, crossings, repeated"
@@ -153,14 +147,14 @@ def _fill_surface(path: Path, size: float | None, notes: list[str]) -> Filled:
     return filled
 
 
-def _named(filled: Filled, metres: float) -> TetMesh:
+def _named(filled: Filled, metres: float) -> meshes.TetMesh:
     """Build the mesh [m], with its faces and solids as groups."""
     points = metres * filled.points
-    mesh = TetMesh(points, oriented(filled.tets, points[filled.tets]))
+    mesh = meshes.TetMesh(points, meshes.oriented(filled.tets, points[filled.tets]))
     if filled.faces:
-        faces = matching_faces(mesh, filled.faces)
+        faces = meshes.matching_faces(mesh, filled.faces)
     else:
-        faces = surface_parts(mesh)
+        faces = meshes.surface_parts(mesh)
     for k, face in enumerate(filter(len, faces)):
         mesh = mesh.with_surface_group(f"face {k + 1}", face)
     if len(filled.solids) > 1:

@@ -2,12 +2,14 @@
 
 Damaged models crash gmsh, or it meshes them for ever, so it runs beside the package,
 of which this file imports nothing: it starts in a fraction of a second. What is given
-and made, or why nothing is made, are arrays in two .npz files; see `_filling`.
+and made, or why nothing is made, are two pickled dictionaries; see `_filling`.
 """
 
+import pickle
 import sys
 from itertools import pairwise
 from math import sqrt
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,16 +33,16 @@ _REGULAR = 1.0 / (6.0 * sqrt(2.0))
 class RefusedError(Exception):
     """No mesh is made; `reason` says of what kind the text is, see `_filling`."""
 
-    def __init__(self, reason: str, text: str, **more: float):
+    def __init__(self, reason: str, text: str, number: float = np.nan):
         super().__init__(text)
-        self.made = {"reason": reason, "text": text, **more}
+        self.made = {"reason": reason, "text": text, "number": number}
 
 
 def fill_step(gmsh: Any, given: Any) -> dict[str, Any]:
     """Fill the solids of a STEP file; the size and the result are in mm."""
     gmsh.option.setString("Geometry.OCCTargetUnit", "MM")
     shape = gmsh.model.occ
-    shape.importShapes(str(given["path"]))
+    shape.importShapes(given["path"])
     shape.synchronize()
     solids = gmsh.model.getEntities(3)
     if not solids:
@@ -54,7 +56,7 @@ def fill_step(gmsh: Any, given: Any) -> dict[str, Any]:
         shape.synchronize()
     volume = sum(shape.getMass(3, tag) for _, tag in gmsh.model.getEntities(3))
     low_high = np.reshape(gmsh.model.getBoundingBox(-1, -1), (2, 3))
-    return _filled(gmsh, volume, _size(given, low_high), float(given["most"]))
+    return _filled(gmsh, volume, _size(given, low_high, volume))
 
 
 def fill_surface(gmsh: Any, given: Any) -> dict[str, Any]:
@@ -65,16 +67,15 @@ def fill_surface(gmsh: Any, given: Any) -> dict[str, Any]:
     gmsh.model.mesh.addNodes(2, tag, numbers, points.ravel())
     nodes = triangles.ravel() + 1
     gmsh.model.mesh.addElementsByType(tag, _TRIANGLE, [], nodes)
-    gmsh.model.mesh.classifySurfaces(float(given["sharp"]), True, True, np.pi)
+    gmsh.model.mesh.classifySurfaces(given["sharp"], True, True, np.pi)
     gmsh.model.mesh.createGeometry()
     surfaces = [tag for _, tag in gmsh.model.getEntities(2)]
     loop = gmsh.model.geo.addSurfaceLoop(surfaces)
     gmsh.model.geo.addVolume([loop])
     gmsh.model.geo.synchronize()
-    size = _size(given, points)
-    made = _filled(gmsh, float(given["volume"]), size, float(given["most"]))
+    size = _size(given, points, given["volume"])
     # Gmsh cuts round surfaces in patches, which are no faces of the body.
-    return {name: made[name] for name in ("points", "tets", "volume")}
+    return {**_filled(gmsh, given["volume"], size), "faces": [], "solids": []}
 
 
 def fill_wild(given: Any) -> dict[str, Any]:
@@ -84,41 +85,38 @@ def fill_wild(given: Any) -> dict[str, Any]:
     """
     from pytetwild import tetrahedralize  # pyright: ignore[reportPrivateImportUsage]
 
-    _limit_memory(float(given["megabytes"]))
-    size = _size(given, given["points"])
-    _check_number(float(given["volume"]), size, float(given["most"]))
+    _limit_memory(given["megabytes"])
     points, tets = tetrahedralize(
         given["points"],
         given["triangles"],
-        edge_length_abs=size,
-        epsilon=float(given["envelope"]),
+        edge_length_abs=_size(given, given["points"], given["volume"]),
+        epsilon=given["envelope"],
         num_threads=1,
         quiet=True,
     )
     if not len(tets):
         raise RefusedError("model", "fTetWild makes no tets of it")
     used, tets = np.unique(tets, return_inverse=True)
-    points = np.asarray(points, float)[used]
-    return {"points": points, "tets": tets.reshape(-1, 4), "volume": np.nan}
+    made = {"points": np.asarray(points, float)[used], "tets": tets.reshape(-1, 4)}
+    return {**made, "faces": [], "solids": [], "volume": np.nan}
 
 
-def _size(given: Any, points: Any) -> float:
-    """Return the size that is given, or the usual one for points of this extent."""
-    size = float(given["size"])
-    extent = float(np.linalg.norm(np.ptp(points, axis=0)))
-    return extent / _USUAL if np.isnan(size) else size
+def _size(given: Any, points: Any, volume: float) -> float:
+    """Return the size that is given, or the usual one for points of this extent.
 
-
-def _check_number(volume: float, size: float, most: float) -> None:
-    """Refuse before hours are spent on too many tets."""
+    Too many tets are refused before hours are spent on them.
+    """
+    size = given["size"]
+    if size is None:
+        size = float(np.linalg.norm(np.ptp(points, axis=0))) / _USUAL
     number = volume / (_REGULAR * size**3)
-    if number > most:
+    if number > given["most"]:
         raise RefusedError("tets", f"edges of {size:g} are too short", number=number)
+    return size
 
 
-def _filled(gmsh: Any, volume: float, size: float, most: float) -> dict[str, Any]:
+def _filled(gmsh: Any, volume: float, size: float) -> dict[str, Any]:
     """Fill the volumes of the model, and collect its tets and outer faces."""
-    _check_number(volume, size, most)
     gmsh.option.setNumber("Mesh.MeshSizeMax", size)
     gmsh.option.setNumber("Mesh.MeshSizeMin", _FINEST * size)
     gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", _PER_TURN)
@@ -144,9 +142,9 @@ def _filled(gmsh: Any, volume: float, size: float, most: float) -> dict[str, Any
     return {
         "points": places[used],
         "tets": tets.reshape(-1, 4),
+        "faces": [index[corners] for corners in triangles],
+        "solids": [np.arange(*ab) for ab in pairwise(ends)],
         "volume": volume,
-        **{f"face {k}": index[corners] for k, corners in enumerate(triangles)},
-        **{f"solid {k}": np.arange(*ab) for k, ab in enumerate(pairwise(ends))},
     }
 
 
@@ -156,7 +154,7 @@ def _by_gmsh(fill: Any, given: Any) -> dict[str, Any]:
         import gmsh  # pyright: ignore[reportMissingImports]
     except OSError as error:
         raise RefusedError("import", str(error)) from error
-    _limit_memory(float(given["megabytes"]))
+    _limit_memory(given["megabytes"])
     gmsh.initialize(readConfigFiles=False, interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.option.setNumber("General.NumThreads", 1)
@@ -183,19 +181,16 @@ def _limit_memory(megabytes: float) -> None:
 
 def main(given_at: str, made_at: str) -> None:
     """Fill what the first file holds; the second gets tets, or a reason."""
-    with np.load(given_at) as file:
-        given = dict(file)
+    given = pickle.loads(Path(given_at).read_bytes())
     try:
-        match str(given["by"]):
-            case "pytetwild":
-                made = fill_wild(given)
-            case "gmsh, STEP":
-                made = _by_gmsh(fill_step, given)
-            case _:
-                made = _by_gmsh(fill_surface, given)
+        if given["by"] == "pytetwild":
+            made = fill_wild(given)
+        else:
+            fill = fill_step if given["by"] == "gmsh, STEP" else fill_surface
+            made = _by_gmsh(fill, given)
     except RefusedError as error:
         made = error.made
-    np.savez(made_at, **made)
+    Path(made_at).write_bytes(pickle.dumps(made))
 
 
 if __name__ == "__main__":

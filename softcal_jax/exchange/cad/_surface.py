@@ -55,18 +55,11 @@ def read_stl(path: Path) -> Triangles:
     return Triangles(points, np.asarray(triangles, int))
 
 
-class Turned(NamedTuple):
-    """A surface whose triangles are turned outwards, and what to say of it."""
-
-    surface: Triangles
-    notes: list[str]
-
-
-def turned_outwards(surface: Triangles) -> Turned:
+def turned_outwards(surface: Triangles) -> tuple[Triangles, list[str]]:
     """Turn the triangles of each closed part outwards, or inwards as a cavity's wall.
 
     A part within another is the wall of a cavity, one within that a body again. Parts
-    with open edges are turned as most of their area is.
+    with open edges are turned as most of their area is. Also returns what to say of it.
 
     Raises:
         ValueError: If neighbours cannot be turned alike, as on a Moebius strip.
@@ -92,10 +85,8 @@ def turned_outwards(surface: Triangles) -> Turned:
     around = inside & (depth[None] == depth[:, None] - 1)
     alike = np.any(around & (wrong[:, None] != wrong[None]), axis=1) & (depth % 2 == 1)
     n_turned = int(np.sum(turned & ~alike[part]))
-    return Turned(
-        surface._replace(triangles=triangles),
-        _notes(surface, n_turned, np.flatnonzero(alike), part),
-    )
+    notes = _notes(surface, n_turned, np.flatnonzero(alike), part)
+    return surface._replace(triangles=triangles), notes
 
 
 def _notes(

@@ -19,11 +19,8 @@ _N_CAMERA = 8
 _ROUNDS = 4
 """Rounds of adjustment, each with the noise estimated in the round before."""
 
-_FIRST_NOISE = 0.1
-"""Noise of a corner to begin with [px]."""
-
-_LEAST_NOISE = 1e-4
-"""Least noise of a corner, where everything fits to rounding [px]."""
+_FIRST_NOISE, _LEAST_NOISE = 0.1, 1e-4
+"""Noise of a corner to begin with, and where everything fits to rounding [px]."""
 
 
 class CameraModel(NamedTuple):

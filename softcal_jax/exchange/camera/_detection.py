@@ -26,9 +26,6 @@ _LEAST_REACH, _MOST_REACH = 2.0, 8.0
 _AWAY = 0.12
 """Share of an edge at either end that is left out: blur rounds the corners [-]."""
 
-_CACHED = 500
-"""Most photographs whose tags are remembered: poses share those of the board."""
-
 SMALLEST = 30.0
 """Least height of a tag over its edges: in less, a cell has under four pixels [px]."""
 
@@ -64,7 +61,7 @@ def read_photo(path: Path) -> Photo:
     return _read(path.resolve(), stat.st_mtime_ns, stat.st_size)._replace(path=path)
 
 
-@lru_cache(maxsize=_CACHED)
+@lru_cache(maxsize=500)  # poses share the photographs of the board
 def _read(path: Path, changed: int, size: int) -> Photo:
     """Find the tags on a photograph; all arguments are the key of the cache."""
     cv2 = opencv()
@@ -129,11 +126,8 @@ def _edge(
     """Measure the edge between the first two corners of a tag, which a lens bends.
 
     Along each normal, an edge that was blurred symmetrically lies where a sharp edge
-    would let through as much light.
-
-    Returns:
-        Coefficients of the parabola of its points, from 0 to 1, as `np.polyval` takes
-        them [px].
+    would let through as much light. Returns the parabola of its points, from 0 to 1, as
+    `np.polyval` takes it [px].
     """
     # Imported here, so that other commands do not wait for it.
     from scipy.ndimage import map_coordinates

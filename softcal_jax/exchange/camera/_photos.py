@@ -10,6 +10,7 @@ import numpy as np
 from softcal_jax._module import Module
 from softcal_jax._names import listed
 from softcal_jax._typing import Float, HostArray
+from softcal_jax.exchange.camera import _sheet as sheet
 from softcal_jax.exchange.camera._adjustment import (
     Adjustment,
     CameraModel,
@@ -19,13 +20,6 @@ from softcal_jax.exchange.camera._adjustment import (
     lens,
 )
 from softcal_jax.exchange.camera._detection import SMALLEST, Photo, height, read_photo
-from softcal_jax.exchange.camera._sheet import (
-    BOARD_IDS,
-    board_corners,
-    check_tag,
-    opencv,
-    tag_corners,
-)
 
 _FOCAL_LENGTHS = (0.6, 0.8, 1.0, 1.3)
 """Focal lengths to begin with, in the longer side of a photograph [-].
@@ -33,12 +27,9 @@ _FOCAL_LENGTHS = (0.6, 0.8, 1.0, 1.3)
 Those of the main cameras of phones are 0.65 to 0.8.
 """
 
-_OUTLIER, _MOST_OFF = 3.0, 0.3
+_OUTLIER, _FIRST_OUTLIER = (3.0, 0.3), (6.0, 3.0)
 """Factor and pixels by which a photograph's errors exceed the median of all if it does
-not fit the others."""
-
-_FIRST_OUTLIER, _FIRST_OFF = 6.0, 3.0
-"""Likewise before the adjustment, which a photograph that is far off would spoil."""
+not fit the others; and before the adjustment, which one that is far off would spoil."""
 
 _LEAST_ON_BOARD = 4
 """Least tags of the board that a photograph of it must show."""
@@ -121,7 +112,7 @@ def tag_pose(
     """
     base_size = size if base_size is None else base_size
     for number, side in ((tag, size), (base_tag, base_size)):
-        check_tag(number)
+        sheet.check_tag(number)
         if not 0.0 < side < np.inf:
             raise ValueError(
                 f"the size of tag {number} is {side:g}; expected a length."
@@ -138,8 +129,8 @@ def tag_pose(
     cameras = [CameraModel.unknown(size_px, f * max(size_px)) for f in _FOCAL_LENGTHS]
     if boards:
         cameras = [_camera_of(boards, cameras)]
-    base, moved = {base_tag: tag_corners(base_size)}, {tag: tag_corners(size)}
-    fit = _fitted(shown, [base, moved], cameras)
+    base, moved = sheet.tag_corners(base_size), sheet.tag_corners(size)
+    fit = _fitted(shown, [{base_tag: base}, {tag: moved}], cameras)
     (placed,) = fit.targets
     return TagPose(
         position=placed.p,
@@ -153,7 +144,7 @@ def tag_pose(
 
 def _camera_of(boards: Sequence[Photo], cameras: Sequence[CameraModel]) -> CameraModel:
     """Calibrate the camera from photographs of the board."""
-    board = {number: board_corners(number) for number in BOARD_IDS}
+    board = {number: sheet.board_corners(number) for number in sheet.BOARD_IDS}
     for photo in boards:
         n = len(board.keys() & photo.corners.keys())
         if n < _LEAST_ON_BOARD:
@@ -213,16 +204,15 @@ def _fitted(
     seen = Observations(*map(np.concatenate, zip(*shown, strict=True)))
     starts = [start for camera in cameras for start in _starts(seen, camera)]
     rms, best = min(starts, key=lambda start: float(np.median(start[0])))
-    _check_alike(photos, rms, factor=_FIRST_OUTLIER, off=_FIRST_OFF)
+    _check_alike(photos, rms, *_FIRST_OUTLIER)
     fit = adjust(seen, *best)
-    _check_alike(photos, fit.rms, factor=_OUTLIER, off=_MOST_OFF)
+    _check_alike(photos, fit.rms, *_OUTLIER)
     return fit
 
 
 def _check_alike(
     photos: Sequence[Photo],
     rms: Float[HostArray, " n_photos"],
-    *,
     factor: float,
     off: float,
 ) -> None:
@@ -271,7 +261,7 @@ def _planar_poses(
     camera: CameraModel,
 ) -> list[Placement]:
     """Return the two poses of a planar target, by Collins and Bartoli (IJCV 2014)."""
-    cv2 = opencv()
+    cv2 = sheet.opencv()
     _, turns, shifts, _ = cv2.solvePnPGeneric(
         points, pixels, *lens(camera.values), flags=cv2.SOLVEPNP_IPPE
     )
@@ -288,7 +278,7 @@ def _best_pose(
     starts: Sequence[Placement],
 ) -> tuple[Placement, float]:
     """Fit the pose of some points, and return its mean square error [px2]."""
-    cv2, of_camera, fits = opencv(), lens(camera.values), []
+    cv2, of_camera, fits = sheet.opencv(), lens(camera.values), []
     for start in starts:
         turn, shift = cv2.Rodrigues(start.R)[0], start.p.reshape(3, 1).copy()
         turn, shift = cv2.solvePnPRefineLM(points, pixels, *of_camera, turn, shift)

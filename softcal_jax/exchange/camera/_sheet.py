@@ -5,12 +5,13 @@ cell wide, around 6 x 6 cells. The frame of a tag has its origin in the middle, 
 right of the print, y up and z out of the paper.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from softcal_jax._names import check_known
 from softcal_jax._typing import Bool, Float, HostArray
 
 if TYPE_CHECKING:
@@ -23,32 +24,19 @@ CELLS = 8
 N_TAGS = 587
 """Tags of the family, numbered from 0."""
 
-BOARD_SHAPE = (5, 7)
-"""Columns and rows of the board."""
+BOARD_SHAPE, BOARD_IDS = (5, 7), range(500, 535)
+"""Columns and rows of the board, and the numbers of its tags, row by row."""
 
 BOARD_TAG, BOARD_GAP = 24e-3, 10e-3
 """Side of a tag of the board, and the gap to the next one [m]."""
-
-FIRST_OF_BOARD = 500
-"""Number of the first tag of the board, top left; they go on to the right."""
-
-BOARD_IDS = range(FIRST_OF_BOARD, FIRST_OF_BOARD + BOARD_SHAPE[0] * BOARD_SHAPE[1])
-"""Numbers of the tags of the board."""
-
 
 INCH = 25.4e-3
 
 PAPERS = {"a4": (0.210, 0.297), "letter": (8.5 * INCH, 11.0 * INCH)}
 """Width and height of sheets [m]."""
 
-_MARGIN = 12e-3
-"""What printers leave free on each side [m]."""
-
-_HEAD = 24e-3
-"""Height of the title, and of the scale at the bottom [m]."""
-
-_LABEL = 5e-3
-"""Room for the number below a tag [m]."""
+_MARGIN, _HEAD, _LABEL = 12e-3, 24e-3, 5e-3
+"""What printers leave free, then room for the title and below a tag [m]."""
 
 _SCALE = 0.1
 """Length of the scale [m]."""
@@ -102,7 +90,7 @@ def board_corners(number: int) -> Float[HostArray, "4 3"]:
 
     Its origin is the middle of the top left tag.
     """
-    row, column = divmod(number - FIRST_OF_BOARD, BOARD_SHAPE[0])
+    row, column = divmod(number - BOARD_IDS[0], BOARD_SHAPE[0])
     pitch = BOARD_TAG + BOARD_GAP
     return tag_corners(BOARD_TAG) + pitch * np.array([column, -row, 0.0])
 
@@ -138,14 +126,15 @@ def tag_pages(size: float, *, count: int, first: int, paper: str) -> list["Figur
     """Draw the sheets with the tags; arguments and errors as for `write_tags`."""
     from matplotlib.patches import Rectangle
 
-    width, height = _sheet(paper)
+    check_known("paper", PAPERS, paper)
+    width, height = PAPERS[paper]
     if not 0.0 < size < np.inf:
         raise ValueError(f"size of the tags is {size:g} m; expected a positive length.")
     if count < 1:
         raise ValueError(f"count of the tags is {count}; expected one or more.")
     for number in (first, first + count - 1):
         check_tag(number)
-    if first + count > FIRST_OF_BOARD and first <= BOARD_IDS[-1]:
+    if first + count > BOARD_IDS[0] and first <= BOARD_IDS[-1]:
         raise ValueError(
             f"tags {BOARD_IDS[0]} to {BOARD_IDS[-1]} are those of the board; take "
             f"others than {first} to {first + count - 1}."
@@ -175,15 +164,15 @@ def tag_pages(size: float, *, count: int, first: int, paper: str) -> list["Figur
             side = size * (1.0 + 3.0 / CELLS)
             corner = x - 0.5 * side, y - 0.5 * side
             axes.add_patch(Rectangle(corner, side, side, **cut))
-            style = {"ha": "center", "va": "top", "fontsize": 8}
-            axes.text(x, y - 0.5 * size * (1.0 + 3.4 / CELLS), f"{number}", **style)
+            below = y - 0.5 * size * (1.0 + 3.4 / CELLS)
+            axes.text(x, below, f"{number}", ha="center", va="top", fontsize=8)
         pages.append(figure)
     return pages
 
 
 def board_page(paper: str) -> "Figure":
     """Draw the board, by which cameras are calibrated."""
-    width, height = _sheet(paper)
+    width, height = PAPERS[paper]
     figure, axes = _page(
         paper,
         "Board for the camera: glue it on something flat, and take ten photographs "
@@ -194,22 +183,16 @@ def board_page(paper: str) -> "Figure":
     left = 0.5 * (width - pitch * (columns - 1))
     top = 0.5 * (height + pitch * (rows - 1))
     for number in BOARD_IDS:
-        row, column = divmod(number - FIRST_OF_BOARD, columns)
+        row, column = divmod(number - BOARD_IDS[0], columns)
         _draw_tag(axes, number, (left + pitch * column, top - pitch * row), BOARD_TAG)
     return figure
-
-
-def _sheet(paper: str) -> tuple[float, float]:
-    if paper not in PAPERS:
-        raise ValueError(f"paper is {paper!r}; expected one of {', '.join(PAPERS)}.")
-    return PAPERS[paper]
 
 
 def _page(paper: str, title: str) -> tuple["Figure", "Axes"]:
     """Make a sheet whose coordinates are metres, with a title and a scale."""
     from matplotlib.figure import Figure
 
-    width, height = _sheet(paper)
+    width, height = PAPERS[paper]
     figure = Figure(figsize=(width / INCH, height / INCH))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0.0, width), ylim=(0.0, height))
     axes.set_axis_off()
@@ -226,29 +209,15 @@ def _page(paper: str, title: str) -> tuple["Figure", "Axes"]:
 
 
 def _draw_tag(axes: "Axes", number: int, middle: Sequence[float], size: float) -> None:
-    """Draw a tag: white cells on a black square.
+    """Draw a tag: its white cells as one path, without seams, on a black square."""
+    from matplotlib.patches import PathPatch, Rectangle
+    from matplotlib.path import Path as Outline
 
-    Both their rows and their columns are drawn, so that no seams show between them.
-    """
-    from matplotlib.patches import Rectangle
-
-    cell, white = size / CELLS, tag_cells(number)
-    left, top = middle[0] - 0.5 * size, middle[1] + 0.5 * size
-
-    def draw(row: int, column: int, rows: int, columns: int, colour: str) -> None:
-        corner = left + column * cell, top - (row + rows) * cell
-        style = {"facecolor": colour, "edgecolor": "none", "snap": False}
-        axes.add_patch(Rectangle(corner, columns * cell, rows * cell, **style))
-
-    draw(0, 0, CELLS, CELLS, "black")
-    for k in range(CELLS):
-        for first, stop in _runs(white[k]):
-            draw(k, first, 1, stop - first, "white")
-        for first, stop in _runs(white[:, k]):
-            draw(first, k, stop - first, 1, "white")
-
-
-def _runs(cells: Bool[HostArray, " n"]) -> Iterator[tuple[int, int]]:
-    """Yield where runs of cells that are set begin, and where they end."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], cells.astype(int), [0]])))
-    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    corner = middle[0] - 0.5 * size, middle[1] - 0.5 * size
+    style = {"edgecolor": "none", "snap": False}
+    axes.add_patch(Rectangle(corner, size, size, facecolor="black", **style))
+    rows, columns = np.nonzero(tag_cells(number)[::-1])  # from the bottom row up
+    lower = np.stack([columns, rows], axis=1)[:, None]
+    cells = lower + np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
+    white = Outline.make_compound_path_from_polys(np.add(corner, size / CELLS * cells))
+    axes.add_patch(PathPatch(white, facecolor="white", **style))

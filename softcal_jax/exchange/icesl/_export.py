@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax.calibration import CalibrationResult
 from softcal_jax.configurations import read_table
 from softcal_jax.equilibrium import Model
@@ -84,8 +84,7 @@ def export_icesl(
     """
     import pyvista
 
-    if angle_marks not in (None, "soft", "stiff"):
-        raise unknown_name("axis to mark", angle_marks, ("soft", "stiff"))
+    check_known("axis to mark", ("soft", "stiff"), angle_marks or "soft")
     if isinstance(result, str | os.PathLike):
         result = load_result(result)
     directory, design, foam = Path(directory), _design(result), _foam(infill, table)

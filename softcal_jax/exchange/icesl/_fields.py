@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.elements import TET_EDGES
 from softcal_jax.equilibrium import Model
@@ -65,8 +65,7 @@ class PrintedPart(NamedTuple):
 
 def part_on_bed(mesh: TetMesh, *, plane: PrintPlane, region: str | None) -> PrintedPart:
     """Lay a body, or one tet group of it, on the bed."""
-    if plane not in _BEDS:
-        raise unknown_name("print plane", plane, _BEDS)
+    check_known("print plane", _BEDS, plane)
     tets = np.arange(mesh.n_tets)
     if region is not None:
         tets = np.asarray(mesh.tets_of(region))
@@ -134,24 +133,25 @@ def _law_at(
         },
     )
 
-    def taken(leaf: Any) -> Any:
-        # On the host, where each number of places compiles no program.
-        return jnp.asarray(np.asarray(leaf)[tets]) if jnp.ndim(leaf) else leaf
-
-    of_tets, shared = split_law(model.law)
-    law = eqx.combine(jax.tree.map(taken, of_tets), shared)
+    law, density = _rows_of(model.law, tets), model.density
+    if jnp.ndim(density):
+        density = jnp.asarray(np.asarray(density)[tets])
     sampled = eqx.tree_at(
-        lambda m: (m.mesh, m.law, m.density), model, (specks, law, taken(model.density))
+        lambda m: (m.mesh, m.law, m.density), model, (specks, law, density)
     )
     if design.space is not None and design.z is not None:
         sampled = design.space.model_at(sampled, design.z)
+    return _rows_of(sampled.law, slice(n))
 
-    def by_place(leaf: Any) -> Any:
-        values = np.asarray(leaf)
-        return jnp.asarray(values[:n] if values.ndim else values)
 
-    of_tets, shared = split_law(sampled.law)
-    return eqx.combine(jax.tree.map(by_place, of_tets), shared)
+def _rows_of(law: AbstractLaw, rows: Any) -> AbstractLaw:
+    """Take some tets of a law, on the host, where no number of them compiles a program.
+
+    Values that are the same in all tets stay.
+    """
+    of_tets, shared = split_law(law)
+    chosen = lambda leaf: jnp.asarray(np.asarray(leaf)[rows] if np.ndim(leaf) else leaf)
+    return eqx.combine(jax.tree.map(chosen, of_tets), shared)
 
 
 def _axis_moduli(

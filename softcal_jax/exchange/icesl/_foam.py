@@ -7,13 +7,11 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from softcal_jax._module import Module
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import Float, HostArray
 
 _T_STEPS, _S_STEPS = 96, 64
 """Samples along the density, and between two levels, from which searches begin."""
-
-_SEARCH_STEPS = 20
 
 Numbers = Float[HostArray, " n"]
 Pairs = Float[HostArray, "n 2"]
@@ -71,8 +69,7 @@ class FoamTable(Module):
     source: str = eqx.field(static=True, default="a table of the user")
 
     def __check_init__(self):
-        if self.infill not in get_args(Infill):
-            raise unknown_name("infill", self.infill, get_args(Infill))
+        check_known("infill", get_args(Infill), self.infill)
         density, shrink, soft = self.density, self.anisotropy, self.E_soft
         above, low = (shrink > 0.0, "(0") if self.is_log else (shrink >= 0.0, "[0")
         share = "in (0, 1]: the share of solid, 0.2 for 20 %"
@@ -118,7 +115,11 @@ class FoamTable(Module):
 
         Outside the table, curves of the density are extended; the nearest level counts.
         """
-        return _Patch(self).moduli(density, anisotropy)
+        patch, values = _Patch(self), np.log(anisotropy) if self.is_log else anisotropy
+        s = np.interp(values, patch.levels, np.arange(len(patch.levels)))
+        low, high = (patch.at(np.full_like(s, t), s)[:, 0] for t in (0.0, 1.0))
+        t = (np.log(density) - low) / (high - low)
+        return np.exp(patch.at(t, s)[:, 1:])
 
     def find(self, E_soft: Numbers, E_stiff: Numbers) -> FoundFoam:
         """Find the foams whose moduli [Pa] are nearest, in the logarithms of both.
@@ -153,8 +154,6 @@ _ISOTROPIC = np.array(
     [(0.0901, 0.0247), (0.1534, 0.0436), (0.2323, 0.0738), (0.3297, 0.1244)]
 )
 
-_PUBLISHED_SHRINK = 0.2
-
 
 def published_foam(solid_modulus: float = TPU) -> FoamTable:
     """Return the published table of Polyfoam: a soft axis, or isotropic.
@@ -180,7 +179,7 @@ def published_foam(solid_modulus: float = TPU) -> FoamTable:
         )
     density, soft, *stiff = _STRETCHED.T
     dense, isotropic = _ISOTROPIC.T
-    shrink = np.repeat([_PUBLISHED_SHRINK, 1.0], [len(_STRETCHED), len(_ISOTROPIC)])
+    shrink = np.repeat([0.2, 1.0], [len(_STRETCHED), len(_ISOTROPIC)])
     return FoamTable(
         "Polyfoam",
         np.concatenate([density, dense]),
@@ -227,14 +226,6 @@ class _Patch:
             mixed[near] += weight[near, None] * np.column_stack([x, curve(x)])
         return mixed
 
-    def moduli(self, density: Numbers, anisotropy: Numbers) -> Pairs:
-        """Interpolate E_soft and E_stiff [Pa]; see `FoamTable.moduli`."""
-        values = np.log(anisotropy) if self.is_log else anisotropy
-        s = np.interp(values, self.levels, np.arange(len(self.levels)))
-        low, high = (self.at(np.full_like(s, t), s)[:, 0] for t in (0.0, 1.0))
-        t = (np.log(density) - low) / (high - low)
-        return np.exp(self.at(t, s)[:, 1:])
-
     def nearest(self, asked: Pairs) -> tuple[Numbers, Float[HostArray, "n 3"]]:
         """Return anisotropy and `at` where ln E_soft and ln E_stiff are nearest."""
         t = np.linspace(0.0, 1.0, _T_STEPS + 1)
@@ -248,11 +239,9 @@ class _Patch:
 
 def _refined(patch: _Patch, asked: Pairs, x: Pairs) -> Pairs:
     """Move points (t, s) until their moduli are nearest, by Gauss-Newton in the box."""
-    x = x.copy()
-    active = np.arange(len(x))
-    for _ in range(_SEARCH_STEPS):
-        step = _step(patch, asked[active], x[active])
-        moved = _moved(patch, asked[active], x[active], step)
+    x, active = x.copy(), np.arange(len(x))
+    for _ in range(20):
+        moved = _moved(patch, asked[active], x[active])
         gone = np.abs(moved - x[active]).max(axis=1)
         x[active] = moved
         # After so small a step, a quadratic iteration is at rounding.
@@ -262,37 +251,25 @@ def _refined(patch: _Patch, asked: Pairs, x: Pairs) -> Pairs:
     return x
 
 
-def _step(patch: _Patch, asked: Pairs, x: Pairs) -> Pairs:
-    """Return the Gauss-Newton step of each point."""
-    upper = np.array([1.0, patch.last])
-    log_moduli = patch.at(*x.T)[:, 1:]
-    r = log_moduli - asked
-    # Differences towards the inside, so that they never leave the patch.
-    h = np.where(x < 0.5 * upper, 1e-6, -1e-6)
-    a, b = (
-        (patch.at(*(x + h * axis).T)[:, 1:] - log_moduli) / h[:, [k]]
-        for k, axis in enumerate(np.eye(2))
-    )
-    slope = np.stack([(a * r).sum(axis=1), (b * r).sum(axis=1)], axis=1)
-    # A coordinate that the slope presses against its bound takes no part in the step.
-    free = ((x > 0.0) | (slope < 0.0)) & ((x < upper) | (slope > 0.0))
-    a, b, slope = a * free[:, :1], b * free[:, 1:], slope * free
-    aa, ab, bb = (a * a).sum(axis=1), (a * b).sum(axis=1), (b * b).sum(axis=1)
-    # Damped by rounding alone: a column may be zero.
-    damping = 1e-14 * (aa + bb) + 1e-150
-    aa, bb = aa + damping, bb + damping
-    det = aa * bb - ab * ab
-    first = ab * slope[:, 1] - bb * slope[:, 0]
-    second = ab * slope[:, 0] - aa * slope[:, 1]
-    return np.stack([first, second], axis=1) / det[:, None]
-
-
-def _moved(patch: _Patch, asked: Pairs, x: Pairs, step: Pairs) -> Pairs:
+def _moved(patch: _Patch, asked: Pairs, x: Pairs) -> Pairs:
     """Take the longest part of each step that brings the moduli nearer, if any does."""
     squared = lambda x: ((patch.at(*x.T)[:, 1:] - asked) ** 2).sum(axis=1)
-    moved, before = x.copy(), squared(x)
+    step, moved, before = _step(patch, asked, x), x.copy(), squared(x)
     for length in (0.01, 0.1, 0.5, 1.0):
         trial = np.clip(x + length * step, 0.0, [1.0, patch.last])
         better = squared(trial) < before
         moved[better] = trial[better]
     return moved
+
+
+def _step(patch: _Patch, asked: Pairs, x: Pairs) -> Pairs:
+    """Return the Gauss-Newton step of each point."""
+    upper, log_moduli = np.array([1.0, patch.last]), patch.at(*x.T)[:, 1:]
+    # Differences towards the inside, so that they never leave the patch.
+    h = np.where(x < 0.5 * upper, 1e-6, -1e-6)
+    moved = [patch.at(*(x + h * axis).T)[:, 1:] - log_moduli for axis in np.eye(2)]
+    J, r = np.stack(moved, axis=-1) / h[:, None], log_moduli - asked
+    slope = np.einsum("nij,ni->nj", J, r)
+    # A coordinate that the slope presses against its bound takes no part in the step.
+    free = ((x > 0.0) | (slope < 0.0)) & ((x < upper) | (slope > 0.0))
+    return -np.einsum("nij,nj->ni", np.linalg.pinv(J * free[:, None]), r)

@@ -215,9 +215,6 @@ local function texture(rows)
 end
 """
 
-_LOWEST_PERCENTAGE = 20.0
-"""Density below which Polyfoam does not go unless told so [%]."""
-
 
 def script(
     title: str, comments: Iterable[str], part: str, infill: str, chosen: Chosen
@@ -237,7 +234,7 @@ def script(
         "print_perimeter": "false",
     }
     lowest = 100.0 * float(chosen.foam.density.min())
-    if infill == "Polyfoam" and lowest < _LOWEST_PERCENTAGE:
+    if infill == "Polyfoam" and lowest < 20.0:  # where it goes only if told so
         # Below the lowest step of the texture as well.
         values["pfoam_min_percentage"] = str(max(int(lowest - 0.5), 0))
     for setting in chosen.settings:

@@ -14,9 +14,6 @@ RTOL = 0.01
 _STEPS = 255
 """Steps of a texture, which has 8 bits."""
 
-_CONSTANT = 1e-4
-"""Spread of a setting that is written as one value [-], far below a step."""
-
 _FLAT = np.deg2rad(0.5 * 360.0 / _STEPS)
 """Angle between fibre and print plane that a texture could not show [rad]."""
 
@@ -94,17 +91,19 @@ def choose(samples: Samples, table: FoamTable, convention: Convention) -> Chosen
     # Marked counter-clockwise from the bed's x so far.
     angle = (-marked if convention.clockwise else marked) + convention.offset
 
-    as_texture = _Textures(samples)
-    polyfoam = table.infill == "Polyfoam"
-    around = "infill_angle" if polyfoam else "phasor_infill_theta"
-    direction, seams = as_texture.director(around, angle)
-    settings = [as_texture("infill_percentage", 100.0, foam.density), direction]
+    angle, seams = _unwound(angle, samples.voxels)
+    polyfoam, turn = table.infill == "Polyfoam", 2.0 * np.pi
+    shares = {"infill_percentage": (100.0, foam.density)}
     if polyfoam:
-        settings.append(as_texture("kgon_x_shrink", 1.0, foam.anisotropy))
+        shares["infill_angle"] = (360.0, angle / turn)
+        shares["kgon_x_shrink"] = (1.0, foam.anisotropy)
     else:
-        inclination = np.where(turned | (not leaves), 0.0, elevation) / (2.0 * np.pi)
-        settings.append(as_texture("phasor_infill_phi", 360.0, inclination))
-        settings.append(as_texture("phasor_infill_iso", 100.0, foam.anisotropy))
+        inclination = np.where(turned | (not leaves), 0.0, elevation)
+        shares["phasor_infill_theta"] = (360.0, angle / turn)
+        shares["phasor_infill_phi"] = (360.0, inclination / turn)
+        shares["phasor_infill_iso"] = (100.0, foam.anisotropy)
+    sample_of = _nearest_samples(samples)
+    settings = [_setting(k, *share, sample_of) for k, share in shares.items()]
     beyond, across = foam.error > RTOL, turned & ~isotropic
     rounding = _rounding(samples, table, foam, settings, ~beyond)
     return Chosen(tuple(settings), foam, beyond, tilted, across, rounding, seams)
@@ -130,51 +129,49 @@ def _rounding(
     return float(np.abs(given / exact - 1.0).max())
 
 
-class _Textures:
-    """Fills textures: voxels outside of the part repeat the nearest one inside.
+def _nearest_samples(samples: Samples) -> Int[HostArray, "n n n"]:
+    """Return the sample of each voxel; outside of the part that of the nearest one.
 
     IceSL interpolates between voxels, so that a voxel beyond the surface counts too.
     """
+    # Imported here, so that other commands do not wait for it.
+    from scipy.ndimage import distance_transform_edt
 
-    def __init__(self, samples: Samples):
-        # Imported here, so that other commands do not wait for it.
-        from scipy.ndimage import distance_transform_edt
+    index = np.full((N_VOXELS,) * 3, -1)
+    index[tuple(samples.voxels.T)] = np.arange(len(samples.voxels))
+    options = {"return_distances": False, "return_indices": True}
+    nearest = distance_transform_edt(index < 0, samples.grid.size, **options)
+    return index[tuple(np.asarray(nearest))]
 
-        self.voxels = samples.voxels
-        free = np.ones((N_VOXELS,) * 3, bool)
-        free[tuple(self.voxels.T)] = False
-        size, which = samples.grid.size, {"return_distances": False}
-        nearest = distance_transform_edt(free, size, return_indices=True, **which)
-        self.nearest = np.asarray(nearest)
 
-    def __call__(
-        self, name: str, full: float, values: Float[HostArray, " n"]
-    ) -> SlicerSetting:
-        """Make a setting of values in [0, 1]: a constant if they are all the same."""
-        if np.ptp(values) < _CONSTANT:
-            middle = 0.5 * (values.min() + values.max())
-            return SlicerSetting(name, full, constant=float(full * middle))
-        steps = np.rint(_STEPS * np.clip(values, 0.0, 1.0)).astype(np.int64)
-        texture = np.zeros((N_VOXELS,) * 3, np.int64)
-        texture[tuple(self.voxels.T)] = steps
-        return SlicerSetting(name, full, texture=texture[tuple(self.nearest)])
+def _setting(
+    name: str,
+    full: float,
+    values: Float[HostArray, " n_samples"],
+    sample_of: Int[HostArray, "n n n"],
+) -> SlicerSetting:
+    """Make a setting of values in [0, 1]: a constant if they are all the same."""
+    if np.ptp(values) < 1e-4:  # far below a step
+        middle = 0.5 * (values.min() + values.max())
+        return SlicerSetting(name, full, constant=float(full * middle))
+    steps = np.rint(_STEPS * np.clip(values, 0.0, 1.0)).astype(np.int64)
+    return SlicerSetting(name, full, texture=steps[sample_of])
 
-    def director(
-        self, name: str, angle: Float[HostArray, " n"]
-    ) -> tuple[SlicerSetting, int]:
-        """Make the setting of an axis, which is the same again after half a turn.
 
-        Of the angles of an axis those in [cut, cut + 180 degrees) are taken, with the
-        cut where seams, see `Chosen`, are fewest; also returns the number of seams.
-        """
-        half = np.mod(angle, np.pi)
-        degrees = np.full((N_VOXELS,) * 3, -1)
-        degrees[tuple(self.voxels.T)] = np.minimum(np.rad2deg(half), 179.0).astype(int)
-        straddling = _straddling(degrees)
-        cut = np.deg2rad(np.argmin(straddling))
-        unwound = cut + np.mod(half - cut, np.pi)
-        setting = self(name, 360.0, unwound / (2.0 * np.pi))
-        return setting, int(straddling.min())
+def _unwound(
+    angle: Float[HostArray, " n"], voxels: Int[HostArray, "n 3"]
+) -> tuple[Float[HostArray, " n"], int]:
+    """Choose angles of axes, which are the same again after half a turn [rad].
+
+    Those in [cut, cut + 180 degrees) are taken, with the cut where seams, see `Chosen`,
+    are fewest; also returns the number of seams.
+    """
+    half = np.mod(angle, np.pi)
+    degrees = np.full((N_VOXELS,) * 3, -1)
+    degrees[tuple(voxels.T)] = np.minimum(np.rad2deg(half), 179.0).astype(int)
+    straddling = _straddling(degrees)
+    cut = np.deg2rad(np.argmin(straddling))
+    return cut + np.mod(half - cut, np.pi), int(straddling.min())
 
 
 def _straddling(degrees: Int[HostArray, "n n n"]) -> Int[HostArray, "180"]:

@@ -33,18 +33,6 @@ _FLAT = 1e-4
 _END = 0.02
 """How deep a flat end and a round one are, as shares of the size of the mesh [-]."""
 
-_EMPTY = 1e-6
-"""Share of the volume of the body below which a surface encloses nothing [-]."""
-
-_ALONG = 20.0
-"""Tets along a CAD model: enough for bending, and solved in seconds."""
-
-_STATED = (".step", ".stp")
-"""CAD models that state their unit."""
-
-_METRES = 2.0
-"""Largest number that is taken for metres: no soft robot is 2 mm long, few are 2 m."""
-
 
 class Body(NamedTuple):
     """The linear mesh of a robot, and how a project file says to read it.
@@ -73,7 +61,7 @@ class Held(NamedTuple):
 def read_body(path: Path, *, size: float | None, length_unit: str | None) -> Body:
     """Read a mesh, or fill a CAD model with tets, by default 20 along its diagonal."""
     suffix = path.suffix.lower()
-    guessed = length_unit is None and suffix not in _STATED
+    guessed = length_unit is None and suffix not in (".step", ".stp")  # these state it
     unit = _guess_unit(path) if guessed else length_unit
     if suffix not in CAD_FORMATS:
         mesh, drop = _read(path, str(unit))
@@ -83,7 +71,8 @@ def read_body(path: Path, *, size: float | None, length_unit: str | None) -> Bod
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MeshWarning)  # this one is thrown away
             first = mesh_cad(path, **options)
-        size = float(f"{first.size / _ALONG:.1g}")
+        # Enough for bending, and solved in seconds.
+        size = float(f"{first.size / 20.0:.1g}")
     typed = f"{1e3 * size:.6g} mm"
     return Body(mesh_cad(path, size=size, **options), unit, guessed, typed, False)
 
@@ -101,7 +90,7 @@ def _guess_unit(path: Path) -> str:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MeshWarning)  # repeated when it is read
             points = read_mesh(path, length_unit="m", unused="drop").points
-    return "mm" if np.ptp(points, axis=0).max() > _METRES else "m"
+    return "mm" if np.ptp(points, axis=0).max() > 2.0 else "m"
 
 
 def _read(path: Path, unit: str) -> tuple[TetMesh, bool]:
@@ -179,7 +168,7 @@ def find_chambers(mesh: TetMesh, held: Held) -> dict[str, bool]:
             continue
         (volume,) = enclosed_volumes(made.actuators.groups, made.points).values()
         # A flat wall of the outside encloses nothing, with either sign of rounding.
-        if name != held.group and volume > _EMPTY * float(volumes(mesh).sum()):
+        if name != held.group and volume > 1e-6 * float(volumes(mesh).sum()):
             chambers[name] = is_open
     return chambers
 

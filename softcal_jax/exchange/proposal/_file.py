@@ -17,28 +17,28 @@ from softcal_jax.report import mesh_lines
 DENSITY = 1070.0
 """Density of silicone [kg/m3]."""
 
-PRESSURE = "10 kPa"
-
 _MOST_GROUPS = 40
 """Most groups of the mesh that are listed."""
-
-_NEAR = 0.01
-"""Distance of a marker from the mesh that is accepted without a word, see `Markers`."""
 
 
 def project_text(name: str, findings: Findings) -> str:
     """Write a project file of a name, with a remark at each value that is a guess."""
-    parts = (
-        *(_title(name, findings), _mesh(findings), _material(), _actuators(findings)),
-        *(_markers(findings), _shared(findings), _configurations(findings)),
-    )
-    text = "\n\n".join("\n".join(part) for part in parts)
-    return f"""{text}
-
-{_ruler("the settings")}
-[settings]
-noise = "estimated" # from the residuals; "stated" takes the `std` as it is
-"""
+    sections = {
+        "the body": _mesh(findings),
+        "the material": _material(),
+        "the actuators": _actuators(findings),
+        "the markers": _markers(findings),
+        "the configurations": (*_shared(findings), "", *_configurations(findings)),
+        "the settings": (
+            "[settings]",
+            'noise = "estimated" # from the residuals; '
+            '"stated" takes the `std` as it is',
+        ),
+    }
+    text = "\n".join(_title(name, findings))
+    for title, lines in sections.items():
+        text += "\n".join(("\n", f"# {'-' * (86 - len(title))} {title}", *lines))
+    return f"{text}\n"
 
 
 def _title(name: str, findings: Findings) -> Iterator[str]:
@@ -66,7 +66,6 @@ def _mesh(findings: Findings) -> Iterator[str]:
     body, held = findings.body, findings.held
     extent = np.ptp(body.mesh.points, axis=0)
     sides = " x ".join(f"{1e3 * x:.4g}" for x in extent)
-    yield _ruler("the body")
     yield "[mesh]"
     yield f"file = {quoted(findings.model)}"
     if body.unit is not None:
@@ -97,7 +96,6 @@ def _mesh(findings: Findings) -> Iterator[str]:
 
 
 def _material() -> Iterator[str]:
-    yield _ruler("the material")
     yield from textwrap.wrap(
         f"Laws: {', '.join(LAWS)}.", 88, initial_indent="# ", subsequent_indent="# "
     )
@@ -117,8 +115,6 @@ upper = "100 MPa" # both far from what is likely"""
 
 def _actuators(findings: Findings) -> Iterator[str]:
     """Write a chamber for each surface that is called like one."""
-    if findings.chambers:
-        yield _ruler("the actuators")
     for k, (group, is_open) in enumerate(findings.chambers.items()):
         yield "\n" * (k > 0) + f"[actuators.{bare(f'air in {group}')}]"
         yield 'type = "chamber"'
@@ -137,7 +133,6 @@ def _actuators(findings: Findings) -> Iterator[str]:
 def _markers(findings: Findings) -> Iterator[str]:
     """Write where markers are at rest, each with its distance from the mesh."""
     recorded = findings.recorded
-    yield _ruler("the markers")
     yield "# Where they stand at rest, in the frame of the mesh."
     if findings.own_frame:
         yield """# The recording has a frame of its own, off the mesh: measure where
@@ -145,7 +140,7 @@ def _markers(findings: Findings) -> Iterator[str]:
     farthest = max(marker.distance for marker in findings.markers)
     yield "[markers]"
     yield 'std = "0.5 mm" # CHANGE: how well a pose repeats'
-    if farthest > _NEAR and not findings.own_frame:
+    if farthest > 0.01 and not findings.own_frame:  # more than `Markers` accepts
         yield f'max_distance = "{1.1e3 * farthest:.3g} mm" # from the mesh, on posts'
     yield "\n[markers.positions]"
     for marker in findings.markers:
@@ -162,7 +157,6 @@ def _markers(findings: Findings) -> Iterator[str]:
 def _shared(findings: Findings) -> Iterator[str]:
     """Write what all configurations share."""
     held, recorded = findings.held, findings.recorded
-    yield _ruler("the configurations")
     yield "# What all of them share; each may add to it or state its own."
     yield "[shared]"
     yield 'gravity = "(0, 0, -9.81) m/s^2" # CHANGE: down, in the frame of the mesh'
@@ -240,7 +234,7 @@ def _driven(findings: Findings, name: str, load: str) -> str:
     try:
         parse_in_si(name, "Pa")
     except ValueError:
-        guess = f'actuation = {{ {actuator} = "{PRESSURE}" }}'
+        guess = f'actuation = {{ {actuator} = "10 kPa" }}'
         return f"{guess} # CHANGE: what acts in this pose"
     return f"actuation = {{ {actuator} = {quoted(name)} }} # by its name"
 
@@ -259,7 +253,3 @@ def _measured(findings: Findings, pose: RecordedPose) -> Iterator[str]:
     if pose.select != "{  }":
         check = " # CHANGE: when the robot stands still" * recorded.over_time
         yield f"{off}measured.select = {pose.select}{check}"
-
-
-def _ruler(title: str) -> str:
-    return f"# {'-' * (86 - len(title))} {title}"

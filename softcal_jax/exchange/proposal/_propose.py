@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from softcal_jax._names import check_unique
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.exchange.proposal._body import (
     Body,
@@ -83,13 +84,7 @@ def propose_project(
         OSError: If the folder cannot be written.
     """
     _check_absent(folder)
-    names = [file.name for file in (model, *recordings)]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(
-                f"two of the files are called {name}, and both are copied into "
-                f"{folder}: give one another name."
-            )
+    check_unique("file", [file.name for file in (model, *recordings)])
     body = read_body(model, size=size, length_unit=length_unit)
     recorded = None
     if recordings:
@@ -147,12 +142,8 @@ def _markers(
         places = locate(mesh, shifted, max_distance=np.inf).foot
     elif not recorded.others:
         places = located.foot
-    return tuple(
-        MarkerPlace(name, place, float(distance))
-        for name, place, distance in zip(
-            recorded.labels, places, located.distance, strict=True
-        )
-    )
+    placed = zip(recorded.labels, places, located.distance.tolist(), strict=True)
+    return tuple(MarkerPlace(*each) for each in placed)
 
 
 def _on_top(mesh: TetMesh, place: Float[HostArray, "3"]) -> Float[HostArray, "3"]:

@@ -23,12 +23,6 @@ _REST = re.compile(
 )
 """Names of poses in which nothing acts but gravity."""
 
-_WINDOW = 0.1
-"""Length of the windows at both ends of a recording over time [s]."""
-
-_UNITS = ("mm", "cm", "m")
-"""Units that are tried for a file that states none."""
-
 
 class RecordedPose(NamedTuple):
     """A pose that was recorded.
@@ -161,7 +155,8 @@ def _likely_unit(pose: RecordedPose, across: float) -> str:
     places = np.array([*pose.seen.values()]).reshape(-1, 3)
     apart = float(np.ptp(places, axis=0).max()) if len(places) > 1 else 0.0
     apart = apart or float(np.abs(places).max(initial=0.0)) or across
-    return min(_UNITS, key=lambda unit: abs(np.log(apart * METRES[unit] / across)))
+    off = lambda unit: abs(np.log(apart * METRES[unit] / across))
+    return min("mm", "cm", "m", key=off)
 
 
 def _rows(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
@@ -202,13 +197,13 @@ def _columns(header: Sequence[str], rows: Sequence[Mapping[str, str]]) -> tuple:
 
 
 def _ends(paths: Sequence[Path], unit: str | None) -> list[RecordedPose]:
-    """Take the start of the first recording as rest, and the end of each as a pose."""
+    """Take 0.1 s at the start of the first recording as rest, at each end as a pose."""
     poses = []
     for path in paths:
         recording = configurations.read_recording(path, length_unit=unit)
         # Rounded down, the end does not lie behind the last frame.
         last = math.floor(1e4 * float(recording.times[-1])) / 1e4
-        width = min(_WINDOW, last)
+        width = min(0.1, last)
         windows = [("rest", 0.0, width), (path.stem, last - width, last)]
         if poses:
             windows = windows[1:]

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from softcal_jax._typing import Array, Float
+from softcal_jax.exchange import _formats as formats
 from softcal_jax.materials import (
     AbstractElasticity,
     AbstractLaw,
@@ -128,15 +129,10 @@ def law_for_sofa(
         if isinstance(elasticity, TransverseIsotropic | ReducedTransverseIsotropic):
             of_plugin = PluginElasticity(elasticity)
             return SofaCorotational.of_mesh(mesh, of_plugin, "large")
-    if choice == "corotational":
-        for constants in (law, elasticity):
-            if isinstance(constants, NeoHookean | Isotropic):
-                hooke = Isotropic(constants.E, constants.nu)
-                return SofaCorotational.of_mesh(mesh, hooke, rotation)
-    of_body = isinstance(law, NeoHookean) or (
-        isinstance(law, StVenantKirchhoff) and isinstance(elasticity, Isotropic)
-    )
-    if not of_body:
+    hooke = formats.hooke_of(law)
+    if choice == "corotational" and hooke is not None:
+        return SofaCorotational.of_mesh(mesh, hooke, rotation)
+    if hooke is None or not isinstance(law, NeoHookean | StVenantKirchhoff):
         raise _no_counterpart(law)
     if any(np.ndim(leaf) > 0 for leaf in jax.tree.leaves(law)):
         raise ValueError(
@@ -148,10 +144,9 @@ def law_for_sofa(
 
 
 def _no_counterpart(law: AbstractLaw) -> ValueError:
-    name, elasticity = type(law).__name__, getattr(law, "elasticity", None)
+    name = formats.law_name(law)
     reason, other = "SOFA has no such law", "a NeoHookean or a Corotational law"
-    if isinstance(elasticity, AbstractElasticity):
-        name += f" with {type(elasticity).__name__}"
+    if hasattr(law, "elasticity"):
         reason = "only the corotational tets of the plugin Anisotropy have fibres"
         other = "a Corotational law"
     elif name in ("MooneyRivlin", "Ogden"):

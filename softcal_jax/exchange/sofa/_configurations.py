@@ -1,4 +1,4 @@
-"""Configurations as the numbers of a scene: supports, loads, actuators, effectors."""
+"""The numbers of a scene: its law, and supports, loads, actuators and effectors."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -16,8 +16,14 @@ from softcal_jax.configurations import (
 )
 from softcal_jax.equilibrium import Model
 from softcal_jax.exchange import _formats as formats
-from softcal_jax.exchange.sofa._component import Scale
-from softcal_jax.export import plain
+from softcal_jax.exchange.sofa._component import (
+    SCALES,
+    Scale,
+    SofaRelease,
+    SofaUnits,
+    component_of,
+)
+from softcal_jax.export import file_stems, plain
 from softcal_jax.fields import ParameterSpace
 
 CONVERGED = 1e-9
@@ -43,27 +49,34 @@ def check_robot(model: Model) -> None:
     )
 
 
-def scene_configurations(
+def scene_data(
+    name: str,
     model: Model,
     space: ParameterSpace,
     z: Any,
     configurations: Sequence[Configuration],
     displacements: Sequence[Float[HostArray, "n_nodes 3"]],
-    scale: Scale,
-) -> dict[str, dict[str, Any]]:
-    """Write configurations with the fitted parameters, by their names.
+    *,
+    release: SofaRelease,
+    units: SofaUnits,
+) -> dict[str, Any]:
+    """Build the content of robot.json, in the units of the scene.
 
-    `displacements` are what the linear model predicts in each [m]. The parameters, of
-    scaled values `z`, may also belong to loads and supports.
+    `displacements` are what the linear model predicts in each configuration [m]. The
+    parameters, of scaled values `z`, may also belong to loads and supports.
     """
+    scale, masses = SCALES[units], formats.vertex_masses(model)
     lanes = configuration_lanes(model.mesh, configurations, model.mechanism)
-    written = {}
+    stems, written = file_stems([c.name for c in configurations]), {}
     for i, configuration in enumerate(configurations):
         lane = jax.tree.map(lambda leaf, i=i: leaf[i], lanes.arrays)
         _, lane = space.apply(model, lane, z)
         force = np.asarray(lane.dead_loads)
         loaded = np.flatnonzero(np.any(force != 0.0, axis=1))
+        loads = masses[:, None] * np.asarray(lane.acceleration) + force
+        size = float(np.linalg.norm(np.where(lane.fixed, 0.0, loads)))
         written[configuration.name] = {
+            "file": stems[i],
             "gravity": (scale.length * np.asarray(lane.acceleration)).tolist(),
             **_supports(model, configuration, lane, scale),
             "forces": {
@@ -77,9 +90,20 @@ def scene_configurations(
                 model.mesh.points + np.asarray(displacements[i]),
                 scale,
             ),
-            "stop at residual": _stop(model, lane, scale),
+            # Relative to the nodal loads; 0 without a load on free nodes.
+            "stop at residual": CONVERGED * scale.force * size,
         }
-    return written
+    return {
+        "format": "softcal_jax.sofa/1",
+        "name": name,
+        "release": release,
+        "units": scale.words,
+        "elasticity": component_of(model.law, model.n_tets, release, scale)._asdict(),
+        "positions": (scale.length * model.mesh.points).tolist(),
+        "vertex mass": masses.tolist(),
+        "configurations": written,
+        "files": ["robot.vtk", "scene.py", "README.md"],
+    }
 
 
 def _supports(
@@ -143,15 +167,14 @@ def _actuators(model: Model, lane: ConfigurationArrays, scale: Scale) -> dict[st
             if value == 0.0 and not moves:
                 continue  # slack, or without pressure
             formats.check_rim(model, lane, owner, "SOFA")
-            name = model.mechanism.actuators.names[owner]
-            mine = np.flatnonzero(owners == owner)
-            part = jax.tree.map(lambda leaf, mine=mine: np.asarray(leaf)[mine], group)
-            cable = isinstance(part, actuators.CableSegments)
+            cable = isinstance(group, actuators.CableSegments)
             kind, unit = _IMPOSED[cable, moves]
             if cable:
-                where = _path(model, part, name, scale)
+                where = _path(model, owner, scale)
             else:  # SOFA pushes along the normals: into the body
-                where = {"triangles": part.nodes[:, ::-1].tolist()}
+                nodes = np.asarray(group.nodes)[owners == owner]
+                where = {"triangles": nodes[:, ::-1].tolist()}
+            name = model.mechanism.actuators.names[owner]
             imposed = {"value": getattr(scale, unit) * value, "value type": kind}
             written["cables" if cable else "chambers"].append(
                 {"name": name, **where, **imposed}
@@ -159,35 +182,25 @@ def _actuators(model: Model, lane: ConfigurationArrays, scale: Scale) -> dict[st
     return written
 
 
-def _path(
-    model: Model, cable: actuators.CableSegments, name: str, scale: Scale
-) -> dict[str, Any]:
+def _path(model: Model, owner: int, scale: Scale) -> dict[str, Any]:
     """Return the guides of a cable on the body, and the point on the ground, if any.
 
     SOFA allows one fixed point, from which the cable is pulled, and lists the other
     points from there.
     """
-    rest = np.asarray(model.mechanism.points)
-    ends = np.einsum("cem,cmi->cei", cable.weights, rest[cable.nodes]) + cable.fixed
-    grounded = ~np.any(np.asarray(cable.weights) != 0.0, axis=2)
-    apart = np.any(ends[:-1, 1] != ends[1:, 0])
-    inside = np.any(grounded[1:, 0]) or np.any(grounded[:-1, 1])
-    both = grounded[0, 0] and grounded[-1, 1]
-    if apart or inside or both:
+    guides = list(formats.cable_guides(model, owner))
+    grounded = np.array([not weights.any() for _, weights in guides])
+    if grounded.sum() > 1 or grounded[1:-1].any():
         raise ValueError(
-            f"the cable {name!r} has more than one guide on the ground, or one between "
-            "its ends; SOFA's CableConstraint knows one fixed point, at an end. Put "
-            "the other guides on the body."
+            f"the cable {model.mechanism.actuators.names[owner]!r} has more than one "
+            "guide on the ground, or one between its ends; SOFA's CableConstraint "
+            "knows one fixed point, at an end. Put the other guides on the body."
         )
-    points = np.concatenate([ends[:1, 0], ends[:, 1]])
-    at_end = bool(grounded[-1, 1])
-    fixed = points[-1] if at_end else points[0] if grounded[0, 0] else None
-    if fixed is not None:
-        points = points[-2::-1] if at_end else points[1:]
-    return {
-        "points": (scale.length * points).tolist(),
-        "pull point": None if fixed is None else (scale.length * fixed).tolist(),
-    }
+    points = [(scale.length * point).tolist() for point, _ in guides]
+    if grounded[-1]:
+        points.reverse()
+    pull_point = points.pop(0) if grounded.any() else None
+    return {"points": points, "pull point": pull_point}
 
 
 def _effectors(
@@ -216,12 +229,3 @@ def _effectors(
             }
         )
     return written
-
-
-def _stop(model: Model, lane: ConfigurationArrays, scale: Scale) -> float:
-    """Compute the residual at which Newton may stop; 0 without a load on free nodes."""
-    weight = formats.vertex_masses(model)[:, None] * np.asarray(lane.acceleration)[None]
-    dead = np.asarray(lane.dead_loads)[: model.mesh.n_nodes]
-    free = ~np.asarray(lane.fixed)[: model.mesh.n_nodes]
-    size = float(np.linalg.norm(np.where(free, weight + dead, 0.0)))
-    return CONVERGED * scale.force * size

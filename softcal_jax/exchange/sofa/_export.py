@@ -2,38 +2,31 @@
 
 import os
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, get_args
+
+import numpy as np
 
 from softcal_jax._module import Module
-from softcal_jax._names import unknown_name
+from softcal_jax._names import check_known
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.calibration import CalibrationResult, HistoryEntry
-from softcal_jax.equilibrium import Model, model_for_law
+from softcal_jax.equilibrium import model_for_law
 from softcal_jax.exchange import _formats as formats
 from softcal_jax.exchange.sofa._component import (
     SCALES,
-    Component,
     PluginElasticity,
-    Scale,
     SofaLaw,
     SofaRelease,
     SofaUnits,
     component_of,
     law_for_sofa,
 )
-from softcal_jax.exchange.sofa._configurations import check_robot, scene_configurations
-from softcal_jax.export import (
-    check_results_folder,
-    file_stems,
-    results_folder,
-    write_json,
-)
+from softcal_jax.exchange.sofa._configurations import check_robot, scene_data
+from softcal_jax.export import results_folder, write_json
 from softcal_jax.materials import SofaRotation
-from softcal_jax.mesh import TetMesh
-from softcal_jax.project import Project
-from softcal_jax.report import LoadedResult, load_result
+from softcal_jax.report import LoadedResult
 
 _NEEDED = {
     "SoftRobots": "SoftRobots (cables and chambers), which the binaries of SOFA hold",
@@ -43,64 +36,24 @@ _NEEDED = {
 }
 
 
-class Scene(NamedTuple):
-    """All of a scene but its script, with the mesh in m and masses in kg."""
-
-    name: str
-    release: str
-    scale: Scale
-    mesh: TetMesh
-    elasticity: Component
-    vertex_mass: Float[HostArray, " n_nodes"]
-    configurations: dict[str, dict[str, Any]]
-
-    @property
-    def driven(self) -> list[str]:
-        """Names of the configurations with cables or chambers."""
-        posed = self.configurations.items()
-        return [name for name, pose in posed if pose["cables"] or pose["chambers"]]
-
-    @property
-    def plugins(self) -> list[str]:
-        """Plugins that are not part of SOFA itself."""
-        plugin = self.elasticity.plugin
-        return ["SoftRobots"] * bool(self.driven) + [plugin] * (plugin in _NEEDED)
-
-
 def write_scene(
     directory: Path,
-    scene: Scene,
+    data: dict[str, Any],
+    tets: Int[HostArray, "n_tets 4"],
     *,
     text: Sequence[str],
     notes: Sequence[str],
     force: bool = False,
 ) -> None:
-    """Write a scene to a folder, whole or not at all.
+    """Write a scene to a folder, whole or not at all, from its `scene_data`.
 
     README.md quotes `text`, lines on the calibration in columns, and `notes`.
     """
-    points = scene.scale.length * scene.mesh.points
-    stems = file_stems(list(scene.configurations))
-    named = zip(scene.configurations.items(), stems, strict=True)
-    files = ["robot.vtk", "scene.py", "README.md"]
     with results_folder(directory, force=force) as folder:
-        _write_vtk(folder / files[0], points, scene.mesh.tets)
-        shutil.copyfile(Path(__file__).with_name("scene.py"), folder / files[1])
-        readme = _readme(scene, text, notes)
-        (folder / files[2]).write_text(readme, encoding="utf-8")
-        data = {
-            "format": "softcal_jax.sofa/1",
-            "name": scene.name,
-            "release": scene.release,
-            "units": scene.scale.words,
-            "elasticity": scene.elasticity._asdict(),
-            "positions": points.tolist(),
-            "vertex mass": scene.vertex_mass.tolist(),
-            "configurations": {
-                name: {"file": stem, **pose} for (name, pose), stem in named
-            },
-            "files": files,
-        }
+        _write_vtk(folder / "robot.vtk", np.array(data["positions"]), tets)
+        shutil.copyfile(Path(__file__).with_name("scene.py"), folder / "scene.py")
+        readme = _readme(data, text, notes)
+        (folder / "README.md").write_text(readme, encoding="utf-8")
         write_json(folder / "robot.json", data)
 
 
@@ -111,39 +64,42 @@ def _write_vtk(
 
     Numbers have full precision, which the writer of VTK itself does not keep.
     """
-    rows = lambda table: [" ".join(map(repr, row)) for row in table.tolist()]
-    lines = [
-        "# vtk DataFile Version 4.2",
-        "written by softcal_jax",
-        "ASCII",
-        "DATASET UNSTRUCTURED_GRID",
-        f"POINTS {len(points)} double",
-        *rows(points),
-        f"CELLS {len(tets)} {5 * len(tets)}",
-        *(f"4 {row}" for row in rows(tets)),
-        f"CELL_TYPES {len(tets)}",
-        *["10"] * len(tets),
-    ]
-    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    rows = lambda table: "\n".join(" ".join(map(repr, row)) for row in table.tolist())
+    cells = np.insert(tets, 0, 4, axis=1)
+    text = f"""\
+# vtk DataFile Version 4.2
+written by softcal_jax
+ASCII
+DATASET UNSTRUCTURED_GRID
+POINTS {len(points)} double
+{rows(points)}
+CELLS {len(cells)} {cells.size}
+{rows(cells)}
+CELL_TYPES {len(cells)}
+"""
+    path.write_text(text + "10\n" * len(cells), encoding="ascii")
 
 
-def _readme(scene: Scene, text: Sequence[str], notes: Sequence[str]) -> str:
+def _readme(data: dict[str, Any], text: Sequence[str], notes: Sequence[str]) -> str:
     """Say what is needed, how to run the scene, and what to expect of it."""
-    first, *_ = scene.configurations
-    units = ", ".join(f"{what} {unit}" for what, unit in scene.scale.words.items())
-    needed = "".join(f"\n- {_NEEDED[plugin]}." for plugin in scene.plugins)
-    loaded = "".join(f" -l {plugin}" for plugin in ["SofaPython3", *scene.plugins])
-    steps = 100 if first in scene.driven else 1
+    poses, elasticity = data["configurations"], data["elasticity"]
+    driven = [name for name, p in poses.items() if p["cables"] or p["chambers"]]
+    plugins = ["SoftRobots"] * bool(driven)
+    plugins += [elasticity["plugin"]] * (elasticity["plugin"] in _NEEDED)
+    units = ", ".join(f"{what} {unit}" for what, unit in data["units"].items())
+    needed = "".join(f"\n- {_NEEDED[plugin]}." for plugin in plugins)
+    loaded = "".join(f" -l {plugin}" for plugin in ["SofaPython3", *plugins])
+    steps = 100 if next(iter(poses)) in driven else 1
     on_driven = f"""
-With cables or chambers: {", ".join(scene.driven)}. SOFA solves these in time, by long \
+With cables or chambers: {", ".join(driven)}. SOFA solves these in time, by long \
 implicit steps that lose all motion: run on until the effectors stand still. If they \
 do not, shorten TIME_STEP in scene.py.
 """
     return f"""\
-# {scene.name} in SOFA
+# {data["name"]} in SOFA
 
-Written by softcal_jax for SOFA {scene.release} (from the sources of \
-{scene.release}.00), to be run with
+Written by softcal_jax for SOFA {data["release"]} (from the sources of \
+{data["release"]}.00), to be run with
 
 - SofaPython3, with NumPy in its Python.{needed}
 
@@ -156,10 +112,10 @@ effectors are to `effectors_CONFIGURATION.csv`, with the distance from what \
 softcal_jax predicts for the same mesh and law: it should fall to the tolerance of the \
 solver.
 
-Configurations: {", ".join(scene.configurations)}. The first is run, another one with \
+Configurations: {", ".join(poses)}. The first is run, another one with \
 the environment variable SOFTCAL_CONFIGURATION set to its name.
-{on_driven if scene.driven else ""}
-Units: {units}, mass kg, time s. The law is that of `{scene.elasticity.component}`.
+{on_driven if driven else ""}
+Units: {units}, mass kg, time s. The law is that of `{elasticity["component"]}`.
 
 ## Calibrated for this mesh
 
@@ -177,29 +133,14 @@ class SofaExport(Module):
     """What was written for SOFA.
 
     Attributes:
-        folder: The folder of the scene.
-        release: The release that it is written for.
         component: The component that computes the law.
-        calibrated: The calibration that was exported.
         result: Calibration of the model of SOFA, whose values the scene has.
-        notes: What to know of the scene, in sentences.
+        lines: Values and predictions of both models, and notes.
     """
 
-    folder: Path
-    release: str
     component: str
-    calibrated: LoadedResult
     result: CalibrationResult
-    notes: tuple[str, ...]
-
-    def __str__(self) -> str:
-        """Write parameters, predictions and notes, line by line."""
-        return "\n".join([*self.lines, "", *self.notes]).strip()
-
-    @property
-    def lines(self) -> list[str]:
-        """The values of both models, and a table of what they predict."""
-        return formats.lines_of_both(self.calibrated, self.result, "SOFA")
+    lines: tuple[str, ...]
 
 
 def export_sofa(
@@ -247,50 +188,15 @@ def export_sofa(
         ValueError: If an option is unknown, or the law, the robot or a support has no
             counterpart in SOFA; the text says why, and what to do.
     """
-    for kind, name, known in (
-        ("release", release, get_args(SofaRelease)),
-        ("unit system", units, get_args(SofaUnits)),
-        ("law", law, get_args(SofaLaw)),
-    ):
-        if name not in known:
-            raise unknown_name(kind, name, known)
-    scale = SCALES[units]
+    check_known("release", get_args(SofaRelease), release)
+    check_known("unit system", SCALES, units)
+    check_known("law", get_args(SofaLaw), law)
     folder = Path(directory)
-    check_results_folder(folder, force=force)
-    loaded = result if isinstance(result, LoadedResult) else load_result(result)
-    project = formats.linear_project(loaded)  # SOFA does not run quadratic tets
+    loaded, project = formats.linear_result(result, folder, force=force)
     check_robot(project.model)
-    model = _model_of_sofa(project, law, rotation)
-    component_of(model.law, model.n_tets, release, scale)  # before the work is done
-    refitted = formats.recalibrate(loaded, project, model, "SOFA", progress=progress)
-    posed, displacements = formats.with_equilibrium(project, refitted)
-    scene = Scene(
-        name=project.name,
-        release=release,
-        scale=scale,
-        mesh=model.mesh,
-        elasticity=component_of(refitted.model.law, model.n_tets, release, scale),
-        vertex_mass=formats.vertex_masses(refitted.model),
-        configurations=scene_configurations(
-            refitted.model, refitted.space, refitted.z, posed, displacements, scale
-        ),
+    sofa_law = law_for_sofa(
+        project.model.law, project.model.mesh, choice=law, rotation=rotation
     )
-    export = SofaExport(
-        folder=folder,
-        release=release,
-        component=scene.elasticity.component,
-        calibrated=loaded,
-        result=refitted,
-        notes=_notes(refitted, scene),
-    )
-    write_scene(folder, scene, text=export.lines, notes=export.notes, force=force)
-    return export
-
-
-def _model_of_sofa(project: Project, law: SofaLaw, rotation: SofaRotation) -> Model:
-    """Return the model of a linear project with the law that SOFA computes."""
-    model = project.model
-    sofa_law = law_for_sofa(model.law, model.mesh, choice=law, rotation=rotation)
     assert project.space is not None  # it has been calibrated
     of_plugin = isinstance(getattr(sofa_law, "elasticity", None), PluginElasticity)
     if of_plugin and "mu_l" in project.space.field_names:
@@ -298,25 +204,38 @@ def _model_of_sofa(project: Project, law: SofaLaw, rotation: SofaRotation) -> Mo
             "mu_l is a parameter, but the plugin Anisotropy takes the shear modulus "
             "along the fibre from E_t; calibrate without it, and export that."
         )
-    return model_for_law(model, sofa_law)
+    model = model_for_law(project.model, sofa_law)
+    # Refused before the work is done.
+    component_of(model.law, model.n_tets, release, SCALES[units])
+    refit = formats.recalibrate(loaded, project, model, "SOFA", progress)
+    refitted = refit.result
+    scene = scene_data(
+        project.name,
+        refitted.model,
+        refitted.space,
+        refitted.z,
+        *refit.solved,
+        release=release,
+        units=units,
+    )
+    elasticity = scene["elasticity"]
+    notes = [*refit.notes, *_notes(refitted, elasticity["plugin"])]
+    tets = model.mesh.tets
+    write_scene(folder, scene, tets, text=refit.lines, notes=notes, force=force)
+    lines = *refit.lines, *([""] if notes else []), *notes
+    return SofaExport(elasticity["component"], refitted, lines)
 
 
-def _notes(refitted: CalibrationResult, scene: Scene) -> tuple[str, ...]:
-    notes = formats.left_out(refitted, "SOFA")
-    others = [
-        f"{effector.name} ({c.name})"
-        for c in refitted.configurations
-        for effector in c.others
-    ]
+def _notes(refitted: CalibrationResult, plugin: str) -> Iterator[str]:
+    others = [f"{e.name} ({c.name})" for c in refitted.configurations for e in c.others]
     if others:
-        notes.append(
+        yield (
             "Only points are followed; lengths, volumes and forces are not: "
             f"{', '.join(others)}."
         )
-    if scene.elasticity.plugin == "Anisotropy":
-        notes.append(
+    if plugin == "Anisotropy":
+        yield (
             "The plugin Anisotropy takes the shear modulus along the fibre from E_t, "
             "and its C13 is not that of the textbook: the values make up for both, and "
             "are no material constants."
         )
-    return tuple(notes)

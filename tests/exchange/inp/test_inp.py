@@ -4,6 +4,7 @@ import re
 from functools import partial
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import meshio
 import numpy as np
 import pytest
@@ -187,7 +188,7 @@ def test_elastic_supports_are_springs(tmp_path):
             force[first, k] += float(stiffness) * stretch
             force[second, k] -= float(stiffness) * stretch
     np.testing.assert_allclose(total, [1e7 * 4e-4, 0.0, 1e7 * 4e-4], rtol=1e-9)
-    expected = np.asarray(Posed.of(model, lane).spring_force(u))
+    expected = Posed.of(model, lane).spring_force(jnp.asarray(u))
     np.testing.assert_allclose(force, expected, rtol=1e-9, atol=1e-6)
 
 

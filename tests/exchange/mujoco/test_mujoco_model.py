@@ -15,12 +15,12 @@ from softcal_jax.configurations import (
     PointForce,
 )
 from softcal_jax.equilibrium import build_model, solve_equilibrium
-from softcal_jax.exchange.mujoco._export import (
+from softcal_jax.exchange.mujoco import (
     _surroundings,
     law_for_mujoco,
+    mjcf,
     mujoco_poses,
 )
-from softcal_jax.exchange.mujoco._mjcf import mjcf
 from softcal_jax.materials import (
     ClassicalCorotational,
     MooneyRivlin,

@@ -22,8 +22,7 @@ from benchmarks._sofa_scenes import (
     hollow_beam,
     posed,
 )
-from softcal_jax.exchange.sofa._component import SCALES
-from softcal_jax.exchange.sofa._configurations import check_robot, scene_configurations
+from softcal_jax.exchange.sofa._configurations import check_robot, scene_data
 from softcal_jax.materials import SofaCorotational
 
 FACTORS = {"mm-kg-s": 1e3, "SI": 1.0}
@@ -149,15 +148,17 @@ def written(configuration, *actuators, mesh=None):
     law = SofaCorotational.of_mesh(mesh, sc.Isotropic(2e5, 0.3), "edge")
     model = sc.build_model(mesh, law, density=1.0, actuators=actuators)
     space = densities()
-    configurations = scene_configurations(
+    data = scene_data(
+        "test",
         model,
         space,
         space.start(),
         [configuration],
         [np.zeros(mesh.points.shape)],
-        SCALES["mm-kg-s"],
+        release="v26.06",
+        units="mm-kg-s",
     )
-    return configurations[configuration.name]
+    return data["configurations"][configuration.name]
 
 
 def test_imposed_lengths_and_volumes():

@@ -1,22 +1,65 @@
-"""Input files of Abaqus and CalculiX: a model in one configuration."""
+"""Calibrated models as input files of CalculiX and Abaqus, in one configuration."""
 
 import os
 import re
 import textwrap
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from softcal_jax import materials
 from softcal_jax._places import partial_of
-from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.actuators import actuator_geometry
 from softcal_jax.configurations import ConfigurationArrays
 from softcal_jax.equilibrium import Model
 from softcal_jax.exchange._formats import check_no_bodies, check_rim
-from softcal_jax.exchange.inp._laws import InpLaw, inp_law
-from softcal_jax.mesh import TetMesh, tet_faces
+from softcal_jax.mesh import TetMesh, face_indices, tet_faces
 from softcal_jax.report import LoadedResult, load_result
+
+NO_TERM = 1e20
+"""D_i of an absent term [1/Pa]: CalculiX replaces 0 by a number of its own."""
+
+SMALLEST_D = 1e-10
+"""|D_1| below which CalculiX takes a number of its own."""
+
+_GREEN = (
+    "*ELASTIC with NLGEOM is linear in the Green strain in CalculiX (St. Venant-"
+    "Kirchhoff), and in the logarithmic strain in Abaqus. "
+)
+
+_STRETCH = (
+    " is linear in the stretch. Rotations may be large, but stresses differ by up to "
+    "about 1.5 times the strain: by 15 % where the strain is 10 %."
+)
+
+_NEO_HOOKE = (
+    "*HYPERELASTIC, NEO HOOKE splits off the change of volume, "
+    "U = C10 (J^(-2/3) I1 - 3) + (J - 1)^2 / D1, where NeoHookean has "
+    "mu/2 (I1 - 3) - mu ln J + lambda/2 (ln J)^2. They agree to second order in "
+    "the strain, and nearly so at any strain where the volume hardly changes."
+)
+
+_VOLUME = (
+    "The change of volume costs (J - 1)^2 / D1, D1 = 2 / K, in place of "
+    "K/4 (J^2 - 1 - 2 ln J): the same to second order."
+)
+
+
+class InpLaw(NamedTuple):
+    """A law in the terms of an input file.
+
+    `keyword` opens it, like "*HYPERELASTIC, YEOH"; constants are in SI. The note says
+    how it differs from the law of the model; `oriented` constants refer to the axes of
+    the mesh.
+    """
+
+    keyword: str
+    constants: Float[HostArray, "n_tets n_constants"]
+    note: str
+    oriented: bool
 
 
 def write_inp(
@@ -53,6 +96,8 @@ def write_inp(
     if path.suffix != ".inp":
         raise ValueError(f"the file name must end in .inp, got {path.name!r}.")
     check_no_bodies(model, "a .inp file")
+    # A text of users, which no program may take for a keyword.
+    title = " ".join(title.encode("ascii", "replace").decode().split()).lstrip("*")[:80]
     law = inp_law(model)
     notes = [law.note]
     if model.formulation == "mean-dilatation":
@@ -64,14 +109,13 @@ def write_inp(
         )
     wrapped = (line for note in notes for line in textwrap.wrap(note, 97))
     lines = [
-        *("*HEADING", _comment(title), "** SI: m, kg, s, N, Pa"),
+        *("*HEADING", title, "** SI: m, kg, s, N, Pa"),
         *(f"** {line}" for line in wrapped),
         *_mesh(model.mesh),
         *_materials(model, law),
         *_springs(model.mesh, configuration),
         *("*STEP, NLGEOM, INC=1000", "*STATIC", "0.1, 1."),
-        *_supports(model.mesh, configuration),
-        *_loads(model, configuration),
+        *_held_and_loaded(model, configuration),
         *_pressures(model, configuration),
         *("*NODE FILE", "U", "*EL FILE", "S, E"),
         *("*NODE PRINT, NSET=NALL, FREQUENCY=1000", "U", "*END STEP"),
@@ -110,11 +154,6 @@ def export_inp(
     return write_inp(Path(path), loaded.model, arrays, title=title)
 
 
-def _comment(text: str) -> str:
-    """Write a text of users in one line that no program takes for a keyword."""
-    return " ".join(text.encode("ascii", "replace").decode().split()).lstrip("*")[:80]
-
-
 def _number(value: float) -> str:
     """Write a number in 20 characters at most, which is all that the programs read."""
     return f"{value:.12g}"
@@ -126,11 +165,6 @@ def _rows(values: Iterable[str], per_line: int = 8) -> Iterator[str]:
     for i in range(0, len(values), per_line):
         more = "," if i + per_line < len(values) else ""
         yield ", ".join(values[i : i + per_line]) + more
-
-
-def _members(indices: Int[HostArray, " n"]) -> Iterator[str]:
-    """Write the members of a set."""
-    return _rows((str(i + 1) for i in indices), per_line=16)
 
 
 def _mesh(mesh: TetMesh) -> Iterator[str]:
@@ -149,7 +183,7 @@ def _mesh(mesh: TetMesh) -> Iterator[str]:
             name, copy = f"{stem}_{copy}", copy + 1
         taken.add(name)
         yield f"*NSET, NSET={name}"
-        yield from _members(np.asarray(nodes))
+        yield from _rows(map(str, np.asarray(nodes) + 1), per_line=16)
 
 
 def _materials(model: Model, law: InpLaw) -> Iterator[str]:
@@ -164,7 +198,8 @@ def _materials(model: Model, law: InpLaw) -> Iterator[str]:
     axes = ", ORIENTATION=AXES" * law.oriented
     for k, (*constants, rho) in enumerate(distinct):
         tets = order[ends[k - 1] if k else 0 : ends[k]]
-        yield from (f"*ELSET, ELSET=E{k + 1}", *_members(tets))
+        yield f"*ELSET, ELSET=E{k + 1}"
+        yield from _rows(map(str, tets + 1), per_line=16)
         yield from (f"*MATERIAL, NAME=M{k + 1}", law.keyword)
         yield from _rows(map(_number, constants))
         if rho > 0.0:
@@ -184,25 +219,19 @@ def _springs(mesh: TetMesh, c: ConfigurationArrays) -> Iterator[str]:
     first = mesh.n_tets
     between = _between_nodes(mesh, c)
     for axis in range(3):
-        nodes = np.arange(mesh.n_nodes)[:, None]
-        for ends, stiffness in ((nodes, to_ground), between):
+        single = np.arange(mesh.n_nodes)[:, None]
+        for ends, stiffness in ((single, to_ground), between):
             values, of_spring = np.unique(stiffness[:, axis], return_inverse=True)
             for k in np.flatnonzero(values):
                 springs = ends[of_spring.ravel() == k] + 1
-                yield from _alike(springs, axis + 1, values[k], first=first + 1)
+                name, n_ends = f"S{first + 1}", springs.shape[1]
+                yield f"*ELEMENT, TYPE=SPRING{n_ends}, ELSET={name}"
+                for number, nodes in enumerate(springs.tolist(), start=first + 1):
+                    yield ", ".join(map(str, [number, *nodes]))
+                yield f"*SPRING, ELSET={name}"
+                yield ", ".join(n_ends * [str(axis + 1)])
+                yield _number(values[k])
                 first += len(springs)
-
-
-def _alike(
-    nodes: Int[HostArray, "n n_ends"], axis: int, stiffness: float, *, first: int
-) -> Iterator[str]:
-    """Write springs of one stiffness along an axis, numbered from `first`."""
-    n_ends, name = nodes.shape[1], f"S{first}"
-    yield f"*ELEMENT, TYPE=SPRING{n_ends}, ELSET={name}"
-    for number, ends in enumerate(nodes.tolist(), start=first):
-        yield ", ".join(map(str, [number, *ends]))
-    yield from (f"*SPRING, ELSET={name}", ", ".join(n_ends * [str(axis)]))
-    yield _number(stiffness)
 
 
 def _between_nodes(
@@ -223,24 +252,20 @@ def _between_nodes(
     return pairs, np.round(total * scale) / scale
 
 
-def _supports(mesh: TetMesh, c: ConfigurationArrays) -> Iterator[str]:
-    fixed = np.asarray(c.fixed)[: mesh.n_nodes]
+def _held_and_loaded(model: Model, c: ConfigurationArrays) -> Iterator[str]:
+    """Write rigid supports, dead loads and gravity."""
+    n_nodes = model.mesh.n_nodes
+    fixed, force = np.asarray(c.fixed)[:n_nodes], np.asarray(c.dead_loads)[:n_nodes]
     imposed = np.asarray(c.imposed)
-    if not fixed.any():
-        return
-    yield "*BOUNDARY"
+    if fixed.any():
+        yield "*BOUNDARY"
     for node, axis in np.argwhere(fixed):
         value = _number(float(imposed[node, axis]))
         yield f"{node + 1}, {axis + 1}, {axis + 1}, {value}"
-
-
-def _loads(model: Model, c: ConfigurationArrays) -> Iterator[str]:
-    """Write dead loads and gravity."""
-    force = np.asarray(c.dead_loads)[: model.mesh.n_nodes]
     if force.any():
         yield "*CLOAD"
-        for node, axis in np.argwhere(force):
-            yield f"{node + 1}, {axis + 1}, {_number(float(force[node, axis]))}"
+    for node, axis in np.argwhere(force):
+        yield f"{node + 1}, {axis + 1}, {_number(float(force[node, axis]))}"
     g = np.asarray(c.acceleration)
     size = float(np.linalg.norm(g))
     if size > 0.0 and np.any(np.asarray(model.density) > 0.0):
@@ -272,10 +297,95 @@ def _pressures(model: Model, c: ConfigurationArrays) -> Iterator[str]:
     walls = actuator_geometry(actuators, np.asarray(model.mechanism.points))
     for a in np.flatnonzero(acting):
         check_rim(model, c, int(a), "a .inp file")
-    corners = np.sort(tet_faces(model.mesh.tets)[:, :3], axis=1)
-    place = {tuple(face): i for i, face in enumerate(corners.tolist())}
+    places = face_indices(walls.faces, tet_faces(model.mesh.tets))
     yield "*DLOAD"
-    for face, owner in zip(np.sort(walls.faces[:, :3]), walls.face_owner, strict=True):
+    for place, owner in zip(places.tolist(), walls.face_owner, strict=True):
         if acting[owner]:
-            tet, side = divmod(place[tuple(face.tolist())], 4)
+            tet, side = divmod(place, 4)
             yield f"{tet + 1}, P{side + 1}, {_number(float(forces[owner]))}"
+
+
+def inp_law(model: Model) -> InpLaw:
+    """Convert the law of a model; a ValueError says why neither program has it."""
+    law, note, oriented = model.law, _VOLUME, False
+    match law:
+        case (
+            materials.Corotational()
+            | materials.ClassicalCorotational()
+            | materials.StVenantKirchhoff()
+        ):
+            same = isinstance(law, materials.StVenantKirchhoff)
+            differs = type(law).__name__ + _STRETCH
+            note = _GREEN + ("The former is the law of the model." if same else differs)
+            oriented = not isinstance(law.elasticity, materials.Isotropic)
+            if isinstance(law.elasticity, materials.Isotropic):
+                keyword, constants = "*ELASTIC", (law.elasticity.E, law.elasticity.nu)
+            else:
+                keyword = "*ELASTIC, TYPE=ANISO"
+                constants = _anisotropic(law.elasticity)
+        case materials.NeoHookean():
+            mu = law.E / (2.0 * (1.0 + law.nu))
+            bulk = law.E / (3.0 * (1.0 - 2.0 * law.nu))
+            keyword, note = "*HYPERELASTIC, NEO HOOKE", _NEO_HOOKE
+            constants = 0.5 * mu, _D(bulk)
+        case materials.MooneyRivlin():
+            keyword = "*HYPERELASTIC, MOONEY-RIVLIN"
+            constants = law.c10, law.c01, _D(law.bulk_modulus())
+        case materials.Yeoh():
+            keyword = "*HYPERELASTIC, YEOH"
+            volume = _D(law.bulk_modulus()), NO_TERM, NO_TERM
+            constants = law.c10, law.c20, law.c30, *volume
+        case materials.Ogden():  # W has 2 mu / alpha^2 there, and mu / alpha here
+            terms = law.terms()
+            keyword = f"*HYPERELASTIC, OGDEN, N={len(terms)}"
+            distortion = [c for mu, alpha in terms for c in (0.5 * mu * alpha, alpha)]
+            volume = _D(law.bulk_modulus()), *[NO_TERM] * (len(terms) - 1)
+            constants = *distortion, *volume
+        case _:
+            raise ValueError(
+                f"{type(law).__name__} has no counterpart in Abaqus or CalculiX"
+                f"{_without(law)}."
+            )
+    columns = [np.broadcast_to(np.asarray(c, float), model.n_tets) for c in constants]
+    return InpLaw(keyword, np.stack(columns, axis=1), note, oriented)
+
+
+def _without(law: materials.AbstractLaw) -> str:
+    """Say why there is no counterpart, and what to do."""
+    if isinstance(law, materials.Gent):
+        return (
+            ", which have no law that locks in this way; calibrate Yeoh, which "
+            "stiffens too, and export that"
+        )
+    if isinstance(law, materials.FibreReinforced | materials.TransverseHyperelastic):
+        return (
+            ": their laws with fibres (Holzapfel) are exponential, and CalculiX has "
+            "them as user materials alone. For small strains calibrate Corotational "
+            "of TransverseIsotropic, and export that"
+        )
+    return ": it would need a user subroutine (UMAT) there"
+
+
+def _anisotropic(elasticity: materials.AbstractElasticity) -> list[HostArray]:
+    """Return the 21 constants in the order of *ELASTIC, TYPE=ANISO.
+
+    That is the upper triangle by columns, in the order 11, 22, 33, 12, 13, 23.
+    """
+    order = [0, 1, 2, 5, 4, 3]  # in Voigt's order, that of the entries
+    by_rows = [(a, b) for a in range(6) for b in range(a, 6)]
+    table = materials.TabulatedElasticity.of(elasticity)
+    entries = dict(zip(by_rows, table.entries, strict=True))
+    pairs = (sorted((order[i], order[j])) for j in range(6) for i in range(j + 1))
+    return [np.asarray(entries[a, b]) for a, b in pairs]
+
+
+def _D(bulk: Float[Array, "..."]) -> HostArray:
+    """Compute D_1 = 2 / K [1/Pa], if CalculiX takes it as it is."""
+    D = np.asarray(2.0 / bulk)
+    if np.any(D < SMALLEST_D):
+        raise ValueError(
+            f"D1 = 2 / K would be {D.min():.3g} 1/Pa, and below {SMALLEST_D:g} "
+            "CalculiX takes a number of its own: lower Poisson's ratio; 0.499 is "
+            "enough for an incompressible rubber."
+        )
+    return D

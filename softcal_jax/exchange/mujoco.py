@@ -1,18 +1,37 @@
-"""A model of MuJoCo as XML (MJCF): body, actuators, loads, and a keyframe per pose."""
+"""Models of MuJoCo: a calibrated robot, calibrated again for MuJoCo's flex.
 
-from collections.abc import Iterator, Sequence
+Written as XML (MJCF): body, actuators, loads, and a keyframe per configuration.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._typing import Bool, Float, HostArray
-from softcal_jax.actuators import Cable, CableSegments, actuator_rows
-from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium import Model
-from softcal_jax.exchange._formats import vertex_masses
-from softcal_jax.materials import StVenantKirchhoff
+from softcal_jax.actuators import (
+    Cable,
+    ForceActuator,
+    SurfaceForceActuator,
+    actuator_rows,
+)
+from softcal_jax.calibration import CalibrationResult, HistoryEntry
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationArrays,
+    configuration_lanes,
+)
+from softcal_jax.equilibrium import Model, model_for_law
+from softcal_jax.exchange import _formats as formats
+from softcal_jax.export import file_stems, results_folder, write_json
+from softcal_jax.fields import ParameterSpace
+from softcal_jax.materials import AbstractLaw, StVenantKirchhoff
+from softcal_jax.report import LoadedResult
 
 OPTION = {"timestep": 0.002, "integrator": "discrete", "solver": "Newton"}
 """With the one integrator that is implicit in the stiffness of a flex."""
@@ -30,9 +49,6 @@ constraints let the body explode (tried with MuJoCo 4.0).
 GUIDE_MASS = 0.05
 """Mass of a guide over the mean mass of a node, so that it hardly adds to it [-]."""
 
-_ON_NODE = 1e-9
-"""Weight below which a guide does not depend on a node [-]."""
-
 
 class Pose(NamedTuple):
     """A configuration by its name and arrays, and its displacements [m]."""
@@ -40,6 +56,145 @@ class Pose(NamedTuple):
     name: str
     lane: ConfigurationArrays
     displacement: Float[HostArray, "n_nodes 3"]
+
+
+class MujocoExport(Module):
+    """What was written for MuJoCo.
+
+    Attributes:
+        files: The file of each configuration, which is a keyframe there.
+        result: Calibration of the model of MuJoCo, whose values the files have.
+        lines: Values and predictions of both models, and notes.
+    """
+
+    files: dict[str, str]
+    result: CalibrationResult
+    lines: tuple[str, ...]
+
+
+def export_mujoco(
+    result: LoadedResult | str | os.PathLike[str],
+    directory: str | os.PathLike[str],
+    *,
+    force: bool = False,
+    progress: Callable[[HistoryEntry], None] | None = None,
+) -> MujocoExport:
+    """Write a calibrated robot as a model of MuJoCo, calibrated again for it.
+
+    MuJoCo's flex has linear tets, which are too stiff, with the St. Venant-Kirchhoff
+    law. The model is therefore fitted once more to the same measurements with both, and
+    its values are written. In SI.
+
+    The folder holds `robot.xml` with a keyframe per configuration, its controls and
+    equilibrium; or a file per configuration if their gravity or supports differ.
+
+    Args:
+        result: The results folder, its `result.json`, or what `load_result` returned.
+        directory: The folder; it must be new or empty, or hold an earlier model.
+        force: Replace an earlier model; files that a user added stay.
+        progress: Called after each step of the calibration.
+
+    Raises:
+        ResultError: If the result cannot be loaded, see `load_result`.
+        FileExistsError: If the folder is not empty, and `force` is off or it holds
+            something else.
+        NotConvergedError: If the calibration for MuJoCo does not converge. Nothing is
+            written then.
+        RuntimeError: If no configuration has an equilibrium with MuJoCo's law.
+        ValueError: If the law, the robot or a support has no counterpart in MuJoCo; the
+            text says why, and what to do.
+    """
+    folder = Path(directory)
+    loaded, project = formats.linear_result(result, folder, force=force)
+    model = model_for_law(project.model, law_for_mujoco(project.model.law))
+    assert project.space is not None  # it has been calibrated
+    at_rest = [np.zeros_like(model.mesh.points)] * len(project.configurations)
+    every = project.configurations, at_rest
+    mujoco_poses(model, project.space, loaded.z, *every)  # refused before the work
+    refit = formats.recalibrate(loaded, project, model, "MuJoCo", progress)
+    refitted = refit.result
+    poses = mujoco_poses(refitted.model, refitted.space, refitted.z, *refit.solved)
+    lines = [*refit.lines, "", *refit.notes]
+    lines.append(
+        "Damping and time step only bring the body to rest: neither was calibrated, "
+        "and motions take another time."
+    )
+    alike = len({_surroundings(pose) for pose in poses}) == 1
+    stems = ["robot"] * len(poses) if alike else file_stems([p.name for p in poses])
+    files = {pose.name: f"{stem}.xml" for pose, stem in zip(poses, stems, strict=True)}
+    with results_folder(folder, force=force) as partial:
+        written = sorted({*files.values()})
+        for file in written:
+            within = [pose for pose in poses if files[pose.name] == file]
+            text = mjcf(project.name, refitted.model, within, lines)
+            (partial / file).write_text(text, encoding="utf-8")
+        index = {"format": "softcal_jax.mujoco/1", "configurations": files}
+        write_json(partial / "robot.json", {**index, "files": written})
+    return MujocoExport(files, refitted, tuple(lines))
+
+
+def _surroundings(pose: Pose) -> bytes:
+    """Return what the poses of one file have in common: supports and gravity."""
+    lane = pose.lane
+    parts = lane.fixed, lane.springs.coefficients(), lane.acceleration
+    return b"".join(np.asarray(part).tobytes() for part in parts)
+
+
+def law_for_mujoco(law: AbstractLaw) -> StVenantKirchhoff:
+    """Return the law that a flex computes in place of another with E and nu.
+
+    A ValueError says what to do if the law has other constants.
+    """
+    hooke = formats.hooke_of(law)
+    if hooke is not None:
+        return StVenantKirchhoff(hooke)
+    raise ValueError(
+        f"{formats.law_name(law)} has no counterpart in MuJoCo, whose flex has one law,"
+        " with E and nu: calibrate an isotropic StVenantKirchhoff law or a NeoHookean "
+        "one, and export that."
+    )
+
+
+def mujoco_poses(
+    model: Model,
+    space: ParameterSpace,
+    z: Any,
+    configurations: Sequence[Configuration],
+    displacements: Sequence[Float[HostArray, "n_nodes 3"]],
+) -> list[Pose]:
+    """Return configurations with the fitted parameters, of scaled values `z`.
+
+    A ValueError says why MuJoCo cannot hold a robot, support or displacement.
+    """
+    formats.check_no_bodies(model, "a model of MuJoCo")
+    known = Cable, ForceActuator, SurfaceForceActuator
+    holds = "cables without friction and forces of fixed direction"
+    formats.check_actuators(model, known, f"MuJoCo; its models hold {holds}")
+    if np.any(formats.vertex_masses(model) <= 0.0):
+        raise ValueError(
+            "parts of the body have no mass, and MuJoCo moves masses: give `density` "
+            "in [material]."
+        )
+    lanes = configuration_lanes(model.mesh, configurations, model.mechanism).arrays
+    poses = []
+    for i, (c, u) in enumerate(zip(configurations, displacements, strict=True)):
+        _, lane = space.apply(model, lanes[i], z)
+        if np.any(lane.imposed) or np.any(lane.springs.rest):
+            raise ValueError(
+                f"configuration {c.name!r}: a support that is moved is not written to "
+                "MuJoCo, whose flex is at rest where it is built. Leave its "
+                "displacement out."
+            )
+        moved = np.flatnonzero(lane.actuation.by_displacement)
+        if moved.size:
+            raise ValueError(
+                f"configuration {c.name!r}: the displacement of the actuator "
+                f"{lane.actuation.names[moved[0]]!r} is imposed, and controls of the "
+                "model of MuJoCo are forces. Impose the force that the equilibrium "
+                "has (robot.csv)."
+            )
+        poses.append(Pose(c.name, lane, u))
+    return poses
 
 
 def mjcf(name: str, model: Model, poses: Sequence[Pose], remarks: Sequence[str]) -> str:
@@ -106,7 +261,7 @@ def _add_body(
     all directions is a point of the world. Tets of equal constants share a flex.
     """
     points, held = model.mesh.points, np.asarray(fixed.all(axis=1))
-    for i, mass in enumerate(vertex_masses(model)):
+    for i, mass in enumerate(formats.vertex_masses(model)):
         if not held[i]:
             springs = {axis: stiffness[i, axis] for axis in np.flatnonzero(~fixed[i])}
             _add_point(root, f"node{i}", points[i], mass, springs)
@@ -179,7 +334,7 @@ def _add_cable(
     mass = GUIDE_MASS * model.mass / model.mesh.n_nodes
     size = np.cbrt(model.node_volumes.sum() / model.n_tets)
     stiffness = TIE * _constants(model)[0].mean() * size
-    for k, (point, weights) in enumerate(_guides(model, owner)):
+    for k, (point, weights) in enumerate(formats.cable_guides(model, owner)):
         name, nodes = f"{cable}, guide {k}", np.flatnonzero(weights)
         if fixed[nodes].all():  # on the ground, or held
             _add(world, "site", name=name, pos=point, size=0.001)
@@ -200,22 +355,3 @@ def _add_cable(
         _add(path, "site", site=name)
     _add_motor(root, cable, gear=-1.0)  # a tension shortens it
     return sums
-
-
-def _guides(
-    model: Model, owner: int
-) -> Iterator[tuple[Float[HostArray, "3"], Float[HostArray, " n_nodes"]]]:
-    """Return place at rest [m] and weights of nodes of each guide, 0 on the ground."""
-    groups, points = model.mechanism.actuators.groups, model.mesh.points
-    (segments,) = (group for group in groups if isinstance(group, CableSegments))
-    last = None
-    for i in np.flatnonzero(np.asarray(segments.owner) == owner):
-        ends = np.asarray(segments.weights[i]), np.asarray(segments.fixed[i])
-        for share, ground in zip(*ends, strict=True):
-            weights = np.zeros(len(points))
-            np.add.at(weights, np.asarray(segments.nodes[i]), share)
-            weights[np.abs(weights) < _ON_NODE] = 0.0
-            point = weights @ points + ground
-            if last is None or not np.allclose(point, last, rtol=1e-9):
-                yield point, weights
-            last = point
