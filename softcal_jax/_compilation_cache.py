@@ -18,14 +18,11 @@ import platformdirs
 
 from softcal_jax._warnings import SoftcalWarning
 
-LARGEST = 2_000_000_000
-"""Size of the folder above which the least recently used programs go [bytes]."""
-
+LARGEST = 2_000_000_000  # size above which the least recently used programs go [bytes]
 _EMITTERS = "--xla_cpu_use_fusion_emitters"
 _QUICKLY = f"{_EMITTERS}=0"  # a user's own "=false" stays
 
-_MAX_SIZE = "jax_compilation_cache_max_size"
-"""JAX's setting for the largest size, -1 for no limit."""
+_MAX_SIZE = "jax_compilation_cache_max_size"  # -1 for no limit
 
 
 class CompilationCacheWarning(SoftcalWarning):

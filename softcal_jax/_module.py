@@ -20,9 +20,7 @@ from softcal_jax import _notebook
 from softcal_jax._text import escaped
 from softcal_jax._units import readable_values
 
-MOST, _MOST_NUMBERS = 120, 4
-"""Most characters of the line, and most numbers; larger arrays show their shape."""
-
+MOST, _MOST_NUMBERS = 120, 4  # most characters of the line, and most numbers
 _ATTR = re.compile(r"^    (\w+): (.*(?:\n      .*)*)", re.M)
 _UNIT = re.compile(r"\[([A-Za-z][\w /^*]*)\]")
 

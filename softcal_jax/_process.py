@@ -10,11 +10,8 @@ from pathlib import Path
 
 import jax
 
-HALF_A_DAY_S = 12 * 3600.0
-"""From here on the end of what is under way has a date [s]."""
-
-_first: list[int] = []
-"""Id of the process that first computed here; a forked child inherits the list."""
+HALF_A_DAY_S = 12 * 3600.0  # from here on the end of what is under way has a date [s]
+_first: list[int] = []  # id of the process that first computed; a forked child has it
 
 
 def check_process() -> None:

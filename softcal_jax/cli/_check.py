@@ -20,9 +20,7 @@ if TYPE_CHECKING:
     from softcal_jax.mesh import TetMesh
     from softcal_jax.project import Project
 
-_MARK = "softcal check"
-"""Mark in a picture that this command drew: the next run may replace the picture."""
-
+_MARK = "softcal check"  # in a picture of this command: the next run may replace it
 _CHECK = """\
 examples:
   softcal check project.toml                  and project_check.png beside it
@@ -124,9 +122,7 @@ configuration. Nothing is solved, so it takes seconds.""",
     command.set_defaults(run=check)
 
 
-_UNIT = "mm"
-"""Length unit of the mesh that is written."""
-
+_UNIT = "mm"  # of the mesh that is written
 _MESH = """\
 examples:
   softcal mesh finger.step -o finger.msh --size "3 mm"

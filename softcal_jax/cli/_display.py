@@ -32,8 +32,7 @@ _COMPILE = "/jax/core/compile/"
 _BACKEND = f"{_COMPILE}backend_compile_duration"
 _FROM_DISK = "/jax/compilation_cache/cache_hits"
 
-NOTICED_S = 0.5
-"""Time of compiling after which it is mentioned [s]."""
+NOTICED_S = 0.5  # time of compiling after which it is mentioned [s]
 
 
 class PlainConsole(Console):

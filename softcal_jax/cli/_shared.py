@@ -20,8 +20,7 @@ from softcal_jax.cli._display import Display
 if TYPE_CHECKING:
     from softcal_jax.project import Project
 
-OK, NOT_CONVERGED, BAD_INPUT, NOT_TO_USE, INTERRUPTED = 0, 1, 2, 3, 130
-"""Exit codes."""
+OK, NOT_CONVERGED, BAD_INPUT, NOT_TO_USE, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes
 
 
 class Stop(Exception):

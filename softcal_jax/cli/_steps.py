@@ -20,11 +20,8 @@ if TYPE_CHECKING:
     from softcal_jax.fields import Parameter
     from softcal_jax.project import Project
 
-MOST_IN_FIELD = 4
-"""Most values of one field that a step shows one by one."""
-
-MOST_NAMED = 4
-"""Most fields and other parameters that a step shows."""
+MOST_IN_FIELD = 4  # values of one field that a step shows one by one
+MOST_NAMED = 4  # fields and other parameters that a step shows
 
 
 def write_results(

@@ -20,15 +20,9 @@ from softcal_jax.cli._shared import (
 if TYPE_CHECKING:
     from softcal_jax.sweeps import Progress, Sweep, TrialRow
 
-QUIET_S = 30.0
-"""Shortest time between lines on the progress of a sweep in a log [s]."""
-
-MOST_SHOWN = 4
-"""Most figures of a trial in its line; its row holds all."""
-
-_OPTIONS = "workers", "cores_per_worker", "scheduler"
-"""Options of the command that say where trials run."""
-
+QUIET_S = 30.0  # time between lines on progress in a log [s]
+MOST_SHOWN = 4  # figures of a trial in its line; its row holds all
+_OPTIONS = "workers", "cores_per_worker", "scheduler"  # say where trials run
 _SWEEP = """\
 A sweep file names a project file and the axes of the sweep:
 

@@ -42,21 +42,13 @@ from softcal_jax.plotting._view import (
 MOST_PANELS = 6
 """Most configurations that are drawn; `softcal check` says how many are left out."""
 
-_WIDTH, _TOP, _BOTTOM, _HEADING = 1600, 110, 140, 44
-"""Whole width, and heights of title, legend and the heading of a panel [pixels]."""
+_WIDTH, _TOP, _BOTTOM, _HEADING = 1600, 110, 140, 44  # all, title, legend, heading [px]
 _LOWEST, _HIGHEST, _PAGE = 330, 820, 1100
 """Limits of the height of a panel, and of all of them [pixels]."""
-_MARGIN = 80
-"""Room around the body for symbols and their names [pixels]."""
-
-_MOST_FIBRES = 400
-"""Most fibres that are drawn, in tets at the visible boundary."""
-
-_MOST_NAMES = 12
-"""Most markers that are named; more names would cover each other."""
-
-_LIGHT, _DARK = 0.97, 0.70
-"""Brightness of a face seen from the front, and from the side."""
+_MARGIN = 80  # room around the body for symbols and their names [pixels]
+_MOST_FIBRES = 400  # fibres that are drawn, in tets at the visible boundary
+_MOST_NAMES = 12  # markers that are named; more names would cover each other
+_LIGHT, _DARK = 0.97, 0.70  # brightness of a face seen from the front, the side
 
 
 def plot_plan(

@@ -191,14 +191,9 @@ def draw_sensors(axes: Axes, view: View, frames: Sequence[SensorFrame]) -> list[
     return ["sensor's axes"] if frames else []
 
 
-_SHORTEST, _LONGEST = 0.07, 0.14
-"""Lengths of the arrows of the smallest and largest load, over the view's width."""
-
-_GRAVITY = 0.05
-"""Length of the arrow of gravity, over the width of the picture."""
-
-_LEAST = 0.15
-"""Share of an arrow's length that must be seen; a shorter one is drawn end on [-]."""
+_SHORTEST, _LONGEST = 0.07, 0.14  # arrows of loads, over the width of the view
+_GRAVITY = 0.05  # length of its arrow, over the width of the picture
+_LEAST = 0.15  # an arrow of which less of the length is seen is drawn end on [-]
 
 
 def load_place(

@@ -26,9 +26,7 @@ if TYPE_CHECKING:
     import pyvista
 
 _SMOOTHING = "ssaa"  # VTK averages 4 x 4 samples of each pixel
-_GHOST = "#ececec"
-"""Colour of the body at rest."""
-
+_GHOST = "#ececec"  # colour of the body at rest
 _CHOICE = "VTK_DEFAULT_OPENGL_WINDOW"
 
 _REMEDY = (

@@ -23,14 +23,9 @@ from softcal_jax.report._verdict import TONES, value_of
 if TYPE_CHECKING:
     import rich.console
 
-MOST_DIRECTIONS = 6
-"""Most blind directions that are listed; the others are only counted."""
-
-MOST_CORRELATED = 12
-"""Most parameters whose correlations are shown as a matrix."""
-
-MOST_PAIRS = 20
-"""Most pairs of parameters listed where there are too many for a matrix."""
+MOST_DIRECTIONS = 6  # blind directions that are listed; the others are only counted
+MOST_CORRELATED = 12  # parameters whose correlations are shown as a matrix
+MOST_PAIRS = 20  # pairs of parameters listed where a matrix would be too large
 
 
 def model_words(model: Model) -> str:

@@ -25,17 +25,12 @@ from softcal_jax.report._verdict import end_of
 
 INK, BLUE, LINE, PAPER = "#1a1a1a", "#0b4f8a", "#c8c8c8", "#ffffff"
 
-MOST_PARAMETERS = 7
-"""Most parameters whose course is drawn."""
-
+MOST_PARAMETERS = 7  # parameters whose course is drawn
 _TOP, _BOTTOM, _LABELS, _HEIGHT = 30.0, 170.0, 190.0, 196
 """Where a chart over an axis begins and ends, its labels stand, and its height."""
 
-MOST_BARS = 24
-"""Most rows of a chart."""
-
-LEAST_NAMED = 0.01
-"""Smallest share of a variance of which the cause is named beside the bar [-]."""
+MOST_BARS = 24  # rows of a chart
+LEAST_NAMED = 0.01  # share of a variance of which the cause is named beside the bar [-]
 
 # Darker and lighter in turn, so that neighbours differ in grey as well.
 _FILLS = ("#8c8c8c", "#0b4f8a", "#f0b27a", "#1b7a5a", "#d9cdf0", "#5b4310", "#ffffff")

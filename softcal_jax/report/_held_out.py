@@ -8,8 +8,7 @@ import numpy as np
 from softcal_jax._names import listed
 from softcal_jax.calibration import ConfigurationResult
 
-MOST_LISTED = 6
-"""Most held-out configurations that are listed one by one."""
+MOST_LISTED = 6  # held-out configurations that are listed one by one
 
 
 def listed_fits(fits: Sequence[ConfigurationResult]) -> list[ConfigurationResult]:

@@ -22,15 +22,9 @@ from softcal_jax.report._verdict import (
     RunVerdict,
 )
 
-MOST_PICTURES = 3_400_000
-"""Most bytes of pictures in a page: base64 adds a third, which is still below 5 MB."""
-
-REPEATED = "repeated"
-"""Folder that the command to repeat a run writes to."""
-
-_LARGE = 3
-"""Most values that are written in large type."""
-
+MOST_PICTURES = 3_400_000  # bytes of pictures; base64 adds a third, still below 5 MB
+REPEATED = "repeated"  # folder that the command to repeat a run writes to
+_LARGE = 3  # most values that are written in large type
 _KINDS = {
     ".vtu": "for ParaView",
     ".pvd": "all configurations for ParaView",
@@ -41,9 +35,7 @@ _KINDS = {
     ".html": "this page",
 }
 
-_VOID = {"br", "img", "input", "meta"}
-"""Elements that have neither content nor an end."""
-
+_VOID = {"br", "img", "input", "meta"}  # elements without content or an end
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 """What a page may load: its own styles and pictures, and nothing by network.
 

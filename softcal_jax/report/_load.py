@@ -27,8 +27,7 @@ from softcal_jax.export.result_file import ResultFile, SourceEntry
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.project import Project, load_project
 
-RESULT = "result.json"
-"""Name of the file in a results folder."""
+RESULT = "result.json"  # name of the file in a results folder
 
 
 class ResultError(ValueError):

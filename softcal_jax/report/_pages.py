@@ -49,9 +49,7 @@ from softcal_jax.report._tables import robot_tables, simulation_tables
 from softcal_jax.report._verdict import TONES, RunVerdict, answer_of, verdict_of
 from softcal_jax.report._view import PageView
 
-REPORT = "report.html"
-"""Name of the page in a results folder."""
-
+REPORT = "report.html"  # name of the page in a results folder
 _MARKED = "A triangle marks values that should not be used as they are."
 
 

@@ -35,11 +35,8 @@ from softcal_jax.sweeps import (
     varied_table,
 )
 
-KIND = "Sweep"
-"""What the page says was done; an earlier page of a sweep is recognised by it."""
-
-MOST_TRIALS, MOST_CHARTED = 100, 6
-"""Most trials in the table of all, and most figures drawn against each axis."""
+KIND = "Sweep"  # said on the page; an earlier page of a sweep is recognised by it
+MOST_TRIALS, MOST_CHARTED = 100, 6  # in the table, and figures in charts
 
 
 def sweep_page_of(database: str | os.PathLike[str]) -> Path:

@@ -20,12 +20,8 @@ SCOPE = (
 )
 """For what calibrated values hold."""
 
-MOST_REASONS = 3
-"""Most reasons of a verdict that stand in the first screen."""
-
-MOST_VALUES = 8
-"""Most parameters whose values stand in the first screen."""
-
+MOST_REASONS = 3  # reasons of a verdict that stand in the first screen
+MOST_VALUES = 8  # parameters whose values stand in the first screen
 TONES: dict[str, Tone] = {
     "trust": "good",
     "take with care": "doubtful",

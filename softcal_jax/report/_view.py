@@ -24,9 +24,7 @@ from softcal_jax.report._view_fields import (
     view_fields,
 )
 
-MOST_DATA = 1_500_000
-"""Most bytes of what a view draws; curved faces are cut more coarsely to stay below."""
-
+MOST_DATA = 1_500_000  # bytes of what a view draws; curved faces are cut more coarsely
 _SHOWN = {
     "mesh": ("faces of the mesh", False),
     "rest": ("body at rest", True),

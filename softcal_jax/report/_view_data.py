@@ -32,11 +32,8 @@ from softcal_jax.plotting import (
 )
 from softcal_jax.report._view_fields import Field, Surface
 
-_MOST = 65535
-"""Largest number of 16 bits; in a field it marks that there is no value."""
-
-_FIBRES = 600
-"""Most fibres that are drawn."""
+_MOST = 65535  # largest number of 16 bits; in a field, there is no value
+_FIBRES = 600  # most fibres that are drawn
 
 
 def pack(values: HostArray) -> str:

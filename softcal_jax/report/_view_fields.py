@@ -22,8 +22,7 @@ from softcal_jax.mesh import Tessellation, TetMesh, boundary_tets, tessellate
 TetValues = Mapping[str, Float[HostArray, " n_tets"]]
 """Values of fields in each tet, or their standard errors, by the name of the field."""
 
-_SHARP = np.cos(np.radians(30.0))
-"""Cosine of the angle between two triangles above which their edge is not sharp."""
+_SHARP = np.cos(np.radians(30.0))  # an edge is sharp where two normals differ more
 
 
 class Surface(NamedTuple):
@@ -90,8 +89,7 @@ def _edges(
     return sides[first[~within]], sharp[~within]
 
 
-_AS_THEY_ARE = ("rad", "m")
-"""Standard errors in these units are shown as they are, others in % of the value."""
+_AS_THEY_ARE = ("rad", "m")  # units of errors that are not shown in % of the value
 
 
 _ERROR = "standard error of "

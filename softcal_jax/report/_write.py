@@ -45,9 +45,7 @@ from softcal_jax.report._pages import (
 from softcal_jax.report._view import PageView, body_view
 from softcal_jax.report._view_fields import TetValues
 
-COLLECTION = "configurations.pvd"
-"""All configurations at once, for ParaView."""
-
+COLLECTION = "configurations.pvd"  # all configurations at once, for ParaView
 Picture = Literal["png", "svg"]
 """Formats of pictures. In SVG, lines and words are drawn and bodies are images."""
 
