@@ -129,7 +129,14 @@ def load_result(
     """
     path = result_path(path)
     data = _read(path)
-    source = _source_of(path, data)
+    source = data.source
+    if source is None:
+        raise ResultError(
+            f"{path}: this calibration was made in Python, without a project file. "
+            "Build model and space in Python as they were, and set the values by "
+            "space.model_at(model, space.to_scaled(values)); or describe them in a "
+            "project file, and calibrate that."
+        )
     if project is None:
         project = os.path.normpath(path.parent.resolve() / source.project.file)
     _check_unchanged(path, Path(project), source)
@@ -199,17 +206,6 @@ def _read(path: Path) -> ResultFile:
             stacklevel=3,
         )
     return data
-
-
-def _source_of(path: Path, data: ResultFile) -> SourceEntry:
-    if data.source is None:
-        raise ResultError(
-            f"{path}: this calibration was made in Python, without a project file. "
-            "Build model and space in Python as they were, and set the values by "
-            "space.model_at(model, space.to_scaled(values)); or describe them in a "
-            "project file, and calibrate that."
-        )
-    return data.source
 
 
 def _check_unchanged(path: Path, project: Path, source: SourceEntry) -> None:

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from importlib.resources import files
 from typing import Any, NamedTuple
 
 from softcal_jax.calibration import (
@@ -13,7 +12,7 @@ from softcal_jax.calibration import (
 from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import PARTS, boundary_tets
 from softcal_jax.plotting import MARKS, NOT_CONVERGED, motion_words
-from softcal_jax.report._html import Html, bullets, joined, node
+from softcal_jax.report._html import Html, bullets, joined, node, resource, template
 from softcal_jax.report._outline import ROLES
 from softcal_jax.report._view_data import view_data
 from softcal_jax.report._view_fields import (
@@ -36,21 +35,6 @@ _SHOWN = {
     "names": ("names", True),
 }
 """What can be shown, by its name in the script, and whether it is shown at first."""
-
-_BUTTONS = {
-    "left": ("\N{LEFTWARDS ARROW}", "Turn left"),
-    "right": ("\N{RIGHTWARDS ARROW}", "Turn right"),
-    "up": ("\N{UPWARDS ARROW}", "Turn up"),
-    "down": ("\N{DOWNWARDS ARROW}", "Turn down"),
-    "nearer": ("+", "Nearer"),
-    "farther": ("\N{MINUS SIGN}", "Farther"),
-    "reset": ("Reset", "Reset the view"),
-}
-
-_KEYS = (
-    "Drag or press the arrow keys to turn, with Shift to move; + and -, or a pinch, "
-    "bring the robot nearer or farther; Home resets the view."
-)
 
 _LINE = '<path d="M2 7H26" stroke="{0}" stroke-width="2.5"/>'
 _DASHED = _LINE.replace("/>", ' stroke-dasharray="7 3 2 3"/>')
@@ -143,7 +127,7 @@ def body_view(
     drawn = Html(drawing.text)
     data = node("script", drawn, type="application/json", id="view-data")
     content = joined([_figure(drawing, converged=converged), data])
-    script = files("softcal_jax.report").joinpath("view.js").read_text("utf-8")
+    script = resource("view.js")
     names = frozenset(pose.name for pose in drawing.shown if pose.converged)
     return PageView(content, script, names)
 
@@ -191,25 +175,19 @@ def _drawing(
 
 def _figure(drawing: _Drawing, *, converged: bool) -> Html:
     """Write controls, drawing area and words, hidden until the script shows them."""
-    warning = [] if converged else [node("p", NOT_CONVERGED, class_="stop")]
-    marks = _marks(drawing.data)
+    marks, fields = _marks(drawing.data), drawing.data["fields"]
     words = [
         node("p", _words(pose), hidden="", class_="" if pose.converged else "stop")
         for pose in drawing.shown
     ]
-    return node(
-        "figure",
-        *warning,
-        _stage(),
-        _choices(drawing, marks),
-        _scale(drawing.data["fields"]),
-        _legend(marks),
-        node("figcaption", *words, node("p", "", role="status"), id="view-words"),
-        node("p", _KEYS, id="view-keys", class_="keys"),
-        bullets(drawing.remarks),
-        id="view",
-        class_="view",
-        hidden="",
+    return template(
+        "view.html",
+        warning=[] if converged else [node("p", NOT_CONVERGED, class_="stop")],
+        choices=_choices(drawing, marks),
+        coloured=f"Colours of {fields[0]['label']}" if fields else "Colours",
+        legend=_legend(marks),
+        words=words,
+        remarks=bullets(drawing.remarks),
     )
 
 
@@ -273,41 +251,6 @@ def _marks(data: Mapping[str, Any]) -> list[str]:
     present |= {part["kind"] for part in parts}
     present |= {"at rest", *(["rigid"] if data["anyRigid"] else [])}
     return [name for name in _MARKS if name in present]
-
-
-def _stage() -> Html:
-    """Write the drawing area and its buttons."""
-    label = "The robot in three dimensions"
-    area = node(
-        "canvas",
-        id="view-area",
-        tabindex="0",
-        role="application",
-        aria_label=label,
-        aria_describedby="view-keys view-words",
-    )
-    over = node("canvas", id="view-over", aria_hidden="true")
-    buttons = (
-        node("button", sign, type="button", id=f"view-{key}", aria_label=words)
-        for key, (sign, words) in _BUTTONS.items()
-    )
-    turns = node("div", *buttons, role="group", aria_label="Turn", class_="turns")
-    return node("div", node("div", area, over, class_="stage"), turns)
-
-
-def _scale(fields: Sequence[Mapping[str, Any]]) -> Html:
-    """Write the colour bar, whose numbers and colours the script sets."""
-    ticks = (node("span", "") for _ in range(5))
-    return node(
-        "div",
-        node("p", "", id="view-title"),
-        node("div", class_="colours", id="view-colours"),
-        node("div", *ticks, class_="ticks", id="view-ticks"),
-        class_="scale",
-        role="img",
-        aria_label=f"Colours of {fields[0]['label']}" if fields else "Colours",
-        id="view-scale",
-    )
 
 
 def _legend(marks: Sequence[str]) -> Html:

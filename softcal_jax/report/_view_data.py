@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from softcal_jax import plotting
 from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import ConfigurationResult
@@ -19,17 +20,6 @@ from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import fibre_directions, readable_values
 from softcal_jax.mesh import TetMesh
-from softcal_jax.plotting import (
-    DISPLACEMENT_MAP,
-    RobotPicture,
-    actuator_words,
-    choose_view,
-    is_seen,
-    load_place,
-    pushes,
-    robot_picture,
-    sensor_frames,
-)
 from softcal_jax.report._view_fields import Field, Surface
 
 _MOST = 65535  # largest number of 16 bits; in a field, there is no value
@@ -161,7 +151,9 @@ def _colours() -> HostArray:
     """Return 256 colours of the map of the pictures, which is even in grey too."""
     import matplotlib
 
-    colours = matplotlib.colormaps[DISPLACEMENT_MAP](np.linspace(0.0, 1.0, 256))
+    colours = matplotlib.colormaps[plotting.DISPLACEMENT_MAP](
+        np.linspace(0.0, 1.0, 256)
+    )
     return np.rint(255.0 * colours[:, :3]).astype("u1")
 
 
@@ -177,7 +169,9 @@ def _first_view(
     u = np.zeros_like(X) if most is None else most.displacement
     everything = np.concatenate([X, *(X + pose.displacement for pose in drawn)])
     posed = next((pose.posed for pose in shown if pose.posed is not None), None)
-    view = choose_view(X, u, everything, () if posed is None else posed.gravity)
+    view = plotting.choose_view(
+        X, u, everything, () if posed is None else posed.gravity
+    )
     axes = {k: getattr(view, k).tolist() for k in ("right", "up", "towards")}
     return {**axes, "more": [place for robot in robots for place in robot["reach"]]}
 
@@ -195,11 +189,11 @@ def robot_data(model: Model, result: ConfigurationResult) -> dict[str, Any]:
     data: dict[str, Any] = {"walls": np.zeros((0, 3), int)}
     data |= {k: [] for k in ("cables", "wallNames", "arrows", "motors", "frames")}
     if result.converged and result.robot is not None:
-        picture = robot_picture(model, result.robot)
+        picture = plotting.robot_picture(model, result.robot)
         _add_actuators(data, picture)
         data["frames"] += _bodies(model, picture)
     if result.converged:
-        for frame in sensor_frames(result):
+        for frame in plotting.sensor_frames(result):
             kind = "measured" if frame.is_measured else "simulated"
             place = {"at": _mm(frame.position), "axes": frame.rotation.T.tolist()}
             data["frames"].append({"kind": kind, "name": "", **place})
@@ -216,12 +210,12 @@ def robot_data(model: Model, result: ConfigurationResult) -> dict[str, Any]:
     return data
 
 
-def _add_actuators(data: dict[str, Any], picture: RobotPicture) -> None:
+def _add_actuators(data: dict[str, Any], picture: plotting.RobotPicture) -> None:
     geometry = picture.geometry
     for a, actuator in enumerate(picture.state.actuators):
-        if not is_seen(actuator):
+        if not plotting.is_seen(actuator):
             continue
-        name = escaped(actuator_words(actuator))
+        name = escaped(plotting.actuator_words(actuator))
         segments = geometry.segments[geometry.segment_owner == a]
         if len(segments):
             slack = actuator.kind == "cable" and actuator.force == 0.0
@@ -238,12 +232,12 @@ def _add_actuators(data: dict[str, Any], picture: RobotPicture) -> None:
                 motor = {"name": name, "at": place, "axis": along.tolist()}
                 data["motors"].append(motor)
             else:
-                towards = (pushes(actuator) * along).tolist()
+                towards = (plotting.pushes(actuator) * along).tolist()
                 arrow = {"kind": "force", "name": name}
                 data["arrows"].append({**arrow, "tip": place, "towards": towards})
 
 
-def _bodies(model: Model, picture: RobotPicture) -> Iterator[dict[str, Any]]:
+def _bodies(model: Model, picture: plotting.RobotPicture) -> Iterator[dict[str, Any]]:
     """Yield the frames of rigid bodies."""
     frames = picture.x[model.mesh.n_nodes :].reshape(-1, 4, 3)
     axes = (frames[:, 1:] - frames[:, :1]) / model.mechanism.bodies.length
@@ -257,7 +251,7 @@ def _loads(
 ) -> Iterator[dict[str, Any]]:
     """Yield the dead loads, each at the mean place where it acts."""
     for load in posed.loads:
-        place, force = load_place(load, mesh, x)
+        place, force = plotting.load_place(load, mesh, x)
         size = float(np.linalg.norm(force))
         if size > 0.0:
             arrow = {"kind": "load", "name": readable_values([size], "N", digits=3)}
