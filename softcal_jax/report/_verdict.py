@@ -38,34 +38,20 @@ TONES: dict[str, Tone] = {
 
 
 class RunVerdict(NamedTuple):
-    """The verdict with which the page of a run begins.
+    """The verdict with which the page of a run begins."""
 
-    Attributes:
-        sentence: The verdict; it ends with a colon where reasons follow.
-        tone: Whether it is good, doubtful or bad news.
-        reasons: What there is to doubt, one sentence each.
-    """
-
-    sentence: str
+    sentence: str  # ends with a colon where reasons follow
     tone: Tone
-    reasons: tuple[str, ...] = ()
+    reasons: tuple[str, ...] = ()  # what there is to doubt, one sentence each
 
 
 class Answer(NamedTuple):
-    """What a calibration answers, in the order in which it is read.
+    """What a calibration answers, in the order in which it is read."""
 
-    Attributes:
-        values: Name, value and interval of each parameter.
-        verdict: Whether the values can be used.
-        mistakes: What would explain contradictory data, the likeliest first.
-        held_out: How well poses are predicted that were not fitted, in sentences.
-        next_step: What to do next.
-    """
-
-    values: tuple[tuple[str, str, str], ...]
-    verdict: RunVerdict
-    mistakes: tuple[str, ...]
-    held_out: tuple[str, ...]
+    values: tuple[tuple[str, str, str], ...]  # name, value and interval
+    verdict: RunVerdict  # whether the values can be used
+    mistakes: tuple[str, ...]  # what would explain contradictory data, likeliest first
+    held_out: tuple[str, ...]  # how well poses are predicted that were not fitted
     next_step: str
 
     def lines(self) -> list[str]:
@@ -84,14 +70,12 @@ class Answer(NamedTuple):
 
 def answer_of(result: CalibrationResult, assessment: Assessment) -> Answer:
     """Collect what a calibration answers."""
-    values = tuple((p.name, value_of(p), _interval_of(p)) for p in result.parameters)
-    held_out = held_out_sentences(result.configurations)
     none = "Held-out error: unknown, because every pose was used in the fit."
     return Answer(
-        values=values,
+        values=tuple((p.name, value_of(p), _interval_of(p)) for p in result.parameters),
         verdict=verdict_of(assessment),
         mistakes=result.mistakes,
-        held_out=tuple(held_out or [none]),
+        held_out=tuple(held_out_sentences(result.configurations) or [none]),
         next_step=_next_step(result, assessment),
     )
 

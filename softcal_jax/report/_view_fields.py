@@ -26,25 +26,15 @@ _SHARP = np.cos(np.radians(30.0))  # an edge is sharp where two normals differ m
 
 
 class Surface(NamedTuple):
-    """Triangles of the boundary, face by face, and the edges of its faces.
-
-    Attributes:
-        cut: The triangles.
-        per_face: How many triangles a face is cut into.
-        faces: Nodes of each face.
-        tets: The tet of each face.
-        rigid: Whether all nodes of a face belong to one rigid body.
-        edges: Points at the ends of the parts of the edges, the sharp ones first.
-        n_sharp: How many of the edges are sharp at rest.
-    """
+    """Triangles of the boundary, face by face, and the edges of its faces."""
 
     cut: Tessellation
-    per_face: int
-    faces: Int[HostArray, "n_faces n_fn"]
-    tets: Int[HostArray, " n_faces"]
-    rigid: Bool[HostArray, " n_faces"]
-    edges: Int[HostArray, "n_edges 2"]
-    n_sharp: int
+    per_face: int  # triangles that a face is cut into
+    faces: Int[HostArray, "n_faces n_fn"]  # their nodes
+    tets: Int[HostArray, " n_faces"]  # the tet of each face
+    rigid: Bool[HostArray, " n_faces"]  # all its nodes belong to one rigid body
+    edges: Int[HostArray, "n_edges 2"]  # points at the ends of parts, sharp ones first
+    n_sharp: int  # edges that are sharp at rest
 
     def having(self, corners: Int[HostArray, "n 3"]) -> Bool[HostArray, " n_faces"]:
         """Say which faces have one of these triples of corners, in any order."""
