@@ -1,6 +1,6 @@
 """Draw what acts on a body, and the sensors on it, over its picture."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -84,6 +84,19 @@ class RobotPicture(NamedTuple):
         }
         return [kind for kind, is_present in present.items() if is_present]
 
+    def parts(self) -> Iterator[tuple[ActuatorState, *tuple[HostArray, ...]]]:
+        """Yield actuators that are drawn: segments, faces, first point and its arrow.
+
+        Each of these is empty where an actuator has none.
+        """
+        shape = self.geometry
+        for a, actuator in enumerate(self.state.actuators):
+            if is_seen(actuator):
+                k = np.flatnonzero(shape.point_owner == a)[:1]
+                segments = shape.segments[shape.segment_owner == a]
+                faces = shape.faces[shape.face_owner == a, :3]
+                yield actuator, segments, faces, shape.points[k], shape.arrows[k]
+
 
 def robot_picture(model: Model, state: RobotState) -> RobotPicture:
     """Collect what is drawn beside the soft body."""
@@ -94,18 +107,17 @@ def robot_picture(model: Model, state: RobotState) -> RobotPicture:
 
 def draw_robot(axes: Axes, view: View, picture: RobotPicture) -> None:
     """Draw the actuators, each with its name and force."""
-    geometry, actuators = picture.geometry, picture.state.actuators
-    for a, actuator in enumerate(actuators):
-        if not is_seen(actuator):
-            continue
-        places = [
-            _draw_wall(axes, view, picture, a),
-            _draw_cable(axes, view, geometry, a, slack=actuator.force == 0.0),
-            _draw_point(axes, view, picture, a),
-        ]
-        place = next((p for p in places if p is not None), None)
-        if place is not None:
-            draw_name(axes, actuator_words(actuator), place, (0, 12), ha="center")
+    for actuator, segments, faces, points, arrows in picture.parts():
+        places = []
+        if len(faces):
+            places.append(_draw_wall(axes, view, picture.x[faces]))
+        if len(segments):
+            slack = actuator.force == 0.0
+            places.append(_draw_cable(axes, view, segments, slack=slack))
+        if len(points):
+            places.append(_draw_point(axes, view, actuator, points[0], arrows[0]))
+        if places:
+            draw_name(axes, actuator_words(actuator), places[0], (0, 12), ha="center")
 
 
 def is_seen(actuator: ActuatorState) -> bool:
@@ -128,10 +140,7 @@ def actuator_words(actuator: ActuatorState) -> str:
     return f"{actuator.name}: {', '.join(words)}"
 
 
-def _draw_cable(axes, view: View, geometry: ActuatorGeometry, a: int, *, slack: bool):
-    segments = geometry.segments[geometry.segment_owner == a]
-    if not len(segments):
-        return None
+def _draw_cable(axes, view: View, segments: Float[HostArray, "n 2 3"], *, slack: bool):
     style = {**SYMBOLS["cable"], "ls": ":" if slack else "-", "marker": "o", "ms": 6}
     for ends in view.project(segments):
         axes.plot(*ends.T, **style, path_effects=halo(5.0))
@@ -139,24 +148,16 @@ def _draw_cable(axes, view: View, geometry: ActuatorGeometry, a: int, *, slack: 
     return view.project(segments[np.argmax(lengths)].mean(axis=0))
 
 
-def _draw_wall(axes, view: View, picture: RobotPicture, a: int):
+def _draw_wall(axes, view: View, corners: Float[HostArray, "n 3 3"]):
     from matplotlib.collections import PolyCollection
 
-    faces = picture.geometry.faces[picture.geometry.face_owner == a, :3]
-    if not len(faces):
-        return None
-    flat = view.project(picture.x[faces])
+    flat = view.project(corners)
     style = {"facecolor": WALL, "edgecolor": "white", "lw": 0.4, "alpha": 0.3}
     axes.add_collection(PolyCollection(list(flat), **style))
     return flat.mean(axis=(0, 1))
 
 
-def _draw_point(axes, view: View, picture: RobotPicture, a: int):
-    geometry, actuator = picture.geometry, picture.state.actuators[a]
-    if a not in geometry.point_owner:
-        return None
-    k = np.argmax(geometry.point_owner == a)
-    point, arrow = geometry.points[k], geometry.arrows[k]
+def _draw_point(axes, view: View, actuator: ActuatorState, point, arrow):
     if actuator.kind == "motor":
         half = _AXIS * view.width * arrow
         ends = view.project(np.stack([point - half, point + half]))

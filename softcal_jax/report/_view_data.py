@@ -211,30 +211,24 @@ def robot_data(model: Model, result: ConfigurationResult) -> dict[str, Any]:
 
 
 def _add_actuators(data: dict[str, Any], picture: plotting.RobotPicture) -> None:
-    geometry = picture.geometry
-    for a, actuator in enumerate(picture.state.actuators):
-        if not plotting.is_seen(actuator):
-            continue
+    for actuator, segments, faces, points, arrows in picture.parts():
         name = escaped(plotting.actuator_words(actuator))
-        segments = geometry.segments[geometry.segment_owner == a]
         if len(segments):
             slack = actuator.kind == "cable" and actuator.force == 0.0
             ends = [[_mm(end) for end in segment] for segment in segments]
             data["cables"].append({"name": name, "slack": slack, "segments": ends})
-        faces = geometry.faces[geometry.face_owner == a, :3]
         if len(faces):
             data["walls"] = np.concatenate([data["walls"], faces])
             middle = _mm(picture.x[faces].mean(axis=(0, 1)))
             data["wallNames"].append({"name": name, "at": middle})
-        for k in np.flatnonzero(geometry.point_owner == a)[:1]:
-            place, along = _mm(geometry.points[k]), geometry.arrows[k]
+        for point, along in zip(points, arrows, strict=True):
             if actuator.kind == "motor":
-                motor = {"name": name, "at": place, "axis": along.tolist()}
+                motor = {"name": name, "at": _mm(point), "axis": along.tolist()}
                 data["motors"].append(motor)
             else:
                 towards = (plotting.pushes(actuator) * along).tolist()
                 arrow = {"kind": "force", "name": name}
-                data["arrows"].append({**arrow, "tip": place, "towards": towards})
+                data["arrows"].append({**arrow, "tip": _mm(point), "towards": towards})
 
 
 def _bodies(model: Model, picture: plotting.RobotPicture) -> Iterator[dict[str, Any]]:

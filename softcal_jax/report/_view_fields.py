@@ -18,6 +18,7 @@ from softcal_jax.export import (
     von_mises_stress,
 )
 from softcal_jax.mesh import Tessellation, TetMesh, boundary_tets, tessellate
+from softcal_jax.plotting import rigid_faces
 
 TetValues = Mapping[str, Float[HostArray, " n_tets"]]
 """Values of fields in each tet, or their standard errors, by the name of the field."""
@@ -49,10 +50,7 @@ def surface_of(model: Model, parts: int) -> Surface:
     cut = tessellate(model.mesh, parts=parts)
     per_face = len(cut.triangles) // len(tets)
     faces = cut.faces[::per_face]
-    bodies, body = model.mechanism.bodies, np.full(model.mesh.n_nodes, -1)
-    body[bodies.attached] = bodies.body
-    owners = body[faces]
-    rigid = (owners[:, 0] >= 0) & np.all(owners == owners[:, :1], axis=1)
+    rigid = rigid_faces(model, faces)
     edges, sharp = _edges(model.mesh, cut, per_face)
     edges = np.concatenate([edges[sharp], edges[~sharp]])
     return Surface(cut, per_face, faces, tets, rigid, edges, int(sharp.sum()))
