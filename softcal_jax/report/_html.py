@@ -16,13 +16,7 @@ from typing import Any, NamedTuple
 from softcal_jax._process import installed_version
 from softcal_jax._text import escaped
 from softcal_jax._text_table import TextTable, text_table
-from softcal_jax.report._verdict import (
-    MOST_REASONS,
-    MOST_VALUES,
-    SCOPE,
-    Answer,
-    RunVerdict,
-)
+from softcal_jax.report import _verdict
 
 MOST_PICTURES = 3_400_000  # bytes of pictures; base64 adds a third, still below 5 MB
 REPEATED = "repeated"  # folder that the command to repeat a run writes to
@@ -171,7 +165,7 @@ def figure(content: Html, caption: str, *, title: str = "") -> Html:
 def page(
     name: str,
     kind: str,
-    verdict: RunVerdict,
+    verdict: _verdict.RunVerdict,
     sections: Sequence[Section],
     *,
     index: str,
@@ -197,7 +191,7 @@ def page(
         for part in shown
         if not (part.folded or part.viewed)
     )
-    begins = _verdict(verdict) if first is None else first
+    begins = _verdict_html(verdict) if first is None else first
     if robot is not None:
         begins = node("div", begins, node("div", robot), class_="first")
     whole = template(
@@ -219,9 +213,9 @@ def page(
     return f"<!DOCTYPE html>\n{whole}\n"
 
 
-def output(verdict: RunVerdict, content: Iterable[Part]) -> Html:
+def output(verdict: _verdict.RunVerdict, content: Iterable[Part]) -> Html:
     """Write what a cell of a notebook shows: a verdict, then the content."""
-    return fragment([_verdict(verdict), *parts_html(content)])
+    return fragment([_verdict_html(verdict), *parts_html(content)])
 
 
 def fragment(content: Iterable[Html]) -> Html:
@@ -231,7 +225,7 @@ def fragment(content: Iterable[Html]) -> Html:
     return node("div", node("style", style), *content, class_="softcal", style=plain)
 
 
-def _verdict(verdict: RunVerdict, most: int | None = None) -> Html:
+def _verdict_html(verdict: _verdict.RunVerdict, most: int | None = None) -> Html:
     """Write a verdict; reasons beyond the first `most` are folded."""
     shown = verdict.reasons[:most]
     said = [node("p", node("strong", verdict.sentence)), bullets(shown)]
@@ -242,21 +236,21 @@ def _verdict(verdict: RunVerdict, most: int | None = None) -> Html:
     return node("section", head, *said, class_=f"verdict {verdict.tone}")
 
 
-def answer_html(answer: Answer) -> Html:
+def answer_html(answer: _verdict.Answer) -> Html:
     """Write the answer of a calibration, its values in large type."""
     values = [
         node("div", node("dt", name), node("dd", value, node("small", interval)))
-        for name, value, interval in answer.values[:MOST_VALUES]
+        for name, value, interval in answer.values[: _verdict.MOST_VALUES]
     ]
     size = "values" if len(answer.values) <= _LARGE else "values many"
     content: list[Part] = [node("dl", *values, class_=size)]
-    left = len(answer.values) - MOST_VALUES
+    left = len(answer.values) - _verdict.MOST_VALUES
     if left > 0:
         content.append(node("p", node("a", f"and {left} more", href="#parameters")))
-    content.append(_verdict(answer.verdict, MOST_REASONS))
+    content.append(_verdict_html(answer.verdict, _verdict.MOST_REASONS))
     content += (f"Possible mistake: {text}" for text in answer.mistakes)
     content += [*answer.held_out, f"Next: {answer.next_step}"]
-    content.append(node("p", SCOPE, class_="kind"))
+    content.append(node("p", _verdict.SCOPE, class_="kind"))
     return node("div", *parts_html(content), class_="answer")
 
 

@@ -6,17 +6,10 @@ from typing import Literal, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax import export
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.equilibrium import Model, tet_states
-from softcal_jax.export import (
-    STANDARD_ERROR,
-    field_units,
-    principal_stretches,
-    readable_unit,
-    tet_fields,
-    von_mises_stress,
-)
 from softcal_jax.mesh import Tessellation, TetMesh, boundary_tets, tessellate
 from softcal_jax.plotting import rigid_faces
 
@@ -111,7 +104,7 @@ def state_fields(model: Model, pose: ConfigurationResult) -> TetValues:
     if not pose.converged:
         return {}
     states = tet_states(model, jnp.asarray(pose.displacement))
-    values = principal_stretches(states)[:, 0], von_mises_stress(states)
+    values = export.principal_stretches(states)[:, 0], export.von_mises_stress(states)
     return dict(zip(_STATE, values, strict=True))
 
 
@@ -167,12 +160,12 @@ def _distances(pose: ConfigurationResult):
 def _law_fields(
     model: Model, surface: Surface, errors: TetValues | None
 ) -> list[Field]:
-    units, per_tet = field_units(model), tet_fields(model, errors or {})
+    units, per_tet = export.field_units(model), export.tet_fields(model, errors or {})
     fields = []
     for name, values in per_tet.items():
         if name not in units or values.ndim > 1:
             continue
-        error = per_tet.get(name + STANDARD_ERROR)
+        error = per_tet.get(name + export.STANDARD_ERROR)
         if error is None and np.ptp(values) <= 1e-9 * np.abs(values).max():
             continue
         unit = units[name]
@@ -195,7 +188,7 @@ def _of_faces(
     """Convert values of faces to a readable unit; rigid faces get no value."""
     present = np.concatenate([np.zeros(0), *(v for v in values if v is not None)])
     finite = np.abs(present[np.isfinite(present)])
-    factor, shown = readable_unit([float(finite.max(initial=0.0))], unit)
+    factor, shown = export.readable_unit([float(finite.max(initial=0.0))], unit)
     converted = tuple(
         None if v is None else np.where(surface.rigid, np.nan, factor * v)
         for v in values
