@@ -48,11 +48,9 @@ def available_cores() -> int:
 def cpu_name() -> str:
     """Name the model of the processor."""
     info = Path("/proc/cpuinfo")  # Linux; elsewhere `platform` knows
-    if info.exists():
-        match = re.search(r"(?m)^model name\s*: (.+)$", info.read_text())
-        if match:
-            return match.group(1).strip()
-    return platform.processor() or platform.machine()
+    text = info.read_text() if info.exists() else ""
+    match = re.search(r"(?m)^model name\s*: (.+)$", text)
+    return match[1].strip() if match else platform.processor() or platform.machine()
 
 
 def installed_version(package: str) -> str:
