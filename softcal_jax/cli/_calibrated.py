@@ -12,6 +12,9 @@ from softcal_jax.exchange.exporters import AbstractExporter, ExportProgress
 if TYPE_CHECKING:
     from softcal_jax.fields import ParameterSpace
 
+_RESULTS = "folder of the results, or result.json"
+_MOVED = "the project file, if it was moved"
+
 _INVERSE = """\
 examples:
   softcal inverse results --configuration "20 kPa" --goal tip="(60, 8, 2) mm" -o command
@@ -118,7 +121,7 @@ def add_inverse(commands: "argparse._SubParsersAction") -> None:
         "says what prevents a goal that is out of reach.",
         epilog=_INVERSE,
     )
-    cli.add_path(command, "results", "RESULTS", "folder of the results, or result.json")
+    cli.add_path(command, "results", "RESULTS", _RESULTS)
     for flag, metavar, needed, text in (
         ("--goal", "NAME=VALUE", True, "a goal (repeat the option for several)"),
         ("--limit", "NAME=LOW to HIGH", False, "limits of an actuator"),
@@ -129,12 +132,8 @@ def add_inverse(commands: "argparse._SubParsersAction") -> None:
     which = "the configuration (optional if there is only one)"
     command.add_argument("--configuration", metavar="NAME", help=which)
     cli.add_path(command, "--output", "DIR", "folder for the results", required=True)
-    cli.add_path(
-        command, "--project", "PROJECT.toml", "the project file, if it was moved"
-    )
-    cli.add_output(
-        command, force="replace earlier results in that folder", pictures=True
-    )
+    cli.add_path(command, "--project", "PROJECT.toml", _MOVED)
+    cli.add_output(command, force=cli.AGAIN, pictures=True)
     command.set_defaults(run=inverse)
 
 
@@ -171,12 +170,9 @@ def add_export(
             description=exporter.description,
             epilog=f"Refused, with the reason: {exporter.cannot_hold}.",
         )
-        cli.add_path(
-            command, "results", "RESULTS", "folder of the results, or result.json"
-        )
+        cli.add_path(command, "results", "RESULTS", _RESULTS)
         cli.add_path(command, "--output", *exporter.output, required=True)
-        text = "the project file, if it was moved"
-        cli.add_path(command, "--project", "PROJECT.toml", text)
+        cli.add_path(command, "--project", "PROJECT.toml", _MOVED)
         exporter.add_options(command)
         cli.add_output(command, force="replace what is there")
         command.set_defaults(run=partial(_export, exporter=exporter))

@@ -27,7 +27,8 @@ def check(args: argparse.Namespace, show: cli.Display) -> None:
     name = f"{args.project.stem}_check.{args.pictures}"
     picture = args.output or args.project.with_name(name)
     cli.check_suffix(picture, ".png", ".svg")
-    if not args.no_pictures and not _is_own(picture):
+    earlier = picture.is_file() and _MARK.encode() in picture.read_bytes()[:4000]
+    if not args.no_pictures and not earlier:
         cli.check_new(picture, force=args.force)
     project = cli.load(args.project, show, solve=False)
     doubts = show.warnings
@@ -63,10 +64,6 @@ def check(args: argparse.Namespace, show: cli.Display) -> None:
         }
     )
     show.times()
-
-
-def _is_own(picture: Path) -> bool:
-    return picture.is_file() and _MARK.encode() in picture.read_bytes()[:4000]
 
 
 def _draw(project: "Project", picture: Path) -> None:

@@ -107,10 +107,6 @@ def _with_mistakes(
 
 
 def simulate(args: argparse.Namespace, show: cli.Display) -> None:
-    """Solve all configurations of a project, at the start values by default.
-
-    Configurations without an equilibrium are named once the results are written.
-    """
     cli.check_folder(args)
     from softcal_jax import report
     from softcal_jax._process import Clock
@@ -135,13 +131,13 @@ def simulate(args: argparse.Namespace, show: cli.Display) -> None:
     more |= cli.pictures_with_a_bar(args, show)
     write = partial(report.write_simulation, result, made=_made(project), **more)
     cli.write_results(write, args, show, index="simulation.json")
+    # Who has no equilibrium is named once the results are written.
     with cli.no_equilibrium("The results contain the others, if any."):
         check_converged(solution, tuple(c.name for c in project.configurations))
 
 
 def identify(args: argparse.Namespace, show: cli.Display) -> None:
-    if args.output is not None:
-        cli.check_folder(args)
+    cli.check_folder(args)
     from softcal_jax import report
     from softcal_jax.export import outlook_dict
 
@@ -200,8 +196,7 @@ exit codes: 0 compared, whatever the verdict, 1 no model predicts every configur
 
 
 def compare(args: argparse.Namespace, show: cli.Display) -> None:
-    if args.output is not None:
-        cli.check_folder(args)
+    cli.check_folder(args)
     from softcal_jax import report
     from softcal_jax.export import comparison_dict
     from softcal_jax.project import compare_projects, projects_by_name
@@ -210,9 +205,8 @@ def compare(args: argparse.Namespace, show: cli.Display) -> None:
     n = sum(len(project.calibration) + 1 for project in projects)
     show.note(f"{n} fits, each to all configurations or to all but one")
     with cli.no_equilibrium("Nothing was written."):
-        comparison = compare_projects(
-            projects, progress=lambda name: show.now(f"fits of {name}")
-        )
+        progress = lambda name: show.now(f"fits of {name}")
+        comparison = compare_projects(projects, progress=progress)
     show.lap("solve")
     named = projects_by_name(projects).items()
     made = {name: _made(project) for name, project in named}
@@ -245,7 +239,7 @@ The files have the same configurations with the same measured values, and differ
         "projects", metavar="PROJECT.toml", nargs="+", type=Path, help="project files"
     )
     cli.add_path(command, "--output", "DIR", "folder for the results")
-    cli.add_output(command, force="replace earlier results in that folder")
+    cli.add_output(command, force=cli.AGAIN)
     command.set_defaults(run=compare)
 
 

@@ -54,9 +54,8 @@ class HelpFormatter(argparse.RawDescriptionHelpFormatter):
     """Wraps a text of one line, and leaves one of several lines as it is."""
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
-        return super()._fill_text(
-            text if "\n" in text else fill(text, width), width, indent
-        )
+        text = text if "\n" in text else fill(text, width)
+        return super()._fill_text(text, width, indent)
 
 
 class PlainParser(argparse.ArgumentParser):

@@ -63,7 +63,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     # The start of the process will not do: a shell may have run in it before.
     begin = time.time() - (time.process_time() if argv is None else 0.0)
     if argv is None:
-        _collect_rarely()
+        # Imports allocate much and leave no garbage: searching them over and over, and
+        # all once more at the end, takes a third of the time of a quick command.
+        gc.set_threshold(100_000, 20, 100)
+        atexit.register(gc.freeze)
     _display.escape_what_cannot_be_encoded()
     words = list(sys.argv[1:] if argv is None else argv)
     if words[:2] == ["sweep", "show"]:  # one command for the parser
@@ -90,21 +93,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     return code
 
 
-def _collect_rarely() -> None:
-    """Let the process search for garbage rarely, and not when it ends.
-
-    Imports allocate much and leave no garbage; searching them again and again takes a
-    third of the time of a command that does not compute.
-    """
-    gc.set_threshold(100_000, 20, 100)
-    atexit.register(gc.freeze)
-
-
 def _parser(formats: Mapping[str, AbstractExporter]) -> argparse.ArgumentParser:
     parser = _display.PlainParser("softcal", description=_ABOUT, epilog=_EXAMPLES)
-    parser.add_argument(
-        "--version", action="version", version=f"softcal {version('softcal-jax')}"
-    )
+    text = f"softcal {version('softcal-jax')}"
+    parser.add_argument("--version", action="version", version=text)
     shtab.add_argument_to(
         parser,
         ["--print-completion"],
@@ -175,8 +167,7 @@ ranked by how much information measuring them would add.""",
         text = "stop at the first answer: no error budget, intervals or pictures"
         command.add_argument("--quick", action="store_true", help=text)
     for command in (beam, fit, forward, outlook):
-        again = "replace earlier results in that folder"
-        cli.add_output(command, force=again, pictures=command is not outlook)
+        cli.add_output(command, force=cli.AGAIN, pictures=command is not outlook)
     add_new(commands)
     add_check(commands)
     add_mesh(commands)

@@ -12,6 +12,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from softcal_jax.project import Project
 
 OK, NOT_CONVERGED, BAD_INPUT, NOT_TO_USE, INTERRUPTED = 0, 1, 2, 3, 130  # exit codes
+AGAIN = "replace earlier results in that folder"  # what --force does
 MOST_IN_FIELD = 4  # values of one field that a step shows one by one
 MOST_NAMED = 4  # fields and other parameters that a step shows
 
@@ -110,17 +112,17 @@ def add_output(
         text = "write no pictures"
         which.add_argument("--no-pictures", action="store_true", help=text)
         text = "format of the pictures: png (default) or svg, for print"
-        which.add_argument(
-            "--pictures", choices=["png", "svg"], default="png", help=text
-        )
+        formats = {"choices": ["png", "svg"], "default": "png"}
+        which.add_argument("--pictures", **formats, help=text)
 
 
 def check_folder(args: argparse.Namespace) -> None:
-    """Check the output folder first, so that a long run does not fail there."""
+    """Check the output folder, if there is one, before a long run would fail there."""
     from softcal_jax.export import check_results_folder
 
     with bad_input():
-        check_results_folder(args.output, force=args.force)
+        if args.output is not None:
+            check_results_folder(args.output, force=args.force)
 
 
 def check_new(*paths: Path, force: bool) -> None:
@@ -223,9 +225,8 @@ def write_results(
 
 def pictures_with_a_bar(args: argparse.Namespace, show: Display) -> dict[str, Any]:
     """Return the format of the pictures, and a callback that shows their progress."""
-    progress = lambda done, total: show.now(
-        "drawing pictures", log=False, count=(done, total)
-    )
+    drawing = partial(show.now, "drawing pictures", log=False)
+    progress = lambda done, total: drawing(count=(done, total))
     none = args.no_pictures or getattr(args, "quick", False)
     return {"pictures": None if none else args.pictures, "progress": progress}
 

@@ -196,18 +196,16 @@ def add_sweep(commands: "argparse._SubParsersAction") -> None:
     text = "run this one of --of N parts, from 0, and write a Parquet file: more than "
     text += "100 000 trials, as jobs of a cluster"
     run.add_argument("--part", metavar="K", type=int, help=text)
-    run.add_argument("--of", metavar="N", type=int, help="number of parts")
+    number = {"metavar": "N", "type": int}
+    run.add_argument("--of", **number, help="number of parts")
     workers = "worker processes (default: all cores)"
-    run.add_argument("--workers", metavar="N", type=int, help=workers)
+    run.add_argument("--workers", **number, help=workers)
     threads = "threads of each (default: 1, which is fastest unless memory is short)"
-    run.add_argument(
-        "--cores-per-worker", metavar="N", type=int, default=1, help=threads
-    )
+    run.add_argument("--cores-per-worker", **number, default=1, help=threads)
     cluster = 'run on a Dask cluster, like "tcp://10.0.0.1:8786"'
     run.add_argument("--scheduler", metavar="ADDRESS", help=cluster)
-    run.add_argument(
-        "--retry-failed", action="store_true", help="retry the trials that failed"
-    )
+    again = "retry the trials that failed"
+    run.add_argument("--retry-failed", action="store_true", help=again)
     cli.add_output(run)
     run.set_defaults(run=sweep)
 
