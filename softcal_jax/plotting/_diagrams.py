@@ -46,9 +46,7 @@ def plot_traces(traces: Traces, path: str | Path, *, name: str = "recording") ->
     for panel, (start, stop) in zip(panels[1:], windows, strict=True):
         inside = (recording.times >= start) & (recording.times <= stop)
         part = recording.positions[inside]
-        known = np.isfinite(part)
-        n = known.sum(axis=0)
-        mean = np.where(known, part, 0.0).sum(axis=0) / np.where(n > 0, n, np.nan)
+        mean = np.ma.masked_invalid(part).mean(axis=0).filled(np.nan)
         columns = _draw_distances(panel, traces, mean)
         frame = float(np.median(np.diff(recording.times))) if inside.size > 1 else 1.0
         beside = max(_AROUND * (stop - start), _LEAST * frame)

@@ -9,7 +9,6 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.mesh import TetMesh
-from softcal_jax.plotting import _figure as figures
 from softcal_jax.plotting._figure import (
     DPI,
     FAINT,
@@ -18,6 +17,7 @@ from softcal_jax.plotting._figure import (
     TEXT,
     Axes,
     add_view,
+    draw_frame,
     pixel_figure,
     save,
 )
@@ -81,7 +81,7 @@ def plot_directions(
     place = {"loc": "center", "bbox_to_anchor": (0.5, 55 / total)}
     figure.legend(lines, families, fontsize=15, frameon=False, **place)
     around = {"scale": scale, "top": _TOP, "bottom": _BOTTOM}
-    figures.draw_frame(figure, view, **around, title=title)
+    draw_frame(figure, view, **around, title=title)
     save(figure, path)
 
 

@@ -15,7 +15,6 @@ from softcal_jax.plotting._view import (
     View,
     VisibleFaces,
     choose_view,
-    draw_faces,
     visible_faces,
 )
 
@@ -88,7 +87,7 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
         # Darker where they are seen from the side.
         light = _DARKEST + (1.0 - _DARKEST) * faces.light
         shades = np.array([*colours, *_NO_GROUP])[group] * light[:, None]
-        draw_faces(axes, view, faces.corners, shades)
+        figures.draw_faces(axes, view, faces.corners, shades)
         _draw_nodes(axes, view, mesh, drawn, dict(zip(groups, colours, strict=True)))
         best = (seen.argmax(axis=0) == k) & (seen[k] >= _LEAST)
         for index in np.flatnonzero(best):

@@ -27,9 +27,7 @@ from softcal_jax.plotting._figure import (
 )
 from softcal_jax.plotting._view import View
 
-_FRAME, _AXIS, _ARROW = 0.05, 0.08, 0.1
-"""Lengths of sensor axes, hinges and forces, relative to the width of the view."""
-
+_FRAME, _AXIS, _ARROW = 0.05, 0.08, 0.1  # sensors, hinges, forces; of the view's width
 _UNSEEN_AT_REST = ("force actuator", "surface force actuator", "surface pressure")
 """Actuators that are not drawn where they do not push."""
 
