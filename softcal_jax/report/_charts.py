@@ -23,15 +23,14 @@ from softcal_jax.report._verdict import end_of
 INK, BLUE, LINE, PAPER = "#1a1a1a", "#0b4f8a", "#c8c8c8", "#ffffff"
 
 MOST_PARAMETERS = 7  # parameters whose course is drawn
+# Where a chart over an axis begins and ends, its labels stand, and its height.
 _TOP, _BOTTOM, _LABELS, _HEIGHT = 30.0, 170.0, 190.0, 196
-"""Where a chart over an axis begins and ends, its labels stand, and its height."""
-
 MOST_BARS = 24  # rows of a chart
 LEAST_NAMED = 0.01  # share of a variance of which the cause is named beside the bar [-]
 
-# Darker and lighter in turn, so that neighbours differ in grey as well.
+# Darker and lighter in turn, so that neighbours differ in grey as well. Where there are
+# more causes, the colours repeat.
 _FILLS = ("#8c8c8c", "#0b4f8a", "#f0b27a", "#1b7a5a", "#d9cdf0", "#5b4310", "#ffffff")
-"""Colours of the causes; where there are more causes, the colours repeat."""
 
 
 def error_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
@@ -71,9 +70,8 @@ def workspace_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
         look |= {"cx": f"{8 + 84 * place[across]:.2f}%", "fill_opacity": "0.6"}
         r = f"{2.0 + 10.0 * fit.rms_after / worst:.1f}"
         parts.append(node("circle", cy=f"{240 - 220 * place[up]:.1f}", r=r, **look))
-    drawn = node(
-        "svg", *parts, role="img", aria_label="Errors over the workspace", height="260"
-    )
+    title = "Errors over the workspace"
+    drawn = node("svg", *parts, role="img", aria_label=title, height="260")
     spans = [
         f"{'xyz'[k]} from {low[k]:.0f} to {low[k] + size[k]:.0f} mm"
         for k in (across, up)
@@ -83,7 +81,7 @@ def workspace_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
         "mean position of the points of a configuration, and its size is the error, up "
         f"to {distance(worst)}. Filled circles were held out."
     )
-    return [figure(drawn, caption, title="Errors over the workspace")]
+    return [figure(drawn, caption, title=title)]
 
 
 def _errors(fit: ConfigurationResult, longest: float) -> Html:

@@ -3,9 +3,11 @@
 from collections.abc import Mapping, Sequence
 from itertools import compress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from rich.console import Group
+from rich.text import Text
 
 from softcal_jax._text_table import STYLES, Cell, TextTable, text_table
 from softcal_jax._typing import Float, HostArray
@@ -13,19 +15,9 @@ from softcal_jax.control import GoalFit, InverseResult, TrajectoryResult
 from softcal_jax.equilibrium import RobotState
 from softcal_jax.export import readable_values
 from softcal_jax.plotting import render_body
-from softcal_jax.report._html import (
-    Html,
-    Part,
-    Section,
-    bullets,
-    closing,
-    page,
-)
+from softcal_jax.report._html import Html, Part, Section, bullets, closing, page
 from softcal_jax.report._tables import actuator_row, actuator_values
 from softcal_jax.report._verdict import RunVerdict
-
-if TYPE_CHECKING:
-    import rich.console
 
 
 def inverse_verdict(result: InverseResult | TrajectoryResult) -> RunVerdict:
@@ -52,11 +44,8 @@ def inverse_parts(result: InverseResult | TrajectoryResult) -> list[Part]:
     return [text_table("Commands", columns, rows, words=["inputs"])]
 
 
-def inverse_table(result: InverseResult) -> "rich.console.Group":
+def inverse_table(result: InverseResult) -> Group:
     """Tabulate a result of inverse control for the terminal: goals and actuators."""
-    from rich.console import Group
-    from rich.text import Text
-
     verdict = inverse_verdict(result)
     tables = map(TextTable.drawn, (goal_table(result.goals), actuator_table(result)))
     return Group(*tables, Text(verdict.sentence, f"bold {STYLES[verdict.tone]}"))
@@ -143,7 +132,7 @@ def inverse_page(
         rows = [(a.way, str(a.n_steps), f"{a.error:.3g}") for a in result.attempts]
         columns = "started from", "steps", "largest error, in standard deviations"
         search = [text_table("Descents", columns, rows)]
-    loaded = [file for file in [data["calibration"]] if file is not None]
+    loaded = [data["calibration"]] if data["calibration"] is not None else []
     sections = [
         Section("notes", "Notes", [bullets(data["notes"])]),
         Section("goals", "Goals and commands", inverse_parts(result)),
@@ -152,7 +141,5 @@ def inverse_page(
         *closing("inverse", data, [data["source"]], files=loaded, options=options),
     ]
     verdict = inverse_verdict(result)
-    of: dict[str, Any] = {"index": "inverse.json", "units": "SI"}
-    if pictures:
-        of["robot"] = pictures[0]
+    of = {"index": "inverse.json", "units": "SI", "robot": next(iter(pictures), None)}
     return page(data["name"], "Inverse control", verdict, sections, **of)

@@ -51,11 +51,12 @@ def calibration_page(
     """Write the page of a calibration from its index and the pictures in a folder."""
     fits, outlook = result.configurations, assessment.identifiability
     agreement = result.checks.agreement if result.checks else ()
+    known = _tables.outlook_table(assessment), _tables.outlook_legend(outlook)
     course = [*_charts.course_charts(result), _tables.history_table(result)]
     sections = [
         Section("errors", "Residuals", _errors(result, assessment)),
         Section("parameters", "Parameters", _parameters(result, assessment)),
-        Section("data", "What the data determine", _outlook(assessment)),
+        Section("data", "What the data determine", [*_blindness(outlook), *known]),
         Section("agreement", "Each recording fitted alone", [bullets(agreement)]),
         Section("notes", "Notes", [bullets(data["notes"])]),
         *_pictures(data, folder, view),
@@ -142,13 +143,6 @@ def _parameters(result: CalibrationResult, assessment: Assessment) -> list[Part]
     return [legend, *tables, *_charts.budget_chart(result), *starts]
 
 
-def _outlook(assessment: Assessment) -> list[Part]:
-    """Say what the data see, and what they are blind to."""
-    outlook = assessment.identifiability
-    table, legend = _tables.outlook_table(assessment), _tables.outlook_legend(outlook)
-    return [*_blindness(outlook), table, legend]
-
-
 def _blindness(outlook: Identifiability) -> list[Part]:
     first, *directions = _tables.blindness(outlook)
     return [first, bullets(directions)]
@@ -177,7 +171,8 @@ def _pictures(
             captions[name] = f"{posed} ({role}): {shown}"
             if view is not None and posed in view.names:
                 viewed.append(name)
-    taken = 0 if view is None else 3 * view.size // 4  # base64 adds a third
+    used = "" if view is None else f"{view.content}{view.script}"
+    taken = 3 * len(used.encode()) // 4  # base64 adds a third
     shown = shown_pictures(captions, folder, taken, viewed)
     drawn = [name for name in captions if name.endswith((".png", ".svg"))]
     return [Section("pictures", "Pictures", shown, viewed=set(drawn) <= {*viewed})]
@@ -221,7 +216,7 @@ def identifiability_page(
         verdict = _outlook_verdict(outlook)
         blind = _blindness(outlook)
         sections += [
-            Section("parameters", "Parameters", _told(outlook)),
+            Section("parameters", "Parameters", _verdicts(outlook)),
             Section("directions", "What the data do not determine", blind),
             _inner(outlook),
         ]
@@ -244,7 +239,7 @@ def _next(outlook: Identifiability | None, ranking: Ranking | None) -> list[Part
     return [ranking.headline, *table, bullets(map(str, ranking.unranked))]
 
 
-def _told(outlook: Identifiability) -> list[Part]:
+def _verdicts(outlook: Identifiability) -> list[Part]:
     """Show what the data would tell of the parameters."""
     return [outlook.tabulated, _tables.outlook_legend(outlook)]
 
@@ -314,4 +309,4 @@ def notebook_html(result: object) -> Html:
 
 def _known(outlook: Identifiability) -> list[Part]:
     """Show what is known of the parameters, what is not, and what to do."""
-    return [*_told(outlook), *_blindness(outlook), *_next(outlook, None)]
+    return [*_verdicts(outlook), *_blindness(outlook), *_next(outlook, None)]

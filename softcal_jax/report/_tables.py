@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from rich.console import Group
+from rich.text import Text
 
 from softcal_jax._text_table import STYLES, Cell, TextTable, Tone, or_dash, text_table
 from softcal_jax._typing import Float, HostArray
@@ -21,18 +22,13 @@ from softcal_jax.export import readable_unit, readable_values
 from softcal_jax.identifiability import Assessment, Identifiability, assess, percent
 from softcal_jax.report._verdict import TONES, listed_fits, value_of
 
-if TYPE_CHECKING:
-    import rich.console
-
 MOST_DIRECTIONS = 6  # blind directions that are listed; the others are only counted
 MOST_CORRELATED = 12  # parameters whose correlations are shown as a matrix
 MOST_PAIRS = 20  # pairs of parameters listed where a matrix would be too large
 
 
-def simulation_table(result: SimulationResult) -> "rich.console.Group":
+def simulation_table(result: SimulationResult) -> Group:
     """Tabulate a forward simulation for the terminal: outcomes, then the robot."""
-    from rich.console import Group
-
     return Group(*map(TextTable.drawn, simulation_tables(result)))
 
 
@@ -128,9 +124,8 @@ def distance(metres: float) -> str:
 def model_words(model: Model) -> str:
     """Describe the size, the law and the elements of a model."""
     law = model.law
-    parts = (getattr(law, key, None) for key in ("elasticity", "matrix"))
-    named = [type(law).__name__]
-    named += [type(part).__name__ for part in parts if part is not None]
+    parts = law, *(getattr(law, key, None) for key in ("elasticity", "matrix"))
+    named = [type(part).__name__ for part in parts if part is not None]
     return f"{model.mesh.words}, {' of '.join(named)} ({model.formulation})"
 
 
@@ -146,9 +141,8 @@ def parameter_table(result: CalibrationResult, outlook: Identifiability) -> Text
         start = f"{q.start * factor:.4g} {unit}".rstrip()
         value = Cell(value_of(q), "strong" if sound else "bad")
         rows.append((q.name, value, start, bounds))
-    return text_table(
-        title, ("parameter", "value ± standard error", "start", "bounds"), rows
-    )
+    columns = "parameter", "value ± standard error", "start", "bounds"
+    return text_table(title, columns, rows)
 
 
 def budget_table(result: CalibrationResult) -> TextTable:
@@ -292,14 +286,11 @@ def history_table(result: CalibrationResult) -> TextTable:
 
 def summary_table(
     result: CalibrationResult, assessment: Assessment | None = None
-) -> "rich.console.Group":
+) -> Group:
     """Tabulate a calibration for the terminal; without `assessment`, it is assessed.
 
     Parameters come first, then configurations, identifiability and notes.
     """
-    from rich.console import Group
-    from rich.text import Text
-
     assessment = assessment or assess(result)
     outlook = assessment.identifiability
     shown = result.configurations

@@ -49,33 +49,22 @@ _AXES = (
     'stroke-width="2" stroke-dasharray="3 2"/>'
 )
 
-
-class _Mark(NamedTuple):
-    """An entry of the legend: its words, and the SVG of its symbol, to be coloured.
-
-    It shows if one of its boxes of `_SHOWN` is ticked, or always if it has none.
-    """
-
-    words: str
-    symbol: str
-    boxes: str = ""
-
-
+# Words and symbol of each mark of the legend, to be coloured by `MARKS`, and the boxes
+# of `_SHOWN` of which one must be ticked: none for a mark that is always shown.
 _MARKS = {
-    "measured": _Mark("measured", _CIRCLE, "markers frames"),
-    "simulated": _Mark("simulated", _CROSS, "markers frames"),
-    "at rest": _Mark("at rest", _LINE, "rest"),
-    "cable": _Mark("cable", _LINE, "robot"),
-    "wall": _Mark("wall under pressure", _PALE, "robot"),
-    "motor": _Mark("motor", _DASHED, "robot"),
-    "force": _Mark("force", _ARROW, "robot"),
-    "load": _Mark("load", _ARROW, "loads"),
-    "gravity": _Mark("gravity", _ARROW, "loads"),
-    "rigid": _Mark("rigid body", _PATCH),
-    "frame": _Mark("frame of a rigid body", _AXES, "frames"),
-    "fibre": _Mark("fibre", _HATCH, "fibres"),
+    "measured": ("measured", _CIRCLE, "markers frames"),
+    "simulated": ("simulated", _CROSS, "markers frames"),
+    "at rest": ("at rest", _LINE, "rest"),
+    "cable": ("cable", _LINE, "robot"),
+    "wall": ("wall under pressure", _PALE, "robot"),
+    "motor": ("motor", _DASHED, "robot"),
+    "force": ("force", _ARROW, "robot"),
+    "load": ("load", _ARROW, "loads"),
+    "gravity": ("gravity", _ARROW, "loads"),
+    "rigid": ("rigid body", _PATCH, ""),
+    "frame": ("frame of a rigid body", _AXES, "frames"),
+    "fibre": ("fibre", _HATCH, "fibres"),
 }
-"""What a view may hold, by its name among the colours `MARKS`."""
 
 
 class PageView(NamedTuple):
@@ -87,11 +76,6 @@ class PageView(NamedTuple):
     content: Html
     script: str
     names: frozenset[str]
-
-    @property
-    def size(self) -> int:
-        """How many bytes it adds to a page."""
-        return len(self.content.encode()) + len(self.script.encode())
 
 
 class _Drawing(NamedTuple):
@@ -214,7 +198,7 @@ def _choices(drawing: _Drawing, marks: Sequence[str]) -> Html:
     offered = {"mesh", "rest", "names"}
     offered |= {k for k in ("markers", "frames") if any(pose[k] for pose in poses)}
     for name in set(marks) - {"measured", "simulated"}:
-        offered.update(_MARKS[name].boxes.split())
+        offered.update(_MARKS[name][2].split())
     boxes = []
     for name, (words, on) in _SHOWN.items():
         if name in offered:

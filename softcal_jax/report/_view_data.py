@@ -38,6 +38,8 @@ def view_data(
     fields: Sequence[Field],
 ) -> dict[str, Any]:
     """Collect what the view draws; at rest where there is no equilibrium."""
+    import matplotlib
+
     rest = 1e3 * surface.cut.interpolate(model.mesh.points)
     # Without an equilibrium, what a solver left of a displacement means nothing.
     moved = [
@@ -50,6 +52,8 @@ def view_data(
     everything = np.concatenate([rest, *points, *(f.reshape(-1, 3) for f in fibres)])
     low, step = everything.min(axis=0), float(np.ptp(everything, axis=0).max()) / _MOST
     placed = lambda x: pack(np.rint((x - low) / step).astype("<u2"))
+    # The map of the pictures, which is even in grey too.
+    colours = matplotlib.colormaps[plotting.DISPLACEMENT_MAP](np.linspace(0, 1, 256))
     index = "<u2" if len(rest) <= _MOST else "<u4"
     entries = [
         {
@@ -75,7 +79,7 @@ def view_data(
         "edges": pack(surface.edges.astype(index)),
         "sharp": surface.n_sharp,
         "rest": placed(rest),
-        "map": pack(_colours()),
+        "map": pack(np.rint(255.0 * colours[:, :3]).astype("u1")),
         "view": _first_view(model, shown, robots),
         "fields": [_field(field) for field in fields],
         "configurations": entries,
@@ -147,16 +151,6 @@ def _fibres(
     return 1e3 * np.concatenate([np.zeros((0, 2, 3)), *lines])
 
 
-def _colours() -> HostArray:
-    """Return 256 colours of the map of the pictures, which is even in grey too."""
-    import matplotlib
-
-    colours = matplotlib.colormaps[plotting.DISPLACEMENT_MAP](
-        np.linspace(0.0, 1.0, 256)
-    )
-    return np.rint(255.0 * colours[:, :3]).astype("u1")
-
-
 def _first_view(
     model: Model,
     shown: Sequence[ConfigurationResult],
@@ -169,9 +163,8 @@ def _first_view(
     u = np.zeros_like(X) if most is None else most.displacement
     everything = np.concatenate([X, *(X + pose.displacement for pose in drawn)])
     posed = next((pose.posed for pose in shown if pose.posed is not None), None)
-    view = plotting.choose_view(
-        X, u, everything, () if posed is None else posed.gravity
-    )
+    gravity = () if posed is None else posed.gravity
+    view = plotting.choose_view(X, u, everything, gravity)
     axes = {k: getattr(view, k).tolist() for k in ("right", "up", "towards")}
     return {**axes, "more": [place for robot in robots for place in robot["reach"]]}
 

@@ -89,14 +89,8 @@ class Field(NamedTuple):
     values: tuple[Float[HostArray, " n"] | None, ...]
     note: str = ""
 
-    @property
-    def name(self) -> str:
-        """Its label without the unit."""
-        return self.label.rpartition(" [")[0]
 
-
-_STATE = {"largest principal stretch": "", "von Mises stress": "Pa"}
-"""Fields of the state of a body, with their units."""
+_STATE = {"largest principal stretch": "", "von Mises stress": "Pa"}  # units
 
 
 def state_fields(model: Model, pose: ConfigurationResult) -> TetValues:
@@ -138,7 +132,8 @@ def calibrated_field(fields: Sequence[Field]) -> int:
     """Return the index of the first field that was calibrated and varies, or else 0."""
     labels = [field.label for field in fields]
     for k, field in enumerate(fields):
-        known = any(label.startswith(f"{_ERROR}{field.name} ") for label in labels)
+        name = field.label.rpartition(" [")[0]
+        known = any(label.startswith(f"{_ERROR}{name} ") for label in labels)
         values = field.values[0]
         if (
             known

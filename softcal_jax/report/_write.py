@@ -24,11 +24,7 @@ from softcal_jax.equilibrium import robot_states
 from softcal_jax.fields import field_standard_errors
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.layouts import ModelComparison
-from softcal_jax.plotting import (
-    plot_traces,
-    render_configuration,
-    rendering_problem,
-)
+from softcal_jax.plotting import plot_traces, render_configuration, rendering_problem
 from softcal_jax.report import _pages
 from softcal_jax.report._inverse import draw_command, inverse_page
 from softcal_jax.report._view import PageView, body_view
@@ -355,17 +351,11 @@ def picture_problem(stems: Sequence[str], suffix: Picture | None) -> str | None:
 def _write_tables(folder: Path, shown: Sequence[ConfigurationResult]) -> list[str]:
     """Write the values of all configurations, and return the names of the files."""
     tables = {
-        "markers.csv": (export.write_markers_csv, any(pose.points for pose in shown)),
-        "effectors.csv": (
-            export.write_effectors_csv,
-            any(pose.others for pose in shown),
-        ),
-        "robot.csv": (
-            export.write_robot_csv,
-            any(pose.robot is not None for pose in shown),
-        ),
+        "markers.csv": (export.write_markers_csv, [bool(p.points) for p in shown]),
+        "effectors.csv": (export.write_effectors_csv, [bool(p.others) for p in shown]),
+        "robot.csv": (export.write_robot_csv, [p.robot is not None for p in shown]),
     }
-    files = [name for name, (_, needed) in tables.items() if needed]
+    files = [name for name, (_, needed) in tables.items() if any(needed)]
     for name in files:
         tables[name][0](folder / name, shown)
     return files
