@@ -39,7 +39,6 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *_HOMES})
 
 
-# The report is imported once a notebook shows a result.
-_notebook.html_of = lambda result: import_module("softcal_jax.report").notebook_html(
-    result
-)
+# Imported once a notebook shows a result.
+_report = lambda: import_module("softcal_jax.report")
+_notebook.html_of = lambda result: _report().notebook_html(result)
