@@ -171,8 +171,7 @@ def _pictures(
             captions[name] = f"{posed} ({role}): {shown}"
             if view is not None and posed in view.names:
                 viewed.append(name)
-    used = "" if view is None else f"{view.content}{view.script}"
-    taken = 3 * len(used.encode()) // 4  # base64 adds a third
+    taken = 0 if view is None else 3 * view.size // 4  # base64 adds a third
     shown = shown_pictures(captions, folder, taken, viewed)
     drawn = [name for name in captions if name.endswith((".png", ".svg"))]
     return [Section("pictures", "Pictures", shown, viewed=set(drawn) <= {*viewed})]

@@ -77,6 +77,11 @@ class PageView(NamedTuple):
     script: str
     names: frozenset[str]
 
+    @property
+    def size(self) -> int:
+        """How many bytes it adds to a page."""
+        return len(self.content.encode()) + len(self.script.encode())
+
 
 class _Drawing(NamedTuple):
     """What is drawn, also as JSON, its configurations, and what was cut to fit.
