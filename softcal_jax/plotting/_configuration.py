@@ -168,8 +168,7 @@ def render_body(
     if posed is not None:
         drawn += robots.draw_setup(body, view, posed, model.mesh, x)
     if picture is not None:
-        robots.draw_robot(body, view, picture)
-        drawn += picture.kinds
+        drawn += robots.draw_robot(body, view, picture)
     drawn += robots.draw_sensors(body, view, sensors)
     flat = view.project(measured), view.project(simulated)
     figures.draw_markers(body, *flat, marker_names)

@@ -157,8 +157,7 @@ def _draw_configuration(
     _draw_bodies(axes, view, model, c)
     drawn = {"rigid body"} if model.mechanism.bodies.n_bodies else set()
     drawn.update(robots.draw_setup(axes, view, c, model.mesh, model.mesh.points))
-    robots.draw_robot(axes, view, picture)
-    drawn.update(picture.kinds)
+    drawn.update(robots.draw_robot(axes, view, picture))
     frames = {e.name for e in c.effectors if isinstance(e, BodyFrame)}
     sensors = [
         robots.SensorFrame(p.at_rest, np.eye(3)) for p in points if p.name in frames

@@ -68,20 +68,6 @@ class RobotPicture(NamedTuple):
         """Points that must be visible in addition to the body [m]."""
         return np.vstack([self.geometry.segments.reshape(-1, 3), self.geometry.points])
 
-    @property
-    def kinds(self) -> list[str]:
-        """Entries of the legend."""
-        actuators = self.state.actuators
-        driven = [actuators[a] for a in self.geometry.point_owner]
-        walls = [actuators[a] for a in np.unique(self.geometry.face_owner)]
-        present = {
-            "cable": len(self.geometry.segments) > 0,
-            "wall under pressure": any(is_seen(a) for a in walls),
-            "motor": any(a.kind == "motor" for a in driven),
-            "force": any(a.kind != "motor" and is_seen(a) for a in driven),
-        }
-        return [kind for kind, is_present in present.items() if is_present]
-
     def parts(self) -> Iterator[tuple[ActuatorState, *tuple[HostArray, ...]]]:
         """Yield actuators that are drawn: segments, faces, first point and its arrow.
 
@@ -103,19 +89,24 @@ def robot_picture(model: Model, state: RobotState) -> RobotPicture:
     return RobotPicture(geometry, state, x)
 
 
-def draw_robot(axes: Axes, view: View, picture: RobotPicture) -> None:
-    """Draw the actuators, each with its name and force."""
+def draw_robot(axes: Axes, view: View, picture: RobotPicture) -> set[str]:
+    """Draw actuators, each with its name and force; return what was drawn."""
+    drawn = set()
     for actuator, segments, faces, points, arrows in picture.parts():
         places = []
         if len(faces):
+            drawn.add("wall under pressure")
             places.append(_draw_wall(axes, view, picture.x[faces]))
         if len(segments):
+            drawn.add("cable")
             slack = actuator.force == 0.0
             places.append(_draw_cable(axes, view, segments, slack=slack))
         if len(points):
+            drawn.add("motor" if actuator.kind == "motor" else "force")
             places.append(_draw_point(axes, view, actuator, points[0], arrows[0]))
         if places:
             draw_name(axes, actuator_words(actuator), places[0], (0, 12), ha="center")
+    return drawn
 
 
 def is_seen(actuator: ActuatorState) -> bool:
