@@ -203,19 +203,20 @@ def _choices(drawing: _Drawing, marks: Sequence[str]) -> Html:
     offered = {"mesh", "rest", "names"}
     offered |= {k for k in ("markers", "frames") if any(pose[k] for pose in poses)}
     for name in set(marks) - {"measured", "simulated"}:
-        offered.update(_MARKS[name][2].split())
-    boxes = []
+        *_, boxes = _MARKS[name]
+        offered.update(boxes.split())
+    ticks = []
     for name, (words, on) in _SHOWN.items():
         if name in offered:
             checked = {"checked": ""} if on else {}
             box = node("input", type="checkbox", id=f"view-{name}", **checked)
-            boxes.append(node("label", box, f" {words}"))
+            ticks.append(node("label", box, f" {words}"))
     return node(
         "div",
         _select("configuration", "Configuration", map(_named, shown), first),
         _select("field", "Coloured by", [f["label"] for f in fields], drawing.field),
         _select("direction", "Seen", directions, 0),
-        node("fieldset", node("legend", "Show"), *boxes),
+        node("fieldset", node("legend", "Show"), *ticks),
         class_="choices",
     )
 
