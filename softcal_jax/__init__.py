@@ -17,14 +17,10 @@ from softcal_jax import _notebook
 __version__ = version("softcal-jax")
 
 
-def _listed_homes() -> dict[str, str]:
-    """Read the home of each name from the stub, which type checkers read too."""
-    stub = ast.parse(get_data(__name__, "__init__.pyi") or b"")
-    imports = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
-    return {name.name: str(node.module) for node in imports for name in node.names}
-
-
-_HOMES = _listed_homes()
+_STUB = ast.parse(get_data(__name__, "__init__.pyi") or b"")
+_IMPORTS = (node for node in _STUB.body if isinstance(node, ast.ImportFrom))
+# Type checkers read the stub, too.
+_HOMES = {name.name: str(node.module) for node in _IMPORTS for name in node.names}
 
 __all__ = sorted(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]
 
@@ -43,9 +39,6 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *_HOMES})
 
 
-def _html_of(result: object) -> str | None:
-    """Write what a notebook shows of a result."""
-    return import_module("softcal_jax.report").notebook_html(result)
-
-
-_notebook.html_of = _html_of
+# Imported once a notebook shows a result.
+_report = lambda: import_module("softcal_jax.report")
+_notebook.html_of = lambda result: _report().notebook_html(result)

@@ -18,14 +18,11 @@ import platformdirs
 
 from softcal_jax._warnings import SoftcalWarning
 
-LARGEST = 2_000_000_000
-"""Size of the folder above which the least recently used programs go [bytes]."""
-
+LARGEST = 2_000_000_000  # size above which the least recently used programs go [bytes]
 _EMITTERS = "--xla_cpu_use_fusion_emitters"
 _QUICKLY = f"{_EMITTERS}=0"  # a user's own "=false" stays
 
-_MAX_SIZE = "jax_compilation_cache_max_size"
-"""JAX's setting for the largest size, -1 for no limit."""
+_MAX_SIZE = "jax_compilation_cache_max_size"  # -1 for no limit
 
 
 class CompilationCacheWarning(SoftcalWarning):
@@ -68,15 +65,14 @@ def use_compilation_cache(
     chosen = str(folder or jax.config.values["jax_compilation_cache_dir"] or "")
     if "://" in chosen:
         return None  # JAX handles addresses itself
-    folder = _place(chosen)
-    no_home = "the user's cache has no place, because there is no home folder"
-    problem = no_home if folder is None else _problem_of(folder)
-    if folder is None or problem is not None:
+    try:
+        folder = _usable(chosen)
+    except ValueError as error:
         # Otherwise JAX would try, and warn, for every single program.
         jax.config.update("jax_enable_compilation_cache", False)
         warnings.warn(
             "compiled programs are not kept, so that every run compiles them anew: "
-            f"{problem}. Name another folder in JAX_COMPILATION_CACHE_DIR, or set "
+            f"{error}. Name another folder in JAX_COMPILATION_CACHE_DIR, or set "
             "JAX_ENABLE_COMPILATION_CACHE=0.",
             CompilationCacheWarning,
             stacklevel=2,
@@ -111,28 +107,25 @@ def throw_away_damaged(message: str) -> str | None:
     )
 
 
-def _place(chosen: str) -> Path | None:
-    """Return the folder that was chosen, or the usual one; None without a home."""
+def _usable(chosen: str) -> Path:
+    """Create the folder that was chosen, or the usual one; or raise why not."""
     try:
         usual = lambda: platformdirs.user_cache_path("softcal_jax", appauthor=False)
-        return (Path(chosen) if chosen else usual() / "jax").expanduser().absolute()
+        folder = (Path(chosen) if chosen else usual() / "jax").expanduser().absolute()
     except RuntimeError:
         # Older versions of platformdirs return "~/...", which Path cannot expand.
-        return None
-
-
-def _problem_of(folder: Path) -> str | None:
-    """Create a folder and say why it must not be used; None if it may."""
+        text = "the user's cache has no place, because there is no home folder"
+        raise ValueError(text) from None
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         # Before anything is written there.
         problem = _reach_of_others(folder.resolve()) if os.name == "posix" else None
         if problem is None:
             tempfile.TemporaryFile(dir=folder).close()
-            return None
+            return folder
     except OSError as error:
         problem = f"cannot be written ({error.strerror or error})"
-    return f"{folder} {problem}"
+    raise ValueError(f"{folder} {problem}")
 
 
 def _reach_of_others(folder: Path) -> str | None:

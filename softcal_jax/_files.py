@@ -12,8 +12,7 @@ from softcal_jax._limits import MEGABYTES
 from softcal_jax._module import Module
 from softcal_jax._names import suggestion
 
-_LOOKED_AT = 1000
-"""Most files of a folder that are compared with a misspelt name."""
+_LOOKED_AT = 1000  # most files of a folder that are compared with a misspelt name
 
 
 def check_file(path: Path, what: str) -> None:

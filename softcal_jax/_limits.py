@@ -54,18 +54,14 @@ def _shown(n: float) -> str:
     return f"{min(n, 1e300):.3g}" if n >= 1e9 else f"{n:,.15g}".replace(",", " ")
 
 
+# Tets of a mesh; a million quadratic ones take more than 10 GB to solve.
 TETS = Limit("SOFTCAL_MAX_TETS", 2_000_000, "tets")
-"""Tets of a mesh; a million quadratic ones take more than 10 GB to solve."""
-
+# Trials of a sweep in one database or part, and starts of a calibration.
 TRIALS = Limit("SOFTCAL_MAX_TRIALS", 100_000, "trials")
-"""Trials of a sweep in one database or part, and starts of a calibration."""
-
+# Trials of a sweep that runs in parts.
 PLANNED = Limit("SOFTCAL_MAX_PLANNED", 10_000_000, "trials")
-"""Trials of a sweep that runs in parts."""
-
+# Size of a file that is read, and of what is packed in it [MB].
 MEGABYTES = Limit("SOFTCAL_MAX_FILE_MB", 100, "MB")
-"""Size of a file that is read, and of what is packed in it [MB]."""
-
+# Time and memory that filling a CAD model takes; a damaged one may take any.
 MESHING_SECONDS = Limit("SOFTCAL_MAX_MESHING_S", 600, "s")
 MESHING_MEGABYTES = Limit("SOFTCAL_MAX_MESHING_MB", 8000, "MB")
-"""Time and memory that filling a CAD model takes; a damaged one may take any."""

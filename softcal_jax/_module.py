@@ -20,9 +20,7 @@ from softcal_jax import _notebook
 from softcal_jax._text import escaped
 from softcal_jax._units import readable_values
 
-MOST, _MOST_NUMBERS = 120, 4
-"""Most characters of the line, and most numbers; larger arrays show their shape."""
-
+MOST, _MOST_NUMBERS = 120, 4  # most characters of the line, and most numbers
 _ATTR = re.compile(r"^    (\w+): (.*(?:\n      .*)*)", re.M)
 _UNIT = re.compile(r"\[([A-Za-z][\w /^*]*)\]")
 
@@ -34,7 +32,14 @@ class Module(eqx.Module):
     """
 
     def __repr__(self) -> str:
-        return _one_line(self)
+        # Its `_words`, else the first line of the `__str__` of its class, else its
+        # fields, whose values may be anything: also traced, deleted or missing.
+        head, words = type(self).__name__, _own_words(self)
+        name = getattr(self, "name", None) if "name" in _defaults(type(self)) else None
+        if isinstance(name, str) and name not in words:
+            head += f' "{name}"'
+        text = f"{head}: {words}" if words else ", ".join([head, *_fields(self)])
+        return textwrap.shorten(escaped(text), MOST, placeholder="...")
 
     def _words(self) -> str:
         """Describe the record without its fields; an empty text shows the fields."""
@@ -46,20 +51,6 @@ class Result(Module):
 
     def _repr_html_(self) -> str | None:
         return _notebook.html_of(self)
-
-
-def _one_line(self: Module) -> str:
-    """Describe a record in one line, like "NeoHookean, E = 150 kPa, nu = 0.49".
-
-    The text is its `_words`, else the first line of the `__str__` of its class, else
-    its fields, whose values may be anything: also traced, deleted or missing.
-    """
-    head, words = type(self).__name__, _own_words(self)
-    name = getattr(self, "name", None) if "name" in _defaults(type(self)) else None
-    if isinstance(name, str) and name not in words:
-        head += f' "{name}"'
-    text = f"{head}: {words}" if words else ", ".join([head, *_fields(self)])
-    return textwrap.shorten(escaped(text), MOST, placeholder="...")
 
 
 def _own_words(record: Module) -> str:

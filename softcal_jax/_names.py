@@ -8,8 +8,7 @@ from collections.abc import Collection, Iterable, Sequence
 METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254}
 """Length units of meshes and marker files."""
 
-UNNAMED_LOADS = "loads"
-"""Name of the dead loads that have none of their own."""
+UNNAMED_LOADS = "loads"  # name of the dead loads that have none of their own
 
 
 def suggestion(name: str, known: Iterable[str], *, quote: str = "'") -> str:

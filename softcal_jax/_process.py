@@ -10,11 +10,8 @@ from pathlib import Path
 
 import jax
 
-HALF_A_DAY_S = 12 * 3600.0
-"""From here on the end of what is under way has a date [s]."""
-
-_first: list[int] = []
-"""Id of the process that first computed here; a forked child inherits the list."""
+HALF_A_DAY_S = 12 * 3600.0  # from here on the end of what is under way has a date [s]
+_first: list[int] = []  # id of the process that first computed; a forked child has it
 
 
 def check_process() -> None:
@@ -51,11 +48,9 @@ def available_cores() -> int:
 def cpu_name() -> str:
     """Name the model of the processor."""
     info = Path("/proc/cpuinfo")  # Linux; elsewhere `platform` knows
-    if info.exists():
-        match = re.search(r"(?m)^model name\s*: (.+)$", info.read_text())
-        if match:
-            return match.group(1).strip()
-    return platform.processor() or platform.machine()
+    text = info.read_text() if info.exists() else ""
+    match = re.search(r"(?m)^model name\s*: (.+)$", text)
+    return match[1].strip() if match else platform.processor() or platform.machine()
 
 
 def installed_version(package: str) -> str:

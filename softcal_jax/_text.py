@@ -7,17 +7,12 @@ spreadsheet runs a cell that begins like a formula.
 import re
 import unicodedata
 
-_HIDDEN = {"Cc", "Cs", "Zl", "Zp"}
-"""Unicode's control characters, lone surrogates, and line separators."""
-
+_HIDDEN = {"Cc", "Cs", "Zl", "Zp"}  # controls, lone surrogates, line separators
 _TURNING = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
 """Classes of characters that change the direction of the text after them."""
 
-_QUOTED = 200
-"""Most characters of a text that messages quote."""
-
-_NAMED = 60
-"""Characters that are left of a name that is too long."""
+_QUOTED = 200  # most characters of a text that messages quote
+_NAMED = 60  # characters that are left of a name that is too long
 
 # Neither the apostrophe of "robot's" nor the end of a quotation begins one. What is
 # `shortened` already stays.

@@ -2,10 +2,10 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
-if TYPE_CHECKING:
-    import rich.table
+from rich.table import Table
+from rich.text import Text
 
 Tone = Literal["plain", "strong", "good", "doubtful", "bad"]
 """How a text is meant; its words must say so too, as colours are not seen by all."""
@@ -52,14 +52,10 @@ class TextTable(NamedTuple):
         rows = [[cell.text for cell in row] for row in self.rows]
         return aligned([self.columns, *rows])
 
-    def drawn(self) -> "rich.table.Table":
+    def drawn(self) -> Table:
         """Draw it for a terminal."""
-        from rich.table import Table
-        from rich.text import Text
-
-        drawn = Table(
-            title=self.title or None, title_justify="left", title_style="bold"
-        )
+        title = self.title or None
+        drawn = Table(title=title, title_justify="left", title_style="bold")
         for k, column in enumerate(self.columns):
             # Text, not str, which would read a name like "[a]" as markup.
             justify = "left" if self.holds_words(k) else "right"

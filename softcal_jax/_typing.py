@@ -5,8 +5,7 @@ from jax.core import Tracer
 from jaxtyping import Bool, Float, Int
 from numpy import ndarray
 
-HostArray = ndarray
-"""A NumPy array on the host: meshing, reading, plotting."""
+HostArray = ndarray  # A NumPy array on the host: meshing, reading, plotting
 
 
 def is_traced(value: object) -> bool:

@@ -2,15 +2,6 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple
-
-
-class Readable(NamedTuple):
-    """A unit for display: shown value = SI value * factor."""
-
-    factor: float
-    unit: str
-
 
 # Ascending; the largest that keeps the value at or above 1 is used.
 _PREFIXED = {
@@ -23,15 +14,15 @@ _PREFIXED = {
 }
 
 
-def readable_unit(values: Iterable[float], unit: str) -> Readable:
-    """Choose the unit in which values of one SI unit read best.
+def readable_unit(values: Iterable[float], unit: str) -> tuple[float, str]:
+    """Choose the unit in which values of one SI unit read best, and its factor.
 
     The largest value decides; a unit that is not listed stays as it is.
     """
     steps = _PREFIXED.get(unit, ((1.0, unit),))
     largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
     size, name = max((step for step in steps if largest >= step[0]), default=steps[0])
-    return Readable(1.0 / size, name)
+    return 1.0 / size, name
 
 
 def readable(value: float, unit: str) -> str:

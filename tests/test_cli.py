@@ -15,7 +15,7 @@ from small_project import write_small_project
 from wording import says
 
 from softcal_jax._files import sha256_of
-from softcal_jax.cli import _commands, main
+from softcal_jax.cli import _shared, main
 from softcal_jax.export import RESULT_FORMAT
 from softcal_jax.mistakes import Mistake
 from softcal_jax.robots import silicone_beam_path
@@ -168,7 +168,7 @@ def test_ctrl_c_writes_what_has_been_fitted(tmp_path, out, capsys, monkeypatch, 
     """So does SIGTERM, by which a scheduler ends a job; the checkpoint stands."""
     path = write_small_project(tmp_path)
     checkpoint = tmp_path / "fit.npz"
-    lines = _commands.step_lines
+    lines = _shared.step_lines
 
     def interrupted(project, show):
         print_step = lines(project, show)
@@ -180,7 +180,7 @@ def test_ctrl_c_writes_what_has_been_fitted(tmp_path, out, capsys, monkeypatch, 
 
         return progress
 
-    monkeypatch.setattr(_commands, "step_lines", interrupted)
+    monkeypatch.setattr(_shared, "step_lines", interrupted)
     command = ["calibrate", str(path), "-o", str(out), "--checkpoint", str(checkpoint)]
     command.append("--no-pictures")
     assert main(command) == 130

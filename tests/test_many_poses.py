@@ -9,9 +9,9 @@ from export.handmade import make_fit, make_result, small_model
 from wording import says
 
 from softcal_jax.report import held_out_sentences
-from softcal_jax.report._calibration import error_tables
 from softcal_jax.report._charts import workspace_chart
-from softcal_jax.report._held_out import MOST_LISTED, listed_fits
+from softcal_jax.report._tables import error_tables
+from softcal_jax.report._verdict import MOST_LISTED, listed_fits
 
 ERRORS = np.arange(1, 21) * 1e-4  # of 20 poses, mixed [m]
 

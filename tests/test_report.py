@@ -18,6 +18,7 @@ from matplotlib.image import imread
 from rich.console import Console
 from wording import says
 
+from softcal_jax import export
 from softcal_jax.calibration import (
     LeftOut,
     ParameterEstimate,
@@ -153,7 +154,8 @@ class TestWholeOrNotAtAll:
         def fail(*args, **kwargs):
             raise OSError("disk full")
 
-        monkeypatch.setattr(_write, part, fail)
+        owner = export if hasattr(export, part) else _write
+        monkeypatch.setattr(owner, part, fail)
         for name in ("new", "old"):
             with pytest.raises(OSError, match="disk full"):
                 write_results(make_result(converged=False), tmp_path / name, force=True)
@@ -178,7 +180,7 @@ class TestWholeOrNotAtAll:
         def fail(*args, **kwargs):
             raise OSError("disk full")
 
-        monkeypatch.setattr(_write, "write_json", fail)
+        monkeypatch.setattr(export, "write_json", fail)
         with pytest.raises(OSError, match="disk full"):
             write_simulation(result, tmp_path / "new")
         assert names(tmp_path) == ["out"]

@@ -6,25 +6,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal_jax.cli._shared import (
-    BAD_INPUT,
-    NOT_CONVERGED,
-    Display,
-    Stop,
-    add_output,
-    add_path,
-    bad_input,
-    check_folder,
-    check_new,
-    no_equilibrium,
-    start_computing,
-    with_care,
-)
-from softcal_jax.cli._steps import pictures_with_a_bar, step_lines, write_results
+from softcal_jax.cli import _shared as cli
 from softcal_jax.exchange.exporters import AbstractExporter, ExportProgress
 
 if TYPE_CHECKING:
     from softcal_jax.fields import ParameterSpace
+
+_RESULTS = "folder of the results, or result.json"
+_MOVED = "the project file, if it was moved"
 
 _INVERSE = """\
 examples:
@@ -45,16 +34,16 @@ equilibrium, 2 bad input
 """
 
 
-def inverse(args: argparse.Namespace, show: Display) -> None:
-    check_folder(args)
+def inverse(args: argparse.Namespace, show: cli.Display) -> None:
+    cli.check_folder(args)
     from softcal_jax import report
     from softcal_jax.control import ControlSettings, solve_inverse
     from softcal_jax.export import Made
     from softcal_jax.project import inverse_as_typed
 
-    start_computing(show)
+    cli.start_computing(show)
     show.now(f"reading {args.results}")
-    with bad_input():
+    with cli.bad_input():
         loaded = report.load_result(args.results, project=args.project)
         project = loaded.project
         _check_parameters(loaded.space)
@@ -71,7 +60,7 @@ def inverse(args: argparse.Namespace, show: Display) -> None:
     show.note(f"{project.name}, configuration {posed.name}: {commanded} is commanded")
     show.now("searching for the actuation")
     settings = ControlSettings(newton=project.newton)
-    with bad_input():
+    with cli.bad_input():
         result = solve_inverse(
             loaded.model, posed, limits=limits, settings=settings, throw=False
         )
@@ -89,12 +78,12 @@ def inverse(args: argparse.Namespace, show: Display) -> None:
         made=Made(loaded.model, {"control": settings}, project.source),
         calibration=loaded.path,
         options=options,
-        notes=(*with_care(loaded.outcome, loaded.doubts), *show.warnings),
-        **pictures_with_a_bar(args, show),
+        notes=(*cli.with_care(loaded.outcome, loaded.doubts), *show.warnings),
+        **cli.pictures_with_a_bar(args, show),
     )
-    write_results(write, args, show, index="inverse.json")
+    cli.write_results(write, args, show, index="inverse.json")
     if not result.met:
-        raise Stop(NOT_CONVERGED, result.message)
+        raise cli.Stop(cli.NOT_CONVERGED, result.message)
 
 
 def _pairs(option: str, texts: Sequence[str], example: str) -> list[tuple[str, str]]:
@@ -132,7 +121,7 @@ def add_inverse(commands: "argparse._SubParsersAction") -> None:
         "says what prevents a goal that is out of reach.",
         epilog=_INVERSE,
     )
-    add_path(command, "results", "RESULTS", "folder of the results, or result.json")
+    cli.add_path(command, "results", "RESULTS", _RESULTS)
     for flag, metavar, needed, text in (
         ("--goal", "NAME=VALUE", True, "a goal (repeat the option for several)"),
         ("--limit", "NAME=LOW to HIGH", False, "limits of an actuator"),
@@ -142,9 +131,9 @@ def add_inverse(commands: "argparse._SubParsersAction") -> None:
         command.add_argument(flag, metavar=metavar, action="append", help=text, **more)
     which = "the configuration (optional if there is only one)"
     command.add_argument("--configuration", metavar="NAME", help=which)
-    add_path(command, "--output", "DIR", "folder for the results", required=True)
-    add_path(command, "--project", "PROJECT.toml", "the project file, if it was moved")
-    add_output(command, force="replace earlier results in that folder", pictures=True)
+    cli.add_path(command, "--output", "DIR", "folder for the results", required=True)
+    cli.add_path(command, "--project", "PROJECT.toml", _MOVED)
+    cli.add_output(command, force=cli.AGAIN, pictures=True)
     command.set_defaults(run=inverse)
 
 
@@ -181,43 +170,42 @@ def add_export(
             description=exporter.description,
             epilog=f"Refused, with the reason: {exporter.cannot_hold}.",
         )
-        add_path(command, "results", "RESULTS", "folder of the results, or result.json")
-        add_path(command, "--output", *exporter.output, required=True)
-        text = "the project file, if it was moved"
-        add_path(command, "--project", "PROJECT.toml", text)
+        cli.add_path(command, "results", "RESULTS", _RESULTS)
+        cli.add_path(command, "--output", *exporter.output, required=True)
+        cli.add_path(command, "--project", "PROJECT.toml", _MOVED)
         exporter.add_options(command)
-        add_output(command, force="replace what is there")
+        cli.add_output(command, force="replace what is there")
         command.set_defaults(run=partial(_export, exporter=exporter))
 
 
 def _export(
-    args: argparse.Namespace, show: Display, *, exporter: AbstractExporter
+    args: argparse.Namespace, show: cli.Display, *, exporter: AbstractExporter
 ) -> None:
     output: Path = args.output
     if exporter.output[0] == "DIR":
-        check_folder(args)
+        cli.check_folder(args)
     else:
-        check_new(output, force=args.force)
+        cli.check_new(output, force=args.force)
         if not output.parent.is_dir():
             text = f"there is no folder {output.parent}. Make it, or choose another."
-            raise Stop(BAD_INPUT, f"error: {text}")
+            raise cli.Stop(cli.BAD_INPUT, f"error: {text}")
     from softcal_jax.project import load_project
     from softcal_jax.report import load_result
 
-    start_computing(show)
+    cli.start_computing(show)
     show.now(f"reading {args.results}")
-    with bad_input():
+    with cli.bad_input():
         if exporter.takes_projects and args.results.suffix == ".toml":
             source = project = load_project(args.results)
             care = []
         else:
             source = load_result(args.results, project=args.project)
             project = source.project
-            care = with_care(source.outcome, source.doubts)
+            care = cli.with_care(source.outcome, source.doubts)
     show.lap("reading")
     said: list[str] = []
-    progress = ExportProgress(show.now, step_lines(project, show), said.append)
-    with bad_input(), no_equilibrium("Nothing was written."):
+    progress = ExportProgress(show.now, cli.step_lines(project, show), said.append)
+    with cli.no_equilibrium("Nothing was written."):
         notes = [*exporter.write(source, output, args, progress), *care]
     show.lap("export")
     for text in said:

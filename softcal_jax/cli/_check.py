@@ -5,24 +5,14 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from softcal_jax.cli._shared import (
-    Display,
-    add_output,
-    add_path,
-    bad_input,
-    check_new,
-    check_suffix,
-    load,
-)
+from softcal_jax.cli import _shared as cli
 from softcal_jax.exchange.exporters import quantity
 
 if TYPE_CHECKING:
     from softcal_jax.mesh import TetMesh
     from softcal_jax.project import Project
 
-_MARK = "softcal check"
-"""Mark in a picture that this command drew: the next run may replace the picture."""
-
+_MARK = "softcal check"  # in a picture of this command: the next run may replace it
 _CHECK = """\
 examples:
   softcal check project.toml                  and project_check.png beside it
@@ -33,20 +23,21 @@ exit codes: 0 read, whatever it warns of, 2 bad input
 """
 
 
-def check(args: argparse.Namespace, show: Display) -> None:
+def check(args: argparse.Namespace, show: cli.Display) -> None:
     name = f"{args.project.stem}_check.{args.pictures}"
     picture = args.output or args.project.with_name(name)
-    check_suffix(picture, ".png", ".svg")
-    if not args.no_pictures and not _is_own(picture):
-        check_new(picture, force=args.force)
-    project = load(args.project, show, solve=False)
+    cli.check_suffix(picture, ".png", ".svg")
+    earlier = picture.is_file() and _MARK.encode() in picture.read_bytes()[:4000]
+    if not args.no_pictures and not earlier:
+        cli.check_new(picture, force=args.force)
+    project = cli.load(args.project, show, solve=False)
     doubts = show.warnings
     from softcal_jax.project import quantities_as_read
     from softcal_jax.report import outline, roles_of
 
     above = f" (warnings above: {len(doubts)})" if doubts else ""
     show.line(f"Nothing was solved. This is what the project describes{above}:")
-    with bad_input():
+    with cli.bad_input():
         quantities = quantities_as_read(args.project)
         lines = list(outline(project, quantities))
         for line in lines:
@@ -73,10 +64,6 @@ def check(args: argparse.Namespace, show: Display) -> None:
         }
     )
     show.times()
-
-
-def _is_own(picture: Path) -> bool:
-    return picture.is_file() and _MARK.encode() in picture.read_bytes()[:4000]
 
 
 def _draw(project: "Project", picture: Path) -> None:
@@ -116,17 +103,15 @@ shows supports, loads, gravity, actuators, rigid bodies and markers of each
 configuration. Nothing is solved, so it takes seconds.""",
         epilog=_CHECK,
     )
-    add_path(command, "project", "PROJECT.toml", "the project file")
+    cli.add_path(command, "project", "PROJECT.toml", "the project file")
     where = "the picture, .png or .svg (default: PROJECT_check.png, beside the project)"
-    add_path(command, "--output", "FILE", where)
+    cli.add_path(command, "--output", "FILE", where)
     again = "replace a picture that softcal check did not draw"
-    add_output(command, force=again, pictures=True)
+    cli.add_output(command, force=again, pictures=True)
     command.set_defaults(run=check)
 
 
-_UNIT = "mm"
-"""Length unit of the mesh that is written."""
-
+_UNIT = "mm"  # of the mesh that is written
 _MESH = """\
 examples:
   softcal mesh finger.step -o finger.msh --size "3 mm"
@@ -147,18 +132,18 @@ A project file needs no other table than [mesh] and, for names of your own, [gro
 """
 
 
-def mesh(args: argparse.Namespace, show: Display) -> None:
+def mesh(args: argparse.Namespace, show: cli.Display) -> None:
     from softcal_jax.mesh import write_mesh
     from softcal_jax.plotting import plot_groups
     from softcal_jax.report import mesh_lines
 
-    check_suffix(args.output, ".msh")
+    cli.check_suffix(args.output, ".msh")
     picture = args.output.with_suffix(f".{args.pictures}")
     written = [args.output] if args.no_pictures else [args.output, picture]
-    check_new(*written, force=args.force)
+    cli.check_new(*written, force=args.force)
     show.lap("import")
     show.now(f"meshing {args.model.name}")
-    with bad_input():
+    with cli.bad_input():
         made = _made(args)
         show.lap("mesh")
         write_mesh(made, args.output, length_unit=_UNIT)
@@ -223,12 +208,12 @@ project file, it makes the mesh of [mesh] and draws the groups of [groups] befor
 anything is computed; with a mesh file, it draws the groups of that file.""",
         epilog=_MESH,
     )
-    add_path(command, "model", "MODEL", "CAD model, project file or mesh file")
+    cli.add_path(command, "model", "MODEL", "CAD model, project file or mesh file")
     where = "the mesh; the picture is FILE.png beside it"
-    add_path(command, "--output", "FILE.msh", where, required=True)
+    cli.add_path(command, "--output", "FILE.msh", where, required=True)
     size = 'edges of the tets, like "3 mm" (default: a thirtieth of the diagonal)'
     command.add_argument("--size", metavar="LENGTH", help=size)
     unit = "unit of an STL or mesh file: m, cm, mm, um or inch"
     command.add_argument("--length-unit", metavar="UNIT", help=unit)
-    add_output(command, force="replace earlier files", pictures=True)
+    cli.add_output(command, force="replace earlier files", pictures=True)
     command.set_defaults(run=mesh)

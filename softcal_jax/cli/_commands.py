@@ -8,29 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from softcal_jax.cli._shared import (
-    INTERRUPTED,
-    NOT_CONVERGED,
-    NOT_TO_USE,
-    Display,
-    Stop,
-    add_output,
-    add_path,
-    bad_input,
-    check_folder,
-    check_new,
-    load,
-    no_equilibrium,
-)
-from softcal_jax.cli._steps import (
-    checkpoint_stands,
-    equilibrium_lines,
-    interruptible,
-    pictures_with_a_bar,
-    so_far,
-    step_lines,
-    write_results,
-)
+from softcal_jax.cli import _shared as cli
 
 if TYPE_CHECKING:
     from softcal_jax.calibration import CalibrationResult
@@ -39,16 +17,17 @@ if TYPE_CHECKING:
     from softcal_jax.project import Project
 
 
-def demo(args: argparse.Namespace, show: Display) -> None:
+def demo(args: argparse.Namespace, show: cli.Display) -> None:
     from softcal_jax.robots import pneumatic_arm_path, silicone_beam_path
 
     path = {"beam": silicone_beam_path, "arm": pneumatic_arm_path}[args.robot]()
     if args.write is None:
-        return calibrate(args, show, path)
+        args.project = path
+        return calibrate(args, show)
     source = path.parent
     names = sorted(p.name for p in source.iterdir() if p.is_file())
-    check_new(*(args.write / name for name in names), force=args.force)
-    with bad_input():
+    cli.check_new(*(args.write / name for name in names), force=args.force)
+    with cli.bad_input():
         args.write.mkdir(parents=True, exist_ok=True)
         for name in names:
             shutil.copyfile(source / name, args.write / name)
@@ -57,13 +36,13 @@ def demo(args: argparse.Namespace, show: Display) -> None:
     show.line(f"  softcal calibrate {args.write / 'project.toml'} -o results")
 
 
-def calibrate(args: argparse.Namespace, show: Display, path: Path) -> None:
-    check_folder(args)
+def calibrate(args: argparse.Namespace, show: cli.Display) -> None:
+    cli.check_folder(args)
     from softcal_jax import report
     from softcal_jax.identifiability import assess
 
-    project = load(path, show)
-    with bad_input():
+    project = cli.load(args.project, show)
+    with cli.bad_input():
         project.check_calibration()
     show.note(f"fit: {_names(project.calibration)}")
     if project.validation:
@@ -72,14 +51,14 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> None:
         left = (f"{n} {1e3 * r.rms:.2f} mm" for n, r in project.registrations.items())
         show.note(f"camera frame to mesh frame, rms residuals: {', '.join(left)}")
     show.now("first equilibrium")
-    with interruptible(args), bad_input(), no_equilibrium("Nothing was written."):
+    with cli.interruptible(args), cli.no_equilibrium("Nothing was written."):
         result = project.calibrate(
             checkpoint=args.checkpoint,
-            progress=step_lines(project, show),
+            progress=cli.step_lines(project, show),
             search_progress=lambda step: show.now(str(step), log=False),
-            equilibrium_progress=equilibrium_lines(show),
+            equilibrium_progress=cli.equilibrium_lines(show),
             quick=args.quick,
-            answer=lambda result: None if args.quick else so_far(result, show),
+            answer=lambda result: None if args.quick else cli.so_far(result, show),
             stage=show.now,
         )
     show.lap("solve", compiling=result.timing_s["compile"])
@@ -92,23 +71,26 @@ def calibrate(args: argparse.Namespace, show: Display, path: Path) -> None:
     if assessment.contradicted and not (args.quick or result.interrupted):
         result = _with_mistakes(result, show)
     more = {"name": project.name, "traces": project.traces}
-    more |= pictures_with_a_bar(args, show)
+    more |= cli.pictures_with_a_bar(args, show)
     write = partial(report.write_results, result, assessment=assessment, **more)
-    with interruptible(args):
-        write_results(write, args, show, index="result.json")
+    with cli.interruptible(args):
+        cli.write_results(write, args, show, index="result.json")
     steps = len(result.history) - 1
     if result.interrupted:
         end = "" if result.converged else ", not converged: do not use the values"
-        text = f"interrupted after {steps} steps{end}. {checkpoint_stands(args)}"
-        raise Stop(INTERRUPTED, text.strip())
+        text = f"interrupted after {steps} steps{end}. {cli.checkpoint_stands(args)}"
+        raise cli.Stop(cli.INTERRUPTED, text.strip())
     if not result.converged:
         text = f"not converged after {steps} steps: do not use the values."
-        raise Stop(NOT_CONVERGED, text)
+        raise cli.Stop(cli.NOT_CONVERGED, text)
     if assessment.outcome == "do not use":
-        raise Stop(NOT_TO_USE, f"do not use the values: {' '.join(assessment.reasons)}")
+        text = f"do not use the values: {' '.join(assessment.reasons)}"
+        raise cli.Stop(cli.NOT_TO_USE, text)
 
 
-def _with_mistakes(result: "CalibrationResult", show: Display) -> "CalibrationResult":
+def _with_mistakes(
+    result: "CalibrationResult", show: cli.Display
+) -> "CalibrationResult":
     """Search the likeliest mistake below the answer; Ctrl-C leaves it out."""
     from softcal_jax.mistakes import likely_mistakes
 
@@ -124,20 +106,16 @@ def _with_mistakes(result: "CalibrationResult", show: Display) -> "CalibrationRe
     return replace(result, mistakes=mistakes)
 
 
-def simulate(args: argparse.Namespace, show: Display) -> None:
-    """Solve all configurations of a project, at the start values by default.
-
-    Configurations without an equilibrium are named once the results are written.
-    """
-    check_folder(args)
+def simulate(args: argparse.Namespace, show: cli.Display) -> None:
+    cli.check_folder(args)
     from softcal_jax import report
     from softcal_jax._process import Clock
     from softcal_jax.equilibrium import check_converged
 
-    project = load(args.project, show)
+    project = cli.load(args.project, show)
     show.now(f"equilibrium of {_names(project.configurations)}")
-    progress = equilibrium_lines(show)
-    with Clock() as clock, bad_input():
+    progress = cli.equilibrium_lines(show)
+    with Clock() as clock, cli.bad_input():
         values = args.values and report.load_values(args.values)
         result, solution = project.simulate(values, progress=progress)
     if values is not None:
@@ -150,30 +128,30 @@ def simulate(args: argparse.Namespace, show: Display) -> None:
         show.line(sentence)
     more = {"name": project.name, "traces": project.traces}
     more |= {"calibration": args.values and report.result_path(args.values)}
-    more |= pictures_with_a_bar(args, show)
+    more |= cli.pictures_with_a_bar(args, show)
     write = partial(report.write_simulation, result, made=_made(project), **more)
-    write_results(write, args, show, index="simulation.json")
-    with no_equilibrium("The results contain the others, if any."):
+    cli.write_results(write, args, show, index="simulation.json")
+    # Who has no equilibrium is named once the results are written.
+    with cli.no_equilibrium("The results contain the others, if any."):
         check_converged(solution, tuple(c.name for c in project.configurations))
 
 
-def identify(args: argparse.Namespace, show: Display) -> None:
-    if args.output is not None:
-        check_folder(args)
+def identify(args: argparse.Namespace, show: cli.Display) -> None:
+    cli.check_folder(args)
     from softcal_jax import report
     from softcal_jax.export import outlook_dict
 
-    project = load(args.project, show)
-    with bad_input():
+    project = cli.load(args.project, show)
+    with cli.bad_input():
         project.check_identify()
     outlook = ranking = None
-    with bad_input(), no_equilibrium("Nothing was written."):
+    with cli.no_equilibrium("Nothing was written."):
         if project.calibration:
             show.now(f"what the data of {_names(project.calibration)} would determine")
-            outlook = project.identify(progress=equilibrium_lines(show))
+            outlook = project.identify(progress=cli.equilibrium_lines(show))
         if project.candidates:
             show.now(f"what {_names(project.candidates)} would add")
-            ranking = project.rank_candidates(progress=equilibrium_lines(show))
+            ranking = project.rank_candidates(progress=cli.equilibrium_lines(show))
     show.lap("solve")
     show.line()
     blind = [c for c in project.calibration if not (c.markers or c.effectors)]
@@ -193,7 +171,7 @@ def identify(args: argparse.Namespace, show: Display) -> None:
         show.times()
     else:
         write = partial(report.write_identifiability, outlook, ranking, **more)
-        write_results(write, args, show, index="identifiability.json")
+        cli.write_results(write, args, show, index="identifiability.json")
 
 
 def _made(project: "Project", **settings: Any) -> "Made":
@@ -217,20 +195,18 @@ exit codes: 0 compared, whatever the verdict, 1 no model predicts every configur
 """
 
 
-def compare(args: argparse.Namespace, show: Display) -> None:
-    if args.output is not None:
-        check_folder(args)
+def compare(args: argparse.Namespace, show: cli.Display) -> None:
+    cli.check_folder(args)
     from softcal_jax import report
     from softcal_jax.export import comparison_dict
     from softcal_jax.project import compare_projects, projects_by_name
 
-    projects = [load(path, show) for path in args.projects]
+    projects = [cli.load(path, show) for path in args.projects]
     n = sum(len(project.calibration) + 1 for project in projects)
     show.note(f"{n} fits, each to all configurations or to all but one")
-    with bad_input(), no_equilibrium("Nothing was written."):
-        comparison = compare_projects(
-            projects, progress=lambda name: show.now(f"fits of {name}")
-        )
+    with cli.no_equilibrium("Nothing was written."):
+        progress = lambda name: show.now(f"fits of {name}")
+        comparison = compare_projects(projects, progress=progress)
     show.lap("solve")
     named = projects_by_name(projects).items()
     made = {name: _made(project) for name, project in named}
@@ -241,9 +217,9 @@ def compare(args: argparse.Namespace, show: Display) -> None:
         show.times()
     else:
         write = partial(report.write_comparison, comparison, made=made)
-        write_results(write, args, show, index="comparison.json")
+        cli.write_results(write, args, show, index="comparison.json")
     if comparison.best is None:
-        raise Stop(NOT_CONVERGED, "no model predicts every configuration.")
+        raise cli.Stop(cli.NOT_CONVERGED, "no model predicts every configuration.")
 
 
 def add_compare(commands: "argparse._SubParsersAction") -> None:
@@ -262,8 +238,8 @@ The files have the same configurations with the same measured values, and differ
     command.add_argument(
         "projects", metavar="PROJECT.toml", nargs="+", type=Path, help="project files"
     )
-    add_path(command, "--output", "DIR", "folder for the results")
-    add_output(command, force="replace earlier results in that folder")
+    cli.add_path(command, "--output", "DIR", "folder for the results")
+    cli.add_output(command, force=cli.AGAIN)
     command.set_defaults(run=compare)
 
 
@@ -276,25 +252,25 @@ bad input
 """
 
 
-def transfer(args: argparse.Namespace, show: Display) -> None:
+def transfer(args: argparse.Namespace, show: cli.Display) -> None:
     from softcal_jax import report
     from softcal_jax.inference import Estimate
 
-    project = load(args.project, show)
-    with bad_input():
+    project = cli.load(args.project, show)
+    with cli.bad_input():
         project.check_calibration()
         loaded = report.load_result(args.result)
         of_a = Estimate(loaded.space, loaded.z, loaded.covariance)
     project = replace(project, intervals=None)  # standard errors are compared
     show.now("first equilibrium")
-    with bad_input(), no_equilibrium("There is nothing to compare."):
+    with cli.no_equilibrium("There is nothing to compare."):
         result = project.calibrate(
-            progress=step_lines(project, show),
-            equilibrium_progress=equilibrium_lines(show),
+            progress=cli.step_lines(project, show),
+            equilibrium_progress=cli.equilibrium_lines(show),
             stage=show.now,
         )
         if not result.converged:
-            raise Stop(NOT_CONVERGED, "the calibration of B did not converge.")
+            raise cli.Stop(cli.NOT_CONVERGED, "the calibration of B did not converge.")
         show.now("the poses of B with the values of A")
         found = report.transfer(of_a, project, result)
     show.line()
@@ -313,7 +289,7 @@ predict the poses of B as well as the fit to B does? Parameters are matched by n
 parameters of the setup belong to each robot.""",
         epilog=_TRANSFER,
     )
-    add_path(command, "result", "RESULTS", "results folder of robot A")
-    add_path(command, "project", "PROJECT.toml", "the project file of robot B")
-    add_output(command)
+    cli.add_path(command, "result", "RESULTS", "results folder of robot A")
+    cli.add_path(command, "project", "PROJECT.toml", "the project file of robot B")
+    cli.add_output(command)
     command.set_defaults(run=transfer)

@@ -11,6 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from datetime import timedelta
+from functools import partial
 from textwrap import fill
 from typing import Any, NoReturn
 
@@ -32,8 +33,7 @@ _COMPILE = "/jax/core/compile/"
 _BACKEND = f"{_COMPILE}backend_compile_duration"
 _FROM_DISK = "/jax/compilation_cache/cache_hits"
 
-NOTICED_S = 0.5
-"""Time of compiling after which it is mentioned [s]."""
+NOTICED_S = 0.5  # time of compiling after which it is mentioned [s]
 
 
 class PlainConsole(Console):
@@ -53,20 +53,17 @@ class PlainConsole(Console):
 class HelpFormatter(argparse.RawDescriptionHelpFormatter):
     """Wraps a text of one line, and leaves one of several lines as it is."""
 
-    def __init__(self, prog: str, **options: Any):
-        super().__init__(prog, max_help_position=26, **options)
-
     def _fill_text(self, text: str, width: int, indent: str) -> str:
-        return super()._fill_text(
-            text if "\n" in text else fill(text, width), width, indent
-        )
+        text = text if "\n" in text else fill(text, width)
+        return super()._fill_text(text, width, indent)
 
 
 class PlainParser(argparse.ArgumentParser):
     """A parser that quotes wrong arguments without their control characters."""
 
     def __init__(self, *name: Any, **options: Any):
-        super().__init__(*name, formatter_class=HelpFormatter, **options)
+        lines = partial(HelpFormatter, max_help_position=26)
+        super().__init__(*name, formatter_class=lines, **options)
 
     def error(self, message: str) -> NoReturn:
         super().error(escaped(message))

@@ -12,33 +12,10 @@ from pathlib import Path
 
 import shtab
 
+from softcal_jax.cli import _commands, _display, _shared as cli
 from softcal_jax.cli._calibrated import add_export, add_inverse
 from softcal_jax.cli._check import add_check, add_mesh
-from softcal_jax.cli._commands import (
-    add_compare,
-    add_transfer,
-    calibrate,
-    demo,
-    identify,
-    simulate,
-)
-from softcal_jax.cli._display import (
-    Display,
-    PlainConsole,
-    PlainParser,
-    escape_what_cannot_be_encoded,
-    silence,
-)
 from softcal_jax.cli._new import add_new, add_tags
-from softcal_jax.cli._shared import (
-    INTERRUPTED,
-    OK,
-    Stop,
-    add_output,
-    add_path,
-    sigterm_as_ctrl_c,
-    warnings_as_lines,
-)
 from softcal_jax.cli._sweep import add_sweep
 from softcal_jax.exchange.exporters import AbstractExporter, exporters
 
@@ -86,48 +63,40 @@ def main(argv: Sequence[str] | None = None) -> int:
     # The start of the process will not do: a shell may have run in it before.
     begin = time.time() - (time.process_time() if argv is None else 0.0)
     if argv is None:
-        _collect_rarely()
-    escape_what_cannot_be_encoded()
+        # Imports allocate much and leave no garbage: searching them over and over, and
+        # all once more at the end, takes a third of the time of a quick command.
+        gc.set_threshold(100_000, 20, 100)
+        atexit.register(gc.freeze)
+    _display.escape_what_cannot_be_encoded()
     words = list(sys.argv[1:] if argv is None else argv)
     if words[:2] == ["sweep", "show"]:  # one command for the parser
         words[:2] = ["sweep show"]
-    silence()
+    _display.silence()
     asked = words[:1] == ["export"] or "--print-completion" in words
     args = _parser(exporters() if asked else {}).parse_args(words)
-    display = Display(begin, quiet=args.quiet, as_json=args.json)
+    display = _display.Display(begin, quiet=args.quiet, as_json=args.json)
     # What other packages print is no JSON.
     out = redirect_stdout(sys.stderr) if display.as_json else nullcontext()
     try:
-        with sigterm_as_ctrl_c(), out, display:
+        with cli.sigterm_as_ctrl_c(), out, display:
             display.now("importing", log=False)
-            with warnings_as_lines(display):
+            with cli.warnings_as_lines(display):
                 args.run(args, display)
-                return OK
-    except Stop as stop:
+                return cli.OK
+    except cli.Stop as stop:
         text, code = str(stop), stop.code
     except KeyboardInterrupt:
-        text, code = "interrupted; nothing was written.", INTERRUPTED
+        text, code = "interrupted; nothing was written.", cli.INTERRUPTED
     display.failure(text, code)
-    errors = PlainConsole(stderr=True)
+    errors = _display.PlainConsole(stderr=True)
     errors.print(text, markup=False, highlight=False, soft_wrap=True)
     return code
 
 
-def _collect_rarely() -> None:
-    """Let the process search for garbage rarely, and not when it ends.
-
-    Imports allocate much and leave no garbage; searching them again and again takes a
-    third of the time of a command that does not compute.
-    """
-    gc.set_threshold(100_000, 20, 100)
-    atexit.register(gc.freeze)
-
-
 def _parser(formats: Mapping[str, AbstractExporter]) -> argparse.ArgumentParser:
-    parser = PlainParser("softcal", description=_ABOUT, epilog=_EXAMPLES)
-    parser.add_argument(
-        "--version", action="version", version=f"softcal {version('softcal-jax')}"
-    )
+    parser = _display.PlainParser("softcal", description=_ABOUT, epilog=_EXAMPLES)
+    text = f"softcal {version('softcal-jax')}"
+    parser.add_argument("--version", action="version", version=text)
     shtab.add_argument_to(
         parser,
         ["--print-completion"],
@@ -147,10 +116,10 @@ def _parser(formats: Mapping[str, AbstractExporter]) -> argparse.ArgumentParser:
     text, robots = "which robot (default: beam)", ["beam", "arm"]
     beam.add_argument("robot", nargs="?", choices=robots, default="beam", help=text)
     where = "folder for the results"
-    add_path(beam, "--output", "DIR", f"{where} (default: demo_results)")
+    cli.add_path(beam, "--output", "DIR", f"{where} (default: demo_results)")
     text = "write the demo's project file and data to DIR and stop"
-    add_path(beam, "--write", "DIR", text)
-    beam.set_defaults(run=demo, checkpoint=None, output=Path("demo_results"))
+    cli.add_path(beam, "--write", "DIR", text)
+    beam.set_defaults(run=_commands.demo, checkpoint=None, output=Path("demo_results"))
 
     fit = commands.add_parser(
         "calibrate",
@@ -159,8 +128,8 @@ def _parser(formats: Mapping[str, AbstractExporter]) -> argparse.ArgumentParser:
         "configurations, predicts those held out, and writes the results.",
     )
     text = "save the state to FILE after every step; resume from FILE if it exists"
-    add_path(fit, "--checkpoint", "FILE", text)
-    fit.set_defaults(run=lambda args, show: calibrate(args, show, args.project))
+    cli.add_path(fit, "--checkpoint", "FILE", text)
+    fit.set_defaults(run=_commands.calibrate)
     forward = commands.add_parser(
         "simulate",
         help="solve the configurations of a project file, without a fit",
@@ -169,8 +138,8 @@ def _parser(formats: Mapping[str, AbstractExporter]) -> argparse.ArgumentParser:
         "and writes the results. It reports the error of each measured pose.",
     )
     text = "use the values in this results folder of softcal calibrate, by name"
-    add_path(forward, "--values", "RESULTS", text)
-    forward.set_defaults(run=simulate)
+    cli.add_path(forward, "--values", "RESULTS", text)
+    forward.set_defaults(run=_commands.simulate)
     outlook = commands.add_parser(
         "identify",
         help="would the data determine the parameters? ask before measuring",
@@ -187,24 +156,23 @@ Candidates, [[candidates]] in the project file with the keys of [[configurations
 ranked by how much information measuring them would add.""",
         epilog=_IDENTIFY,
     )
-    outlook.set_defaults(run=identify)
+    outlook.set_defaults(run=_commands.identify)
     for command in (fit, forward, outlook):
-        add_path(command, "project", "PROJECT.toml", "the project file")
+        cli.add_path(command, "project", "PROJECT.toml", "the project file")
         needed = command is not outlook
-        add_path(command, "--output", "DIR", where, required=needed)
+        cli.add_path(command, "--output", "DIR", where, required=needed)
     for command in (beam, fit):
         text = "also print the tables of the report"
         command.add_argument("--verbose", "-v", action="store_true", help=text)
         text = "stop at the first answer: no error budget, intervals or pictures"
         command.add_argument("--quick", action="store_true", help=text)
     for command in (beam, fit, forward, outlook):
-        again = "replace earlier results in that folder"
-        add_output(command, force=again, pictures=command is not outlook)
+        cli.add_output(command, force=cli.AGAIN, pictures=command is not outlook)
     add_new(commands)
     add_check(commands)
     add_mesh(commands)
-    add_compare(commands)
-    add_transfer(commands)
+    _commands.add_compare(commands)
+    _commands.add_transfer(commands)
     add_inverse(commands)
     add_export(commands, formats)
     add_sweep(commands)

@@ -4,14 +4,8 @@ import argparse
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from softcal_jax.cli import _shared as cli
 from softcal_jax.cli._display import Display
-from softcal_jax.cli._shared import (
-    add_output,
-    add_path,
-    bad_input,
-    check_new,
-    start_computing,
-)
 from softcal_jax.exchange.exporters import quantity
 
 if TYPE_CHECKING:
@@ -28,7 +22,7 @@ examples:
 def new(args: argparse.Namespace, show: Display) -> None:
     from softcal_jax.project import guesses_left
 
-    with bad_input():
+    with cli.bad_input():
         run = _proposed if args.robot is None else _ready_made
         measured = run(args, show)
     show.note("Next:")
@@ -69,7 +63,7 @@ def _proposed(args: argparse.Namespace, show: Display) -> bool:
     from softcal_jax.exchange.proposal import propose_project
     from softcal_jax.project import CHANGE, guesses_left
 
-    start_computing(show)
+    cli.start_computing(show)
     show.now(f"reading {args.model.name}")
     findings = propose_project(
         args.model,
@@ -139,18 +133,18 @@ listed in it. Where no file gives the unit, supports, loads or moduli, they are 
 each guess has a remark that says what to change or confirm.""",
         epilog=_NEW,
     )
-    add_path(command, "folder", "DIR", "the new folder, which must not exist yet")
+    cli.add_path(command, "folder", "DIR", "the new folder, which must not exist yet")
     source = command.add_mutually_exclusive_group(required=True)
     source.add_argument("--robot", metavar="NAME", help="name of a ready-made robot")
     text = "a mesh (.msh, .vtu, .inp, ...) or CAD model (.step, .stl)"
-    add_path(source, "--model", "FILE", text)
+    cli.add_path(source, "--model", "FILE", text)
     text = "a table of markers, or recordings over time (.c3d, ...), a pose in each"
-    add_path(command, "--markers", "FILE", text, nargs="+", default=[])
+    cli.add_path(command, "--markers", "FILE", text, nargs="+", default=[])
     text = 'edges of the tets of a CAD model, like "3 mm" (default: a twentieth of it)'
     command.add_argument("--size", metavar="LENGTH", help=text)
     text = "unit of the model: m, cm, mm, um or inch (default: guessed by its size)"
     command.add_argument("--length-unit", metavar="UNIT", help=text)
-    add_output(command)
+    cli.add_output(command)
     command.set_defaults(run=new)
 
 
@@ -175,8 +169,8 @@ examples:
 def tags(args: argparse.Namespace, show: Display) -> None:
     from softcal_jax.exchange.camera import write_tags
 
-    check_new(args.output, force=args.force)
-    with bad_input():
+    cli.check_new(args.output, force=args.force)
+    with cli.bad_input():
         size = quantity("--size", args.size, "m")
         options = {"count": args.count, "first": args.first, "paper": args.paper}
         n = write_tags(args.output, size=size, **options)
@@ -195,7 +189,7 @@ def add_tags(commands: "argparse._SubParsersAction") -> None:
         description=_ABOUT_TAGS,
         epilog=_TAGS,
     )
-    add_path(parser, "--output", "FILE.pdf", "the file", required=True)
+    cli.add_path(parser, "--output", "FILE.pdf", "the file", required=True)
     text = 'side of the black square of a tag (default: "20 mm")'
     parser.add_argument("--size", default="20 mm", metavar="LENGTH", help=text)
     text = "how many tags (default: 12)"
@@ -204,5 +198,5 @@ def add_tags(commands: "argparse._SubParsersAction") -> None:
     parser.add_argument("--first", type=int, default=0, metavar="N", help=text)
     text = "size of the sheets (default: a4)"
     parser.add_argument("--paper", default="a4", choices=["a4", "letter"], help=text)
-    add_output(parser, force="replace a file that is there")
+    cli.add_output(parser, force="replace a file that is there")
     parser.set_defaults(run=tags)

@@ -6,29 +6,14 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from softcal_jax.cli._shared import (
-    BAD_INPUT,
-    INTERRUPTED,
-    NOT_CONVERGED,
-    Display,
-    Stop,
-    add_output,
-    add_path,
-    bad_input,
-)
+from softcal_jax.cli import _shared as cli
 
 if TYPE_CHECKING:
     from softcal_jax.sweeps import Progress, Sweep, TrialRow
 
-QUIET_S = 30.0
-"""Shortest time between lines on the progress of a sweep in a log [s]."""
-
-MOST_SHOWN = 4
-"""Most figures of a trial in its line; its row holds all."""
-
-_OPTIONS = "workers", "cores_per_worker", "scheduler"
-"""Options of the command that say where trials run."""
-
+QUIET_S = 30.0  # time between lines on progress in a log [s]
+MOST_SHOWN = 4  # figures of a trial in its line; its row holds all
+_OPTIONS = "workers", "cores_per_worker", "scheduler"  # say where trials run
 _SWEEP = """\
 A sweep file names a project file and the axes of the sweep:
 
@@ -59,7 +44,7 @@ examples:
 """
 
 
-def sweep(args: argparse.Namespace, show: Display) -> None:
+def sweep(args: argparse.Namespace, show: cli.Display) -> None:
     import jax
 
     from softcal_jax.report import check_sweep_page, write_sweep
@@ -69,7 +54,7 @@ def sweep(args: argparse.Namespace, show: Display) -> None:
     jax.config.update("jax_enable_x64", True)
     show.lap("import")
     show.now(f"reading {args.sweep.name}")
-    with bad_input():
+    with cli.bad_input():
         loaded = load_sweep(args.sweep)
         if (args.part is None) != (args.of is None):
             raise ValueError("--part and --of go together: --part 17 --of 1000.")
@@ -88,7 +73,7 @@ def sweep(args: argparse.Namespace, show: Display) -> None:
         _part(args, show, loaded, options)
         return
     try:
-        with bad_input():
+        with cli.bad_input(RuntimeError):
             result = loaded.run(database, retry_failed=args.retry_failed, **options)
     except KeyboardInterrupt:
         text = f"interrupted: the same command resumes from {database}."
@@ -96,36 +81,35 @@ def sweep(args: argparse.Namespace, show: Display) -> None:
             result = read_sweep(database)
             page = write_sweep(result, database, sweep=loaded, timing_s=show.laps)
             text += f" {len(result.rows)} of {len(loaded.points)} trials are in {page}."
-        raise Stop(INTERRUPTED, text) from None
-    except RuntimeError as error:
-        raise Stop(BAD_INPUT, f"error: {error}") from error
+        raise cli.Stop(cli.INTERRUPTED, text) from None
     show.lap("trials")
     show.line()
     show.line(sweep_table(result))
     show.line(f"Rows in {database}; `softcal sweep show {database}` shows more.")
-    with bad_input():
+    with cli.bad_input():
         page = write_sweep(result, database, sweep=loaded, timing_s=show.laps)
     show.line(f"Report: open {page} in a browser.")
     show.times()
     bad = len(result.rows) - len(result.of_state("converged"))
     if bad:
         text = f"{bad} of {len(result.rows)} trials failed or did not converge."
-        raise Stop(NOT_CONVERGED, text)
+        raise cli.Stop(cli.NOT_CONVERGED, text)
 
 
 def _part(
-    args: argparse.Namespace, show: Display, loaded: "Sweep", options: dict[str, Any]
+    args: argparse.Namespace,
+    show: cli.Display,
+    loaded: "Sweep",
+    options: dict[str, Any],
 ) -> None:
     """Run one part of a large sweep, without a page."""
     folder = args.output or loaded.path.with_suffix("")
     try:
-        with bad_input():
+        with cli.bad_input(RuntimeError):
             path = loaded.run_part(folder, part=args.part, of=args.of, **options)
     except KeyboardInterrupt:
         text = "interrupted: this part was not written; run it again from the start."
-        raise Stop(INTERRUPTED, text) from None
-    except RuntimeError as error:
-        raise Stop(BAD_INPUT, f"error: {error}") from error
+        raise cli.Stop(cli.INTERRUPTED, text) from None
     from pyarrow.parquet import read_table
 
     show.lap("trials")
@@ -135,10 +119,10 @@ def _part(
     bad = sum(state != "converged" for state in states)
     if bad:
         text = f"{bad} of {len(states)} trials failed or did not converge; remove "
-        raise Stop(NOT_CONVERGED, f"{text}{path.name} to run this part again.")
+        raise cli.Stop(cli.NOT_CONVERGED, f"{text}{path.name} to run this part again.")
 
 
-def _progress_lines(show: Display) -> "Callable[[Progress], None]":
+def _progress_lines(show: cli.Display) -> "Callable[[Progress], None]":
     """Return a callback that prints each trial as it ends, and progress at times."""
     last = time.monotonic()
 
@@ -180,11 +164,11 @@ def _row_line(row: "TrialRow") -> str:
     return f"{row.state}: {point}: {shown} ({row.seconds:.1f} s)"
 
 
-def show_sweep(args: argparse.Namespace, show: Display) -> None:
+def show_sweep(args: argparse.Namespace, show: cli.Display) -> None:
     """Tabulate a sweep, even while it runs, and plot it on request."""
     from softcal_jax.sweeps import plot_sweep, read_sweep, sweep_table, write_sweep_csv
 
-    with bad_input():
+    with cli.bad_input():
         result = read_sweep(args.database)
         chosen = {"by": args.by, "figures": args.figure}
         show.document({"name": result.name, "rows": [*map(_row_dict, result.rows)]})
@@ -205,26 +189,24 @@ def add_sweep(commands: "argparse._SubParsersAction") -> None:
         "points, starts, draws of noise, sets of configurations, or values of any key.",
         epilog=_SWEEP,
     )
-    add_path(run, "sweep", "SWEEP.toml", "the sweep file")
+    cli.add_path(run, "sweep", "SWEEP.toml", "the sweep file")
     where = "database for the rows (default: SWEEP.sqlite, beside the sweep file), or "
     where += "with --part the folder for the parts (default: SWEEP)"
-    add_path(run, "--output", "FILE", where)
+    cli.add_path(run, "--output", "FILE", where)
     text = "run this one of --of N parts, from 0, and write a Parquet file: more than "
     text += "100 000 trials, as jobs of a cluster"
     run.add_argument("--part", metavar="K", type=int, help=text)
-    run.add_argument("--of", metavar="N", type=int, help="number of parts")
+    number = {"metavar": "N", "type": int}
+    run.add_argument("--of", **number, help="number of parts")
     workers = "worker processes (default: all cores)"
-    run.add_argument("--workers", metavar="N", type=int, help=workers)
+    run.add_argument("--workers", **number, help=workers)
     threads = "threads of each (default: 1, which is fastest unless memory is short)"
-    run.add_argument(
-        "--cores-per-worker", metavar="N", type=int, default=1, help=threads
-    )
+    run.add_argument("--cores-per-worker", **number, default=1, help=threads)
     cluster = 'run on a Dask cluster, like "tcp://10.0.0.1:8786"'
     run.add_argument("--scheduler", metavar="ADDRESS", help=cluster)
-    run.add_argument(
-        "--retry-failed", action="store_true", help="retry the trials that failed"
-    )
-    add_output(run)
+    again = "retry the trials that failed"
+    run.add_argument("--retry-failed", action="store_true", help=again)
+    cli.add_output(run)
     run.set_defaults(run=sweep)
 
     table = commands.add_parser(
@@ -233,14 +215,14 @@ def add_sweep(commands: "argparse._SubParsersAction") -> None:
         description="Tabulates the rows of a sweep, and draws them if asked to.",
         epilog=_SHOW,
     )
-    add_path(table, "database", "SWEEP.sqlite", "the database of the sweep")
+    cli.add_path(table, "database", "SWEEP.sqlite", "the database of the sweep")
     for flag, metavar, what in (
         ("--by", "AXIS", "group trials by this axis (repeat for several)"),
         ("--figure", "NAME", "show this figure (repeat for several)"),
     ):
         table.add_argument(flag, metavar=metavar, action="append", help=what)
     table.add_argument("--all", action="store_true", help="one line per trial")
-    add_path(table, "--plot", "FILE", "draw a picture, .png or .svg")
-    add_path(table, "--csv", "FILE.csv", "write one line per trial, in SI units")
-    add_output(table)
+    cli.add_path(table, "--plot", "FILE", "draw a picture, .png or .svg")
+    cli.add_path(table, "--csv", "FILE.csv", "write one line per trial, in SI units")
+    cli.add_output(table)
     table.set_defaults(run=show_sweep)

@@ -27,7 +27,6 @@ from softcal_jax.plotting._robot import (
     RobotPicture as RobotPicture,
     SensorFrame as SensorFrame,
     actuator_words as actuator_words,
-    is_seen as is_seen,
     load_place as load_place,
     pushes as pushes,
     robot_picture as robot_picture,
@@ -36,5 +35,6 @@ from softcal_jax.plotting._robot import (
 from softcal_jax.plotting._scene import (
     RenderingError as RenderingError,
     rendering_problem as rendering_problem,
+    rigid_faces as rigid_faces,
 )
 from softcal_jax.plotting._view import View as View, choose_view as choose_view

@@ -19,12 +19,9 @@ from softcal_jax.plotting._figure import add_axes, add_view, pixel_figure, save
 from softcal_jax.plotting._scene import body_image
 from softcal_jax.plotting._view import choose_view, fit_body
 
-_WIDTH, _SIDE, _TOP, _BOTTOM = 1600, 190, 130, 130
-"""Whole width, and sizes of colour scale, title and legend [pixels]."""
-_LOWEST, _HIGHEST = 420, 900
-"""Limits of the height of the body's part of the picture [pixels]."""
-_MARGIN = 60
-"""Margin around the body for marker symbols and their names [pixels]."""
+_WIDTH, _SIDE, _TOP, _BOTTOM = 1600, 190, 130, 130  # of all, scale, title, legend [px]
+_LOWEST, _HIGHEST = 420, 900  # limits of the height of the body's part [pixels]
+_MARGIN = 60  # around the body, for marker symbols and names [pixels]
 
 
 def render_configuration(
@@ -171,8 +168,7 @@ def render_body(
     if posed is not None:
         drawn += robots.draw_setup(body, view, posed, model.mesh, x)
     if picture is not None:
-        robots.draw_robot(body, view, picture)
-        drawn += picture.kinds
+        drawn += robots.draw_robot(body, view, picture)
     drawn += robots.draw_sensors(body, view, sensors)
     flat = view.project(measured), view.project(simulated)
     figures.draw_markers(body, *flat, marker_names)

@@ -11,17 +11,10 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.configurations import Traces
 from softcal_jax.plotting._figure import BAD, DPI, FAINT, SERIES, TEXT, Axes, save
 
-_WINDOWS = ("#f2c14e", "#7fb7be", "#c9a0dc")
-"""Colours of the windows, light enough for the lines above them."""
-
-_MOST_NAMES = 14
-"""Most markers that get a legend: two for each colour."""
-
-_AROUND, _LEAST = 1.0, 3
-"""Time shown on either side of a window: in its lengths, but at least in frames."""
-
-_MOST_LABELS = 12
-"""Most groups on an axis whose labels stay horizontal."""
+_WINDOWS = ("#f2c14e", "#7fb7be", "#c9a0dc")  # light enough for lines above them
+_MOST_NAMES = 14  # markers that get a legend: two for each colour
+_AROUND, _LEAST = 1.0, 3  # time beside a window: in its lengths, at least in frames
+_MOST_LABELS = 12  # groups on an axis whose labels stay horizontal
 
 
 def plot_traces(traces: Traces, path: str | Path, *, name: str = "recording") -> None:
@@ -53,9 +46,7 @@ def plot_traces(traces: Traces, path: str | Path, *, name: str = "recording") ->
     for panel, (start, stop) in zip(panels[1:], windows, strict=True):
         inside = (recording.times >= start) & (recording.times <= stop)
         part = recording.positions[inside]
-        known = np.isfinite(part)
-        n = known.sum(axis=0)
-        mean = np.where(known, part, 0.0).sum(axis=0) / np.where(n > 0, n, np.nan)
+        mean = np.ma.masked_invalid(part).mean(axis=0).filled(np.nan)
         columns = _draw_distances(panel, traces, mean)
         frame = float(np.median(np.diff(recording.times))) if inside.size > 1 else 1.0
         beside = max(_AROUND * (stop - start), _LEAST * frame)

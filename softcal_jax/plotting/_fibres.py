@@ -9,7 +9,6 @@ import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.mesh import TetMesh
-from softcal_jax.plotting import _figure as figures
 from softcal_jax.plotting._figure import (
     DPI,
     FAINT,
@@ -18,29 +17,19 @@ from softcal_jax.plotting._figure import (
     TEXT,
     Axes,
     add_view,
+    draw_frame,
     pixel_figure,
     save,
 )
 from softcal_jax.plotting._view import View, VisibleFaces, choose_view, visible_faces
 
-_SIZE, _TOP, _BOTTOM = 900, 110, 120
-"""Longer side of the body, and heights above and below it [pixels]."""
-
-_MARGIN = 1.08
-"""Room for the body, over its own width and height."""
-
-_DARKEST, _LIGHTEST = 0.72, 0.97
-"""Grey of a face seen from the side, and from the front."""
-
-_LENGTH, _BREADTH = 0.8, 0.1
-"""Length and breadth of a line, over the root of twice the area of its face."""
-
-_WIDTH, _SIDE = 14.0, 1.6
-"""Width of the figure of a layer, and of the labels beside its panels [inches]."""
-
+_SIZE, _TOP, _BOTTOM = 900, 110, 120  # longer side of the body, above and below it [px]
+_MARGIN = 1.08  # room for the body, over its own width and height
+_DARKEST, _LIGHTEST = 0.72, 0.97  # grey of a face seen from the side, from the front
+_LENGTH, _BREADTH = 0.8, 0.1  # of a line, over the root of twice the area of its face
+_WIDTH, _SIDE = 14.0, 1.6  # of the figure of a layer, and of labels beside it [inches]
 _MAP, _CYCLIC_MAP = "viridis", "twilight_shifted"
-_CYCLIC_FROM = np.deg2rad(80.0)
-"""Angle beyond which +90 and -90 degrees, one axis, must share a colour [rad]."""
+_CYCLIC_FROM = np.deg2rad(80.0)  # beyond, +90 and -90 degrees share a colour
 
 
 def plot_directions(
@@ -92,7 +81,7 @@ def plot_directions(
     place = {"loc": "center", "bbox_to_anchor": (0.5, 55 / total)}
     figure.legend(lines, families, fontsize=15, frameon=False, **place)
     around = {"scale": scale, "top": _TOP, "bottom": _BOTTOM}
-    figures.draw_frame(figure, view, **around, title=title)
+    draw_frame(figure, view, **around, title=title)
     save(figure, path)
 
 

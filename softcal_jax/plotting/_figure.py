@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 else:  # imported for a picture only, since that takes a while
     Axes = Figure = Text = Any
 
-DPI = 100
-"""Pixels per inch of figures and of the images within them."""
+DPI = 100  # pixels per inch of figures and of the images within them
 
 
 def pixel_figure(width: float, height: float) -> Figure:
@@ -127,11 +126,8 @@ SYMBOLS: dict[str, dict[str, Any]] = {
 """Styles of lines and points by what they mark, in the order of the legend."""
 
 
-WARNING_HEIGHT = 60
-"""Height of the warning band above the title [pixels]."""
-
-_MOST_NAMES = 16
-"""Most markers that are named; more names would cover each other."""
+WARNING_HEIGHT = 60  # of the band above the title [pixels]
+_MOST_NAMES = 16  # markers that are named; more names would cover each other
 
 
 def halo(width: float):
@@ -281,6 +277,20 @@ def draw_legend(
     place = {"loc": "center left", "bbox_to_anchor": (0.12, height)}
     style = {"fontsize": 15, "frameon": False, "labelcolor": TEXT, "columnspacing": 1.6}
     figure.legend(handles=handles, ncols=min(len(handles), 5), **place, **style)
+
+
+def draw_faces(
+    axes: Axes,
+    view: View,
+    corners: Float[HostArray, "n_faces 3 3"],
+    colours: Float[HostArray, "n_faces 3"],
+) -> None:
+    """Draw faces in their order, with edges a little darker; as pixels in SVG."""
+    from matplotlib.collections import PolyCollection
+
+    look = {"facecolors": colours, "edgecolors": 0.85 * colours, "lw": 0.4}
+    shapes = list(view.project(corners))
+    axes.add_collection(PolyCollection(shapes, **look, rasterized=True))
 
 
 def draw_frame(

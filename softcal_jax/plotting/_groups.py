@@ -15,25 +15,16 @@ from softcal_jax.plotting._view import (
     View,
     VisibleFaces,
     choose_view,
-    draw_faces,
     visible_faces,
 )
 
 Colour = tuple[float, float, float]
 
-_SIZE, _TOP, _BOTTOM, _HEADING = 800, 90, 120, 40
-"""Longer side of a panel; heights above and below all, and of a heading [pixels]."""
-
+_SIZE, _TOP, _BOTTOM, _HEADING = 800, 90, 120, 40  # panel, above, below, heading [px]
 _COLUMNS = 2
-_ENTRY = (270, 34)
-"""Width and height of an entry of the legend [pixels]."""
-
-_MARGIN = 1.15
-"""Room for the body and its names, over its own width and height."""
-
-_DARKEST, _PALE = 0.72, 0.25
-"""Brightness of a face seen from the side, and share of white in all colours."""
-
+_ENTRY = (270, 34)  # width and height of an entry of the legend [pixels]
+_MARGIN = 1.15  # room for the body and names, over its width and height
+_DARKEST, _PALE = 0.72, 0.25  # brightness seen from the side, share of white in colours
 _PLAIN, _CUT = -1, -2
 """Group numbers of faces in no group: on the surface, and where the body is cut. As
 indices from the end they pick from `_NO_GROUP`, which follows the groups' colours."""
@@ -41,11 +32,8 @@ indices from the end they pick from `_NO_GROUP`, which follows the groups' colou
 _NO_GROUP = ((0.8, 0.8, 0.75), (0.92, 0.92, 0.92))
 """Colours of what is cut, and of other faces in no group."""
 
-_GOLDEN = 0.618
-"""Step around the colour wheel that keeps any number of colours apart [turns]."""
-
-_LEAST = 30
-"""Fewest pixels of a group that must be seen in a panel for its name to stand there."""
+_GOLDEN = 0.618  # step around the wheel that keeps any number of colours apart
+_LEAST = 30  # pixels of a group that are seen where its name stands
 
 
 class _Frame(NamedTuple):
@@ -99,7 +87,7 @@ def plot_groups(mesh: TetMesh, path: str | Path, *, title: str = "") -> None:
         # Darker where they are seen from the side.
         light = _DARKEST + (1.0 - _DARKEST) * faces.light
         shades = np.array([*colours, *_NO_GROUP])[group] * light[:, None]
-        draw_faces(axes, view, faces.corners, shades)
+        figures.draw_faces(axes, view, faces.corners, shades)
         _draw_nodes(axes, view, mesh, drawn, dict(zip(groups, colours, strict=True)))
         best = (seen.argmax(axis=0) == k) & (seen[k] >= _LEAST)
         for index in np.flatnonzero(best):

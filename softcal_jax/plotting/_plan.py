@@ -19,7 +19,7 @@ from softcal_jax.configurations import (
 from softcal_jax.equilibrium import ActuatorState, Model, RobotState
 from softcal_jax.export import fibre_directions
 from softcal_jax.mesh import boundary_faces
-from softcal_jax.plotting import _figure as figures, _robot as robots
+from softcal_jax.plotting import _figure as figures, _robot as robots, _view as views
 from softcal_jax.plotting._figure import (
     FAINT,
     RIGID,
@@ -30,33 +30,16 @@ from softcal_jax.plotting._figure import (
     pixel_figure,
     save,
 )
-from softcal_jax.plotting._view import (
-    View,
-    VisibleFaces,
-    choose_view,
-    draw_faces,
-    fit_body,
-    visible_faces,
-)
 
 MOST_PANELS = 6
 """Most configurations that are drawn; `softcal check` says how many are left out."""
 
-_WIDTH, _TOP, _BOTTOM, _HEADING = 1600, 110, 140, 44
-"""Whole width, and heights of title, legend and the heading of a panel [pixels]."""
-_LOWEST, _HIGHEST, _PAGE = 330, 820, 1100
-"""Limits of the height of a panel, and of all of them [pixels]."""
-_MARGIN = 80
-"""Room around the body for symbols and their names [pixels]."""
-
-_MOST_FIBRES = 400
-"""Most fibres that are drawn, in tets at the visible boundary."""
-
-_MOST_NAMES = 12
-"""Most markers that are named; more names would cover each other."""
-
-_LIGHT, _DARK = 0.97, 0.70
-"""Brightness of a face seen from the front, and from the side."""
+_WIDTH, _TOP, _BOTTOM, _HEADING = 1600, 110, 140, 44  # all, title, legend, heading [px]
+_LOWEST, _HIGHEST, _PAGE = 330, 820, 1100  # limits of the height of a panel, of all
+_MARGIN = 80  # room around the body for symbols and their names [pixels]
+_MOST_FIBRES = 400  # fibres that are drawn, in tets at the visible boundary
+_MOST_NAMES = 12  # markers that are named; more names would cover each other
+_LIGHT, _DARK = 0.97, 0.70  # brightness of a face seen from the front, the side
 
 
 def plot_plan(
@@ -89,14 +72,14 @@ def plot_plan(
         more += [place for place, _ in _measured(model, points)]
     gravity = shown[0].gravity if shown else ()
     still = np.zeros_like(mesh.points)
-    view = choose_view(mesh.points, still, np.vstack(more), gravity)
+    view = views.choose_view(mesh.points, still, np.vstack(more), gravity)
     n = len(shown)
     columns = max(range(1, n + 1), key=lambda columns: _fit(view, n, columns)[0])
     width, rows = _WIDTH // columns, math.ceil(n / columns)
     scale, height = _fit(view, n, columns)
     total = _TOP + rows * (height + _HEADING) + _BOTTOM
     figure = pixel_figure(_WIDTH, total)
-    faces = visible_faces(mesh, view)
+    faces = views.visible_faces(mesh, view)
     light = _DARK + (_LIGHT - _DARK) * faces.light
     grey = np.repeat(light[:, None], 3, axis=1)
     drawn = {"control point"} if len(numbered) else set()
@@ -106,7 +89,7 @@ def plot_plan(
         row, column = divmod(k, columns)
         bottom = total - _TOP - (row + 1) * (height + _HEADING)
         axes = add_view(figure, column * width, bottom, width, height, scale=scale)
-        draw_faces(axes, view, faces.corners, grey)
+        figures.draw_faces(axes, view, faces.corners, grey)
         if fibres is not None:
             _draw_fibres(axes, view, faces, fibres)
         drawn |= _draw_configuration(axes, view, model, c, pictures[k], markers[k])
@@ -122,10 +105,10 @@ def plot_plan(
     save(figure, path, software=software)
 
 
-def _fit(view: View, n: int, columns: int) -> tuple[float, int]:
+def _fit(view: views.View, n: int, columns: int) -> tuple[float, int]:
     """Fit the body into each of n panels, as large as the page allows."""
     highest = max(_LOWEST, min(_HIGHEST, _PAGE // math.ceil(n / columns)))
-    return fit_body(view, _WIDTH // columns, _MARGIN, _LOWEST, highest)
+    return views.fit_body(view, _WIDTH // columns, _MARGIN, _LOWEST, highest)
 
 
 def _measured(
@@ -164,7 +147,7 @@ def _at_rest(model: Model, c: Configuration) -> RobotState:
 
 def _draw_configuration(
     axes: Axes,
-    view: View,
+    view: views.View,
     model: Model,
     c: Configuration,
     picture: robots.RobotPicture,
@@ -174,8 +157,7 @@ def _draw_configuration(
     _draw_bodies(axes, view, model, c)
     drawn = {"rigid body"} if model.mechanism.bodies.n_bodies else set()
     drawn.update(robots.draw_setup(axes, view, c, model.mesh, model.mesh.points))
-    robots.draw_robot(axes, view, picture)
-    drawn.update(picture.kinds)
+    drawn.update(robots.draw_robot(axes, view, picture))
     frames = {e.name for e in c.effectors if isinstance(e, BodyFrame)}
     sensors = [
         robots.SensorFrame(p.at_rest, np.eye(3)) for p in points if p.name in frames
@@ -197,7 +179,7 @@ def _draw_configuration(
     return drawn
 
 
-def _draw_bodies(axes: Axes, view: View, model: Model, c: Configuration) -> None:
+def _draw_bodies(axes: Axes, view: views.View, model: Model, c: Configuration) -> None:
     """Draw the nodes of rigid bodies as a patch, with name and state."""
     from matplotlib.collections import PolyCollection
 
@@ -232,7 +214,10 @@ def _fibre_directions(model: Model) -> Float[HostArray, "n_tets 3"] | None:
 
 
 def _draw_fibres(
-    axes: Axes, view: View, faces: VisibleFaces, fibres: Float[HostArray, "n_tets 3"]
+    axes: Axes,
+    view: views.View,
+    faces: views.VisibleFaces,
+    fibres: Float[HostArray, "n_tets 3"],
 ) -> None:
     """Draw fibres of some of the tets whose outer face is seen."""
     from matplotlib.collections import LineCollection

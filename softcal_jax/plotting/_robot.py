@@ -1,6 +1,6 @@
 """Draw what acts on a body, and the sensors on it, over its picture."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,9 +27,7 @@ from softcal_jax.plotting._figure import (
 )
 from softcal_jax.plotting._view import View
 
-_FRAME, _AXIS, _ARROW = 0.05, 0.08, 0.1
-"""Lengths of sensor axes, hinges and forces, relative to the width of the view."""
-
+_FRAME, _AXIS, _ARROW = 0.05, 0.08, 0.1  # sensors, hinges, forces; of the view's width
 _UNSEEN_AT_REST = ("force actuator", "surface force actuator", "surface pressure")
 """Actuators that are not drawn where they do not push."""
 
@@ -70,19 +68,18 @@ class RobotPicture(NamedTuple):
         """Points that must be visible in addition to the body [m]."""
         return np.vstack([self.geometry.segments.reshape(-1, 3), self.geometry.points])
 
-    @property
-    def kinds(self) -> list[str]:
-        """Entries of the legend."""
-        actuators = self.state.actuators
-        driven = [actuators[a] for a in self.geometry.point_owner]
-        walls = [actuators[a] for a in np.unique(self.geometry.face_owner)]
-        present = {
-            "cable": len(self.geometry.segments) > 0,
-            "wall under pressure": any(is_seen(a) for a in walls),
-            "motor": any(a.kind == "motor" for a in driven),
-            "force": any(a.kind != "motor" and is_seen(a) for a in driven),
-        }
-        return [kind for kind, is_present in present.items() if is_present]
+    def parts(self) -> Iterator[tuple[ActuatorState, *tuple[HostArray, ...]]]:
+        """Yield actuators that are drawn: segments, faces, first point and its arrow.
+
+        Each of these is empty where an actuator has none.
+        """
+        shape = self.geometry
+        for a, actuator in enumerate(self.state.actuators):
+            if is_seen(actuator):
+                k = np.flatnonzero(shape.point_owner == a)[:1]
+                segments = shape.segments[shape.segment_owner == a]
+                faces = shape.faces[shape.face_owner == a, :3]
+                yield actuator, segments, faces, shape.points[k], shape.arrows[k]
 
 
 def robot_picture(model: Model, state: RobotState) -> RobotPicture:
@@ -92,20 +89,24 @@ def robot_picture(model: Model, state: RobotState) -> RobotPicture:
     return RobotPicture(geometry, state, x)
 
 
-def draw_robot(axes: Axes, view: View, picture: RobotPicture) -> None:
-    """Draw the actuators, each with its name and force."""
-    geometry, actuators = picture.geometry, picture.state.actuators
-    for a, actuator in enumerate(actuators):
-        if not is_seen(actuator):
-            continue
-        places = [
-            _draw_wall(axes, view, picture, a),
-            _draw_cable(axes, view, geometry, a, slack=actuator.force == 0.0),
-            _draw_point(axes, view, picture, a),
-        ]
-        place = next((p for p in places if p is not None), None)
-        if place is not None:
-            draw_name(axes, actuator_words(actuator), place, (0, 12), ha="center")
+def draw_robot(axes: Axes, view: View, picture: RobotPicture) -> set[str]:
+    """Draw actuators, each with its name and force; return what was drawn."""
+    drawn = set()
+    for actuator, segments, faces, points, arrows in picture.parts():
+        places = []
+        if len(faces):
+            drawn.add("wall under pressure")
+            places.append(_draw_wall(axes, view, picture.x[faces]))
+        if len(segments):
+            drawn.add("cable")
+            slack = actuator.force == 0.0
+            places.append(_draw_cable(axes, view, segments, slack=slack))
+        if len(points):
+            drawn.add("motor" if actuator.kind == "motor" else "force")
+            places.append(_draw_point(axes, view, actuator, points[0], arrows[0]))
+        if places:
+            draw_name(axes, actuator_words(actuator), places[0], (0, 12), ha="center")
+    return drawn
 
 
 def is_seen(actuator: ActuatorState) -> bool:
@@ -128,10 +129,7 @@ def actuator_words(actuator: ActuatorState) -> str:
     return f"{actuator.name}: {', '.join(words)}"
 
 
-def _draw_cable(axes, view: View, geometry: ActuatorGeometry, a: int, *, slack: bool):
-    segments = geometry.segments[geometry.segment_owner == a]
-    if not len(segments):
-        return None
+def _draw_cable(axes, view: View, segments: Float[HostArray, "n 2 3"], *, slack: bool):
     style = {**SYMBOLS["cable"], "ls": ":" if slack else "-", "marker": "o", "ms": 6}
     for ends in view.project(segments):
         axes.plot(*ends.T, **style, path_effects=halo(5.0))
@@ -139,24 +137,16 @@ def _draw_cable(axes, view: View, geometry: ActuatorGeometry, a: int, *, slack: 
     return view.project(segments[np.argmax(lengths)].mean(axis=0))
 
 
-def _draw_wall(axes, view: View, picture: RobotPicture, a: int):
+def _draw_wall(axes, view: View, corners: Float[HostArray, "n 3 3"]):
     from matplotlib.collections import PolyCollection
 
-    faces = picture.geometry.faces[picture.geometry.face_owner == a, :3]
-    if not len(faces):
-        return None
-    flat = view.project(picture.x[faces])
+    flat = view.project(corners)
     style = {"facecolor": WALL, "edgecolor": "white", "lw": 0.4, "alpha": 0.3}
     axes.add_collection(PolyCollection(list(flat), **style))
     return flat.mean(axis=(0, 1))
 
 
-def _draw_point(axes, view: View, picture: RobotPicture, a: int):
-    geometry, actuator = picture.geometry, picture.state.actuators[a]
-    if a not in geometry.point_owner:
-        return None
-    k = np.argmax(geometry.point_owner == a)
-    point, arrow = geometry.points[k], geometry.arrows[k]
+def _draw_point(axes, view: View, actuator: ActuatorState, point, arrow):
     if actuator.kind == "motor":
         half = _AXIS * view.width * arrow
         ends = view.project(np.stack([point - half, point + half]))
@@ -191,14 +181,9 @@ def draw_sensors(axes: Axes, view: View, frames: Sequence[SensorFrame]) -> list[
     return ["sensor's axes"] if frames else []
 
 
-_SHORTEST, _LONGEST = 0.07, 0.14
-"""Lengths of the arrows of the smallest and largest load, over the view's width."""
-
-_GRAVITY = 0.05
-"""Length of the arrow of gravity, over the width of the picture."""
-
-_LEAST = 0.15
-"""Share of an arrow's length that must be seen; a shorter one is drawn end on [-]."""
+_SHORTEST, _LONGEST = 0.07, 0.14  # arrows of loads, over the width of the view
+_GRAVITY = 0.05  # length of its arrow, over the width of the picture
+_LEAST = 0.15  # an arrow of which less of the length is seen is drawn end on [-]
 
 
 def load_place(

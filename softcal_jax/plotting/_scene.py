@@ -26,9 +26,7 @@ if TYPE_CHECKING:
     import pyvista
 
 _SMOOTHING = "ssaa"  # VTK averages 4 x 4 samples of each pixel
-_GHOST = "#ececec"
-"""Colour of the body at rest."""
-
+_GHOST = "#ececec"  # colour of the body at rest
 _CHOICE = "VTK_DEFAULT_OPENGL_WINDOW"
 
 _REMEDY = (
@@ -111,6 +109,14 @@ def _egl_works() -> bool:
     return works
 
 
+def rigid_faces(model: Model, faces: Int[HostArray, "n n_fn"]) -> Bool[HostArray, " n"]:
+    """Say of which faces all nodes belong to one rigid body."""
+    bodies, body = model.mechanism.bodies, np.full(model.mesh.n_nodes, -1)
+    body[bodies.attached] = bodies.body
+    owners = body[faces]
+    return (owners[:, 0] >= 0) & np.all(owners == owners[:, :1], axis=1)
+
+
 def body_image(
     model: Model,
     displacement: Float[HostArray, "n_nodes 3"],
@@ -128,11 +134,7 @@ def body_image(
 
     width, height = size
     tessellation, points = tessellate(model.mesh), model.mesh.points
-    # Triangles whose nodes all belong to one rigid body.
-    bodies, body = model.mechanism.bodies, np.full(model.mesh.n_nodes, -1)
-    body[bodies.attached] = bodies.body
-    owners = body[tessellation.faces]
-    rigid = (owners[:, 0] >= 0) & np.all(owners == owners[:, :1], axis=1)
+    rigid = rigid_faces(model, tessellation.faces)
     whole = np.ones_like(rigid)
     rest = _surface(tessellation, points, np.zeros_like(displacement), whole)
     deformed = lambda chosen: _surface(tessellation, points, displacement, chosen)

@@ -1,15 +1,12 @@
 """The view of a body, chosen from its shape and its motion, and what is seen in it."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.mesh import TetMesh, boundary_faces, boundary_tets
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _AZIMUTH, _ELEVATION = np.radians(20.0), np.radians(18.0)
 
@@ -117,17 +114,3 @@ def visible_faces(mesh: TetMesh, view: View) -> VisibleFaces:
     seen = seen[np.argsort(corners[seen].mean(axis=1) @ view.towards)]
     tet = boundary_tets(mesh)[seen]
     return VisibleFaces(nodes[seen], corners[seen], light[seen], tet)
-
-
-def draw_faces(
-    axes: "Axes",
-    view: View,
-    corners: Float[HostArray, "n_faces 3 3"],
-    colours: Float[HostArray, "n_faces 3"],
-) -> None:
-    """Draw faces in their order, with edges a little darker; as pixels in SVG."""
-    from matplotlib.collections import PolyCollection
-
-    look = {"facecolors": colours, "edgecolors": 0.85 * colours, "lw": 0.4}
-    shapes = list(view.project(corners))
-    axes.add_collection(PolyCollection(shapes, **look, rasterized=True))

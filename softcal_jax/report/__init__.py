@@ -1,14 +1,6 @@
 """Results written and loaded: files, a page, and tables for the terminal."""
 
-from softcal_jax.report._calibration import (
-    model_words as model_words,
-    summary_table as summary_table,
-)
-from softcal_jax.report._held_out import held_out_sentences as held_out_sentences
-from softcal_jax.report._inverse import (
-    inverse_table as inverse_table,
-    write_inverse as write_inverse,
-)
+from softcal_jax.report._inverse import inverse_table as inverse_table
 from softcal_jax.report._load import (
     LoadedResult as LoadedResult,
     ResultError as ResultError,
@@ -28,13 +20,21 @@ from softcal_jax.report._sweep_page import (
     check_sweep_page as check_sweep_page,
     write_sweep as write_sweep,
 )
-from softcal_jax.report._tables import simulation_table as simulation_table
+from softcal_jax.report._tables import (
+    model_words as model_words,
+    simulation_table as simulation_table,
+    summary_table as summary_table,
+)
 from softcal_jax.report._transfer import Transfer as Transfer, transfer as transfer
-from softcal_jax.report._verdict import answer_of as answer_of
+from softcal_jax.report._verdict import (
+    answer_of as answer_of,
+    held_out_sentences as held_out_sentences,
+)
 from softcal_jax.report._write import (
     PictureWarning as PictureWarning,
     write_comparison as write_comparison,
     write_identifiability as write_identifiability,
+    write_inverse as write_inverse,
     write_results as write_results,
     write_simulation as write_simulation,
 )

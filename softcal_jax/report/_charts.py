@@ -7,39 +7,30 @@ are percentages, and those along the height pixels.
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable, readable_unit
 from softcal_jax.calibration import (
     CalibrationResult,
     ConfigurationResult,
     ParameterEstimate,
 )
-from softcal_jax.inference import ErrorBudget
 from softcal_jax.report._html import Html, figure, joined, node
 from softcal_jax.report._tables import distance
 from softcal_jax.report._verdict import end_of
 
 INK, BLUE, LINE, PAPER = "#1a1a1a", "#0b4f8a", "#c8c8c8", "#ffffff"
 
-MOST_PARAMETERS = 7
-"""Most parameters whose course is drawn."""
-
+MOST_PARAMETERS = 7  # parameters whose course is drawn
+# Where a chart over an axis begins and ends, its labels stand, and its height.
 _TOP, _BOTTOM, _LABELS, _HEIGHT = 30.0, 170.0, 190.0, 196
-"""Where a chart over an axis begins and ends, its labels stand, and its height."""
+MOST_BARS = 24  # rows of a chart
+LEAST_NAMED = 0.01  # share of a variance of which the cause is named beside the bar [-]
 
-MOST_BARS = 24
-"""Most rows of a chart."""
-
-LEAST_NAMED = 0.01
-"""Smallest share of a variance of which the cause is named beside the bar [-]."""
-
-# Darker and lighter in turn, so that neighbours differ in grey as well.
+# Darker and lighter in turn, so that neighbours differ in grey as well. Where there are
+# more causes, the colours repeat.
 _FILLS = ("#8c8c8c", "#0b4f8a", "#f0b27a", "#1b7a5a", "#d9cdf0", "#5b4310", "#ffffff")
-"""Colours of the causes; where there are more causes, the colours repeat."""
 
 
 def error_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
@@ -79,9 +70,8 @@ def workspace_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
         look |= {"cx": f"{8 + 84 * place[across]:.2f}%", "fill_opacity": "0.6"}
         r = f"{2.0 + 10.0 * fit.rms_after / worst:.1f}"
         parts.append(node("circle", cy=f"{240 - 220 * place[up]:.1f}", r=r, **look))
-    drawn = node(
-        "svg", *parts, role="img", aria_label="Errors over the workspace", height="260"
-    )
+    title = "Errors over the workspace"
+    drawn = node("svg", *parts, role="img", aria_label=title, height="260")
     spans = [
         f"{'xyz'[k]} from {low[k]:.0f} to {low[k] + size[k]:.0f} mm"
         for k in (across, up)
@@ -91,7 +81,7 @@ def workspace_chart(fits: Sequence[ConfigurationResult]) -> list[Html]:
         "mean position of the points of a configuration, and its size is the error, up "
         f"to {distance(worst)}. Filled circles were held out."
     )
-    return [figure(drawn, caption, title="Errors over the workspace")]
+    return [figure(drawn, caption, title=title)]
 
 
 def _errors(fit: ConfigurationResult, longest: float) -> Html:
@@ -115,17 +105,15 @@ def _errors(fit: ConfigurationResult, longest: float) -> Html:
 
 def budget_chart(result: CalibrationResult) -> list[Html]:
     """Draw the share of each cause in the variance of each parameter."""
-    shares = _budget_shares(result.budget)
-    known = [
-        (i, q)
-        for i, q in enumerate(result.parameters)
-        if sum(share[i] for share in shares.values()) > 0.0
-    ]
-    if not known:
+    squares = {cause: std**2 for cause, std in result.budget.by_cause().items()}
+    total = np.asarray(sum(squares.values()))
+    known = np.flatnonzero(np.isfinite(total) & (total > 0.0))
+    if not known.size:
         return []
+    shares = {cause: square[known] / total[known] for cause, square in squares.items()}
     bars = [
-        _bar(parameter, {cause: float(share[i]) for cause, share in shares.items()})
-        for i, parameter in known[:MOST_BARS]
+        _bar(result.parameters[i], {c: float(share[k]) for c, share in shares.items()})
+        for k, i in enumerate(known[:MOST_BARS])
     ]
     # Colours repeat, so the legend leaves out causes that are too thin to be seen.
     entries = []
@@ -142,20 +130,6 @@ def budget_chart(result: CalibrationResult) -> list[Html]:
     if len(known) > MOST_BARS:
         caption += f" Only in the table: {len(known) - MOST_BARS} more."
     return [figure(joined([legend, *bars]), caption)]
-
-
-def _budget_shares(budget: ErrorBudget) -> dict[str, Float[HostArray, " n_p"]]:
-    """Compute the share of each cause in the variance of each parameter [-].
-
-    The noise is first; the shares of a parameter without a standard error are zero.
-    """
-    squares = {cause: std**2 for cause, std in budget.by_cause().items()}
-    total = sum(squares.values())
-    known = np.isfinite(total) & (total > 0.0)
-    return {
-        cause: np.where(known, square, 0.0) / np.where(known, total, 1.0)
-        for cause, square in squares.items()
-    }
 
 
 def _bar(parameter: ParameterEstimate, shares: Mapping[str, float]) -> Html:
@@ -194,26 +168,13 @@ def _text(words: str, x: str, y: float, **look: str) -> Html:
     return node("text", words, x=x, y=f"{y:.1f}", **look)
 
 
-class _Curve(NamedTuple):
-    """A number that changes with the steps: its value after each, in the title's unit.
-
-    `ticks` are grid lines, `level` is a value to be reached, each with its label.
-    """
-
-    title: str
-    values: Sequence[float]
-    ticks: Mapping[float, str]
-    level: Mapping[float, str]
-    caption: str
-
-
 def course_charts(result: CalibrationResult) -> list[Html]:
     """Draw the fit, the size of the step and the parameters against the steps."""
-    curves = [_fit(result)]
+    drawn = [_fit(result)]
     if len(result.history) > 1:
-        curves.append(_step_size(result))
-    curves += [_parameter(result, q) for q in result.parameters[:MOST_PARAMETERS]]
-    charts = node("div", *(_drawn(curve, result) for curve in curves), class_="charts")
+        drawn.append(_step_size(result))
+    drawn += [_parameter(result, q) for q in result.parameters[:MOST_PARAMETERS]]
+    charts = node("div", *drawn, class_="charts")
     words = "Each curve is plotted against the step number; step 0 is the start."
     if not all(entry.accepted for entry in result.history):
         words += " Open circles: steps that were refused."
@@ -222,18 +183,18 @@ def course_charts(result: CalibrationResult) -> list[Html]:
     return [node("p", words), charts]
 
 
-def _fit(result: CalibrationResult) -> _Curve:
+def _fit(result: CalibrationResult) -> Html:
     fitted = [fit for fit in result.configurations if fit.role == "calibration"]
     title = "Residual of the markers, rms [mm]"
     values = [1e3 * entry.rms for entry in result.history]
     if not any(fit.points for fit in fitted):  # lengths, angles or forces alone
         title, values = "Cost [-]", [entry.cost for entry in result.history]
     ticks = _round_ticks([0.0, *filter(math.isfinite, values)])
-    return _Curve(title, values, ticks, {}, "")
+    return _curve(result, title, values, ticks)
 
 
-def _step_size(result: CalibrationResult) -> _Curve:
-    """Return the curve of log10 of the largest lambda_p; its level is the tolerance."""
+def _step_size(result: CalibrationResult) -> Html:
+    """Draw log10 of the largest lambda_p, and the tolerance."""
     # A step of exactly zero has no logarithm; it is drawn at the level of rounding.
     steps = [max(*map(abs, entry.lambda_p), 1e-16) for entry in result.history]
     values, tol = [math.log10(step) for step in steps], result.settings.tol
@@ -243,32 +204,42 @@ def _step_size(result: CalibrationResult) -> _Curve:
     every = max(1, math.ceil((high - low) / 5))
     ticks = {float(k): f"1e{k}" for k in range(low, high + 1, every)}
     title = "Step size, largest |lambda_p| [-]"
-    return _Curve(title, values, ticks, level, end_of(result))
+    return _curve(result, title, values, ticks, level, end_of(result))
 
 
-def _parameter(result: CalibrationResult, q: ParameterEstimate) -> _Curve:
+def _parameter(result: CalibrationResult, q: ParameterEstimate) -> Html:
     series = [entry.values[q.name] for entry in result.history]
     factor, unit = readable_unit(series, q.unit)
     values = [factor * value for value in series]
     bounds = f"{readable(q.lower, q.unit)} to {readable(q.upper, q.unit)}"
     words = f"Ends at {q}{', on a bound' if q.at_bound else ''}; bounds {bounds}."
     title = f"{q.name} [{unit or '-'}]"
-    return _Curve(title, values, _round_ticks(values), {}, words)
+    return _curve(result, title, values, _round_ticks(values), caption=words)
 
 
-def _drawn(curve: _Curve, result: CalibrationResult) -> Html:
-    """Draw one curve over the steps."""
+def _curve(
+    result: CalibrationResult,
+    title: str,
+    values: Sequence[float],
+    ticks: Mapping[float, str],
+    level: Mapping[float, str] = {},
+    caption: str = "",
+) -> Html:
+    """Draw a number over the steps, in the unit of the title.
+
+    `ticks` are grid lines, `level` is a value to be reached, each with its label.
+    """
     history = result.history
     last = max(history[-1].step, 1)
-    ends = [*curve.ticks, *curve.level]
+    ends = [*ticks, *level]
     low, high = min(ends), max(ends)
     x = lambda step: f"{14.0 + 82.0 * step / last:.2f}%"
     y = lambda v: _BOTTOM - (_BOTTOM - _TOP) * (v - low) / (high - low or 1.0)
     parts = []
-    for value, label in curve.ticks.items():
+    for value, label in ticks.items():
         parts.append(_line("0", y(value), "100%", y(value), stroke=LINE))
         parts.append(_text(label, "0", y(value) - 3))
-    for value, label in curve.level.items():
+    for value, label in level.items():
         look = {"stroke": INK, "stroke_dasharray": "6 4", "stroke_width": "1.5"}
         parts.append(_line("0", y(value), "100%", y(value), **look))
         # On the left, where a curve that falls to the level is still far from it.
@@ -276,7 +247,7 @@ def _drawn(curve: _Curve, result: CalibrationResult) -> Html:
     for step in _noise_changes(result):
         look = {"stroke": INK, "stroke_dasharray": "2 4"}
         parts.append(_line(x(step), _TOP, x(step), _BOTTOM, **look))
-    pairs = zip(history, curve.values, strict=True)
+    pairs = zip(history, values, strict=True)
     known = [(entry, value) for entry, value in pairs if math.isfinite(value)]
     places = [(x(entry.step), y(value)) for entry, value in known]
     for start, end in itertools.pairwise(places):
@@ -285,9 +256,9 @@ def _drawn(curve: _Curve, result: CalibrationResult) -> Html:
         parts.append(_circle(*place, filled=entry.accepted))
     for step in range(0, last + 1, max(1, math.ceil(last / 10))):
         parts.append(_text(str(step), x(step), _LABELS, text_anchor="middle"))
-    words = f"{curve.title}, after each step"
+    words = f"{title}, after each step"
     drawn = node("svg", *parts, role="img", aria_label=words, height=str(_HEIGHT))
-    return figure(drawn, curve.caption, title=curve.title)
+    return figure(drawn, caption, title=title)
 
 
 def _noise_changes(result: CalibrationResult) -> list[float]:

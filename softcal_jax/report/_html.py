@@ -4,32 +4,23 @@ import base64
 import hashlib
 import html
 import os
+import re
 import shlex
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
+from string import Template
 from typing import Any, NamedTuple
 
 from softcal_jax._process import installed_version
 from softcal_jax._text import escaped
 from softcal_jax._text_table import TextTable, text_table
-from softcal_jax.report._verdict import (
-    MOST_REASONS,
-    MOST_VALUES,
-    Answer,
-    RunVerdict,
-)
+from softcal_jax.report import _verdict
 
-MOST_PICTURES = 3_400_000
-"""Most bytes of pictures in a page: base64 adds a third, which is still below 5 MB."""
-
-REPEATED = "repeated"
-"""Folder that the command to repeat a run writes to."""
-
-_LARGE = 3
-"""Most values that are written in large type."""
-
+MOST_PICTURES = 3_400_000  # bytes of pictures; base64 adds a third, still below 5 MB
+REPEATED = "repeated"  # folder that the command to repeat a run writes to
+_LARGE = 3  # most values that are written in large type
 _KINDS = {
     ".vtu": "for ParaView",
     ".pvd": "all configurations for ParaView",
@@ -40,9 +31,7 @@ _KINDS = {
     ".html": "this page",
 }
 
-_VOID = {"br", "img", "input", "meta"}
-"""Elements that have neither content nor an end."""
-
+_VOID = {"br", "img", "input", "meta"}  # elements without content or an end
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 """What a page may load: its own styles and pictures, and nothing by network.
 
@@ -56,6 +45,10 @@ class Html(str):
     __slots__ = ()
 
 
+Part = str | TextTable
+"""What a page shows: HTML, a table, or a sentence."""
+
+
 class Section(NamedTuple):
     """A part of a page with a heading; links lead to its id.
 
@@ -65,13 +58,13 @@ class Section(NamedTuple):
 
     id: str
     title: str
-    content: Sequence[Html]
+    content: Sequence[Part]
     folded: bool = False
     viewed: bool = False
 
     @property
     def html(self) -> Html:
-        head, more = node("h2", self.title), joined(self.content)
+        head, more = node("h2", self.title), joined(parts_html(self.content))
         if self.folded:
             return node("details", node("summary", head), more, id=self.id)
         kind = {"class_": "viewed"} if self.viewed else {}
@@ -91,12 +84,28 @@ def node(name: str, *content: str, **attributes: str) -> Html:
     start = f"<{name}{''.join(texts)}>"
     if name in _VOID:
         return Html(start)
-    body = "".join(part if isinstance(part, Html) else _safe(part) for part in content)
-    return Html(f"{start}{body}</{name}>")
+    return Html(f"{start}{_body(content)}</{name}>")
+
+
+def _body(content: Iterable[str]) -> Html:
+    parts = (part if isinstance(part, Html) else _safe(part) for part in content)
+    return Html("".join(parts))
 
 
 def _safe(text: str) -> str:
     return html.escape(escaped(text))
+
+
+def resource(name: str) -> str:
+    """Read a file that pages are made of."""
+    return files("softcal_jax.report").joinpath(name).read_text("utf-8")
+
+
+def template(file: str, /, **parts: str | Iterable[str]) -> Html:
+    """Fill a frame of HTML, without its indents; escaping is that of `node`."""
+    frame = Template(re.sub(r"\n\s*", "", resource(file)))
+    every = {k: [v] if isinstance(v, str) else v for k, v in parts.items()}
+    return Html(frame.substitute({k: _body(v) for k, v in every.items()}))
 
 
 def joined(parts: Iterable[Html]) -> Html:
@@ -110,25 +119,23 @@ def bullets(lines: Iterable[str]) -> Html:
     return node("ul", *items) if items else Html("")
 
 
-def sentences(lines: Iterable[str]) -> list[Html]:
-    """Make a paragraph of each sentence; empty ones are left out."""
-    return [node("p", line) for line in lines if line]
+def parts_html(parts: Iterable[Part]) -> list[Html]:
+    """Write parts: a sentence as a paragraph, and an empty one not at all."""
+    drawn = (table_html(p) if isinstance(p, TextTable) else p for p in parts)
+    shown = (part for part in drawn if part or isinstance(part, Html))
+    return [p if isinstance(p, Html) else node("p", p) for p in shown]
 
 
 def table_html(table: TextTable) -> Html:
     """Write a table that scrolls by itself where the page is too narrow for it."""
     kinds = ["w" if table.holds_words(k) else "n" for k in range(len(table.columns))]
-    head = (
-        node("th", column, scope="col", class_=kind)
-        for column, kind in zip(table.columns, kinds, strict=True)
-    )
+    heads = zip(table.columns, kinds, strict=True)
+    head = (node("th", column, scope="col", class_=kind) for column, kind in heads)
     rows = []
     for first, *others in table.rows:
-        cells = (
-            node("td", cell.text, class_=f"{kind} {cell.tone}")
-            for cell, kind in zip(others, kinds[1:], strict=True)
-        )
-        rows.append(node("tr", node("th", first.text, scope="row"), *cells))
+        cells = zip(others, kinds[1:], strict=True)
+        drawn = (node("td", c.text, class_=f"{kind} {c.tone}") for c, kind in cells)
+        rows.append(node("tr", node("th", first.text, scope="row"), *drawn))
     parts = [node("caption", table.title)]
     if any(table.columns):
         parts.append(node("thead", node("tr", *head)))
@@ -137,9 +144,9 @@ def table_html(table: TextTable) -> Html:
     return node("div", drawn, class_="wide", **about)
 
 
-def facts_html(title: str, facts: Mapping[str, str]) -> Html:
-    """Write names and their values as a table without column headings."""
-    return table_html(text_table(title, ("", ""), facts.items(), words=[""]))
+def facts(title: str, values: Mapping[str, str]) -> TextTable:
+    """Make a table of names and their values, without column headings."""
+    return text_table(title, ("", ""), values.items(), words=[""])
 
 
 def picture(path: Path, alt: str) -> Html:
@@ -158,7 +165,7 @@ def figure(content: Html, caption: str, *, title: str = "") -> Html:
 def page(
     name: str,
     kind: str,
-    verdict: RunVerdict,
+    verdict: _verdict.RunVerdict,
     sections: Sequence[Section],
     *,
     index: str,
@@ -179,89 +186,72 @@ def page(
         digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
         policy += f"; script-src 'sha256-{digest}'"
     shown = [part for part in sections if any(part.content)]
-    head = node(
-        "head",
-        node("meta", charset="utf-8"),
-        node("meta", http_equiv="Content-Security-Policy", content=policy),
-        node("meta", name_="viewport", content="width=device-width, initial-scale=1"),
-        node("title", f"{name}: {kind.lower()}"),
-        node("style", _style()),
-    )
     links = (
         node("li", node("a", part.title, href=f"#{part.id}"))
         for part in shown
         if not (part.folded or part.viewed)
     )
-    begins = _verdict(verdict) if first is None else first
+    begins = _verdict_html(verdict) if first is None else first
     if robot is not None:
         begins = node("div", begins, node("div", robot), class_="first")
-    when = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
-    body = node(
-        "body",
-        node("header", node("p", kind, class_="kind"), node("h1", name)),
-        node(
-            "main",
-            begins,
-            node("nav", node("ul", *links), aria_label="Contents"),
-            *(part.html for part in shown),
-        ),
-        node(
-            "footer",
-            f"Written by softcal_jax {installed_version('softcal-jax')} on {when}. The "
-            f"same numbers in machine-readable form, in {units}: ",
-            node("a", index, href=index),
-            ".",
-        ),
-        *([node("script", Html(script))] if script else []),
+    whole = template(
+        "page.html",
+        policy=policy,
+        name=name,
+        kind=kind,
+        done=kind.lower(),
+        style=Html(resource("page.css")),
+        first=begins,
+        links=links,
+        sections=(part.html for part in shown),
+        version=installed_version("softcal-jax"),
+        when=time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime()),
+        units=units,
+        index=index,
+        script=[node("script", Html(script))] if script else "",
     )
-    return f"<!DOCTYPE html>\n{node('html', head, body, lang='en')}\n"
+    return f"<!DOCTYPE html>\n{whole}\n"
 
 
-def output(verdict: RunVerdict, content: Iterable[Html]) -> Html:
+def output(verdict: _verdict.RunVerdict, content: Iterable[Part]) -> Html:
     """Write what a cell of a notebook shows: a verdict, then the content."""
-    return fragment([_verdict(verdict), *content])
+    return fragment([_verdict_html(verdict), *parts_html(content)])
 
 
 def fragment(content: Iterable[Html]) -> Html:
     """Write a part of another page in the style of ours, whatever its own style is."""
-    style = Html(f"@scope (.softcal) {{\n{_style()}}}")
+    style = Html(f"@scope (.softcal) {{\n{resource('page.css')}}}")
     plain = "background: #fff; color: #1a1a1a; padding: .5rem 1rem; max-width: 62rem"
     return node("div", node("style", style), *content, class_="softcal", style=plain)
 
 
-def _style() -> Html:
-    return Html(files("softcal_jax.report").joinpath("page.css").read_text("utf-8"))
-
-
-def _verdict(verdict: RunVerdict) -> Html:
-    said = node("p", node("strong", verdict.sentence)), bullets(verdict.reasons)
+def _verdict_html(verdict: _verdict.RunVerdict, most: int | None = None) -> Html:
+    """Write a verdict; reasons beyond the first `most` are folded."""
+    shown = verdict.reasons[:most]
+    said = [node("p", node("strong", verdict.sentence)), bullets(shown)]
+    if more := verdict.reasons[len(shown) :]:
+        summary = node("summary", f"and {len(more)} more")
+        said.append(node("details", summary, bullets(more)))
     head = node("h2", "Verdict")
     return node("section", head, *said, class_=f"verdict {verdict.tone}")
 
 
-def answer_html(answer: Answer) -> Html:
+def answer_html(answer: _verdict.Answer) -> Html:
     """Write the answer of a calibration, its values in large type."""
     values = [
         node("div", node("dt", name), node("dd", value, node("small", interval)))
-        for name, value, interval in answer.values[:MOST_VALUES]
+        for name, value, interval in answer.values[: _verdict.MOST_VALUES]
     ]
     size = "values" if len(answer.values) <= _LARGE else "values many"
-    content = [node("dl", *values, class_=size)]
-    left = len(answer.values) - MOST_VALUES
+    content: list[Part] = [node("dl", *values, class_=size)]
+    left = len(answer.values) - _verdict.MOST_VALUES
     if left > 0:
         content.append(node("p", node("a", f"and {left} more", href="#parameters")))
-    sentence, tone, reasons = answer.verdict
-    said = [node("p", node("strong", sentence)), bullets(reasons[:MOST_REASONS])]
-    if len(reasons) > MOST_REASONS:
-        more = node("summary", f"and {len(reasons) - MOST_REASONS} more")
-        said.append(node("details", more, bullets(reasons[MOST_REASONS:])))
-    head = node("h2", "Verdict")
-    content.append(node("section", head, *said, class_=f"verdict {tone}"))
-    content += sentences([f"Possible mistake: {text}" for text in answer.mistakes])
-    content += sentences([*answer.held_out, f"Next: {answer.next_step}"])
-    return node(
-        "div", *content, node("p", answer.scope, class_="kind"), class_="answer"
-    )
+    content.append(_verdict_html(answer.verdict, _verdict.MOST_REASONS))
+    content += (f"Possible mistake: {text}" for text in answer.mistakes)
+    content += [*answer.held_out, f"Next: {answer.next_step}"]
+    content.append(node("p", answer.scope, class_="kind"))
+    return node("div", *parts_html(content), class_="answer")
 
 
 def closing(
@@ -283,12 +273,12 @@ def closing(
     named = files or []
     if files is None and len(known) == len(every):
         named = [source["project"] for source in known]
-    made_in_python = "This result was made in Python, so no command repeats it."
-    content = [node("p", made_in_python)]
+    content: list[Part]
+    content = ["This result was made in Python, so no command repeats it."]
     if named:
         words = ["softcal", command, *(file["file"] for file in named), *options]
         code = node("code", shlex.join([*words, "-o", out]))
-        content = [node("p", "In the folder of this page:"), node("pre", code)]
+        content = ["In the folder of this page:", node("pre", code)]
     for source in known if files is None else ():
         if source["changes"]:
             rows = [(key, repr(value)) for key, value in source["changes"].items()]
@@ -298,52 +288,44 @@ def closing(
                 "Some values in the project file were overridden when it was loaded. "
                 "Set them in the file, or pass them to load_project(changes=...):"
             )
-            changes = text_table(f"Changes{of}", columns, rows)
-            content += [node("p", text), table_html(changes)]
+            content += [text, text_table(f"Changes{of}", columns, rows)]
     read = [*(files or ()), *(file for source in known for file in _files_of(source))]
     if read:
         rows = dict.fromkeys((file["file"], file["sha256"]) for file in read)
-        table = text_table("Input files", ("file", "SHA-256"), rows)
-        content.append(table_html(table))
+        content.append(text_table("Input files", ("file", "SHA-256"), rows))
     return [
         Section("repeat", "How to repeat this run", content, folded=True),
-        Section("made", "Settings, versions and times", _made_html(data), folded=True),
+        Section("made", "Settings, versions and times", _made(data), folded=True),
     ]
 
 
 def _files_of(source: Mapping[str, Any]) -> list[Mapping[str, str]]:
     """List a project file and the files that it names, relative to the results."""
     project = source["project"]
-    files = [project]
-    for file in source["files"]:
-        path = os.path.normpath(
-            os.path.join(os.path.dirname(project["file"]), file["file"])
-        )
-        files.append({**file, "file": Path(path).as_posix()})
-    return files
+    folder = os.path.dirname(project["file"])
+    place = lambda file: Path(os.path.normpath(os.path.join(folder, file))).as_posix()
+    return [project, *({**f, "file": place(f["file"])} for f in source["files"])]
 
 
-def _made_html(data: Mapping[str, Any]) -> list[Html]:
+def _made(data: Mapping[str, Any]) -> list[Part]:
     """Tabulate settings, versions, times and files."""
     parts = {
-        "Settings": _flat(data.get("settings", {})),
+        "Settings": dict(_flat(data.get("settings", {}))),
         "Versions": data.get("versions", {}),
         "Times": {k: f"{v:.2f} s" for k, v in data.get("timing_s", {}).items()},
         "Files": {name: _KINDS.get(Path(name).suffix, "") for name in data["files"]},
     }
     return [
-        facts_html(title, {name: str(value) for name, value in rows.items()})
+        facts(title, {name: str(value) for name, value in rows.items()})
         for title, rows in parts.items()
         if rows
     ]
 
 
-def _flat(settings: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+def _flat(settings: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
     """Name nested settings by their path, like newton.rtol."""
-    flat = {}
     for key, value in settings.items():
         if isinstance(value, Mapping):
-            flat |= _flat(value, f"{before}{key}.")
+            yield from _flat(value, f"{before}{key}.")
         else:
-            flat[f"{before}{key}"] = "none" if value is None else value
-    return flat
+            yield f"{before}{key}", "none" if value is None else value

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from pydantic import ValidationError
 
+from softcal_jax import configurations
 from softcal_jax._files import check_file, sha256_of, similar_file
 from softcal_jax._module import Module
 from softcal_jax._names import listed, unknown_name
@@ -16,19 +17,13 @@ from softcal_jax._process import installed_version
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable
 from softcal_jax._warnings import SoftcalWarning
-from softcal_jax.configurations import (
-    Configuration,
-    ConfigurationArrays,
-    configuration_arrays,
-)
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import RESULT_FORMAT, solver_dict
 from softcal_jax.export.result_file import ResultFile, SourceEntry
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.project import Project, load_project
 
-RESULT = "result.json"
-"""Name of the file in a results folder."""
+RESULT = "result.json"  # name of the file in a results folder
 
 
 class ResultError(ValueError):
@@ -81,7 +76,7 @@ class LoadedResult(Module):
 
     def posed(
         self, name: str | None = None
-    ) -> tuple[Configuration, ConfigurationArrays]:
+    ) -> tuple[configurations.Configuration, configurations.ConfigurationArrays]:
         """Return a configuration, and its arrays with calibrated factors and offsets.
 
         Args:
@@ -101,7 +96,7 @@ class LoadedResult(Module):
         if name not in posed:
             raise unknown_name("configuration", name, posed)
         mesh, mechanism = self.model.mesh, self.model.mechanism
-        batch = configuration_arrays(mesh, [posed[name]], mechanism)
+        batch = configurations.configuration_arrays(mesh, [posed[name]], mechanism)
         return posed[name], self.space.apply(self.model, batch[0], self.z)[1]
 
 
@@ -130,7 +125,14 @@ def load_result(
     """
     path = result_path(path)
     data = _read(path)
-    source = _source_of(path, data)
+    source = data.source
+    if source is None:
+        raise ResultError(
+            f"{path}: this calibration was made in Python, without a project file. "
+            "Build model and space in Python as they were, and set the values by "
+            "space.model_at(model, space.to_scaled(values)); or describe them in a "
+            "project file, and calibrate that."
+        )
     if project is None:
         project = os.path.normpath(path.parent.resolve() / source.project.file)
     _check_unchanged(path, Path(project), source)
@@ -202,17 +204,6 @@ def _read(path: Path) -> ResultFile:
     return data
 
 
-def _source_of(path: Path, data: ResultFile) -> SourceEntry:
-    if data.source is None:
-        raise ResultError(
-            f"{path}: this calibration was made in Python, without a project file. "
-            "Build model and space in Python as they were, and set the values by "
-            "space.model_at(model, space.to_scaled(values)); or describe them in a "
-            "project file, and calibrate that."
-        )
-    return data.source
-
-
 def _check_unchanged(path: Path, project: Path, source: SourceEntry) -> None:
     """Raise unless project, mesh and measurements are what they were."""
     files = [(project, source.project.sha256)]
@@ -221,13 +212,11 @@ def _check_unchanged(path: Path, project: Path, source: SourceEntry) -> None:
         files += [(project.parent / f.file, f.sha256) for f in source.files]
         moved = ""
     problems = ""
-    for file, digest in files:
+    for file, old in files:
         if not file.is_file():
             problems += f"\n- {file} is missing.{similar_file(file)}"
-        elif (now := sha256_of(file)) != digest:
-            problems += (
-                f"\n- {file} has changed: its SHA-256 was {digest} and is {now}."
-            )
+        elif (now := sha256_of(file)) != old:
+            problems += f"\n- {file} has changed: its SHA-256 was {old} and is {now}."
     if problems:
         raise ResultError(
             f"{path}: the input files have changed since the calibration, so its "

@@ -31,9 +31,7 @@ ROLES = {"calibration": "fitted", "validation": "held out", "candidate": "candid
 ROLES |= {"prediction": "predicted"}
 """Roles of configurations in words."""
 
-_MOST_ALIKE = 4
-"""Most quantities of one table and unit, like positions, that are listed one by one."""
-
+_MOST_ALIKE = 4  # quantities of one table and unit that are listed one by one
 _QUANTITIES = {"point": "position", "turn": "orientation", "scalar": "value"}
 """Words for the quantities of effectors that are not shown by their own name."""
 

@@ -1,57 +1,43 @@
 """The page of each kind of run, and the parts of it that notebooks show."""
 
 from collections.abc import Collection, Mapping
-from functools import singledispatch
 from pathlib import Path
 from typing import Any
 
-from softcal_jax._text_table import Tone, text_table
+from softcal_jax._text_table import TextTable, Tone, text_table
 from softcal_jax.calibration import CalibrationResult, SimulationResult
+from softcal_jax.control import InverseResult, TrajectoryResult
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.layouts import ModelComparison
-from softcal_jax.report._calibration import (
-    blindness,
-    budget_table,
-    error_tables,
-    history_table,
-    inner_tables,
-    interval_tables,
-    model_words,
-    outlook_legend,
-    outlook_table,
-    parameter_table,
-)
-from softcal_jax.report._charts import (
-    budget_chart,
-    course_charts,
-    error_chart,
-    workspace_chart,
-)
-from softcal_jax.report._held_out import held_out_sentences, listed_fits
+from softcal_jax.report import _charts, _tables
 from softcal_jax.report._html import (
     MOST_PICTURES,
     Html,
+    Part,
     Section,
     answer_html,
     bullets,
     closing,
-    facts_html,
+    facts,
     figure,
     node,
     output,
     page,
     picture,
-    sentences,
-    table_html,
 )
+from softcal_jax.report._inverse import inverse_parts, inverse_verdict
 from softcal_jax.report._outline import ROLES
-from softcal_jax.report._tables import robot_tables, simulation_tables
-from softcal_jax.report._verdict import TONES, RunVerdict, answer_of, verdict_of
+from softcal_jax.report._verdict import (
+    TONES,
+    RunVerdict,
+    answer_of,
+    held_out_sentences,
+    listed_fits,
+    verdict_of,
+)
 from softcal_jax.report._view import PageView
 
-REPORT = "report.html"
-"""Name of the page in a results folder."""
-
+REPORT = "report.html"  # name of the page in a results folder
 _MARKED = "A triangle marks values that should not be used as they are."
 
 
@@ -65,15 +51,16 @@ def calibration_page(
     """Write the page of a calibration from its index and the pictures in a folder."""
     fits, outlook = result.configurations, assessment.identifiability
     agreement = result.checks.agreement if result.checks else ()
-    course = [*course_charts(result), table_html(history_table(result))]
+    known = _tables.outlook_table(assessment), _tables.outlook_legend(outlook)
+    course = [*_charts.course_charts(result), _tables.history_table(result)]
     sections = [
         Section("errors", "Residuals", _errors(result, assessment)),
         Section("parameters", "Parameters", _parameters(result, assessment)),
-        Section("data", "What the data determine", _outlook(assessment)),
+        Section("data", "What the data determine", [*_blindness(outlook), *known]),
         Section("agreement", "Each recording fitted alone", [bullets(agreement)]),
         Section("notes", "Notes", [bullets(data["notes"])]),
         *_pictures(data, folder, view),
-        Section("robot", "Robot", [*map(table_html, robot_tables(listed_fits(fits)))]),
+        Section("robot", "Robot", _tables.robot_tables(listed_fits(fits))),
         Section("fit", "Course of the fit", course, folded=True),
         Section("subject", "What was calibrated", [_subject(result, assessment)], True),
         _inner(outlook),
@@ -98,13 +85,12 @@ def simulation_page(
     """Write the page of a simulation; arguments as of `calibration_page`."""
     poses, values = result.configurations, data["calibration"]
     options = [] if values is None else ["--values", values["file"]]
-    errors = held_out_sentences(poses)
     sections = [
         Section("notes", "Notes", [bullets(data["notes"])]),
-        Section("errors", "Errors", sentences(errors)),
-        Section("states", "States", [*map(table_html, simulation_tables(result))]),
+        Section("errors", "Errors", held_out_sentences(poses)),
+        Section("states", "States", _tables.simulation_tables(result)),
         *_pictures(data, folder, view),
-        Section("model", "Model", [node("p", f"{model_words(result.model)}.")]),
+        Section("model", "Model", [f"{_tables.model_words(result.model)}."]),
         *closing("simulate", data, [data["source"]], options=options),
     ]
     about = {"index": "simulation.json", **_robot(view)}
@@ -116,7 +102,7 @@ def _simulation_verdict(result: SimulationResult) -> RunVerdict:
     return RunVerdict(result.headline, "good" if result.converged else "bad")
 
 
-def _subject(result: CalibrationResult, assessment: Assessment) -> Html:
+def _subject(result: CalibrationResult, assessment: Assessment) -> TextTable:
     """Tabulate what was calibrated, and from what."""
     of_role = lambda role: [f.name for f in result.configurations if f.role == role]
     spread = result.uncertainty
@@ -126,7 +112,7 @@ def _subject(result: CalibrationResult, assessment: Assessment) -> Html:
         if spread.has_noise:
             noise += f": {spread.noise_scale:.3g} times the stated standard deviations"
     rows = {
-        "model": model_words(result.model),
+        "model": _tables.model_words(result.model),
         "parameters": ", ".join(q.name for q in result.parameters),
         "fitted configurations": ", ".join(of_role("calibration")),
         "held-out configurations": ", ".join(of_role("validation")) or "none",
@@ -134,41 +120,36 @@ def _subject(result: CalibrationResult, assessment: Assessment) -> Html:
         "noise": noise,
         "solver": result.model.solver.name,
     }
-    return facts_html("Calibration", rows)
+    return facts("Calibration", rows)
 
 
-def _errors(result: CalibrationResult, assessment: Assessment) -> list[Html]:
+def _errors(result: CalibrationResult, assessment: Assessment) -> list[Part]:
     """Show how far the model is off, before and after."""
     fits = result.configurations
-    lines = [*held_out_sentences(fits), assessment.prediction or ""]
-    tables = map(table_html, error_tables(fits, result.checks))
-    workspace = workspace_chart(fits) if len(listed_fits(fits)) < len(fits) else []
-    return [*sentences(lines), *error_chart(listed_fits(fits)), *workspace, *tables]
+    listed = listed_fits(fits)
+    charts = _charts.error_chart(listed)
+    if len(listed) < len(fits):
+        charts += _charts.workspace_chart(fits)
+    tables = _tables.error_tables(fits, result.checks)
+    return [*held_out_sentences(fits), assessment.prediction or "", *charts, *tables]
 
 
-def _parameters(result: CalibrationResult, assessment: Assessment) -> list[Html]:
-    values = parameter_table(result, assessment.identifiability)
+def _parameters(result: CalibrationResult, assessment: Assessment) -> list[Part]:
+    values = _tables.parameter_table(result, assessment.identifiability)
     marked = any(cell.tone == "bad" for row in values.rows for cell in row)
-    tables = [values, *interval_tables(result), budget_table(result)]
+    tables = [values, *_tables.interval_tables(result), _tables.budget_table(result)]
     starts = [] if result.starts is None else [node("pre", str(result.starts))]
-    legend = sentences([_MARKED if marked else ""])
-    return [*legend, *map(table_html, tables), *budget_chart(result), *starts]
+    legend = _MARKED if marked else ""
+    return [legend, *tables, *_charts.budget_chart(result), *starts]
 
 
-def _outlook(assessment: Assessment) -> list[Html]:
-    """Say what the data see, and what they are blind to."""
-    outlook = assessment.identifiability
-    legend = node("p", outlook_legend(outlook))
-    return [*_blindness(outlook), table_html(outlook_table(assessment)), legend]
-
-
-def _blindness(outlook: Identifiability) -> list[Html]:
-    first, *directions = blindness(outlook)
-    return [node("p", first), bullets(directions)]
+def _blindness(outlook: Identifiability) -> list[Part]:
+    first, *directions = _tables.blindness(outlook)
+    return [first, bullets(directions)]
 
 
 def _inner(outlook: Identifiability) -> Section:
-    tables = [*map(table_html, inner_tables(outlook))]
+    tables = _tables.inner_tables(outlook)
     return Section("inner", "Correlation and singular values", tables, folded=True)
 
 
@@ -229,12 +210,12 @@ def identifiability_page(
 ) -> str:
     """Write the page on what data would tell, from the content of its index."""
     verdict = RunVerdict("There is nothing to assess.", "plain")
-    sections = [Section("next", "What to measure next", _next_html(outlook, ranking))]
+    sections = [Section("next", "What to measure next", _next(outlook, ranking))]
     if outlook is not None:
         verdict = _outlook_verdict(outlook)
-        known, blind = _outlook_html(outlook)
+        blind = _blindness(outlook)
         sections += [
-            Section("parameters", "Parameters", known),
+            Section("parameters", "Parameters", _verdicts(outlook)),
             Section("directions", "What the data do not determine", blind),
             _inner(outlook),
         ]
@@ -249,20 +230,17 @@ def _outlook_verdict(outlook: Identifiability) -> RunVerdict:
     return RunVerdict(outlook.headline, TONES[outlook.verdict])
 
 
-def _next_html(outlook: Identifiability | None, ranking: Ranking | None) -> list[Html]:
+def _next(outlook: Identifiability | None, ranking: Ranking | None) -> list[Part]:
     """Show which candidate to measure, or what else to do."""
     if ranking is None:
-        return sentences(outlook.advice if outlook else ())
-    content = [node("p", ranking.headline)]
-    if ranking.gains:
-        content += [table_html(ranking.tabulated), node("p", ranking.legend)]
-    return [*content, bullets(map(str, ranking.unranked))]
+        return list(outlook.advice if outlook else ())
+    table = [ranking.tabulated, ranking.legend] if ranking.gains else []
+    return [ranking.headline, *table, bullets(map(str, ranking.unranked))]
 
 
-def _outlook_html(outlook: Identifiability) -> tuple[list[Html], list[Html]]:
-    """Show what the data would tell of the parameters, and what they are blind to."""
-    legend = sentences([outlook_legend(outlook)])
-    return [table_html(outlook.tabulated), *legend], _blindness(outlook)
+def _verdicts(outlook: Identifiability) -> list[Part]:
+    """Show what the data would tell of the parameters."""
+    return [outlook.tabulated, _tables.outlook_legend(outlook)]
 
 
 def comparison_page(comparison: ModelComparison, data: Mapping[str, Any]) -> str:
@@ -277,8 +255,8 @@ def comparison_page(comparison: ModelComparison, data: Mapping[str, Any]) -> str
     held_out = text_table(title, columns, cells.values())
     sections = [
         Section("failures", "What failed", [bullets(comparison.failures)]),
-        Section("models", "Models", [table_html(comparison.tabulated)]),
-        Section("folds", "Held-out configurations", [table_html(held_out)]),
+        Section("models", "Models", [comparison.tabulated]),
+        Section("folds", "Held-out configurations", [held_out]),
         *closing("compare", data, data["sources"].values()),
     ]
     verdict, index = _comparison_verdict(comparison), "comparison.json"
@@ -293,7 +271,6 @@ def _comparison_verdict(comparison: ModelComparison) -> RunVerdict:
     return RunVerdict(comparison.verdict, tone)
 
 
-@singledispatch
 def notebook_html(result: object) -> Html:
     """Write a result as the output of a cell: verdict, tables and a picture.
 
@@ -302,54 +279,33 @@ def notebook_html(result: object) -> Html:
     Raises:
         TypeError: If there is no output for such a result.
     """
+    match result:
+        case CalibrationResult():
+            assessment = assess(result)
+            values = _tables.parameter_table(result, assessment.identifiability)
+            errors = [*_errors(result, assessment), *_charts.budget_chart(result)]
+            content = [values, *errors, bullets(result.notes)]
+            return output(verdict_of(assessment), content)
+        case Assessment():
+            outlook = result.identifiability
+            provided = "If the model is right:" if result.contradicted else ""
+            known = [provided, outlook.headline, *_known(outlook)]
+            return output(verdict_of(result), [*known, result.prediction or ""])
+        case Identifiability():
+            return output(_outlook_verdict(result), _known(result))
+        case Ranking():
+            _, *content = _next(None, result)  # the first repeats the verdict
+            return output(RunVerdict(result.headline, "plain"), content)
+        case SimulationResult():
+            tables = _tables.simulation_tables(result)
+            return output(_simulation_verdict(result), tables)
+        case ModelComparison():
+            return output(_comparison_verdict(result), [result.tabulated])
+        case InverseResult() | TrajectoryResult():
+            return output(inverse_verdict(result), inverse_parts(result))
     raise TypeError(f"a {type(result).__name__} has no output for notebooks.")
 
 
-@notebook_html.register
-def _calibration_cell(result: CalibrationResult) -> Html:
-    assessment = assess(result)
-    content = [
-        table_html(parameter_table(result, assessment.identifiability)),
-        *_errors(result, assessment),
-        *budget_chart(result),
-        bullets(result.notes),
-    ]
-    return output(verdict_of(assessment), content)
-
-
-@notebook_html.register
-def _assessment_cell(assessment: Assessment) -> Html:
-    outlook = assessment.identifiability
-    provided = ["If the model is right:"] * assessment.contradicted
-    content = [*sentences([*provided, outlook.headline]), *_known(outlook)]
-    content += sentences([assessment.prediction or ""])
-    return output(verdict_of(assessment), content)
-
-
-@notebook_html.register
-def _identifiability_cell(outlook: Identifiability) -> Html:
-    return output(_outlook_verdict(outlook), _known(outlook))
-
-
-def _known(outlook: Identifiability) -> list[Html]:
+def _known(outlook: Identifiability) -> list[Part]:
     """Show what is known of the parameters, what is not, and what to do."""
-    known, blind = _outlook_html(outlook)
-    return [*known, *blind, *_next_html(outlook, None)]
-
-
-@notebook_html.register
-def _ranking_cell(ranking: Ranking) -> Html:
-    _, *content = _next_html(None, ranking)  # the first repeats the verdict
-    return output(RunVerdict(ranking.headline, "plain"), content)
-
-
-@notebook_html.register
-def _simulation_cell(result: SimulationResult) -> Html:
-    tables = map(table_html, simulation_tables(result))
-    return output(_simulation_verdict(result), tables)
-
-
-@notebook_html.register
-def _comparison_cell(comparison: ModelComparison) -> Html:
-    models = table_html(comparison.tabulated)
-    return output(_comparison_verdict(comparison), [models])
+    return [*_verdicts(outlook), *_blindness(outlook), *_next(outlook, None)]

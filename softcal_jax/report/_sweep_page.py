@@ -5,11 +5,13 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
+from softcal_jax import sweeps
 from softcal_jax.export import file_dict, made_dict
 from softcal_jax.plotting import plot_trials
 from softcal_jax.report._html import (
     REPEATED,
     Html,
+    Part,
     Section,
     bullets,
     closing,
@@ -17,29 +19,11 @@ from softcal_jax.report._html import (
     node,
     page,
     picture,
-    sentences,
-    table_html,
 )
 from softcal_jax.report._verdict import RunVerdict
-from softcal_jax.sweeps import (
-    Sweep,
-    SweepResult,
-    SweptAxis,
-    best_trials,
-    doubts,
-    figures_of_the_robot,
-    notes_of_trials,
-    spread_table,
-    swept_axes,
-    tabulated,
-    varied_table,
-)
 
-KIND = "Sweep"
-"""What the page says was done; an earlier page of a sweep is recognised by it."""
-
-MOST_TRIALS, MOST_CHARTED = 100, 6
-"""Most trials in the table of all, and most figures drawn against each axis."""
+KIND = "Sweep"  # said on the page; an earlier page of a sweep is recognised by it
+MOST_TRIALS, MOST_CHARTED = 100, 6  # in the table, and figures in charts
 
 
 def sweep_page_of(database: str | os.PathLike[str]) -> Path:
@@ -66,10 +50,10 @@ def check_sweep_page(database: str | os.PathLike[str]) -> None:
 
 
 def write_sweep(
-    result: SweepResult,
+    result: sweeps.SweepResult,
     database: str | os.PathLike[str],
     *,
-    sweep: Sweep | None = None,
+    sweep: sweeps.Sweep | None = None,
     timing_s: Mapping[str, float] | None = None,
 ) -> Path:
     """Write the page of a sweep beside its database, whole or not at all.
@@ -103,35 +87,32 @@ def write_sweep(
 
 
 def _sweep_page(
-    result: SweepResult,
+    result: sweeps.SweepResult,
     database: Path,
-    sweep: Sweep | None,
+    sweep: sweeps.Sweep | None,
     timing_s: Mapping[str, float],
 ) -> str:
     made = made_dict(None if sweep is None else sweep.made, database.parent)
     data = {**made, "timing_s": timing_s, "files": [database.name]}
     files = [] if sweep is None else [file_dict(sweep.file, database.parent)]
-    figures = figures_of_the_robot(result)
-    best, means, spread, trials = [], [], [], []
-    if summary := best_trials(result):
-        best = [node("p", summary[0]), table_html(summary[1])]
+    figures = sweeps.figures_of_the_robot(result)
+    means, spread, trials = [], [], []
     groups = result.groups()
     if any(len(group.rows) > 1 for group in groups):
-        text = "Mean ± standard deviation over the trials that converged."
-        table = tabulated("Means", result, figures, groups)
-        means = [node("p", text), table_html(table)]
+        table = sweeps.tabulated("Means", result, figures, groups)
+        means = ["Mean ± standard deviation over the trials that converged.", table]
     if result.rows:
         trials = _trials(result, figures)
-        spread = [node("p", "No trial has converged: there is nothing to average.")]
-    if (table := spread_table(result)).rows:
-        spread = [table_html(table)]
-    named = enumerate(swept_axes(result, figures[:MOST_CHARTED]))
+        spread = ["No trial has converged: there is nothing to average."]
+    if (table := sweeps.spread_table(result)).rows:
+        spread = [table]
+    named = enumerate(sweeps.swept_axes(result, figures[:MOST_CHARTED]))
     axes = [Section(f"axis{k}", f"By {axis.name}", [_drawn(axis)]) for k, axis in named]
     again = f"{REPEATED}.sqlite"
     sections = [
-        Section("notes", "Notes", [bullets(notes_of_trials(result))]),
-        Section("varied", "What was varied", [table_html(varied_table(result))]),
-        Section("best", "Best trials", best),
+        Section("notes", "Notes", [bullets(sweeps.notes_of_trials(result))]),
+        Section("varied", "What was varied", [sweeps.varied_table(result)]),
+        Section("best", "Best trials", sweeps.best_trials(result) or ()),
         Section("means", "Means over repetitions", means),
         Section("spread", "Spread of all trials", spread),
         *axes,
@@ -141,11 +122,11 @@ def _sweep_page(
     good = len(result.of_state("converged"))
     bad = len(result.rows) - good
     tone = "plain" if not bad else "doubtful" if good else "bad"
-    verdict = RunVerdict(result.headline, tone, tuple(doubts(result)))
+    verdict = RunVerdict(result.headline, tone, tuple(sweeps.doubts(result)))
     return page(result.name, KIND, verdict, sections, index=database.name, units="SI")
 
 
-def _drawn(axis: SweptAxis) -> Html:
+def _drawn(axis: sweeps.SweptAxis) -> Html:
     """Draw the trials over an axis, as `softcal sweep plot` does."""
     what = f"{', '.join(axis.figures)} over {axis.name}"
     with tempfile.TemporaryDirectory() as folder:
@@ -154,12 +135,12 @@ def _drawn(axis: SweptAxis) -> Html:
         return figure(picture(path, what), f"{what}: one dot per trial.")
 
 
-def _trials(result: SweepResult, figures: tuple[str, ...]) -> list[Html]:
+def _trials(result: sweeps.SweepResult, figures: tuple[str, ...]) -> list[Part]:
     words = []
     if (more := len(result.rows) - MOST_TRIALS) > 0:
         text = "more are in the database; softcal sweep show lists all of them with"
         words.append(f"{more} {text} --all.")
     if not_drawn := figures[MOST_CHARTED:]:
         words.append(f"In this table but not plotted: {', '.join(not_drawn)}.")
-    table = tabulated("Trials", result, figures, result.rows[:MOST_TRIALS])
-    return [table_html(table), *sentences(words)]
+    table = sweeps.tabulated("Trials", result, figures, result.rows[:MOST_TRIALS])
+    return [table, *words]

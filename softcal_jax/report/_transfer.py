@@ -45,20 +45,13 @@ class Transfer(Module):
     def __str__(self) -> str:
         """Write both tables and the verdict."""
         d = self.difference
-        each = zip(d.names, d.units, d.of_a, d.std_a, d.of_b, d.std_b, strict=True)
-        values = [
-            [name, readable_estimate(a, std_a, u), readable_estimate(b, std_b, u)]
-            for name, u, a, std_a, b, std_b in each
-        ]
-        for row, unit, size in zip(values, d.units, d.unseen, strict=True):
-            row.append(readable(float(f"{size:.2g}"), unit))
+        of_a = map(readable_estimate, d.of_a, d.std_a, d.units)
+        of_b = map(readable_estimate, d.of_b, d.std_b, d.units)
+        smallest = lambda size, unit: readable(float(f"{size:.2g}"), unit)
+        values = zip(d.names, of_a, of_b, map(smallest, d.unseen, d.units), strict=True)
         mm = lambda x: f"{1e3 * x:.3g} mm" if np.isfinite(x) else "-"
-        errors = [
-            [name, *map(mm, row)]
-            for name, *row in zip(
-                self.poses, self.motion, self.rms_own, self.rms_of_a, strict=True
-            )
-        ]
+        poses = zip(self.poses, self.motion, self.rms_own, self.rms_of_a, strict=True)
+        errors = [[name, *map(mm, row)] for name, *row in poses]
         titles = "parameter", "from A", "from B", "smallest detectable difference"
         lines = text_table("", titles, values).lines()
         titles = "pose of B", "motion", "error, fitted to B", "error, values of A"

@@ -1,18 +1,21 @@
 """The answer of a calibration: values, verdict, held-out error, what to do next."""
 
+import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from softcal_jax._names import listed
 from softcal_jax._text_table import Tone
 from softcal_jax.calibration import (
     FLAT,
     NOT_TAKEN,
     CalibrationResult,
+    ConfigurationResult,
     ParameterEstimate,
 )
 from softcal_jax.identifiability import Assessment
-from softcal_jax.report._held_out import held_out_sentences
 
 _SCOPE = (
     "The values hold for these loads and this shape. To test whether they are material "
@@ -20,12 +23,9 @@ _SCOPE = (
 )
 """For what calibrated values hold."""
 
-MOST_REASONS = 3
-"""Most reasons of a verdict that stand in the first screen."""
-
-MOST_VALUES = 8
-"""Most parameters whose values stand in the first screen."""
-
+MOST_LISTED = 6  # held-out configurations that are listed one by one
+MOST_REASONS = 3  # reasons of a verdict that stand in the first screen
+MOST_VALUES = 8  # parameters whose values stand in the first screen
 TONES: dict[str, Tone] = {
     "trust": "good",
     "take with care": "doubtful",
@@ -38,37 +38,22 @@ TONES: dict[str, Tone] = {
 
 
 class RunVerdict(NamedTuple):
-    """The verdict with which the page of a run begins.
+    """The verdict with which the page of a run begins."""
 
-    Attributes:
-        sentence: The verdict; it ends with a colon where reasons follow.
-        tone: Whether it is good, doubtful or bad news.
-        reasons: What there is to doubt, one sentence each.
-    """
-
-    sentence: str
+    sentence: str  # ends with a colon where reasons follow
     tone: Tone
-    reasons: tuple[str, ...] = ()
+    reasons: tuple[str, ...] = ()  # what there is to doubt, one sentence each
 
 
 class Answer(NamedTuple):
-    """What a calibration answers, in the order in which it is read.
+    """What a calibration answers, in the order in which it is read."""
 
-    Attributes:
-        values: Name, value and interval of each parameter.
-        verdict: Whether the values can be used.
-        mistakes: What would explain contradictory data, the likeliest first.
-        held_out: How well poses are predicted that were not fitted, in sentences.
-        next_step: What to do next.
-        scope: For what the values hold, and what is held fixed.
-    """
-
-    values: tuple[tuple[str, str, str], ...]
-    verdict: RunVerdict
-    mistakes: tuple[str, ...]
-    held_out: tuple[str, ...]
+    values: tuple[tuple[str, str, str], ...]  # name, value and interval
+    verdict: RunVerdict  # whether the values can be used
+    mistakes: tuple[str, ...]  # what would explain contradictory data, likeliest first
+    held_out: tuple[str, ...]  # how well poses are predicted that were not fitted
     next_step: str
-    scope: str
+    scope: str  # for what the values hold, and what is held fixed
 
     def lines(self) -> list[str]:
         """Write it for a terminal."""
@@ -86,14 +71,12 @@ class Answer(NamedTuple):
 
 def answer_of(result: CalibrationResult, assessment: Assessment) -> Answer:
     """Collect what a calibration answers."""
-    values = tuple((p.name, value_of(p), _interval_of(p)) for p in result.parameters)
-    held_out = held_out_sentences(result.configurations)
     none = "Held-out error: unknown, because every pose was used in the fit."
     return Answer(
-        values=values,
+        values=tuple((p.name, value_of(p), _interval_of(p)) for p in result.parameters),
         verdict=verdict_of(assessment),
         mistakes=result.mistakes,
-        held_out=tuple(held_out or [none]),
+        held_out=tuple(held_out_sentences(result.configurations) or [none]),
         next_step=_next_step(result, assessment),
         scope=" ".join(filter(None, [assessment.held_fixed, _SCOPE])),
     )
@@ -160,3 +143,65 @@ def end_of(result: CalibrationResult) -> str:
             f"less than {NOT_TAKEN**2:g} of its value"
         )
     return f"The fit ended {why}."
+
+
+def listed_fits(fits: Sequence[ConfigurationResult]) -> list[ConfigurationResult]:
+    """Return the configurations to list one by one: all that were fitted, few others.
+
+    Of many that were held out these are the three with the largest errors and the one
+    with the smallest, in this order.
+    """
+    held_out = [fit for fit in fits if fit.role == "validation"]
+    if len(held_out) <= MOST_LISTED:
+        return list(fits)
+    ranked = sorted(held_out, key=lambda fit: -np.nan_to_num(fit.rms_after))
+    return [f for f in fits if f.role != "validation"] + [*ranked[:3], ranked[-1]]
+
+
+def held_out_sentences(fits: Sequence[ConfigurationResult]) -> list[str]:
+    """Say how well configurations are predicted that were not fitted, in a sentence."""
+    asked = ("validation", "prediction")
+    poses = [fit for fit in fits if fit.role in asked and fit.converged]
+    points = [fit for fit in poses if fit.points]
+    turns = [fit.turn_after for fit in poses if math.isfinite(fit.turn_after)]
+    if not (points or turns):
+        return []
+    parts = []
+    if points:
+        rms = [_rms([p.rms_after for p in points]), _rms([p.motion for p in points])]
+        parts.append(f"{1e3 * rms[0]:.2f} mm rms over {_points(points)}")
+        if rms[1] > 0.0:
+            parts[0] += f", {100.0 * rms[0] / rms[1]:.1f} % of the motion"
+    if turns:
+        parts.append(f"{math.degrees(_rms(turns)):.2f} deg rms in orientation")
+    held_out = poses[0].role == "validation"
+    head = "Held-out error" if held_out else "Prediction error"
+    of = poses[0].name if len(poses) == 1 else f"{len(poses)} poses"
+    seen = " not used in the fit" * (held_out and len(poses) > 1)
+    return [f"{head} of {of}{seen}: {'; '.join(parts)}{_range(points)}."]
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _range(poses: Sequence[ConfigurationResult]) -> str:
+    """Name the poses that are predicted best and worst, and quantiles of many."""
+    if len(poses) < 2:
+        return ""
+    errors = 1e3 * np.array([pose.rms_after for pose in poses])
+    best, worst = poses[int(np.argmin(errors))], poses[int(np.argmax(errors))]
+    ends = f"{errors.min():.2f} mm ({best.name})"
+    ends += f" to {errors.max():.2f} mm ({worst.name})"
+    if len(poses) <= MOST_LISTED:
+        return f"; {ends}"
+    half, most = np.quantile(errors, [0.5, 0.95])
+    return f"; {ends}, median {half:.2f} mm, 95th percentile {most:.2f} mm"
+
+
+def _points(poses: Sequence[ConfigurationResult]) -> str:
+    """Count the markers and the 6-D sensors of a pose, in words."""
+    turning = {turn.name for pose in poses for turn in pose.turns}
+    names = {point.name for pose in poses for point in pose.points}
+    counts = {"marker": len(names - turning), "6-D sensor": len(names & turning)}
+    return listed([f"{n} {what}{'s' * (n > 1)}" for what, n in counts.items() if n])

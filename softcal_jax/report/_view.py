@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from importlib.resources import files
 from typing import Any, NamedTuple
 
 from softcal_jax.calibration import (
@@ -13,7 +12,7 @@ from softcal_jax.calibration import (
 from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import PARTS, boundary_tets
 from softcal_jax.plotting import MARKS, NOT_CONVERGED, motion_words
-from softcal_jax.report._html import Html, bullets, joined, node
+from softcal_jax.report._html import Html, bullets, joined, node, resource, template
 from softcal_jax.report._outline import ROLES
 from softcal_jax.report._view_data import view_data
 from softcal_jax.report._view_fields import (
@@ -24,9 +23,7 @@ from softcal_jax.report._view_fields import (
     view_fields,
 )
 
-MOST_DATA = 1_500_000
-"""Most bytes of what a view draws; curved faces are cut more coarsely to stay below."""
-
+MOST_DATA = 1_500_000  # bytes of what a view draws; curved faces are cut more coarsely
 _SHOWN = {
     "mesh": ("faces of the mesh", False),
     "rest": ("body at rest", True),
@@ -38,21 +35,6 @@ _SHOWN = {
     "names": ("names", True),
 }
 """What can be shown, by its name in the script, and whether it is shown at first."""
-
-_BUTTONS = {
-    "left": ("\N{LEFTWARDS ARROW}", "Turn left"),
-    "right": ("\N{RIGHTWARDS ARROW}", "Turn right"),
-    "up": ("\N{UPWARDS ARROW}", "Turn up"),
-    "down": ("\N{DOWNWARDS ARROW}", "Turn down"),
-    "nearer": ("+", "Nearer"),
-    "farther": ("\N{MINUS SIGN}", "Farther"),
-    "reset": ("Reset", "Reset the view"),
-}
-
-_KEYS = (
-    "Drag or press the arrow keys to turn, with Shift to move; + and -, or a pinch, "
-    "bring the robot nearer or farther; Home resets the view."
-)
 
 _LINE = '<path d="M2 7H26" stroke="{0}" stroke-width="2.5"/>'
 _DASHED = _LINE.replace("/>", ' stroke-dasharray="7 3 2 3"/>')
@@ -67,33 +49,22 @@ _AXES = (
     'stroke-width="2" stroke-dasharray="3 2"/>'
 )
 
-
-class _Mark(NamedTuple):
-    """An entry of the legend: its words, and the SVG of its symbol, to be coloured.
-
-    It shows if one of its boxes of `_SHOWN` is ticked, or always if it has none.
-    """
-
-    words: str
-    symbol: str
-    boxes: str = ""
-
-
+# Words and symbol of each mark of the legend, to be coloured by `MARKS`, and the boxes
+# of `_SHOWN` of which one must be ticked: none for a mark that is always shown.
 _MARKS = {
-    "measured": _Mark("measured", _CIRCLE, "markers frames"),
-    "simulated": _Mark("simulated", _CROSS, "markers frames"),
-    "at rest": _Mark("at rest", _LINE, "rest"),
-    "cable": _Mark("cable", _LINE, "robot"),
-    "wall": _Mark("wall under pressure", _PALE, "robot"),
-    "motor": _Mark("motor", _DASHED, "robot"),
-    "force": _Mark("force", _ARROW, "robot"),
-    "load": _Mark("load", _ARROW, "loads"),
-    "gravity": _Mark("gravity", _ARROW, "loads"),
-    "rigid": _Mark("rigid body", _PATCH),
-    "frame": _Mark("frame of a rigid body", _AXES, "frames"),
-    "fibre": _Mark("fibre", _HATCH, "fibres"),
+    "measured": ("measured", _CIRCLE, "markers frames"),
+    "simulated": ("simulated", _CROSS, "markers frames"),
+    "at rest": ("at rest", _LINE, "rest"),
+    "cable": ("cable", _LINE, "robot"),
+    "wall": ("wall under pressure", _PALE, "robot"),
+    "motor": ("motor", _DASHED, "robot"),
+    "force": ("force", _ARROW, "robot"),
+    "load": ("load", _ARROW, "loads"),
+    "gravity": ("gravity", _ARROW, "loads"),
+    "rigid": ("rigid body", _PATCH, ""),
+    "frame": ("frame of a rigid body", _AXES, "frames"),
+    "fibre": ("fibre", _HATCH, "fibres"),
 }
-"""What a view may hold, by its name among the colours `MARKS`."""
 
 
 class PageView(NamedTuple):
@@ -145,7 +116,7 @@ def body_view(
     drawn = Html(drawing.text)
     data = node("script", drawn, type="application/json", id="view-data")
     content = joined([_figure(drawing, converged=converged), data])
-    script = files("softcal_jax.report").joinpath("view.js").read_text("utf-8")
+    script = resource("view.js")
     names = frozenset(pose.name for pose in drawing.shown if pose.converged)
     return PageView(content, script, names)
 
@@ -193,25 +164,19 @@ def _drawing(
 
 def _figure(drawing: _Drawing, *, converged: bool) -> Html:
     """Write controls, drawing area and words, hidden until the script shows them."""
-    warning = [] if converged else [node("p", NOT_CONVERGED, class_="stop")]
-    marks = _marks(drawing.data)
+    marks, fields = _marks(drawing.data), drawing.data["fields"]
     words = [
         node("p", _words(pose), hidden="", class_="" if pose.converged else "stop")
         for pose in drawing.shown
     ]
-    return node(
-        "figure",
-        *warning,
-        _stage(),
-        _choices(drawing, marks),
-        _scale(drawing.data["fields"]),
-        _legend(marks),
-        node("figcaption", *words, node("p", "", role="status"), id="view-words"),
-        node("p", _KEYS, id="view-keys", class_="keys"),
-        bullets(drawing.remarks),
-        id="view",
-        class_="view",
-        hidden="",
+    return template(
+        "view.html",
+        warning=[] if converged else [node("p", NOT_CONVERGED, class_="stop")],
+        choices=_choices(drawing, marks),
+        coloured=f"Colours of {fields[0]['label']}" if fields else "Colours",
+        legend=_legend(marks),
+        words=words,
+        remarks=bullets(drawing.remarks),
     )
 
 
@@ -238,19 +203,20 @@ def _choices(drawing: _Drawing, marks: Sequence[str]) -> Html:
     offered = {"mesh", "rest", "names"}
     offered |= {k for k in ("markers", "frames") if any(pose[k] for pose in poses)}
     for name in set(marks) - {"measured", "simulated"}:
-        offered.update(_MARKS[name].boxes.split())
-    boxes = []
+        *_, boxes = _MARKS[name]
+        offered.update(boxes.split())
+    ticks = []
     for name, (words, on) in _SHOWN.items():
         if name in offered:
             checked = {"checked": ""} if on else {}
             box = node("input", type="checkbox", id=f"view-{name}", **checked)
-            boxes.append(node("label", box, f" {words}"))
+            ticks.append(node("label", box, f" {words}"))
     return node(
         "div",
         _select("configuration", "Configuration", map(_named, shown), first),
         _select("field", "Coloured by", [f["label"] for f in fields], drawing.field),
         _select("direction", "Seen", directions, 0),
-        node("fieldset", node("legend", "Show"), *boxes),
+        node("fieldset", node("legend", "Show"), *ticks),
         class_="choices",
     )
 
@@ -275,41 +241,6 @@ def _marks(data: Mapping[str, Any]) -> list[str]:
     present |= {part["kind"] for part in parts}
     present |= {"at rest", *(["rigid"] if data["anyRigid"] else [])}
     return [name for name in _MARKS if name in present]
-
-
-def _stage() -> Html:
-    """Write the drawing area and its buttons."""
-    label = "The robot in three dimensions"
-    area = node(
-        "canvas",
-        id="view-area",
-        tabindex="0",
-        role="application",
-        aria_label=label,
-        aria_describedby="view-keys view-words",
-    )
-    over = node("canvas", id="view-over", aria_hidden="true")
-    buttons = (
-        node("button", sign, type="button", id=f"view-{key}", aria_label=words)
-        for key, (sign, words) in _BUTTONS.items()
-    )
-    turns = node("div", *buttons, role="group", aria_label="Turn", class_="turns")
-    return node("div", node("div", area, over, class_="stage"), turns)
-
-
-def _scale(fields: Sequence[Mapping[str, Any]]) -> Html:
-    """Write the colour bar, whose numbers and colours the script sets."""
-    ticks = (node("span", "") for _ in range(5))
-    return node(
-        "div",
-        node("p", "", id="view-title"),
-        node("div", class_="colours", id="view-colours"),
-        node("div", *ticks, class_="ticks", id="view-ticks"),
-        class_="scale",
-        role="img",
-        aria_label=f"Colours of {fields[0]['label']}" if fields else "Colours",
-        id="view-scale",
-    )
 
 
 def _legend(marks: Sequence[str]) -> Html:

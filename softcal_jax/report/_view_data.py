@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from softcal_jax import plotting
 from softcal_jax._text import escaped
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import ConfigurationResult
@@ -19,24 +20,10 @@ from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import fibre_directions, readable_values
 from softcal_jax.mesh import TetMesh
-from softcal_jax.plotting import (
-    DISPLACEMENT_MAP,
-    RobotPicture,
-    actuator_words,
-    choose_view,
-    is_seen,
-    load_place,
-    pushes,
-    robot_picture,
-    sensor_frames,
-)
 from softcal_jax.report._view_fields import Field, Surface
 
-_MOST = 65535
-"""Largest number of 16 bits; in a field it marks that there is no value."""
-
-_FIBRES = 600
-"""Most fibres that are drawn."""
+_MOST = 65535  # largest number of 16 bits; in a field, there is no value
+_FIBRES = 600  # most fibres that are drawn
 
 
 def pack(values: HostArray) -> str:
@@ -51,6 +38,8 @@ def view_data(
     fields: Sequence[Field],
 ) -> dict[str, Any]:
     """Collect what the view draws; at rest where there is no equilibrium."""
+    import matplotlib
+
     rest = 1e3 * surface.cut.interpolate(model.mesh.points)
     # Without an equilibrium, what a solver left of a displacement means nothing.
     moved = [
@@ -63,6 +52,8 @@ def view_data(
     everything = np.concatenate([rest, *points, *(f.reshape(-1, 3) for f in fibres)])
     low, step = everything.min(axis=0), float(np.ptp(everything, axis=0).max()) / _MOST
     placed = lambda x: pack(np.rint((x - low) / step).astype("<u2"))
+    # The map of the pictures, which is even in grey too.
+    colours = matplotlib.colormaps[plotting.DISPLACEMENT_MAP](np.linspace(0, 1, 256))
     index = "<u2" if len(rest) <= _MOST else "<u4"
     entries = [
         {
@@ -88,7 +79,7 @@ def view_data(
         "edges": pack(surface.edges.astype(index)),
         "sharp": surface.n_sharp,
         "rest": placed(rest),
-        "map": pack(_colours()),
+        "map": pack(np.rint(255.0 * colours[:, :3]).astype("u1")),
         "view": _first_view(model, shown, robots),
         "fields": [_field(field) for field in fields],
         "configurations": entries,
@@ -160,14 +151,6 @@ def _fibres(
     return 1e3 * np.concatenate([np.zeros((0, 2, 3)), *lines])
 
 
-def _colours() -> HostArray:
-    """Return 256 colours of the map of the pictures, which is even in grey too."""
-    import matplotlib
-
-    colours = matplotlib.colormaps[DISPLACEMENT_MAP](np.linspace(0.0, 1.0, 256))
-    return np.rint(255.0 * colours[:, :3]).astype("u1")
-
-
 def _first_view(
     model: Model,
     shown: Sequence[ConfigurationResult],
@@ -180,7 +163,8 @@ def _first_view(
     u = np.zeros_like(X) if most is None else most.displacement
     everything = np.concatenate([X, *(X + pose.displacement for pose in drawn)])
     posed = next((pose.posed for pose in shown if pose.posed is not None), None)
-    view = choose_view(X, u, everything, () if posed is None else posed.gravity)
+    gravity = () if posed is None else posed.gravity
+    view = plotting.choose_view(X, u, everything, gravity)
     axes = {k: getattr(view, k).tolist() for k in ("right", "up", "towards")}
     return {**axes, "more": [place for robot in robots for place in robot["reach"]]}
 
@@ -198,11 +182,11 @@ def robot_data(model: Model, result: ConfigurationResult) -> dict[str, Any]:
     data: dict[str, Any] = {"walls": np.zeros((0, 3), int)}
     data |= {k: [] for k in ("cables", "wallNames", "arrows", "motors", "frames")}
     if result.converged and result.robot is not None:
-        picture = robot_picture(model, result.robot)
+        picture = plotting.robot_picture(model, result.robot)
         _add_actuators(data, picture)
         data["frames"] += _bodies(model, picture)
     if result.converged:
-        for frame in sensor_frames(result):
+        for frame in plotting.sensor_frames(result):
             kind = "measured" if frame.is_measured else "simulated"
             place = {"at": _mm(frame.position), "axes": frame.rotation.T.tolist()}
             data["frames"].append({"kind": kind, "name": "", **place})
@@ -219,34 +203,28 @@ def robot_data(model: Model, result: ConfigurationResult) -> dict[str, Any]:
     return data
 
 
-def _add_actuators(data: dict[str, Any], picture: RobotPicture) -> None:
-    geometry = picture.geometry
-    for a, actuator in enumerate(picture.state.actuators):
-        if not is_seen(actuator):
-            continue
-        name = escaped(actuator_words(actuator))
-        segments = geometry.segments[geometry.segment_owner == a]
+def _add_actuators(data: dict[str, Any], picture: plotting.RobotPicture) -> None:
+    for actuator, segments, faces, points, arrows in picture.parts():
+        name = escaped(plotting.actuator_words(actuator))
         if len(segments):
             slack = actuator.kind == "cable" and actuator.force == 0.0
             ends = [[_mm(end) for end in segment] for segment in segments]
             data["cables"].append({"name": name, "slack": slack, "segments": ends})
-        faces = geometry.faces[geometry.face_owner == a, :3]
         if len(faces):
             data["walls"] = np.concatenate([data["walls"], faces])
             middle = _mm(picture.x[faces].mean(axis=(0, 1)))
             data["wallNames"].append({"name": name, "at": middle})
-        for k in np.flatnonzero(geometry.point_owner == a)[:1]:
-            place, along = _mm(geometry.points[k]), geometry.arrows[k]
+        for point, along in zip(points, arrows, strict=True):
             if actuator.kind == "motor":
-                motor = {"name": name, "at": place, "axis": along.tolist()}
+                motor = {"name": name, "at": _mm(point), "axis": along.tolist()}
                 data["motors"].append(motor)
             else:
-                towards = (pushes(actuator) * along).tolist()
+                towards = (plotting.pushes(actuator) * along).tolist()
                 arrow = {"kind": "force", "name": name}
-                data["arrows"].append({**arrow, "tip": place, "towards": towards})
+                data["arrows"].append({**arrow, "tip": _mm(point), "towards": towards})
 
 
-def _bodies(model: Model, picture: RobotPicture) -> Iterator[dict[str, Any]]:
+def _bodies(model: Model, picture: plotting.RobotPicture) -> Iterator[dict[str, Any]]:
     """Yield the frames of rigid bodies."""
     frames = picture.x[model.mesh.n_nodes :].reshape(-1, 4, 3)
     axes = (frames[:, 1:] - frames[:, :1]) / model.mechanism.bodies.length
@@ -260,7 +238,7 @@ def _loads(
 ) -> Iterator[dict[str, Any]]:
     """Yield the dead loads, each at the mean place where it acts."""
     for load in posed.loads:
-        place, force = load_place(load, mesh, x)
+        place, force = plotting.load_place(load, mesh, x)
         size = float(np.linalg.norm(force))
         if size > 0.0:
             arrow = {"kind": "load", "name": readable_values([size], "N", digits=3)}

@@ -6,46 +6,29 @@ from typing import Literal, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax import export
 from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.calibration import ConfigurationResult
 from softcal_jax.equilibrium import Model, tet_states
-from softcal_jax.export import (
-    STANDARD_ERROR,
-    field_units,
-    principal_stretches,
-    readable_unit,
-    tet_fields,
-    von_mises_stress,
-)
 from softcal_jax.mesh import Tessellation, TetMesh, boundary_tets, tessellate
+from softcal_jax.plotting import rigid_faces
 
 TetValues = Mapping[str, Float[HostArray, " n_tets"]]
 """Values of fields in each tet, or their standard errors, by the name of the field."""
 
-_SHARP = np.cos(np.radians(30.0))
-"""Cosine of the angle between two triangles above which their edge is not sharp."""
+_SHARP = np.cos(np.radians(30.0))  # an edge is sharp where two normals differ more
 
 
 class Surface(NamedTuple):
-    """Triangles of the boundary, face by face, and the edges of its faces.
-
-    Attributes:
-        cut: The triangles.
-        per_face: How many triangles a face is cut into.
-        faces: Nodes of each face.
-        tets: The tet of each face.
-        rigid: Whether all nodes of a face belong to one rigid body.
-        edges: Points at the ends of the parts of the edges, the sharp ones first.
-        n_sharp: How many of the edges are sharp at rest.
-    """
+    """Triangles of the boundary, face by face, and the edges of its faces."""
 
     cut: Tessellation
-    per_face: int
-    faces: Int[HostArray, "n_faces n_fn"]
-    tets: Int[HostArray, " n_faces"]
-    rigid: Bool[HostArray, " n_faces"]
-    edges: Int[HostArray, "n_edges 2"]
-    n_sharp: int
+    per_face: int  # triangles that a face is cut into
+    faces: Int[HostArray, "n_faces n_fn"]  # their nodes
+    tets: Int[HostArray, " n_faces"]  # the tet of each face
+    rigid: Bool[HostArray, " n_faces"]  # all its nodes belong to one rigid body
+    edges: Int[HostArray, "n_edges 2"]  # points at the ends of parts, sharp ones first
+    n_sharp: int  # edges that are sharp at rest
 
     def having(self, corners: Int[HostArray, "n 3"]) -> Bool[HostArray, " n_faces"]:
         """Say which faces have one of these triples of corners, in any order."""
@@ -60,10 +43,7 @@ def surface_of(model: Model, parts: int) -> Surface:
     cut = tessellate(model.mesh, parts=parts)
     per_face = len(cut.triangles) // len(tets)
     faces = cut.faces[::per_face]
-    bodies, body = model.mechanism.bodies, np.full(model.mesh.n_nodes, -1)
-    body[bodies.attached] = bodies.body
-    owners = body[faces]
-    rigid = (owners[:, 0] >= 0) & np.all(owners == owners[:, :1], axis=1)
+    rigid = rigid_faces(model, faces)
     edges, sharp = _edges(model.mesh, cut, per_face)
     edges = np.concatenate([edges[sharp], edges[~sharp]])
     return Surface(cut, per_face, faces, tets, rigid, edges, int(sharp.sum()))
@@ -90,8 +70,7 @@ def _edges(
     return sides[first[~within]], sharp[~within]
 
 
-_AS_THEY_ARE = ("rad", "m")
-"""Standard errors in these units are shown as they are, others in % of the value."""
+_AS_THEY_ARE = ("rad", "m")  # units of errors that are not shown in % of the value
 
 
 _ERROR = "standard error of "
@@ -110,14 +89,8 @@ class Field(NamedTuple):
     values: tuple[Float[HostArray, " n"] | None, ...]
     note: str = ""
 
-    @property
-    def name(self) -> str:
-        """Its label without the unit."""
-        return self.label.rpartition(" [")[0]
 
-
-_STATE = {"largest principal stretch": "", "von Mises stress": "Pa"}
-"""Fields of the state of a body, with their units."""
+_STATE = {"largest principal stretch": "", "von Mises stress": "Pa"}  # units
 
 
 def state_fields(model: Model, pose: ConfigurationResult) -> TetValues:
@@ -125,7 +98,7 @@ def state_fields(model: Model, pose: ConfigurationResult) -> TetValues:
     if not pose.converged:
         return {}
     states = tet_states(model, jnp.asarray(pose.displacement))
-    values = principal_stretches(states)[:, 0], von_mises_stress(states)
+    values = export.principal_stretches(states)[:, 0], export.von_mises_stress(states)
     return dict(zip(_STATE, values, strict=True))
 
 
@@ -159,7 +132,8 @@ def calibrated_field(fields: Sequence[Field]) -> int:
     """Return the index of the first field that was calibrated and varies, or else 0."""
     labels = [field.label for field in fields]
     for k, field in enumerate(fields):
-        known = any(label.startswith(f"{_ERROR}{field.name} ") for label in labels)
+        name = field.label.rpartition(" [")[0]
+        known = any(label.startswith(f"{_ERROR}{name} ") for label in labels)
         values = field.values[0]
         if (
             known
@@ -181,12 +155,12 @@ def _distances(pose: ConfigurationResult):
 def _law_fields(
     model: Model, surface: Surface, errors: TetValues | None
 ) -> list[Field]:
-    units, per_tet = field_units(model), tet_fields(model, errors or {})
+    units, per_tet = export.field_units(model), export.tet_fields(model, errors or {})
     fields = []
     for name, values in per_tet.items():
         if name not in units or values.ndim > 1:
             continue
-        error = per_tet.get(name + STANDARD_ERROR)
+        error = per_tet.get(name + export.STANDARD_ERROR)
         if error is None and np.ptp(values) <= 1e-9 * np.abs(values).max():
             continue
         unit = units[name]
@@ -209,7 +183,7 @@ def _of_faces(
     """Convert values of faces to a readable unit; rigid faces get no value."""
     present = np.concatenate([np.zeros(0), *(v for v in values if v is not None)])
     finite = np.abs(present[np.isfinite(present)])
-    factor, shown = readable_unit([float(finite.max(initial=0.0))], unit)
+    factor, shown = export.readable_unit([float(finite.max(initial=0.0))], unit)
     converted = tuple(
         None if v is None else np.where(surface.rigid, np.nan, factor * v)
         for v in values

@@ -3,9 +3,14 @@
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import compress
 from pathlib import Path
 from typing import Any, Literal
 
+import jax
+import numpy as np
+
+from softcal_jax import export
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.calibration import (
     CalibrationResult,
@@ -14,40 +19,18 @@ from softcal_jax.calibration import (
     SourceFile,
 )
 from softcal_jax.configurations import Traces
-from softcal_jax.export import (
-    Made,
-    comparison_dict,
-    file_dict,
-    file_stems,
-    outlook_dict,
-    result_dict,
-    results_folder,
-    simulation_dict,
-    write_effectors_csv,
-    write_json,
-    write_markers_csv,
-    write_pvd,
-    write_robot_csv,
-    write_robot_vtu,
-    write_vtu,
-)
+from softcal_jax.control import InverseResult, TrajectoryResult
+from softcal_jax.equilibrium import robot_states
 from softcal_jax.fields import field_standard_errors
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.layouts import ModelComparison
 from softcal_jax.plotting import plot_traces, render_configuration, rendering_problem
-from softcal_jax.report._pages import (
-    REPORT,
-    calibration_page,
-    comparison_page,
-    identifiability_page,
-    simulation_page,
-)
+from softcal_jax.report import _pages
+from softcal_jax.report._inverse import draw_command, inverse_page
 from softcal_jax.report._view import PageView, body_view
 from softcal_jax.report._view_fields import TetValues
 
-COLLECTION = "configurations.pvd"
-"""All configurations at once, for ParaView."""
-
+COLLECTION = "configurations.pvd"  # all configurations at once, for ParaView
 Picture = Literal["png", "svg"]
 """Formats of pictures. In SVG, lines and words are drawn and bodies are images."""
 
@@ -101,10 +84,10 @@ def write_results(
             results folder.
     """
     assessment = assessment or assess(result)
-    data = result_dict(
+    data = export.result_dict(
         result, name=name, directory=directory, assessment=assessment, timing_s=timing_s
     )
-    page = partial(calibration_page, result, assessment)
+    page = partial(_pages.calibration_page, result, assessment)
     drawn = {"traces": traces or {}, "suffix": pictures, "progress": progress}
     return _write(result, data, directory, "result.json", page, force=force, **drawn)
 
@@ -119,7 +102,7 @@ def write_simulation(
     traces: Mapping[str, Traces] | None = None,
     pictures: Picture | None = "png",
     progress: Progress = lambda *_: None,
-    made: Made | None = None,
+    made: export.Made | None = None,
     calibration: str | Path | None = None,
 ) -> Path:
     """Write a forward simulation to a folder, whole or not at all.
@@ -132,10 +115,10 @@ def write_simulation(
     `calibration`, the file of the values it took, give the command that repeats it.
     """
     more: dict[str, Any] = {"made": made, "directory": directory}
-    data = simulation_dict(result, name=name, timing_s=timing_s, **more)
+    data = export.simulation_dict(result, name=name, timing_s=timing_s, **more)
     values = None if calibration is None else SourceFile.of(Path(calibration))
-    data["calibration"] = values and file_dict(values, directory)
-    page = partial(simulation_page, result)
+    data["calibration"] = values and export.file_dict(values, directory)
+    page = partial(_pages.simulation_page, result)
     drawn = {"traces": traces or {}, "suffix": pictures, "progress": progress}
     return _write(
         result, data, directory, "simulation.json", page, force=force, **drawn
@@ -150,7 +133,7 @@ def write_identifiability(
     name: str = "identifiability",
     force: bool = False,
     timing_s: Mapping[str, float] | None = None,
-    made: Made | None = None,
+    made: export.Made | None = None,
 ) -> Path:
     """Write an identifiability result to a folder, whole or not at all.
 
@@ -160,9 +143,9 @@ def write_identifiability(
     what is returned are those of `write_simulation`.
     """
     more: dict[str, Any] = {"made": made, "directory": directory}
-    data = outlook_dict(outlook, ranking, name=name, timing_s=timing_s, **more)
+    data = export.outlook_dict(outlook, ranking, name=name, timing_s=timing_s, **more)
     text = "\n\n".join(str(p) for p in (name, outlook, ranking) if p is not None)
-    page = partial(identifiability_page, outlook, ranking)
+    page = partial(_pages.identifiability_page, outlook, ranking)
     return _write_words(data, "identifiability", text, page, directory, force=force)
 
 
@@ -173,7 +156,7 @@ def write_comparison(
     name: str = "comparison",
     force: bool = False,
     timing_s: Mapping[str, float] | None = None,
-    made: Mapping[str, Made] | None = None,
+    made: Mapping[str, export.Made] | None = None,
 ) -> Path:
     """Write a comparison of models to a folder, whole or not at all.
 
@@ -183,10 +166,88 @@ def write_comparison(
     and what is returned are those of `write_simulation`.
     """
     more: dict[str, Any] = {"made": made, "directory": directory}
-    data = comparison_dict(comparison, name=name, timing_s=timing_s, **more)
-    page = partial(comparison_page, comparison)
+    data = export.comparison_dict(comparison, name=name, timing_s=timing_s, **more)
+    page = partial(_pages.comparison_page, comparison)
     text = str(comparison)
     return _write_words(data, "comparison", text, page, directory, force=force)
+
+
+def write_inverse(
+    result: InverseResult | TrajectoryResult,
+    directory: str | Path,
+    *,
+    name: str = "inverse",
+    force: bool = False,
+    timing_s: Mapping[str, float] | None = None,
+    made: export.Made | None = None,
+    calibration: str | Path | None = None,
+    options: Sequence[str] = (),
+    notes: Sequence[str] = (),
+    pictures: Picture | None = "png",
+    progress: Progress = lambda *_: None,
+) -> Path:
+    """Write a result of inverse control to a folder, whole or not at all.
+
+    The folder holds `report.html`, `inverse.json` (see `inverse_dict`) and for each
+    goal that has an equilibrium a .vtu for ParaView and a picture, with circles where
+    the goals are. `configurations.pvd` opens all .vtu at once. With `calibration`, the
+    `result.json` that the model was loaded from, the page gives the command that
+    repeats the run; `options` are further words of it, like "--goal" and its value, and
+    `notes` are doubts about the result. Other arguments, errors and what is returned
+    are those of `write_results`.
+    """
+    points = [result] if isinstance(result, InverseResult) else list(result.points)
+    more: dict[str, Any] = {"made": made, "directory": directory}
+    data = export.inverse_dict(result, name=name, timing_s=timing_s, **more)
+    several = [f"goal {i}" for i in range(1, len(points) + 1)]
+    names = ["command"] if len(points) == 1 else several
+    stems = export.file_stems(names)
+    solved = [bool(point.solution.converged) for point in points]
+    problem = picture_problem(list(compress(stems, solved)), pictures)
+    data["notes"] = [*notes, *([problem] if problem else [])]
+    loaded = None if calibration is None else SourceFile.of(Path(calibration))
+    data["calibration"] = loaded and export.file_dict(loaded, directory)
+    suffix = None if problem else pictures
+    seen = "the body at the commands found, coloured by displacement, with the goals "
+    seen += "(circles) and the positions reached (crosses)"
+    bodies, captions = [], {}
+    with export.results_folder(directory, force=force) as folder:
+        progress(0, len(points))
+        every = zip(points, names, stems, strict=True)
+        for k, (point, title, stem) in enumerate(every):
+            if solved[k]:
+                written = _write_body(folder, point, stem, title, suffix)
+                captions |= dict.fromkeys(written, f"{title}: {seen}")
+                bodies.append([file for file in written if file.endswith(".vtu")])
+            progress(k + 1, len(points))
+        if bodies:
+            export.write_pvd(folder / COLLECTION, bodies)
+        data["files"] = [_pages.REPORT, *([COLLECTION] if bodies else []), *captions]
+        shown = _pages.shown_pictures(captions, folder)
+        text = inverse_page(result, data, shown, options)
+        (folder / _pages.REPORT).write_text(text, encoding="utf-8")
+        export.write_json(folder / "inverse.json", data)
+    return Path(directory)
+
+
+def _write_body(
+    folder: Path, point: InverseResult, stem: str, title: str, suffix: Picture | None
+) -> list[str]:
+    """Write the equilibrium of a command, and return the names of the files."""
+    model = point.model
+    u = np.asarray(point.solution.displacement)[: model.mesh.n_nodes]
+    files = [f"{stem}.vtu"]
+    export.write_vtu(folder / files[0], model, u)
+    # On the host: on the device, each shape would compile a program.
+    solution = jax.tree.map(lambda leaf: np.asarray(leaf)[None], point.solution)
+    (robot,) = robot_states(model, [point.configuration], solution)
+    if robot is not None:
+        files.append(f"{stem}_robot.vtu")
+        export.write_robot_vtu(folder / files[-1], model, robot)
+    if suffix is not None:
+        files.append(f"{stem}.{suffix}")
+        draw_command(point, u, robot, folder / files[-1], title=title)
+    return files
 
 
 def _write_words(
@@ -199,11 +260,11 @@ def _write_words(
     force: bool,
 ) -> Path:
     """Write a result without bodies: as a page, as text, and last as JSON."""
-    data["files"] = [REPORT, f"{stem}.txt"]
-    with results_folder(directory, force=force) as folder:
-        (folder / REPORT).write_text(page(data), encoding="utf-8")
+    data["files"] = [_pages.REPORT, f"{stem}.txt"]
+    with export.results_folder(directory, force=force) as folder:
+        (folder / _pages.REPORT).write_text(page(data), encoding="utf-8")
         (folder / f"{stem}.txt").write_text(f"{text}\n", encoding="utf-8")
-        write_json(folder / f"{stem}.json", data)
+        export.write_json(folder / f"{stem}.json", data)
     return Path(directory)
 
 
@@ -224,12 +285,12 @@ def _write(
 ) -> Path:
     """Write all files, and last the index, which lists them."""
     model, shown = result.model, result.configurations
-    stems = file_stems([pose.name for pose in shown])
+    stems = export.file_stems([pose.name for pose in shown])
     moved = [stem for pose, stem in zip(shown, stems, strict=True) if pose.converged]
     problem = picture_problem(moved, suffix)
     trusted = not isinstance(result, CalibrationResult) or result.converged
     errors = _field_errors(result)
-    with results_folder(directory, force=force) as folder:
+    with export.results_folder(directory, force=force) as folder:
         files, bodies = _write_tables(folder, shown), []
         plots: dict[str, Callable[[Path], None]] = {}
         for pose, entry, stem in zip(shown, data["configurations"], stems, strict=True):
@@ -237,10 +298,10 @@ def _write(
             if pose.converged:
                 written.append(f"{stem}.vtu")
                 path = folder / written[-1]
-                write_vtu(path, model, pose.displacement, standard_errors=errors)
+                export.write_vtu(path, model, pose.displacement, standard_errors=errors)
                 if pose.robot is not None:
                     written.append(f"{stem}_robot.vtu")
-                    write_robot_vtu(folder / written[-1], model, pose.robot)
+                    export.write_robot_vtu(folder / written[-1], model, pose.robot)
                 bodies.append(list(written))
             if pose.name in traces and suffix:
                 written.append(f"{stem}_recording.{suffix}")
@@ -251,7 +312,7 @@ def _write(
                 draw = partial(render_configuration, model, pose, converged=trusted)
                 plots[written[-1]] = draw
         if bodies:
-            write_pvd(folder / COLLECTION, bodies)
+            export.write_pvd(folder / COLLECTION, bodies)
             files.append(COLLECTION)
         progress(0, len(plots))
         for done, (file, plot) in enumerate(plots.items(), start=1):
@@ -259,10 +320,10 @@ def _write(
             progress(done, len(plots))
         files += [file for entry in data["configurations"] for file in entry["files"]]
         data["notes"] = [*data.get("notes", []), *([problem] if problem else [])]
-        data["files"] = [REPORT, *files]
+        data["files"] = [_pages.REPORT, *files]
         view = None if suffix is None else body_view(result, errors)
-        (folder / REPORT).write_text(page(data, folder, view), encoding="utf-8")
-        write_json(folder / index, data)
+        (folder / _pages.REPORT).write_text(page(data, folder, view), encoding="utf-8")
+        export.write_json(folder / index, data)
     return Path(directory)
 
 
@@ -290,11 +351,11 @@ def picture_problem(stems: Sequence[str], suffix: Picture | None) -> str | None:
 def _write_tables(folder: Path, shown: Sequence[ConfigurationResult]) -> list[str]:
     """Write the values of all configurations, and return the names of the files."""
     tables = {
-        "markers.csv": (write_markers_csv, any(pose.points for pose in shown)),
-        "effectors.csv": (write_effectors_csv, any(pose.others for pose in shown)),
-        "robot.csv": (write_robot_csv, any(pose.robot is not None for pose in shown)),
+        "markers.csv": (export.write_markers_csv, [bool(p.points) for p in shown]),
+        "effectors.csv": (export.write_effectors_csv, [bool(p.others) for p in shown]),
+        "robot.csv": (export.write_robot_csv, [p.robot is not None for p in shown]),
     }
-    files = [name for name, (_, needed) in tables.items() if needed]
+    files = [name for name, (_, needed) in tables.items() if any(needed)]
     for name in files:
         tables[name][0](folder / name, shown)
     return files

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from softcal_jax._units import Readable, readable_estimate, readable_unit
+from softcal_jax._units import readable_estimate, readable_unit
 
 NAN = math.nan
 
@@ -10,16 +10,16 @@ NAN = math.nan
 @pytest.mark.parametrize(
     ("values", "unit", "expected"),
     [
-        ([2.6e5], "Pa", Readable(1e-3, "kPa")),
-        ([2.6e5, 1.2e6], "Pa", Readable(1e-6, "MPa")),
-        ([-2.0e9], "Pa", Readable(1e-9, "GPa")),
-        ([12.0], "Pa", Readable(1.0, "Pa")),
-        ([0.0, NAN], "Pa", Readable(1.0, "Pa")),
-        ([0.02], "m", Readable(1e3, "mm")),
-        ([1070.0], "kg/m3", Readable(1.0, "kg/m3")),
-        ([0.4], "", Readable(1.0, "")),
-        ([0.5, -1.0], "rad", Readable(180.0 / math.pi, "deg")),
-        ([], "Pa", Readable(1.0, "Pa")),
+        ([2.6e5], "Pa", (1e-3, "kPa")),
+        ([2.6e5, 1.2e6], "Pa", (1e-6, "MPa")),
+        ([-2.0e9], "Pa", (1e-9, "GPa")),
+        ([12.0], "Pa", (1.0, "Pa")),
+        ([0.0, NAN], "Pa", (1.0, "Pa")),
+        ([0.02], "m", (1e3, "mm")),
+        ([1070.0], "kg/m3", (1.0, "kg/m3")),
+        ([0.4], "", (1.0, "")),
+        ([0.5, -1.0], "rad", (180.0 / math.pi, "deg")),
+        ([], "Pa", (1.0, "Pa")),
     ],
 )
 def test_readable_unit(values, unit, expected):
