@@ -9,7 +9,6 @@ import numpy as np
 
 from softcal_jax._results import RESULTS
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.calibration import QPStep
 from softcal_jax.control._inputs import (
     ActuatorCompliance,
     ActuatorReadings,
@@ -23,7 +22,6 @@ from softcal_jax.control._step import (
     Command,
     Decision,
     Linear,
-    TriedStep,
     all_errors,
     decide,
     follow_room,
@@ -39,6 +37,10 @@ PATIENCE = 3
 
 CLOSER = 0.5
 """Largest ratio of the costs after and before these steps that counts as closer [-]."""
+
+
+NOWHERE = np.full(2, np.inf)
+"""The parts of a step that leads to no equilibrium."""
 
 
 class Reached(NamedTuple):
@@ -142,11 +144,11 @@ def descend(command: Command, start: Descent, *, explore: bool = False) -> Desce
     settings, records = command.settings, list(records)
     while outcome is None and not (explore and _slow(records)):
         assert linear is not None
-        bound = jnp.asarray(decision.step_bound)
-        qp = limited_step(linear.W, linear.error, linear.limits, bound)
-        equilibrium = moved(command, arrival, np.asarray(qp.lambda_p) * linear.scale)
-        trial = _trial(command, linear, qp, equilibrium)
-        before, decision = decision, decide(trial, decision, settings)
+        qp = limited_step(linear, jnp.asarray(decision.step_bound))
+        step = np.asarray(qp.lambda_p)
+        equilibrium = moved(command, arrival, step * linear.scale)
+        tried, before = _parts_at(command, linear, equilibrium), decision
+        decision = decide(linear, qp, tried, before, settings)
         if decision.accepted:
             candidate = differentiated(command, equilibrium)
             if candidate.stands:
@@ -154,14 +156,13 @@ def descend(command: Command, start: Descent, *, explore: bool = False) -> Desce
                 linear = linearise(command, arrival.value, arrival.compliance)
             else:
                 # A singular equilibrium counts as none: no step leads on from it.
-                trial = trial._replace(tried=np.full_like(trial.tried, np.inf))
-                decision = decide(trial, before, settings)
+                decision = decide(linear, qp, NOWHERE, before, settings)
         records.append(
             StepRecord(
-                size=trial.size,
+                size=float(np.abs(step).max()),
                 cost=0.5 * float((linear.error**2).sum()),
-                violation=violation(linear.limits.b),
-                kkt_residual=trial.kkt_residual,
+                violation=violation(linear.b),
+                kkt_residual=float(qp.kkt_residual),
                 newton_steps=int(equilibrium.solution.steps),
                 accepted=decision.accepted,
             )
@@ -179,25 +180,12 @@ def _slow(records: Sequence[StepRecord]) -> bool:
     )
 
 
-def _trial(command: Command, linear: Linear, qp: QPStep, after: Reached) -> TriedStep:
-    """Compute the parts before a step, as expected after it, and as they turned out."""
-    limits, error, step = linear.limits, linear.error, np.asarray(qp.lambda_p)
-    change = linear.W @ step
-    now = parts(limits.b, error)
-    tried = np.full_like(now, np.inf)
-    if bool(after.solution.converged):
-        room = follow_room(command, after.state, linear.length)
-        tried = parts(room, all_errors(command, after.state, linear.energy))
-    lengths = np.sum(change**2) * np.sum(error**2)
-    length = np.sqrt(max(lengths, np.finfo(float).tiny))
-    return TriedStep(
-        now=now,
-        expected=parts(limits.b - limits.A @ step, error + change),
-        tried=tried,
-        size=float(np.abs(step).max()),
-        kkt_residual=float(qp.kkt_residual),
-        cosine=-np.sum(change * error) / length,
-    )
+def _parts_at(command: Command, linear: Linear, at: Reached) -> Float[HostArray, "2"]:
+    """Compute the parts as they turned out after a step."""
+    if not bool(at.solution.converged):
+        return NOWHERE
+    room = follow_room(command, at.state, linear.length)
+    return parts(room, all_errors(command, at.state, linear.energy))
 
 
 def _outcome(
@@ -210,7 +198,7 @@ def _outcome(
     """Determine how the search has ended; None while it goes on."""
     settings = command.settings
     error = np.abs(command.residuals(arrival.compliance.state)).max()
-    kept_limits = violation(linear.limits.b) <= ROUNDING
+    kept_limits = violation(linear.b) <= ROUNDING
     met = error <= settings.tol and kept_limits
     if met and (settings.epsilon == 0.0 or decision.vanished):
         return OUTCOMES.met

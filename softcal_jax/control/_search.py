@@ -167,4 +167,4 @@ def _parts(command: Command, descent: Descent) -> Float[HostArray, "2"]:
     assert descent.linear is not None
     off = command.residuals(descent.arrival.compliance.state)
     floor = 10.0 * ROUNDING, 0.5 * command.settings.tol**2
-    return np.maximum(parts(descent.linear.limits.b, off), floor)
+    return np.maximum(parts(descent.linear.b, off), floor)

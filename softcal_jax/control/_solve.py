@@ -224,11 +224,11 @@ def what_holds(command: Command, end: Arrival, linear: Linear) -> Holding:
     off = command.residuals(end.compliance.state)
     if np.abs(off).max() <= command.settings.tol:
         return Holding(active)
-    moves = linear.limits.upper > linear.limits.lower
+    moves = linear.upper > linear.lower
     W, r = linear.W * moves, linear.error
     unit = np.eye(len(moves))
     # Gradients by y: at a limit that is reached, gradient @ y must not be positive.
-    gradients = np.concatenate([-unit, unit, linear.limits.A]).reshape(4, *unit.shape)
+    gradients = np.concatenate([-unit, unit, linear.A]).reshape(4, *unit.shape)
     A = np.array([gradients[limit] for limit in reached])
     A = A.reshape(-1, len(moves)) * moves
     # Here, so that commands which do not need it do not wait for it.
