@@ -158,16 +158,16 @@ class Decision(NamedTuple):
     """Consequences of a step that was tried.
 
     Attributes:
-        accepted: Whether the step is kept.
         step_bound: Bound on the next step [-].
+        accepted: Whether the step is kept.
         penalty: Weight of violated limits beside the cost [-].
         vanished: Whether no step helps any more.
         stalled: Whether even the smallest step was refused, away from a minimum.
     """
 
-    accepted: bool
     step_bound: float
-    penalty: float
+    accepted: bool = True
+    penalty: float = 1.0
     vanished: bool = False
     stalled: bool = False
 
