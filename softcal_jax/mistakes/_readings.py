@@ -102,7 +102,7 @@ class Readings:
         self.points = [{e.name: e for e in f.points if e.seen.any()} for f in fits]
         self.measured = np.asarray(effectors.measured)
         self.weight = np.asarray(effectors.inverse_std)
-        self.at_rest, self.simulated = np.zeros((2, *self.measured.shape))
+        self.at_rest, self.simulated = 0.0 * self.measured, 0.0 * self.measured
         self.of_points = np.zeros(self.measured.shape, bool)
         for c, fit in enumerate(fits):
             for e in fit.effectors:
@@ -153,10 +153,10 @@ def _swapped_markers(readings: Readings) -> Iterator[Change]:
             off = readings.simulated[c, rows] - readings.measured[c, [rows, others]]
             as_read, swapped = np.sum((readings.weight[c, rows] * off) ** 2, (1, 2))
             gains.setdefault((a.name, b.name), {})[c] = float(as_read - swapped)
-    several = {(p, (*of,)): sum(of.values()) for p, of in gains.items() if len(of) > 1}
-    single = {(p, (c,)): gain for p, of in gains.items() for c, gain in of.items()}
+    several = [(sum(of.values()), p, (*of,)) for p, of in gains.items() if len(of) > 1]
+    single = [(gain, p, (c,)) for p, of in gains.items() for c, gain in of.items()]
     for exchanges in (several, single):
-        for pair, poses in nlargest(MOST_SWAPS, exchanges, key=exchanges.__getitem__):
+        for _, pair, poses in nlargest(MOST_SWAPS, exchanges, key=lambda one: one[0]):
             words = f"Swapping markers {' and '.join(pair)}{readings.in_words(poses)}"
             for k in (0, 1):
                 rest, measured = k * readings.at_rest, readings.measured.copy()

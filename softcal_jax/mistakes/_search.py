@@ -183,8 +183,7 @@ class _Search:
         """Whether a change explains the data so well that no more are tried."""
         allowed = ENOUGH * self.as_is.squares
         if self.result.uncertainty.noise == "stated":
-            plausible = chdtri(self.dof, UNLIKELY)
-            allowed = max(allowed, float(plausible))
+            allowed = max(allowed, float(chdtri(self.dof, UNLIKELY)))
         return any(f.squares <= allowed and self._explains(f) for f in self.fits)
 
     def _descend(self) -> None:

@@ -193,8 +193,7 @@ def _other_forces(simulator: Simulator, readings: Readings) -> Iterator[Change]:
     Cables only pull, and gravity stays one of a planet.
     """
     poses = range(len(readings.poses))
-    actuators = simulator.problem.model.mechanism.actuators
-    one_way = bool(np.any(actuators.unilateral))
+    one_way = np.any(simulator.problem.model.mechanism.actuators.unilateral)
     size = np.linalg.norm(simulator.problem.configurations.gravity, axis=1)
     factors = [-1.0, *chain(*((f, 1.0 / f) for f in FACTORS))]
     for force, acts in simulator.acts.items():
