@@ -55,8 +55,8 @@ def with_goals(configuration: Configuration, goals: Mapping[str, Goal]):
                 f"marker {missing[0]!r} of configuration {configuration.name!r} has no "
                 "goal, but others have: give one to each, or leave it out."
             )
-        before = np.zeros((len(marker_names), 3)) if measured is None else measured
-        measured = np.array(before)
+        measured = np.zeros((len(marker_names), 3)) if measured is None else measured
+        measured = measured.copy()
         for row, name in enumerate(marker_names):
             if name in goals:
                 measured[row] = _numbers(f"marker {name!r}", goals[name], 3)

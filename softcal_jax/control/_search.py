@@ -4,7 +4,7 @@ A descent takes steps from one start towards one aim. It ends at the optimum nea
 its start, which need not be the best one.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -240,14 +240,20 @@ def search(
     best = "the start"
     for way, descent in _ways(command, first):
         tried[way] = descent
+        if descent.met or _better(command, descent, tried[best]):
+            best = way
         if descent.met:
-            return descent, _attempts(command, tried)
-        best = way if _better(command, descent, tried[best]) else best
-    for way in dict.fromkeys(("the start", best)):
-        tried[way] = descend(command, tried[way])
-    if not _better(command, tried[best], tried["the start"]):
-        best = "the start"
-    return tried[best], _attempts(command, tried)
+            break
+    else:
+        for way in dict.fromkeys(("the start", best)):
+            tried[way] = descend(command, tried[way])
+        if not _better(command, tried[best], tried["the start"]):
+            best = "the start"
+    error = lambda end: np.abs(command.residuals(end.arrival.compliance.state)).max()
+    return tried[best], tuple(
+        Attempt(way, end.outcome, float(error(end)), len(end.records))
+        for way, end in tried.items()
+    )
 
 
 def _ways(command: Command, first: Descent) -> Iterator[tuple[str, Descent]]:
@@ -332,14 +338,6 @@ def _driven(
         else:
             return arrival
     return None
-
-
-def _attempts(command: Command, tried: Mapping[str, Descent]) -> tuple[Attempt, ...]:
-    error = lambda end: np.abs(command.residuals(end.arrival.compliance.state)).max()
-    return tuple(
-        Attempt(way, descent.outcome, float(error(descent)), len(descent.records))
-        for way, descent in tried.items()
-    )
 
 
 def _better(command: Command, descent: Descent, than: Descent) -> bool:

@@ -19,9 +19,6 @@ from softcal_jax.control._goals import LimitArrays
 from softcal_jax.control._inputs import ActuatorCompliance, ActuatorReadings
 from softcal_jax.equilibrium import Model, NewtonSettings
 
-AnyArray = Array | HostArray
-"""On the host, and traced in the program of the QP."""
-
 ROUNDING = 1e-6
 """Violation of a limit that is ignored, relative to the size of the robot [-]."""
 
@@ -126,15 +123,15 @@ class Linear(NamedTuple):
         length: Scale of the quantities that are not imposed.
     """
 
-    scale: Float[AnyArray, " n_a"]
-    W: Float[AnyArray, "n_all n_a"]
-    error: Float[AnyArray, " n_all"]
-    energy: Float[AnyArray, "n_a n_a"]
-    length: Float[AnyArray, " n_a"]
-    lower: Float[AnyArray, " n_a"]
-    upper: Float[AnyArray, " n_a"]
-    A: Float[AnyArray, "n_rows n_a"]
-    b: Float[AnyArray, " n_rows"]
+    scale: Float[HostArray, " n_a"]
+    W: Float[HostArray, "n_all n_a"]
+    error: Float[HostArray, " n_all"]
+    energy: Float[HostArray, "n_a n_a"]
+    length: Float[HostArray, " n_a"]
+    lower: Float[HostArray, " n_a"]
+    upper: Float[HostArray, " n_a"]
+    A: Float[HostArray, "n_rows n_a"]
+    b: Float[HostArray, " n_rows"]
 
 
 @jax.jit
@@ -146,7 +143,7 @@ def limited_step(linear: Linear, radius: Float[Array, ""]) -> QPStep:
     reach = 0.9 * radius * jnp.sum(jnp.abs(A), axis=1)
     return bounded_step(
         jnp.where(moves[None], linear.W, 0.0),
-        linear.error,
+        jnp.asarray(linear.error),
         jnp.maximum(linear.lower, -radius),
         jnp.minimum(linear.upper, radius),
         A=A,

@@ -6,6 +6,7 @@ from typing import Literal, NamedTuple
 
 import equinox as eqx
 import numpy as np
+from scipy.spatial.distance import pdist
 
 from softcal_jax._lanes import stacked
 from softcal_jax._names import check_known, parse_axes
@@ -280,9 +281,8 @@ def _separation(places: _Places, n: int) -> float:
     At half of it, there is room for n points however badly the first ones are placed: a
     ball of that radius holds at most one of the points spread out.
     """
-    spread = places.along[farthest_points(places, n)]
-    gaps = np.linalg.norm(spread[:, None] - spread[None], axis=2)
-    return float(np.min(gaps + np.diag(np.full(len(gaps), np.inf)))) if n > 1 else 0.0
+    gaps = pdist(places.along[farthest_points(places, n)])
+    return float(np.min(gaps, initial=np.inf)) if n > 1 else 0.0
 
 
 def pivoted(
