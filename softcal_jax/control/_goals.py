@@ -17,7 +17,6 @@ from softcal_jax.configurations import (
     AbstractScalar,
     BodyFrame,
     Configuration,
-    ConfigurationLanes,
     ImposedDisplacement,
     Mechanism,
     Observation,
@@ -72,9 +71,8 @@ def _aimed(effector: AbstractEffector, goal: Goal) -> AbstractEffector:
                 f"the goal of {what} is {goal!r}, expected a Pose, of 6 coordinates."
             )
         return replace(effector, measured=goal)
-    if isinstance(effector, AbstractScalar):
-        return replace(effector, measured=float(_numbers(what, goal, 1)[0]))
-    n = effector.n_values if isinstance(effector, Observation) else 3
+    n = 1 if isinstance(effector, AbstractScalar) else 3
+    n = effector.n_values if isinstance(effector, Observation) else n
     numbers = _numbers(what, goal, n)
     value = numbers if n > 1 else float(numbers[0])
     return replace(effector, measured=value)  # type: ignore[call-arg]
@@ -92,20 +90,6 @@ def _numbers(what: str, goal: Goal, count: int) -> Float[HostArray, " n"]:
             f"the goal of {what} has {numbers.size} numbers, expected {count}."
         )
     return numbers
-
-
-def goal_weights(lanes: ConfigurationLanes, name: str) -> Float[HostArray, "n_rows 3"]:
-    """Return 1 / standard deviation of all coordinates, 0 for those without a goal."""
-    (records,) = lanes.effectors
-    inverse_std = np.asarray(lanes.arrays.effectors.inverse_std)[0]
-    if not inverse_std.any():
-        names = dict.fromkeys(record.name for record in records)
-        listed = ", ".join(map(repr, names)) or "none"
-        raise ValueError(
-            f"no effector of configuration {name!r} has a goal: give measured values, "
-            f"or `goals` by name. Effectors: {listed}."
-        )
-    return inverse_std
 
 
 class Limits(Module):

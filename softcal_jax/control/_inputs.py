@@ -222,19 +222,19 @@ def sample_workspace(
     lanes = configuration_lanes(model.mesh, [configuration], mechanism)
     if not lanes.effectors[0]:
         raise ValueError(f"{what} has no effectors and no markers to follow.")
-    values = []
+    samples = []
     for i, sample in enumerate(inputs):
         asked = {
             name: replace(configuration.actuation[name], value=float(value))
             for name, value in zip(names, sample, strict=True)
         }
         which = f"{configuration.name}, sample {i}"
-        values.append(actuation_arrays(mechanism, asked, which).value)
-    samples = [with_inputs(lanes.arrays[0], jnp.asarray(value)) for value in values]
+        value = jnp.asarray(actuation_arrays(mechanism, asked, which).value)
+        samples.append(with_inputs(lanes.arrays[0], value))
     rest = jnp.zeros((len(samples), model.n_points, 3))
+    newton = settings or NewtonSettings()
     with Workers(model, len(samples)) as workers:
-        run = workers, model, samples, settings or NewtonSettings()
-        solution = equilibria(*run, guess=rest)
+        solution = equilibria(workers, model, samples, newton, guess=rest)
         coordinates = effectors_on_all_cores(workers, model, samples, solution)
     effectors: dict[str, list] = {}
     for record in lanes.effectors[0]:

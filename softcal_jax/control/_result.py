@@ -55,7 +55,6 @@ class GoalFit(Module):
     @property
     def reached(self) -> Float[HostArray, " k"]:
         """Coordinates reached; for a turn, the rotation vector from the goal."""
-        assert self.effector.simulated is not None
         return self.effector.simulated
 
     @property

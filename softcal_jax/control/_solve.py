@@ -17,14 +17,7 @@ from softcal_jax.configurations import (
     farthest,
     motions,
 )
-from softcal_jax.control._descent import Arrival, Descent
-from softcal_jax.control._goals import (
-    Goal,
-    Limits,
-    goal_weights,
-    limit_arrays,
-    with_goals,
-)
+from softcal_jax.control._goals import Goal, Limits, limit_arrays, with_goals
 from softcal_jax.control._result import (
     OUTCOMES,
     Attempt,
@@ -34,7 +27,7 @@ from softcal_jax.control._result import (
     TrajectoryResult,
     coordinate_names,
 )
-from softcal_jax.control._search import search
+from softcal_jax.control._search import Arrival, Descent, search
 from softcal_jax.control._step import (
     FLAT_COSINE,
     ROUNDING,
@@ -158,13 +151,21 @@ def _prepare(model, configuration, goals, limits, settings) -> Command:
     far = farthest(motions(lanes.effectors[0]), model.mesh.size)
     if far is not None:
         warnings.warn(f"the goal of {far}", ControlWarning, stacklevel=3)
+    weights = np.asarray(lanes.arrays.effectors.inverse_std)[0]
+    if not weights.any():
+        names = dict.fromkeys(record.name for record in lanes.effectors[0])
+        raise ValueError(
+            f"no effector of configuration {configuration.name!r} has a goal: give "
+            "measured values, or `goals` by name. Effectors: "
+            f"{', '.join(map(repr, names)) or 'none'}."
+        )
     return Command(
         model=model,
         configuration=configuration,
         lane=lanes.arrays[0],
         effectors=lanes.effectors[0],
         limits=allowed,
-        weights=goal_weights(lanes, configuration.name),
+        weights=weights,
         settings=settings,
     )
 
@@ -185,9 +186,7 @@ def _result(
         for effector in command.effectors
         if effector.seen.any()
     )
-    holding = Holding()
-    if linear is not None:
-        holding = what_holds(command, arrival, linear)
+    holding = Holding() if linear is None else what_holds(command, arrival, linear)
     return InverseResult(
         outcome=outcome,
         configuration=replace(command.configuration, actuation=actuation),
@@ -224,11 +223,11 @@ def what_holds(command: Command, end: Arrival, linear: Linear) -> Holding:
     off = command.residuals(end.compliance.state)
     if np.abs(off).max() <= command.settings.tol:
         return Holding(active)
-    moves = linear.limits.upper > linear.limits.lower
+    moves = linear.upper > linear.lower
     W, r = linear.W * moves, linear.error
     unit = np.eye(len(moves))
     # Gradients by y: at a limit that is reached, gradient @ y must not be positive.
-    gradients = np.concatenate([-unit, unit, linear.limits.A]).reshape(4, *unit.shape)
+    gradients = np.concatenate([-unit, unit, linear.A]).reshape(4, *unit.shape)
     A = np.array([gradients[limit] for limit in reached])
     A = A.reshape(-1, len(moves)) * moves
     # Here, so that commands which do not need it do not wait for it.

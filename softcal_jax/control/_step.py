@@ -68,113 +68,6 @@ class ControlSettings(Module):
                 raise ValueError(f"{name} must not be negative, got {value}.")
 
 
-class StepLimits(NamedTuple):
-    """Limits of the scaled step y: lower <= y <= upper and A y <= b [-].
-
-    A y is the change of the quantities that are not imposed: first with a minus sign,
-    for their lower limits, actuator by actuator, then for their upper limits.
-    """
-
-    lower: Float[Array | HostArray, " n_a"]
-    upper: Float[Array | HostArray, " n_a"]
-    A: Float[Array | HostArray, "n_rows n_a"]
-    b: Float[Array | HostArray, " n_rows"]
-
-
-@jax.jit
-def limited_step(
-    W: Float[Array, "n_all n_a"],
-    error: Float[Array, " n_all"],
-    limits: StepLimits,
-    radius: Float[Array, ""],
-) -> QPStep:
-    """Minimise ||W y + error|| within the limits; `radius` bounds every entry of y."""
-    moves = limits.upper > limits.lower
-    A = jnp.where(moves[None], limits.A, 0.0)
-    # A violated row is reduced only as far as the trust region allows.
-    reach = 0.9 * radius * jnp.sum(jnp.abs(A), axis=1)
-    return bounded_step(
-        jnp.where(moves[None], W, 0.0),
-        error,
-        jnp.maximum(limits.lower, -radius),
-        jnp.minimum(limits.upper, radius),
-        A=A,
-        b=jnp.maximum(limits.b, -reach),
-    )
-
-
-class TriedStep(NamedTuple):
-    """A step that was tried; its parts are violated limits, then the cost [-].
-
-    `now` are the parts before the step, `expected` those after it by the linear model,
-    `tried` at the true equilibrium, inf without one. `size` is the largest entry of the
-    step, `cosine` that between the errors and their expected reduction.
-    """
-
-    now: Float[HostArray, "2"]
-    expected: Float[HostArray, "2"]
-    tried: Float[HostArray, "2"]
-    size: float
-    kkt_residual: float
-    cosine: float
-
-
-class Decision(NamedTuple):
-    """Consequences of a step that was tried.
-
-    Attributes:
-        accepted: Whether the step is kept.
-        step_bound: Bound on the next step [-].
-        penalty: Weight of violated limits beside the cost [-].
-        vanished: Whether no step helps any more.
-        stalled: Whether even the smallest step was refused, away from a minimum.
-    """
-
-    accepted: bool
-    step_bound: float
-    penalty: float
-    vanished: bool = False
-    stalled: bool = False
-
-
-def decide(trial: TriedStep, before: Decision, settings: ControlSettings) -> Decision:
-    """Accept a step that lowers the weighted sum of the parts, and adapt the bound.
-
-    The sum is an exact penalty function: the weight of violated limits is raised until
-    the sum is expected to fall along the step that the QP found (Nocedal and Wright,
-    Numerical Optimization, 2006, Eq. 18.36).
-    """
-    floor = ROUNDING, 0.0
-    now, expected, tried = (
-        np.maximum(parts, floor) for parts in (trial.now, trial.expected, trial.tried)
-    )
-    penalty, (closer, cheaper) = before.penalty, now - expected
-    if closer > np.finfo(float).tiny:
-        penalty = max(penalty, -2.0 * float(cheaper / closer))
-    weights = np.array([penalty, 1.0])
-    hoped, drop = weights @ (now - expected), weights @ (now - tried)
-    converged = bool(np.isfinite(trial.tried).all())
-    at_bound = trial.size >= 0.99 * before.step_bound
-    kept_limits = trial.now[0] <= 10.0 * ROUNDING
-    # A vanished step ends the search even if it is refused: its expected gain may lie
-    # below the residual of the equilibria.
-    vanished = converged and kept_limits and trial.kkt_residual <= KKT_TOLERANCE
-    vanished = vanished and trial.size <= settings.step_tol and not at_bound
-    accepted = bool(converged and hoped > 0.0 and drop >= 1e-4 * hoped)
-    bound = before.step_bound if accepted else 0.25 * trial.size
-    if accepted and at_bound and drop > 0.75 * hoped:
-        bound = min(2.0 * bound, settings.max_step_bound)
-    collapsed = not accepted and bound < settings.step_tol
-    flat = converged and kept_limits and trial.cosine <= FLAT_COSINE
-    return Decision(
-        accepted=accepted,
-        step_bound=bound,
-        penalty=penalty,
-        vanished=bool(vanished or (collapsed and flat)),
-        stalled=bool(collapsed and not flat),
-    )
-
-
 class Command(NamedTuple):
     """A command as the user gave it, and as arrays.
 
@@ -218,6 +111,10 @@ class Command(NamedTuple):
 class Linear(NamedTuple):
     """A command linearised at an equilibrium, with scaled inputs y.
 
+    Limits are lower <= y <= upper and A y <= b [-]. A y is the change of the quantities
+    that are not imposed: first with a minus sign, for their lower limits, actuator by
+    actuator, then for their upper limits.
+
     Attributes:
         scale: Change of an input for y = 1, which moves some node by the size of the
             robot; this makes inputs of different units comparable.
@@ -230,8 +127,95 @@ class Linear(NamedTuple):
     W: Float[HostArray, "n_all n_a"]
     error: Float[HostArray, " n_all"]
     energy: Float[HostArray, "n_a n_a"]
-    limits: StepLimits
     length: Float[HostArray, " n_a"]
+    lower: Float[HostArray, " n_a"]
+    upper: Float[HostArray, " n_a"]
+    A: Float[HostArray, "n_rows n_a"]
+    b: Float[HostArray, " n_rows"]
+
+
+@jax.jit
+def limited_step(linear: Linear, radius: Float[Array, ""]) -> QPStep:
+    """Minimise ||W y + error|| within the limits; `radius` bounds every entry of y."""
+    moves = linear.upper > linear.lower
+    A = jnp.where(moves[None], linear.A, 0.0)
+    # A violated row is reduced only as far as the trust region allows.
+    reach = 0.9 * radius * jnp.sum(jnp.abs(A), axis=1)
+    return bounded_step(
+        jnp.where(moves[None], linear.W, 0.0),
+        jnp.asarray(linear.error),
+        jnp.maximum(linear.lower, -radius),
+        jnp.minimum(linear.upper, radius),
+        A=A,
+        b=jnp.maximum(linear.b, -reach),
+    )
+
+
+class Decision(NamedTuple):
+    """Consequences of a step that was tried.
+
+    Attributes:
+        step_bound: Bound on the next step [-].
+        accepted: Whether the step is kept.
+        penalty: Weight of violated limits beside the cost [-].
+        vanished: Whether no step helps any more.
+        stalled: Whether even the smallest step was refused, away from a minimum.
+    """
+
+    step_bound: float
+    accepted: bool = True
+    penalty: float = 1.0
+    vanished: bool = False
+    stalled: bool = False
+
+
+def decide(
+    linear: Linear,
+    qp: QPStep,
+    tried: Float[HostArray, "2"],
+    before: Decision,
+    settings: ControlSettings,
+) -> Decision:
+    """Accept a step that lowers the weighted sum of the parts, and adapt the bound.
+
+    `tried` are the `parts` at the true equilibrium, inf without one. Their sum is an
+    exact penalty function: the weight of violated limits is raised until the sum is
+    expected to fall along the step that the QP found (Nocedal and Wright, Numerical
+    Optimization, 2006, Eq. 18.36).
+    """
+    error, step, floor = linear.error, np.asarray(qp.lambda_p), (ROUNDING, 0.0)
+    change, size = linear.W @ step, float(np.abs(step).max())
+    expected = parts(linear.b - linear.A @ step, error + change)
+    now = np.maximum(parts(linear.b, error), floor)
+    penalty, (closer, cheaper) = before.penalty, now - np.maximum(expected, floor)
+    if closer > np.finfo(float).tiny:
+        penalty = max(penalty, -2.0 * float(cheaper / closer))
+    weights = np.array([penalty, 1.0])
+    hoped = weights @ (closer, cheaper)
+    drop = weights @ (now - np.maximum(tried, floor))
+    converged = bool(np.isfinite(tried).all())
+    at_bound = size >= 0.99 * before.step_bound
+    kept_limits = now[0] <= 10.0 * ROUNDING
+    # A vanished step ends the search even if it is refused: its expected gain may lie
+    # below the residual of the equilibria.
+    vanished = converged and kept_limits and float(qp.kkt_residual) <= KKT_TOLERANCE
+    vanished = vanished and size <= settings.step_tol and not at_bound
+    accepted = bool(converged and hoped > 0.0 and drop >= 1e-4 * hoped)
+    bound = before.step_bound if accepted else 0.25 * size
+    if accepted and at_bound and drop > 0.75 * hoped:
+        bound = min(2.0 * bound, settings.max_step_bound)
+    collapsed = not accepted and bound < settings.step_tol
+    # The cosine between the errors and their expected reduction.
+    lengths = max(np.sum(change**2) * np.sum(error**2), np.finfo(float).tiny)
+    flat = -np.sum(change * error) / np.sqrt(lengths) <= FLAT_COSINE
+    flat = flat and converged and kept_limits
+    return Decision(
+        accepted=accepted,
+        step_bound=bound,
+        penalty=penalty,
+        vanished=bool(vanished or (collapsed and flat)),
+        stalled=bool(collapsed and not flat),
+    )
 
 
 def linearise(
@@ -263,13 +247,11 @@ def linearise(
         W=np.concatenate([W, energy @ by_force]),
         error=all_errors(command, compliance.state, energy),
         energy=energy,
-        limits=StepLimits(
-            (lower - value) / scale,
-            (upper - value) / scale,
-            np.where(limited[:, None], A, 0.0),
-            np.where(limited, b, 1.0),
-        ),
         length=length,
+        lower=(lower - value) / scale,
+        upper=(upper - value) / scale,
+        A=np.where(limited[:, None], A, 0.0),
+        b=np.where(limited, b, 1.0),
     )
 
 

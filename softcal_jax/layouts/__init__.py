@@ -15,7 +15,5 @@ from softcal_jax.layouts._model_comparison import (
 from softcal_jax.layouts._placement import (
     LayoutWarning as LayoutWarning,
     place_control_points as place_control_points,
-)
-from softcal_jax.layouts._tet_sensitivities import (
     tet_sensitivities as tet_sensitivities,
 )

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._typing import Array, Bool, Float, HostArray, Int
+from softcal_jax._typing import Array, Bool, Float, HostArray
 from softcal_jax.calibration import (
     Begun,
     CalibrationProblem,
@@ -50,40 +50,49 @@ such directions, so more steps are allowed.
 """
 
 
-class _Fold(NamedTuple):
-    """Configurations of one fit, and which count: all but one, or all in the last fold.
+class _Fit(NamedTuple):
+    """End of a fit, and the evaluation of all configurations with its parameters.
 
-    In place of the held-out configuration another one is repeated with weight zero: so
-    all fits share their shapes and programs, and the held-out configuration cannot
-    affect the fit, not even by having no equilibrium.
+    `fitted` flags the configurations that count: all but one, or all in the last fit.
     """
 
-    lanes: Int[HostArray, " n_c"]
-    counts: Bool[HostArray, " n_c"]
-
-
-class _Fit(NamedTuple):
-    """End of a fit, and the evaluation of all configurations with its parameters."""
-
+    fitted: Bool[HostArray, " n_c"]
     run: Run
     after: Evaluation
 
+    @property
+    def failure(self) -> str:
+        """Why it failed; empty if it did not."""
+        if np.isinf(self.run.cost):
+            return "a fitted configuration has no equilibrium at the start"
+        if not self.run.converged:
+            return "the fit did not converge"
+        asked = self.fitted if self.fitted.all() else ~self.fitted
+        if np.all(np.asarray(self.after.equilibrium.converged)[asked]):
+            return ""
+        return "no equilibrium with the fitted parameters"
 
-def _folds(n_c: int) -> list[_Fold]:
-    every = np.arange(n_c)
-    held_out = [
-        _Fold(np.where(every == i, (i + 1) % n_c, every), every != i) for i in every
-    ]
-    return [*held_out, _Fold(every, np.ones(n_c, bool))]
+
+def _folds(n_c: int) -> Bool[HostArray, "n_folds n_c"]:
+    """Flag what is fitted: all configurations but each one, then all."""
+    return np.concatenate([~np.eye(n_c, dtype=bool), np.ones((1, n_c), bool)])
 
 
-def _fold_problem(problem: CalibrationProblem, fold: _Fold) -> CalibrationProblem:
-    """Return the calibration of one fold, without the held-out configuration."""
-    take = lambda leaf: np.asarray(leaf)[fold.lanes]
-    fitted = jax.tree.map(take, problem.configurations)
-    weight = np.where(fold.counts[:, None, None], fitted.effectors.inverse_std, 0.0)
-    fitted = eqx.tree_at(lambda c: c.effectors.inverse_std, fitted, weight)
-    return eqx.tree_at(lambda p: p.configurations, problem, fitted)
+def _fold_problem(
+    problem: CalibrationProblem, fitted: Bool[HostArray, " n_c"]
+) -> CalibrationProblem:
+    """Return the calibration of one fold, without the held-out configuration.
+
+    In its place another one is repeated with weight zero: so all fits share their
+    shapes and programs, and the held-out configuration cannot affect the fit, not even
+    by having no equilibrium.
+    """
+    every = np.arange(len(fitted))
+    lanes = np.where(fitted, every, (every + 1) % len(fitted))
+    taken = jax.tree.map(lambda leaf: np.asarray(leaf)[lanes], problem.configurations)
+    weight = np.where(fitted[:, None, None], taken.effectors.inverse_std, 0.0)
+    taken = eqx.tree_at(lambda c: c.effectors.inverse_std, taken, weight)
+    return eqx.tree_at(lambda p: p.configurations, problem, taken)
 
 
 def _fit(
@@ -94,8 +103,8 @@ def _fit(
     """Fit all folds, side by side."""
     images = images_of(problem.space, mirror=True)
 
-    def fit(whole: Evaluator, fold: _Fold) -> _Fit:
-        evaluator = Evaluator(_fold_problem(problem, fold), whole.workers)
+    def fit(whole: Evaluator, fitted: Bool[HostArray, " n_c"]) -> _Fit:
+        evaluator = Evaluator(_fold_problem(problem, fitted), whole.workers)
         ended: list[Begun] = []
         for z in map(jnp.asarray, np.asarray(starts)):
             known = known_optima(ended, images)
@@ -103,7 +112,7 @@ def _fit(
         runs = [begun.best for begun in ended]
         cost = np.array([run.cost for run in runs])
         run = runs[best_of(cost, np.array([run.converged for run in runs]))]
-        return _Fit(run, whole.from_rest(jnp.asarray(run.z)))
+        return _Fit(fitted, run, whole.from_rest(jnp.asarray(run.z)))
 
     n_c = len(problem.configurations.gravity)
     with Workers(problem.model, n_c * (n_c + 1)) as workers:
@@ -125,63 +134,44 @@ def _score(
     known = eqx.tree_at(lambda n: n.attachment_std, noise, np.zeros(0))
     # Only points have distances; turns and forces count in units of the noise alone.
     n_points = effectors.nodes.shape[-2]
-    every = np.arange(len(configurations))
 
-    def rms(
-        fit: _Fit, failure: str, fold: _Fold, lanes: Int[HostArray, " n"]
-    ) -> tuple[float, float]:
+    def rms(fit: _Fit, lanes: Bool[HostArray, " n_c"]) -> tuple[float, float]:
         """Return rms distance of points [m], and rms error over the noise [-].
 
         Offsets of attachments are known from the fitted configurations alone.
         """
-        if failure:
+        if fit.failure:
             return np.nan, np.nan
-        error = noise.without_attachments(effectors, fit.after.delta_e, fold.counts)
+        error = noise.without_attachments(effectors, fit.after.delta_e, fit.fitted)
         z, on_device = jnp.asarray(fit.run.z), jax.device_put(error)
         after = replace(fit.after, delta_e=on_device)
         linear = after.linear(problem.with_noise(known), configurations, z)
-        linear = linear.only(np.isin(linear.pose, lanes))
+        linear = linear.only(lanes[linear.pose])
         squares = np.sum(error[lanes, :n_points] ** 2, axis=2)
         measured = np.any(weight[lanes, :n_points] > 0.0, axis=2)
         mean = lambda squares: float(np.sqrt(np.mean(squares)))
         return mean(squares[measured]), mean(linear.whiten(linear.r) ** 2)
 
-    *held_out_folds, whole = _folds(len(configurations))
+    *held_out, last = fits
     folds = []
-    for i, fold in enumerate(held_out_folds):
-        fit, failure = fits[i], _failure(fits[i], i)
-        distance, over_noise = rms(fit, failure, fold, every[i : i + 1])
-        fitted, _ = rms(fit, failure, fold, every[fold.counts])
-        folds.append(
-            FoldScore(configurations[i].name, distance, over_noise, fitted, failure)
-        )
-    last, failure = fits[-1], _failure(fits[-1], None)
+    for c, fit in zip(configurations, held_out, strict=True):
+        errors, (fitted, _) = rms(fit, ~fit.fitted), rms(fit, fit.fitted)
+        folds.append(FoldScore(c.name, *errors, fitted, fit.failure))
     seen = None
     if np.all(last.after.equilibrium.converged):
         z = jnp.asarray(last.run.z)
         linear = last.after.linear(problem, configurations, z)
         seen = identifiability(linear.with_scale(1.0), problem.space, last.run.z)
-    distance, over_noise = rms(last, failure, whole, every)
+    distance, over_noise = rms(last, last.fitted)
     return ModelScore(
         name=name,
         n_parameters=len(problem.space.names),
         folds=tuple(folds),
         fit_rms=distance,
         fit_noise_rms=over_noise,
-        fit_failure=failure,
+        fit_failure=last.failure,
         identifiability=seen,
     )
-
-
-def _failure(fit: _Fit, held_out: int | None) -> str:
-    """Say why a fit failed; empty if it did not."""
-    if np.isinf(fit.run.cost):
-        return "a fitted configuration has no equilibrium at the start"
-    if not fit.run.converged:
-        return "the fit did not converge"
-    converged = np.asarray(fit.after.equilibrium.converged)
-    asked = converged if held_out is None else converged[held_out]
-    return "" if np.all(asked) else "no equilibrium with the fitted parameters"
 
 
 Parameters = ParameterSpace | Entry | Sequence[Entry]

@@ -203,17 +203,16 @@ class ModelComparison(Result):
             "the noise."
         )
         rivals = [model for model in self.models[1:] if not model.failed]
-        worse = [m.name for m in rivals if m.name not in self.undecided]
+        close = [model for model in rivals if model.name in self.undecided]
+        worse = [model for model in rivals if model.name not in self.undecided]
+        names = lambda models: listed([repr(model.name) for model in models])
         if not rivals:
             return f"{first} No other model predicts every configuration."
-        if not self.undecided:
-            named = listed([repr(name) for name in worse])
-            return f"{first} The data distinguish it from {named}."
-        close = listed([repr(name) for name in self.undecided])
-        alike = [best, *(m for m in rivals if m.name in self.undecided)]
-        fewest = min(alike, key=lambda m: (m.n_parameters, m.score))
-        text = f"{first} The data cannot distinguish it from {close}"
-        text += f", but can from {listed([repr(n) for n in worse])}." if worse else "."
+        if not close:
+            return f"{first} The data distinguish it from {names(worse)}."
+        text = f"{first} The data cannot distinguish it from {names(close)}"
+        text += f", but can from {names(worse)}." if worse else "."
+        fewest = min([best, *close], key=lambda m: (m.n_parameters, m.score))
         if fewest.n_parameters < best.n_parameters:
             text += f" Of these, {fewest.name!r} has the fewest parameters."
         return text

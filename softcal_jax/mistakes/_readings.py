@@ -1,8 +1,9 @@
 """Changes of the readings that would undo a mistake."""
 
 from collections.abc import Iterator, Sequence
+from heapq import nlargest
 from itertools import combinations, product
-from typing import NamedTuple, TypeVar
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -10,8 +11,19 @@ from scipy.spatial.transform import Rotation
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable
 from softcal_jax.calibration import ConfigurationResult
-from softcal_jax.configurations import EffectorArrays, EffectorRecord
-from softcal_jax.mistakes._mistake import Kind
+from softcal_jax.configurations import EffectorArrays
+
+Kind = Literal[
+    "lost marker",
+    "swapped markers",
+    "swapped poses",
+    "wrong sign",
+    "turned frame",
+    "mirrored frame",
+    "wrong factor",
+    "longer clamp",
+]
+"""What people do."""
 
 FACTORS = (9.81, 10.0, 25.4, 1000.0)
 """Kilograms, of forces only, centimetres, inches and milli [-]."""
@@ -23,21 +35,38 @@ ORIGIN = 1e-6
 """Distance from the origin within which a reading is (0, 0, 0) [m]."""
 
 
-Exchange = TypeVar("Exchange", bound=tuple)
+class Stated(NamedTuple):
+    """How one pose would have been held and loaded.
+
+    Factors on gravity, on loads and on what is imposed on actuators [-], and how far
+    the clamp reaches beyond what is held [m].
+    """
+
+    gravity: float = 1.0
+    loads: float = 1.0
+    actuation: float = 1.0
+    depth: float = 0.0
+
+
+Variant = tuple[Stated, ...]
+"""One for each pose; none where all are as they were stated."""
 
 
 class Change(NamedTuple):
-    """Readings as they would be without a mistake.
+    """What would be different without a mistake: readings, or what was stated.
 
     Attributes:
         kind: The mistake.
         words: What would have to change.
         rank: Position among mistakes that explain the data as well: the simplest first.
-        measured: Changed values of all rows.
+        measured: Values of all rows.
         turned: Factor on the right of the orientation from which each turn counts [-];
             None where orientations stay.
         free: Errors that are fitted along, one column each; None without.
         scale: Factor on what was measured: what it leaves must be small beside it [-].
+        variant: How each pose would be held and loaded.
+        z: Where to simulate that first, scaled [-].
+        expected: Squares that it should leave, by superposition; nan if not known.
     """
 
     kind: Kind
@@ -47,203 +76,131 @@ class Change(NamedTuple):
     turned: Float[HostArray, "n_c n_turns 3 3"] | None = None
     free: Float[HostArray, "n n_free"] | None = None
     scale: float = 1.0
-
-    @property
-    def n_free(self) -> int:
-        """Number of the errors that are fitted along."""
-        return 0 if self.free is None else self.free.shape[1]
+    variant: Variant = ()
+    z: Float[HostArray, " n_p"] = np.zeros(0)
+    expected: float = np.nan
 
 
-class Readings(NamedTuple):
-    """What was measured in the fitted configurations.
+class Readings:
+    """What was measured in the fitted configurations, and what the fit made of it.
 
     Attributes:
-        poses: Their names.
+        poses: Names of the configurations.
         points: Records of the measured points of each, by name.
-        effectors: Their arrays on the host.
+        effectors: Arrays of the effectors, on the host.
+        measured: All measured values.
+        weight: 1 / standard deviations, 0 where nothing was measured.
+        simulated: Values at the end of the fit.
         at_rest: Positions of the points on the undeformed robot; 0 for other rows [m].
+        of_points: Which coordinates of points were measured.
+        turn_rows: Rows of orientations.
     """
 
-    poses: tuple[str, ...]
-    points: tuple[dict[str, EffectorRecord], ...]
-    effectors: EffectorArrays
-    at_rest: Float[HostArray, "n_c n_rows 3"]
-
-    @property
-    def measured(self) -> Float[HostArray, "n_c n_rows 3"]:
-        """All measured values."""
-        return self.effectors.measured  # pyright: ignore
-
-    @property
-    def weight(self) -> Float[HostArray, "n_c n_rows 3"]:
-        """1 / standard deviations, 0 where nothing was measured."""
-        return self.effectors.inverse_std  # pyright: ignore
-
-    @property
-    def of_points(self) -> Float[HostArray, "n_c n_rows 3"]:
-        """1 where a coordinate of a point was measured, else 0."""
-        measured = np.zeros(self.weight.shape)
-        for c, points in enumerate(self.points):
-            for e in points.values():
-                measured[c, e.index] = self.weight[c, e.index] > 0.0
-        return measured
-
-    @property
-    def turn_rows(self) -> slice:
-        """Rows of orientations."""
-        n_points = self.effectors.nodes.shape[-2]
-        return slice(n_points, n_points + self.effectors.turn_body.shape[-1])
+    def __init__(self, fits: Sequence[ConfigurationResult], effectors: EffectorArrays):
+        """Collect the readings of fitted configurations."""
+        self.effectors, self.poses = effectors, [fit.name for fit in fits]
+        self.points = [{e.name: e for e in f.points if e.seen.any()} for f in fits]
+        self.measured = np.asarray(effectors.measured)
+        self.weight = np.asarray(effectors.inverse_std)
+        self.at_rest, self.simulated = 0.0 * self.measured, 0.0 * self.measured
+        self.of_points = np.zeros(self.measured.shape, bool)
+        for c, fit in enumerate(fits):
+            for e in fit.effectors:
+                self.simulated[c, e.index, : len(e.std)] = e.simulated
+            for e in self.points[c].values():
+                self.at_rest[c, e.index] = e.at_rest
+                self.of_points[c, e.index] = self.weight[c, e.index] > 0.0
+        n_points, n_turns = effectors.nodes.shape[-2], effectors.turn_body.shape[-1]
+        self.turn_rows = slice(n_points, n_points + n_turns)
 
     def in_words(self, poses: Sequence[int]) -> str:
         """Write "all poses", "pose 2", or nothing where there is only one."""
-        if len(self.poses) == 1:
-            return ""
         if len(poses) == len(self.poses):
-            return " in all poses"
+            return " in all poses" if len(poses) > 1 else ""
         return f" in {self.poses[poses[0]]}"
 
 
-def readings_of(
-    fits: Sequence[ConfigurationResult], effectors: EffectorArrays
-) -> Readings:
-    """Collect the readings of fitted configurations; `effectors` are on the host."""
-    points, at_rest = [], np.zeros(np.shape(effectors.measured))
-    for c, fit in enumerate(fits):
-        points.append({e.name: e for e in fit.points if e.seen.any()})
-        for e in points[-1].values():
-            at_rest[c, e.index] = e.at_rest
-    names = tuple(fit.name for fit in fits)
-    return Readings(names, tuple(points), effectors, at_rest)
-
-
-def as_read(readings: Readings) -> Change:
-    """Return the readings without a change."""
-    return Change("swapped markers", "", 0, readings.measured)
-
-
-def changes(
-    readings: Readings, simulated: Float[HostArray, "n_c n_rows 3"]
-) -> Iterator[Change]:
-    """Yield all changes of readings; `simulated` values tell the likelier exchanges."""
-    yield from _lost(readings)
-    yield from _swapped_markers(readings, simulated)
-    yield from _swapped_poses(readings, simulated)
-    yield from _turned(readings)
-    yield from _scaled(readings)
+def changes(readings: Readings) -> Iterator[Change]:
+    """Yield all changes of readings."""
+    for kind in (_lost, _swapped_markers, _swapped_poses, _turned, _scaled):
+        yield from kind(readings)
 
 
 def _lost(readings: Readings) -> Iterator[Change]:
     """Leave out a marker that was read at the origin."""
-    n = readings.measured.size
-    rows = np.arange(n).reshape(readings.measured.shape)
+    measured = readings.measured
+    of_row = np.eye(measured.size).reshape(*measured.shape, -1)
     for c, points in enumerate(readings.points):
         for e in points.values():
-            seen = readings.weight[c, e.index] > 0.0
-            if np.max(np.abs(readings.measured[c, e.index][seen])) > ORIGIN:
+            seen = readings.of_points[c, e.index]
+            if np.max(np.abs(measured[c, e.index][seen])) > ORIGIN:
                 continue
-            yield Change(
-                "lost marker",
-                f"Leaving out marker {e.name}{readings.in_words([c])}, which was read "
-                "at (0, 0, 0),",
-                rank=0,
-                measured=readings.measured,
-                free=np.eye(n)[:, rows[c, e.index][seen]],
-            )
+            words = f"Leaving out marker {e.name}{readings.in_words([c])}, which was "
+            words += "read at (0, 0, 0),"
+            free = of_row[c, e.index][seen].T
+            yield Change("lost marker", words, 0, measured, free=free)
 
 
-def _swapped_markers(
-    readings: Readings, simulated: Float[HostArray, "n_c n_rows 3"]
-) -> Iterator[Change]:
-    """Exchange two markers, in all configurations that have both, or in one."""
+def _swapped_markers(readings: Readings) -> Iterator[Change]:
+    """Exchange two markers, in all configurations that have both, or in one.
+
+    Where they were read, or how far they moved.
+    """
     gains: dict[tuple[str, str], dict[int, float]] = {}
     for c, points in enumerate(readings.points):
         for a, b in combinations(points.values(), 2):
             rows, others = [a.index, b.index], [b.index, a.index]
-            off = simulated[c, rows] - readings.measured[c, rows]
-            swapped = simulated[c, rows] - readings.measured[c, others]
-            weight = readings.weight[c, rows]
-            gain = np.sum((weight * off) ** 2) - np.sum((weight * swapped) ** 2)
-            gains.setdefault((a.name, b.name), {})[c] = float(gain)
-    every = [(sum(of.values()), pair, tuple(of)) for pair, of in gains.items()]
-    several = [one for one in every if len(one[2]) > 1]
-    single = [(g, pair, (c,)) for pair, of in gains.items() for c, g in of.items()]
-    for _, pair, poses in [*_likeliest(several), *_likeliest(single)]:
-        yield from _swap(readings, pair, poses)
+            off = readings.simulated[c, rows] - readings.measured[c, [rows, others]]
+            as_read, swapped = np.sum((readings.weight[c, rows] * off) ** 2, (1, 2))
+            gains.setdefault((a.name, b.name), {})[c] = float(as_read - swapped)
+    several = [(sum(of.values()), p, (*of,)) for p, of in gains.items() if len(of) > 1]
+    single = [(gain, p, (c,)) for p, of in gains.items() for c, gain in of.items()]
+    for exchanges in (several, single):
+        for _, pair, poses in nlargest(MOST_SWAPS, exchanges, key=lambda one: one[0]):
+            words = f"Swapping markers {' and '.join(pair)}{readings.in_words(poses)}"
+            for k in (0, 1):
+                rest, measured = k * readings.at_rest, readings.measured.copy()
+                for c in poses:
+                    a, b = (readings.points[c][name].index for name in pair)
+                    moved = readings.measured[c, [b, a]] - rest[c, [b, a]]
+                    measured[c, [a, b]] = rest[c, [a, b]] + moved
+                rank = 1 + (len(poses) == 1) + 20 * k
+                yield Change("swapped markers", words, rank, measured)
 
 
-def _likeliest(exchanges: Sequence[Exchange]) -> Sequence[Exchange]:
-    """Return the exchanges with the largest gains, which come first in each."""
-    return sorted(exchanges, key=lambda one: -one[0])[:MOST_SWAPS]
+def _swapped_poses(readings: Readings) -> Iterator[Change]:
+    """Exchange the readings of two configurations with the same effectors.
 
-
-def _swap(
-    readings: Readings, pair: tuple[str, str], poses: Sequence[int]
-) -> Iterator[Change]:
-    """Exchange two markers: where they were read, or how far they moved."""
-    words = f"Swapping markers {pair[0]} and {pair[1]}{readings.in_words(poses)}"
-    for k, rest in enumerate((0.0 * readings.at_rest, readings.at_rest)):
-        moved, measured = readings.measured - rest, readings.measured.copy()
-        for c in poses:
-            a, b = (readings.points[c][name].index for name in pair)
-            measured[c, [a, b]] = moved[c, [b, a]] + rest[c, [a, b]]
-        yield Change("swapped markers", words, 1 + (len(poses) == 1) + 20 * k, measured)
-
-
-def _swapped_poses(
-    readings: Readings, simulated: Float[HostArray, "n_c n_rows 3"]
-) -> Iterator[Change]:
-    """Exchange the readings of two configurations with the same effectors."""
-    weight, measured = readings.weight, readings.measured
-    pairs: list[tuple[float, int, int]] = []
-    for a, b in combinations(range(len(readings.poses)), 2):
-        if np.any((weight[a] > 0.0) != (weight[b] > 0.0)):
-            continue
-        off = lambda i, j: np.sum((weight[i] * (simulated[i] - measured[j])) ** 2)
-        gain = off(a, a) + off(b, b) - off(a, b) - off(b, a)
-        pairs.append((float(gain), a, b))
-    for _, a, b in _likeliest(pairs):
-        exchanged = measured.copy()
-        exchanged[[a, b]] = measured[[b, a]]
-        words = (
-            f"Exchanging the readings of {readings.poses[a]} and {readings.poses[b]}"
-        )
-        turned = _exchanged_turns(readings, a, b)
-        yield Change("swapped poses", words, 3, exchanged, turned)
-
-
-def _exchanged_turns(readings: Readings, a: int, b: int) -> HostArray | None:
-    """Return the factors by which turns count from the references of the other pose."""
+    Turns are counted from the references of the other one.
+    """
+    poses, weight, measured = readings.poses, readings.weight, readings.measured
+    off = lambda i, j: np.sum((weight[i] * (readings.simulated[i] - measured[j])) ** 2)
+    gains = {
+        (a, b): off(a, a) + off(b, b) - off(a, b) - off(b, a)
+        for a, b in combinations(range(len(poses)), 2)
+        if np.array_equal(weight[a] > 0.0, weight[b] > 0.0)
+    }
     reference = np.asarray(readings.effectors.turn_reference)
-    if not reference.shape[1]:
-        return None
-    turned = np.tile(np.eye(3), (*reference.shape[:2], 1, 1))
-    turned[a] = reference[a] @ np.swapaxes(reference[b], -1, -2)
-    turned[b] = reference[b] @ np.swapaxes(reference[a], -1, -2)
-    return turned
+    for a, b in nlargest(MOST_SWAPS, gains, key=gains.__getitem__):
+        order = np.arange(len(poses))
+        order[[a, b]] = b, a
+        words = f"Exchanging the readings of {poses[a]} and {poses[b]}"
+        turned = reference @ np.swapaxes(reference[order], -1, -2)
+        change = Change("swapped poses", words, 3, measured[order])
+        yield change._replace(turned=turned) if turned.size else change
 
 
-class _Frame(NamedTuple):
-    """A wrong frame: its axes in the right one, and the change that undoes it."""
-
-    kind: Kind
-    words: str
-    undo: Float[HostArray, "3 3"]
-
-
-def _frames() -> Iterator[_Frame]:
-    """Yield turns about the axes, mirrored frames and pairs of exchanged axes."""
+def _frames() -> Iterator[tuple[str, Float[HostArray, "3 3"]]]:
+    """Yield what undoes turns about the axes, mirrored frames and exchanged axes."""
     for axis, angle in product("xyz", (180, 90, -90)):
-        R = Rotation.from_euler(axis, angle, degrees=True).as_matrix().round()
-        yield _Frame("turned frame", f"turning {{}} by {angle} degrees about {axis}", R)
-    for k, axis in enumerate("xyz"):
-        flip = np.eye(3)
-        flip[k, k] = -1.0
-        yield _Frame("mirrored frame", f"mirroring {{}} in {axis}", flip)
+        turn = Rotation.from_euler(axis, angle, degrees=True).as_matrix().round()
+        yield f"Turning {{}} by {angle} degrees about {axis}", turn
+    for axis, unit in zip("xyz", np.eye(3), strict=True):
+        yield f"Mirroring {{}} in {axis}", np.diag(1.0 - 2.0 * unit)
     for i, j in combinations(range(3), 2):
         exchange = np.eye(3)
         exchange[[i, j]] = exchange[[j, i]]
-        words = f"exchanging {'xyz'[i]} and {'xyz'[j]} of {{}}"
-        yield _Frame("mirrored frame", words, exchange)
+        yield f"Exchanging {'xyz'[i]} and {'xyz'[j]} of {{}}", exchange
 
 
 def _turned(readings: Readings) -> Iterator[Change]:
@@ -251,63 +208,42 @@ def _turned(readings: Readings) -> Iterator[Change]:
 
     About the origin of the mesh; about an origin of its own, so that all points may be
     shifted alike; or only the motion, where readings are nominal positions plus motion.
+    With an orientation U Q_ref, log(Q Q_ref^T) becomes log(Q Q_ref^T U^T).
     """
-    used = readings.weight > 0.0
-    shifts = _shifts(readings)
-    for frame in _frames():
-        mixed = np.abs(frame.undo) > 0.5
-        seen = readings.of_points > 0.5
-        if np.any((seen @ mixed.T) != seen):
+    seen, n_turns = readings.of_points, readings.effectors.turn_body.shape
+    shifts = ((readings.weight * seen)[..., None] * np.eye(3)).reshape(-1, 3)
+    for words, undo in _frames():
+        mirrored = np.linalg.det(undo) < 0.0
+        if np.any((seen @ np.abs(undo).T > 0.5) != seen):
             continue  # a coordinate that was not measured would take part
-        if frame.kind == "mirrored frame" and np.any(used[:, readings.turn_rows]):
+        if mirrored and np.any(readings.weight[:, readings.turn_rows] > 0.0):
             continue  # no orientation has a mirror image
-        turned = _all_turned(readings, frame.undo)
+        kind = "mirrored frame" if mirrored else "turned frame"
+        turned = np.tile(undo.T, (*n_turns, 1, 1)) if n_turns[1] else None
         for k, what in enumerate(("the measured points", "the measured motion")):
-            measured = _mapped(readings, frame.undo, readings.at_rest * k)
-            words = frame.words.format(what)
-            words = words[0].upper() + words[1:]
-            yield Change(frame.kind, words, 5 + 20 * k, measured, turned)
+            measured = _mapped(readings, undo, k * readings.at_rest)
+            yield Change(kind, words.format(what), 5 + 20 * k, measured, turned)
             if k == 0:
-                words += ", and moving them along,"
-                yield Change(frame.kind, words, 9, measured, turned, shifts)
+                along = f"{words.format(what)}, and moving them along,"
+                yield Change(kind, along, 9, measured, turned, shifts)
 
 
-def _all_turned(readings: Readings, undo: Float[HostArray, "3 3"]) -> HostArray | None:
-    """Return the factor on the references: log(Q Q_ref^T) becomes log(Q Q_ref^T U^T).
-
-    With the right orientation U Q_ref.
-    """
-    shape = readings.effectors.turn_body.shape
-    return np.tile(undo.T, (*shape, 1, 1)) if shape[-1] else None
-
-
-def _mapped(readings: Readings, undo: HostArray, rest: HostArray) -> HostArray:
+def _mapped(readings: Readings, by: HostArray, rest: HostArray) -> HostArray:
     """Map the readings of points about their places `rest`."""
-    mapped = rest + (readings.measured - rest) @ undo.T
-    return np.where(readings.of_points > 0.5, mapped, readings.measured)
-
-
-def _shifts(readings: Readings) -> Float[HostArray, "n 3"]:
-    """Return a shift of all points along each axis, in standard deviations per m."""
-    weight = readings.weight * readings.of_points
-    return (weight[..., None] * np.eye(3)).reshape(-1, 3)
+    mapped = rest + (readings.measured - rest) @ by.T
+    return np.where(readings.of_points, mapped, readings.measured)
 
 
 def _scaled(readings: Readings) -> Iterator[Change]:
     """Read lengths in another unit: positions, or how far points moved."""
     scales = [f for factor in FACTORS[1:] for f in (factor, 1.0 / factor)]
     for scale, (k, what) in product(scales, enumerate(("positions", "motion"))):
-        rest = readings.at_rest * k
-        measured = _mapped(readings, scale * np.eye(3), rest)
-        words = f"{times(scale)} the measured {what}{by(scale)}"
+        measured = _mapped(readings, scale * np.eye(3), k * readings.at_rest)
+        words = scaling(scale, f"the measured {what}")
         yield Change("wrong factor", words, 7 + 20 * k, measured, scale=scale)
 
 
-def times(factor: float) -> str:
-    """Write "Multiplying" or "Dividing"."""
-    return "Multiplying" if factor > 1.0 else "Dividing"
-
-
-def by(factor: float) -> str:
-    """Write " by 25.4" for 25.4 and for its inverse."""
-    return f" by {readable(max(factor, 1.0 / factor), '')}"
+def scaling(factor: float, what: str) -> str:
+    """Write "Multiplying ... by 25.4", or "Dividing" for its inverse."""
+    verb = "Multiplying" if factor > 1.0 else "Dividing"
+    return f"{verb} {what} by {readable(max(factor, 1.0 / factor), '')}"

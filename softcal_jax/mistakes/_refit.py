@@ -6,152 +6,146 @@ changed readings would do in its next step (Eq. 10).
 """
 
 from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import lsq_linear
-from scipy.spatial.transform import Rotation
 
-from softcal_jax._typing import Float, HostArray
+from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax.bodies import rotation_matrix, rotation_vector
 from softcal_jax.calibration import CorrelatedNoise
 from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import RANK, span, whitened
 from softcal_jax.mistakes._readings import Change, Readings
-from softcal_jax.mistakes._simulator import Simulated
-
-TINY = 1e-9
-"""Width of the box of a parameter on a bound: `lsq_linear` needs one [-]."""
 
 TRUST = 1.0
 """Largest step of lambda_p about a simulation: a factor e of a modulus [-]."""
+
+NEAR = 0.1
+"""Step up to which a linear fit holds; its error is about half its square [-]."""
+
+
+@dataclass(eq=False)
+class Simulated:
+    """Simulated values e of all rows at some z, and their compliances W_ep.
+
+    Fits of changes about them, by the `id` of the change, take steps of lambda_p of at
+    most `trust` [-].
+    """
+
+    z: Float[HostArray, " n_p"]
+    e: Float[HostArray, "n_c n_rows 3"]
+    W: Float[HostArray, "n_c n_rows 3 n_p"]
+    trust: float = TRUST
+    fits: "dict[int, Refit]" = field(default_factory=dict)
 
 
 class Refit(NamedTuple):
     """The best fit to changed readings about a simulation.
 
     Attributes:
+        change: The change.
+        about: The simulation.
+        step: The step of lambda_p [-].
+        along: The errors that are fitted along.
         squares: Sum of squared errors, in stated standard deviations, and of distances
-            from priors.
+            from priors. Where readings shrink, those of readings of the old size.
         now: The same without the step of the parameters.
-        step: The step dz [-], then the errors that are fitted along.
     """
 
+    change: Change
+    about: Simulated
+    step: Float[HostArray, " n_p"]
+    along: Float[HostArray, " n_free"]
     squares: float
     now: float
-    step: Float[HostArray, " n_unknowns"]
+
+    @property
+    def near(self) -> bool:
+        """Whether the fit is so near to its simulation that it holds."""
+        return bool(np.max(np.abs(self.step), initial=0.0) <= NEAR)
 
 
 class Refitter:
-    """Fits changed readings about simulations.
-
-    Attributes:
-        space: The parameters.
-        readings: What was measured.
-    """
+    """Fits changed readings about simulations."""
 
     def __init__(
         self, space: ParameterSpace, noise: CorrelatedNoise, readings: Readings
     ):
         """Weigh errors as stated: by the noise of a fit, its jitter aside."""
         self.space, self.readings, self._noise = space, readings, noise
-        self._bounds = np.asarray(space.lower()), np.asarray(space.upper())
-        self._periodic = np.array([q.periodic for q in space.parameters])
-        self._prior_weights = np.asarray(space.prior_weights())
         columns = noise.on_host(readings.effectors) * float(np.asarray(noise.jitter))
         self._columns = columns[:, np.any(columns != 0.0, axis=0)]
-
-    def __len__(self) -> int:
-        """Return the number of measured coordinates."""
-        return int(np.sum(self.readings.weight > 0.0))
 
     def whiten(self, x: Float[HostArray, "n k"]) -> Float[HostArray, "n k"]:
         """Make the errors of all rows independent."""
         return whitened(self._columns, x)
 
-    def errors(
-        self, simulated: Simulated, change: Change
-    ) -> Float[HostArray, "n_c n_rows 3"]:
-        """Return simulated minus changed values; 0 where nothing was measured."""
-        off = simulated.e - change.measured
-        if change.turned is not None:
-            rows = self.readings.turn_rows
-            off[:, rows] = _turned(off[:, rows], change.turned)
-        return np.where(self.readings.weight > 0.0, off, 0.0)
-
-    def rms(self, simulated: Simulated, change: Change, step: HostArray) -> float:
-        """Return the root mean square distance of points after a step [m]."""
-        off = self.errors(simulated, change) + simulated.W @ step[: len(simulated.z)]
-        weight = self.readings.weight * self.readings.of_points
-        if change.free is not None:
-            free = change.free @ step[len(simulated.z) :]
-            off += free.reshape(off.shape) / np.where(weight > 0.0, weight, 1.0)
+    def rms(self, fit: Refit) -> float:
+        """Return the root mean square distance of points after a fit [m]."""
+        seen = self.readings.of_points
+        off, W = self._linear(fit.about, fit.change)
+        off = off + W @ fit.step
+        if fit.change.free is not None:
+            along = (fit.change.free @ fit.along).reshape(off.shape)
+            off += along / np.where(seen, self.readings.weight, 1.0)
         off = self._noise.without_attachments(self.readings.effectors, off)
-        points = np.any(weight > 0.0, axis=2)
-        if not points.any():
-            return float("nan")
-        return float(
-            np.sqrt(np.sum(np.where(weight > 0.0, off, 0.0) ** 2) / points.sum())
-        )
+        squares = np.sum(np.where(seen, off, 0.0) ** 2, axis=2)[np.any(seen, axis=2)]
+        return float(np.sqrt(np.mean(squares))) if squares.size else float("nan")
 
-    def fit(
-        self,
-        simulated: Simulated,
-        changes: Sequence[Change],
-        trust: float = TRUST,
-        limit: float = np.inf,
-    ) -> list[Refit]:
-        """Fit each of the changed readings, with steps of at most `trust` [-].
+    def fit(self, about: Simulated, changes: Sequence[Change], limit: float) -> None:
+        """Fit changes about a simulation, where that is not done yet.
 
         Where a step would leave its bounds, and even so would leave more than the
         `limit` of the squares, it is only estimated.
         """
-        box = self._box(simulated.z, trust)
-        prior = np.asarray(self.space.from_prior(jnp.asarray(simulated.z)))
-        groups: dict[Hashable, list[int]] = {}
-        for k, change in enumerate(changes):  # those with the same unknowns together
-            alone = None if change.turned is None else k
-            groups.setdefault((id(change.free), alone), []).append(k)
-        fits: dict[int, Refit] = {}
+        groups: dict[Hashable, list[Change]] = {}
+        for change in changes:  # those with the same unknowns together
+            if id(change) not in about.fits:
+                alone = None if change.turned is None else id(change)
+                groups.setdefault((id(change.free), alone), []).append(change)
+        if not groups:
+            return
+        weight, n_p, z = self.readings.weight, len(about.z), jnp.asarray(about.z)
+        low, high = map(np.asarray, self.space.room(z))
+        box = np.clip(low, -about.trust, 0.0), np.clip(high, 0.0, about.trust)
+        off_prior = np.asarray(self.space.from_prior(z))[:, None]
+        prior_rows = np.diag(self.space.prior_weights())
         for group in groups.values():
-            A = self._columns_of(simulated, changes[group[0]])
-            Y = self._rows_of(simulated, [changes[k] for k in group], prior)
-            for k, one in zip(group, _fitted(A, Y, box, limit), strict=True):
-                fits[k] = one
-        return [fits[k] for k in range(len(changes))]
+            linear, m = [self._linear(about, change) for change in group], len(group)
+            parts = [(weight[..., None] * linear[0][1]).reshape(-1, n_p)]
+            parts += [] if group[0].free is None else [group[0].free]
+            parts += [np.ravel(weight * off)[:, None] for off, _ in linear]
+            of_data = self.whiten(np.hstack(parts))
+            of_prior = np.zeros((n_p, of_data.shape[1]))
+            of_prior[:, :n_p], of_prior[:, -m:] = prior_rows, off_prior
+            A, Y = np.split(np.concatenate([of_data, of_prior]), [-m], axis=1)
+            X = _fitted(A, Y, box, limit)
+            squares = np.sum((Y + A @ X) ** 2, axis=0)
+            now = np.sum(_beside(A[:, n_p:], Y) ** 2, axis=0)
+            for change, x, *sums in zip(group, X.T, squares, now, strict=True):
+                after, before = map(float, sums)
+                after *= max(1.0, 1.0 / change.scale) ** 2
+                fit = Refit(change, about, x[:n_p], x[n_p:], after, before)
+                about.fits[id(change)] = fit
 
-    def _box(self, z: HostArray, trust: float) -> tuple[HostArray, HostArray]:
-        """Return the limits of a step."""
-        low, high = (end - z for end in self._bounds)
-        low = np.where(self._periodic, -np.inf, low)
-        high = np.where(self._periodic, np.inf, high)
-        return np.clip(low, -trust, 0.0), np.clip(high, 0.0, trust)
-
-    def _columns_of(self, simulated: Simulated, change: Change) -> HostArray:
-        """Return the change of whitened rows and of priors per unit of each unknown."""
-        W = self.readings.weight[..., None] * simulated.W
+    def _linear(self, about: Simulated, change: Change) -> tuple[HostArray, HostArray]:
+        """Return simulated minus changed values, 0 where not measured, and their W."""
+        off, W, rows = about.e - change.measured, about.W, self.readings.turn_rows
         if change.turned is not None:
-            rows = self.readings.turn_rows
-            off = simulated.e[:, rows] - change.measured[:, rows]
-            J = _change_of_turns(off, _turned(off, change.turned))
-            W[:, rows] = self.readings.weight[:, rows, :, None] * (
-                J @ simulated.W[:, rows]
-            )
-        n_p = len(simulated.z)
-        parts = [W.reshape(-1, n_p), *([] if change.free is None else [change.free])]
-        of_data = self.whiten(np.concatenate(parts, axis=1))
-        of_prior = np.zeros((n_p, of_data.shape[1]))
-        of_prior[:, :n_p] = np.diag(self._prior_weights)
-        return np.concatenate([of_data, of_prior])
+            turned, J = _turned(off[:, rows], change.turned)
+            off[:, rows], W = turned, W.copy()
+            W[:, rows] = np.asarray(J) @ W[:, rows]
+        return np.where(self.readings.weight > 0.0, off, 0.0), W
 
-    def _rows_of(
-        self, simulated: Simulated, changes: Sequence[Change], prior: HostArray
-    ) -> HostArray:
-        """Return whitened errors and distances from priors, one column per change."""
-        weight = self.readings.weight
-        r = [np.ravel(weight * self.errors(simulated, change)) for change in changes]
-        of_prior = np.repeat(prior[:, None], len(changes), axis=1)
-        return np.concatenate([self.whiten(np.stack(r, axis=1)), of_prior])
+
+def _beside(columns: HostArray, x: HostArray) -> HostArray:
+    """Return what columns leave of others."""
+    basis = span(columns)
+    return x - basis @ (basis.T @ x)
 
 
 def _fitted(
@@ -159,45 +153,25 @@ def _fitted(
     Y: Float[HostArray, "n m"],
     box: tuple[HostArray, HostArray],
     limit: float,
-) -> list[Refit]:
+) -> Float[HostArray, "k m"]:
     """Minimise |y + A x| for each column y, the first entries of x within the box."""
     n_p = len(box[0])
-    free = span(A[:, n_p:])
-    beside = lambda x: x - free @ (free.T @ x)
-    W, off = beside(A[:, :n_p]), beside(Y)
+    W, off = _beside(A[:, n_p:], A[:, :n_p]), _beside(A[:, n_p:], Y)
     Z = -np.linalg.lstsq(W, off, rcond=RANK)[0]
     left = np.sum((off + W @ Z) ** 2, axis=0)
     low, high = (end[:, None] for end in box)
     for k in np.flatnonzero(np.any((Z < low) | (Z > high), axis=0)):
         if n_p > 1 and left[k] <= limit:
-            Z[:, k] = lsq_linear(W, -off[:, k], (box[0] - TINY, box[1] + TINY)).x
+            Z[:, k] = lsq_linear(W, -off[:, k], box).x
     Z = np.clip(Z, low, high)
-    squares, now = np.sum((off + W @ Z) ** 2, axis=0), np.sum(off**2, axis=0)
     along = -np.linalg.lstsq(A[:, n_p:], Y + A[:, :n_p] @ Z, rcond=RANK)[0]
-    each = zip(squares, now, np.concatenate([Z, along]).T, strict=True)
-    return [Refit(float(after), float(before), x) for after, before, x in each]
+    return np.concatenate([Z, along])
 
 
-def _turned(w: Float[HostArray, "*n 3"], U: Float[HostArray, "*n 3 3"]) -> HostArray:
-    """Compute log(exp(w) U)."""
-    turns = Rotation.from_rotvec(w.reshape(-1, 3)) * Rotation.from_matrix(
-        U.reshape(-1, 3, 3)
-    )
-    return turns.as_rotvec().reshape(w.shape)
-
-
-def _change_of_turns(
-    before: Float[HostArray, "*n 3"], after: Float[HostArray, "*n 3"]
-) -> Float[HostArray, "*n 3 3"]:
-    """Compute d after / d before for after = log(exp(before) U): J(after)^-1 J(before).
-
-    J(w) is the left Jacobian of the exponential (Sola et al., arXiv:1812.01537, 145).
-    """
-    return np.linalg.solve(_left_jacobian(after), _left_jacobian(before))
-
-
-def _left_jacobian(w: Float[HostArray, "*n 3"]) -> Float[HostArray, "*n 3 3"]:
-    angle = np.maximum(np.linalg.norm(w, axis=-1), 1e-6)[..., None, None]
-    K = np.cross(w[..., None, :], -np.eye(3))
-    first = (1.0 - np.cos(angle)) / angle**2
-    return np.eye(3) + first * K + (angle - np.sin(angle)) / angle**3 * K @ K
+@jax.jit
+@jax.vmap
+@jax.vmap
+def _turned(w: Float[Array, "3"], U: Float[Array, "3 3"]) -> tuple[Array, Array]:
+    """Compute log(exp(w) U), and its change per change of w."""
+    turned = lambda w: rotation_vector(rotation_matrix(w) @ U)
+    return turned(w), jax.jacfwd(turned)(w)

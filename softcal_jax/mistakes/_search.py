@@ -5,33 +5,20 @@ order. Only where the best of them lies far from these, one more is made. What w
 stated is changed next, where superposition of forces says that it may help.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import jax
 import numpy as np
 from scipy.special import chdtri
 
+from softcal_jax._module import Module
+from softcal_jax._typing import HostArray
 from softcal_jax.calibration import CalibrationResult, build_problem
 from softcal_jax.equilibrium import Workers
 from softcal_jax.inference import EXACT, UNLIKELY
-from softcal_jax.mistakes._mistake import Mistake
-from softcal_jax.mistakes._readings import (
-    Change,
-    Readings,
-    as_read,
-    changes,
-    readings_of,
-)
-from softcal_jax.mistakes._refit import TRUST, Refit, Refitter
-from softcal_jax.mistakes._simulator import Simulated, Simulator, Stated, Variant
-from softcal_jax.mistakes._statements import (
-    Statement,
-    clamps,
-    forces,
-    motions_by,
-    other_forces,
-)
+from softcal_jax.mistakes._readings import Change, Kind, Readings, Variant, changes
+from softcal_jax.mistakes._refit import Refit, Refitter, Simulated
+from softcal_jax.mistakes._statements import Simulator, clamps, forces
 
 CLEARLY = 0.5
 """Share of the squares that a mistake leaves at most [-]."""
@@ -41,9 +28,6 @@ ENOUGH = 1e-2
 
 ALIKE = 2.0
 """Ratio of squares that superposition can hardly tell apart [-]."""
-
-NEAR = 0.1
-"""Step up to which a linear fit holds; its error is about half its square [-]."""
 
 SHORTER = 0.3
 """Factor on the largest step about a simulation from which one went wrong [-]."""
@@ -58,56 +42,44 @@ MOST = 3
 """Most mistakes that are named."""
 
 
-@dataclass
-class _Base:
-    """A simulation, how far steps about it may go, and fits about it by change."""
-
-    simulated: Simulated
-    trust: float = TRUST
-    fits: dict[int, Refit] = field(default_factory=dict)
-
-
-@dataclass
-class _Candidate:
-    """A change, with the refit about the simulation that suits it best.
+class Mistake(Module):
+    """A mistake, and what the residuals would be without it.
 
     Attributes:
-        change: The readings.
-        variant: How poses would be held and loaded.
-        statement: What would have been stated otherwise, if anything.
-        bases: Simulations of this variant, shared by all candidates that have it.
-        base: The one about which the fit is.
-        fit: The fit.
+        kind: What it is.
+        change: What would have to change, like "Swapping markers mid and end in all
+            poses".
+        rms_before: Root mean square of the distances between measured and simulated
+            points in the fitted configurations; nan without points [m].
+        rms_after: The same after the change and another fit [m].
+        errors_before: Root mean square of all errors, in stated standard deviations and
+            without what offsets of recordings and attachments explain [-].
+        errors_after: The same after the change and another fit [-].
     """
 
-    change: Change
-    variant: Variant
-    bases: list[_Base]
-    statement: Statement | None = None
-    base: _Base | None = None
-    fit: Refit | None = None
+    kind: Kind
+    change: str
+    rms_before: float
+    rms_after: float
+    errors_before: float
+    errors_after: float
 
     @property
-    def what(self) -> Change | Statement:
-        """What describes it."""
-        return self.statement or self.change
+    def sentence(self) -> str:
+        """What the change would do, in a sentence."""
+        before, after = 1e3 * self.rms_before, 1e3 * self.rms_after
+        unit = "mm"
+        if np.isnan(before):
+            before, after = self.errors_before, self.errors_after
+            unit = "standard deviations"
+        return (
+            f"{self.change} would bring the residuals from {before:.2g} {unit} to "
+            f"{after:.2g} {unit}."
+        )
 
-    @property
-    def squares(self) -> float:
-        """Squares that it leaves, infinite without a simulation.
-
-        Where readings shrink, those that would be left of readings of the old size.
-        """
-        shrunk = max(1.0, 1.0 / self.change.scale) ** 2
-        return np.inf if self.fit is None else self.fit.squares * shrunk
-
-    @property
-    def near(self) -> bool:
-        """Whether the fit is so near to its simulation that it holds."""
-        if self.base is None or self.fit is None:
-            return False
-        n_p = len(self.base.simulated.z)
-        return bool(np.max(np.abs(self.fit.step[:n_p]), initial=0.0) <= NEAR)
+    def __str__(self) -> str:
+        """Write its sentence."""
+        return self.sentence
 
 
 def likely_mistakes(result: CalibrationResult) -> tuple[Mistake, ...]:
@@ -145,31 +117,24 @@ def likely_mistakes(result: CalibrationResult) -> tuple[Mistake, ...]:
     # With what was held out, so that the programs of the fit serve again.
     problem = build_problem(result.model, result.space, poses, result.newton)
     problem = problem.of_first(len(fits))
-    effectors = jax.tree.map(np.asarray, problem.configurations.effectors)
-    readings = readings_of(fits, effectors)
+    on_host = jax.tree.map(np.asarray, problem.configurations.effectors)
+    readings = Readings(fits, on_host)
     refitter = Refitter(result.space, result.noise, readings)
+    W = np.array([fit.W_ep for fit in fits])
+    last = Simulated(np.asarray(result.z), readings.simulated, W)
     with Workers(result.model, len(fits)) as workers:
         simulator = Simulator(problem, workers, [fit.displacement for fit in fits])
-        search = _Search(result, refitter, simulator, _last(result, readings))
+        search = _Search(result, refitter, simulator, last)
         search.run()
     return search.named()
 
 
-def _last(result: CalibrationResult, readings: Readings) -> Simulated:
-    """Return the simulation with which the fit ended."""
-    shape = readings.measured.shape
-    n_p = len(result.z)
-    e, W = np.zeros(shape), np.zeros((*shape, n_p))
-    fits = [fit for fit in result.configurations if fit.role == "calibration"]
-    for c, fit in enumerate(fits):
-        for record in fit.effectors:
-            e[c, record.index, : len(record.std)] = record.simulated
-        W[c] = fit.W_ep
-    return Simulated(np.asarray(result.z), e, W)
-
-
 class _Search:
-    """The changes that were tried, and what they leave."""
+    """The changes that were tried, the first of which is none, and what they leave.
+
+    `as_is` is the best fit to the readings as they are, `fits` are those of the changes
+    whose variant has been simulated, out of all `n_considered`.
+    """
 
     def __init__(
         self,
@@ -178,164 +143,120 @@ class _Search:
         simulator: Simulator,
         last: Simulated,
     ):
-        """Begin with the readings and statements as they are."""
+        """Begin with the readings and statements as they are, at the end of the fit."""
         self.result, self.refitter, self.simulator = result, refitter, simulator
-        self.readings = refitter.readings
-        self.stated: Variant = (Stated(),) * len(self.readings.poses)
-        self.bases = [_Base(last)]
-        self.as_is = _Candidate(as_read(self.readings), self.stated, self.bases)
-        self.tried: list[_Candidate] = []
-        self.n_considered = 0
-        self._refit([self.as_is])
+        self.dof = max(result.uncertainty.degrees_of_freedom, 1)
+        self.changes = [Change("swapped markers", "", 0, refitter.readings.measured)]
+        self.simulated: dict[Variant, list[Simulated]] = {(): [last]}
+        self.n_considered, self._limit = 0, np.inf
+        self._refit()
+        self._limit = CLEARLY * self.as_is.squares
 
     def run(self) -> None:
         """Try all kinds of changes, until one explains the data well."""
-        last = self.bases[0].simulated
-        for change in changes(self.readings, last.e):
-            self.tried.append(_Candidate(change, self.stated, self.bases))
-        self.n_considered = len(self.tried)
+        self.changes += changes(self.refitter.readings)
+        self.n_considered = len(self.changes) - 1
+        self._refit()
         self._descend()
-        if self.enough():
+        if self._enough():
             return
-        start = self._at_start()
+        # About the start of the fit, since a wrong fit says nothing.
+        values = jax.device_put(np.array([p.start for p in self.result.parameters]))
+        z = np.asarray(self.result.space.to_scaled(values))
+        start = self._simulate((), z)
         if start is None:
             return
         self._descend()
-        if self.enough():
-            return
-        self._forces(start)
-        if not self.enough():
-            longer = clamps(self.simulator, self.readings, start.z)
-            self.n_considered += len(longer)
-            self._state(longer)
+        for kind in (forces, clamps):
+            if self._enough():
+                return
+            stated, n_considered = kind(self.simulator, self.refitter, start)
+            self.n_considered += n_considered
+            for change in stated:
+                if self._enough() and change.expected > ALIKE * stated[0].expected:
+                    break
+                self.changes.append(change)
+                if self._simulate(change.variant, change.z) is not None:
+                    self._descend()
 
-    def _forces(self, start: Simulated) -> None:
-        """Try other forces, where superposition about the start says so."""
-        parts = motions_by(self.simulator, self.readings, start)
-        if parts is not None:
-            poses, model = self.simulator.poses, self.result.model
-            every = list(other_forces(self.readings, poses, model))
-            self.n_considered += len(every)
-            self._state(forces(self.refitter, every=every, parts=parts, start=start))
-
-    def enough(self) -> bool:
+    def _enough(self) -> bool:
         """Whether a change explains the data so well that no more are tried."""
         allowed = ENOUGH * self.as_is.squares
         if self.result.uncertainty.noise == "stated":
-            plausible = chdtri(self._freedom(self.as_is), UNLIKELY)
-            allowed = max(allowed, float(plausible))
-        return any(c.squares <= allowed and self._explains(c) for c in self.tried)
-
-    def _at_start(self) -> Simulated | None:
-        """Simulate the start of the fit, about which a wrong fit says nothing."""
-        space = self.result.space
-        values = [p.start for p in self.result.parameters]
-        z = np.asarray(space.to_scaled(jax.device_put(np.array(values))))
-        start = self.simulator(self.stated, z)
-        if start is not None:
-            self.bases.append(_Base(start))
-            self._refit([self.as_is, *self.tried])
-        return start
-
-    def _state(self, statements: Sequence[Statement]) -> None:
-        """Simulate changes of what was stated, and descend from there."""
-        for statement in statements:
-            if self.enough() and statement.expected > ALIKE * statements[0].expected:
-                return
-            simulated = self.simulator(statement.variant, statement.z)
-            if simulated is not None:
-                base, change = _Base(simulated), self.as_is.change
-                self.tried.append(
-                    _Candidate(change, statement.variant, [base], statement)
-                )
-                self._descend()
+            allowed = max(allowed, float(chdtri(self.dof, UNLIKELY)))
+        return any(f.squares <= allowed and self._explains(f) for f in self.fits)
 
     def _descend(self) -> None:
         """Simulate the best fit, until it is one that holds."""
         for _ in range(MOST_SIMULATED):
-            self._refit(self.tried)
-            best = min(self.tried, key=lambda c: c.squares, default=self.as_is)
+            best = min(self.fits, key=lambda fit: fit.squares, default=self.as_is)
             if best.near or best.squares > CLEARLY * self.as_is.squares:
                 return
-            base, fit = best.base, best.fit
-            assert base is not None
-            assert fit is not None
-            z = base.simulated.z + fit.step[: len(base.simulated.z)]
-            simulated = self.simulator(best.variant, z)
-            if simulated is not None:
-                best.bases.append(_Base(simulated))
-                self._refit([self.as_is, *self.tried])
-            if best.base is base:  # it did not get better
-                base.trust *= SHORTER
-                base.fits.clear()
-        self._refit(self.tried)
+            about = best.about
+            self._simulate(best.change.variant, about.z + best.step)
+            if self._best(best.change).about is about:  # it did not get better
+                about.trust *= SHORTER
+                about.fits.clear()
+                self._refit()
 
-    def _refit(self, candidates: Sequence[_Candidate]) -> None:
-        """Fit all candidates about the simulations in which they leave least."""
-        shared = {id(c.bases): c.bases for c in candidates}
-        for key, bases in shared.items():
-            some = [c for c in candidates if id(c.bases) == key]
-            for candidate in some:
-                candidate.fit = None
-            for base in bases:
-                new = [c.change for c in some if id(c.change) not in base.fits]
-                limit = CLEARLY * self.as_is.squares
-                fits = self.refitter.fit(base.simulated, new, base.trust, limit)
-                base.fits |= zip(map(id, new), fits, strict=True)
-                for candidate in some:
-                    fit = base.fits[id(candidate.change)]
-                    if candidate.fit is None or fit.now < candidate.fit.now:
-                        candidate.base, candidate.fit = base, fit
+    def _simulate(self, variant: Variant, z: HostArray) -> Simulated | None:
+        """Simulate a variant, and fit all its changes; None without an equilibrium."""
+        simulated = self.simulator(variant, z)
+        if simulated is not None:
+            self.simulated.setdefault(variant, []).append(simulated)
+            self._refit()
+        return simulated
 
-    def _freedom(self, candidate: _Candidate) -> int:
-        dof = self.result.uncertainty.degrees_of_freedom
-        return max(dof - candidate.change.n_free, 1)
+    def _refit(self) -> None:
+        """Fit what is not fitted yet, about each simulation of its variant."""
+        changes = [c for c in self.changes if c.variant in self.simulated]
+        for variant, simulated in self.simulated.items():
+            of_variant = [c for c in changes if c.variant == variant]
+            for about in simulated:
+                self.refitter.fit(about, of_variant, self._limit)
+        self.as_is, *self.fits = map(self._best, changes)
 
-    def _evidence(self, better: _Candidate, worse: _Candidate) -> float:
+    def _best(self, change: Change) -> Refit:
+        """Return the fit about the simulation in which a change leaves least."""
+        fits = [about.fits[id(change)] for about in self.simulated[change.variant]]
+        return min(fits, key=lambda fit: fit.now)
+
+    def _evidence(self, better: Refit, worse: Refit) -> float:
         """Return the logarithm of the likelihood ratio of two changes [-].
 
         Model error counts as noise.
         """
-        dof = self._freedom(better), self._freedom(worse)
-        squares = [
-            max(c.squares, n * EXACT**2)
-            for c, n in zip((better, worse), dof, strict=True)
-        ]
+        n, m = (max(self.dof - len(fit.along), 1) for fit in (better, worse))
+        squares = max(better.squares, n * EXACT**2)
+        squares_of_worse = max(worse.squares, m * EXACT**2)
         if self.result.uncertainty.noise == "stated":
-            scale = max(squares[0] / dof[0], 1.0)
-            return 0.5 * (squares[1] - squares[0]) / scale
-        ratio = (squares[1] / dof[1]) / (squares[0] / dof[0])
-        return 0.5 * dof[0] * float(np.log(ratio))
+            return 0.5 * (squares_of_worse - squares) / max(squares / n, 1.0)
+        return 0.5 * n * float(np.log((squares_of_worse / m) / (squares / n)))
 
-    def _explains(self, candidate: _Candidate) -> bool:
+    def _explains(self, fit: Refit) -> bool:
         """Whether a change explains the data clearly better."""
         least = float(np.log(max(self.n_considered, 1) / UNLIKELY))
-        clearly = candidate.squares <= CLEARLY * self.as_is.squares
-        likelier = self._evidence(candidate, self.as_is) >= least
-        return candidate.near and clearly and likelier
+        clearly = fit.squares <= CLEARLY * self.as_is.squares
+        return fit.near and clearly and self._evidence(fit, self.as_is) >= least
 
     def named(self) -> tuple[Mistake, ...]:
         """Return the changes that explain the data clearly better."""
-        good = [c for c in self.tried if self._explains(c)]
+        good = [fit for fit in self.fits if self._explains(fit)]
         if not good:
             return ()
-        best = min(good, key=lambda c: c.squares)
-        as_good = [c for c in good if self._evidence(best, c) <= np.log(AS_GOOD)]
-        as_good.sort(key=lambda c: (c.what.rank, c.squares))
-        return tuple(map(self._mistake, as_good[:MOST]))
-
-    def _mistake(self, candidate: _Candidate) -> Mistake:
-        before, after = (
-            (self.refitter.rms(c.base.simulated, c.change, c.fit.step), c)
-            for c in (self.as_is, candidate)
-            if c.base is not None and c.fit is not None
-        )
-        size = lambda c: float(np.sqrt(c.squares / len(self.refitter)))
-        return Mistake(
-            kind=candidate.what.kind,
-            change=candidate.what.words,
-            rms_before=before[0],
-            rms_after=after[0],
-            errors_before=size(before[1]),
-            errors_after=size(after[1]),
+        best = min(good, key=lambda fit: fit.squares)
+        as_good = [f for f in good if self._evidence(best, f) <= np.log(AS_GOOD)]
+        as_good.sort(key=lambda fit: (fit.change.rank, fit.squares))
+        n = np.sum(self.refitter.readings.weight > 0.0)
+        error = lambda fit: float(np.sqrt(fit.squares / n))
+        return tuple(
+            Mistake(
+                kind=fit.change.kind,
+                change=fit.change.words,
+                rms_before=self.refitter.rms(self.as_is),
+                rms_after=self.refitter.rms(fit),
+                errors_before=error(self.as_is),
+                errors_after=error(fit),
+            )
+            for fit in as_good[:MOST]
         )

@@ -5,229 +5,230 @@ of a pose is about the sum of those by gravity, loads and actuation, each in pro
 to its size, and all in inverse proportion to the stiffness.
 """
 
-from collections.abc import Iterator, Sequence
-from itertools import chain
-from typing import NamedTuple
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import chain, product
+from typing import Any
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
+from scipy.spatial import KDTree
 
+from softcal_jax._lanes import lane_of, stacked
 from softcal_jax._typing import Float, HostArray
 from softcal_jax._units import readable_values
+from softcal_jax.calibration import CalibrationProblem, Evaluator
 from softcal_jax.configurations import ConfigurationArrays
-from softcal_jax.equilibrium import Model
-from softcal_jax.fields import ParameterSpace
-from softcal_jax.mistakes._mistake import Kind
-from softcal_jax.mistakes._readings import FACTORS, Readings, by, times
-from softcal_jax.mistakes._refit import Refitter
-from softcal_jax.mistakes._simulator import Simulated, Simulator, Stated, Variant
+from softcal_jax.equilibrium import Workers
+from softcal_jax.mistakes._readings import (
+    FACTORS,
+    Change,
+    Readings,
+    Stated,
+    Variant,
+    scaling,
+)
+from softcal_jax.mistakes._refit import Refitter, Simulated
+from softcal_jax.sensitivity import Response
 
-FORCES = "gravity", "loads", "actuation"
+FORCES: Mapping[str, Callable[[ConfigurationArrays], Any]] = {
+    "gravity": lambda pose: pose.gravity,
+    "loads": lambda pose: pose.loads.force,
+    "actuation": lambda pose: pose.actuation.value,
+}
+"""What deforms a pose."""
 
 GRAVITIES = 1.0, 30.0
 """From the Moon's to Jupiter's [m/s2]."""
 
-MOST_TRIED = 4
-"""Most changes of forces that are simulated."""
+MOST_TRIED, MOST_CLAMPS = 4, 2
+"""Most changes of forces, and most lengths of the clamps, that are simulated."""
 
 BETTER = 0.5
 """Share of the squares that superposition must leave at most, of those now [-]."""
 
-MOST_CLAMPS = 2
-"""Most lengths of the clamps that are tried."""
-
-STILL = 0.05
-"""Largest motion of a marker in a clamp, over that of the one that moves most [-]."""
+STILL, QUIET = 0.05, 3.0
+"""Largest motion of a marker in a clamp, over that of the one that moves most, or over
+the standard deviation of its readings [-]."""
 
 
-QUIET = 3.0
-"""The same over the standard deviation of its readings [-]."""
+class Simulator:
+    """Simulates variants of the poses of a calibration; it keeps what it has solved.
 
-
-class OtherForces(NamedTuple):
-    """A change of forces, see `Statement`."""
-
-    kind: Kind
-    words: str
-    rank: int
-    variant: Variant
-
-
-class Statement(NamedTuple):
-    """What would have been stated without a mistake.
-
-    Attributes:
-        kind: The mistake.
-        words: What would have to change.
-        rank: Position among mistakes that explain the data as well.
-        variant: How each pose would be held and loaded.
-        z: Where to simulate it first, scaled [-].
-        expected: Squares that it should leave, by superposition; nan if not known.
+    `acts` flags the poses in which each of the forces acts that act in any.
     """
 
-    kind: Kind
-    words: str
-    rank: int
-    variant: Variant
-    z: Float[HostArray, " n_p"]
-    expected: float = float("nan")
+    def __init__(
+        self,
+        problem: CalibrationProblem,
+        workers: Workers,
+        displacement: Sequence[Float[HostArray, "n_nodes 3"]],
+    ):
+        """Begin with the displacement of each pose, as it was stated [m]."""
+        self.problem, self.workers = problem, workers
+        self.poses = list(problem.configurations)
+        acting = lambda of: [bool(np.any(np.asarray(of(pose)))) for pose in self.poses]
+        acts = {force: np.array(acting(of)) for force, of in FORCES.items()}
+        self.acts = {force: where for force, where in acts.items() if where.any()}
+        self._done: dict[Hashable, Response] = {}
+        self._near: dict[Hashable, HostArray] = {}
+        if problem.model.n_points == problem.model.mesh.n_nodes:
+            self._near = {(c, Stated()): u for c, u in enumerate(displacement)}
 
+    def held(self, c: int) -> Float[HostArray, "n_held 3"]:
+        """Return the nodes of a pose that are held in place [m]."""
+        points = self.problem.model.mesh.points
+        return points[np.asarray(self.poses[c].fixed)[: len(points)].all(axis=1)]
 
-def acting(poses: Sequence[ConfigurationArrays]) -> dict[str, list[int]]:
-    """Return the poses in which each of the `FORCES` acts."""
-    some = {
-        "gravity": lambda c: c.gravity,
-        "loads": lambda c: c.loads.force,
-        "actuation": lambda c: c.actuation.value,
-    }
-    act = {
-        force: [
-            c for c, pose in enumerate(poses) if np.any(np.asarray(some[force](pose)))
-        ]
-        for force in FORCES
-    }
-    return {force: where for force, where in act.items() if where}
-
-
-def motions_by(
-    simulator: Simulator, readings: Readings, start: Simulated
-) -> dict[str, HostArray] | None:
-    """Split the motion of points at the start by forces, taken off one after another.
-
-    None where a pose has no equilibrium without some of its forces.
-    """
-    n, act = len(readings.poses), acting(simulator.poses)
-    each = [
-        [force for force in reversed(FORCES) if c in act.get(force, ())]
-        for c in range(n)
-    ]
-    parts = {force: np.zeros(start.e.shape) for force in act}
-    e, stated = start.e, [Stated()] * n
-    for k in range(max(map(len, each)) - 1):
-        for c, forces_of_pose in enumerate(each):
-            for force in forces_of_pose[k : len(forces_of_pose) - 1][:1]:
-                stated[c] = stated[c]._replace(**{force: 0.0})
-        without = simulator(tuple(stated), start.z)
-        if without is None:
+    def __call__(self, variant: Variant, z: HostArray) -> Simulated | None:
+        """Simulate all poses at scaled parameters; None if one has no equilibrium."""
+        lanes = list(enumerate(variant or (Stated(),) * len(self.poses)))
+        todo = [lane for lane in lanes if (lane, z.tobytes()) not in self._done]
+        for is_near in (True, False):
+            self._solve([k for k in todo if (k in self._near) == is_near], z)
+        every = stacked([self._done[lane, z.tobytes()] for lane in lanes])
+        if not np.all(np.asarray(every.ok) & np.asarray(every.equilibrium.converged)):
             return None
-        for c, forces_of_pose in enumerate(each):
-            if k < len(forces_of_pose) - 1:
-                parts[forces_of_pose[k]][c] = e[c] - without.e[c]
-        e = without.e
-    for c, forces_of_pose in enumerate(each):
-        if forces_of_pose:
-            parts[forces_of_pose[-1]][c] = e[c] - readings.at_rest[c]
-    return {force: part * readings.of_points for force, part in parts.items()}
+        e = np.asarray(every.effectors)
+        return Simulated(z, e, np.asarray(every.W_ep).reshape(*e.shape, -1))
+
+    def _solve(self, lanes: Sequence[tuple[int, Stated]], z: HostArray) -> None:
+        """Solve poses, all from a state of the same variant or all from rest."""
+        if not lanes:
+            return
+        posed = stacked([self._posed(*lane) for lane in lanes])
+        problem = replace(self.problem, configurations=posed, noise=None)
+        evaluate, on_device = Evaluator(problem, self.workers), jax.device_put(z)
+        if lanes[0] in self._near:
+            near = jax.device_put(np.stack([self._near[lane] for lane in lanes]))
+            response = evaluate(on_device, near).response
+        else:
+            response = evaluate.from_rest(on_device).response
+        for k, lane in enumerate(lanes):
+            one = self._done[lane, z.tobytes()] = lane_of(response, k)
+            if bool(one.equilibrium.converged):
+                self._near[lane] = np.asarray(one.equilibrium.displacement)
+
+    def _posed(self, c: int, stated: Stated) -> ConfigurationArrays:
+        """Change the arrays of a pose."""
+        pose, points = self.poses[c], self.problem.model.mesh.points
+        fixed = np.array(pose.fixed)
+        if stated.depth > 0.0:
+            distance, _ = KDTree(self.held(c)).query(points)
+            fixed[: len(points)] |= (distance <= stated.depth)[:, None]
+        values = [getattr(stated, f) * np.asarray(of(pose)) for f, of in FORCES.items()]
+        where = lambda pose: (pose.fixed, *(of(pose) for of in FORCES.values()))
+        return eqx.tree_at(where, pose, jax.device_put((fixed, *values)))
 
 
 def forces(
-    refitter: Refitter,
-    *,
-    every: Sequence[OtherForces],
-    parts: dict[str, HostArray],
-    start: Simulated,
-) -> list[Statement]:
-    """Return those of the changes of forces that are worth a simulation, best first."""
+    simulator: Simulator, refitter: Refitter, start: Simulated
+) -> tuple[list[Change], int]:
+    """Return the changes of forces that are worth a simulation, the best first.
+
+    With the number of all that were considered; none where superposition fails.
+    """
     readings, space = refitter.readings, refitter.space
+    parts = _motions(simulator, readings, start)
+    if parts is None:
+        return [], 0
     weight = readings.weight * readings.of_points
     in_noise = lambda motion: refitter.whiten(np.ravel(weight * motion)[:, None])[:, 0]
     measured = in_noise(readings.measured - readings.at_rest)
     by_force = {force: in_noise(part) for force, part in parts.items()}
-    shares = _shares(space, start.z)
-    in_pose = np.ravel(np.indices(weight.shape)[0])
+    pose_of = np.ravel(np.indices(weight.shape)[0])
+    # Stiffness is in proportion to what is on a log scale, within its bounds.
+    logarithmic = [q.scale == "log" for q in space.parameters]
+    moduli = np.array(space.sets_fields) & np.array(logarithmic)
+    down, up = (np.abs(room)[moduli] for room in space.room(jnp.asarray(start.z)))
+    shares = np.exp(-np.min(up, initial=np.inf)), np.exp(np.min(down, initial=np.inf))
+    shares = shares if moduli.any() else (1.0, 1.0)
 
-    def left(variant: Variant) -> tuple[float, float]:
-        """Return the squares that superposition leaves, and the share of the motion."""
-        size = {f: np.array([getattr(s, f) for s in variant])[in_pose] for f in parts}
-        motion = np.sum([size[f] * by_force[f] for f in parts], axis=0)
-        share = float(
-            np.clip(motion @ measured / max(motion @ motion, 1e-300), *shares)
-        )
-        return float(np.sum((measured - share * motion) ** 2)), share
+    def expected(change: Change) -> Change:
+        """Tell where to simulate a change, and the squares that it should leave."""
+        motion = np.zeros(len(pose_of))
+        for force, part in by_force.items():
+            size = np.array([getattr(stated, force) for stated in change.variant])
+            motion += size[pose_of] * part
+        share = np.clip(motion @ measured / max(motion @ motion, 1e-300), *shares)
+        z = np.where(moduli, start.z - np.log(max(share, 1e-300)), start.z)
+        squares = float(np.sum((measured - share * motion) ** 2))
+        return change._replace(z=z, expected=squares)
 
-    now, _ = left((Stated(),) * len(readings.poses))
-    tried = []
-    for kind, words, rank, variant in every:
-        squares, share = left(variant)
-        if squares < BETTER * now:
-            z = _softer(space, start.z, share)
-            tried.append(Statement(kind, words, rank, variant, z, squares))
-    return sorted(tried, key=lambda one: (one.expected, one.rank))[:MOST_TRIED]
+    as_is = Change("wrong sign", "", 0, readings.measured)
+    as_is = expected(as_is._replace(variant=(Stated(),) * len(readings.poses)))
+    every = list(map(expected, _other_forces(simulator, readings)))
+    tried = [change for change in every if change.expected < BETTER * as_is.expected]
+    tried.sort(key=lambda change: (change.expected, change.rank))
+    return tried[:MOST_TRIED], len(every)
 
 
-def other_forces(
-    readings: Readings, poses: Sequence[ConfigurationArrays], model: Model
-) -> Iterator[OtherForces]:
+def _motions(
+    simulator: Simulator, readings: Readings, start: Simulated
+) -> dict[str, Float[HostArray, "n_c n_rows 3"]] | None:
+    """Split the motion of points at the start by forces, taken off one after another.
+
+    None where a pose has no equilibrium without some of its forces.
+    """
+    acts, parts, e = simulator.acts, {}, start.e
+    left, variant = sum(acts.values()), [Stated()] * len(readings.poses)
+    for force, on in reversed(acts.items()):
+        off = on & (left > 1)  # the last one left takes the robot to rest
+        for c in np.flatnonzero(off):
+            variant[c] = variant[c]._replace(**{force: 0.0})
+        without = simulator(tuple(variant), start.z)
+        if without is None:
+            return None
+        rest = np.where(off[:, None, None], without.e, readings.at_rest)
+        parts[force] = (e - rest) * (on[:, None, None] & readings.of_points)
+        e, left = without.e, left - on
+    return parts
+
+
+def _other_forces(simulator: Simulator, readings: Readings) -> Iterator[Change]:
     """Yield all changes of forces: in all poses, and in one.
 
     Cables only pull, and gravity stays one of a planet.
     """
-    n, act = len(poses), acting(poses)
-    one_way = bool(np.any(model.mechanism.actuators.unilateral))
-    size = [float(np.linalg.norm(np.asarray(pose.gravity))) for pose in poses]
+    poses = range(len(readings.poses))
+    one_way = np.any(simulator.problem.model.mechanism.actuators.unilateral)
+    size = np.linalg.norm(simulator.problem.configurations.gravity, axis=1)
     factors = [-1.0, *chain(*((f, 1.0 / f) for f in FACTORS))]
-    each = (
-        (force, scope, f)
-        for force in act
-        for scope in _scopes(act[force])
-        for f in factors
-    )
-    for force, scope, factor in each:
-        sign, everywhere = factor < 0.0, len(scope) == len(act[force])
-        on_planet = all(GRAVITIES[0] <= factor * size[c] <= GRAVITIES[1] for c in scope)
-        if sign and force == "actuation" and one_way:
-            continue
-        if not sign and force == "gravity" and not on_planet:
-            continue
-        what = force if force == "gravity" else f"the {force}"
-        place = readings.in_words(range(n) if everywhere else scope)
-        words = f"Reversing {what}{place}"
-        if not sign:
-            words = f"{times(factor)} {what}{by(factor)}{place}"
-        # The weight of a mass is the commoner slip than a factor of ten.
-        rank = 4 if sign else 6 + (factor in (10.0, 0.1))
-        changed = Stated(**{force: factor})
-        yield OtherForces(
-            kind="wrong sign" if sign else "wrong factor",
-            words=words,
-            rank=rank + 2 * (not everywhere),
-            variant=tuple(changed if c in scope else Stated() for c in range(n)),
-        )
-
-
-def _scopes(where: list[int]) -> list[list[int]]:
-    """Return all poses in which a force acts, and each of several."""
-    return [where, *([c] for c in where if len(where) > 1)]
-
-
-def _moduli(space: ParameterSpace) -> HostArray:
-    """Flag the parameters to which stiffness is in proportion: those on a log scale."""
-    fields = np.array(space.sets_fields)
-    return fields & np.array([q.scale == "log" for q in space.parameters])
-
-
-def _shares(space: ParameterSpace, z: HostArray) -> tuple[float, float]:
-    """Return limits of the motion over that at z, by the bounds of the moduli [-]."""
-    moduli = _moduli(space)
-    if not moduli.any():
-        return 1.0, 1.0
-    down = np.min((z - np.asarray(space.lower()))[moduli])
-    up = np.min((np.asarray(space.upper()) - z)[moduli])
-    return float(np.exp(-max(up, 0.0))), float(np.exp(max(down, 0.0)))
-
-
-def _softer(space: ParameterSpace, z: HostArray, share: float) -> HostArray:
-    """Return parameters at which the motion is about `share` of that at z."""
-    return np.where(_moduli(space), z - np.log(max(share, 1e-300)), z)
+    for force, acts in simulator.acts.items():
+        where = np.flatnonzero(acts).tolist()
+        scopes = [where, *([c] for c in where if len(where) > 1)]
+        for scope, factor in product(scopes, factors):
+            sign, everywhere = factor < 0.0, scope is where
+            what = force if force == "gravity" else f"the {force}"
+            place = readings.in_words(poses if everywhere else scope)
+            if sign and force == "actuation" and one_way:
+                continue
+            g = factor * size[scope]
+            if not sign and force == "gravity" and np.any(g != np.clip(g, *GRAVITIES)):
+                continue
+            words = f"Reversing {what}" if sign else scaling(factor, what)
+            # The weight of a mass is the commoner slip than a factor of ten.
+            rank = 4 if sign else 6 + (factor in (10.0, 0.1))
+            stated = Stated(**{force: factor})
+            yield Change(
+                kind="wrong sign" if sign else "wrong factor",
+                words=words + place,
+                rank=rank + 2 * (not everywhere),
+                measured=readings.measured,
+                variant=tuple(stated if c in scope else Stated() for c in poses),
+            )
 
 
 def clamps(
-    simulator: Simulator, readings: Readings, z: Float[HostArray, " n_p"]
-) -> list[Statement]:
-    """Return clamps that reach up to a marker that did not move."""
+    simulator: Simulator, refitter: Refitter, start: Simulated
+) -> tuple[list[Change], int]:
+    """Return clamps that reach up to a marker that did not move, and their number."""
+    readings = refitter.readings
     moved, noise, depth = dict[str, float](), dict[str, float](), dict[str, float]()
-    points = simulator.problem.model.mesh.points
     for c, of_pose in enumerate(readings.points):
-        held = points[simulator.distance[c][: len(points)] == 0.0]
+        held = simulator.held(c)
         for name, e in of_pose.items():
             off = float(np.linalg.norm(e.error(e.at_rest)))
             moved[name] = max(moved.get(name, 0.0), off)
@@ -235,19 +236,18 @@ def clamps(
             if len(held):
                 gap = float(np.linalg.norm(held - e.at_rest, axis=1).min())
                 depth[name] = min(depth.get(name, np.inf), gap)
-    farthest = max(moved.values(), default=0.0)
+    still = STILL * max(moved.values(), default=0.0)
     markers = {
         gap: name
         for name, gap in depth.items()
         if 0.0 < gap < max(depth.values())
-        and moved[name] <= max(STILL * farthest, QUIET * noise[name])
+        and moved[name] <= max(still, QUIET * noise[name])
     }
-    statements = []
+    tried = []
     for gap in sorted(markers)[-MOST_CLAMPS:]:
-        words = (
-            f"Clamping the body {readable_values([gap], 'm', digits=3)} farther, up to "
-            f"marker {markers[gap]},"
-        )
-        longer = (Stated(depth=(1.0 + 1e-6) * gap),) * len(readings.poses)
-        statements.append(Statement("longer clamp", words, 10, longer, z))
-    return statements
+        farther = readable_values([gap], "m", digits=3)
+        words = f"Clamping the body {farther} farther, up to marker {markers[gap]},"
+        change = Change("longer clamp", words, 10, readings.measured, z=start.z)
+        stated = Stated(depth=(1.0 + 1e-6) * gap)
+        tried.append(change._replace(variant=(stated,) * len(readings.poses)))
+    return tried, len(tried)

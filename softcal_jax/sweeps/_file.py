@@ -53,54 +53,6 @@ _EXPECTED = {
 _QUANTITY = re.compile(r"\s*([+-]?[\d.]+(?:[eE][+-]?\d+)?)\s*(.*?)\s*")
 
 
-class CountTable(Table):
-    """Numbers from 1 to `count`."""
-
-    count: Integer = Field(ge=1)
-
-    def values(self, poses: Sequence[str]) -> Sequence[Any]:
-        PLANNED.check(f"count = {self.count}", self.count)
-        return range(1, self.count + 1)
-
-
-class ChooseTable(Table):
-    """All subsets of one size."""
-
-    choose: Integer
-
-    def values(self, poses: Sequence[str]) -> Sequence[Any]:
-        if not 1 <= self.choose <= len(poses):
-            raise ValueError(
-                f"choose = {self.choose}, but the project has {len(poses)} "
-                "configurations with the role calibration: "
-                f"{', '.join(poses)}."
-            )
-        n = math.comb(len(poses), self.choose)
-        TRIALS.check(f"choose = {self.choose} of {len(poses)}", n)
-        return [list(subset) for subset in itertools.combinations(poses, self.choose)]
-
-
-class RangeTable(Table):
-    """All values between two ends, for a sample."""
-
-    low: Any
-    high: Any
-    scale: Literal["linear", "log"] = "linear"
-
-    def values(self, poses: Sequence[str]) -> Range:
-        ends = [self.low, self.high]
-        if all(map(is_number, ends)):
-            return Range(float(self.low), float(self.high), self.scale)
-        parts = [_QUANTITY.fullmatch(str(end)) for end in ends]
-        if parts[0] is None or parts[1] is None or parts[0][2] != parts[1][2]:
-            raise ValueError(
-                f"got {self.low} and {self.high}; expected two numbers, or two "
-                'quantities in the same unit, like "100 kPa" and "300 kPa".'
-            )
-        low, high = (float(part[1]) for part in parts if part is not None)
-        return Range(low, high, self.scale, f"{{:.9g}} {parts[0][2]}")
-
-
 class SweepTable(Table):
     """A whole sweep file; a message on a missing key quotes its description."""
 
@@ -314,31 +266,64 @@ def axis_values(
     `layouts` are the names of the file's layouts, `poses` those of the project's
     configurations with the role calibration.
     """
-    if axis not in OWN_AXES and "." not in axis:
+    is_key = axis not in OWN_AXES
+    if is_key and "." not in axis:
         raise ValueError(
             f"unknown axis.{suggestion(axis, OWN_AXES)} Known: {', '.join(OWN_AXES)}, "
             'or a key of the project file, like "material.nu".'
         )
+    number = lambda value, least: type(value) is int and value >= least
+    scales = {}, {"scale": "linear"}, {"scale": "log"}
+    match given:
+        case {"count": n, **rest} if axis in REPEATS and number(n, 1) and not rest:
+            PLANNED.check(f"count = {n}", n)
+            return range(1, n + 1)
+        case {"choose": n, **rest} if (
+            axis == "configurations" and type(n) is int and not rest
+        ):
+            return _subsets(n, poses)
+        case {"low": low, "high": high, **rest} if is_key and rest in scales:
+            return _range(low, high, **rest)
+        case [_, *_] if axis == "layout":
+            check_known("layout", layouts, *given)
+            return given
+        case [_, *_] if axis == "configurations" and all(map(_is_subset, given)):
+            names = itertools.chain(*given)
+            check_known("configuration with the role calibration", poses, *names)
+            # In the project's order, so that [a, b] and [b, a] are the same trial.
+            return [[name for name in poses if name in subset] for subset in given]
+        case [_, *_] if is_key or (
+            axis in REPEATS and all(number(n, 0) for n in given)
+        ):
+            return given
     usual = "a list of values, or { low = 1, high = 2 }"
-    wrong = ValueError(f"got {given}; expected {_EXPECTED.get(axis, usual)}.")
-    if isinstance(given, dict) and axis != "layout":
-        kinds = {"configurations": ChooseTable, **dict.fromkeys(REPEATS, CountTable)}
-        try:
-            table = kinds.get(axis, RangeTable).model_validate(given)
-        except ValueError as error:
-            raise wrong from error
-        return table.values(poses)
-    if not isinstance(given, list) or not given:
-        raise wrong
-    if axis in REPEATS and not all(type(draw) is int and draw >= 0 for draw in given):
-        raise wrong
-    if axis == "layout":
-        check_known("layout", layouts, *given)
-    if axis != "configurations":
-        return given
-    for subset in given:
-        if not isinstance(subset, list) or not subset:
-            raise wrong
-        check_known("configuration with the role calibration", poses, *subset)
-    # In the project's order, so that [a, b] and [b, a] are the same trial.
-    return [[name for name in poses if name in subset] for subset in given]
+    raise ValueError(f"got {given}; expected {_EXPECTED.get(axis, usual)}.")
+
+
+def _is_subset(given: Any) -> bool:
+    return isinstance(given, list) and bool(given)
+
+
+def _subsets(size: int, poses: Sequence[str]) -> list[list[str]]:
+    """Return all subsets of poses of one size."""
+    if not 1 <= size <= len(poses):
+        raise ValueError(
+            f"choose = {size}, but the project has {len(poses)} configurations with "
+            f"the role calibration: {', '.join(poses)}."
+        )
+    n = math.comb(len(poses), size)
+    TRIALS.check(f"choose = {size} of {len(poses)}", n)
+    return [list(subset) for subset in itertools.combinations(poses, size)]
+
+
+def _range(low: Any, high: Any, scale: Literal["linear", "log"] = "linear") -> Range:
+    """Return all values between two numbers, or two quantities in the same unit."""
+    if is_number(low) and is_number(high):
+        return Range(float(low), float(high), scale)
+    first, last = (_QUANTITY.fullmatch(str(end)) for end in (low, high))
+    if first is None or last is None or first[2] != last[2]:
+        raise ValueError(
+            f"got {low} and {high}; expected two numbers, or two quantities in the "
+            'same unit, like "100 kPa" and "300 kPa".'
+        )
+    return Range(float(first[1]), float(last[1]), scale, f"{{:.9g}} {first[2]}")

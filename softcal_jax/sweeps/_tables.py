@@ -47,6 +47,23 @@ def default_figures(result: SweepResult) -> tuple[str, ...]:
     return tuple(f for f in result.figure_names if result.numbers(f).size)
 
 
+def _chosen(
+    result: SweepResult, figures: Sequence[str] | None, most: int
+) -> Sequence[str]:
+    """Return figures by their names, or the first few."""
+    if figures is None:
+        return default_figures(result)[:most]
+    return [result.figure(name) for name in figures]
+
+
+def _places(rows: Sequence[TrialRow], axis: str) -> list[float] | list[str]:
+    """Return where trials stand on an axis: as numbers if all are, else in words."""
+    values = [row.point[axis] for row in rows]
+    if all(map(is_number, values)):
+        return list(map(float, values))
+    return list(map(shown, values))
+
+
 def sweep_table(
     result: SweepResult,
     *,
@@ -72,9 +89,7 @@ def sweep_table(
     from rich.console import Group as Printed
     from rich.text import Text
 
-    chosen = default_figures(result)[:MOST_COLUMNS]
-    if figures is not None:
-        chosen = [result.figure(name) for name in figures]
+    chosen = _chosen(result, figures, MOST_COLUMNS)
     grouped = result.groups(by)
     parts: list[Any] = [Text(f"{result.name}: {result.headline}", style="bold")]
     if not result.rows:
@@ -96,33 +111,6 @@ def sweep_table(
     return Printed(*parts, *bad)
 
 
-def _leading_columns(
-    result: SweepResult, lines: Lines
-) -> tuple[list[tuple[str, list[str]]], list[str]]:
-    """Return columns of the axes and of how lines ended, and which hold words."""
-    rows = [line for line in lines if isinstance(line, TrialRow)]
-    groups = [line for line in lines if isinstance(line, Group)]
-    points = [row.point for row in rows] + [group.values for group in groups]
-    axes = groups[0].values if groups else result.axes
-    columns = [(axis, [shown(point[axis]) for point in points]) for axis in axes]
-    words = [a for a in axes if not all(is_number(point[a]) for point in points)]
-    if not groups:
-        columns.append(("outcome", [row.state for row in rows]))
-        columns.append(("time [s]", [f"{row.seconds:.1f}" for row in rows]))
-        return columns, [*words, "outcome"]
-    counts = {
-        "trials": [len(g.rows) for g in groups],
-        "not converged": [g.count("not converged") for g in groups],
-        "failed": [g.count("failed") for g in groups],
-        "to do": [g.missing for g in groups],
-    }
-    return columns + [
-        (name, list(map(str, numbers)))
-        for name, numbers in counts.items()
-        if name == "trials" or any(numbers)
-    ], words
-
-
 def _cell(line: Group | TrialRow, figure: str, factor: float) -> str:
     """Write a figure of a trial, or its mean over the trials of a group."""
     if isinstance(line, Group):
@@ -140,14 +128,30 @@ def tabulated(
     tones: Sequence[Tone] = (),
 ) -> TextTable:
     """Tabulate figures of some trials, or their means over groups of trials."""
-    columns, words = _leading_columns(result, lines)
+    rows = [line for line in lines if isinstance(line, TrialRow)]
+    groups = [line for line in lines if isinstance(line, Group)]
+    points = [row.point for row in rows] + [group.values for group in groups]
+    axes = groups[0].values if groups else result.axes
+    columns = [(axis, [shown(point[axis]) for point in points]) for axis in axes]
+    if groups:
+        counts = {
+            "trials": [len(group.rows) for group in groups],
+            "not converged": [group.count("not converged") for group in groups],
+            "failed": [group.count("failed") for group in groups],
+            "to do": [group.missing for group in groups],
+        }
+        used = {name: n for name, n in counts.items() if name == "trials" or any(n)}
+        columns += [(name, list(map(str, numbers))) for name, numbers in used.items()]
+    else:
+        columns.append(("outcome", [row.state for row in rows]))
+        columns.append(("time [s]", [f"{row.seconds:.1f}" for row in rows]))
     for figure in figures:
         factor, head = readable_figure(result, figure)
         columns.append((head, [_cell(line, figure, factor) for line in lines]))
     heads, texts = zip(*columns, strict=True)
-    of_rows: Sequence[Tone] = tones or ("plain",) * len(lines)
-    toned = zip(zip(*texts, strict=True), of_rows, strict=True)
-    cells = [[Cell(text, tone) for text in row] for row, tone in toned]
+    toned = zip(*texts, tones or ("plain",) * len(lines), strict=True)
+    cells = [[Cell(text, tone) for text in row] for *row, tone in toned]
+    words = [a for a in axes if not all(is_number(point[a]) for point in points)]
     return text_table(title, heads, cells, words=words)
 
 
@@ -199,18 +203,13 @@ def plot_sweep(
     Raises:
         ValueError: If there is no such axis or figure, or no trial has converged.
     """
-    chosen = default_figures(result)[:MOST_PANELS]
-    if figures is not None:
-        chosen = [result.figure(name) for name in figures]
     rows, panels = result.rows, {}
-    for figure in chosen:
+    for figure in _chosen(result, figures, MOST_PANELS):
         factor, label = readable_figure(result, figure)
         panels[label] = factor * figure_values(rows, figure)
     columns = {}
     for axis in result.grouping(by):
-        values = [row.point[axis] for row in rows]
-        numbers = all(map(is_number, values))
-        columns[axis] = [float(v) if numbers else shown(v) for v in values]
+        columns[axis] = _places(rows, axis)
     good = len(result.of_state("converged"))
     lost = len(rows) - good
     plot_trials(
@@ -327,8 +326,6 @@ def swept_axes(result: SweepResult, figures: Sequence[str]) -> Iterator[SweptAxi
         if np.nanmax(values) > np.nanmin(values):  # else there is nothing to see
             drawn[label] = values
     for axis in result.axes:
-        where: list[Any] = [row.point[axis] for row in good]
-        if not all(map(is_number, where)):
-            where = list(map(shown, where))
+        where = _places(good, axis)
         if drawn and len(set(where)) > 1:
             yield SweptAxis(axis, where, drawn)

@@ -7,9 +7,9 @@ import signal
 import threading
 import uuid
 from collections import Counter, deque
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING, Any
@@ -45,28 +45,22 @@ _ONE_AT_A_TIME = threading.Lock()
 """Held while a trial runs: threads share compiled programs and the solvers' factors."""
 
 
-@dataclass(frozen=True)
-class WorkerSetup:
-    """Settings with which a worker computes like the process that runs the sweep."""
+def set_up(*, x64: bool, sweep: str) -> None:
+    """Make this process compute like the sweep's, whose version is to be the same."""
+    installed = version("softcal-jax")
+    if installed != sweep:
+        raise RuntimeError(
+            f"the worker has softcal_jax {installed}, the sweep {sweep}: rows would "
+            "not belong together. Install the same version on both."
+        )
+    jax.config.update("jax_enable_x64", x64)
+    use_compilation_cache(quickly=False)
 
-    x64: bool
-    version: str
 
-    @classmethod
-    def of_this_process(cls) -> "WorkerSetup":
-        """Return the settings of this process."""
-        return cls(bool(jax.config.read("jax_enable_x64")), version("softcal-jax"))
-
-    def apply(self) -> None:
-        """Apply the settings to this process, which must have the same version."""
-        installed = version("softcal-jax")
-        if installed != self.version:
-            raise RuntimeError(
-                f"the worker has softcal_jax {installed}, the sweep {self.version}: "
-                "rows would not belong together. Install the same version on both."
-            )
-        jax.config.update("jax_enable_x64", self.x64)
-        use_compilation_cache(quickly=False)
+def _like_this_process() -> Callable[[], None]:
+    """Return what a worker calls before it computes."""
+    x64 = bool(jax.config.read("jax_enable_x64"))
+    return partial(set_up, x64=x64, sweep=version("softcal-jax"))
 
 
 @contextmanager
@@ -143,7 +137,7 @@ class _Worker:
         self.connection, other = _SPAWN.Pipe()
         self.process = _SPAWN.Process(
             target=_work,
-            args=(other, function, WorkerSetup.of_this_process()),
+            args=(other, function, _like_this_process()),
             daemon=True,
         )
         with threads_of_children(cores):
@@ -200,11 +194,11 @@ class _Worker:
         self.process.close()
 
 
-def _work(connection: Connection, function: bytes, setup: WorkerSetup) -> None:
+def _work(connection: Connection, function: bytes, setup: Callable[[], None]) -> None:
     """Run trials in a worker process until the connection closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    setup.apply()
+    setup()
     try:
         call = pickle.loads(function)
     except Exception as error:  # whatever an import can raise
@@ -243,7 +237,7 @@ def dask_rows(
     client = _connect(address)
     from distributed import as_completed
 
-    setup, run = WorkerSetup.of_this_process(), uuid.uuid4().hex[:8]
+    setup, run = _like_this_process(), uuid.uuid4().hex[:8]
     with client:
         try:
             # New keys, since a scheduler may still know those of a killed run.
@@ -295,8 +289,8 @@ def _connect(address: str) -> "distributed.Client":
         ) from error
 
 
-def _run(function: TrialFunction, trial: Trial, setup: WorkerSetup) -> TrialRow:
+def _run(function: TrialFunction, trial: Trial, setup: Callable[[], None]) -> TrialRow:
     """Run a trial on a worker of the cluster."""
     with _ONE_AT_A_TIME:
-        setup.apply()
+        setup()
         return run_trial(function, trial)

@@ -24,7 +24,7 @@ from softcal_jax.configurations import (
     ImposedForce,
     configuration_arrays,
 )
-from softcal_jax.control import _descent, with_inputs
+from softcal_jax.control import _search, with_inputs
 from softcal_jax.equilibrium import (
     Model,
     NewtonSettings,
@@ -93,7 +93,7 @@ def solved(model, configuration, value):
     """Equilibrium for one actuation and what follows, by the programs of the search."""
     lane = with_inputs(configuration, jnp.asarray(value))
     solution = solve_equilibrium(model, lane, settings=TIGHT)
-    return solution, _descent._readings(model, lane, solution)
+    return solution, _search._readings(model, lane, solution)
 
 
 def tips(configuration: Configuration, inputs):

@@ -16,7 +16,7 @@ from rows import substance
 from wording import says
 
 from softcal_jax.sweeps import grid, read_sweep, run_sweep
-from softcal_jax.sweeps._worker import WorkerSetup
+from softcal_jax.sweeps._worker import set_up
 
 
 @pytest.fixture(scope="module")
@@ -186,9 +186,8 @@ def test_workers_compute_as_this_process_does(tmp_path):
 
 
 def test_workers_of_another_version_are_refused():
-    setup = WorkerSetup(x64=True, version="0.0.1")
     with pytest.raises(RuntimeError, match=r" 0\.0\.1: .*Install the same version"):
-        setup.apply()
+        set_up(x64=True, sweep="0.0.1")
 
 
 def test_functions_that_cannot_be_sent(tmp_path):
