@@ -69,11 +69,11 @@ def write_vtu(
         owner = np.zeros(mesh.n_nodes)
         owner[bodies.attached] = bodies.body + 1.0
         grid.point_data["rigid_body"] = owner
-    cauchy = symmetric_part(states.cauchy)
+    cauchy = _symmetric_part(states)
     stress = np.stack([cauchy[:, i, j] for i, j in _SYMMETRIC.values()], axis=1)
     _add(grid, "cauchy_stress", stress, tuple(_SYMMETRIC))
     _add(grid, "principal_stretches", principal_stretches(states), ("1", "2", "3"))
-    grid.cell_data["strain_energy_density"] = states.energy / volumes(mesh)
+    grid.cell_data["strain_energy_density"] = np.asarray(states.energy) / volumes(mesh)
     fields = tet_fields(model, standard_errors or {}) | fibre_directions(model)
     for name, values in fields.items():
         grid.cell_data[name] = values
@@ -229,9 +229,10 @@ def principal_stretches(states: TetStates) -> Float[HostArray, "n_tets 3"]:
     return np.linalg.svd(states.F, compute_uv=False).mean(axis=1)
 
 
-def symmetric_part(stress: Float[HostArray, "n_tets 3 3"]) -> HostArray:
-    """Return the symmetric part of a stress, which not every law keeps symmetric."""
-    return 0.5 * (stress + np.swapaxes(stress, 1, 2))
+def _symmetric_part(states: TetStates) -> Float[HostArray, "n_tets 3 3"]:
+    """Return the symmetric part of the stress, which not every law keeps symmetric."""
+    cauchy = np.asarray(states.cauchy)
+    return 0.5 * (cauchy + np.swapaxes(cauchy, 1, 2))
 
 
 def von_mises_stress(states: TetStates) -> Float[HostArray, " n_tets"]:
@@ -240,7 +241,7 @@ def von_mises_stress(states: TetStates) -> Float[HostArray, " n_tets"]:
     It is sqrt(3/2 s : s) with the deviatoric part s, so without the pressure, which
     is uneven over the tets of a nearly incompressible law.
     """
-    cauchy = symmetric_part(states.cauchy)
+    cauchy = _symmetric_part(states)
     s = cauchy - np.trace(cauchy, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 3.0
     return np.sqrt(1.5 * np.sum(s * s, axis=(1, 2)))
 
