@@ -26,8 +26,7 @@ from softcal_jax.bodies import Vector, as_floats, three_numbers
 _COINCIDENT = 1e-9
 """Distance at which guides coincide, relative to the extent of the cable [-]."""
 
-_IN_LINE = 1e-12
-"""Sine of the angle at a guide below which the angle is only rounding."""
+_IN_LINE = 1e-12  # sine of the angle at a guide below which the angle is only rounding
 
 
 class Guide(Module):

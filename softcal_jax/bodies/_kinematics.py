@@ -22,8 +22,7 @@ from softcal_jax.bodies._body import (
 # Squared angle below which the series are exact to rounding [rad2].
 _SMALL = 1e-4
 
-_HINGED = 2
-"""Axis of a frame, of three, about which a hinge turns."""
+_HINGED = 2  # axis of a frame, of three, about which a hinge turns
 
 WIND = 0.05
 """Singular value of a screw below which its strain is no longer followed [-]."""

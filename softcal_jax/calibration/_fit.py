@@ -58,8 +58,7 @@ from softcal_jax.inference import (
 )
 from softcal_jax.unknowns import compile_considered, considered_errors
 
-BUDGET = "the error budget"
-"""What is left out of the answer so far."""
+BUDGET = "the error budget"  # what is left out of the answer so far
 
 
 class Watch(NamedTuple):

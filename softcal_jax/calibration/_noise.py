@@ -42,8 +42,7 @@ from softcal_jax.unknowns import (
 ((OFFSETS, _OFFSET),) = ((k, q) for k, q in QUANTITIES.items() if q.role == "noise")
 """The kind of unknown that is part of the noise: an offset of each recording."""
 
-RECORDINGS = _OFFSET.uncertain
-"""Name of the offsets of recordings in the budget."""
+RECORDINGS = _OFFSET.uncertain  # name of the offsets of recordings in the budget
 
 AnyArray = Array | HostArray
 

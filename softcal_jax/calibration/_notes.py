@@ -36,14 +36,12 @@ from softcal_jax.inference import (
     predicted_by_others,
 )
 
-FEWEST = 3
-"""Fewest configurations of which one is left out and predicted by the others."""
+FEWEST = 3  # fewest configurations of which one is left out and predicted by the others
 
 FAR = 0.25
 """Share of the motion by which a prediction may be off, where no std is stated [-]."""
 
-EQUAL = 1e-6
-"""Difference of scaled parameters below which they count as equal [-]."""
+EQUAL = 1e-6  # difference of scaled parameters below which they count as equal [-]
 
 
 class LeftOut(Module):

@@ -24,17 +24,13 @@ ROW_SHIFT = 1e-8
 PENALTY = 1e4
 """Cost of violating rows, above the sum of the multipliers of unit data [-]."""
 
-SLIGHT = 1e-7
-"""Violation of a row that BoxOSQP may leave, for unit data [-]."""
+SLIGHT = 1e-7  # violation of a row that BoxOSQP may leave, for unit data [-]
 
 ROUNDING = 1e-14
 """Largest multiplier of the wrong sign that counts as rounding, for unit data [-]."""
 
-SOLVED = 1e-12
-"""Optimality residual at which a point is not polished any further [-]."""
-
-FLATTEST = 1e-8
-"""Smallest curvature of the convex model, relative to the largest [-]."""
+SOLVED = 1e-12  # optimality residual at which a point is not polished any further [-]
+FLATTEST = 1e-8  # smallest curvature of the convex model, relative to the largest [-]
 
 
 class QPStep(NamedTuple):

@@ -20,8 +20,7 @@ from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import PRECISION, ParameterSpace
 from softcal_jax.inference import ErrorBudget, LinearModel, Uncertainty
 
-MOST_OPTIMA = 5
-"""Most optima that are listed; the others are only counted."""
+MOST_OPTIMA = 5  # most optima that are listed; the others are only counted
 
 SKEWED = 1.8
 """Ratio of the halves of an interval from which on no value +- error is shown [-].

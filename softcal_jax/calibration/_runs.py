@@ -25,8 +25,7 @@ from softcal_jax.fields import ParameterSpace
 NOTHING_LEFT = 1e-6
 """Mean squared error, in noise units, below which no other optimum is searched for."""
 
-MOST_SETTLED = 3
-"""How often steps of tensors and plain ones take turns."""
+MOST_SETTLED = 3  # how often steps of tensors and plain ones take turns
 
 LITTLE = 1e-3
 """Relative contrast of an axis and change of the cost at which steps of tensors end."""
@@ -41,8 +40,7 @@ In noise units: such ends are a third of a standard error apart. The noise is th
 the known optimum, but at least a tenth of the stated one, as exact data show none.
 """
 
-NO_FALL = 1e-6
-"""Relative fall of the cost that is no way down [-]."""
+NO_FALL = 1e-6  # relative fall of the cost that is no way down [-]
 
 admissible = eqx.filter_jit(lambda space, z: space.admissible(z))
 _shorter = eqx.filter_jit(lambda space, gap: space.shorter(gap))

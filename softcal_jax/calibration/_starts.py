@@ -39,11 +39,8 @@ from softcal_jax.fields import ParameterSpace, kind_of, random_starts
 STIFFER = 2.0
 """Factor by which moduli are raised until all configurations have an equilibrium."""
 
-MOST_RAISES = 20
-"""Most raises, a factor of a million in all."""
-
-SAME_OPTIMUM = 1e-3
-"""Largest difference of scaled parameters within one optimum [-]."""
+MOST_RAISES = 20  # most raises, a factor of a million in all
+SAME_OPTIMUM = 1e-3  # largest difference of scaled parameters within one optimum [-]
 
 FROM_ANYWHERE = CalibrationSettings(max_steps=12)
 """Settings of runs from many starts: few steps, as a good start converges quickly."""

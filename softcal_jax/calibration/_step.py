@@ -57,8 +57,7 @@ The errors nearly cancel in the gradient there, and errors of W_ep do not.
 FLAT = 1e-3
 """Largest relative slope of the cost at which a refused step means a minimum [-]."""
 
-QUICK = 0.2
-"""Relative fall of the cost from which plain Gauss-Newton is used [-]."""
+QUICK = 0.2  # relative fall of the cost from which plain Gauss-Newton is used [-]
 
 BOUNDED = 1e-4
 """Smallest cosine between step and residual of the update: keeps it bounded [-]."""

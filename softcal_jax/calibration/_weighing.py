@@ -38,14 +38,12 @@ SETTLED = 0.01
 UNSEEN, NOT_TAKEN = 1e-2, 1e-3
 """Standard errors below which a step waits for the noise, or is not taken [-]."""
 
-MOST_ROUNDS = 10
-"""Most estimates of the noise."""
+MOST_ROUNDS = 10  # most estimates of the noise
 
 FEWEST_OFFSETS = 4
 """Fewest residuals from which offsets are estimated: one recording has three."""
 
-FEWEST_SHARES = 3
-"""Fewest residuals from which a share of the motion is estimated."""
+FEWEST_SHARES = 3  # fewest residuals from which a share of the motion is estimated
 
 
 class SoughtNoise(NamedTuple):

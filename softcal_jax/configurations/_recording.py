@@ -13,8 +13,7 @@ from softcal_jax.configurations._markers import MarkerTable, index_of
 STEP = 0.05
 """Share of the largest motion of a marker from which it has begun to move [-]."""
 
-WIDTH = 0.1
-"""Width of the window around a single time [s]."""
+WIDTH = 0.1  # width of the window around a single time [s]
 
 
 class Recording(Module):
@@ -226,17 +225,13 @@ class Traces(Module):
     names: tuple[str, ...]
 
 
-HELD = 0.5
-"""Share of the largest motion from which a pose counts as moved [-]."""
-
-STILL = 0.02
-"""Share of the largest motion by which markers may wander on a plateau [-]."""
+HELD = 0.5  # share of the largest motion from which a pose counts as moved [-]
+STILL = 0.02  # share of the largest motion by which markers may wander on a plateau [-]
 
 NOISE = 4.0
 """Standard deviations of the noise by which `STILL` may be exceeded [-]."""
 
-FEWEST = 5
-"""Fewest frames of a plateau: fewer hardly have a trend."""
+FEWEST = 5  # fewest frames of a plateau: fewer hardly have a trend
 
 # A second difference of white noise has six times its variance, and the median of the
 # absolute value of a normal variable is 0.6745 standard deviations.

@@ -26,8 +26,7 @@ Goal = Pose | Float[ArrayLike, "3"] | Sequence[float] | float
 """A pose from rest for a `BodyFrame`, three numbers for a point or a reaction, one
 number for a length, volume, angle or force; in SI units and radians."""
 
-ANYTHING = (-np.inf, np.inf)
-"""No limits."""
+ANYTHING = (-np.inf, np.inf)  # no limits
 
 
 def with_goals(configuration: Configuration, goals: Mapping[str, Goal]):

@@ -36,8 +36,7 @@ from softcal_jax.control._step import (
 )
 from softcal_jax.equilibrium import EquilibriumSolution, solve_equilibrium
 
-PATIENCE = 3
-"""Steps in a row of an exploring descent of which some must come closer."""
+PATIENCE = 3  # steps in a row of an exploring descent of which some must come closer
 
 CLOSER = 0.5
 """Largest ratio of the costs after and before these steps that counts as closer [-]."""
@@ -54,8 +53,7 @@ EQUAL = 1e-3
 Of such ends the one found first counts; the descent from the start is the first.
 """
 
-NOWHERE = np.full(2, np.inf)
-"""The parts of a step that leads to no equilibrium."""
+NOWHERE = np.full(2, np.inf)  # the parts of a step that leads to no equilibrium
 
 
 class Reached(NamedTuple):

@@ -21,11 +21,8 @@ from softcal_jax.equilibrium._model import Nodal
 from softcal_jax.equilibrium._path import WANTED_ITERATIONS
 from softcal_jax.equilibrium._solve import EquilibriumSolution
 
-_SMALLEST = 1.0 / 64.0
-"""Step below which the way counts as ended [-]."""
-
-_PARABOLA = 3
-"""States that the next one is extrapolated from."""
+_SMALLEST = 1.0 / 64.0  # step below which the way counts as ended [-]
+_PARABOLA = 3  # states that the next one is extrapolated from
 
 
 class Known(NamedTuple):

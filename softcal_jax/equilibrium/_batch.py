@@ -33,8 +33,7 @@ from softcal_jax.equilibrium._solve import (
 )
 from softcal_jax.equilibrium._workers import Program, Workers
 
-STEPS_BETWEEN = 2
-"""Newton iterations of a configuration between two reports."""
+STEPS_BETWEEN = 2  # Newton iterations of a configuration between two reports
 
 AT_ONCE = 8
 """Newton iterations within which the first step to a configuration must close in."""

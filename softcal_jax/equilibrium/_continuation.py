@@ -37,8 +37,7 @@ from softcal_jax.equilibrium._newton import NewtonSettings
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._solve import EquilibriumSolution
 
-MAX_QUICK_STEPS = 5
-"""Full Newton steps after which the guess counts as bad."""
+MAX_QUICK_STEPS = 5  # full Newton steps after which the guess counts as bad
 
 CHORDS_FROM = 1e-3
 """Relative residual below which chord steps replace Newton steps.

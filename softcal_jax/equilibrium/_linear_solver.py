@@ -34,8 +34,7 @@ class LinearSolution(NamedTuple):
 MOST_REFINEMENTS = 5
 """Most refinements by the factors of another matrix before it factorizes anew."""
 
-REFINED = 1e-6
-"""Relative residual at which a solution belongs to its matrix [-]."""
+REFINED = 1e-6  # relative residual at which a solution belongs to its matrix [-]
 
 
 class AbstractLinearSolver(Module):
@@ -150,8 +149,7 @@ _BY_ALL_CORES = 4_000
 pardiso-mkl-jax does one factorization at a time. In a small one, most threads wait.
 """
 
-_MKL_DOMAIN_PARDISO = 4
-"""Code of PARDISO among the domains of oneMKL (mkl_types.h)."""
+_MKL_DOMAIN_PARDISO = 4  # code of PARDISO among the domains of oneMKL (mkl_types.h)
 
 
 def fix_threads(mkl: ctypes.CDLL) -> None:

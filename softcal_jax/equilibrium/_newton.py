@@ -38,8 +38,7 @@ In longer steps Newton's method spends more iterations on crushed tets than it s
 _NEAR = 1e-3
 """Residual relative to internal forces below which a step hardly moves the tangent."""
 
-_MOST = np.iinfo(np.int32).max
-"""Largest number of iterations that can be counted."""
+_MOST = np.iinfo(np.int32).max  # largest number of iterations that can be counted
 
 Number = float | Float[Array | HostArray, ""]
 Count = int | Int[Array | HostArray, ""]

@@ -44,14 +44,12 @@ from softcal_jax.equilibrium._newton import NewtonSettings
 from softcal_jax.equilibrium._posed import Posed
 from softcal_jax.equilibrium._sparsity import product
 
-MOST_ITERATIONS = 12
-"""Corrections after which a step is halved."""
+MOST_ITERATIONS = 12  # corrections after which a step is halved
 
 WANTED_ITERATIONS = 4
 """Corrections of a step of the right length; the next length is adapted to it."""
 
-SMALLEST = 1e-4
-"""Step, relative to the first, at which the path counts as ended."""
+SMALLEST = 1e-4  # step, relative to the first, at which the path counts as ended
 
 
 class LoadPath(Module):

@@ -28,8 +28,7 @@ from softcal_jax.equilibrium._sparsity import Sparsity
 _SYMMETRIC_INDEFINITE, _STRUCTURALLY_SYMMETRIC, _ZERO_PIVOT = -2, 1, -4
 """PARDISO's codes of matrix types and an error."""
 
-_IN_USE = Lock()
-"""Held while factors are made and used."""
+_IN_USE = Lock()  # held while factors are made and used
 
 # As in `_linear_solver`, but indices count from 1 as in oneMKL: no default settings,
 # nested dissection, no iterative refinement, no scaling or matching, 1x1 pivots,

@@ -120,8 +120,7 @@ def from_entries(
     )
 
 
-_AT_ONCE = 100_000
-"""Entries of all cliques that are looked up at once."""
+_AT_ONCE = 100_000  # entries of all cliques that are looked up at once
 
 
 def destinations(

@@ -22,8 +22,7 @@ from softcal_jax.materials import AbstractLaw, Isotropic, NeoHookean
 from softcal_jax.project import Project, load_project
 from softcal_jax.report import LoadedResult, load_result
 
-_ON_NODE = 1e-9
-"""Weight below which a guide does not depend on a node [-]."""
+_ON_NODE = 1e-9  # weight below which a guide does not depend on a node [-]
 
 
 def check_no_bodies(model: Model, format: str) -> None:

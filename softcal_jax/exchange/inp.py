@@ -22,8 +22,7 @@ from softcal_jax.report import LoadedResult, load_result
 NO_TERM = 1e20
 """D_i of an absent term [1/Pa]: CalculiX replaces 0 by a number of its own."""
 
-SMALLEST_D = 1e-10
-"""|D_1| below which CalculiX takes a number of its own."""
+SMALLEST_D = 1e-10  # |D_1| below which CalculiX takes a number of its own
 
 _GREEN = (
     "*ELASTIC with NLGEOM is linear in the Green strain in CalculiX (St. Venant-"

@@ -140,8 +140,7 @@ def _weights(x, c, power, columns: tuple[int, ...], nearest: int | None):
 Pair = tuple[str, str]
 Interpolation = Literal["linear", "log", "director"]
 
-_LOST = 1e-20
-"""Square of rho below which there is no direction [-]."""
+_LOST = 1e-20  # square of rho below which there is no direction [-]
 
 
 def _numbers(value: Float[ArrayLike, "..."] | Sequence[float]) -> Float[Array, "..."]:

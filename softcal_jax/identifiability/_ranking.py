@@ -25,8 +25,7 @@ With the default precision a factor of e on a value. It gives the uncertainty a 
 where neither data nor prior see a direction; bounds do not, as users type them freely.
 """
 
-HARDLY = 1.05
-"""Factor on a standard error below which a candidate hardly helps [-]."""
+HARDLY = 1.05  # factor on a standard error below which a candidate hardly helps [-]
 
 
 class Gain(Module):

@@ -16,8 +16,7 @@ from softcal_jax.identifiability._spread import (
     Verdict,
 )
 
-MOST_SHOWN = 8
-"""Most blind directions that are listed; the others are only counted."""
+MOST_SHOWN = 8  # most blind directions that are listed; the others are only counted
 
 
 class ParameterOutlook(Module):

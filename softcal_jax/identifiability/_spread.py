@@ -25,8 +25,7 @@ of magnitude, which no part can be designed with.
 SHARE = 0.1
 """Squared component of a unit vector from which on its parameter is named [-]."""
 
-MOST_NAMED = 4
-"""Most parameters named for a direction, so that its text stays readable."""
+MOST_NAMED = 4  # most parameters named for a direction, so that its text stays readable
 
 LOST = 30.0
 """Standard error, over the asked one, above which a direction counts as unseen [-].

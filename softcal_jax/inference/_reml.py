@@ -23,8 +23,7 @@ from softcal_jax.inference._linear_model import LinearModel
 REACH = float(np.log(1e4))
 """How far the logarithm of a factor may go from its first value [-]."""
 
-SAME = 1e-6
-"""Difference of -2 l that says nothing about a component [-]."""
+SAME = 1e-6  # difference of -2 l that says nothing about a component [-]
 
 
 class _Reduced:

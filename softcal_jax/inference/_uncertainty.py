@@ -44,8 +44,7 @@ REMEDIES = {
 }
 """What helps against a cause; that of the mesh is named by its error."""
 
-SMALL = 0.1
-"""Share of the standard error below which a sentence leaves a cause out [-]."""
+SMALL = 0.1  # share of the standard error below which a sentence leaves a cause out [-]
 
 
 class Uncertainty(Module):

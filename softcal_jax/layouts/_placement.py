@@ -46,8 +46,7 @@ The sensitivity of a marker to a single tet next to it depends on the shape of t
 more than on its material; over a patch of tets this averages out.
 """
 
-ROUNDS = 5
-"""Rounds in which patches are centred; further rounds hardly move any."""
+ROUNDS = 5  # rounds in which patches are centred; further rounds hardly move any
 
 INDEPENDENT = 0.05
 """Remaining sensitivity of a patch, over the largest, below which it is unseen [-].

@@ -27,8 +27,7 @@ _SYMMETRIC_UNIT = 0.5 * (_UNIT + _UNIT.transpose(1, 0, 2, 3))
 _PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 """Voigt's order of the entries of a symmetric tensor."""
 
-_VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])
-"""Index of an entry in that order."""
+_VOIGT = np.array([[0, 5, 4], [5, 1, 3], [4, 3, 2]])  # index of an entry in that order
 
 _UPPER = np.zeros((6, 6), int)
 _UPPER[np.triu_indices(6)] = _UPPER.T[np.triu_indices(6)] = np.arange(21)

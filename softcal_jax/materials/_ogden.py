@@ -27,8 +27,7 @@ from softcal_jax.materials._rubber import (
 _SWEEPS = 5
 """Sweeps of Jacobi rotations; the error is squared with each, from the third on."""
 
-_SMALL = 1e-2
-"""Argument below which sinh x / x is taken from its series, to rounding."""
+_SMALL = 1e-2  # argument below which sinh x / x is taken from its series, to rounding
 
 
 def _if_any(value: Float[ArrayLike, "..."] | None) -> Constant | None:

@@ -14,8 +14,7 @@ from softcal_jax.mesh._topology import (
     tet_faces,
 )
 
-_TERMS = {0: 1, 1: 4, 2: 10}
-"""Terms of a polynomial, by its degree."""
+_TERMS = {0: 1, 1: 4, 2: 10}  # terms of a polynomial, by its degree
 
 _LEAST = {degree: 2 * terms for degree, terms in _TERMS.items()}
 """Fewest points of a patch, by degree, while there are more tets around it."""

@@ -14,8 +14,7 @@ from softcal_jax.elements import TET_EDGES
 ArrayData = HostArray | Sequence
 """An array or nested lists of numbers, as a user types them."""
 
-FACE_NODES_OF_TET = {4: 3, 10: 6}
-"""Nodes of a face, by the nodes of its tet."""
+FACE_NODES_OF_TET = {4: 3, 10: 6}  # nodes of a face, by the nodes of its tet
 
 _FAR = 1e12
 """Bound on coordinates, which keeps the cubes of lengths far from overflow [m]."""

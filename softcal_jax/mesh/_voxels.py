@@ -10,8 +10,7 @@ from softcal_jax.elements import shape_functions
 from softcal_jax.mesh._location import barycentric_in_tets, bounds, tets_at
 from softcal_jax.mesh._tet_mesh import TetMesh
 
-_AT_ONCE = 200_000
-"""Points in tets that are processed together, in some 50 MB."""
+_AT_ONCE = 200_000  # points in tets that are processed together, in some 50 MB
 
 
 class Grid(NamedTuple):

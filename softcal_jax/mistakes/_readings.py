@@ -31,8 +31,7 @@ FACTORS = (9.81, 10.0, 25.4, 1000.0)
 MOST_SWAPS = 100
 """Most exchanges that are tried: of markers everywhere, in one pose, and of poses."""
 
-ORIGIN = 1e-6
-"""Distance from the origin within which a reading is (0, 0, 0) [m]."""
+ORIGIN = 1e-6  # distance from the origin within which a reading is (0, 0, 0) [m]
 
 
 class Stated(NamedTuple):

@@ -21,8 +21,7 @@ from softcal_jax.fields import ParameterSpace
 from softcal_jax.inference import RANK, span, whitened
 from softcal_jax.mistakes._readings import Change, Readings
 
-TRUST = 1.0
-"""Largest step of lambda_p about a simulation: a factor e of a modulus [-]."""
+TRUST = 1.0  # largest step of lambda_p about a simulation: a factor e of a modulus [-]
 
 NEAR = 0.1
 """Step up to which a linear fit holds; its error is about half its square [-]."""

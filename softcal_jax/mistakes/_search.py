@@ -20,26 +20,22 @@ from softcal_jax.mistakes._readings import Change, Kind, Readings, Variant, chan
 from softcal_jax.mistakes._refit import Refit, Refitter, Simulated
 from softcal_jax.mistakes._statements import Simulator, clamps, forces
 
-CLEARLY = 0.5
-"""Share of the squares that a mistake leaves at most [-]."""
+CLEARLY = 0.5  # share of the squares that a mistake leaves at most [-]
 
 ENOUGH = 1e-2
 """Share of the squares below which no more kinds of mistakes are tried [-]."""
 
-ALIKE = 2.0
-"""Ratio of squares that superposition can hardly tell apart [-]."""
+ALIKE = 2.0  # ratio of squares that superposition can hardly tell apart [-]
 
 SHORTER = 0.3
 """Factor on the largest step about a simulation from which one went wrong [-]."""
 
-MOST_SIMULATED = 4
-"""Most simulations of all poses for each kind of change."""
+MOST_SIMULATED = 4  # most simulations of all poses for each kind of change
 
 AS_GOOD = 20.0
 """Likelihood ratio up to which the simpler of two mistakes is the likelier one [-]."""
 
-MOST = 3
-"""Most mistakes that are named."""
+MOST = 3  # most mistakes that are named
 
 
 class Mistake(Module):

@@ -40,8 +40,7 @@ FORCES: Mapping[str, Callable[[ConfigurationArrays], Any]] = {
 }
 """What deforms a pose."""
 
-GRAVITIES = 1.0, 30.0
-"""From the Moon's to Jupiter's [m/s2]."""
+GRAVITIES = 1.0, 30.0  # from the Moon's to Jupiter's [m/s2]
 
 MOST_TRIED, MOST_CLAMPS = 4, 2
 """Most changes of forces, and most lengths of the clamps, that are simulated."""

@@ -36,8 +36,7 @@ GROUP = "softcal_jax.laws"
 """Group of the entry points by which installed packages offer laws."""
 
 
-_FRAME = "directions"
-"""Key of the formula for the directions of fibres."""
+_FRAME = "directions"  # key of the formula for the directions of fibres
 
 
 class Constant(NamedTuple):

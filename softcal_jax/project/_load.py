@@ -230,11 +230,8 @@ def _files(path: Path, table: ProjectTable) -> list[Path]:
     ]
 
 
-DENSITIES = 10.0, 23e3
-"""From a light foam to the heaviest metal [kg/m3]."""
-
-GRAVITIES = 1.0, 30.0
-"""From the Moon's to Jupiter's [m/s2]."""
+DENSITIES = 10.0, 23e3  # from a light foam to the heaviest metal [kg/m3]
+GRAVITIES = 1.0, 30.0  # from the Moon's to Jupiter's [m/s2]
 
 WEIGHTS = 200.0
 """Dead load over the weight of the robot that would crush a soft one flat [-]."""

@@ -29,14 +29,9 @@ READY_MADE = {
 SIZE = (0.150, 0.015, 0.015)
 """Length, width and height, from the authors' published scene [m]."""
 
-MASS = 0.032
-"""Mass [kg], ours."""
-
-GRAVITY = 9.81
-"""Acceleration of gravity [m/s2]."""
-
-NU = 0.3
-"""Poisson's ratio of the reduced law [-]."""
+MASS = 0.032  # mass [kg], ours
+GRAVITY = 9.81  # acceleration of gravity [m/s2]
+NU = 0.3  # Poisson's ratio of the reduced law [-]
 
 POSES = {
     1: (0.0, "x_min"),

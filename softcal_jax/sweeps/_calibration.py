@@ -24,14 +24,12 @@ from softcal_jax.sweeps._trial import Trial
 OWN_AXES = ("layout", "configurations", "start", "noise")
 """Axes that are not keys of the project file."""
 
-KEPT = 8
-"""Number of variants of a project that a worker keeps."""
+KEPT = 8  # number of variants of a project that a worker keeps
 
 MOST_MAPS = 40_000
 """Memory maps from which a worker drops compiled programs; Linux allows 65 530."""
 
-FIT, HELD_OUT = "fit rms [m]", "held-out rms [m]"
-"""Figures of how far the model is off."""
+FIT, HELD_OUT = "fit rms [m]", "held-out rms [m]"  # figures of how far the model is off
 
 _STEPS, _COST, _ERROR = "steps", "cost [-]", "standard error of"
 

@@ -33,8 +33,7 @@ FORMAT = 1
 APART_S = 1.0
 """Least time between two transactions, and most before a row is on disk [s]."""
 
-WAIT_S = 30.0
-"""How long a row waits for another program that has the file locked [s]."""
+WAIT_S = 30.0  # how long a row waits for another program that has the file locked [s]
 
 _TABLES = """\
 CREATE TABLE sweep (what TEXT PRIMARY KEY, value TEXT NOT NULL);

@@ -39,8 +39,7 @@ from softcal_jax.sweeps._result import SweepResult
 from softcal_jax.sweeps._run import run_part, run_sweep
 from softcal_jax.sweeps._trial import Points, Range, grid, is_number, sample
 
-REPEATS = ("start", "noise")
-"""Axes whose values are mere repetitions."""
+REPEATS = ("start", "noise")  # axes whose values are mere repetitions
 
 _EXPECTED = {
     "start": "{ count = 10 } or a list of numbers: 0 for none, 1, 2, ...",

@@ -23,8 +23,7 @@ State = Literal["converged", "not converged", "failed"]
 
 Figure = bool | float | int | str | None
 
-WINDOW = 50
-"""Number of recent trials over which the rate is averaged."""
+WINDOW = 50  # number of recent trials over which the rate is averaged
 
 
 @dataclass(frozen=True)

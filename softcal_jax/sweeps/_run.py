@@ -28,8 +28,7 @@ from softcal_jax.sweeps._worker import dask_rows, local_rows
 if TYPE_CHECKING:
     import pyarrow
 
-_ABOUT = b"softcal_jax.sweep"
-"""Key of what rows depend on, in the metadata of a file."""
+_ABOUT = b"softcal_jax.sweep"  # key of what rows depend on, in the metadata of a file
 
 
 def run_sweep(

@@ -28,8 +28,7 @@ ROUNDING = 1e-9
 MOST_COLUMNS = MOST_PANELS = 4
 """Largest numbers of figures in a table for the terminal, and in a picture."""
 
-MOST_BEST, MOST_VALUES = 5, 8
-"""Most trials among the best, and most values of an axis."""
+MOST_BEST, MOST_VALUES = 5, 8  # most trials among the best, and most values of an axis
 
 _TONES: dict[str, Tone] = {
     "converged": "plain",

@@ -23,8 +23,7 @@ from softcal_jax.sweeps._trial import Trial
 if TYPE_CHECKING:
     import distributed
 
-DEATHS = 2
-"""Number of workers that must die during a trial for it to count as failed."""
+DEATHS = 2  # number of workers that must die during a trial for it to count as failed
 
 READY = "ready"
 
@@ -38,8 +37,7 @@ _THREADS = (
 # JAX does not survive a fork.
 _SPAWN = multiprocessing.get_context("spawn")
 
-CONNECT_S = 20
-"""How long the scheduler may take to answer [s]."""
+CONNECT_S = 20  # how long the scheduler may take to answer [s]
 
 _ONE_AT_A_TIME = threading.Lock()
 """Held while a trial runs: threads share compiled programs and the solvers' factors."""

@@ -18,8 +18,7 @@ CAD_FORMATS = (*_STEP, ".stl")
 ENVELOPE = 1e-3
 """How far fTetWild may move the surface, over the diagonal of the model [-]."""
 
-_LOST = 0.02
-"""Share of the volume that flat faces may cut off without a warning [-]."""
+_LOST = 0.02  # share of the volume that flat faces may cut off without a warning [-]
 
 
 def mesh_cad(

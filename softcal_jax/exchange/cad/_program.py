@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-_TRIANGLE, _TET = 2, 4
-"""Gmsh's numbers of the types of linear elements."""
+_TRIANGLE, _TET = 2, 4  # gmsh's numbers of the types of linear elements
 
 _PER_TURN = 12
 """Edges around a full turn of a curved face: chords 3 % of its radius inside it."""
@@ -23,8 +22,7 @@ _PER_TURN = 12
 _FINEST = 0.25
 """Shortest edges at curved faces, over the size: small fillets are not followed."""
 
-_USUAL = 30.0
-"""Diagonal of a model over the size, where none is given."""
+_USUAL = 30.0  # diagonal of a model over the size, where none is given
 
 _REGULAR = 1.0 / (6.0 * sqrt(2.0))
 """Volume of the regular tet over the cube of its edge [-]."""

@@ -16,8 +16,7 @@ from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.exchange.camera._sheet import opencv
 
 _N_CAMERA = 8
-_ROUNDS = 4
-"""Rounds of adjustment, each with the noise estimated in the round before."""
+_ROUNDS = 4  # rounds of adjustment, each with the noise estimated in the round before
 
 _FIRST_NOISE, _LEAST_NOISE = 0.1, 1e-4
 """Noise of a corner to begin with, and where everything fits to rounding [px]."""

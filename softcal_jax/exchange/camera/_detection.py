@@ -17,11 +17,8 @@ from softcal_jax._files import check_file
 from softcal_jax._typing import Float, HostArray
 from softcal_jax.exchange.camera._sheet import CELLS, dictionary, opencv
 
-_REACH = 0.4
-"""How far an edge is looked at on either side, in cells [-]."""
-
-_LEAST_REACH, _MOST_REACH = 2.0, 8.0
-"""Limits of this reach [px]."""
+_REACH = 0.4  # how far an edge is looked at on either side, in cells [-]
+_LEAST_REACH, _MOST_REACH = 2.0, 8.0  # limits of this reach [px]
 
 _AWAY = 0.12
 """Share of an edge at either end that is left out: blur rounds the corners [-]."""

@@ -31,8 +31,7 @@ _OUTLIER, _FIRST_OUTLIER = (3.0, 0.3), (6.0, 3.0)
 """Factor and pixels by which a photograph's errors exceed the median of all if it does
 not fit the others; and before the adjustment, which one that is far off would spoil."""
 
-_LEAST_ON_BOARD = 4
-"""Least tags of the board that a photograph of it must show."""
+_LEAST_ON_BOARD = 4  # least tags of the board that a photograph of it must show
 
 
 class TagPose(Module):

@@ -18,11 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-CELLS = 8
-"""Cells along a side of a tag, with its border."""
-
-N_TAGS = 587
-"""Tags of the family, numbered from 0."""
+CELLS = 8  # cells along a side of a tag, with its border
+N_TAGS = 587  # tags of the family, numbered from 0
 
 BOARD_SHAPE, BOARD_IDS = (5, 7), range(500, 535)
 """Columns and rows of the board, and the numbers of its tags, row by row."""
@@ -38,8 +35,7 @@ PAPERS = {"a4": (0.210, 0.297), "letter": (8.5 * INCH, 11.0 * INCH)}
 _MARGIN, _HEAD, _LABEL = 12e-3, 24e-3, 5e-3
 """What printers leave free, then room for the title and below a tag [m]."""
 
-_SCALE = 0.1
-"""Length of the scale [m]."""
+_SCALE = 0.1  # length of the scale [m]
 
 
 def opencv() -> Any:

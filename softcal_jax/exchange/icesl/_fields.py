@@ -15,8 +15,7 @@ from softcal_jax.fields import ParameterSpace
 from softcal_jax.materials import AbstractLaw, split_law
 from softcal_jax.mesh import Grid, TetMesh, fill
 
-N_VOXELS = 64
-"""Voxels along each axis of a texture; IceSL takes no other number."""
+N_VOXELS = 64  # voxels along each axis of a texture; IceSL takes no other number
 
 PrintPlane = Literal["xy", "xz", "yz"]
 

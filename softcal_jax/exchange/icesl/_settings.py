@@ -8,11 +8,8 @@ from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.exchange.icesl._fields import N_VOXELS, Samples
 from softcal_jax.exchange.icesl._foam import FoamTable, FoundFoam
 
-RTOL = 0.01
-"""Largest relative error of a modulus that counts as reached [-]."""
-
-_STEPS = 255
-"""Steps of a texture, which has 8 bits."""
+RTOL = 0.01  # largest relative error of a modulus that counts as reached [-]
+_STEPS = 255  # steps of a texture, which has 8 bits
 
 _FLAT = np.deg2rad(0.5 * 360.0 / _STEPS)
 """Angle between fibre and print plane that a texture could not show [rad]."""

@@ -17,8 +17,7 @@ from softcal_jax.report import mesh_lines
 DENSITY = 1070.0
 """Density of silicone [kg/m3]."""
 
-_MOST_GROUPS = 40
-"""Most groups of the mesh that are listed."""
+_MOST_GROUPS = 40  # most groups of the mesh that are listed
 
 
 def project_text(name: str, findings: Findings) -> str:
