@@ -16,7 +16,6 @@ from softcal_jax import _notebook
 
 __version__ = version("softcal-jax")
 
-
 _STUB = ast.parse(get_data(__name__, "__init__.pyi") or b"")
 _IMPORTS = (node for node in _STUB.body if isinstance(node, ast.ImportFrom))
 # Type checkers read the stub, too.

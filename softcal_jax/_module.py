@@ -8,7 +8,7 @@ import dataclasses
 import re
 import sys
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from inspect import cleandoc
 from typing import Any
@@ -23,6 +23,11 @@ from softcal_jax._units import readable_values
 MOST, _MOST_NUMBERS = 120, 4  # most characters of the line, and most numbers
 _ATTR = re.compile(r"^    (\w+): (.*(?:\n      .*)*)", re.M)
 _UNIT = re.compile(r"\[([A-Za-z][\w /^*]*)\]")
+
+
+def if_any(convert: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Make a converter of a field that leaves None as it is."""
+    return lambda value: None if value is None else convert(value)
 
 
 class Module(eqx.Module):

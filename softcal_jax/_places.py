@@ -23,9 +23,16 @@ def with_remedy(refused: str, remedy: str) -> Iterator[None]:
         raise OSError(f"{refused} ({cause(error)}): {remedy}.") from error
 
 
-def partial_of(path: Path) -> Path:
-    """Return where a file is written before it takes the place of an older one."""
-    return path.with_name(path.name + ".partial")
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give the path of a new file, which takes the place of an older one as a whole."""
+    partial = path.with_name(path.name + ".partial")
+    try:
+        yield partial
+        os.replace(partial, path)
+    finally:
+        with suppress(OSError):
+            partial.unlink()
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 # Ascending; the largest that keeps the value at or above 1 is used.
 _PREFIXED = {
@@ -67,3 +68,8 @@ def readable_values(values: Sequence[float], unit: str, *, digits: int = 4) -> s
     texts = [f"{factor * value:.{digits}g}" for value in kept]
     listed = texts[0] if len(texts) == 1 else f"({', '.join(texts)})"
     return f"{listed} {shown}"
+
+
+def is_number(value: Any) -> bool:
+    """Whether a value of a file is a number without a unit; true and false are not."""
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -11,7 +11,7 @@ from softcal_jax.bodies._body import (
     as_floats as as_floats,
     body_arrays as body_arrays,
     hinge_axes as hinge_axes,
-    if_any as if_any,
+    optional as optional,
     three_numbers as three_numbers,
     unit_vector as unit_vector,
 )

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from softcal_jax._module import Module
+from softcal_jax._module import Module, if_any
 from softcal_jax._names import check_known, check_unique
 from softcal_jax._typing import Array, Bool, Float, HostArray, Int
 from softcal_jax.mesh import TetMesh, node_indices
@@ -23,11 +23,7 @@ def as_floats(value: Float[ArrayLike, "..."] | Sequence) -> Float[HostArray, "..
     return np.array(value, float)  # a copy: SciPy's rotations need it writable
 
 
-def if_any(
-    value: Float[ArrayLike, "..."] | Sequence | None,
-) -> Float[HostArray, "..."] | None:
-    """Convert a user's numbers to an array if there are any."""
-    return None if value is None else as_floats(value)
+optional = if_any(as_floats)
 
 
 def three_numbers(what: str, unit: str, value: Vector) -> Float[HostArray, "3"]:
@@ -132,13 +128,13 @@ class RigidBody(Module):
 
     name: str
     where: tuple[str | Int[HostArray, " _"], ...] = eqx.field(converter=_as_groups)
-    origin: Float[HostArray, "3"] | None = eqx.field(converter=if_any, default=None)
-    axes: Float[HostArray, "3 3"] | None = eqx.field(converter=if_any, default=None)
+    origin: Float[HostArray, "3"] | None = eqx.field(converter=optional, default=None)
+    axes: Float[HostArray, "3 3"] | None = eqx.field(converter=optional, default=None)
     mounting: Pose = eqx.field(default_factory=Pose)
     tied_to: str | None = None
     mass: float = 0.0
     centre_of_mass: Float[HostArray, "3"] | None = eqx.field(
-        converter=if_any, default=None
+        converter=optional, default=None
     )
 
     def __check_init__(self):

@@ -168,7 +168,6 @@ INTERRUPTED = "its profile was interrupted"
 GoOn = Callable[[Fitted, Float[Array, " n_p"]], Fitted]
 Stage = Callable[[str], None]
 
-
 LEVELS = 0.01, 0.9999
 """Levels of confidence for which an interval means something; both are allowed [-]."""
 

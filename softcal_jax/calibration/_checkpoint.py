@@ -6,7 +6,7 @@ import os
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -19,7 +19,7 @@ import numpy as np
 from softcal_jax._files import digest_of
 from softcal_jax._module import Module
 from softcal_jax._names import listed
-from softcal_jax._places import cause, only_writer, partial_of
+from softcal_jax._places import cause, only_writer, replacing
 from softcal_jax._typing import HostArray
 from softcal_jax.calibration._evaluation import Evaluation
 from softcal_jax.calibration._noise import CorrelatedNoise
@@ -92,15 +92,8 @@ def write_checkpoint(path: Path, mark: str, saved: Saved) -> None:
         "history": np.array(json.dumps([*map(vars, saved.history)])),
     }
     digests = {name: digest_of([array]) for name, array in content.items()}
-    partial = partial_of(path)
-    try:
-        with partial.open("wb") as file:
-            np.savez(file, digests=json.dumps(digests), **content)  # type: ignore[arg-type]
-        os.replace(partial, path)
-    except BaseException:
-        with suppress(OSError):
-            partial.unlink()
-        raise
+    with replacing(path) as partial, partial.open("wb") as file:
+        np.savez(file, digests=json.dumps(digests), **content)  # type: ignore[arg-type]
 
 
 def read_checkpoint(path: Path, mark: str) -> Saved:

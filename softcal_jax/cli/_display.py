@@ -28,7 +28,6 @@ FIRST_S, LONGEST_S = 2.0, 30.0
 The silence doubles from one such line to the next.
 """
 
-
 _COMPILE = "/jax/core/compile/"
 _BACKEND = f"{_COMPILE}backend_compile_duration"
 _FROM_DISK = "/jax/compilation_cache/cache_hits"

@@ -11,7 +11,7 @@ from softcal_jax._lanes import stacked
 from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS, check_unique, name_key
 from softcal_jax._typing import Float, HostArray
-from softcal_jax.bodies import KINDS, if_any, three_numbers
+from softcal_jax.bodies import KINDS, optional, three_numbers
 from softcal_jax.configurations import _mechanism as mechanisms
 from softcal_jax.configurations._arrays import (
     ConfigurationArrays,
@@ -87,7 +87,7 @@ class Configuration(Module):
     loads: tuple[AbstractLoad, ...] = eqx.field(converter=_as_loads, default=())
     markers: Markers | None = None
     measured: Float[HostArray, "n_markers 3"] | None = eqx.field(
-        converter=if_any, default=None
+        converter=optional, default=None
     )
     effectors: tuple[AbstractEffector, ...] = eqx.field(converter=tuple, default=())
     bodies: mechanisms.BodyStates = eqx.field(default_factory=dict)

@@ -124,7 +124,8 @@ def inverse_std(
     bad = values[~(np.isfinite(values) & (values > 0.0))]
     if bad.size:
         raise ValueError(
-            f"{what} of effector {name!r} must be positive and finite, got {bad[0]:g}."
+            f"{what} of effector {name!r} must be positive and finite [{unit}], got "
+            f"{bad[0]:g}."
         )
     return np.asarray(1.0 / values)
 

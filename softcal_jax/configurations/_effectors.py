@@ -15,7 +15,7 @@ from softcal_jax.bodies import (
     Pose,
     angle_about,
     as_floats,
-    if_any,
+    optional,
     unit_vector,
 )
 from softcal_jax.configurations._effector import (
@@ -74,7 +74,7 @@ class BodyFrame(AbstractEffector):
     name: str
     body: str
     measured: Pose | None = None
-    point: Float[HostArray, "3"] | None = eqx.field(converter=if_any, default=None)
+    point: Float[HostArray, "3"] | None = eqx.field(converter=optional, default=None)
     std: float | Float[HostArray, "3"] = Unstated(1e-3)
     std_angle: float | Float[HostArray, "3"] = Unstated(1e-2)
 
@@ -119,7 +119,7 @@ class Centroid(AbstractEffector):
 
     name: str
     where: str | Int[HostArray, " n"]
-    measured: Float[HostArray, "3"] | None = eqx.field(converter=if_any, default=None)
+    measured: Float[HostArray, "3"] | None = eqx.field(converter=optional, default=None)
     std: float = Unstated(1e-3)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:
@@ -143,7 +143,7 @@ class SupportReaction(AbstractEffector):
 
     name: str
     where: str | Int[HostArray, " n"]
-    measured: Float[HostArray, "3"] | None = eqx.field(converter=if_any, default=None)
+    measured: Float[HostArray, "3"] | None = eqx.field(converter=optional, default=None)
     std: float = Unstated(1e-2)
 
     def rows(self, mesh: TetMesh, mechanism: Mechanism) -> tuple[EffectorRow, ...]:

@@ -76,7 +76,9 @@ def build_mechanism(
         driven, root = stacked.names[body], stacked.names[stacked.owner[body]]
         what = f"motor {name!r} turns {driven!r}"
         if driven != root:
-            raise ValueError(f"{what}, which is tied to {root!r}: let it turn that.")
+            raise ValueError(
+                f"{what}, which is tied to {root!r}: let it turn {root!r}."
+            )
         if body in turned:
             raise ValueError(f"{what}, and so does motor {turned[body]!r}.")
         if np.any(np.asarray(stacked.mounting_rotation)[body] != 0.0):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from softcal_jax import materials
-from softcal_jax._places import partial_of
+from softcal_jax._places import replacing
 from softcal_jax._typing import Array, Float, HostArray, Int
 from softcal_jax.actuators import actuator_geometry
 from softcal_jax.configurations import ConfigurationArrays
@@ -119,9 +119,8 @@ def write_inp(
         *("*NODE FILE", "U", "*EL FILE", "S, E"),
         *("*NODE PRINT, NSET=NALL, FREQUENCY=1000", "U", "*END STEP"),
     ]
-    partial = partial_of(path)
-    partial.write_text("\n".join([*lines, ""]), encoding="ascii", newline="\n")
-    partial.replace(path)
+    with replacing(path) as partial:
+        partial.write_text("\n".join([*lines, ""]), encoding="ascii", newline="\n")
     return tuple(notes)
 
 

@@ -34,13 +34,11 @@ MISSED = 0.5
 FAR_OUT = 10.0
 """Size of the residuals over the stated noise beyond which values are useless [-]."""
 
-
 UNDERRATED = 3.6
 """Factor on the estimated error of a mesh of one or two quadratic tets across [-].
 
 Under torsion the estimate can be too small there.
 """
-
 
 UNSEEN = 0.9
 """Share of a stated error from which the data say nothing of what is held fixed [-]."""

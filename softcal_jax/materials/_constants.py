@@ -112,7 +112,6 @@ DENSITY = constant(
     kind=ConstantKind("density", relative=True, acts_by="gravity"),
 )
 
-
 MODULUS = constant("Pa", 'Young\'s modulus: "200 kPa"')
 ACROSS = constant("Pa", 'Young\'s modulus across the fibre: "700 kPa"')
 ALONG = constant("Pa", 'Young\'s modulus along the fibre: "400 kPa"')

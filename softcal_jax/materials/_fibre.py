@@ -1,14 +1,14 @@
 """Direction of a fibre in the rest shape, one for the body or one per tet."""
 
 from collections.abc import Sequence
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
 
-from softcal_jax._module import Module
+from softcal_jax._module import Module, if_any
 from softcal_jax._names import check_known
 from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax.materials._constants import (
@@ -26,10 +26,6 @@ Vector = HostArray | Sequence
 
 _ON_AXIS = 1e-9
 """Distance from an axis that counts as none, over that of the farthest point [-]."""
-
-
-def _if_any(frame: Any) -> tuple[Constant, ...] | None:
-    return None if frame is None else as_components(frame)
 
 
 class Fibre(Module):
@@ -63,7 +59,7 @@ class Fibre(Module):
     )
     plane: Plane = eqx.field(static=True, default="xz", metadata={"key": "print_plane"})
     frame: tuple[Constant, ...] | None = eqx.field(
-        converter=_if_any, default=None, metadata={"key": "directions"}
+        converter=if_any(as_components), default=None, metadata={"key": "directions"}
     )
 
     def __check_init__(self):

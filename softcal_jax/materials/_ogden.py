@@ -12,8 +12,8 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import ArrayLike
 
+from softcal_jax._module import if_any
 from softcal_jax._typing import Array, Float
 from softcal_jax.elements import cofactor, determinant, matmul, sum_of
 from softcal_jax.materials._constants import Constant, as_field, constant
@@ -28,10 +28,6 @@ _SWEEPS = 5
 """Sweeps of Jacobi rotations; the error is squared with each, from the third on."""
 
 _SMALL = 1e-2  # argument below which sinh x / x is taken from its series, to rounding
-
-
-def _if_any(value: Float[ArrayLike, "..."] | None) -> Constant | None:
-    return None if value is None else as_field(value)
 
 
 def _stiffness(term: str) -> dict[str, Any]:
@@ -69,16 +65,16 @@ class Ogden(AbstractRubber):
     mu_1: Constant = eqx.field(converter=as_field, metadata=_stiffness("first"))
     alpha_1: Constant = eqx.field(converter=as_field, metadata=_exponent("first"))
     mu_2: Constant | None = eqx.field(
-        converter=_if_any, default=None, metadata=_stiffness("second")
+        converter=if_any(as_field), default=None, metadata=_stiffness("second")
     )
     alpha_2: Constant | None = eqx.field(
-        converter=_if_any, default=None, metadata=_exponent("second")
+        converter=if_any(as_field), default=None, metadata=_exponent("second")
     )
     mu_3: Constant | None = eqx.field(
-        converter=_if_any, default=None, metadata=_stiffness("third")
+        converter=if_any(as_field), default=None, metadata=_stiffness("third")
     )
     alpha_3: Constant | None = eqx.field(
-        converter=_if_any, default=None, metadata=_exponent("third")
+        converter=if_any(as_field), default=None, metadata=_exponent("third")
     )
     nu: Constant = eqx.field(
         converter=as_field, default=INCOMPRESSIBLE, metadata=RUBBER_RATIO

@@ -56,6 +56,7 @@ from softcal_jax.mesh._topology import (
     face_indices as face_indices,
     face_products as face_products,
     face_shares as face_shares,
+    sides_of as sides_of,
     surface_shares as surface_shares,
     tessellate as tessellate,
     tet_faces as tet_faces,

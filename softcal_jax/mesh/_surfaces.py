@@ -12,7 +12,7 @@ from softcal_jax._units import readable
 from softcal_jax.mesh._location import nearest_on_triangles
 from softcal_jax.mesh._selection import place
 from softcal_jax.mesh._tet_mesh import ArrayData, TetMesh
-from softcal_jax.mesh._topology import boundary_faces, face_indices
+from softcal_jax.mesh._topology import boundary_faces, face_indices, sides_of
 
 SHARP = np.deg2rad(40.0)
 """Turn of the normal at an edge that ends a face [rad]; a round wall turns by less."""
@@ -170,16 +170,8 @@ class _FaceGraph:
         self, angle: float | None, barred: Bool[HostArray, " n_faces"] | None = None
     ) -> Int[HostArray, " n_faces"]:
         """Number the connected parts of the surface; a barred face is its own part."""
-        corners = self.faces[:, :3]
-        edges = np.stack([corners, np.roll(corners, -1, axis=1)], axis=-1)
-        ends = np.sort(edges.reshape(-1, 2), axis=1)
-        _, inverse, counts = np.unique(
-            ends, axis=0, return_inverse=True, return_counts=True
-        )
-        inverse = inverse.ravel()
-        order = np.argsort(inverse, kind="stable")
         # Along an edge of more than two faces, parts only touch.
-        left, right = order[counts[inverse[order]] == 2].reshape(-1, 2).T // 3
+        left, right = sides_of(self.faces[:, :3]).pairs.T // 3
         joined = np.ones(len(left), bool)
         if barred is not None:
             joined = ~barred[left] & ~barred[right]

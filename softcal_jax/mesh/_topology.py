@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from softcal_jax._typing import Float, HostArray, Int
+from softcal_jax._typing import Bool, Float, HostArray, Int
 from softcal_jax.elements import (
     TET_EDGES,
     TET_FACES,
@@ -97,6 +97,29 @@ def face_indices(
     )
     indices = first[inverse.ravel()[len(among) :]]
     return np.where(indices < len(among), indices, -1)
+
+
+class Sides(NamedTuple):
+    """The sides of triangles, three of each in a row: 0-1, 1-2, 2-0."""
+
+    edge: Int[HostArray, " n"]  # number of the edge that each is
+    forwards: Bool[HostArray, " n"]  # whether it runs from the lower to the higher node
+    counts: Int[HostArray, " n_edges"]  # number of sides of each edge
+
+    @property
+    def pairs(self) -> Int[HostArray, "n_pairs 2"]:
+        """Sides at edges that exactly two share."""
+        order = np.argsort(self.edge, kind="stable")
+        return order[self.counts[self.edge[order]] == 2].reshape(-1, 2)
+
+
+def sides_of(triangles: Int[HostArray, "n 3"]) -> Sides:
+    """Find which sides of triangles share an edge."""
+    ends = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
+    _, edge, counts = np.unique(
+        np.sort(ends, axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    return Sides(edge.ravel(), ends[:, 0] < ends[:, 1], counts)
 
 
 def jacobian_determinants(

@@ -125,7 +125,6 @@ SYMBOLS: dict[str, dict[str, Any]] = {
 }
 """Styles of lines and points by what they mark, in the order of the legend."""
 
-
 WARNING_HEIGHT = 60  # of the band above the title [pixels]
 _MOST_NAMES = 16  # markers that are named; more names would cover each other
 

@@ -35,7 +35,6 @@ from softcal_jax.project._table import Table, as_table, wrong_choice, wrong_key
 GROUP = "softcal_jax.laws"
 """Group of the entry points by which installed packages offer laws."""
 
-
 _FRAME = "directions"  # key of the formula for the directions of fibres
 
 

@@ -236,7 +236,6 @@ GRAVITIES = 1.0, 30.0  # from the Moon's to Jupiter's [m/s2]
 WEIGHTS = 200.0
 """Dead load over the weight of the robot that would crush a soft one flat [-]."""
 
-
 UNBEARABLE = 100.0
 """What acts over what the body resists, from which on no solver need try [-]."""
 

@@ -147,9 +147,8 @@ class RegistrationTable(Table):
         """Return the rotation from axes of the cameras to those of the mesh [-]."""
         if self.axes is None:
             return None
-        R = np.zeros((3, 3))
-        for row, axis in zip(R, self.axes, strict=True):
-            row["xyz".index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
+        signs = [-1.0 if axis.startswith("-") else 1.0 for axis in self.axes]
+        R = np.diag(signs) @ np.eye(3)[["xyz".index(axis[-1]) for axis in self.axes]]
         if not np.isclose(np.linalg.det(R), 1.0):
             raise ValueError(
                 f"axes {', '.join(self.axes)} are no turn of a right-handed frame: "

@@ -90,16 +90,6 @@ class ParameterTable(Table):
             raise ValueError(f"got {typed.shown(value)}; expected {known}{elsewhere}")
         return value
 
-    @field_validator("sampling", mode="before")
-    @classmethod
-    def _check_sampling(cls, value: Any) -> Any:
-        if value not in (None, "centroids"):
-            raise ValueError(
-                f"got {typed.shown(value)}; a field has one value per tet, the one at "
-                "its centroid. Leave `sampling` out."
-            )
-        return value
-
     @field_validator("lower", "upper", "start", "S", "fixed", mode="before")
     @classmethod
     def _parse(cls, value: Any, info: Any) -> Any:

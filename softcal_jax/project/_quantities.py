@@ -11,6 +11,7 @@ from pydantic import BeforeValidator, Field, Strict
 
 from softcal_jax._names import METRES, suggestion
 from softcal_jax._text import shortened
+from softcal_jax._units import is_number
 
 if TYPE_CHECKING:
     import pint
@@ -139,11 +140,6 @@ def recognised(text: str) -> tuple[tuple[float, ...], str] | None:
                 return parse_vector(text, dimension), dimension.si
             return (parse_scalar(text, dimension),), dimension.si
     return None
-
-
-def is_number(value: Any) -> bool:
-    """Return whether a value of a file is a number without a unit."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def parse_scalar(value: Any, dimension: Dimension) -> float:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from softcal_jax import sweeps
+from softcal_jax._places import replacing
 from softcal_jax.export import file_dict, made_dict
 from softcal_jax.plotting import plot_trials
 from softcal_jax.report._html import (
@@ -77,12 +78,8 @@ def write_sweep(
     check_sweep_page(database)
     path = sweep_page_of(database)
     text = _sweep_page(result, Path(database), sweep, timing_s or {})
-    partial = path.with_name(f".softcal.{path.name}")
-    try:
+    with replacing(path) as partial:
         partial.write_text(text, encoding="utf-8")
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
     return path
 
 

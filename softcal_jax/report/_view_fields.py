@@ -72,7 +72,6 @@ def _edges(
 
 _AS_THEY_ARE = ("rad", "m")  # units of errors that are not shown in % of the value
 
-
 _ERROR = "standard error of "
 
 

@@ -35,7 +35,6 @@ LOADED = 1e-4
 """Force on a node, relative to the largest, from which its faces are not free [-]. An
 unloaded node has only the force that Newton's method leaves."""
 
-
 _KEPT: dict[int, Recovery] = {}  # by id of the model, while that lives
 
 

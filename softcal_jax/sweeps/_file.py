@@ -15,6 +15,7 @@ from pydantic import Field
 from softcal_jax._files import similar_file
 from softcal_jax._limits import PLANNED, TRIALS
 from softcal_jax._names import check_known
+from softcal_jax._units import is_number
 from softcal_jax.calibration import SourceFile
 from softcal_jax.export import Made
 from softcal_jax.project import (
@@ -37,7 +38,7 @@ from softcal_jax.sweeps._calibration import (
 )
 from softcal_jax.sweeps._result import SweepResult
 from softcal_jax.sweeps._run import run_part, run_sweep
-from softcal_jax.sweeps._trial import Points, Range, grid, is_number, sample
+from softcal_jax.sweeps._trial import Points, Range, grid, sample
 
 REPEATS = ("start", "noise")  # axes whose values are mere repetitions
 

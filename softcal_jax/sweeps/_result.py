@@ -11,8 +11,9 @@ import numpy as np
 
 from softcal_jax._names import check_known
 from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import is_number
 from softcal_jax.sweeps._row import State, TrialRow
-from softcal_jax.sweeps._trial import describe, is_number
+from softcal_jax.sweeps._trial import describe
 
 
 def figure_name(name: str) -> tuple[str, str]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from softcal_jax._files import digest_of
 from softcal_jax._names import check_known
 from softcal_jax._places import only_writer
+from softcal_jax._units import is_number
 from softcal_jax.equilibrium import usable_cores
 from softcal_jax.sweeps._database import read_sweep, sweep_database
 from softcal_jax.sweeps._result import SweepResult
@@ -22,7 +23,7 @@ from softcal_jax.sweeps._row import (
     flat_columns,
     run_trial,
 )
-from softcal_jax.sweeps._trial import Points, Range, Trial, as_trials, is_number, shown
+from softcal_jax.sweeps._trial import Points, Range, Trial, as_trials, shown
 from softcal_jax.sweeps._worker import dask_rows, local_rows
 
 if TYPE_CHECKING:

@@ -4,23 +4,22 @@ import csv
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from rich.console import Group as Printed
+from rich.text import Text
 
 from softcal_jax._text import as_cell
 from softcal_jax._text_table import STYLES, Cell, TextTable, Tone, text_table
 from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import is_number
 from softcal_jax.export import readable_estimate, readable_unit
 from softcal_jax.plotting import plot_trials
 from softcal_jax.sweeps._calibration import FIT, HELD_OUT, is_of_the_fit
 from softcal_jax.sweeps._result import Group, SweepResult, figure_name, figure_values
 from softcal_jax.sweeps._row import TrialRow, flat_columns
-from softcal_jax.sweeps._trial import describe, is_number, shown
-
-if TYPE_CHECKING:
-    import rich.console
-    import rich.table
+from softcal_jax.sweeps._trial import describe, shown
 
 ROUNDING = 1e-9
 """Standard deviation over the mean below which values differ by rounding alone."""
@@ -69,7 +68,7 @@ def sweep_table(
     by: Sequence[str] | None = None,
     figures: Sequence[str] | None = None,
     every: bool = False,
-) -> "rich.console.Group":
+) -> Printed:
     """Make a table of a sweep for the terminal, to be printed by `rich`.
 
     Args:
@@ -85,9 +84,6 @@ def sweep_table(
     Raises:
         ValueError: If there is no such axis or figure.
     """
-    from rich.console import Group as Printed
-    from rich.text import Text
-
     chosen = _chosen(result, figures, MOST_COLUMNS)
     grouped = result.groups(by)
     parts: list[Any] = [Text(f"{result.name}: {result.headline}", style="bold")]

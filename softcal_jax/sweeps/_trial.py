@@ -264,11 +264,6 @@ def shown(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def is_number(value: Any) -> bool:
-    """Check whether a value is a number; true and false are not."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
 def _canonical(point: Mapping[str, Any]) -> str:
     return json.dumps(point, sort_keys=True, separators=(",", ":"), allow_nan=False)
 

@@ -164,7 +164,7 @@ CASES = {
     ),
     "values per quadrature point": (
         (E_L, f'{E_L}sampling = "quadrature"\n'),
-        'parameters.E_l.sampling: got "quadrature" ... per tet ... out',
+        'parameters.E_l.sampling: got "quadrature" ... "centroids"',
     ),
     "order of nothing": (
         ("axes = [[", 'order = [["E_x", "E_t"]]\n# [['),

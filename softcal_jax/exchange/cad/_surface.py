@@ -8,7 +8,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
-from softcal_jax.mesh import ParserError, parse_mesh_file, seen_from
+from softcal_jax.mesh import ParserError, parse_mesh_file, seen_from, sides_of
 
 
 class Triangles(NamedTuple):
@@ -29,7 +29,7 @@ class Triangles(NamedTuple):
     @property
     def n_open_edges(self) -> int:
         """Number of edges that do not belong to exactly two triangles."""
-        return int(np.sum(_edges(self.triangles).counts != 2))
+        return int(np.sum(sides_of(self.triangles).counts != 2))
 
 
 def read_stl(path: Path) -> Triangles:
@@ -71,9 +71,9 @@ def turned_outwards(surface: Triangles) -> tuple[Triangles, list[str]]:
     sign = lambda values: np.where(np.bincount(part, values) < 0.0, -1.0, 1.0)
     a, b, c = np.moveaxis(corners, 1, 0)
     kept = sign(in_file * np.linalg.norm(np.cross(b - a, c - a), axis=1))
-    edges = _edges(triangles)
+    sides = sides_of(triangles)
     is_open = np.zeros(part.max() + 1, bool)
-    is_open[part[np.flatnonzero(edges.counts[edges.which] != 2) // 3]] = True
+    is_open[part[np.flatnonzero(sides.counts[sides.edge] != 2) // 3]] = True
     inside = _nested(corners, part, ~is_open)
     depth = inside.sum(axis=1)
     outer = np.where(is_open, kept, sign(_cones(corners)) * (-1.0) ** depth)
@@ -109,22 +109,6 @@ def _notes(
     return notes
 
 
-class _Edges(NamedTuple):
-    """Edges of triangles: which of the distinct ones each is, and how many share it."""
-
-    forwards: Bool[HostArray, " n"]
-    which: Int[HostArray, " n"]
-    counts: Int[HostArray, " n_distinct"]
-
-
-def _edges(triangles: Int[HostArray, "n 3"]) -> _Edges:
-    ends = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
-    _, which, counts = np.unique(
-        np.sort(ends, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
-    return _Edges(ends[:, 0] < ends[:, 1], which.ravel(), counts)
-
-
 def _alike(
     triangles: Int[HostArray, "n 3"],
 ) -> tuple[Int[HostArray, " n"], Bool[HostArray, " n"]]:
@@ -133,12 +117,11 @@ def _alike(
     Triangle i stands twice, as it is (i) and flipped (n + i); what is joined to one of
     them is to be turned alike.
     """
-    n, edges = len(triangles), _edges(triangles)
-    order = np.argsort(edges.which, kind="stable")
-    pairs = order[edges.counts[edges.which[order]] == 2].reshape(-1, 2)
-    left, right = (pairs // 3).T
+    n, sides = len(triangles), sides_of(triangles)
+    left, right = (sides.pairs // 3).T
     # Neighbours that are turned alike go along their edge in opposite directions.
-    other = n * (edges.forwards[pairs[:, 0]] == edges.forwards[pairs[:, 1]])
+    first, second = sides.forwards[sides.pairs].T
+    other = n * (first == second)
     rows = np.concatenate([left, n + left])
     columns = np.concatenate([right + other, right + n - other])
     graph = coo_array((np.ones(len(rows)), (rows, columns)), (2 * n, 2 * n))

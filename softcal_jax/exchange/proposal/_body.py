@@ -22,6 +22,7 @@ from softcal_jax.mesh import (
     read_mesh,
     select_faces,
     select_nodes,
+    sides_of,
     volumes,
 )
 
@@ -158,9 +159,7 @@ def find_chambers(mesh: TetMesh, held: Held) -> dict[str, bool]:
     chambers = {}
     for name in _named_like(CHAMBER_WORDS, mesh.surface_groups, mesh):
         faces = mesh.surface_groups[name]
-        edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-        _, counts = np.unique(edges, axis=0, return_counts=True)
-        is_open = bool((counts == 1).any())
+        is_open = bool(np.any(sides_of(faces[:, :3]).counts == 1))
         chamber = Chamber(name, name, seal=is_open)
         try:
             made = build_mechanism(mesh, [], [chamber])
