@@ -5,9 +5,9 @@
   deeper than its project says (`wrong`): then its field makes up for the mounting, and
   must not be called that of the material. `wrong_fit_over_right` says how well it does:
   the rms of the markers of the first strip after each fit.
-- `printed`: the same with ten pairs of printed parallel robots, of one
-  print each, assembled twice and measured in other poses; where it is wrong, the
-  motors of the first are mounted 2 mm beside where its project says on each axis, not 0.5 mm.
+- `printed`: the same with ten pairs of printed parallel robots, of one print each,
+  assembled twice and measured in other poses. A wrong mounting has its motors 2 mm off
+  on each axis (standard deviation), and not 0.5 mm.
 - `arm`: the silicone beam and the pneumatic arm, both of Dragon Skin 10, by the shear
   modulus of Gent's law.
 - `sessions`: the tentacle in two sessions, by E.
