@@ -135,11 +135,11 @@ def _end_holds(
     step = np.clip(step, down, up)
     # Moduli must stay in their order.
     A, b = map(np.asarray, space.order_rows())
-    there, chart = z + step, space.chart
-    crossed = chart is not None and np.any(there[chart.small] > there[chart.large])
-    if crossed or np.any(A @ there > b):
+    at_end, chart = z + step, space.chart
+    crossed = chart is not None and np.any(at_end[chart.small] > at_end[chart.large])
+    if crossed or np.any(A @ at_end > b):
         return False
-    z_end = jax.device_put(there)
+    z_end = jax.device_put(at_end)
     end = evaluate(z_end, evaluation.response.equilibrium.displacement)
     if not end.ok:
         return False

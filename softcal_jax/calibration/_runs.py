@@ -243,7 +243,7 @@ def better(best: Run, new: Run) -> Run:
     return replace(lower, steps=best.steps + new.steps, errors=errors)
 
 
-class Known(NamedTuple):
+class Basin(NamedTuple):
     """An optimum that a run has reached, and the best end of that run.
 
     `best` is None where the optimum may end an image early, but not a whole run: if the
@@ -255,7 +255,7 @@ class Known(NamedTuple):
     best: Run | None = None
 
 
-def leads_to(space: ParameterSpace, state: CalibrationState, known: Known) -> bool:
+def leads_to(space: ParameterSpace, state: CalibrationState, known: Basin) -> bool:
     """Return whether a run seems to be on its way into a known optimum.
 
     It does if the linear model of its errors foretells the cost there, and nothing
@@ -311,7 +311,7 @@ def run_start(
     *,
     images: Sequence[Image],
     begun: Begun | None = None,
-    known: Sequence[Known] = (),
+    known: Sequence[Basin] = (),
     note: Callable[[Begun], None] = lambda _: None,
     note_step: Callable[[int, CalibrationState], None] = lambda *_: None,
 ) -> Begun:
@@ -331,7 +331,7 @@ def run_start(
         before = [first, *(m.signs * first for m in images[:i] if m.of_start)]
         again = image.of_start and any(np.array_equal(origin, old) for old in before)
         if not again and wanted(evaluate.problem, best, image):
-            reached = [Known(z[k], cost[k]) for k in np.flatnonzero(np.isfinite(cost))]
+            reached = [Basin(z[k], cost[k]) for k in np.flatnonzero(np.isfinite(cost))]
             step = partial(note_step, i)
             end, optimum = _to(evaluate, settings, origin, (*known, *reached), step)
             if end.converged:
@@ -351,9 +351,9 @@ def _to(
     evaluate: Evaluator,
     settings: CalibrationSettings,
     origin: Float[HostArray, " n_p"],
-    known: Sequence[Known],
+    known: Sequence[Basin],
     note: Callable[[CalibrationState], None],
-) -> tuple[Run, Known | None]:
+) -> tuple[Run, Basin | None]:
     """Run the outer loop to its end, or to a known optimum that it leads to."""
     optimum = None
 
@@ -369,14 +369,14 @@ def _to(
     return end, optimum
 
 
-def known_optima(runs: Sequence[Begun], images: Sequence[Image]) -> list[Known]:
+def known_optima(runs: Sequence[Begun], images: Sequence[Image]) -> list[Basin]:
     """List the optima that runs reached, each with the first run that did."""
-    known: dict[tuple[float, ...], Known] = {}
+    known: dict[tuple[float, ...], Basin] = {}
     for run in runs:
         for z, cost, image in zip(run.z, run.cost, images, strict=True):
             if np.isfinite(cost):
                 best = None if image.of_start else run.best
-                known.setdefault(tuple(z.round(3)), Known(z, float(cost), best))
+                known.setdefault(tuple(z.round(3)), Basin(z, float(cost), best))
     return [*known.values()]
 
 

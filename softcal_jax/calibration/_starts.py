@@ -18,8 +18,8 @@ from softcal_jax.calibration._noise import CorrelatedNoise
 from softcal_jax.calibration._problem import CalibrationProblem, CalibrationSettings
 from softcal_jax.calibration._result import MultiStartResult, Optimum
 from softcal_jax.calibration._runs import (
+    Basin,
     Begun,
-    Known,
     admissible,
     images_of,
     known_optima,
@@ -239,7 +239,7 @@ def search(
             rms = marker_rms(evaluate.problem, state.evaluation)
             progress(SearchProgress(i, len(rows), image, int(state.step), rms))
 
-    def run_from(known: Sequence[Known], i: int) -> Begun:
+    def run_from(known: Sequence[Basin], i: int) -> Begun:
         run = partial(run_start, evaluate, settings, rows[i], images=images)
         step = partial(report, i)
         return run(begun=begun[i], known=known, note=partial(keep, i), note_step=step)

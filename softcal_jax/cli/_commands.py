@@ -272,10 +272,10 @@ def transfer(args: argparse.Namespace, show: cli.Display) -> None:
         if not result.converged:
             raise cli.Stop(cli.NOT_CONVERGED, "the calibration of B did not converge.")
         show.now("the poses of B with the values of A")
-        found = report.transfer(of_a, project, result)
+        transferred = report.transfer(of_a, project, result)
     show.line()
-    show.line(str(found))
-    show.document(found.as_dict())
+    show.line(str(transferred))
+    show.document(transferred.as_dict())
 
 
 def add_transfer(commands: "argparse._SubParsersAction") -> None:

@@ -274,9 +274,9 @@ class _Lanes:
         path = trace(*self._to_trace(c), check=self.workers.check)
         share = min(float(np.max(path.load)), 1.0)
         if share == 1.0:
-            found = self.solve(c, jnp.asarray(path.displacement[-1]))
-            if found.converged:
-                return _with_steps(found, int(failed.steps) + int(found.steps))
+            end = self.solve(c, jnp.asarray(path.displacement[-1]))
+            if end.converged:
+                return _with_steps(end, int(failed.steps) + int(end.steps))
         return eqx.tree_at(lambda s: s.along_path, failed, jnp.asarray(share))
 
     def _run(

@@ -83,7 +83,7 @@ class NotConvergedError(RuntimeError):
     """The model of another program could not be calibrated, so nothing is written."""
 
 
-class Refit(NamedTuple):
+class Recalibration(NamedTuple):
     """The model of a program, calibrated for it, and what to say of it, in lines.
 
     `solved` are the configurations that have an equilibrium, and displacements [m].
@@ -114,7 +114,7 @@ def recalibrate(
     model: Model,
     program: str,
     progress: Callable[[HistoryEntry], None] | None,
-) -> Refit:
+) -> Recalibration:
     """Fit the model of a program to the same measurements, from calibrated values.
 
     Standard errors are left out, since the values make up for errors of the mesh.
@@ -152,7 +152,7 @@ def recalibrate(
     lost = ", ".join(c.name for c in refitted.configurations if not c.converged)
     left_out = f"Without an equilibrium in the model of {program}, and so left out: "
     posed = [c for c in project.configurations if c.name in solved]
-    return Refit(
+    return Recalibration(
         refitted,
         (posed, [np.asarray(solved[c.name]) for c in posed]),
         _lines_of_both(loaded, refitted, program),

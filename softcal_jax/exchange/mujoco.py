@@ -50,7 +50,7 @@ GUIDE_MASS = 0.05
 """Mass of a guide over the mean mass of a node, so that it hardly adds to it [-]."""
 
 
-class Pose(NamedTuple):
+class Key(NamedTuple):
     """A configuration by its name and arrays, and its displacements [m]."""
 
     name: str
@@ -133,7 +133,7 @@ def export_mujoco(
     return MujocoExport(files, refitted, tuple(lines))
 
 
-def _surroundings(pose: Pose) -> bytes:
+def _surroundings(pose: Key) -> bytes:
     """Return what the poses of one file have in common: supports and gravity."""
     lane = pose.lane
     parts = lane.fixed, lane.springs.coefficients(), lane.acceleration
@@ -161,7 +161,7 @@ def mujoco_poses(
     z: Any,
     configurations: Sequence[Configuration],
     displacements: Sequence[Float[HostArray, "n_nodes 3"]],
-) -> list[Pose]:
+) -> list[Key]:
     """Return configurations with the fitted parameters, of scaled values `z`.
 
     A ValueError says why MuJoCo cannot hold a robot, support or displacement.
@@ -193,11 +193,11 @@ def mujoco_poses(
                 "model of MuJoCo are forces. Impose the force that the equilibrium "
                 "has (robot.csv)."
             )
-        poses.append(Pose(c.name, lane, u))
+        poses.append(Key(c.name, lane, u))
     return poses
 
 
-def mjcf(name: str, model: Model, poses: Sequence[Pose], remarks: Sequence[str]) -> str:
+def mjcf(name: str, model: Model, poses: Sequence[Key], remarks: Sequence[str]) -> str:
     """Write a linear model, and poses of the same supports and gravity, as MJCF.
 
     Each pose is a keyframe of its name: the controls, and the equilibrium. A cable is a

@@ -78,7 +78,7 @@ class Difference(Module):
     @property
     def verdict(self) -> str:
         """What the values hold for, in a sentence or two."""
-        found = f"chi-squared {self.chi_squared:.3g} for {self.directions}"
+        chi2 = f"chi-squared {self.chi_squared:.3g} for {self.directions}"
         by = lambda i, sizes: (
             f"{self.names[i]} by {readable(float(f'{sizes[i]:.2g}'), self.units[i])}"
         )
@@ -86,14 +86,14 @@ class Difference(Module):
             size = np.where(np.array(self.units) == "rad", 1.0, np.abs(self.of_a))
             coarse = np.flatnonzero(self.unseen > _COARSE * size).tolist()
             hidden = [by(i, self.unseen) for i in coarse]
-            text = f"Both agree within their errors ({found})"
+            text = f"Both agree within their errors ({chi2})"
             if hidden:
                 return f"{text}, but a difference could hide: {listed(hidden)}."
             return f"{text}, as material properties would."
         largest = np.argsort(-np.abs(self.worst / self.unseen))[:4].tolist()
         changes = [by(i, self.worst) for i in largest]
         return (
-            f"They do not agree ({found}): the values of at least one robot hold only "
+            f"They do not agree ({chi2}): the values of at least one robot hold only "
             "for its loads and shape. From A to B they differ most in "
             f"{listed(changes)} ({self.worst_size:.1f} standard errors)."
         )

@@ -52,12 +52,12 @@ def one_by_one(path: Path, problems: Iterable[str]) -> ProjectError:
 
 def _first_of(problems: Iterable[str]) -> list[str]:
     """Return different problems, at most one more than are listed."""
-    found: dict[str, None] = {}
+    first: dict[str, None] = {}
     for problem in problems:
-        found[problem] = None
-        if len(found) > MOST_PROBLEMS:
+        first[problem] = None
+        if len(first) > MOST_PROBLEMS:
             break
-    return list(found)
+    return list(first)
 
 
 class WrongKeyError(ValueError):

@@ -217,11 +217,11 @@ def _with_shared(raw: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def _merged(shared: Any, own: Any) -> Any:
+def _merged(shared: Any, value: Any) -> Any:
     """Merge a value over the shared one, key by key where both are tables."""
-    if not (isinstance(shared, dict) and isinstance(own, dict)):
-        return own
-    return shared | {key: _merged(shared.get(key), own[key]) for key in own}
+    if not (isinstance(shared, dict) and isinstance(value, dict)):
+        return value
+    return shared | {key: _merged(shared.get(key), value[key]) for key in value}
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:

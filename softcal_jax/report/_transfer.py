@@ -75,14 +75,14 @@ def transfer(a: Estimate, b: Project, result: CalibrationResult) -> Transfer:
         ValueError: If no parameter of the material has a standard error in both.
     """
     of_b = Estimate(result.space, result.z, result.budget.covariance)
-    found = difference(a, of_b)
-    with_a = _predicted(b, result, dict(zip(found.names, found.of_a, strict=True)))
-    own = {c.name: c.rms_after for c in result.configurations}
+    apart = difference(a, of_b)
+    with_a = _predicted(b, result, dict(zip(apart.names, apart.of_a, strict=True)))
+    rms_of_b = {c.name: c.rms_after for c in result.configurations}
     return Transfer(
-        difference=found,
+        difference=apart,
         poses=tuple(c.name for c in with_a),
         motion=np.array([c.motion for c in with_a]),
-        rms_own=np.array([own.get(c.name, np.nan) for c in with_a]),
+        rms_own=np.array([rms_of_b.get(c.name, np.nan) for c in with_a]),
         rms_of_a=np.array([c.rms_after for c in with_a]),
         lost=tuple(c.name for c in with_a if not c.converged),
     )

@@ -24,7 +24,7 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.calibration._checkpoint import Journal
 from softcal_jax.calibration._runs import (
-    Known,
+    Basin,
     Run,
     better,
     images_of,
@@ -226,8 +226,8 @@ def test_share_of_starts_that_lead_elsewhere():
 def test_which_runs_lead_to_a_known_optimum(measured, plain):
     """Near it one does; far from it, below it, or at another one it does not."""
     space = measured.beam.space
-    best = Known(plain.z[0], float(plain.cost[0]))
-    other = Known(plain.z[2], float(plain.cost[2]))
+    best = Basin(plain.z[0], float(plain.cost[0]))
+    other = Basin(plain.z[2], float(plain.cost[2]))
 
     def at(z):
         now = evaluate(measured.problem, jnp.asarray(z))
