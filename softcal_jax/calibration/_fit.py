@@ -29,7 +29,12 @@ from softcal_jax.calibration._evaluation import (
     effector_errors,
 )
 from softcal_jax.calibration._noise import CorrelatedNoise, independent_recordings
-from softcal_jax.calibration._notes import fit_notes, residual_checks, result_notes
+from softcal_jax.calibration._notes import (
+    ResidualChecks,
+    fit_notes,
+    residual_checks,
+    result_notes,
+)
 from softcal_jax.calibration._prediction import Predicted, predict
 from softcal_jax.calibration._problem import Batch, Task
 from softcal_jax.calibration._result import (
@@ -52,11 +57,13 @@ from softcal_jax.configurations import check_numbers
 from softcal_jax.equilibrium import EquilibriumProgress, Workers, reports_of
 from softcal_jax.inference import (
     ErrorColumns,
+    LinearModel,
+    Uncertainty,
     error_budget,
     recording_estimates,
     uncertainty,
 )
-from softcal_jax.unknowns import compile_considered, considered_errors
+from softcal_jax.unknowns import Setting, compile_considered, considered_errors
 
 BUDGET = "the error budget"  # what is left out of the answer so far
 
@@ -127,20 +134,59 @@ def fit(task: Task, batch: Batch, watch: Watch, resume: Resume | None = None) ->
         if task.quick or journal.interrupted:
             result = so_far()
         else:
-            try:
-                taken = journal.history[-1].seconds
-                watch.stage(f"{BUDGET} (the fit took {taken:.0f} s)")
-                solution, n = predicted.response.equilibrium, len(task.fitted)
-                considered = considered_errors(
-                    workers, setting, z=z, equilibrium=solution, n_fitted=n
-                )
-                result = _result(task, solved, considered)
-            except KeyboardInterrupt:
-                result = so_far()
-                notes = (*result.notes, f"Interrupted before {BUDGET} was known.")
-                result = replace(result, notes=notes, interrupted=True)
+            result = _with_budget(task, watch, solved, setting, workers, so_far)
     problem = batch.fitted.with_noise(weighed.noise)
     return Fitted(result, problem, task.fitted, weighed.state.evaluation)
+
+
+def _with_budget(
+    task: Task,
+    watch: Watch,
+    solved: _Solved,
+    setting: Setting,
+    workers: Workers,
+    so_far: Callable[[], CalibrationResult],
+) -> CalibrationResult:
+    """Judge with the considered errors, too; Ctrl-C leaves the answer so far."""
+    taken, n_fitted = solved.journal.history[-1].seconds, len(task.fitted)
+    z, solution = solved.weighed.state.z, solved.predicted.response.equilibrium
+    options = {"z": z, "equilibrium": solution, "n_fitted": n_fitted}
+    try:
+        watch.stage(f"{BUDGET} (the fit took {taken:.0f} s)")
+        return _result(task, solved, considered_errors(workers, setting, **options))
+    except KeyboardInterrupt:
+        notes = (*so_far().notes, f"Interrupted before {BUDGET} was known.")
+        return replace(so_far(), notes=notes, interrupted=True)
+
+
+def _judged(
+    task: Task, weighed: Weighed, predicted: Predicted, considered: ErrorColumns | None
+) -> tuple[LinearModel, Uncertainty, ResidualChecks]:
+    """Make the linear model of all configurations at the optimum, and judge by it."""
+    whole = replace(
+        weighed.state.evaluation,
+        response=predicted.response,
+        delta_e=effector_errors(predicted.problem, predicted.response.effectors),
+    )
+    more = {"n_fitted": len(task.fitted), "considered": considered}
+    poses, z = task.configurations, weighed.state.z
+    linear = whole.linear(predicted.problem, poses, z, **more)
+    spread = uncertainty(linear.with_scale(1.0), task.noise, weighed.scale)
+    scale = spread.noise_scale if np.isfinite(spread.noise_scale) else 1.0
+    linear = linear.with_scale(scale)
+    checks = residual_checks(
+        linear.of_fit(),
+        task.fitted,
+        effectors=predicted.problem.of_first(len(task.fitted)).configurations.effectors,
+        spread=spread,
+        fits=predicted.fits[: len(task.fitted)],
+    )
+    # A held-out configuration of a recording that is fitted, too, is no witness.
+    names, n = independent_recordings(poses), len(task.fitted)
+    witnesses = [*names[:n], *(None if k in names[:n] else k for k in names[n:])]
+    more = {"space": task.space, "z": z, "spread": spread}
+    recordings = recording_estimates(linear, witnesses, **more)
+    return linear, spread, replace(checks, recordings=recordings)
 
 
 def _result(
@@ -149,29 +195,10 @@ def _result(
     """Make the result of a fit, judged by its linear model at the optimum."""
     start, search, weighed, predicted, journal, clock = solved
     state, space, z = weighed.state, task.space, weighed.state.z
-    n_fitted, problem = len(task.fitted), predicted.problem
-    whole = replace(
-        state.evaluation,
-        response=predicted.response,
-        delta_e=effector_errors(problem, predicted.response.effectors),
-    )
-    more = {"n_fitted": n_fitted, "considered": considered}
-    linear = whole.linear(problem, task.configurations, z, **more)
-    spread = uncertainty(linear.with_scale(1.0), task.noise, weighed.scale)
-    noise_is_known = bool(np.isfinite(spread.noise_scale))
-    linear = linear.with_scale(spread.noise_scale if noise_is_known else 1.0)
-    of_fit, problem = linear.of_fit(), problem.of_first(n_fitted)
-    budget = error_budget(of_fit, space, z, noise_is_known=noise_is_known)
-    checks = residual_checks(
-        of_fit,
-        task.fitted,
-        effectors=problem.configurations.effectors,
-        spread=spread,
-        fits=predicted.fits[:n_fitted],
-    )
-    recordings = recording_estimates(
-        linear, _witnesses(task), space=space, z=z, spread=spread
-    )
+    linear, spread, checks = _judged(task, weighed, predicted, considered)
+    known = bool(np.isfinite(spread.noise_scale))
+    budget = error_budget(linear.of_fit(), space, z, noise_is_known=known)
+    problem = predicted.problem.of_first(len(task.fitted))
     notes = result_notes(problem, predicted.fits, z, spread)
     first = start.z if start.notes else task.start
     return CalibrationResult(
@@ -189,7 +216,7 @@ def _result(
         newton=task.newton,
         noise=weighed.noise,
         noise_settled=weighed.settled,
-        checks=replace(checks, recordings=recordings),
+        checks=checks,
         timing_s=clock.seconds,
         notes=(*start.notes, *weighed.notes, *predicted.notes, *notes),
         starts=search,
@@ -265,13 +292,3 @@ def _descended(task: Task, start: Start, place: Start, journal: Journal) -> Weig
         journal.interrupted, of_steps = True, []
         weighed = Weighed(*journal.last, sought, (journal.interruption,))
     return weighed._replace(notes=(*of_steps, *journal.notes, *weighed.notes))
-
-
-def _witnesses(task: Task) -> list[str | None]:
-    """Return the recording that each configuration counts to in `recording_estimates`.
-
-    None for a held-out configuration of a recording that is fitted, too.
-    """
-    recordings = independent_recordings(task.configurations)
-    fitted, others = recordings[: len(task.fitted)], recordings[len(task.fitted) :]
-    return [*fitted, *(None if name in fitted else name for name in others)]

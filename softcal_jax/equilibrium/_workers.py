@@ -81,7 +81,10 @@ class Program:
     def _result(self, solver: AbstractLinearSolver, lane: Sequence[Any]) -> Any:
         # Keep the solver too, so that its id is not given to another one.
         if id(solver) not in self._on:
-            self._on[id(solver)] = solver, _with_solver(self._shared, solver)
+            is_solver = lambda node: isinstance(node, AbstractLinearSolver)
+            replaced = lambda node: solver if is_solver(node) else node
+            shared = jax.tree.map(replaced, self._shared, is_leaf=is_solver)
+            self._on[id(solver)] = solver, shared
         return jax.block_until_ready(self._function(*self._on[id(solver)][1], *lane))
 
 
@@ -90,13 +93,6 @@ def _key(function: Callable, shared: Any, lane: Any) -> Hashable:
     leaves, tree = jax.tree.flatten((shared, lane))
     kind = lambda leaf: (leaf.shape, leaf.dtype) if hasattr(leaf, "dtype") else leaf
     return function.__module__, function.__qualname__, tree, tuple(map(kind, leaves))
-
-
-def _with_solver(tree: T, solver: AbstractLinearSolver) -> T:
-    """Return a model, or what holds one, with another sparse solver."""
-    is_solver = lambda node: isinstance(node, AbstractLinearSolver)
-    replaced = lambda node: solver if is_solver(node) else node
-    return jax.tree.map(replaced, tree, is_leaf=is_solver)
 
 
 def usable_cores() -> int:

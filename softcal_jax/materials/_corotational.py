@@ -59,11 +59,6 @@ def _left(A: Matrix, X: Float[Array, "n 3 3"]) -> Float[Array, "n 3 3"]:
     return sum_of(A[None, :, k, None] * X[:, k, None, :] for k in range(3))
 
 
-def _right(X: Float[Array, "n 3 3"], A: Matrix) -> Float[Array, "n 3 3"]:
-    """Multiply X_r A."""
-    return sum_of(X[:, :, k, None] * A[None, k, None, :] for k in range(3))
-
-
 class Corotational(AbstractLinearLaw):
     """Linear law in the stretch of the polar decomposition F = R S.
 
@@ -110,7 +105,8 @@ class Corotational(AbstractLinearLaw):
         R, S, sigma, M_inverse = polar
         p = sigma - skew(_times(M_inverse, axial(matmul(sigma, S))))
         hat = jnp.asarray(_HAT)
-        p, Q = jax.lax.optimization_barrier((p, jax.vmap(symmetric)(_right(hat, S))))
+        right = sum_of(hat[:, :, k, None] * S[None, k, None, :] for k in range(3))
+        p, Q = jax.lax.optimization_barrier((p, jax.vmap(symmetric)(right)))
         moment = jax.vmap(self.elasticity.stress)(Q)
         moment += jax.vmap(symmetric)(_left(p.T, hat))
         N = sum_of(M_inverse[:, s, None, None] * moment[None, s] for s in range(3))

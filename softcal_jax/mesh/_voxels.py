@@ -87,19 +87,15 @@ def _points_in_tets(
     lower, upper = bounds(X)
     parts = np.ceil(((upper - lower) / grid.size).max(axis=1)).astype(int)
     for n in np.unique(parts):
-        b = _lattice(int(n))
+        # Barycentric coordinates, 1 / (n + 1) apart.
+        i, j, k = np.indices((n + 1,) * 3).reshape(3, -1)
+        i, j, k = (axis[i + j + k <= n] for axis in (i, j, k))
+        b = (np.stack([n - i - j - k, i, j, k], axis=1) + 0.25) / (n + 1)
         N = shape_functions(b, X.shape[1])
         alike = np.flatnonzero(parts == n)
         for some in np.array_split(alike, -(-len(alike) * len(b) // _AT_ONCE)):
             points = np.einsum("pa,tai->tpi", N, X[some])
             yield np.repeat(some, len(b)), points.reshape(-1, 3)
-
-
-def _lattice(n: int) -> Float[HostArray, "m 4"]:
-    """Return barycentric coordinates of points in a tet, 1 / (n + 1) apart."""
-    i, j, k = np.indices((n + 1,) * 3).reshape(3, -1)
-    i, j, k = (axis[i + j + k <= n] for axis in (i, j, k))
-    return (np.stack([n - i - j - k, i, j, k], axis=1) + 0.25) / (n + 1)
 
 
 def _at_centres(mesh: TetMesh, grid: Grid) -> Int[HostArray, "n n n"]:

@@ -287,7 +287,9 @@ def axis_values(
         case [_, *_] if axis == "layout":
             check_known("layout", layouts, *given)
             return given
-        case [_, *_] if axis == "configurations" and all(map(_is_subset, given)):
+        case [_, *_] if axis == "configurations" and all(
+            isinstance(subset, list) and subset for subset in given
+        ):
             names = itertools.chain(*given)
             check_known("configuration with the role calibration", poses, *names)
             # In the project's order, so that [a, b] and [b, a] are the same trial.
@@ -298,10 +300,6 @@ def axis_values(
             return given
     usual = "a list of values, or { low = 1, high = 2 }"
     raise ValueError(f"got {given}; expected {_EXPECTED.get(axis, usual)}.")
-
-
-def _is_subset(given: Any) -> bool:
-    return isinstance(given, list) and bool(given)
 
 
 def _subsets(size: int, poses: Sequence[str]) -> list[list[str]]:

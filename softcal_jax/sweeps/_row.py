@@ -94,7 +94,10 @@ def run_trial(function: TrialFunction, trial: Trial) -> TrialRow:
         except Exception as error:  # a trial that fails is a row with its reason
             reason = f"{type(error).__name__}: {error}"
             trace = traceback.format_exc()
-    warned = [text for w in caught if not _of_the_cache(text := str(w.message))]
+    warned = [str(w.message) for w in caught]
+    for text in warned:  # a killed worker leaves an incomplete program on disk
+        throw_away_damaged(text)
+    warned = [text for text in warned if "persistent compilation cache" not in text]
     state: State = "converged" if outcome.converged else "not converged"
     if not outcome.converged:
         reason = outcome.reason or "it did not converge"
@@ -111,15 +114,6 @@ def run_trial(function: TrialFunction, trial: Trial) -> TrialRow:
         ended=_now(),
         traceback=trace,
     )
-
-
-def _of_the_cache(warning: str) -> bool:
-    """Whether a warning is about compiled programs on disk; remove a damaged program.
-
-    A worker that was killed, or is still writing, leaves an incomplete program.
-    """
-    throw_away_damaged(warning)
-    return "persistent compilation cache" in warning
 
 
 def failed_row(trial: Trial, reason: str) -> TrialRow:
