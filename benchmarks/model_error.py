@@ -12,7 +12,7 @@ the foam, with:
 - both errors together;
 - the full law on quadratic tets, the control, which must not be flagged.
 
-A fit is flagged if its notes say that the residuals are larger than the stated noise,
+A fit is flagged if its verdict says that the residuals are above the stated noise,
 with chi-squared more than 3 times its degrees of freedom. `called_identifiable` counts
 the wrong fits whose report calls its parameters identifiable all the same.
 """
@@ -72,7 +72,7 @@ UNCERTAIN = Uncertain(recordings=0.0)
 FAR_ABOVE = 3.0
 """Chi-squared over its degrees of freedom from which a misfit is no accident [-]."""
 
-FLAG = "The residuals are larger than the stated noise"
+FLAG = "times the stated noise"
 
 
 class Case(NamedTuple):
@@ -107,8 +107,8 @@ class Trial(NamedTuple):
 
     @property
     def warned(self) -> bool:
-        """Whether the notes speak of the misfit."""
-        return any(note.startswith(FLAG) for note in self.result.notes)
+        """Whether the verdict speaks of the misfit."""
+        return any(FLAG in doubt for doubt in self.result.doubts)
 
     @property
     def called_identifiable(self) -> bool:
