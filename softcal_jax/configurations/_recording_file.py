@@ -355,8 +355,10 @@ _NUMBER = re.compile(r"[-+]?\d+([.,]\d*)?(e[-+]?\d+)?", re.IGNORECASE)
 
 
 def _reader_of(rows: NumberedCells) -> _Reader | None:
-    """Return how a table is read: numbers alone, if its first row has nothing else."""
-    if rows and all(map(_NUMBER.fullmatch, rows[0][1])):
+    """Return how a table is read; one without a header begins with numbers and gaps."""
+    first, *others = rows[0][1] if rows else [""]
+    numbers = (cell.lower() in _GAPS or _NUMBER.fullmatch(cell) for cell in others)
+    if _NUMBER.fullmatch(first) and all(numbers):
         return _PLAIN
     starts = _starts(rows)
     return next((_LAYOUTS[row] for row in _LAYOUTS if row in starts), None)

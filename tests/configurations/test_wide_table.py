@@ -164,6 +164,16 @@ def test_numbers_alone(tmp_path, before):
         read_recording(path)
 
 
+@pytest.mark.parametrize("gap", ["", "nan"])
+def test_numbers_alone_may_begin_with_a_gap(tmp_path, gap):
+    """A marker that was not seen in the first frame."""
+    path = tmp_path / "run.csv"
+    path.write_text(f"0,1,2,3,{gap},{gap},{gap}\n0.1,1,2,3,4,5,6\n")
+    positions = read_recording(path, length_unit="m").positions
+    assert np.isnan(positions[0, 1]).all()
+    np.testing.assert_array_equal(positions[1, 1], [4.0, 5.0, 6.0])
+
+
 def test_numbers_alone_need_the_time(tmp_path):
     path = tmp_path / "run.csv"
     np.savetxt(path, seen().reshape(40, -1), delimiter=",")
