@@ -10,7 +10,7 @@ with two cables, a rigid cap and six poses.
 
 The same starts of the commit `BEFORE`, the last one before error budgets became a solve
 of their own, take turns with these, so that ratios do not depend on the day. The answer
-is there when the line "So far" is printed; before, when the demo has ended.
+is there when the line "Preliminary values" is printed; before, when the demo has ended.
 
 Then a gradient through an equilibrium that is called eagerly in a process of its own,
 and what second calls compile. Last, what the error of the mesh takes beside a fit.
@@ -66,7 +66,7 @@ def add(event, seconds, **_):
 jax.monitoring.register_event_duration_secs_listener(add)
 write = sys.stdout.write
 def seen(text):
-    if "So far" in text:
+    if "Preliminary values" in text:
         times["answer"] = time.perf_counter() - begin
     return write(text)
 sys.stdout.write = seen
