@@ -35,7 +35,7 @@ from softcal_jax.equilibrium._workers import Program, Workers
 
 STEPS_BETWEEN = 2  # Newton iterations of a configuration between two reports
 
-AT_ONCE = 8
+AT_ONCE = 10
 """Newton iterations within which the first step to a configuration must close in."""
 
 FORESEEN_S = 5.0
