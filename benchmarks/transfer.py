@@ -45,7 +45,7 @@ from softcal_jax.fields import (
     ParameterSpace,
     exactly_known,
 )
-from softcal_jax.inference import Estimate, difference
+from softcal_jax.inference import difference
 from softcal_jax.materials import NeoHookean
 from softcal_jax.mesh import beam
 from softcal_jax.project import Project, load_project
@@ -123,10 +123,11 @@ def planted(count: int) -> dict[str, Figure]:
     random = np.random.default_rng(5)
     for _ in range(count):
         E = E_START * np.exp(SPREAD * random.standard_normal(3))
-        of_second = _estimate(_fitted(SECOND, E, random))
+        of_second = _fitted(SECOND, E, random).estimate
         for mounting, clamped in (("right", 0.0), ("wrong", CLAMPED)):
             fit = _fitted(FIRST, E, random, clamped)
-            apart[mounting].append(not difference(_estimate(fit), of_second).agree)
+            d = difference(fit.estimate, of_second)
+            apart[mounting].append(not d.transferable)
             rms[mounting] += [c.rms_after for c in fit.configurations]
     return {
         "wrong_told_apart_percent": 100.0 * float(np.mean(apart["wrong"])),
@@ -198,10 +199,10 @@ def printed(count: int) -> dict[str, Figure]:
             buckled += 1
             continue
         again = _read(build(assembly=1000 + seed), robot.validation, seed + 1)
-        of_second = _estimate(_material_of(robot, again))
+        of_second = _material_of(robot, again).estimate
         for name, poses in read.items():
-            of_first = _estimate(_material_of(robot, poses))
-            apart[name].append(not difference(of_first, of_second).agree)
+            d = difference(_material_of(robot, poses).estimate, of_second)
+            apart[name].append(not d.transferable)
     shares = {
         f"printed_{name}_told_apart_percent": 100.0 * float(np.mean(flags))
         for name, flags in apart.items()
@@ -249,7 +250,7 @@ def sessions(count: int) -> dict[str, Figure]:
 def _asked(part: str, name: str, a: Project, b: Project) -> dict[str, Figure]:
     """Calibrate both, and ask the second for the values of the first."""
     of_a, of_b = (replace(p, intervals=None).calibrate() for p in (a, b))
-    found = transfer(_estimate(of_a), b, of_b)
+    found = transfer(of_a.estimate, b, of_b)
     d = found.difference
     i = d.names.index(name)
     both = np.isfinite(found.rms_own) & np.isfinite(found.rms_of_a)
@@ -265,10 +266,6 @@ def _asked(part: str, name: str, a: Project, b: Project) -> dict[str, Figure]:
         f"{part}_rms_of_second_mm": squares(found.rms_own),
         f"{part}_rms_of_second_by_first_mm": squares(found.rms_of_a),
     }
-
-
-def _estimate(fit: CalibrationResult) -> Estimate:
-    return Estimate(fit.space, fit.z, fit.budget.covariance)
 
 
 def _changed(path: Path, changes: Sequence[tuple[str, str]]) -> Project:

@@ -18,7 +18,7 @@ from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._runs import best_of
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import PRECISION, ParameterSpace
-from softcal_jax.inference import ErrorBudget, LinearModel, Uncertainty
+from softcal_jax.inference import ErrorBudget, Estimate, LinearModel, Uncertainty
 
 MOST_OPTIMA = 5  # most optima that are listed; the others are only counted
 
@@ -340,6 +340,12 @@ class CalibrationResult(Result):
             for fit in self.configurations
             if fit.misfit(spread.noise, spread.level)
         )
+
+    @property
+    def estimate(self) -> Estimate:
+        """What the calibration says of the parameters, to compare with another's."""
+        covariance = self.budget.covariance
+        return Estimate(self.space, self.z, covariance, bool(self.doubts))
 
     @property
     def _end(self) -> str:

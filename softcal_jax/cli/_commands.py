@@ -254,13 +254,12 @@ bad input
 
 def transfer(args: argparse.Namespace, show: cli.Display) -> None:
     from softcal_jax import report
-    from softcal_jax.inference import Estimate
 
     project = cli.load(args.project, show)
     with cli.bad_input():
         project.check_calibration()
         loaded = report.load_result(args.result)
-        of_a = Estimate(loaded.space, loaded.z, loaded.covariance)
+        of_a = loaded.estimate
     project = replace(project, intervals=None)  # standard errors are compared
     show.now("first equilibrium")
     with cli.no_equilibrium("There is nothing to compare."):

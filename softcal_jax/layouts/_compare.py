@@ -193,8 +193,8 @@ def compare_layouts(
 
     Too few control points misfit all configurations; too many fit the noise, along
     directions that the data are blind to, and predict worse: the trade-off of Sec. V-C.
-    Of layouts within one standard error of the best, `preferred` has the fewest
-    parameters.
+    Of layouts that the data cannot distinguish from the best, the verdict names the one
+    with the fewest parameters.
 
     `make_parameters` gives the parameters of a layout, like
     `lambda points: ControlPointParameters("E", points, ...)`; the arguments after it

@@ -172,20 +172,6 @@ class ModelComparison(Result):
         return None if self.models[0].failed else self.models[0]
 
     @property
-    def preferred(self) -> ModelScore | None:
-        """The model with fewest parameters within a standard error of the best.
-
-        Breiman et al., Classification and Regression Trees, 1984; Hastie et al., The
-        Elements of Statistical Learning, 2009, sec. 7.10.
-        """
-        best = self.best
-        if best is None:
-            return None
-        limit = best.score + best.standard_error
-        close = [m for m in self.models if not m.failed and m.score <= limit]
-        return min(close, key=lambda m: (m.n_parameters, m.score))
-
-    @property
     def undecided(self) -> tuple[str, ...]:
         """The models that the data cannot tell from the best."""
         others = zip(self.models[1:], self.differences, strict=True)

@@ -37,8 +37,7 @@ class Fibre(Module):
     on u u^T only, so u and -u mean the same material.
 
     The axes are those of the mesh, or local ones in each tet: `Fibre.along`,
-    `Fibre.hoop`, `Fibre.helix` and `Fibre.of` make these, with theta turning the
-    fibre from there.
+    `Fibre.helix` and `Fibre.of` make these, and theta turns the fibre from there.
 
     Attributes:
         theta: Angle from a towards b [rad], one value or one per tet.
@@ -72,23 +71,6 @@ class Fibre(Module):
         return cls(theta, frame=frames_along(np.asarray(axis, float)[None])[0])
 
     @classmethod
-    def hoop(
-        cls,
-        centroids: Float[HostArray, "n_tets 3"],
-        axis: Vector,
-        through: Vector = (0.0, 0.0, 0.0),
-        theta: Float[ArrayLike, "..."] = 0.0,
-    ) -> "Fibre":
-        """Fibres around an axis through a point, turned by theta towards the axis.
-
-        Directions are taken at `centroids`, usually `TetMesh.centroids` [m].
-
-        Raises:
-            ValueError: If a centroid lies on the axis.
-        """
-        return cls(theta, frame=frames_around(centroids, axis, through)[:, [2, 1, 0]])
-
-    @classmethod
     def helix(
         cls,
         theta: Float[ArrayLike, "..."],
@@ -96,7 +78,14 @@ class Fibre(Module):
         axis: Vector,
         through: Vector = (0.0, 0.0, 0.0),
     ) -> "Fibre":
-        """Fibres wound around an axis at the angle theta from it; see `hoop`."""
+        """Fibres wound around an axis through a point, at the angle theta from it.
+
+        Hoops have theta = pi / 2. Directions are taken at `centroids`, usually
+        `TetMesh.centroids` [m].
+
+        Raises:
+            ValueError: If a centroid lies on the axis.
+        """
         return cls(theta, frame=frames_around(centroids, axis, through))
 
     @classmethod

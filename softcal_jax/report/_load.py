@@ -14,13 +14,14 @@ from softcal_jax._files import check_file, sha256_of, similar_file
 from softcal_jax._module import Module
 from softcal_jax._names import listed, unknown_name
 from softcal_jax._process import installed_version
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Array, Float
 from softcal_jax._units import readable
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.equilibrium import Model
 from softcal_jax.export import RESULT_FORMAT, solver_dict
 from softcal_jax.export.result_file import ResultFile, SourceEntry
 from softcal_jax.fields import ParameterSpace
+from softcal_jax.inference import Estimate
 from softcal_jax.project import Project, load_project
 
 RESULT = "result.json"  # name of the file in a results folder
@@ -45,8 +46,7 @@ class LoadedResult(Module):
         space: The parameters, with start and bounds.
         values: The calibrated values by name, in SI units.
         z: The same, scaled [-].
-        covariance: Covariance of z by all causes, see `ErrorBudget`; nan for parameters
-            without a standard error [-].
+        estimate: The parameters with the covariance of z, see `CalibrationResult`.
         errors: Root mean square of the distances of markers and other points from
             where they were measured, by configuration; nan without points [m].
         converged: Whether the calibration converged; if not, do not use the values.
@@ -60,7 +60,7 @@ class LoadedResult(Module):
     space: ParameterSpace
     values: dict[str, float]
     z: Float[Array, " n_p"]
-    covariance: Float[HostArray, "n_p n_p"]
+    estimate: Estimate
     errors: dict[str, float]
     converged: bool
     outcome: str
@@ -141,6 +141,7 @@ def load_result(
     space = _checked_space(path, loaded, data)
     values = {entry.name: entry.value for entry in data.parameters}
     z = space.to_scaled(jnp.asarray([values[name] for name in space.names]))
+    covariance = np.array(data.budget.covariance, float)
     return LoadedResult(
         path=path,
         project=loaded,
@@ -148,7 +149,7 @@ def load_result(
         space=space,
         values=values,
         z=z,
-        covariance=np.array(data.budget.covariance, float),
+        estimate=Estimate(space, z, covariance, bool(data.assessment.contradicted)),
         errors={
             fit.name: np.nan if fit.rms_after_mm is None else 1e-3 * fit.rms_after_mm
             for fit in data.configurations

@@ -39,8 +39,8 @@ class Transfer(Module):
     def as_dict(self) -> dict[str, Any]:
         """Return all of it for JSON, in SI; None where a number is not known."""
         d = self.difference
-        judged = {"probability": d.probability, "agree": d.agree, "verdict": d.verdict}
-        return {**plain(self), **judged}
+        judged = ("probability", "agree", "transferable", "verdict")
+        return {**plain(self), **{key: getattr(d, key) for key in judged}}
 
     def __str__(self) -> str:
         """Write both tables and the verdict."""
@@ -74,8 +74,7 @@ def transfer(a: Estimate, b: Project, result: CalibrationResult) -> Transfer:
     Raises:
         ValueError: If no parameter of the material has a standard error in both.
     """
-    of_b = Estimate(result.space, result.z, result.budget.covariance)
-    apart = difference(a, of_b)
+    apart = difference(a, result.estimate)
     with_a = _predicted(b, result, dict(zip(apart.names, apart.of_a, strict=True)))
     rms_of_b = {c.name: c.rms_after for c in result.configurations}
     return Transfer(

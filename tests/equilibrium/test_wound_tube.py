@@ -27,7 +27,7 @@ def quarter(cells, tension_only):
     law = FibreReinforced(
         NeoHookean(E, 0.4999),
         E_F,
-        Fibre.hoop(mesh.centroids, [0.0, 0.0, 1.0]),
+        Fibre.helix(np.pi / 2, mesh.centroids, [0.0, 0.0, 1.0]),
         tension_only=tension_only,
     )
     inner = SurfacePressure("inner", "x_min")
