@@ -127,7 +127,7 @@ def planted(count: int) -> dict[str, Figure]:
         for mounting, clamped in (("right", 0.0), ("wrong", CLAMPED)):
             fit = _fitted(FIRST, E, random, clamped)
             d = difference(fit.estimate, of_second)
-            apart[mounting].append(not d.transferable)
+            apart[mounting].append(not d.agree)
             rms[mounting] += [c.rms_after for c in fit.configurations]
     return {
         "wrong_told_apart_percent": 100.0 * float(np.mean(apart["wrong"])),
@@ -202,7 +202,7 @@ def printed(count: int) -> dict[str, Figure]:
         of_second = _material_of(robot, again).estimate
         for name, poses in read.items():
             d = difference(_material_of(robot, poses).estimate, of_second)
-            apart[name].append(not d.transferable)
+            apart[name].append(not d.agree)
     shares = {
         f"printed_{name}_told_apart_percent": 100.0 * float(np.mean(flags))
         for name, flags in apart.items()

@@ -344,8 +344,7 @@ class CalibrationResult(Result):
     @property
     def estimate(self) -> Estimate:
         """What the calibration says of the parameters, to compare with another's."""
-        covariance = self.budget.covariance
-        return Estimate(self.space, self.z, covariance, bool(self.doubts))
+        return Estimate(self.space, self.z, self.budget.covariance)
 
     @property
     def _end(self) -> str:

@@ -27,14 +27,12 @@ _COARSE = 0.3
 class Estimate(NamedTuple):
     """Calibrated parameters z, scaled, with their covariance by all causes.
 
-    That is nan for parameters without a standard error. `contradicted` says that the
-    data contradict the model, see `CalibrationResult.doubts`.
+    That is nan for parameters without a standard error.
     """
 
     space: ParameterSpace
     z: Float[Array | HostArray, " n_p"]
     covariance: Float[HostArray, "n_p n_p"]
-    contradicted: bool = False
 
 
 class Difference(Module):
@@ -52,7 +50,6 @@ class Difference(Module):
             of these vary together without a rest.
         worst: Change from A to B along the direction in which they differ most.
         worst_size: Its size in standard errors [-].
-        contradicted: "A", "B": of which the data contradict the model.
     """
 
     names: tuple[str, ...]
@@ -65,7 +62,6 @@ class Difference(Module):
     directions: int
     worst: Float[HostArray, " n"]
     worst_size: float
-    contradicted: tuple[str, ...] = ()
 
     @property
     def unseen(self) -> Float[HostArray, " n"]:
@@ -83,11 +79,6 @@ class Difference(Module):
         return self.probability >= UNLIKELY
 
     @property
-    def transferable(self) -> bool:
-        """Whether the values may be those of the material, as far as both tell."""
-        return self.agree and not self.contradicted
-
-    @property
     def verdict(self) -> str:
         """What the values hold for, in a sentence or two."""
         chi2 = f"chi-squared {self.chi_squared:.3g} for {self.directions}"
@@ -99,13 +90,6 @@ class Difference(Module):
             coarse = np.flatnonzero(self.unseen > _COARSE * size).tolist()
             hidden = [by(i, self.unseen) for i in coarse]
             text = f"Both agree within their errors ({chi2})"
-            if self.contradicted:
-                which = listed(self.contradicted)
-                return (
-                    f"{text}, but the data contradict the model of {which}: values "
-                    "that make up for what a model lacks hold only for its loads and "
-                    "shape."
-                )
             if hidden:
                 return f"{text}, but a difference could hide: {listed(hidden)}."
             return f"{text}, as material properties would."
@@ -159,7 +143,6 @@ def difference(a: Estimate, b: Estimate) -> Difference:
         directions=len(size),
         worst=slopes * apart * Q[:, most] * along[most],
         worst_size=float(abs(along[most]) / np.sqrt(size[most])),
-        contradicted=tuple(n for n, e in (("A", a), ("B", b)) if e.contradicted),
     )
 
 

@@ -149,7 +149,7 @@ def load_result(
         space=space,
         values=values,
         z=z,
-        estimate=Estimate(space, z, covariance, bool(data.assessment.contradicted)),
+        estimate=Estimate(space, z, covariance),
         errors={
             fit.name: np.nan if fit.rms_after_mm is None else 1e-3 * fit.rms_after_mm
             for fit in data.configurations

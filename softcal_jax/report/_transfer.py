@@ -39,7 +39,7 @@ class Transfer(Module):
     def as_dict(self) -> dict[str, Any]:
         """Return all of it for JSON, in SI; None where a number is not known."""
         d = self.difference
-        judged = ("probability", "agree", "transferable", "verdict")
+        judged = ("probability", "agree", "verdict")
         return {**plain(self), **{key: getattr(d, key) for key in judged}}
 
     def __str__(self) -> str:

@@ -77,20 +77,6 @@ def test_agreement_that_says_little_is_not_praised():
     assert "material" not in found.verdict
 
 
-def test_values_of_a_contradicted_model_are_not_those_of_a_material():
-    """However well they agree: they make up for what the model lacks."""
-    sound = estimate(1e5, 300.0, 0.3, 0.003)
-    off = sound._replace(contradicted=True)
-    assert difference(sound, sound).transferable
-    for a, b, which in ((off, sound, ("A",)), (off, off, ("A", "B"))):
-        found = difference(a, b)
-        assert found.agree
-        assert not found.transferable
-        assert found.contradicted == which
-        assert says(found.verdict, "agree", "data contradict the model of A", "shape")
-        assert "material" not in found.verdict
-
-
 def test_parameters_that_vary_together_count_once():
     a = estimate(1e5, 300.0, 0.3, 0.003, rho=1.0, scale="linear")
     b = estimate(1.006e5, 300.0, 0.306, 0.003, rho=1.0, scale="linear")
