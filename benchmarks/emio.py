@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks import _emio_leg
 from benchmarks._emio_robot import MOTORS
-from benchmarks._predicted import called_identified, coverage
+from benchmarks._predicted import called_identified, predicted_coordinates
 from benchmarks._problem import Better, Figure, Goal, Options, Outcome, Table
 from softcal_jax.calibration import CalibrationResult, ConfigurationResult
 from softcal_jax.configurations import Configuration, ImposedDisplacement
@@ -92,13 +92,15 @@ def found(result: CalibrationResult, file: str) -> dict[str, Figure]:
     ours = _sizes("held_out", errors_mm(held_out))
     authors = _authors(file, [c.name for c in fitted])
     rms = ours["held_out_rms_mm"]
+    coordinates = predicted_coordinates(result, held_out)
     return {
         **_sizes("fitted", errors_mm(fitted)),
         **ours,
         **authors,
         "authors_over_ours": authors["authors_rms_mm"] / rms,
         "authors_moved_over_ours": authors["authors_moved_rms_mm"] / rms,
-        "coverage_95_of_held_out": coverage(result, held_out),
+        "coverage_95_of_held_out": coordinates.coverage,
+        **coordinates.figures(),
         "newton_iterations_per_pose": float(
             np.mean([c.newton_steps for c in held_out])
         ),

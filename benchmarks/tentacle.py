@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from benchmarks._predicted import called_identified, coverage
+from benchmarks._predicted import called_identified, predicted_coordinates
 from benchmarks._problem import Figure, Goal, Options, Outcome, Table
 from softcal_jax.calibration import CalibrationResult, ConfigurationResult
 from softcal_jax.identifiability import assess
@@ -59,7 +59,7 @@ def run(options: Options) -> Outcome:
         "authors_over_ours": AUTHORS_MM / float(np.mean([*held_out_mm.values()])),
         "E_kPa": result.value("E") / 1e3,
         "newton_iterations_per_pose": _iterations(result),
-        "coverage_95_of_held_out": coverage(result, held_out),
+        "coverage_95_of_held_out": predicted_coordinates(result, held_out).coverage,
         "unidentifiable_called_identified": called_identified(result),
         "nu_and_density_named": int({"nu", "density"} <= {*verdict.held}),
         "converged": int(result.converged),
