@@ -25,10 +25,7 @@ _COARSE = 0.3
 
 
 class Estimate(NamedTuple):
-    """Calibrated parameters z, scaled, with their covariance by all causes.
-
-    That is nan for parameters without a standard error.
-    """
+    """Calibrated parameters: their space, scaled values z, and the covariance of z."""
 
     space: ParameterSpace
     z: Float[Array | HostArray, " n_p"]

@@ -14,7 +14,7 @@ from softcal_jax._files import check_file, sha256_of, similar_file
 from softcal_jax._module import Module
 from softcal_jax._names import listed, unknown_name
 from softcal_jax._process import installed_version
-from softcal_jax._typing import Array, Float
+from softcal_jax._typing import Array, Float, HostArray
 from softcal_jax._units import readable
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.equilibrium import Model
@@ -46,7 +46,8 @@ class LoadedResult(Module):
         space: The parameters, with start and bounds.
         values: The calibrated values by name, in SI units.
         z: The same, scaled [-].
-        estimate: The parameters with the covariance of z, see `CalibrationResult`.
+        covariance: Covariance of z by all causes, see `ErrorBudget`; nan for parameters
+            without a standard error [-].
         errors: Root mean square of the distances of markers and other points from
             where they were measured, by configuration; nan without points [m].
         converged: Whether the calibration converged; if not, do not use the values.
@@ -60,11 +61,16 @@ class LoadedResult(Module):
     space: ParameterSpace
     values: dict[str, float]
     z: Float[Array, " n_p"]
-    estimate: Estimate
+    covariance: Float[HostArray, "n_p n_p"]
     errors: dict[str, float]
     converged: bool
     outcome: str
     doubts: tuple[str, ...]
+
+    @property
+    def estimate(self) -> Estimate:
+        """What the calibration says of the parameters, to compare with another's."""
+        return Estimate(self.space, self.z, self.covariance)
 
     def _words(self) -> str:
         values = (
@@ -141,7 +147,6 @@ def load_result(
     space = _checked_space(path, loaded, data)
     values = {entry.name: entry.value for entry in data.parameters}
     z = space.to_scaled(jnp.asarray([values[name] for name in space.names]))
-    covariance = np.array(data.budget.covariance, float)
     return LoadedResult(
         path=path,
         project=loaded,
@@ -149,7 +154,7 @@ def load_result(
         space=space,
         values=values,
         z=z,
-        estimate=Estimate(space, z, covariance),
+        covariance=np.array(data.budget.covariance, float),
         errors={
             fit.name: np.nan if fit.rms_after_mm is None else 1e-3 * fit.rms_after_mm
             for fit in data.configurations
