@@ -72,7 +72,7 @@ UNCERTAIN = Uncertain(recordings=0.0)
 FAR_ABOVE = 3.0
 """Chi-squared over its degrees of freedom from which a misfit is no accident [-]."""
 
-FLAG = "times the stated noise"
+FLAG = "times what the stated errors explain"
 
 
 class Case(NamedTuple):

@@ -99,6 +99,7 @@ def test_poses_that_the_values_of_the_first_do_not_carry_are_named():
             1,
             one,
             100.0,
+            (),
         ),
         poses=("low", "high"),
         motion=np.array([1e-3, np.nan]),

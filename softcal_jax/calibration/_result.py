@@ -321,16 +321,17 @@ class CalibrationResult(Result):
     def doubts(self) -> tuple[str, ...]:
         """Where the model contradicts the data, one sentence each; empty if nowhere.
 
-        They are by chi-squared of a stated noise, by `checks`, and by each pose.
+        They are by chi-squared of stated errors, by `checks`, and by each pose.
         """
         spread, doubts = self.uncertainty, []
         if spread.misfits:
             level = np.sqrt(spread.chi_squared / spread.degrees_of_freedom)
             doubts.append(
-                f"The residuals are {level:.2g} times the stated noise (chi-squared "
-                f"{spread.chi_squared:.4g} for {spread.degrees_of_freedom} degrees of "
-                "freedom): the model cannot match the data. Check the law, the mesh, "
-                "the control points and the stated noise."
+                f"The residuals are {level:.2g} times what the stated errors explain "
+                f"(chi-squared {spread.chi_squared:.4g} for "
+                f"{spread.degrees_of_freedom} degrees of freedom): the model cannot "
+                "match the data. Check the law, the mesh, the control points and the "
+                "stated noise."
             )
         doubts += self.checks.reasons if self.checks is not None else ()
         done = {"calibration": "fitted", "validation": "predicted"}
@@ -344,7 +345,8 @@ class CalibrationResult(Result):
     @property
     def estimate(self) -> Estimate:
         """What the calibration says of the parameters, to compare with another's."""
-        return Estimate(self.space, self.z, self.budget.covariance)
+        C, contradicted = self.budget.covariance, bool(self.doubts)
+        return Estimate(self.space, self.z, C, contradicted)
 
     @property
     def _end(self) -> str:

@@ -212,8 +212,8 @@ def comparison_dict(
     by_model = {model: made_dict(of, directory) for model, of in (made or {}).items()}
     best = comparison.best
     scored = (
-        "name n_parameters held_out_rms_mm held_out_noise_rms score standard_error "
-        "fit_rms_mm fit_noise_rms fit_failure verdict"
+        "name n_parameters held_out_rms_mm held_out_noise_rms score fit_rms_mm "
+        "fit_noise_rms fit_failure verdict"
     )
     fold = "held_out rms_mm noise_rms fit_rms_mm failure"
     return plain(

@@ -197,7 +197,7 @@ class AssessmentEntry(Entry):
 
     of = Assessment
     outcome: str = "take with care"  # of files from before outcomes were written
-    contradicted: Plain = None
+    contradicted: bool = False  # of files from before it was written
     reasons: list[str]
     misfit_probability: Plain = None
     predictions: Annotated[Any, Keys(Prediction, "name role std_mm")] = None

@@ -32,7 +32,7 @@ MISSED = 0.5
 """Error of the held-out poses over their motion beyond which values are useless [-]."""
 
 FAR_OUT = 10.0
-"""Size of the residuals over the stated noise beyond which values are useless [-]."""
+"""Size of the residuals over the stated errors beyond which values are useless [-]."""
 
 UNDERRATED = 3.6
 """Factor on the estimated error of a mesh of one or two quadratic tets across [-].
@@ -85,7 +85,7 @@ class Assessment(Result):
 
     Attributes:
         outcome: "trust" if no check speaks against the values: the fit and its noise
-            converged, its residuals are no larger than the stated noise, every
+            converged, its residuals are no larger than stated errors, every
             configuration is explained, no parameter sits on a bound, no other optimum
             fits as well, tets do not lock, and all are known as well as was asked. "do
             not use" if it did not converge, or misses the data by far, see `MISSED` and
@@ -167,7 +167,7 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
     The verdict compares standard errors by all causes with those that are asked for,
     see `identifiability`; how wide bounds are does not matter.
 
-    Model error shows as residuals above a stated noise, by chi-squared; noise that is
+    Model error shows as residuals above stated errors, by chi-squared; noise that is
     estimated from the residuals hides model error.
 
     Args:
@@ -203,7 +203,7 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
     return Assessment(
         outcome="do not use" if useless else "take with care" if checks else "trust",
         reasons=tuple(checks),
-        contradicted=bool(result.doubts) or _missed(result) > MISSED,
+        contradicted=result.estimate.contradicted,
         misfit_probability=spread.misfit_probability,
         identifiability=report,
         predictions=_predictions(result.configurations, report),
@@ -215,7 +215,8 @@ def _held(result: CalibrationResult) -> tuple[str, ...]:
     """Name the constants that are held fixed and that the data say nothing of."""
     linear = result.linear.of_fit()
     constants = {path.rpartition(".")[2] for path, _ in constants_of(result.model)}
-    left = zip(linear.considered.names, linear.considered_left(), strict=True)
+    std = np.sqrt(np.diag(linear.considered_covariance()))
+    left = zip(linear.considered.names, std, strict=True)
     return tuple(name for name, share in left if name in constants and share >= UNSEEN)
 
 
@@ -236,7 +237,7 @@ def _fatal(result: CalibrationResult) -> list[str]:
 
 
 def _size_of_residuals(result: CalibrationResult) -> float:
-    """Return the residuals over the stated noise; nan where none is stated [-]."""
+    """Return the residuals over the stated errors; nan where none are stated [-]."""
     spread = result.uncertainty
     if spread.noise == "stated" and spread.degrees_of_freedom > 0:
         return float(np.sqrt(spread.chi_squared / spread.degrees_of_freedom))

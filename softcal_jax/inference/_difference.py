@@ -25,11 +25,19 @@ _COARSE = 0.3
 
 
 class Estimate(NamedTuple):
-    """Calibrated parameters: their space, scaled values z, and the covariance of z."""
+    """Calibrated parameters: their space, scaled values z, and the covariance of z.
+
+    Attributes:
+        space: The parameters.
+        z: Their values, scaled [-].
+        covariance: That of z by all causes [-].
+        contradicted: Whether the model contradicts the data that they were fitted to.
+    """
 
     space: ParameterSpace
     z: Float[Array | HostArray, " n_p"]
     covariance: Float[HostArray, "n_p n_p"]
+    contradicted: bool = False
 
 
 class Difference(Module):
@@ -47,6 +55,7 @@ class Difference(Module):
             of these vary together without a rest.
         worst: Change from A to B along the direction in which they differ most.
         worst_size: Its size in standard errors [-].
+        contradicted: Robots of which the model contradicts the data: "A", "B".
     """
 
     names: tuple[str, ...]
@@ -59,6 +68,7 @@ class Difference(Module):
     directions: int
     worst: Float[HostArray, " n"]
     worst_size: float
+    contradicted: tuple[str, ...]
 
     @property
     def unseen(self) -> Float[HostArray, " n"]:
@@ -72,8 +82,8 @@ class Difference(Module):
 
     @property
     def agree(self) -> bool:
-        """Whether both agree within their errors."""
-        return self.probability >= UNLIKELY
+        """Whether both agree within their errors, and each with its own data."""
+        return self.probability >= UNLIKELY and not self.contradicted
 
     @property
     def verdict(self) -> str:
@@ -82,6 +92,12 @@ class Difference(Module):
         by = lambda i, sizes: (
             f"{self.names[i]} by {readable(float(f'{sizes[i]:.2g}'), self.units[i])}"
         )
+        if self.contradicted:
+            return (
+                f"The model contradicts the data of {listed(self.contradicted)}: such "
+                "values hold at most for the loads and shape that they were fitted to. "
+                f"Between A and B: {chi2}."
+            )
         if self.agree:
             size = np.where(np.array(self.units) == "rad", 1.0, np.abs(self.of_a))
             coarse = np.flatnonzero(self.unseen > _COARSE * size).tolist()
@@ -140,6 +156,7 @@ def difference(a: Estimate, b: Estimate) -> Difference:
         directions=len(size),
         worst=slopes * apart * Q[:, most] * along[most],
         worst_size=float(abs(along[most]) / np.sqrt(size[most])),
+        contradicted=tuple(name for name, e in (("A", a), ("B", b)) if e.contradicted),
     )
 
 

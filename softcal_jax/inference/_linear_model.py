@@ -279,16 +279,26 @@ class LinearModel(Module):
         of_data = self.solution.basis[: len(self.r)]
         return self.whiten(white - of_data @ (of_data.T @ white)) / self.scale**2
 
-    def considered_left(self) -> Float[HostArray, " n_errors"]:
-        """Compute how much of each considered error the data would leave [-].
+    def considered_covariance(self) -> Float[HostArray, "n_errors n_errors"]:
+        """Compute (I + W_c^T M W_c)^-1: of the considered errors, were they fitted.
 
-        The square root of the diagonal of (I + W_c^T M W_c)^-1: standard errors if all
-        were estimated with the unknowns, over the stated ones. 1 where the data say
-        nothing; all rows must be fitted.
+        All rows must be fitted.
         """
         W_c = self.considered.values
-        information = np.eye(W_c.shape[1]) + W_c.T @ self.left(W_c)
-        return np.sqrt(np.diag(np.linalg.inv(information)))
+        return np.linalg.inv(np.eye(W_c.shape[1]) + W_c.T @ self.left(W_c))
+
+    def chi_squared(self) -> tuple[float, int]:
+        """Compute the squares left with all errors counted, and their number [-].
+
+        e^T M e - b^T (I + W_c^T M W_c)^-1 b with b = W_c^T M e: chi-squared distributed
+        if the model is right, with the considered errors as part of the covariance
+        (by the matrix inversion lemma). All rows must be fitted.
+        """
+        error, basis = np.asarray(self.whitened().error), self.solution.basis
+        squares = float(np.sum((error - basis @ (basis.T @ error)) ** 2))
+        b = self.considered.values.T @ self.errors_left()
+        n = self.n_data + int(np.sum(self.prior_weights != 0.0)) - basis.shape[1]
+        return squares / self.scale**2 - float(b @ self.considered_covariance() @ b), n
 
     def errors_left(self) -> Float[HostArray, " n"]:
         """Compute V^-1 times the errors at the best dz; all rows must be fitted."""

@@ -57,9 +57,11 @@ class Uncertainty(Module):
             conditional on them.
         noise: "stated" by the user, or "estimated" from the residuals.
         noise_scale: Factor on the stated standard deviations; 1 for a stated noise [-].
-        degrees_of_freedom: Measured coordinates minus free parameters.
+        degrees_of_freedom: Measured coordinates minus free parameters, plus priors for
+            a stated noise.
         chi_squared: Sum of squared errors in units of the noise, with coordinates that
-            vary as stated: that of the whole covariance for a stated noise [-].
+            vary as stated: for a stated noise that of the whole covariance, by noise,
+            priors and what is considered [-].
         at_bound: Parameters that ended on a bound.
     """
 
@@ -96,7 +98,7 @@ class Uncertainty(Module):
 
     @property
     def misfits(self) -> bool:
-        """Whether the residuals are larger than the stated noise explains."""
+        """Whether the residuals are larger than the stated errors explain."""
         probability = self.misfit_probability
         return probability is not None and probability < UNLIKELY
 
@@ -135,16 +137,17 @@ def uncertainty(
         noise: Where the noise comes from.
         scale: s of an estimated noise where it is known already [-].
     """
-    n = int(linear.fitted.sum())
-    informed = int(np.sum(~linear.held))
-    if np.any(linear.prior_weights):
-        informed = round(float(np.sum(linear.solution.basis[:n] ** 2)))
-    dof = linear.n_data - informed
-    chi_squared = float(np.sum(linear.whitened().error[:n] ** 2))
     if noise == "stated":
-        scale = 1.0
-    elif scale is None:
-        scale = float(np.sqrt(chi_squared / dof)) if dof > 0 else np.nan
+        scale, (chi_squared, dof) = 1.0, linear.of_fit().chi_squared()
+    else:
+        n = int(linear.fitted.sum())
+        informed = int(np.sum(~linear.held))
+        if np.any(linear.prior_weights):
+            informed = round(float(np.sum(linear.solution.basis[:n] ** 2)))
+        dof = linear.n_data - informed
+        chi_squared = float(np.sum(linear.whitened().error[:n] ** 2))
+        if scale is None:
+            scale = float(np.sqrt(chi_squared / dof)) if dof > 0 else np.nan
     covariance = np.full((len(linear.held),) * 2, np.nan)
     if np.isfinite(scale):
         covariance = linear.with_scale(scale).covariance()

@@ -82,17 +82,6 @@ class ModelScore(Module):
         return self.held_out_noise_rms**2
 
     @property
-    def standard_error(self) -> float:
-        """Standard error of the score from its scatter over the folds [-].
-
-        Infinite with fewer than two good folds.
-        """
-        squares = np.array([fold.noise_rms for fold in self.good]) ** 2
-        if len(squares) < 2:
-            return np.inf
-        return float(np.std(squares, ddof=1) / np.sqrt(len(squares)))
-
-    @property
     def verdict(self) -> str:
         """Verdict of the identifiability; "not known" without one."""
         known = self.identifiability
@@ -226,7 +215,7 @@ class ModelComparison(Result):
     def tabulated(self) -> TextTable:
         """A table of how well each model predicts."""
         head = ("model", "parameters", "held-out error [mm]", "error / noise")
-        head += ("squared [noise^2]", "excess over best", "fit [mm]", "failed folds")
+        head += ("excess over best [noise^2]", "fit [mm]", "failed folds")
         rows = []
         for model, worse in zip(self.models, (None, *self.differences), strict=True):
             failed = f"{len(model.failed)} of {len(model.folds)}"
@@ -236,7 +225,6 @@ class ModelComparison(Result):
                     str(model.n_parameters),
                     or_dash(1e3 * model.held_out_rms, ".4g"),
                     or_dash(model.held_out_noise_rms, ".2f"),
-                    _plus_minus(model.score, model.standard_error),
                     _plus_minus(worse.difference, worse.half_width) if worse else "-",
                     or_dash(1e3 * model.fit_rms, ".4g"),
                     failed if model.failed else "none",

@@ -39,7 +39,7 @@ class ProjectError(ValueError):
 
 def one_by_one(path: Path, problems: Iterable[str]) -> ProjectError:
     """Build the error that lists the problems of a file, one per line."""
-    problems = _first_of(map(with_short_names, problems))
+    problems = list(dict.fromkeys(map(with_short_names, problems)))
     if len(problems) == 1:
         return ProjectError(f"{path}: {problems[0]}")
     number = str(len(problems))
@@ -48,16 +48,6 @@ def one_by_one(path: Path, problems: Iterable[str]) -> ProjectError:
         problems = [*problems[:MOST_PROBLEMS], "..."]
     listed = "".join(f"\n- {problem}" for problem in problems)
     return ProjectError(f"{path}: {number} problems.{listed}")
-
-
-def _first_of(problems: Iterable[str]) -> list[str]:
-    """Return different problems, at most one more than are listed."""
-    first: dict[str, None] = {}
-    for problem in problems:
-        first[problem] = None
-        if len(first) > MOST_PROBLEMS:
-            break
-    return list(first)
 
 
 class WrongKeyError(ValueError):
@@ -102,10 +92,10 @@ def describe(error: ValidationError, raw: dict[str, Any]) -> list[str]:
 
     `raw` is the file as it was read, before [shared] is merged.
     """
-    return _first_of(
+    return [
         f"{key_path(details['loc'], raw) or 'file'}: {_in_words(details)}"
         for details in error.errors()
-    )
+    ]
 
 
 def _in_words(details: ErrorDetails) -> str:

@@ -53,6 +53,7 @@ class LoadedResult(Module):
         converged: Whether the calibration converged; if not, do not use the values.
         outcome: What may be done with the values, see `Assessment`.
         doubts: Why it is no more than that.
+        contradicted: Whether the model contradicts the data.
     """
 
     path: Path
@@ -66,11 +67,12 @@ class LoadedResult(Module):
     converged: bool
     outcome: str
     doubts: tuple[str, ...]
+    contradicted: bool
 
     @property
     def estimate(self) -> Estimate:
         """What the calibration says of the parameters, to compare with another's."""
-        return Estimate(self.space, self.z, self.covariance)
+        return Estimate(self.space, self.z, self.covariance, self.contradicted)
 
     def _words(self) -> str:
         values = (
@@ -162,6 +164,7 @@ def load_result(
         converged=data.converged,
         outcome=data.assessment.outcome,
         doubts=tuple(data.assessment.reasons),
+        contradicted=data.assessment.contradicted,
     )
 
 

@@ -376,7 +376,7 @@ def _measured_of(model, pose):
 def test_stated_noise_that_is_too_small_is_flagged(model):
     data = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), noise=5e-3)
     result = calibrate(model, parameter(), data, noise="stated")
-    assert says(result.doubts, "times the stated noise")
+    assert says(result.doubts, "times what the stated errors explain")
     honest = measure(model.mesh, NeoHookean(E_TRUE, NU_TRUE), noise=1e-3)
     result = calibrate(model, parameter(), honest, noise="stated")
     assert result.notes == result.notes[:1]  # only the one on linear tets

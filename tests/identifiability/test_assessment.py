@@ -100,7 +100,7 @@ def test_model_error_shows_above_the_stated_noise(model, data):
     assert not stated.identified
     assert stated.misfit_probability < 1e-6
     (reason,) = stated.reasons
-    assert says(reason, "stated noise", "10 degrees of freedom", "cannot match")
+    assert says(reason, "stated errors", "10 degrees of freedom", "cannot match")
     assert says(stated, "with care", "cannot match")
     assert stated.contradicted
     # Estimated from these residuals the noise holds the error, but not as stated.
@@ -137,7 +137,7 @@ def test_what_is_held_fixed_and_not_seen_is_named(good):
     names = "nu", "density", "clamp"
     columns = np.stack([nothing, across, nothing], axis=1)
     linear = replace(good.linear, considered=ErrorColumns(columns, names, names))
-    left = linear.considered_left()
+    left = np.sqrt(np.diag(linear.considered_covariance()))
     np.testing.assert_allclose(left, [1.0, 1.0 / np.hypot(1.0, a), 1.0], rtol=1e-9)
     verdict = assess(replace(good, linear=linear))
     assert verdict.held == ("nu",)

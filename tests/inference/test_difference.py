@@ -84,3 +84,19 @@ def test_parameters_that_vary_together_count_once():
     assert found.directions == 1
     assert found.chi_squared == pytest.approx(2.0, rel=1e-6)
     assert found.probability == pytest.approx(chi2.sf(2.0, 1), rel=1e-6)
+
+
+def test_a_robot_that_its_own_fit_contradicts_agrees_with_none():
+    """However near its values are: they make up for something else."""
+    a = estimate(1e5, 300.0, 0.3, 0.003)
+    wrong = a._replace(contradicted=True)
+    assert difference(a, a).agree
+    for one, other, names in (
+        (wrong, a, "A"),
+        (a, wrong, "B"),
+        (wrong, wrong, "A and B"),
+    ):
+        found = difference(one, other)
+        assert found.probability == 1.0
+        assert not found.agree
+        assert says(found.verdict, f"contradicts the data of {names}:", "shape")

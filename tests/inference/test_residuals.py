@@ -14,8 +14,10 @@ from softcal_jax.inference import (
     independent,
     jitter_freedom,
     lack_of_fit,
+    no_errors,
     predicted_by_others,
     restricted_likelihood,
+    uncertainty,
     whitened,
 )
 
@@ -209,3 +211,38 @@ def test_chance_is_that_of_the_tables():
     assert chance(7.815, 3) == pytest.approx(0.05, rel=1e-3)
     assert chance(3 * 3.49, 3, of=12) == pytest.approx(0.05, rel=1e-2)
     assert np.isnan(chance(1.0, 0))
+
+
+def test_chi_squared_counts_all_errors():
+    """The least r^T V^-1 r and its number, with the dense covariance of all errors."""
+    random = np.random.default_rng(3)
+    r, W = draw(random)
+    A, W_c = random.standard_normal((N, 3)), 2.0 * random.standard_normal((N, 5))
+    weights, distance = np.array([0.7, 0.0]), np.array([0.4, 0.0])
+    linear = replace(
+        fit(r, W, A=A, W_c=W_c, jitter=0.7),
+        prior_weights=weights,
+        from_prior=distance,
+    )
+    V = 0.7**2 * np.eye(N) + A @ A.T + W_c @ W_c.T
+    inverse, P = np.linalg.inv(V), np.diag(weights**2)
+    dz = -np.linalg.solve(W.T @ inverse @ W + P, W.T @ inverse @ r + weights * distance)
+    left, off = r + W @ dz, distance + weights * dz
+    squares, n = linear.chi_squared()
+    assert squares == pytest.approx(left @ inverse @ left + off @ off, rel=1e-9)
+    assert n == N + 1 - N_P
+    spread = uncertainty(replace(linear, correlated=no_errors(N), scale=1.0), "stated")
+    assert spread.degrees_of_freedom == n
+
+
+def test_what_is_considered_explains_residuals():
+    """Errors as large as stated are no misfit; three times as large, they are."""
+    random, excess = np.random.default_rng(4), {1.0: [], 3.0: []}
+    for size in excess:
+        for _ in range(50):
+            r, W = draw(random, jitter=1.0)
+            W_c = 5.0 * random.standard_normal((N, 6))
+            linear = fit(r + size * W_c @ random.standard_normal(6), W, W_c=W_c)
+            excess[size].append(uncertainty(linear, "stated").misfits)
+    assert np.mean(excess[1.0]) <= 0.06
+    assert np.mean(excess[3.0]) > 0.5

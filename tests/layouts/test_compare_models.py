@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from bars import MID, TIP, bar, pose
-from scipy.stats import ttest_rel
+from scipy.stats import sem, ttest_rel
 from small_project import MARKERS, write_small_project
 from wording import says
 
@@ -59,7 +59,7 @@ def test_paired_differences_are_those_of_the_t_test():
 def test_pairing_sees_what_the_errors_alone_hide():
     """A constant disadvantage far below the scatter of the errors."""
     near, best = score("near", worse(0.5, 0.6, 0.5, 0.4, 0.5)), score("best", ROOT)
-    assert near.score - best.score < 0.5 * best.standard_error
+    assert near.score - best.score < 0.5 * sem(ROOT)
     compared = ModelComparison.ranked([near, best])
     assert [m.name for m in compared.models] == ["best", "near"]
     assert compared.undecided == ()
