@@ -12,7 +12,7 @@ the foam, with:
 - both errors together;
 - the full law on quadratic tets, the control, which must not be flagged.
 
-A fit is flagged if its verdict says that the residuals are above the stated noise,
+A fit is flagged if its verdict says that the residuals are above the stated errors,
 with chi-squared more than 3 times its degrees of freedom. `called_identifiable` counts
 the wrong fits whose report calls its parameters identifiable all the same.
 """
