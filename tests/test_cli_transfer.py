@@ -77,6 +77,22 @@ def test_other_parameters_follow_the_values_of_the_first(results, tmp_path, caps
     np.testing.assert_allclose(found["rms_of_a"], found["rms_own"], atol=1e-5)
 
 
+def test_a_robot_that_contradicts_its_own_data_agrees_with_none(
+    results, tmp_path, capsys
+):
+    """Gravity 30 degrees from where it pulled: as B, then from the file as A."""
+    tilted = ('"(0, 0, -9.81) m/s^2"', '"(0, 4.9, -8.5) m/s^2"')
+    sure = ('[markers]\nstd = "0.1 mm"', '[markers]\nstd = "0.02 mm"')
+    path = write_small_project(tmp_path, QUICK, tilted, sure)
+    found = asked(results, path, capsys)
+    assert not found["agree"]
+    assert found["difference"]["contradicted"] == ["B"]
+    assert says(found["verdict"], "contradicts the data of B:", "loads and shape")
+    main(["calibrate", str(path), "-o", str(tmp_path / "out"), "-q"])
+    found = asked(tmp_path / "out", path, capsys)
+    assert found["difference"]["contradicted"] == ["A", "B"]
+
+
 def test_robots_that_share_no_parameter(results, tmp_path, capsys):
     path = write_small_project(
         tmp_path, QUICK, ('field = "E"\n', 'field = "E"\nname = "modulus"\n')
