@@ -468,7 +468,7 @@ def test_page_of_a_comparison(tmp_path):
     assert rows[0][0] == data["best"] == "neo"
     for row, model in zip(rows, data["models"], strict=True):
         assert float(row[2]) == pytest.approx(model["held_out_rms_mm"], rel=1e-3)
-        assert float(row[6]) == pytest.approx(model["fit_rms_mm"])
+        assert float(row[5]) == pytest.approx(model["fit_rms_mm"])
     _, *rows = page.tables["Held-out error of each configuration"]
     for k, model in enumerate(data["models"]):
         for row, fold in zip(rows, model["folds"], strict=True):

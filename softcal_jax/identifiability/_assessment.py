@@ -203,7 +203,7 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
     return Assessment(
         outcome="do not use" if useless else "take with care" if checks else "trust",
         reasons=tuple(checks),
-        contradicted=result.estimate.contradicted,
+        contradicted=bool(result.doubts) or _missed(result) > MISSED,
         misfit_probability=spread.misfit_probability,
         identifiability=report,
         predictions=_predictions(result.configurations, report),
