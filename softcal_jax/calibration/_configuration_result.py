@@ -27,7 +27,7 @@ from softcal_jax.equilibrium import (
     effector_values,
     robot_states,
 )
-from softcal_jax.inference import UNLIKELY, whitened
+from softcal_jax.inference import UNLIKELY, LinearModel, whitened
 from softcal_jax.sensitivity import Response
 from softcal_jax.unknowns import attachments
 
@@ -55,8 +55,9 @@ class ConfigurationResult(Module):
             for a body without rigid bodies and actuators.
         W_ep: Compliances of the rows of its effectors, in their units, per unit of
             lambda_p; None where nothing was calibrated.
-        columns: Correlated part of the noise of all coordinates, in the order of the
-            effectors, in units of their standard deviations; see `CorrelatedNoise` [-].
+        columns: Errors that coordinates share, in the order of the effectors, in units
+            of their standard deviations: the correlated part of the noise, and with a
+            stated one what is considered [-].
         posed: The configuration as described; None where a result was made without it.
     """
 
@@ -175,10 +176,25 @@ class ConfigurationResult(Module):
             stacked = whitened(columns / noise_scale, stacked)
         return float(chdtrc(n, np.sum(stacked**2))) if n else float("nan")
 
+    def with_considered(self, linear: LinearModel) -> "ConfigurationResult":
+        """Return it with the considered errors of a fit among its columns."""
+        assert self.W_ep is not None
+        assert self.columns is not None
+        mine = linear.pose == linear.poses.index(self.name)
+        errors = linear.considered.values[mine]
+        seen = np.zeros(self.W_ep.shape[:2], bool)
+        for e in self.effectors:
+            seen[e.index, : len(e.std)] = e.seen
+        every = np.zeros((*seen.shape, errors.shape[1]))
+        every[seen] = errors
+        rows = [every[e.index, : len(e.std)] for e in self.effectors]
+        columns = np.concatenate([self.columns, np.concatenate(rows)], axis=1)
+        return replace(self, columns=columns)
+
     def misfit(self, noise: Literal["stated", "estimated"], noise_scale: float) -> bool:
         """Return whether the calibrated model contradicts this configuration.
 
-        Residuals that a stated noise explains are no misfit, however large. A noise
+        Residuals that stated errors explain are no misfit, however large. A noise
         that is estimated from the residuals explains none, except in a pose whose
         markers did not move, which has no motion to compare residuals with. Whether
         they moved is judged by the stated noise: a wrong pose raises the estimated one.

@@ -196,6 +196,9 @@ def _result(
     start, search, weighed, predicted, journal, clock = solved
     state, space, z = weighed.state, task.space, weighed.state.z
     linear, spread, checks = _judged(task, weighed, predicted, considered)
+    fits = predicted.fits
+    if task.noise == "stated":
+        fits = tuple(fit.with_considered(linear) for fit in fits)
     known = bool(np.isfinite(spread.noise_scale))
     budget = error_budget(linear.of_fit(), space, z, noise_is_known=known)
     problem = predicted.problem.of_first(len(task.fitted))
@@ -206,7 +209,7 @@ def _result(
         parameters=parameter_estimates(space, z, spread, budget, first),
         uncertainty=spread,
         budget=budget,
-        configurations=predicted.fits,
+        configurations=fits,
         history=tuple(journal.history),
         space=space,
         model=predicted.model,

@@ -345,8 +345,7 @@ class CalibrationResult(Result):
     @property
     def estimate(self) -> Estimate:
         """What the calibration says of the parameters, to compare with another's."""
-        C, contradicted = self.budget.covariance, bool(self.doubts)
-        return Estimate(self.space, self.z, C, contradicted)
+        return Estimate(self.space, self.z, self.budget.covariance, bool(self.doubts))
 
     @property
     def _end(self) -> str:

@@ -27,11 +27,7 @@ _COARSE = 0.3
 class Estimate(NamedTuple):
     """Calibrated parameters: their space, scaled values z, and the covariance of z.
 
-    Attributes:
-        space: The parameters.
-        z: Their values, scaled [-].
-        covariance: That of z by all causes [-].
-        contradicted: Whether the model contradicts the data that they were fitted to.
+    `contradicted` says whether the model contradicts the data that they fit.
     """
 
     space: ParameterSpace

@@ -290,9 +290,8 @@ class LinearModel(Module):
     def chi_squared(self) -> tuple[float, int]:
         """Compute the squares left with all errors counted, and their number [-].
 
-        e^T M e - b^T (I + W_c^T M W_c)^-1 b with b = W_c^T M e: chi-squared distributed
-        if the model is right, with the considered errors as part of the covariance
-        (by the matrix inversion lemma). All rows must be fitted.
+        e^T M e - b^T (I + W_c^T M W_c)^-1 b with b = W_c^T M e: the matrix inversion
+        lemma, for a covariance with considered errors. All rows must be fitted.
         """
         error, basis = np.asarray(self.whitened().error), self.solution.basis
         squares = float(np.sum((error - basis @ (basis.T @ error)) ** 2))

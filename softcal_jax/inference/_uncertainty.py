@@ -57,11 +57,9 @@ class Uncertainty(Module):
             conditional on them.
         noise: "stated" by the user, or "estimated" from the residuals.
         noise_scale: Factor on the stated standard deviations; 1 for a stated noise [-].
-        degrees_of_freedom: Measured coordinates minus free parameters, plus priors for
-            a stated noise.
+        degrees_of_freedom: Measured coordinates (and priors) minus free parameters.
         chi_squared: Sum of squared errors in units of the noise, with coordinates that
-            vary as stated: for a stated noise that of the whole covariance, by noise,
-            priors and what is considered [-].
+            vary as stated; for a stated noise that of all stated errors [-].
         at_bound: Parameters that ended on a bound.
     """
 

@@ -12,9 +12,9 @@ from pydantic import ValidationError
 from softcal_jax import configurations
 from softcal_jax._files import check_file, sha256_of, similar_file
 from softcal_jax._module import Module
-from softcal_jax._names import listed, unknown_name
+from softcal_jax._names import check_known, listed
 from softcal_jax._process import installed_version
-from softcal_jax._typing import Array, Float, HostArray
+from softcal_jax._typing import Array, Float
 from softcal_jax._units import readable
 from softcal_jax._warnings import SoftcalWarning
 from softcal_jax.equilibrium import Model
@@ -46,14 +46,12 @@ class LoadedResult(Module):
         space: The parameters, with start and bounds.
         values: The calibrated values by name, in SI units.
         z: The same, scaled [-].
-        covariance: Covariance of z by all causes, see `ErrorBudget`; nan for parameters
-            without a standard error [-].
+        estimate: What the calibration says of them, to compare with another's.
         errors: Root mean square of the distances of markers and other points from
             where they were measured, by configuration; nan without points [m].
         converged: Whether the calibration converged; if not, do not use the values.
         outcome: What may be done with the values, see `Assessment`.
         doubts: Why it is no more than that.
-        contradicted: Whether the model contradicts the data.
     """
 
     path: Path
@@ -62,17 +60,11 @@ class LoadedResult(Module):
     space: ParameterSpace
     values: dict[str, float]
     z: Float[Array, " n_p"]
-    covariance: Float[HostArray, "n_p n_p"]
+    estimate: Estimate
     errors: dict[str, float]
     converged: bool
     outcome: str
     doubts: tuple[str, ...]
-    contradicted: bool
-
-    @property
-    def estimate(self) -> Estimate:
-        """What the calibration says of the parameters, to compare with another's."""
-        return Estimate(self.space, self.z, self.covariance, self.contradicted)
 
     def _words(self) -> str:
         values = (
@@ -101,8 +93,7 @@ class LoadedResult(Module):
                     f"{listed([*map(repr, posed)])}; name one of them."
                 )
             name = next(iter(posed))
-        if name not in posed:
-            raise unknown_name("configuration", name, posed)
+        check_known("configuration", posed, name)
         mesh, mechanism = self.model.mesh, self.model.mechanism
         batch = configurations.configuration_arrays(mesh, [posed[name]], mechanism)
         return posed[name], self.space.apply(self.model, batch[0], self.z)[1]
@@ -149,6 +140,7 @@ def load_result(
     space = _checked_space(path, loaded, data)
     values = {entry.name: entry.value for entry in data.parameters}
     z = space.to_scaled(jnp.asarray([values[name] for name in space.names]))
+    C = np.array(data.budget.covariance, float)
     return LoadedResult(
         path=path,
         project=loaded,
@@ -156,7 +148,7 @@ def load_result(
         space=space,
         values=values,
         z=z,
-        covariance=np.array(data.budget.covariance, float),
+        estimate=Estimate(space, z, C, data.assessment.contradicted),
         errors={
             fit.name: np.nan if fit.rms_after_mm is None else 1e-3 * fit.rms_after_mm
             for fit in data.configurations
@@ -164,7 +156,6 @@ def load_result(
         converged=data.converged,
         outcome=data.assessment.outcome,
         doubts=tuple(data.assessment.reasons),
-        contradicted=data.assessment.contradicted,
     )
 
 
