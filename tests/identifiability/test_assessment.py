@@ -181,6 +181,24 @@ def test_what_the_stated_noise_explains_is_no_misfit(model):
     assert not assess(estimated).identified
 
 
+def test_what_is_considered_explains_a_pose(good):
+    """Fitted 1 mm too low and worse than before, by a load that moves it so far."""
+    fitted, up = good.configurations[0], np.array([0.0, 0.0, 1e-3])
+    low = tuple(
+        replace(e, measured=e.simulated + up, simulated_before=e.simulated + up)
+        for e in fitted.points
+    )
+    fitted = replace(fitted, effectors=low)
+    assert fitted.misfit("stated", 1.0)
+    for of_pose, explained in ((0, True), (1, False)):
+        rows = good.linear.pose == of_pose
+        column = np.zeros((N_DATA, 1))
+        column[rows, 0] = np.concatenate([up / e.std for e in low])
+        errors = ErrorColumns(column, ("loads",), ("load",))
+        with_load = fitted.with_considered(replace(good.linear, considered=errors))
+        assert with_load.misfit("stated", 1.0) is not explained
+
+
 def test_another_optimum_that_fits_as_well_reaches_the_verdict(good):
     """95 % of chi-squared with one degree of freedom: 3.84, twice the cost."""
     optima = lambda rise: tuple(
