@@ -63,7 +63,7 @@ def test_the_model_comes_back(folder, calibrated):
     assert loaded.converged
     assert loaded.values == {"E": result.value("E")}
     np.testing.assert_allclose(loaded.z, result.z, rtol=1e-14)
-    np.testing.assert_array_equal(loaded.covariance, result.budget.covariance)
+    np.testing.assert_array_equal(loaded.estimate.covariance, result.budget.covariance)
     assert loaded.space.names == ["E"]
     np.testing.assert_allclose(loaded.model.law.E, result.value("E"), rtol=1e-14)
     # The project keeps the start values.
@@ -220,7 +220,7 @@ def test_a_configuration_with_calibrated_loads(folder):
     # As if the load had been calibrated as well, to 1.2 times what is stated.
     more = ParameterSpace((*loaded.space.entries, load_factor(prior_std=0.1)))
     z = more.to_scaled(jnp.array([loaded.values["E"], 1.2]))
-    two = {"space": more, "z": z, "covariance": np.eye(2)}
+    two = {"space": more, "z": z}
     heavier = dataclasses.replace(loaded, **two).posed("pulled")[1]
     total = np.asarray(heavier.dead_loads).sum(axis=0)
     np.testing.assert_allclose(total, [0.024, 0.0, -0.06], atol=1e-15)
