@@ -180,16 +180,14 @@ class ConfigurationResult(Module):
         """Return it with the considered errors of a fit among its columns."""
         assert self.W_ep is not None
         assert self.columns is not None
-        mine = linear.pose == linear.poses.index(self.name)
-        errors = linear.considered.values[mine]
+        errors = linear.considered.values[linear.pose == linear.poses.index(self.name)]
         seen = np.zeros(self.W_ep.shape[:2], bool)
         for e in self.effectors:
             seen[e.index, : len(e.std)] = e.seen
         every = np.zeros((*seen.shape, errors.shape[1]))
         every[seen] = errors
-        rows = [every[e.index, : len(e.std)] for e in self.effectors]
-        columns = np.concatenate([self.columns, np.concatenate(rows)], axis=1)
-        return replace(self, columns=columns)
+        more = _in_order(every, self.effectors)
+        return replace(self, columns=np.concatenate([self.columns, more], axis=1))
 
     def misfit(self, noise: Literal["stated", "estimated"], noise_scale: float) -> bool:
         """Return whether the calibrated model contradicts this configuration.
@@ -291,10 +289,15 @@ def _columns(lanes: ConfigurationLanes, noise: CorrelatedNoise) -> list[HostArra
     A = A.reshape(*np.shape(effectors.inverse_std), noise.n_common)
     columns = []
     for of_pose, records in zip(A, lanes.effectors, strict=True):
-        rows = [of_pose[e.index, : len(e.std)] for e in records]
-        stacked = np.concatenate([np.zeros((0, A.shape[-1])), *rows])
+        stacked = _in_order(of_pose, records)
         columns.append(stacked[:, np.any(stacked != 0.0, axis=0)])
     return columns
+
+
+def _in_order(of_rows: HostArray, effectors: Sequence[EffectorRecord]) -> HostArray:
+    """Stack the rows of effectors in their order."""
+    rows = [of_rows[e.index, : len(e.std)] for e in effectors]
+    return np.concatenate([np.zeros((0, of_rows.shape[-1])), *rows])
 
 
 def displaced(

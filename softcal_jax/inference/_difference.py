@@ -25,10 +25,7 @@ _COARSE = 0.3
 
 
 class Estimate(NamedTuple):
-    """Calibrated parameters: their space, scaled values z, and the covariance of z.
-
-    `contradicted` says whether the model contradicts the data that they fit.
-    """
+    """Parameters, z and its covariance, and whether the data contradict the model."""
 
     space: ParameterSpace
     z: Float[Array | HostArray, " n_p"]
