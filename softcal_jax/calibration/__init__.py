@@ -44,6 +44,7 @@ from softcal_jax.calibration._profile import (
 )
 from softcal_jax.calibration._qp import QPStep as QPStep, bounded_step as bounded_step
 from softcal_jax.calibration._result import (
+    MISSED as MISSED,
     CalibrationResult as CalibrationResult,
     MultiStartResult as MultiStartResult,
     Optimum as Optimum,

@@ -28,6 +28,9 @@ SKEWED = 1.8
 It is that of a modulus known to 30 %, whose interval is symmetric in its logarithm.
 """
 
+MISSED = 0.5
+"""Error of the held-out poses over their motion beyond which values are useless [-]."""
+
 IntervalEnd = Literal["likelihood", "bound", "not found"]
 IntervalKind = Literal["first-order", "profile", "one-sided", "none"]
 
@@ -343,9 +346,22 @@ class CalibrationResult(Result):
         )
 
     @property
+    def missed(self) -> float:
+        """Error of all held-out poses over their motion; 0 without any [-]."""
+        poses = [c for c in self.configurations if c.role == "validation" and c.points]
+        squares = [(c.rms_after**2, c.motion**2) for c in poses if c.converged]
+        error, motion = np.sum(squares, axis=0) if squares else (0.0, 0.0)
+        return float(np.sqrt(error / motion)) if motion > 0.0 else 0.0
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the model contradicts the data, fitted or held out."""
+        return bool(self.doubts) or self.missed > MISSED
+
+    @property
     def estimate(self) -> Estimate:
         """What the calibration says of the parameters, to compare with another's."""
-        return Estimate(self.space, self.z, self.budget.covariance, bool(self.doubts))
+        return Estimate(self.space, self.z, self.budget.covariance, self.contradicted)
 
     @property
     def _end(self) -> str:

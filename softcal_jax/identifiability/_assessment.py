@@ -9,6 +9,7 @@ from scipy.special import chdtri
 from softcal_jax._module import Module, Result
 from softcal_jax._names import listed
 from softcal_jax.calibration import (
+    MISSED,
     CalibrationResult,
     ConfigurationResult,
     MultiStartResult,
@@ -27,9 +28,6 @@ HEADLINES: dict[Outcome, str] = {
     "take with care": "Take these values with care:",
     "do not use": "Do not use these values:",
 }
-
-MISSED = 0.5
-"""Error of the held-out poses over their motion beyond which values are useless [-]."""
 
 FAR_OUT = 10.0
 """Size of the residuals over the stated errors beyond which values are useless [-]."""
@@ -203,7 +201,7 @@ def assess(result: CalibrationResult, *, precision: float | None = None) -> Asse
     return Assessment(
         outcome="do not use" if useless else "take with care" if checks else "trust",
         reasons=tuple(checks),
-        contradicted=bool(result.doubts) or _missed(result) > MISSED,
+        contradicted=result.contradicted,
         misfit_probability=spread.misfit_probability,
         identifiability=report,
         predictions=_predictions(result.configurations, report),
@@ -230,9 +228,9 @@ def _fatal(result: CalibrationResult) -> list[str]:
             "The estimate of the noise did not settle, so that weights and standard "
             "errors are wrong."
         )
-    missed = _missed(result)
-    if missed > MISSED:
-        fatal.append(f"The held-out error is {100 * missed:.0f} % of the motion.")
+    if result.missed > MISSED:
+        share = 100 * result.missed
+        fatal.append(f"The held-out error is {share:.0f} % of the motion.")
     return fatal
 
 
@@ -242,14 +240,6 @@ def _size_of_residuals(result: CalibrationResult) -> float:
     if spread.noise == "stated" and spread.degrees_of_freedom > 0:
         return float(np.sqrt(spread.chi_squared / spread.degrees_of_freedom))
     return float("nan") if result.checks is None else result.checks.level
-
-
-def _missed(result: CalibrationResult) -> float:
-    """Return the error of all held-out poses over their motion; 0 without any [-]."""
-    poses = [c for c in result.configurations if c.role == "validation" and c.points]
-    squares = [(c.rms_after**2, c.motion**2) for c in poses if c.converged]
-    error, motion = np.sum(squares, axis=0) if squares else (0.0, 0.0)
-    return float(np.sqrt(error / motion)) if motion > 0.0 else 0.0
 
 
 def _unseen(report: Identifiability) -> list[str]:

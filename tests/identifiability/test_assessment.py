@@ -397,3 +397,22 @@ def test_a_pose_that_stays_at_rest_is_compared_with_the_noise(good):
     assert assess(result).identified
     finer = eqx.tree_at(lambda r: r.uncertainty.noise_scale, result, 0.1)
     assert says(assess(finer).reasons, "hang", "fitted")
+
+
+@pytest.mark.parametrize(("share", "contradicted"), [(0.49, False), (0.51, True)])
+def test_a_far_prediction_contradicts_the_model(good, share, contradicted):
+    """Nor does its estimate hold for another robot, though it is within the noise."""
+    fitted = good.configurations[0]
+    short = tuple(
+        replace(
+            e,
+            simulated=e.measured - share * (e.measured - e.at_rest),
+            std=1.0 + 0 * e.std,
+        )
+        for e in fitted.points
+    )
+    held_out = replace(fitted, role="validation", effectors=short)
+    result = replace(good, configurations=(*good.configurations, held_out))
+    assert not result.doubts
+    assert result.missed == pytest.approx(share)
+    assert assess(result).contradicted is result.estimate.contradicted is contradicted
