@@ -12,8 +12,9 @@ import numpy as np
 
 from benchmarks._icesl import STEPS, N, Slicer
 from benchmarks._problem import Figure
+from softcal_jax.designs import published_foam
 from softcal_jax.equilibrium import build_model
-from softcal_jax.exchange.icesl import Design, IceslResult, export_icesl, published_foam
+from softcal_jax.exchange.icesl import Design, IceslResult, export_icesl
 from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
 from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
 from softcal_jax.mesh import beam

@@ -3,7 +3,7 @@
 This module offers what a notebook needs. The rest is in the packages, which follow the
 method step by step: `mesh`, `materials`, `fields`, `bodies`, `actuators`,
 `configurations`, `equilibrium`, `sensitivity`, `inference`, `calibration`,
-`identifiability`, `mistakes`, `control`, `layouts`.
+`identifiability`, `mistakes`, `control`, `designs`, `layouts`.
 """
 
 import ast

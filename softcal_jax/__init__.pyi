@@ -28,8 +28,8 @@ from softcal_jax.configurations import (
     register as register,
 )
 from softcal_jax.control import solve_inverse as solve_inverse
+from softcal_jax.designs import design as design
 from softcal_jax.equilibrium import (
-    LoadPath as LoadPath,
     build_model as build_model,
     lanes as lanes,
     marker_positions as marker_positions,

@@ -33,7 +33,7 @@ LAYERS = [
     {"unknowns"},
     {"calibration"},
     {"identifiability", "control", "mistakes"},
-    {"layouts"},
+    {"designs", "layouts"},
     {"robots"},
     {"export"},
     {"plotting"},

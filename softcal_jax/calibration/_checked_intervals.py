@@ -134,7 +134,7 @@ def _end_holds(
     down, up = map(np.asarray, space.room(jax.device_put(z)))
     step = np.clip(step, down, up)
     # Moduli must stay in their order.
-    A, b = map(np.asarray, space.order_rows())
+    A, b = map(np.asarray, space.rows())
     at_end, chart = z + step, space.chart
     crossed = chart is not None and np.any(at_end[chart.small] > at_end[chart.large])
     if crossed or np.any(A @ at_end > b):

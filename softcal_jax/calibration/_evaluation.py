@@ -143,7 +143,8 @@ class Evaluator:
         self.numbered = without_names(problem)
         # The number of lanes and what concerns steps alone would each give another
         # program, so both are left out.
-        space = replace(self.numbered.space, order=(), tensor_steps=True, pin=None)
+        options = {"order": (), "tensor_steps": True, "pin": None, "regions": ()}
+        space = replace(self.numbered.space, **options)
         where = lambda p: (p.configurations, p.space)
         alone = self.numbered.with_noise(None)
         self.shared = eqx.tree_at(where, alone, (None, space))

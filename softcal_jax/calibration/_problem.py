@@ -44,8 +44,9 @@ class CalibrationSettings(Module):
 
     Attributes:
         tol: Largest entry of lambda_p at which the loop stops, without that step. With
-            `adapt` it also stops where a step would lower the cost by less than 1e-8 of
-            it, or less than a move of 1e-3 standard errors (by the residuals) does [-].
+            `adapt` it also stops where a step would lower the cost by less than
+            `least_fall`, or than a move of 1e-3 standard errors (by the residuals) does
+            [-].
         max_steps: Steps after which it gives up.
         step_bound: First bound on every entry of lambda_p; 1 is a factor e on a log
             scale and the whole range on a linear one [-].
@@ -53,6 +54,9 @@ class CalibrationSettings(Module):
             says little, and the guess of the equilibria is poor [-].
         damping: Levenberg damping of the QP, for columns of W of unit length. It holds
             back directions that the data hardly see, without moving the minimum [-].
+        least_fall: Relative fall of the cost that is not worth a step. Where the fit
+            leaves an error, Gauss-Newton converges linearly, and many small steps would
+            follow that hardly change the fit [-].
         adapt: Adapt the bound, refuse steps that do not help over `MEMORY` steps, and
             learn the curvature of the errors. Without it, every step is that of the
             linear model within a fixed bound, as in the paper.
@@ -63,6 +67,7 @@ class CalibrationSettings(Module):
     step_bound: float = eqx.field(static=True, default=0.3)
     max_step_bound: float = eqx.field(static=True, default=0.5)
     damping: float = eqx.field(static=True, default=DAMPING)
+    least_fall: float = eqx.field(static=True, default=1e-8)
     adapt: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self):
@@ -75,7 +80,7 @@ class CalibrationSettings(Module):
         if not 0.0 < self.damping <= 1.0:
             # More, and every step would be too short to tell from none.
             raise ValueError(f"damping must lie in (0, 1], got {self.damping}.")
-        for name in ("step_bound", "max_step_bound"):
+        for name in ("step_bound", "max_step_bound", "least_fall"):
             value = getattr(self, name)
             if not 0.0 < value < math.inf:
                 raise ValueError(f"{name} must be positive and finite, got {value}.")

@@ -41,13 +41,6 @@ Anal. 23, 1986).
 KKT_TOLERANCE = 1e-6
 """Largest optimality residual with which a vanishing QP step is trusted [-]."""
 
-SMALLEST_FALL = 1e-8
-"""Relative fall of the cost that is not worth a step [-].
-
-Where the fit leaves an error, Gauss-Newton converges linearly, and many small steps
-would follow that hardly change the fit.
-"""
-
 SLOW = 1e-2
 """Predicted relative fall of the cost below which gradients must be exact [-].
 
@@ -112,10 +105,10 @@ class CalibrationState(Module):
 
     `recent_costs` are those of the last accepted steps, the latest first; `lambda_p` is
     the last QP step, with its residual, and whether it was accepted. It has `converged`
-    where lambda_p has vanished, not shortened by the step bound, or steps were refused
-    at a minimum, and has `stalled` where they were refused until the bound was below
-    `tol`, away from a minimum. `least_fall` is the relative fall of the cost that is
-    worth a step.
+    where lambda_p has vanished, not shortened by the step bound, where `MEMORY` steps
+    gained nothing, or steps were refused at a minimum, and has `stalled` where they
+    were refused until the bound was below `tol`, away from a minimum. `least_fall` is
+    the relative fall of the cost that is worth a step.
     """
 
     z: Float[Array, " n_p"]
@@ -149,7 +142,7 @@ def initial_state(
         step=jnp.zeros((), jnp.int32),
         converged=jnp.zeros((), bool),
         stalled=jnp.zeros((), bool),
-        least_fall=jnp.full((), SMALLEST_FALL, z.dtype),
+        least_fall=jnp.full((), settings.least_fall, z.dtype),
     )
 
 
@@ -287,7 +280,7 @@ def _limits(
     limit = jnp.minimum(state.step_bound, space.max_step())
     down, up = space.room(state.z)
     low, high = jnp.maximum(down, -limit), jnp.minimum(up, limit)
-    A, b = space.order_rows()
+    A, b = space.rows()
     b = b - A @ state.z
     if chart is not None:
         # The QP steps tensors, so the bounds of the moduli become rows.
@@ -340,7 +333,7 @@ def decide(
     lowered = tried.cost <= reference - 1e-4 * predicted
     size = jnp.max(jnp.abs(lambda_p))
     at_bound = _is_at_bound(space, state, proposal.qp)
-    no_harm = tried.cost <= now.cost + SMALLEST_FALL * now.cost
+    no_harm = tried.cost <= now.cost + settings.least_fall * now.cost
     vanished = proposal.vanishes & tried.ok & ((size <= settings.tol) | no_harm)
     accepted = tried.ok & (lowered | vanished | (not settings.adapt))
     if settings.adapt:
@@ -348,13 +341,16 @@ def decide(
         grown = jnp.where((gain > 0.75) & at_bound, grown, bound)
         bound = jnp.where(accepted, grown, 0.25 * size)
         curvature = _after(space, state, proposal, tried)
+    recent = jnp.roll(state.recent_costs, 1).at[0].set(tried.cost)
     # A bound that shrank to nothing means a minimum only where the slope vanishes too.
     collapsed = ~vanished & (bound < settings.tol)
+    # Steps that go on, and together gain less than one is worth.
+    gained = jnp.max(recent) - jnp.min(recent)
+    idle = accepted & settings.adapt & (gained <= settings.least_fall * tried.cost)
     # The slope is the relative fall of the cost per unit of lambda_p, predicted within
     # all constraints for a step so short that the model is linear.
     flat = predicted <= FLAT * size * 2.0 * now.cost
     keep = lambda new, old: jnp.where(accepted, new, old)
-    recent = jnp.roll(state.recent_costs, 1).at[0].set(tried.cost)
     return CalibrationState(
         z=keep(proposal.z, state.z),
         evaluation=jax.tree.map(keep, tried, now),
@@ -365,7 +361,7 @@ def decide(
         kkt_residual=proposal.qp.kkt_residual,
         accepted=accepted,
         step=state.step + 1,
-        converged=vanished | (collapsed & flat),
+        converged=vanished | idle | (collapsed & flat),
         stalled=collapsed & ~flat,
         least_fall=state.least_fall,
     )

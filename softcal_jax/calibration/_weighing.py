@@ -19,7 +19,7 @@ from softcal_jax.calibration._evaluation import Evaluator, weighed
 from softcal_jax.calibration._noise import RECORDINGS, AnyArray, CorrelatedNoise
 from softcal_jax.calibration._problem import CalibrationSettings
 from softcal_jax.calibration._runs import settle
-from softcal_jax.calibration._step import SMALLEST_FALL, CalibrationState, initial_state
+from softcal_jax.calibration._step import CalibrationState, initial_state
 from softcal_jax.configurations import Configuration
 from softcal_jax.fields import OFFSET
 from softcal_jax.inference import (
@@ -154,7 +154,7 @@ def _until(
     # Such a step lets the cost fall by this share of it.
     fall = errors**2 / max(int(np.sum(weight > 0.0)) - len(state.z), 1)
     last, noise = errors == NOT_TAKEN, evaluate.problem.noise
-    fall = max(fall, SMALLEST_FALL if last else 2.0 * SMALLEST_FALL)
+    fall = max(fall, settings.least_fall if last else 2.0 * settings.least_fall)
     if state.converged and float(state.least_fall) <= fall:
         return state  # of a checkpoint
 

@@ -6,6 +6,7 @@ The search is compiled once for all goals and all models of the same shapes.
 from softcal_jax.control._goals import (
     Goal as Goal,
     Limits as Limits,
+    limit_arrays as limit_arrays,
     with_goals as with_goals,
 )
 from softcal_jax.control._inputs import (
@@ -30,5 +31,6 @@ from softcal_jax.control._solve import (
     ControlWarning as ControlWarning,
     follow_trajectory as follow_trajectory,
     solve_inverse as solve_inverse,
+    strongest_limits as strongest_limits,
 )
 from softcal_jax.control._step import ControlSettings as ControlSettings

@@ -230,6 +230,23 @@ def what_holds(command: Command, end: Arrival, linear: Linear) -> Holding:
     gradients = np.concatenate([-unit, unit, linear.A]).reshape(4, *unit.shape)
     A = np.array([gradients[limit] for limit in reached])
     A = A.reshape(-1, len(moves)) * moves
+    return Holding(
+        active_limits=active,
+        held_by=tuple(active[i] for i in strongest_limits(W, r, A)),
+        blind=_blind(command, W[: len(off)], off),
+    )
+
+
+def strongest_limits(
+    W: Float[HostArray, "n_e n"],
+    r: Float[HostArray, " n_e"],
+    A: Float[HostArray, "n_limits n"],
+) -> list[int]:
+    """Order the limits that hold a minimum of ||W y + r||^2, the strongest first.
+
+    Their gradients A by y balance its slope, W^T r + A^T mu = 0 with mu >= 0; one
+    without a share is left out.
+    """
     # Here, so that commands which do not need it do not wait for it.
     from scipy.optimize import nnls
 
@@ -237,12 +254,7 @@ def what_holds(command: Command, end: Arrival, linear: Linear) -> Holding:
     # The step that each limit forbids: the cosine between the errors and its effect.
     effect = np.linalg.norm(W @ A.T, axis=0) * np.linalg.norm(r)
     cosine = mu * (A**2).sum(axis=1) / np.where(effect > 0.0, effect, np.inf)
-    strongest = [i for i in np.argsort(-cosine) if cosine[i] > FLAT_COSINE]
-    return Holding(
-        active_limits=active,
-        held_by=tuple(active[i] for i in strongest),
-        blind=_blind(command, W[: len(off)], off),
-    )
+    return [int(i) for i in np.argsort(-cosine) if cosine[i] > FLAT_COSINE]
 
 
 def _blind(

@@ -163,7 +163,8 @@ class _IceslExporter(AbstractExporter):
     def write(
         self, source: Any, output: Path, options: Namespace, progress: ExportProgress
     ) -> Sequence[str]:
-        from softcal_jax.exchange.icesl import export_icesl, published_foam
+        from softcal_jax.designs import published_foam
+        from softcal_jax.exchange.icesl import export_icesl
 
         table = options.table
         if options.solid_modulus is not None:

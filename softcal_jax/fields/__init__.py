@@ -4,6 +4,7 @@ from softcal_jax.fields._control_points import (
     ControlPointParameters as ControlPointParameters,
     ControlPoints as ControlPoints,
 )
+from softcal_jax.fields._order import Region as Region
 from softcal_jax.fields._parameters import (
     AbstractEntry as AbstractEntry,
     AbstractFieldEntry as AbstractFieldEntry,
@@ -28,6 +29,7 @@ from softcal_jax.fields._setup_parameters import (
     Uncertain as Uncertain,
     actuator_factor as actuator_factor,
     clamp_stiffness as clamp_stiffness,
+    command as command,
     exactly_known as exactly_known,
     friction as friction,
     gravity_tilt as gravity_tilt,

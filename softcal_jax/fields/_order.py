@@ -2,9 +2,11 @@
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from softcal_jax._module import Module
 from softcal_jax._names import unknown_name
 from softcal_jax._typing import Array, Float, HostArray, Int, is_traced
 from softcal_jax.fields._control_points import ControlPointParameters
@@ -101,6 +103,46 @@ def _sides(entries: Entries, name: str, key: str) -> dict[str, Term]:
         known = {*(entry.field for entry in fields), *columns}
         raise ValueError(f"{key}: {unknown_name('parameter or field', name, known)}")
     return sides
+
+
+class Region(Module):
+    """Values that fields may have together at a control point: A ln(values) <= b.
+
+    Where the fields mix logarithms with the same weights, no tet leaves it either.
+
+    Attributes:
+        fields: Names of the fields, on a log scale and with the same control points.
+        A: Its half-planes, a row of unit length each [-].
+        b: How far each lies from the origin [-].
+        centre: Logarithms of values inside, to which others are drawn.
+        name: What has these values, like "Polyfoam".
+    """
+
+    fields: tuple[str, ...] = eqx.field(static=True)
+    A: Float[Array, "n_rows n_fields"] = eqx.field(converter=jnp.asarray)
+    b: Float[Array, " n_rows"] = eqx.field(converter=jnp.asarray)
+    centre: Float[Array, " n_fields"] = eqx.field(converter=jnp.asarray)
+    name: str = eqx.field(static=True, default="region")
+
+
+def region_terms(entries: Entries, region: Region) -> list[tuple[Term, ...]]:
+    """Collect the terms of the fields of a region, for each control point."""
+    sides = [_sides(entries, field, "regions") for field in region.fields]
+    for other in sides:
+        if list(other) != list(sides[0]):
+            raise ValueError(
+                f"regions: {' and '.join(region.fields)} need the same control points."
+            )
+    for entry in entries:
+        if {*entry.fields} & {*region.fields} and (
+            entry.parameters[0].scale != "log"
+            or getattr(entry, "interpolation", "log") != "log"
+        ):
+            raise ValueError(
+                f'regions: {entry.label} needs scale="log" and interpolation="log", so '
+                f"that no tet leaves the values that {region.name} has."
+            )
+    return list(zip(*(side.values() for side in sides), strict=True))
 
 
 def axis_columns(entries: Entries, axes: Groups) -> Int[HostArray, "n_axes 3"]:

@@ -5,7 +5,7 @@ that makes parameters of it, which `fields` exports and `project._setup` gives a
 A kind that counts even if it is not fitted has a standard deviation in `Uncertain`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from functools import partial
 from operator import attrgetter
@@ -18,6 +18,7 @@ from jaxtyping import ArrayLike
 from softcal_jax._module import Module
 from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax._typing import Float
+from softcal_jax.fields._parameters import Parameter
 from softcal_jax.fields._setup import (
     QUANTITIES,
     By,
@@ -278,6 +279,43 @@ def actuator_factor(
     return setup_parameters(
         "actuator_factor", actuator, limit=limit, prior_std=prior_std, each=each, by=by
     )[0]
+
+
+QUANTITIES["command"] = Quantity(
+    "{of}",
+    entry_of("actuation.value"),
+    noun="actuator",
+    names=attrgetter("actuation.names"),
+    of_configuration=True,
+    role="none",
+)
+
+
+def command(
+    actuator: str,
+    start: Mapping[str, float],
+    limits: Mapping[str, tuple[float, float]],
+    *,
+    unit: str,
+) -> SetupParameter:
+    """Make what is imposed on an actuator a parameter of each configuration.
+
+    `start` has its value by configuration, and `limits` the smallest and the largest
+    one, in the SI `unit` of its force or displacement.
+    """
+    unknowns = [
+        Parameter(
+            f"{actuator} in {name}", "", value, *limits[name], scale="linear", unit=unit
+        )
+        for name, value in start.items()
+    ]
+    return SetupParameter(
+        kind="command",
+        of=actuator,
+        unknowns=unknowns,
+        each=tuple(start),
+        by="configuration",
+    )
 
 
 QUANTITIES["recording_offset"] = Quantity(

@@ -16,11 +16,14 @@ from softcal_jax.fields._control_points import ControlPointParameters
 from softcal_jax.fields._order import (
     AxisChart,
     Groups,
+    Region,
     Scaled,
+    Term,
     axis_columns,
     faded,
     fading_axes,
     order_terms,
+    region_terms,
 )
 from softcal_jax.fields._parameters import AbstractEntry, Parameter, Values, once
 
@@ -64,6 +67,7 @@ class ParameterSpace(Module):
             angle has a `core`, their contrast fades in it.
         tensor_steps: Whether steps of axes are taken as tensors; if not, as moduli and
             angles, which need `order`.
+        regions: Values that fields may have together, which need steps of moduli.
         pin: A parameter held at a value, for a profile of the likelihood.
     """
 
@@ -71,6 +75,7 @@ class ParameterSpace(Module):
     order: Groups = eqx.field(static=True, default=(), converter=_groups)
     axes: Groups = eqx.field(static=True, default=(), converter=_groups)
     tensor_steps: bool = eqx.field(static=True, default=True)
+    regions: tuple[Region, ...] = eqx.field(default=(), converter=tuple)
     pin: Pin | None = None
 
     def __check_init__(self):
@@ -84,6 +89,10 @@ class ParameterSpace(Module):
         order_terms(self.entries, self.order)
         axis_columns(self.entries, self.axes)
         fading_axes(self.entries, self.axes)
+        for region in self.regions:
+            region_terms(self.entries, region)
+        if self.regions and self.axes and self.tensor_steps:
+            raise ValueError("regions need tensor_steps=False: rows are of moduli.")
 
     @once
     def parameters(self) -> tuple[Parameter, ...]:
@@ -217,7 +226,11 @@ class ParameterSpace(Module):
         z = self.wrap(z)
         if self.chart is not None:
             z = self.chart.clip(z, self.lower(), self.upper())
-        return jnp.clip(z, self.lower(), self.upper())
+        z = jnp.clip(z, self.lower(), self.upper())
+        for region in self.regions:
+            for terms in region_terms(self.entries, region):
+                z = _drawn_in(region, terms, z)
+        return z
 
     @property
     def has_prior(self) -> bool:
@@ -257,9 +270,34 @@ class ParameterSpace(Module):
                     A = A.at[row, term.column].add(sign * term.unit / size)
         return A, b
 
+    def rows(self) -> tuple[Float[Array, "n_rows n_p"], Float[Array, " n_rows"]]:
+        """Return all linear constraints, of order and of regions, as A z <= b."""
+        if not self.regions:
+            return self.order_rows()
+        parts = [self.order_rows()]
+        for region in self.regions:
+            for terms in region_terms(self.entries, region):
+                A = jnp.zeros((len(region.b), len(self.parameters)))
+                known = jnp.stack([term.constant for term in terms])
+                for k, term in enumerate(terms):
+                    if term.column is not None:
+                        A = A.at[:, term.column].add(region.A[:, k])
+                parts.append((A, region.b - region.A @ known))
+        A, b = zip(*parts, strict=True)
+        return jnp.concatenate(A), jnp.concatenate(b)
+
     def order_names(self) -> list[tuple[str, str]]:
         """List the names of smaller and larger value of each order constraint."""
         return [(s.name, l.name) for s, l in order_terms(self.entries, self.order)]
+
+    def row_names(self) -> list[str]:
+        """Say what each of the `rows` keeps, in words."""
+        names = [f"{small} <= {large}" for small, large in self.order_names()]
+        for region in self.regions:
+            for terms in region_terms(self.entries, region):
+                values = " and ".join(term.name for term in terms)
+                names += [f"what {region.name} reaches of {values}"] * len(region.b)
+        return names
 
     def apply(
         self,
@@ -309,6 +347,18 @@ class ParameterSpace(Module):
     def sets_fields(self) -> tuple[bool, ...]:
         """Whether each parameter sets some of `field_names` and nothing else."""
         return tuple(bool(e.fields) for e in self.entries for _ in e.parameters)
+
+
+def _drawn_in(region: Region, terms: tuple[Term, ...], z: Scaled) -> Scaled:
+    """Draw the moduli of a control point straight to the centre, into their region."""
+    columns = [term.column for term in terms]
+    if None in columns:
+        return z
+    where = np.array(columns)
+    away = region.A @ (z[where] - region.centre)
+    room = region.b - region.A @ region.centre
+    share = jnp.min(room / jnp.maximum(away, room))
+    return z.at[where].set(region.centre + share * (z[where] - region.centre))
 
 
 def as_space(parameters: ParameterSpace | Entry | Sequence[Entry]) -> ParameterSpace:

@@ -5,8 +5,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from softcal_jax._typing import Bool, Float, HostArray, Int
+from softcal_jax.designs import FoamTable, FoundFoam
 from softcal_jax.exchange.icesl._fields import N_VOXELS, Samples
-from softcal_jax.exchange.icesl._foam import FoamTable, FoundFoam
 
 RTOL = 0.01  # largest relative error of a modulus that counts as reached [-]
 _STEPS = 255  # steps of a texture, which has 8 bits

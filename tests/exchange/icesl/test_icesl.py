@@ -17,17 +17,14 @@ from benchmarks._icesl import RANGES, Slicer
 from benchmarks._parallel_robot_geometry import merge
 from softcal_jax import export_icesl
 from softcal_jax.bodies import RigidBody
-from softcal_jax.equilibrium import build_model
-from softcal_jax.exchange.icesl import (
-    Design,
+from softcal_jax.designs import (
     FoamTable,
-    _fields,
-    _report,
-    _settings,
     published_foam,
     read_foam_table,
     write_foam_table,
 )
+from softcal_jax.equilibrium import build_model
+from softcal_jax.exchange.icesl import Design, _fields, _report, _settings
 from softcal_jax.fields import ControlPointParameters, ControlPoints, ParameterSpace
 from softcal_jax.materials import (
     Corotational,

@@ -121,6 +121,20 @@ class FoamTable(Module):
         t = (np.log(density) - low) / (high - low)
         return np.exp(patch.at(t, s)[:, 1:])
 
+    def outline(self) -> Pairs:
+        """Return ln E_soft and ln E_stiff along the edge of what the table reaches."""
+        patch = _Patch(self)
+        t = np.linspace(0.0, 1.0, _T_STEPS + 1)
+        s = np.linspace(0.0, patch.last, _S_STEPS * int(patch.last) + 1)
+        level = np.full_like
+        sides = [
+            (t, level(t, 0.0)),
+            (level(s, 1.0), s),
+            (t[::-1], level(t, patch.last)),
+            (level(s, 0.0), s[::-1]),
+        ]
+        return np.concatenate([patch.at(*side)[:-1, 1:] for side in sides])
+
     def find(self, E_soft: Numbers, E_stiff: Numbers) -> FoundFoam:
         """Find the foams whose moduli [Pa] are nearest, in the logarithms of both.
 

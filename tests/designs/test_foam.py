@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from problems import FOAM_OF_THE_ROBOT, ORTHOTROPIC_FOAM
 
-from softcal_jax.exchange.icesl import FoamTable, published_foam
+from softcal_jax.designs import FoamTable, published_foam
 
 DENSITIES = np.array([0.0918, 0.1798, 0.2639, 0.3422])
 SHRINK = 0.2

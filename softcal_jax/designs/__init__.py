@@ -1,0 +1,24 @@
+"""Design: fields and actuation that bring a robot to its goals, and can be printed."""
+
+from softcal_jax.designs._design import design as design
+from softcal_jax.designs._foam import (
+    FoamTable as FoamTable,
+    FoundFoam as FoundFoam,
+    Infill as Infill,
+    published_foam as published_foam,
+)
+from softcal_jax.designs._foam_file import (
+    read_foam_table as read_foam_table,
+    write_foam_table as write_foam_table,
+)
+from softcal_jax.designs._foam_region import (
+    foam_region as foam_region,
+    isotropic_range as isotropic_range,
+)
+from softcal_jax.designs._printing import Printing as Printing
+from softcal_jax.designs._result import (
+    Alternative as Alternative,
+    DesignGoal as DesignGoal,
+    DesignResult as DesignResult,
+    Trade as Trade,
+)

@@ -1,0 +1,191 @@
+"""What a design returns, and its verdict."""
+
+import numpy as np
+
+from softcal_jax._module import Module, Result
+from softcal_jax._names import listed
+from softcal_jax._typing import Float, HostArray
+from softcal_jax._units import readable
+from softcal_jax.calibration import CalibrationResult
+from softcal_jax.configurations import Configuration
+from softcal_jax.control import GoalFit
+
+LISTED = 4  # missed goals that a message lists
+
+LEVEL = 0.95
+"""Share of the prints whose error lies in the interval of a goal [-]."""
+
+
+class DesignGoal(GoalFit):
+    """A goal of a design: how close it comes as ordered, and as it is printed.
+
+    Attributes:
+        configuration: The configuration of the goal.
+        met: Whether every coordinate is within its tolerance, as ordered.
+        expected: Root mean square of the error of prints, in the unit of the effector.
+        interval: Ends of the interval that has the error of `LEVEL` of all prints.
+        hangs_on: The control point whose errors of printing count most; empty where
+            none counts.
+        share: Its share of the variance [-].
+    """
+
+    configuration: str
+    met: bool
+    expected: float
+    interval: tuple[float, float]
+    hangs_on: str
+    share: float
+
+    @property
+    def label(self) -> str:
+        """Name of the effector and of the configuration."""
+        return f"{self.name!r} in {self.configuration!r}"
+
+    @property
+    def error(self) -> float:
+        """Size of the error as ordered, in the unit of the effector."""
+        return float(np.linalg.norm(self.residual))
+
+    def _words(self) -> str:
+        return str(self)
+
+    def __str__(self) -> str:
+        """Write what is reached, in one line."""
+        show = lambda value: readable(float(f"{value:.2g}"), self.effector.unit).strip()
+        low, high = map(show, self.interval)
+        text = (
+            f"{self.label}: {'met' if self.met else 'MISSED'}, {show(self.error)} off "
+            f"as ordered; as printed {show(self.expected)}, {100 * LEVEL:g} % between "
+            f"{low} and {high}"
+        )
+        if self.hangs_on:
+            text += f", {100 * self.share:.0f} % of it by {self.hangs_on}"
+        return text
+
+
+class Trade(Module):
+    """What another goal pays where a missed one is to come closer.
+
+    Attributes:
+        goal: The missed goal.
+        other: The goal that loses most.
+        loss: How much farther off that one is per unit that the missed one comes
+            closer, both in their tolerances [-].
+    """
+
+    goal: str
+    other: str
+    loss: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.goal} competes with {self.other}: a tolerance closer costs that "
+            f"one {self.loss:.2g} of its tolerances"
+        )
+
+
+class Alternative(Module):
+    """The same goals with less that may be designed.
+
+    Attributes:
+        name: What it is.
+        error: Root mean square of the errors over all goals, in tolerances [-].
+        result: Its fit.
+    """
+
+    name: str
+    error: float
+    result: CalibrationResult
+
+
+class DesignResult(Result):
+    """A design: fields and actuation for all goals.
+
+    Attributes:
+        goals: What each goal comes to.
+        fit: The fit of the goals; its parameters are the fields and the commands.
+        configurations: The configurations with the actuation found.
+        held_by: Limits that keep missed goals away, in words, the strongest first.
+        trades: Goals that compete.
+        alternatives: The best homogeneous material, and actuation alone.
+        foam: Name of the foam that limits the moduli; empty if none.
+        material: Names of the parameters of the material, in the order of the fit.
+    """
+
+    goals: tuple[DesignGoal, ...]
+    fit: CalibrationResult
+    configurations: tuple[Configuration, ...]
+    held_by: tuple[str, ...]
+    trades: tuple[Trade, ...]
+    alternatives: tuple[Alternative, ...]
+    foam: str
+    material: tuple[str, ...]
+
+    @property
+    def met(self) -> bool:
+        """Whether the search ended at an optimum that meets all goals."""
+        return self.fit.converged and all(goal.met for goal in self.goals)
+
+    @property
+    def unmet(self) -> tuple[DesignGoal, ...]:
+        """Goals that are missed, the farthest first, in their tolerances."""
+        worst = lambda goal: float(np.max(np.abs(goal.in_std), initial=0.0))
+        missed = [goal for goal in self.goals if not goal.met]
+        return tuple(sorted(missed, key=worst, reverse=True))
+
+    @property
+    def error(self) -> float:
+        """Root mean square of the errors over all goals, in tolerances [-]."""
+        return error_of(self.goals)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Values of the material as ordered, by parameter, in SI units."""
+        return {name: self.fit.value(name) for name in self.material}
+
+    @property
+    def headline(self) -> str:
+        """The verdict, in a sentence."""
+        n, missed = len(self.goals), self.unmet
+        if not self.fit.converged:
+            return "Not designed: the search did not converge."
+        if missed:
+            return f"Not designed: {len(missed)} of {n} goals are missed."
+        return f"Designed: all {n} goals are met." if n > 1 else "Designed: it is met."
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """What goals are off by, and what holds them there, one sentence each."""
+        reasons = [f"{g.label} is off by {g.off}." for g in self.unmet[:LISTED]]
+        if len(self.unmet) > LISTED:
+            reasons.append(f"{len(self.unmet) - LISTED} more are off by less.")
+        if self.held_by:
+            reasons.append(f"They are held by {listed(self.held_by)}.")
+        return (*reasons, *(f"{trade}." for trade in self.trades))
+
+    @property
+    def worth(self) -> tuple[str, ...]:
+        """What the design is worth, one sentence for each alternative."""
+        return tuple(
+            f"The goals are {a.error:.3g} tolerances off with {a.name}, "
+            f"{self.error:.3g} with this design."
+            for a in self.alternatives
+        )
+
+    def _words(self) -> str:
+        return self.headline
+
+    def __str__(self) -> str:
+        """Write the verdict, the values, the goals and the alternatives."""
+        lines = [self.headline, *(f"  {reason}" for reason in self.reasons)]
+        lines += [
+            f"  {p.name} = {readable(p.value, p.unit)}" for p in self.fit.parameters
+        ]
+        lines += [f"  {goal}" for goal in self.goals]
+        return "\n".join([*lines, *(f"  {sentence}" for sentence in self.worth)])
+
+
+def error_of(goals: tuple[GoalFit, ...]) -> float:
+    """Return the root mean square of all errors, in tolerances [-]."""
+    parts: list[Float[HostArray, " k"]] = [g.in_std[g.effector.seen] for g in goals]
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))

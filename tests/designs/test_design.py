@@ -1,0 +1,215 @@
+"""Designs of a small finger under a cable: goals, limits, foam and prints."""
+
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import foldnorm
+from wording import says
+
+from softcal_jax.actuators import Cable
+from softcal_jax.calibration import build_problem, evaluate
+from softcal_jax.configurations import (
+    Configuration,
+    ImposedForce,
+    Markers,
+    configuration_arrays,
+)
+from softcal_jax.control import Limits
+from softcal_jax.designs import Printing, design, published_foam
+from softcal_jax.equilibrium import build_model, marker_positions, solve_equilibrium
+from softcal_jax.fields import (
+    ControlPointParameters,
+    ControlPoints,
+    ParameterSpace,
+    command,
+)
+from softcal_jax.materials import Corotational, Fibre, ReducedTransverseIsotropic
+from softcal_jax.mesh import beam
+
+LENGTH, SIDE = 0.1, 0.02
+MIDDLE = SIDE / 2
+TIP = (LENGTH, MIDDLE, MIDDLE)
+HALF = (LENGTH / 2, MIDDLE, MIDDLE)
+RANGE = {"cable": Limits(force=(0.0, 5.0))}
+TOLERANCE = 1e-4
+
+
+def finger():
+    law = ReducedTransverseIsotropic(4e5, 3e5, 0.3, Fibre(0.0, plane="xy"))
+    guides = [(x, MIDDLE, 0.002) for x in (0.0, LENGTH / 2, LENGTH)]
+    mesh = beam(LENGTH, SIDE, SIDE, (4, 1, 1))
+    cable = Cable("cable", guides)
+    return build_model(mesh, Corotational(law), density=1000.0, actuators=[cable])
+
+
+MODEL = finger()
+POINTS = ControlPoints({"root": (0.0, MIDDLE, MIDDLE), "tip": TIP})
+
+
+def moduli():
+    """E_t and E_l at the control points; the foam says which of them is larger."""
+    options: dict[str, Any] = {"interpolation": "log", "unit": "Pa"}
+    return ParameterSpace(
+        [
+            ControlPointParameters("E_t", POINTS, 4e5, 1e5, 5e6, **options),
+            ControlPointParameters("E_l", POINTS, 3e5, 5e4, 3e6, **options),
+        ]
+    )
+
+
+MARKERS = Markers(["half", "end"], [HALF, TIP], std=TOLERANCE, axes="xz")
+
+
+def pose(name, tension, goal=None, markers=MARKERS):
+    goal = None if goal is None else np.asarray(goal)
+    return Configuration(
+        name,
+        ["x_min"],
+        gravity=(0.0, 0.0, 0.0),
+        markers=markers,
+        measured=goal,
+        actuation={"cable": ImposedForce(tension)},
+    )
+
+
+def simulated(model, configuration):
+    """Where the markers are, solved without any of the design."""
+    lane = configuration_arrays(model.mesh, [configuration], model.mechanism)[0]
+    return np.asarray(marker_positions(model, lane, solve_equilibrium(model, lane)))
+
+
+@pytest.fixture(scope="module")
+def wanted():
+    """Two shapes that a graded finger takes."""
+    true = np.log([9e5, 3e5, 2.5e5, 1.5e5])
+    model = moduli().model_at(MODEL, jnp.asarray(true))
+    shapes = [("little", 0.4), ("much", 1.0)]
+    return [pose(n, 0.7, simulated(model, pose(n, T))) for n, T in shapes]
+
+
+@pytest.fixture(scope="module")
+def made(wanted):
+    return design(
+        MODEL, moduli(), wanted, limits=RANGE, foam=published_foam(), starts=1
+    )
+
+
+def test_what_a_graded_finger_can_do_is_designed(made, wanted):
+    assert made.met
+    assert made.headline.startswith("Designed: all 4")
+    assert made.reasons == ()
+    # Forces of the cable follow the scale of the moduli, which the goals leave open.
+    tensions = [c.actuation["cable"].value for c in made.configurations]
+    assert tensions[1] / tensions[0] == pytest.approx(2.5, rel=0.02)
+    model = made.fit.space.model_at(MODEL, jnp.asarray(made.fit.z))
+    for goal, commanded in zip(wanted, made.configurations, strict=True):
+        off = simulated(model, commanded) - goal.measured
+        assert np.abs(off[:, [0, 2]]).max() < TOLERANCE
+    assert [goal.error < 2e-4 for goal in made.goals] == [True] * 4
+
+
+def test_every_tet_is_a_foam(made):
+    model = made.fit.space.model_at(MODEL, jnp.asarray(made.fit.z))
+    law = model.law.elasticity
+    found = published_foam().find(np.asarray(law.E_l), np.asarray(law.E_t))
+    assert found.error.max() < 1e-6
+
+
+def test_what_less_could_do(made):
+    """One material does better than the cable alone, and the design best."""
+    homogeneous, alone = made.alternatives
+    assert homogeneous.name == "the best homogeneous material"
+    assert alone.name == "actuation alone"
+    assert made.error < 0.2 * homogeneous.error
+    assert homogeneous.error <= alone.error * (1.0 + 1e-6)
+    assert says(made.worth, "tolerances", "homogeneous", "with this design")
+
+
+def test_a_limit_holds_a_goal(wanted):
+    """The cable may pull a third as much as it takes at its softest."""
+    goal = replace(wanted[1], actuation={"cable": ImposedForce(0.1)})
+    tight = {"cable": Limits(force=(0.0, 0.15))}
+    made = design(MODEL, moduli(), goal, limits=tight, foam=published_foam(), starts=1)
+    assert not made.met
+    assert says(made.headline, "Not designed", "goals are missed")
+    assert says(made.held_by, "cable in much at its upper limit")
+    assert says(made.held_by, "what Polyfoam reaches of E_l of root and E_t of root")
+    assert says(made.reasons, "'end' in 'much' is off by", "mm")
+
+
+def test_two_goals_compete():
+    """Under one tension the tip cannot be in two places; both give way alike."""
+    end = Markers(["end"], [TIP], std=TOLERANCE, axes="z")
+    goals = [
+        pose(name, 0.5, [np.array(TIP) - [0.0, 0.0, down]], end)
+        for name, down in (("here", 0.004), ("there", 0.008))
+    ]
+    made = design(MODEL, moduli(), goals, starts=1)
+    offs = [float(goal.residual[2]) for goal in made.goals]
+    assert offs == pytest.approx([-0.002, 0.002], rel=0.02)
+    assert [trade.loss for trade in made.trades] == pytest.approx([1.0, 1.0], rel=0.05)
+    assert says(made.reasons, "'end' in 'here' competes with 'end' in 'there'")
+    # An error of one coordinate is a folded normal distribution.
+    for goal in made.goals:
+        off = abs(float(goal.residual[2]))
+        std = np.sqrt(goal.expected**2 - off**2)
+        ends = foldnorm(off / std, scale=std).ppf([0.025, 0.975])
+        np.testing.assert_allclose(goal.interval, ends, rtol=0.1)
+
+
+def test_actuation_alone(wanted):
+    """Without parameters only the cable is found, and there is nothing to compare."""
+    made = design(MODEL, None, wanted, limits=RANGE)
+    assert made.material == ()
+    assert made.alternatives == ()
+    assert [p.name for p in made.fit.parameters] == ["cable in little", "cable in much"]
+
+
+def test_prints_scatter_as_the_goals_say(made, wanted):
+    """Random prints, each solved again: as many in the intervals as they say."""
+    std = Printing().deviations(made.fit)
+    assert std.tolist() == [0.3] * 4 + [0.0] * 2
+    problem, z = build_problem(MODEL, made.fit.space, wanted), np.asarray(made.fit.z)
+    guess = evaluate(problem, jnp.asarray(z)).equilibrium.displacement
+    random, inside, squares = np.random.default_rng(3), [], []
+    index = {goal.name: i for i, goal in enumerate(wanted)}
+    for _ in range(30):
+        print_ = z + std * random.standard_normal(len(z))
+        off = np.asarray(evaluate(problem, jnp.asarray(print_), guess).delta_e)
+        rows = [off[index[g.configuration], g.effector.index] for g in made.goals]
+        errors = [
+            np.linalg.norm(row[g.effector.seen])
+            for row, g in zip(rows, made.goals, strict=True)
+        ]
+        ends = np.array([g.interval for g in made.goals])
+        inside.append((ends[:, 0] <= errors) & (errors <= ends[:, 1]))
+        squares.append(np.square(errors))
+    assert 0.88 < np.mean(inside) <= 1.0
+    expected = [g.expected for g in made.goals]
+    np.testing.assert_allclose(np.sqrt(np.mean(squares, axis=0)), expected, rtol=0.4)
+
+
+def test_derivatives_by_material_and_actuation_are_of_second_order(wanted):
+    """Central differences: halving the step divides the error by four."""
+    pull = command(
+        "cable",
+        {"little": 0.4, "much": 0.9},
+        dict.fromkeys(("little", "much"), (0.0, 5.0)),
+        unit="N",
+    )
+    space = ParameterSpace((*moduli().entries, pull))
+    problem, z = build_problem(MODEL, space, wanted), np.asarray(space.start())
+    here = evaluate(problem, jnp.asarray(z))
+    W = np.asarray(here.response.W_ep).reshape(*here.delta_e.shape, len(z))
+    guess, errors = here.equilibrium.displacement, []
+    at = lambda shift: np.asarray(
+        evaluate(problem, jnp.asarray(z + shift), guess).delta_e
+    )
+    direction = np.array([0.3, -0.5, 0.2, 0.4, 0.1, -0.2])
+    for h in (0.2, 0.1):
+        slope = (at(h * direction) - at(-h * direction)) / (2.0 * h)
+        errors.append(np.abs(slope - W @ direction)[..., [0, 2]].max())
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
