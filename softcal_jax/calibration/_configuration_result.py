@@ -31,7 +31,7 @@ from softcal_jax.inference import UNLIKELY, LinearModel, whitened
 from softcal_jax.sensitivity import Response
 from softcal_jax.unknowns import attachments
 
-Role = Literal["calibration", "validation", "prediction", "simulation"]
+Role = Literal["calibration", "validation", "prediction", "design", "simulation"]
 
 
 class ConfigurationResult(Module):
@@ -40,7 +40,7 @@ class ConfigurationResult(Module):
     Attributes:
         name: Name of the configuration.
         role: Whether it was fitted, held out of a fit, measured and predicted without
-            any, or simulated without a measurement.
+            any, designed for goals, or simulated without a measurement.
         converged: Whether it has an equilibrium.
         outcome: How the solve ended, in words.
         effectors: Measured and simulated values: markers, then other effectors.

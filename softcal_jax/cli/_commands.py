@@ -136,6 +136,42 @@ def simulate(args: argparse.Namespace, show: cli.Display) -> None:
         check_converged(solution, tuple(c.name for c in project.configurations))
 
 
+def design(args: argparse.Namespace, show: cli.Display) -> None:
+    cli.check_folder(args)
+    from softcal_jax import report
+    from softcal_jax.exchange.icesl import Design, export_icesl
+
+    project = cli.load(args.project, show)
+    with cli.bad_input():
+        project.check_design()
+    show.note(f"goals: {_names(project.asked.goals)}")
+    show.now("first equilibrium")
+    step = lambda entry: show.note(f"step {entry.step:<3} cost {entry.cost:9.3g}")
+    with cli.no_equilibrium("Nothing was written."):
+        result = project.design(
+            progress=step,
+            search_progress=lambda step: show.now(str(step), log=False),
+            stage=show.now,
+        )
+    show.lap("design", compiling=result.fit.timing_s["compile"])
+    show.line()
+    for table in report.design_tables(result):
+        show.line(table.drawn())
+    for sentence in (result.headline, *result.reasons, *result.worth):
+        show.line(sentence)
+    more = {"name": project.name, "project": project}
+    more |= cli.pictures_with_a_bar(args, show)
+    write = partial(report.write_design, result, **more)
+    cli.write_results(write, args, show, index="design.json")
+    if result.foam is not None:
+        ordered = Design(project.model, result.fit.space, result.fit.z, project.name)
+        printed = {"infill": result.foam.infill, "table": result.foam, "force": True}
+        written = export_icesl(ordered, args.output / "icesl", **printed)
+        show.line(f"To print it: {written.directory / 'robot.lua'}, for IceSL.")
+    if not result.met:
+        raise cli.Stop(cli.NOT_CONVERGED, result.headline)
+
+
 def identify(args: argparse.Namespace, show: cli.Display) -> None:
     cli.check_folder(args)
     from softcal_jax import report

@@ -30,6 +30,7 @@ examples:
   softcal calibrate my_robot/project.toml -o results
   softcal simulate my_robot/project.toml -o forward
   softcal identify my_robot/project.toml  would the data suffice? ask before measuring
+  softcal design my_robot/project.toml -o design   fields and actuation for goals
   softcal mesh finger.step -o finger.msh  from CAD to tets, with a picture
   softcal compare a.toml b.toml           which law or mesh predicts best?
   softcal transfer results b/project.toml   do its values hold for another robot?
@@ -47,6 +48,20 @@ exit codes:
     2  bad input; nothing was solved or written, unless the message says otherwise
     3  calibrated, but do not use the values: the model is far from the data
   130  interrupted by Ctrl-C or SIGTERM; the message says what was saved
+"""
+
+_DESIGN = """\
+examples:
+  softcal design project.toml -o design
+  softcal calibrate design/project.toml -o results   once poses of the print are in it
+
+A configuration has a goal in place of `measured`, and [design] says what limits it:
+  goal = { tip = "(100, -, 12) mm" }
+  [design]
+  foam = "Polyfoam"
+  limits = { cable = "0 N to 5 N" }
+
+exit codes: 0 all goals are met, 1 some are not, or no equilibrium, 2 bad input
 """
 
 _IDENTIFY = """\
@@ -140,6 +155,16 @@ def _parser(formats: Mapping[str, AbstractExporter]) -> argparse.ArgumentParser:
     text = "use the values in this results folder of softcal calibrate, by name"
     cli.add_path(forward, "--values", "RESULTS", text)
     forward.set_defaults(run=_commands.simulate)
+    plan = commands.add_parser(
+        "design",
+        help="find the material and the actuation that meet goals",
+        description="Finds the fields of the material, and for each goal the "
+        "actuation, that bring markers and effectors to the goals of a project file, "
+        "within what can be printed; says what each goal comes to as printed, and what "
+        "holds a missed one; and writes a project for the printed robot.",
+        epilog=_DESIGN,
+    )
+    plan.set_defaults(run=_commands.design)
     outlook = commands.add_parser(
         "identify",
         help="would the data determine the parameters? ask before measuring",
@@ -157,7 +182,7 @@ ranked by how much information measuring them would add.""",
         epilog=_IDENTIFY,
     )
     outlook.set_defaults(run=_commands.identify)
-    for command in (fit, forward, outlook):
+    for command in (fit, forward, plan, outlook):
         cli.add_path(command, "project", "PROJECT.toml", "the project file")
         needed = command is not outlook
         cli.add_path(command, "--output", "DIR", where, required=needed)
@@ -166,7 +191,7 @@ ranked by how much information measuring them would add.""",
         command.add_argument("--verbose", "-v", action="store_true", help=text)
         text = "stop at the first answer: no error budget, intervals or pictures"
         command.add_argument("--quick", action="store_true", help=text)
-    for command in (beam, fit, forward, outlook):
+    for command in (beam, fit, forward, plan, outlook):
         cli.add_output(command, force=cli.AGAIN, pictures=command is not outlook)
     add_new(commands)
     add_check(commands)

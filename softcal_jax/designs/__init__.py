@@ -2,6 +2,7 @@
 
 from softcal_jax.designs._design import design as design
 from softcal_jax.designs._foam import (
+    TPU as TPU,
     FoamTable as FoamTable,
     FoundFoam as FoundFoam,
     Infill as Infill,
@@ -17,6 +18,7 @@ from softcal_jax.designs._foam_region import (
 )
 from softcal_jax.designs._printing import Printing as Printing
 from softcal_jax.designs._result import (
+    LEVEL as LEVEL,
     Alternative as Alternative,
     DesignGoal as DesignGoal,
     DesignResult as DesignResult,

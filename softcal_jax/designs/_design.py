@@ -14,6 +14,7 @@ from softcal_jax.calibration import (
     CalibrationSettings,
     CalibrationWarning,
     HistoryEntry,
+    SearchProgress,
     as_sequence,
     calibrate,
 )
@@ -63,6 +64,7 @@ class _Asked(NamedTuple):
     settings: CalibrationSettings
     newton: NewtonSettings | None
     progress: Callable[[HistoryEntry], None] | None
+    search_progress: Callable[[SearchProgress], None] | None
 
 
 def design(
@@ -78,6 +80,7 @@ def design(
     settings: CalibrationSettings | None = None,
     newton: NewtonSettings | None = None,
     progress: Callable[[HistoryEntry], None] | None = None,
+    search_progress: Callable[[SearchProgress], None] | None = None,
     stage: Callable[[str], None] = lambda _: None,
 ) -> DesignResult:
     """Find the fields, and for each goal the actuation, that meet goals together.
@@ -100,7 +103,8 @@ def design(
         seed: Seed of the random starts.
         settings: Settings of the loop.
         newton: Settings of the equilibrium.
-        progress: Called after each step of the design itself.
+        progress: Called after each step of the design itself, once the search is over.
+        search_progress: Called after each step of a search.
         stage: Called with a text: what is computed next.
 
     Returns:
@@ -123,7 +127,8 @@ def design(
         )
     _check_goals(model, goals)
     loop = settings or LOOP
-    asked = _Asked(model, goals, commands, foam, seed, loop, newton, progress)
+    calls = progress, search_progress
+    asked = _Asked(model, goals, commands, foam, seed, loop, newton, *calls)
     fit = _fit(asked, space, starts)
     asked = asked._replace(progress=None)
     reached = design_goals(fit, printing or Printing())
@@ -135,7 +140,7 @@ def design(
         held_by=held_by(fit, reached) if missed else (),
         trades=trades(fit, reached) if missed else (),
         alternatives=_alternatives(asked, space, stage),
-        foam="" if foam is None else foam.infill,
+        foam=foam,
         material=() if space is None else tuple(space.names),
     )
 
@@ -249,6 +254,7 @@ def _fit(
             seed=asked.seed,
             intervals=None,
             progress=asked.progress,
+            search_progress=asked.search_progress,
         )
 
 

@@ -9,6 +9,7 @@ from softcal_jax._units import readable
 from softcal_jax.calibration import CalibrationResult
 from softcal_jax.configurations import Configuration
 from softcal_jax.control import GoalFit
+from softcal_jax.designs._foam import FoamTable
 
 LISTED = 4  # missed goals that a message lists
 
@@ -108,7 +109,7 @@ class DesignResult(Result):
         held_by: Limits that keep missed goals away, in words, the strongest first.
         trades: Goals that compete.
         alternatives: The best homogeneous material, and actuation alone.
-        foam: Name of the foam that limits the moduli; empty if none.
+        foam: The foam that limits the moduli; None without.
         material: Names of the parameters of the material, in the order of the fit.
     """
 
@@ -118,7 +119,7 @@ class DesignResult(Result):
     held_by: tuple[str, ...]
     trades: tuple[Trade, ...]
     alternatives: tuple[Alternative, ...]
-    foam: str
+    foam: FoamTable | None
     material: tuple[str, ...]
 
     @property
@@ -167,8 +168,8 @@ class DesignResult(Result):
     def worth(self) -> tuple[str, ...]:
         """What the design is worth, one sentence for each alternative."""
         return tuple(
-            f"The goals are {a.error:.3g} tolerances off with {a.name}, "
-            f"{self.error:.3g} with this design."
+            f"With {a.name} the goals are {a.error:.3g} tolerances off, with this "
+            f"design {self.error:.3g}."
             for a in self.alternatives
         )
 

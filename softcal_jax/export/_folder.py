@@ -18,6 +18,7 @@ INDEX_FILES = (
     "comparison.json",
     "inverse.json",
     "robot.json",
+    "design.json",
     "icesl.json",
 )
 """Files that mark a results folder; their `files` list what softcal_jax wrote."""

@@ -1,6 +1,7 @@
 """Pictures of results, drawn without a screen."""
 
 from softcal_jax.plotting._configuration import (
+    LABELS as LABELS,
     NOT_CONVERGED as NOT_CONVERGED,
     motion_words as motion_words,
     render_body as render_body,

@@ -58,6 +58,7 @@ def render_configuration(
         measured=np.array(measured) if points and fitted else None,
         simulated=np.array([p.simulated for p in points]) if points else None,
         marker_names=[p.name for p in points],
+        labels=LABELS.get(result.role, LABELS[""]),
         warning="" if converged else NOT_CONVERGED,
         robot=result.robot,
         sensors=robots.sensor_frames(result),
@@ -68,10 +69,14 @@ def render_configuration(
 NOT_CONVERGED = "NOT CONVERGED: do not use these values"
 """What stands above every picture of a calibration that did not converge."""
 
+LABELS = {"design": ("goal", "reached"), "": ("measured", "simulated")}
+"""What legends call measured and simulated points, by role, "" for any other."""
+
 _ROLES = {
     "calibration": " - calibration (fitted)",
     "validation": " - validation (predicted, not fitted)",
     "prediction": " - predicted",
+    "design": " - design",
     "simulation": "",
 }
 
@@ -84,6 +89,8 @@ def motion_words(fit: ConfigurationResult) -> str:
         return "no markers"
     size = lambda rms: f"{1e3 * rms:.2f} mm" if math.isfinite(rms) else "no equilibrium"
     text = size(fit.rms_after)
+    if fit.role == "design":
+        return f"rms distance of the markers from their goals: {text}"
     if fit.role != "prediction":
         text = f"{size(fit.rms_before)} before, {text} after"
     text = f"rms residual of the markers: {text}"
@@ -108,7 +115,7 @@ def render_body(
     robot: RobotState | None = None,
     sensors: Sequence[robots.SensorFrame] = (),
     posed: Configuration | None = None,
-    labels: tuple[str, str] = ("measured", "simulated"),
+    labels: tuple[str, str] = LABELS[""],
 ) -> None:
     """Draw a deformed body, coloured by displacement, over its outline at rest.
 

@@ -1,5 +1,6 @@
 """Project files: a calibration as one text file of mesh, material, data, settings."""
 
+from softcal_jax.project._design import DesignTask as DesignTask
 from softcal_jax.project._goals import inverse_as_typed as inverse_as_typed
 from softcal_jax.project._load import (
     CHANGE as CHANGE,
@@ -9,6 +10,7 @@ from softcal_jax.project._load import (
     load_mesh as load_mesh,
     load_project as load_project,
 )
+from softcal_jax.project._printed import printed_project as printed_project
 from softcal_jax.project._problems import (
     ProjectError as ProjectError,
     at as at,

@@ -13,6 +13,7 @@ from softcal_jax._names import UNNAMED_LOADS
 from softcal_jax.configurations import Configuration
 from softcal_jax.equilibrium import Model
 from softcal_jax.project import _quantities as typed
+from softcal_jax.project._design import with_goals
 from softcal_jax.project._effectors import Effectors
 from softcal_jax.project._markers import MarkersTable, MeasuredMarkers, MeasuredTable
 from softcal_jax.project._mechanism import State, build_actuation, build_states
@@ -99,6 +100,9 @@ class ConfigurationTable(CandidateTable):
     role: Literal["calibration", "validation"] = "calibration"
     recording: str | None = None
     measured: MeasuredTable | None = None
+    goal: dict[str, Any] | None = Field(
+        default=None, description='goals by name: { tip = "(100, -, 12) mm" }'
+    )
 
     @field_validator("measured", mode="before")
     @classmethod
@@ -169,6 +173,12 @@ def build_configuration(
         displacement_from=reference,
         relative_std=table.relative_std,
     )
+    goal = getattr(table, "goal", None)
+    if goal is not None:
+        if measured is not None:
+            raise ValueError("it has a `goal` and is `measured`; give one of the two.")
+        with under("goal"):
+            configuration = with_goals(folder, model, project, configuration, goal)
     return configuration, seen
 
 

@@ -31,6 +31,7 @@ from softcal_jax.export import field_units, tet_fields
 from softcal_jax.fields import Uncertain, check_parameters
 from softcal_jax.mesh import TetMesh
 from softcal_jax.project._configurations import Posed, build_configuration
+from softcal_jax.project._design import build_design
 from softcal_jax.project._effectors import build_effectors
 from softcal_jax.project._parameters import build_space
 from softcal_jax.project._problems import WrongKeyError, in_file, under
@@ -126,7 +127,12 @@ def _built(
             model, _ = space.with_values(model, None, start)
     posed, candidates = _configurations(path.parent, table, model)
     with_role = list(zip(posed, table.configurations, strict=True))
-    of_role = lambda role: tuple(c for (c, _), row in with_role if row.role == role)
+    goals = tuple(c for (c, _), row in with_role if row.goal is not None)
+    of_role = lambda role: tuple(
+        c for (c, _), row in with_role if row.role == role and row.goal is None
+    )
+    with under("design"):
+        asked = build_design(path.parent, table, goals)
     of_project = {"noise", "starts", "seed", "precision"}
     with under("settings"):
         others = of_project | {"intervals"}
@@ -143,6 +149,7 @@ def _built(
         calibration=of_role("calibration"),
         validation=of_role("validation"),
         candidates=tuple(c for c, _ in candidates),
+        asked=asked,
         **table.settings.model_dump(include=of_project),
         intervals=table.settings.intervals or None,
         uncertain=Uncertain(**table.uncertain.model_dump()),
@@ -227,6 +234,7 @@ def _files(path: Path, table: ProjectTable) -> list[Path]:
         *table.mesh.files(path.parent),
         *(path.parent / name for name in files if name is not None),
         *dict.fromkeys(file for tag in tags for file in tag.files(path.parent)),
+        *(path.parent / name for name in (table.design.table,) if name is not None),
     ]
 
 

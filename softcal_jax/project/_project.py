@@ -19,6 +19,7 @@ from softcal_jax.configurations import (
     Traces,
     configuration_lanes,
 )
+from softcal_jax.designs import DesignResult, design
 from softcal_jax.equilibrium import (
     EquilibriumProgress,
     EquilibriumSolution,
@@ -31,6 +32,7 @@ from softcal_jax.equilibrium import (
 from softcal_jax.fields import Parameter, ParameterSpace, Uncertain
 from softcal_jax.identifiability import Identifiability, Ranking
 from softcal_jax.layouts import ModelComparison, compare_models
+from softcal_jax.project._design import DesignTask
 from softcal_jax.project._problems import ProjectError, in_file, one_by_one, under
 
 _NO_PARAMETERS = "parameters: nothing to calibrate; add [[parameters]]."
@@ -48,6 +50,7 @@ class Project(Module):
         calibration: Configurations that are fitted.
         validation: Configurations that are only predicted.
         candidates: Configurations that might be measured, see `rank_candidates`.
+        asked: Configurations with goals, and what may be designed for them.
         noise: Where the noise comes from: "estimated" or "stated".
         starts: Number of starts; None for `default_starts`.
         seed: Seed of the random starts.
@@ -68,6 +71,7 @@ class Project(Module):
     calibration: tuple[Configuration, ...]
     validation: tuple[Configuration, ...]
     candidates: tuple[Configuration, ...]
+    asked: DesignTask
     noise: Literal["estimated", "stated"]
     starts: int | None
     seed: int
@@ -94,8 +98,8 @@ class Project(Module):
 
     @property
     def configurations(self) -> tuple[Configuration, ...]:
-        """All configurations, the fitted ones first."""
-        return self.calibration + self.validation
+        """All configurations: the fitted ones, those held out, those with goals."""
+        return self.calibration + self.validation + self.asked.goals
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -169,6 +173,44 @@ class Project(Module):
             rms = ", ".join(f"{name} {1e3 * fit.rms:.2f} mm" for name, fit in fits)
             notes += (f"Camera frames registered to the mesh with an rms of: {rms}.",)
         return dataclasses.replace(result, source=self.source, notes=notes)
+
+    def check_design(self) -> None:
+        """Raise ProjectError if no configuration has a goal."""
+        if not self.asked.goals:
+            raise ProjectError(
+                f"{self.path}: configurations: none has a goal; give one "
+                'goal = { tip = "(100, -, 12) mm" }, in place of `measured`.'
+            )
+
+    def design(
+        self,
+        *,
+        progress: Callable[[HistoryEntry], None] | None = None,
+        search_progress: Callable[[calibrations.SearchProgress], None] | None = None,
+        stage: Callable[[str], None] = lambda _: None,
+    ) -> DesignResult:
+        """Find the fields and the actuation that meet the goals of the file.
+
+        See `softcal_jax.design`, also for what is raised.
+
+        Raises:
+            ProjectError: If no configuration has a goal.
+        """
+        self.check_design()
+        return design(
+            self.model,
+            self.space,
+            self.asked.goals,
+            limits=self.asked.limits,
+            foam=self.asked.foam,
+            printing=self.asked.printing,
+            starts=self.starts,
+            seed=self.seed,
+            newton=self.newton,
+            progress=progress,
+            search_progress=search_progress,
+            stage=stage,
+        )
 
     def check_identify(self) -> None:
         """Raise ProjectError if nothing can be judged; no measured value is needed."""

@@ -19,6 +19,7 @@ from softcal_jax._text import check_characters, escaped
 from softcal_jax.calibration import LEVEL, check_level
 from softcal_jax.fields import PRECISION, check_starts
 from softcal_jax.project._configurations import CandidateTable, ConfigurationTable
+from softcal_jax.project._design import DesignTable
 from softcal_jax.project._effectors import AnyEffector
 from softcal_jax.project._laws import Material, material_table
 from softcal_jax.project._markers import MarkersTable, WindowTable
@@ -119,6 +120,7 @@ class ProjectTable(Table):
     shared: SharedTable = SharedTable()
     configurations: tuple[ConfigurationTable, ...] = ()
     candidates: tuple[CandidateTable, ...] = ()
+    design: DesignTable = DesignTable()
     uncertain: UncertainTable = UncertainTable()
     settings: SettingsTable = SettingsTable()
     newton: NewtonTable = NewtonTable()
@@ -153,7 +155,7 @@ def read_tables(path: Path, changes: Mapping[str, Any] | None = None) -> Project
 
     `changes` replace values of the file, see `load_project`.
     """
-    raw = _with_changes(path, read_toml(path, "project file"), changes)
+    raw = with_changes(path, read_toml(path, "project file"), changes)
     problems, table, material = [], None, None
     with suppress(ValueError):  # reported under [material] below
         material = material_table(raw.get("material"))
@@ -182,7 +184,7 @@ def read_schema(path: Path, schema: type[T], what: str) -> T:
         raise one_by_one(path, describe(error, raw)) from error
 
 
-def _with_changes(
+def with_changes(
     path: Path, raw: dict[str, Any], changes: Mapping[str, Any] | None
 ) -> dict[str, Any]:
     """Replace some values of a file, see `load_project`, creating missing tables."""

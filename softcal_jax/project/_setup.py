@@ -53,6 +53,9 @@ ShareOrEstimated = Annotated[
 ]
 
 
+Share = Annotated[float, BeforeValidator(_parser("%", estimated=False))]
+
+
 def _type_of(kind: Any, unit: str) -> Any:
     if not unit:
         return Annotated[typed.Number, Field(ge=0, allow_inf_nan=False)]

@@ -1,5 +1,6 @@
 """Results written and loaded: files, a page, and tables for the terminal."""
 
+from softcal_jax.report._design import design_tables as design_tables
 from softcal_jax.report._inverse import inverse_table as inverse_table
 from softcal_jax.report._load import (
     LoadedResult as LoadedResult,
@@ -33,6 +34,7 @@ from softcal_jax.report._verdict import (
 from softcal_jax.report._write import (
     PictureWarning as PictureWarning,
     write_comparison as write_comparison,
+    write_design as write_design,
     write_identifiability as write_identifiability,
     write_inverse as write_inverse,
     write_results as write_results,

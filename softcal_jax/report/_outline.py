@@ -28,7 +28,7 @@ from softcal_jax.mesh import TetMesh, face_shares, locate, node_indices, volumes
 from softcal_jax.project import Project, ProjectError, QuantityAsRead, guesses_left
 
 ROLES = {"calibration": "fitted", "validation": "held out", "candidate": "candidate"}
-ROLES |= {"prediction": "predicted"}
+ROLES |= {"design": "design", "prediction": "predicted"}
 """Roles of configurations in words."""
 
 _MOST_ALIKE = 4  # quantities of one table and unit that are listed one by one
@@ -41,6 +41,7 @@ Rows = Iterable[Sequence[str]]
 def roles_of(project: Project) -> dict[str, str]:
     """Return the role of each configuration and candidate in words, by its name."""
     groups = (project.calibration, project.validation, project.candidates)
+    groups += (project.asked.goals,)
     words = list(ROLES.values())[: len(groups)]
     return {c.name: word for word, of in zip(words, groups, strict=True) for c in of}
 
@@ -328,6 +329,7 @@ def _commands(project: Project) -> Rows:
         ("simulate", project.check_simulation),
         ("identify", project.check_identify),
         ("calibrate", project.check_calibration),
+        *([("design", project.check_design)] if project.asked.goals else []),
     ):
         try:
             check()

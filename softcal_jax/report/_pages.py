@@ -7,9 +7,11 @@ from typing import Any
 from softcal_jax._text_table import TextTable, Tone, text_table
 from softcal_jax.calibration import CalibrationResult, SimulationResult
 from softcal_jax.control import InverseResult, TrajectoryResult
+from softcal_jax.designs import DesignResult
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.layouts import ModelComparison
 from softcal_jax.report import _charts, _tables
+from softcal_jax.report._design import design_tables, design_verdict
 from softcal_jax.report._html import (
     MOST_PICTURES,
     Html,
@@ -59,7 +61,7 @@ def calibration_page(
         Section("data", "What the data determine", [*_blindness(outlook), *known]),
         Section("agreement", "Each recording fitted alone", [bullets(agreement)]),
         Section("notes", "Notes", [bullets(data["notes"])]),
-        *_pictures(data, folder, view),
+        *pictures_of(data, folder, view),
         Section("robot", "Robot", _tables.robot_tables(listed_fits(fits))),
         Section("fit", "Course of the fit", course, folded=True),
         Section("subject", "What was calibrated", [_subject(result, assessment)], True),
@@ -67,11 +69,11 @@ def calibration_page(
         *closing("calibrate", data, [data["source"]]),
     ]
     answer = answer_of(result, assessment)
-    about = {"index": "result.json", "first": answer_html(answer), **_robot(view)}
+    about = {"index": "result.json", "first": answer_html(answer), **page_view(view)}
     return page(data["name"], "Calibration", answer.verdict, sections, **about)
 
 
-def _robot(view: PageView | None) -> dict[str, Any]:
+def page_view(view: PageView | None) -> dict[str, Any]:
     """Return the view of the robot and its script, as arguments of `page`."""
     return {} if view is None else {"robot": view.content, "script": view.script}
 
@@ -89,13 +91,30 @@ def simulation_page(
         Section("notes", "Notes", [bullets(data["notes"])]),
         Section("errors", "Errors", held_out_sentences(poses)),
         Section("states", "States", _tables.simulation_tables(result)),
-        *_pictures(data, folder, view),
+        *pictures_of(data, folder, view),
         Section("model", "Model", [f"{_tables.model_words(result.model)}."]),
         *closing("simulate", data, [data["source"]], options=options),
     ]
-    about = {"index": "simulation.json", **_robot(view)}
+    about = {"index": "simulation.json", **page_view(view)}
     verdict = _simulation_verdict(result)
     return page(data["name"], "Simulation", verdict, sections, **about)
+
+
+def design_page(
+    result: DesignResult, data: Mapping[str, Any], folder: Path, view: PageView | None
+) -> str:
+    """Write the page of a design."""
+    ordered, goals, commands, worth = design_tables(result)
+    sections = [
+        Section("notes", "Notes", [bullets(data["notes"])]),
+        Section("goals", "Goals", [goals, commands]),
+        Section("ordered", "As ordered", [ordered]),
+        Section("worth", "What it is worth", [worth]),
+        *pictures_of(data, folder, view),
+        *closing("design", data, [data["source"]]),
+    ]
+    about = {"index": "design.json", "units": "SI", **page_view(view)}
+    return page(data["name"], "Design", design_verdict(result), sections, **about)
 
 
 def _simulation_verdict(result: SimulationResult) -> RunVerdict:
@@ -153,7 +172,7 @@ def _inner(outlook: Identifiability) -> Section:
     return Section("inner", "Correlation and singular values", tables, folded=True)
 
 
-def _pictures(
+def pictures_of(
     data: Mapping[str, Any], folder: Path, view: PageView | None
 ) -> list[Section]:
     """Show pictures of the configurations.
@@ -299,6 +318,8 @@ def notebook_html(result: object) -> Html:
         case SimulationResult():
             tables = _tables.simulation_tables(result)
             return output(_simulation_verdict(result), tables)
+        case DesignResult():
+            return output(design_verdict(result), design_tables(result))
         case ModelComparison():
             return output(_comparison_verdict(result), [result.tabulated])
         case InverseResult() | TrajectoryResult():

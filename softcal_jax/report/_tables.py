@@ -51,6 +51,8 @@ def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTabl
     values = ["measured", "before", "after"] if fitted else ["simulated"]
     if "prediction" in roles:
         values = ["measured", "simulated"]
+    if "design" in roles:
+        values = ["goal", "reached"]
     titles = {
         "Other effectors": ["effector", *values],
         "Actuators": ["actuator", "force or pressure", "displacement or growth"],
@@ -65,6 +67,7 @@ def robot_tables(configurations: Sequence[ConfigurationResult]) -> list[TextTabl
             name = f"{effector.name}{' (turn)' if effector.is_turn else ''}"
             vectors = {
                 "measured": effector.measured,
+                "goal": effector.measured,
                 "before": effector.simulated_before,
             }
             of_value = (vectors.get(value, effector.simulated) for value in values)

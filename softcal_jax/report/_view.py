@@ -1,7 +1,7 @@
 """The view of a page: the body in three dimensions, as far as the browser draws it."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
 from typing import Any, NamedTuple
 
 from softcal_jax.calibration import (
@@ -11,7 +11,7 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.equilibrium import Model
 from softcal_jax.mesh import PARTS, boundary_tets
-from softcal_jax.plotting import MARKS, NOT_CONVERGED, motion_words
+from softcal_jax.plotting import LABELS, MARKS, NOT_CONVERGED, motion_words
 from softcal_jax.report._html import Html, bullets, joined, node, resource, template
 from softcal_jax.report._outline import ROLES
 from softcal_jax.report._view_data import view_data
@@ -174,7 +174,7 @@ def _figure(drawing: _Drawing, *, converged: bool) -> Html:
         warning=[] if converged else [node("p", NOT_CONVERGED, class_="stop")],
         choices=_choices(drawing, marks),
         coloured=f"Colours of {fields[0]['label']}" if fields else "Colours",
-        legend=_legend(marks),
+        legend=_legend(marks, {pose.role for pose in drawing.shown}),
         words=words,
         remarks=bullets(drawing.remarks),
     )
@@ -243,13 +243,15 @@ def _marks(data: Mapping[str, Any]) -> list[str]:
     return [name for name in _MARKS if name in present]
 
 
-def _legend(marks: Sequence[str]) -> Html:
-    """Explain the marks."""
+def _legend(marks: Sequence[str], roles: Set[str]) -> Html:
+    """Explain the marks, in the words of the roles of the configurations."""
+    labels = LABELS["design" if "design" in roles else ""]
+    called = dict(zip(LABELS[""], labels, strict=True))
     entries = []
     for name in marks:
         words, symbol, boxes = _MARKS[name]
         drawn = Html(symbol.format(MARKS[name]))
         of = {"data_of": boxes} if boxes else {}
         mark = node("svg", drawn, width="28", height="14", aria_hidden="true")
-        entries.append(node("li", mark, words, **of))
+        entries.append(node("li", mark, called.get(words, words), **of))
     return node("ul", *entries, class_="legend")

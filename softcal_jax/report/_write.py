@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import compress
 from pathlib import Path
@@ -20,12 +21,15 @@ from softcal_jax.calibration import (
 )
 from softcal_jax.configurations import Traces
 from softcal_jax.control import InverseResult, TrajectoryResult
+from softcal_jax.designs import DesignResult
 from softcal_jax.equilibrium import robot_states
 from softcal_jax.fields import field_standard_errors
 from softcal_jax.identifiability import Assessment, Identifiability, Ranking, assess
 from softcal_jax.layouts import ModelComparison
 from softcal_jax.plotting import plot_traces, render_configuration, rendering_problem
+from softcal_jax.project import Project, printed_project
 from softcal_jax.report import _pages
+from softcal_jax.report._design import design_dict
 from softcal_jax.report._inverse import draw_command, inverse_page
 from softcal_jax.report._view import PageView, body_view
 from softcal_jax.report._view_fields import TetValues
@@ -123,6 +127,39 @@ def write_simulation(
     return _write(
         result, data, directory, "simulation.json", page, force=force, **drawn
     )
+
+
+def write_design(
+    result: DesignResult,
+    directory: str | Path,
+    *,
+    name: str = "design",
+    force: bool = False,
+    timing_s: Mapping[str, float] | None = None,
+    pictures: Picture | None = "png",
+    progress: Progress = lambda *_: None,
+    project: Project | None = None,
+) -> Path:
+    """Write a design to a folder, whole or not at all.
+
+    The folder holds `report.html`, `design.json` and the files of the bodies, as in
+    `write_simulation`; and, if the `project` that was designed is given, `project.toml`
+    for the robot as it is printed, see `printed_project`. Other arguments, errors and
+    what is returned are those of `write_results`.
+    """
+    posed = [replace(pose, role="design") for pose in result.fit.configurations]
+    shown = SimulationResult(result.fit.model, tuple(posed))
+    source = None if project is None else project.source
+    made = export.Made(result.fit.model, {"loop": result.fit.settings}, source)
+    more: dict[str, Any] = {"made": made, "directory": directory}
+    data = export.simulation_dict(shown, name=name, timing_s=timing_s, **more)
+    data |= {"format": "softcal_jax.design/1", "design": design_dict(result)}
+    texts = {}
+    if project is not None:
+        texts["project.toml"] = printed_project(project, result, Path(directory))
+    page = partial(_pages.design_page, result)
+    drawn = {"traces": {}, "suffix": pictures, "progress": progress, "texts": texts}
+    return _write(shown, data, directory, "design.json", page, force=force, **drawn)
 
 
 def write_identifiability(
@@ -282,8 +319,12 @@ def _write(
     traces: Mapping[str, Traces],
     suffix: Picture | None,
     progress: Progress,
+    texts: Mapping[str, str] | None = None,
 ) -> Path:
-    """Write all files, and last the index, which lists them."""
+    """Write all files, and last the index, which lists them.
+
+    `texts` are further files by name.
+    """
     model, shown = result.model, result.configurations
     stems = export.file_stems([pose.name for pose in shown])
     moved = [stem for pose, stem in zip(shown, stems, strict=True) if pose.converged]
@@ -292,6 +333,9 @@ def _write(
     errors = _field_errors(result)
     with export.results_folder(directory, force=force) as folder:
         files, bodies = _write_tables(folder, shown), []
+        for file, text in (texts or {}).items():
+            (folder / file).write_text(text, encoding="utf-8")
+            files.append(file)
         plots: dict[str, Callable[[Path], None]] = {}
         for pose, entry, stem in zip(shown, data["configurations"], stems, strict=True):
             entry["files"] = written = []

@@ -1,0 +1,173 @@
+"""The design that a project file asks for: goals, limits, what can be printed."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import compress
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from softcal_jax._module import Module
+from softcal_jax._names import check_known, listed
+from softcal_jax._typing import Float, HostArray
+from softcal_jax.configurations import AbstractEffector, Configuration, ImposedForce
+from softcal_jax.control import Limits
+from softcal_jax.designs import (
+    TPU,
+    FoamTable,
+    Infill,
+    Printing,
+    published_foam,
+    read_foam_table,
+)
+from softcal_jax.equilibrium import Model
+from softcal_jax.project import _quantities as typed
+from softcal_jax.project._effectors import build_effectors
+from softcal_jax.project._mechanism import ActuatorTable
+from softcal_jax.project._problems import known_name, under
+from softcal_jax.project._quantities import LENGTH, parse_vector
+from softcal_jax.project._sensors import WrittenPoseTable
+from softcal_jax.project._setup import Share
+from softcal_jax.project._table import Table, WholeFile
+
+FREE = "-"
+"""Stands for a coordinate of a marker without a goal: "(-, -, 3) mm"."""
+
+
+class DesignTable(Table):
+    """What may be designed beside [[parameters]], and how it is printed.
+
+    Without a foam the moduli are free within their bounds.
+    """
+
+    foam: Infill | Literal["none"] = "none"
+    table: str | None = Field(
+        default=None, description='the moduli of your foam: "foam.csv"'
+    )
+    solid_modulus: typed.Modulus = TPU
+    modulus_error: Share = Printing().moduli
+    angle_error: typed.Angle = Printing().angle
+    limits: dict[str, str] = Field(default_factory=dict)
+
+
+class DesignTask(Module):
+    """What is to be designed, see `softcal_jax.designs.design`.
+
+    Attributes:
+        goals: Configurations with goals.
+        limits: Limits of the actuators that are commanded, by name.
+        foam: What can be printed; None for moduli within their bounds.
+        printing: Errors of printing.
+    """
+
+    goals: tuple[Configuration, ...]
+    limits: dict[str, Limits]
+    foam: FoamTable | None
+    printing: Printing
+
+
+def build_design(
+    folder: Path, table: WholeFile, goals: tuple[Configuration, ...]
+) -> DesignTask:
+    """Build the design that a file asks for; relative paths start from `folder`."""
+    asked: DesignTable = table.design
+    limits: dict[str, Limits] = {}
+    for name, text in asked.limits.items():
+        with under(f"limits.{name}"):
+            known_name("actuator", name, table.actuators, "[actuators]")
+            limits[name] = replace(Limits(), **limited(table.actuators[name], text))
+    foam = None
+    if asked.foam != "none":
+        with under("table"):
+            if asked.table is not None:
+                foam = read_foam_table(folder / asked.table, asked.foam)
+            elif asked.foam == "Polyfoam":
+                foam = published_foam(asked.solid_modulus)
+            else:
+                raise ValueError(
+                    f"no moduli of {asked.foam} are published: give a table of your "
+                    'own, from test prints, table = "foam.csv".'
+                )
+    printing = Printing(asked.modulus_error, asked.angle_error)
+    return DesignTask(goals, limits, foam, printing)
+
+
+def with_goals(
+    folder: Path,
+    model: Model,
+    table: WholeFile,
+    configuration: Configuration,
+    goals: Mapping[str, Any],
+) -> Configuration:
+    """Give a configuration goals in the words of a project file, and no others."""
+    markers = configuration.markers
+    effectors = build_effectors(table.effectors, model.mesh, model.mechanism)
+    known = [*effectors, *(() if markers is None else markers.names)]
+    aimed: list[AbstractEffector] = []
+    places: dict[str, Float[HostArray, 3]] = {}
+    for name, value in goals.items():
+        check_known("marker or effector with a goal", known, name)
+        with under(f"goal of {name!r}"):
+            if name not in effectors:
+                places[name] = _place(value)
+                continue
+            if isinstance(value, dict):
+                value = WrittenPoseTable.model_validate(value)
+            kind = table.effectors[name]
+            aimed.append(kind.measured(effectors[name], value, folder, model))
+    return replace(_with_markers(configuration, places), effectors=tuple(aimed))
+
+
+def limited(actuator: ActuatorTable, text: str) -> dict[str, tuple[float, float]]:
+    """Parse limits; their unit says whether they are of force or displacement."""
+    ends = re.split(r"\s+to\s+", text.strip())
+    if len(ends) != 2:
+        raise ValueError(f'got {text!r}; expected lowest to highest: "0 N to 5 N".')
+    low, high = map(actuator.imposed, ends)
+    if type(low) is not type(high):
+        raise ValueError(
+            f"{ends[0]!r} and {ends[1]!r} are of different kinds; expected both in "
+            "units of its force, or of its displacement."
+        )
+    key = "force" if isinstance(low, ImposedForce) else "displacement"
+    return {key: (low.value, high.value)}
+
+
+def _place(text: Any) -> Float[HostArray, "3"]:
+    """Parse the goal of a marker; NaN for coordinates that are left free."""
+    coordinates = str(text).partition("(")[2].partition(")")[0].split(",")
+    free = [coordinate.strip() == FREE for coordinate in coordinates]
+    filled = re.sub(rf"(?<=[(,])\s*{FREE}\s*(?=[,)])", "0", str(text))
+    place = np.array(parse_vector(filled, LENGTH))
+    if all(free):
+        raise ValueError(f"got {text!r}, which leaves every coordinate free.")
+    return np.where(free, np.nan, place)
+
+
+def _with_markers(
+    configuration: Configuration, places: Mapping[str, Float[HostArray, "3"]]
+) -> Configuration:
+    """Keep the markers with a goal, and the axes along which they have one."""
+    markers = configuration.markers
+    if markers is None or not places:
+        return replace(configuration, markers=None, measured=None)
+    goals = np.array([*places.values()])
+    asked = ~np.isnan(goals)
+    if (asked != asked[0]).any():
+        raise ValueError(
+            f"the goals of {listed([repr(name) for name in places])} leave different "
+            "coordinates free; expected the same of all markers."
+        )
+    rows = [markers.names.index(name) for name in places]
+    std, rest = np.asarray(markers.std), markers.positions[rows]
+    kept = replace(
+        markers,
+        names=tuple(places),
+        positions=rest,
+        std=markers.std if std.ndim == 0 else std[rows],
+        axes="".join(compress("xyz", asked[0])),
+    )
+    return replace(configuration, markers=kept, measured=np.where(asked, goals, rest))

@@ -1,0 +1,118 @@
+"""What a design found: its tables, and its numbers as JSON."""
+
+from typing import Any
+
+import numpy as np
+
+from softcal_jax import export
+from softcal_jax._text_table import Cell, TextTable, text_table
+from softcal_jax._units import readable
+from softcal_jax.configurations import ImposedDisplacement
+from softcal_jax.designs import LEVEL, DesignResult
+from softcal_jax.fields import ControlPointParameters
+from softcal_jax.report._verdict import RunVerdict
+
+
+def design_verdict(result: DesignResult) -> RunVerdict:
+    """Say whether the goals are met, what holds those that are not, and its worth."""
+    tone = "good" if result.met else "doubtful"
+    return RunVerdict(result.headline, tone, (*result.reasons, *result.worth))
+
+
+def design_tables(result: DesignResult) -> list[TextTable]:
+    """Tabulate fields as ordered, goals, commands and what less could do."""
+    return [ordered_table(result), _goals(result), _commands(result), _worth(result)]
+
+
+def ordered_table(result: DesignResult) -> TextTable:
+    """Tabulate what is ordered at each control point, with its foam."""
+    values, units = result.values, {p.name: p.unit for p in result.fit.parameters}
+    rows: dict[str, dict[str, float]] = {}
+    of_unit: dict[str, str] = {}
+    for entry in result.fit.space.entries:
+        for q in entry.parameters:
+            if q.name in values and isinstance(entry, ControlPointParameters):
+                point = q.name.removeprefix(f"{entry.field} of ")
+                rows.setdefault(point, {})[entry.field] = values[q.name]
+                of_unit[entry.field] = q.unit
+            elif q.name in values:
+                rows.setdefault(q.name, {})[""] = values[q.name]
+                of_unit[""] = units[q.name]
+    show = lambda value, unit: readable(float(f"{value:.4g}"), unit).strip()
+    foam = result.foam
+    table = []
+    for point, of_point in rows.items():
+        cells = [
+            show(of_point[field], unit) if field in of_point else "-"
+            for field, unit in of_unit.items()
+        ]
+        moduli = [of_point[f] for f in ("E", "E_l", "E_t") if f in of_point]
+        if foam is not None and moduli:
+            found = foam.find(np.array([min(moduli)]), np.array([max(moduli)]))
+            cells += [f"{100 * found.density[0]:.3g} %", f"{found.anisotropy[0]:.3g}"]
+        table.append((point, *cells))
+    columns = ["control point", *(field or "value" for field in of_unit)]
+    if foam is not None and table:
+        columns += ["density", foam.setting]
+    return text_table("As ordered", columns, table)
+
+
+def _goals(result: DesignResult) -> TextTable:
+    rows = []
+    for goal in result.goals:
+        unit = goal.effector.unit
+        show = lambda value, unit=unit: readable(float(f"{value:.2g}"), unit).strip()
+        low, high = map(show, goal.interval)
+        hangs = f"{goal.hangs_on} ({100 * goal.share:.0f} %)" if goal.hangs_on else "-"
+        name = f"{goal.name}{' (turn)' if goal.effector.is_turn else ''}"
+        met = Cell("met", "good") if goal.met else Cell("missed", "bad")
+        off = show(goal.error), show(goal.expected), f"{low} to {high}"
+        rows.append((goal.configuration, name, met, *off, hangs))
+    columns = (
+        *("configuration", "effector", "goal", "off by", "printed, rms"),
+        *(f"{100 * LEVEL:g} % of prints", "hangs on"),
+    )
+    return text_table("Goals", columns, rows)
+
+
+def _commands(result: DesignResult) -> TextTable:
+    actuators = result.fit.model.mechanism.actuators
+    rows = []
+    for configuration in result.configurations:
+        for name, imposed in configuration.actuation.items():
+            kind = actuators.kinds[actuators.names.index(name)]
+            by_displacement = isinstance(imposed, ImposedDisplacement)
+            unit = kind.displacement_unit if by_displacement else kind.force_unit
+            value = readable(float(f"{imposed.value:.4g}"), unit or "").strip()
+            rows.append((configuration.name, name, value))
+    return text_table("Commands", ("configuration", "actuator", "imposed"), rows)
+
+
+def _worth(result: DesignResult) -> TextTable:
+    rows = [("this design", f"{result.error:.3g}")]
+    rows += [(a.name, f"{a.error:.3g}") for a in result.alternatives]
+    columns = "with", "error over all goals, in tolerances"
+    return text_table("What the design is worth", columns, rows)
+
+
+def design_dict(result: DesignResult) -> dict[str, Any]:
+    """Convert a design to the key `design` of `design.json`, in SI units."""
+    goal = "configuration name met error expected interval hangs_on share"
+    return export.plain(
+        {
+            "met": result.met,
+            "verdict": result.headline,
+            "reasons": result.reasons,
+            "foam": None if result.foam is None else result.foam.infill,
+            "values": result.values,
+            "commands": {
+                c.name: {name: imposed.value for name, imposed in c.actuation.items()}
+                for c in result.configurations
+            },
+            "goals": [
+                {key: getattr(g, key) for key in goal.split()} for g in result.goals
+            ],
+            "error": result.error,
+            "alternatives": {a.name: a.error for a in result.alternatives},
+        }
+    )
