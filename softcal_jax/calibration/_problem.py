@@ -57,6 +57,9 @@ class CalibrationSettings(Module):
         least_fall: Relative fall of the cost that is not worth a step. Where the fit
             leaves an error, Gauss-Newton converges linearly, and many small steps would
             follow that hardly change the fit [-].
+        least_cost: Cost below which a fall counts relative to this one, in squares of
+            stated standard deviations: where errors are tolerances, a thousandth of one
+            need not be halved again [-].
         adapt: Adapt the bound, refuse steps that do not help over `MEMORY` steps, and
             learn the curvature of the errors. Without it, every step is that of the
             linear model within a fixed bound, as in the paper.
@@ -68,6 +71,7 @@ class CalibrationSettings(Module):
     max_step_bound: float = eqx.field(static=True, default=0.5)
     damping: float = eqx.field(static=True, default=DAMPING)
     least_fall: float = eqx.field(static=True, default=1e-8)
+    least_cost: float = eqx.field(static=True, default=0.0)
     adapt: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self):

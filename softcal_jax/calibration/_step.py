@@ -303,7 +303,8 @@ def _small(
     """Return whether a step is small because nothing is left to gain."""
     size = jnp.max(jnp.abs(qp.lambda_p))
     fall = state.evaluation.cost - cost
-    no_gain = settings.adapt & (fall <= state.least_fall * state.evaluation.cost)
+    size_of_cost = jnp.maximum(state.evaluation.cost, settings.least_cost)
+    no_gain = settings.adapt & (fall <= state.least_fall * size_of_cost)
     free = ~_is_at_bound(space, state, qp) & (qp.kkt_residual <= KKT_TOLERANCE)
     return ((size <= settings.tol) | no_gain) & free
 
@@ -333,7 +334,8 @@ def decide(
     lowered = tried.cost <= reference - 1e-4 * predicted
     size = jnp.max(jnp.abs(lambda_p))
     at_bound = _is_at_bound(space, state, proposal.qp)
-    no_harm = tried.cost <= now.cost + settings.least_fall * now.cost
+    worth = settings.least_fall * jnp.maximum(now.cost, settings.least_cost)
+    no_harm = tried.cost <= now.cost + worth
     vanished = proposal.vanishes & tried.ok & ((size <= settings.tol) | no_harm)
     accepted = tried.ok & (lowered | vanished | (not settings.adapt))
     if settings.adapt:
@@ -346,7 +348,7 @@ def decide(
     collapsed = ~vanished & (bound < settings.tol)
     # Steps that go on, and together gain less than one is worth.
     gained = jnp.max(recent) - jnp.min(recent)
-    idle = accepted & settings.adapt & (gained <= settings.least_fall * tried.cost)
+    idle = accepted & settings.adapt & (gained <= worth)
     # The slope is the relative fall of the cost per unit of lambda_p, predicted within
     # all constraints for a step so short that the model is linear.
     flat = predicted <= FLAT * size * 2.0 * now.cost

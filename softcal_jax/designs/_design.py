@@ -45,7 +45,7 @@ from softcal_jax.fields import (
 )
 from softcal_jax.unknowns import held_nodes
 
-LOOP = CalibrationSettings(damping=1e-4, least_fall=1e-4)
+LOOP = CalibrationSettings(damping=1e-4, least_fall=1e-4, least_cost=1.0)
 """Settings of the loop: of the many fields that come as near, a close one is taken.
 
 The damping holds back directions that hardly move a goal, and does not move the
