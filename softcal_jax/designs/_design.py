@@ -176,10 +176,12 @@ def _commands(
                     f"limits of the {what} of {kind.noun} {name!r} are {low:g} to "
                     f"{high:g} {unit}, and a design needs two finite ends that differ."
                 )
-            if np.isfinite(allowed.following[:, a]).any() and not kind.unilateral:
+            other = "force" if by_displacement else "displacement"
+            if np.isfinite([*getattr(limits[name], other), limits[name].step]).any():
                 raise ValueError(
                     f"{kind.noun} {name!r}: a design limits what is imposed on it, not "
-                    "what follows: impose the quantity that has limits."
+                    f"its {other} or its steps: leave those limits out, or impose the "
+                    "quantity that has limits."
                 )
             start[goal.name], ends[goal.name] = imposed.value, (low, high)
         entries.append(command(name, start, ends, unit=unit or ""))

@@ -9,7 +9,8 @@ from softcal_jax._typing import Float, HostArray
 from softcal_jax.calibration import CalibrationResult, ConfigurationResult
 from softcal_jax.control import GoalFit
 from softcal_jax.designs._result import LEVEL, DesignGoal
-from softcal_jax.fields import ControlPointParameters, ParameterSpace
+from softcal_jax.fields import ControlPointParameters, ParameterSpace, kind_of
+from softcal_jax.materials import ANGLE, UNREMARKABLE
 
 DRAWS = 4000  # prints that an interval is taken from
 
@@ -20,7 +21,7 @@ class Printing(Module):
     The defaults are those with which the printed robots of the paper were found again.
 
     Attributes:
-        moduli: Of each modulus, relative [-].
+        moduli: Of each modulus, relative [-]. Ratios and the density are known.
         angle: Of the axis [rad].
     """
 
@@ -42,9 +43,10 @@ class Printing(Module):
         for k, (q, value) in enumerate(zip(space.parameters, values, strict=True)):
             if not sets[k]:
                 continue
-            if q.unit == "rad":
+            kind = kind_of(result.model, q.field)
+            if kind == ANGLE:
                 std[k] = self.angle / float(q.unit_step)
-            elif q.unit == "Pa":
+            elif kind == UNREMARKABLE:
                 size = 1.0 if q.scale == "log" else value / float(q.unit_step)
                 std[k] = self.moduli * size
         return std

@@ -31,6 +31,10 @@ def nothing_is_solved(monkeypatch):
         ({"cable": Limits()}, ("force of cable 'cable'", "0 to inf N", "finite ends")),
         ({"cable": Limits(force=(2.0, 1.0))}, ("clash", "lower 2 N", "upper 1 N")),
         ({"cable": Limits(force=(1.0, 2.0))}, ("starts outside", "0.5 N")),
+        (
+            {"cable": Limits(force=(0.0, 2.0), displacement=(0.0, 1e-3))},
+            ("cable 'cable'", "what is imposed", "displacement"),
+        ),
     ],
 )
 def test_limits(limits, message):
