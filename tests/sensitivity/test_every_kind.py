@@ -43,6 +43,7 @@ from softcal_jax.fields import (
     check_parameters,
     check_scopes,
     clamp_stiffness,
+    command,
     friction,
     gravity_tilt,
     load_factor,
@@ -116,6 +117,8 @@ SPACE = ParameterSpace(
         clamp_stiffness("x_max", 2e6, **KNOWN),
         *marker_offset("a", limit=5e-3, **KNOWN),
         *marker_offset("sensor", limit=5e-3, **KNOWN),
+        command("c", {"pose": 0.5}, {"pose": (0.0, 2.0)}, unit="N"),
+        command("m", {"pose": 0.2}, {"pose": (-0.5, 0.6)}, unit="rad"),
     )
 )
 LANES = configuration_arrays(MESH, [POSE], MODEL.mechanism)
