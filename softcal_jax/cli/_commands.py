@@ -151,6 +151,7 @@ def design(args: argparse.Namespace, show: cli.Display) -> None:
         result = project.design(
             progress=step,
             search_progress=lambda step: show.now(str(step), log=False),
+            answer=lambda result: show.note(result.headline),
             stage=show.now,
         )
     show.lap("design", compiling=result.fit.timing_s["compile"])
@@ -168,6 +169,9 @@ def design(args: argparse.Namespace, show: cli.Display) -> None:
         printed = {"infill": result.foam.infill, "table": result.foam, "force": True}
         written = export_icesl(ordered, args.output / "icesl", **printed)
         show.line(f"To print it: {written.directory / 'robot.lua'}, for IceSL.")
+    if result.fit.interrupted:
+        text = "interrupted: the design is that of the last step."
+        raise cli.Stop(cli.INTERRUPTED, text)
     if not result.met:
         raise cli.Stop(cli.NOT_CONVERGED, result.headline)
 

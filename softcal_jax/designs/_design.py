@@ -1,7 +1,7 @@
 """Design: fields and actuation for goals, by the loop of the calibration (Eq. 9)."""
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -81,6 +81,7 @@ def design(
     newton: NewtonSettings | None = None,
     progress: Callable[[HistoryEntry], None] | None = None,
     search_progress: Callable[[SearchProgress], None] | None = None,
+    answer: Callable[[DesignResult], None] = lambda _: None,
     stage: Callable[[str], None] = lambda _: None,
 ) -> DesignResult:
     """Find the fields, and for each goal the actuation, that meet goals together.
@@ -105,11 +106,13 @@ def design(
         newton: Settings of the equilibrium.
         progress: Called after each step of the design itself, once the search is over.
         search_progress: Called after each step of a search.
+        answer: Called with the design before anything is compared with it.
         stage: Called with a text: what is computed next.
 
     Returns:
         The design, and the same goals with the best homogeneous material and with
-        actuation alone; `result.met` says whether it meets all goals.
+        actuation alone; `result.met` says whether it meets all goals. Ctrl-C ends the
+        search, or leaves out the comparison.
 
     Raises:
         ValueError: If nothing may be designed, no effector has a goal, a goal is
@@ -133,16 +136,20 @@ def design(
     asked = asked._replace(progress=None)
     reached = design_goals(fit, printing or Printing())
     missed = any(not goal.met for goal in reached)
-    return DesignResult(
+    result = DesignResult(
         goals=reached,
         fit=fit,
         configurations=_commanded(fit, goals),
         held_by=held_by(fit, reached) if missed else (),
         trades=trades(fit, reached) if missed else (),
-        alternatives=_alternatives(asked, space, stage),
+        alternatives=(),
         foam=foam,
         material=() if space is None else tuple(space.names),
     )
+    if space is None or fit.interrupted:
+        return result
+    answer(result)
+    return replace(result, alternatives=tuple(_alternatives(asked, space, stage)))
 
 
 def _commands(
@@ -296,24 +303,23 @@ def _narrowed(entry: Entry, low: float, high: float, infill: str) -> Entry:
 
 
 def _alternatives(
-    asked: _Asked, space: ParameterSpace | None, stage: Callable[[str], None]
-) -> tuple[Alternative, ...]:
-    """Fit the same goals with less that may be designed."""
-    if space is None:
-        return ()
-    found = []
+    asked: _Asked, space: ParameterSpace, stage: Callable[[str], None]
+) -> Iterator[Alternative]:
+    """Fit the same goals with less that may be designed, until interrupted."""
     if any(len(entry.parameters) > 1 for entry in space.entries if entry.fields):
         stage("the same goals with the best homogeneous material")
         fit = _fit(asked, _homogeneous(asked.model, space), None)
-        found.append(_alternative("the best homogeneous material", fit))
+        if fit.interrupted:
+            return
+        yield _alternative("the best homogeneous material", fit)
     if asked.commands:
         stage("the same goals with actuation alone")
         z = space.start()
         fit = _fit(
             asked._replace(model=space.model_at(asked.model, z), foam=None), None, 1
         )
-        found.append(_alternative("actuation alone", fit))
-    return tuple(found)
+        if not fit.interrupted:
+            yield _alternative("actuation alone", fit)
 
 
 def _alternative(name: str, fit: CalibrationResult) -> Alternative:

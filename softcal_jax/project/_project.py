@@ -187,6 +187,7 @@ class Project(Module):
         *,
         progress: Callable[[HistoryEntry], None] | None = None,
         search_progress: Callable[[calibrations.SearchProgress], None] | None = None,
+        answer: Callable[[DesignResult], None] = lambda _: None,
         stage: Callable[[str], None] = lambda _: None,
     ) -> DesignResult:
         """Find the fields and the actuation that meet the goals of the file.
@@ -209,6 +210,7 @@ class Project(Module):
             newton=self.newton,
             progress=progress,
             search_progress=search_progress,
+            answer=answer,
             stage=stage,
         )
 

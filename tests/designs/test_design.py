@@ -147,7 +147,12 @@ def test_two_goals_compete():
         pose(name, 0.5, [np.array(TIP) - [0.0, 0.0, down]], end)
         for name, down in (("here", 0.004), ("there", 0.008))
     ]
-    made = design(MODEL, moduli(), goals, starts=1)
+    answers = []
+    made = design(MODEL, moduli(), goals, starts=1, answer=answers.append)
+    (answer,) = answers  # before anything is compared with it
+    assert answer.alternatives == ()
+    assert answer.headline == made.headline
+    assert len(made.alternatives) == 1
     offs = [float(goal.residual[2]) for goal in made.goals]
     assert offs == pytest.approx([-0.002, 0.002], rel=0.02)
     assert [trade.loss for trade in made.trades] == pytest.approx([1.0, 1.0], rel=0.05)
@@ -213,3 +218,19 @@ def test_derivatives_by_material_and_actuation_are_of_second_order(wanted):
         slope = (at(h * direction) - at(-h * direction)) / (2.0 * h)
         errors.append(np.abs(slope - W @ direction)[..., [0, 2]].max())
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize("fits", [1, 2])
+def test_an_interrupted_design_is_compared_with_nothing(
+    made, wanted, monkeypatch, fits
+):
+    """Ctrl-C ends the search with what it has, or the comparison without any."""
+    stopped = replace(made.fit, interrupted=True)
+    left = iter([made.fit, stopped][2 - fits :])
+    monkeypatch.setattr(
+        "softcal_jax.designs._design.calibrate", lambda *_, **__: next(left)
+    )
+    again = design(MODEL, moduli(), wanted, limits=RANGE, foam=published_foam())
+    assert again.alternatives == ()
+    assert again.met
+    assert next(left, None) is None
