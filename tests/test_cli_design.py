@@ -2,13 +2,14 @@
 
 import json
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 from wording import says
 
 from softcal_jax.cli import main
-from softcal_jax.project import ProjectError, load_project
+from softcal_jax.project import ProjectError, _printed, load_project
 
 PROJECT = """\
 name = "finger"
@@ -93,9 +94,12 @@ def designed(project):
 def test_goals_are_read_as_typed(project):
     asked = load_project(project).asked
     bent, curled = asked.goals
-    assert bent.markers.axes == curled.markers.axes == "yz"
-    np.testing.assert_allclose(bent.measured[:, 2], [8.2e-3, 5e-3])
+    for goal, heights in ((bent, [8.2e-3, 5e-3]), (curled, [6.4e-3, 0.0])):
+        assert goal.markers is not None
+        assert goal.markers.axes == "yz"
+        np.testing.assert_allclose(np.asarray(goal.measured)[:, 2], heights)
     assert asked.limits["cable"].force == (0.0, 6.0)
+    assert asked.foam is not None
     assert asked.foam.infill == "Polyfoam"
     assert asked.printing.angle == pytest.approx(np.deg2rad(20.0))
 
@@ -123,7 +127,7 @@ def test_the_printed_robot_is_a_project_of_its_own(designed):
     assert printed.asked.goals == ()
     values = {q.name: float(q.start) for q in printed.parameters}
     assert values == pytest.approx(found["values"], rel=1e-8)
-    assert {float(q.prior_std) for q in printed.parameters} == {0.3}
+    assert [q.prior_std for q in printed.parameters] == pytest.approx([0.3] * 4)
     commands = {c.name: c.actuation["cable"].value for c in printed.configurations}
     ordered = {name: c["cable"] for name, c in found["commands"].items()}
     assert commands == pytest.approx(ordered, rel=1e-8)
@@ -198,3 +202,14 @@ def test_a_project_without_goals(project, tmp_path, capsys):
     args = ["design", str(tmp_path / "project.toml"), "-o", str(tmp_path / "out")]
     assert main(args) == 2
     assert says(capsys.readouterr().err, "none has a goal", "goal = {")
+
+
+def test_files_are_found_from_the_folder_of_the_design():
+    """A mesh file beside the project, and the photographs of a pose."""
+    top = {"photos": ["a.jpg"], "board": "../b.jpg", "name": "file"}
+    raw = {"mesh": {"file": "finger.msh"}, "configurations": [{"measured": top}]}
+    moved = _printed._moved(raw, Path(".."))
+    assert moved["mesh"] == {"file": "../finger.msh"}
+    assert moved["configurations"] == [
+        {"measured": {"photos": ["../a.jpg"], "board": "../../b.jpg", "name": "file"}}
+    ]

@@ -14,6 +14,9 @@ from softcal_jax.fields import ControlPointParameters, Entry, Parameter
 from softcal_jax.project._project import Project
 from softcal_jax.project._reading import read_toml, with_changes
 
+_FILES = "file", "photos", "board"
+"""Keys whose values are files."""
+
 _HEAD = """\
 # The robot as it was designed. Print it, measure some poses, and give each of them
 # `measured`, as in a calibration: it starts from the design, with errors of printing
@@ -31,9 +34,8 @@ def printed_project(project: Project, result: DesignResult, folder: Path) -> str
     raw = read_toml(project.path, "project file")
     raw = with_changes(project.path, raw, project.source.changes)
     raw.pop("design", None)
-    if "file" in raw["mesh"]:
-        file = project.path.parent.resolve() / raw["mesh"]["file"]
-        raw["mesh"]["file"] = Path(os.path.relpath(file, folder.resolve())).as_posix()
+    here, there = project.path.parent.resolve(), folder.resolve()
+    raw = _moved(raw, Path(os.path.relpath(here, there)))
     entries = () if project.space is None else project.space.entries
     for table, entry in zip(raw.get("parameters", ()), entries, strict=False):
         table |= _known(entry, result, project.asked.printing)
@@ -54,6 +56,17 @@ def printed_project(project: Project, result: DesignResult, folder: Path) -> str
         if texts:
             table["actuation"] = table.get("actuation", {}) | texts
     return _HEAD + _document(raw)
+
+
+def _moved(value: Any, way: Path, *, is_file: bool = False) -> Any:
+    """Name files as they are found from another folder; `way` leads to the old one."""
+    if isinstance(value, list):
+        return [_moved(inner, way, is_file=is_file) for inner in value]
+    if isinstance(value, dict):
+        return {
+            k: _moved(inner, way, is_file=k in _FILES) for k, inner in value.items()
+        }
+    return (way / value).as_posix() if is_file and isinstance(value, str) else value
 
 
 def _known(entry: Entry, result: DesignResult, printing: Printing) -> dict[str, Any]:
