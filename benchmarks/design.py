@@ -226,7 +226,7 @@ def _figures(task: Designed, foam: FoamTable, prints: int) -> dict[str, float]:
     homogeneous = made.alternatives[0].error
     again = _errors(task, made, np.asarray(made.fit.z))
     met = [goal.met for goal in made.goals]
-    missed = [np.any(error > STD) for error in again]
+    missed = [np.any(np.abs(error) > STD) for error in again]
     inside, random = [], np.random.default_rng(1)
     std = Printing().deviations(made.fit)
     printed = [

@@ -184,6 +184,12 @@ def test_a_missed_goal_is_exit_code_one(project, tmp_path, capsys):
         ("limits = { cable", "limits = { cabel", "limits.cabel ... cable"),
         ('foam = "Polyfoam"', 'foam = "Polyfaom"', "design.foam"),
         ('foam = "Polyfoam"', 'foam = "Phasor"', "no moduli of Phasor ... table"),
+        ('foam = "Polyfoam"', 'solid_modulus = "9 MPa"', "solid_modulus ... foam"),
+        (
+            'foam = "Polyfoam"',
+            'foam = "Polyfoam"\ntable = "a.csv"\nsolid_modulus = "9 MPa"',
+            "design ... solid_modulus ... table",
+        ),
         ("starts = 1", 'starts = 1\n[uncertain]\nnu = "x"', "uncertain.nu"),
     ],
 )

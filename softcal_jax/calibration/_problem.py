@@ -88,6 +88,10 @@ class CalibrationSettings(Module):
             value = getattr(self, name)
             if not 0.0 < value < math.inf:
                 raise ValueError(f"{name} must be positive and finite, got {value}.")
+        if not 0.0 <= self.least_cost < math.inf:
+            raise ValueError(
+                f"least_cost must be finite and not negative, got {self.least_cost}."
+            )
 
 
 class CalibrationProblem(Module):

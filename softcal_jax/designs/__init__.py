@@ -9,6 +9,7 @@ from softcal_jax.designs._foam import (
     published_foam as published_foam,
 )
 from softcal_jax.designs._foam_file import (
+    foam_table as foam_table,
     read_foam_table as read_foam_table,
     write_foam_table as write_foam_table,
 )

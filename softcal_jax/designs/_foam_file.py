@@ -5,9 +5,26 @@ import os
 from pathlib import Path
 
 from softcal_jax.configurations import read_table
-from softcal_jax.designs._foam import FoamTable, Infill
+from softcal_jax.designs._foam import FoamTable, Infill, published_foam
 
 _UNITS = {"kPa": 1e3, "Pa": 1.0, "MPa": 1e6}
+
+
+def foam_table(infill: Infill, path: str | os.PathLike[str] | None = None) -> FoamTable:
+    """Return the foam table in a file, or the published one of the infill.
+
+    Raises:
+        ValueError: If none is published, or the file is no such table.
+    """
+    if path is not None:
+        return read_foam_table(path, infill)
+    if infill == "Phasor":
+        raise ValueError(
+            "no moduli of Phasor are published: give a table of your own, from test "
+            "prints, with the columns density, iso, E_soft_kPa and E_stiff_kPa "
+            "(table=, --table)."
+        )
+    return published_foam()
 
 
 def read_foam_table(path: str | os.PathLike[str], infill: Infill) -> FoamTable:

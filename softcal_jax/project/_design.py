@@ -20,8 +20,8 @@ from softcal_jax.designs import (
     FoamTable,
     Infill,
     Printing,
+    foam_table,
     published_foam,
-    read_foam_table,
 )
 from softcal_jax.equilibrium import Model
 from softcal_jax.project import _quantities as typed
@@ -79,18 +79,20 @@ def build_design(
         with under(f"limits.{name}"):
             known_name("actuator", name, table.actuators, "[actuators]")
             limits[name] = replace(Limits(), **limited(table.actuators[name], text))
+    given = asked.model_fields_set & {"table", "solid_modulus"}
+    of_own = asked.foam != "Polyfoam" or "table" in given
+    if ("solid_modulus" in given and of_own) or (given and asked.foam == "none"):
+        raise ValueError(
+            "`table` belongs to a foam, and `solid_modulus` to the published Polyfoam, "
+            "without a `table`: leave out what does nothing, or name the foam."
+        )
     foam = None
-    if asked.foam != "none":
+    if "solid_modulus" in given:
+        foam = published_foam(asked.solid_modulus)
+    elif asked.foam != "none":
         with under("table"):
-            if asked.table is not None:
-                foam = read_foam_table(folder / asked.table, asked.foam)
-            elif asked.foam == "Polyfoam":
-                foam = published_foam(asked.solid_modulus)
-            else:
-                raise ValueError(
-                    f"no moduli of {asked.foam} are published: give a table of your "
-                    'own, from test prints, table = "foam.csv".'
-                )
+            path = None if asked.table is None else folder / asked.table
+            foam = foam_table(asked.foam, path)
     printing = Printing(asked.modulus_error, asked.angle_error)
     return DesignTask(goals, limits, foam, printing)
 

@@ -11,8 +11,7 @@ from softcal_jax.calibration import CalibrationResult
 from softcal_jax.designs import (
     FoamTable,
     Infill,
-    published_foam,
-    read_foam_table,
+    foam_table,
     write_foam_table,
 )
 from softcal_jax.equilibrium import Model
@@ -143,16 +142,8 @@ def _foam(
     infill: Infill, table: FoamTable | str | os.PathLike[str] | None
 ) -> FoamTable:
     """Return the given table of the infill, or the published one."""
-    if table is None and infill == "Phasor":
-        raise ValueError(
-            "no moduli of Phasor are published: give a table of your own, from test "
-            "prints, with the columns density, iso, E_soft_kPa and E_stiff_kPa "
-            "(table=, --table)."
-        )
-    if table is None:
-        table = published_foam()
-    elif not isinstance(table, FoamTable):
-        table = read_foam_table(table, infill)
+    if not isinstance(table, FoamTable):
+        table = foam_table(infill, table)
     if table.infill != infill:
         raise ValueError(
             f"the table is of {table.infill}, and the infill is {infill!r}: give both "
