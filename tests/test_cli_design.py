@@ -104,6 +104,26 @@ def test_goals_are_read_as_typed(project):
     assert asked.printing.angle == pytest.approx(np.deg2rad(20.0))
 
 
+def test_what_a_design_may_be_asked_for(tmp_path):
+    more = """[design]
+robust = true
+modulus_change = "30 %"
+angle_change = "20 deg"
+largest_stretch = 1.5
+largest_stress = "0.2 MPa"
+"""
+    (tmp_path / "project.toml").write_text(PROJECT.replace("[design]", more))
+    asked = load_project(tmp_path / "project.toml").asked
+    assert asked.robust
+    assert vars(asked.change) == pytest.approx(
+        {"moduli": 0.3, "angle": np.deg2rad(20.0)}
+    )
+    assert vars(asked.largest) == pytest.approx({"stretch": 1.5, "stress": 2e5})
+    (tmp_path / "project.toml").write_text(PROJECT)
+    asked = load_project(tmp_path / "project.toml").asked
+    assert (asked.robust, asked.change, asked.largest.given) == (False, None, {})
+
+
 def test_the_folder_says_what_to_order_and_to_command(designed):
     data = json.loads((designed / "design.json").read_text())
     found = data["design"]
@@ -166,12 +186,17 @@ def test_poses_of_the_print_calibrate_it(designed, tmp_path):
 
 def test_a_missed_goal_is_exit_code_one(project, tmp_path, capsys):
     weak = PROJECT.replace("0 N to 6 N", "0 N to 0.3 N")
+    weak = weak.replace("[design]", "[design]\nlargest_stretch = 1.5")
     (tmp_path / "project.toml").write_text(weak)
     args = ["design", str(tmp_path / "project.toml"), "-o", str(tmp_path / "out")]
     assert main([*args, "--no-pictures"]) == 1
     out = capsys.readouterr().out
-    assert says(out, "Not designed", "goals are missed", "held by")
-    assert (tmp_path / "out" / "report.html").exists()
+    assert says(out, "Not designed", "goals are missed", "held by", "largest stretch")
+    found = json.loads((tmp_path / "out" / "design.json").read_text())["design"]
+    peaks = [(p["configuration"], p["limit"]) for p in found["peaks"]]
+    assert peaks == [("bent", 1.5), ("curled", 1.5)]
+    assert all(1.0 < p["value"] < 1.5 for p in found["peaks"])
+    assert "largest stretch" in (tmp_path / "out" / "report.html").read_text()
 
 
 @pytest.mark.parametrize(
@@ -182,6 +207,7 @@ def test_a_missed_goal_is_exit_code_one(project, tmp_path, capsys):
         ("0 N to 6 N", "6 N", "limits.cable ... lowest to highest"),
         ("0 N to 6 N", "0 N to 6 mm", "limits.cable ... different kinds"),
         ("limits = { cable", "limits = { cabel", "limits.cabel ... cable"),
+        ("[design]", "[design]\nlargest_stretch = 0.9", "design ... above 1 ... 0.9"),
         ('foam = "Polyfoam"', 'foam = "Polyfaom"', "design.foam"),
         ('foam = "Polyfoam"', 'foam = "Phasor"', "no moduli of Phasor ... table"),
         ('foam = "Polyfoam"', 'solid_modulus = "9 MPa"', "solid_modulus ... foam"),

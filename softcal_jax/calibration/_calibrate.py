@@ -73,6 +73,7 @@ def calibrate(
     starts: int | None = None,
     seed: int = 0,
     start: Float[Array, " n_p"] | None = None,
+    deviations: Float[Array, "n_c n_p"] | None = None,
     intervals: float | None = LEVEL,
     quick: bool = False,
     checkpoint: str | os.PathLike[str] | None = None,
@@ -109,6 +110,8 @@ def calibrate(
         seed: Seed of the random starts.
         start: Scaled parameters to start from, instead of the start of the parameters;
             priors stay centred on the latter [-].
+        deviations: Known deviations of scaled parameters, a row per configuration, the
+            fitted ones first: specimens of one design, each with errors of its own [-].
         intervals: Confidence of the intervals of the parameters, or None for none [-].
             They take two evaluations for each parameter, and a few fits for each end
             where its standard error does not hold.
@@ -164,6 +167,7 @@ def calibrate(
         starts=starts,
         seed=seed,
         start=start,
+        deviations=deviations,
         quick=quick,
     )
     batch = _batch(task)
@@ -199,6 +203,7 @@ def _batch(task: Task) -> Batch:
     everything, setting = _stacked(
         task.model, task.space, task.configurations, task.newton, task.uncertain
     )
+    everything = replace(everything, deviations=_deviations(task))
     fitted = everything.of_first(len(task.fitted))
     check_scopes(task.space, task.fitted)
     check_effects(fitted)
@@ -206,6 +211,22 @@ def _batch(task: Task) -> Batch:
     check_references(task.configurations, records, fitted=task.fitted)
     warn_if_too_few_data(fitted)
     return Batch(everything, fitted, setting)
+
+
+def _deviations(task: Task) -> Float[Array, "n_c n_p"] | None:
+    """Return the deviations of specimens, checked."""
+    if task.deviations is None:
+        return None
+    given, shape = jnp.asarray(task.deviations, float), (len(task.configurations),)
+    if given.shape != (*shape, len(task.space.names)):
+        raise ValueError(
+            f"deviations must have a row for each of the {shape[0]} configurations, "
+            f"and a column for each of the {len(task.space.names)} parameters; got "
+            f"shape {given.shape}."
+        )
+    if task.held_out:
+        raise ValueError("deviations are of fitted specimens: leave out `validation`.")
+    return given
 
 
 def profile_intervals(

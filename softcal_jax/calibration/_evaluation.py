@@ -143,7 +143,8 @@ class Evaluator:
         self.numbered = without_names(problem)
         # The number of lanes and what concerns steps alone would each give another
         # program, so both are left out.
-        options = {"order": (), "tensor_steps": True, "pin": None, "regions": ()}
+        options = {"order": (), "tensor_steps": True, "pin": None}
+        options |= {"regions": (), "likeness": None}
         space = replace(self.numbered.space, **options)
         where = lambda p: (p.configurations, p.space)
         alone = self.numbered.with_noise(None)
@@ -193,6 +194,11 @@ class Evaluator:
             responses |= zip(far, self.closed(far, z, solution, precise), strict=True)
         return weighed(self.numbered, z, stacked([responses[c] for c in every]))
 
+    def _of_lane(self, z: Float[Array, " n_p"], c: int) -> Float[Array, " n_p"]:
+        """Return the scaled parameters of the specimen of a lane [-]."""
+        off = self.problem.deviations
+        return z if off is None else z + off[c]
+
     def _near(
         self,
         lanes: Sequence[int],
@@ -203,7 +209,9 @@ class Evaluator:
     ) -> list[Response]:
         states = zip(guess, guess if before is None else before, strict=True)
         each, exact = zip(lanes, states, strict=True), jnp.asarray(precise)
-        arguments = [(z, self.lanes[c], *state, exact) for c, state in each]
+        arguments = [
+            (self._of_lane(z, c), self.lanes[c], *state, exact) for c, state in each
+        ]
         return self.workers.map(self._program, arguments)
 
     def closed(
@@ -245,6 +253,8 @@ class Evaluator:
 
         `known` are equilibria of the first lanes, at these parameters.
         """
+        if self.problem.deviations is not None:
+            return self._of_specimens(z, report, lanes, **more)
         (model, configurations), newton = self.posed(z), self.problem.newton
         if known is not None:
             more["known"] = [
@@ -255,6 +265,27 @@ class Evaluator:
             configurations = lane_of(configurations, np.asarray(lanes))
         run = self.workers, model, configurations, newton
         return equilibria(*run, report=report, **more)
+
+    def _of_specimens(
+        self,
+        z: Float[Array, " n_p"],
+        report: Report | None,
+        lanes: Sequence[int] | None,
+        guess: Float[Array, "n_lanes n_points 3"] | None = None,
+    ) -> EquilibriumSolution:
+        """Solve the equilibria of each specimen in turn."""
+        every = range(len(self.lanes)) if lanes is None else lanes
+        off = np.asarray(self.problem.deviations)
+        one, solved = copy(self), dict[int, EquilibriumSolution]()
+        one.problem = replace(self.problem, deviations=None)
+        for row in np.unique(off[[*every]], axis=0):
+            of_row = [k for k, c in enumerate(every) if np.array_equal(off[c], row)]
+            more: Any = {"lanes": [every[k] for k in of_row]}
+            if guess is not None:
+                more["guess"] = lane_of(guess, np.array(of_row))
+            solution = one.equilibria(z + row, report, **more)
+            solved |= {k: lane_of(solution, i) for i, k in enumerate(of_row)}
+        return stacked([solved[k] for k in range(len(every))])
 
     def effectors(
         self, z: Float[Array, " n_p"], solution: EquilibriumSolution

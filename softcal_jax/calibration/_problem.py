@@ -98,7 +98,8 @@ class CalibrationProblem(Module):
     """Model, parameters and a batch of configurations that share them.
 
     Without a `noise` the errors are independent, with the standard deviations of the
-    effectors.
+    effectors. With `deviations` each configuration is of a specimen of its own, whose
+    scaled parameters are z plus its row.
     """
 
     model: Model
@@ -106,6 +107,7 @@ class CalibrationProblem(Module):
     configurations: ConfigurationArrays
     newton: NewtonSettings = eqx.field(default_factory=NewtonSettings)
     noise: CorrelatedNoise | None = None
+    deviations: Float[Array, "n_c n_p"] | None = None
 
     def at(self, z: Float[Array, " n_p"]) -> tuple[Model, ConfigurationArrays]:
         """Return model and configurations with scaled parameters set [-]."""
@@ -123,19 +125,26 @@ class CalibrationProblem(Module):
     ) -> Whitened:
         """Return whitened errors and their derivatives, then those of the priors.
 
-        The QP of Eq. (10) minimises these rows; the compliance is W_ep.
+        The QP of Eq. (10) minimises these rows; the compliance is W_ep. Differences of
+        neighbours, where they count, stand before the priors.
         """
         effectors = self.configurations.effectors
         weight = jnp.ravel(jnp.asarray(effectors.inverse_std))
         columns = jnp.zeros((weight.size, 0))
         if self.noise is not None:
             columns = jnp.asarray(self.noise.columns(effectors))
+        distances = self.space.from_prior(z)
+        prior = jnp.diag(self.space.prior_weights())
+        if self.space.likeness is not None:
+            differences, A = self.space.likeness.rows(z)
+            distances = jnp.concatenate([differences, distances])
+            prior = jnp.concatenate([A, prior])
         return whitened_rows(
             columns,
             error=weight * jnp.ravel(delta_e),
             W=weight[:, None] * compliance,
-            from_prior=jnp.asarray(self.level) * self.space.from_prior(z),
-            prior_weights=jnp.asarray(self.level) * self.space.prior_weights(),
+            from_prior=jnp.asarray(self.level) * distances,
+            prior_rows=jnp.asarray(self.level) * prior,
         )
 
     @property
@@ -149,7 +158,9 @@ class CalibrationProblem(Module):
     def of_first(self, n: int) -> "CalibrationProblem":
         """Return the calibration to the first few configurations."""
         noise, some = self.noise, lane_of(self.configurations, slice(n))
-        return replace(self, configurations=some, noise=noise and noise.of_first(n))
+        off = None if self.deviations is None else self.deviations[:n]
+        noise = noise and noise.of_first(n)
+        return replace(self, configurations=some, noise=noise, deviations=off)
 
     def with_noise(self, noise: CorrelatedNoise | None) -> "CalibrationProblem":
         """Return the calibration with another noise."""
@@ -277,6 +288,7 @@ class Task(NamedTuple):
     starts: int
     seed: int
     start: Float[Array, " n_p"] | None
+    deviations: Float[Array, "n_c n_p"] | None
     quick: bool
 
     @property

@@ -17,7 +17,13 @@ from softcal_jax.designs._foam_region import (
     foam_region as foam_region,
     isotropic_range as isotropic_range,
 )
-from softcal_jax.designs._printing import Printing as Printing
+from softcal_jax.designs._peaks import Peak as Peak, PeakLimits as PeakLimits
+from softcal_jax.designs._printing import (
+    Change as Change,
+    Deviations as Deviations,
+    Printing as Printing,
+    specimens as specimens,
+)
 from softcal_jax.designs._result import (
     LEVEL as LEVEL,
     Alternative as Alternative,

@@ -3,12 +3,11 @@
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
-from softcal_jax._names import check_known, listed
-from softcal_jax._units import readable
 from softcal_jax.calibration import (
     CalibrationResult,
     CalibrationSettings,
@@ -18,32 +17,36 @@ from softcal_jax.calibration import (
     as_sequence,
     calibrate,
 )
-from softcal_jax.configurations import (
-    Configuration,
-    ConfigurationLanes,
-    ImposedDisplacement,
-    configuration_lanes,
-    motions,
-)
-from softcal_jax.control import GoalFit, Limits, limit_arrays
+from softcal_jax.configurations import Configuration
+from softcal_jax.control import GoalFit, Limits
+from softcal_jax.designs._asked import check_goals, commands, within
 from softcal_jax.designs._foam import FoamTable
-from softcal_jax.designs._foam_region import foam_region, isotropic_range
 from softcal_jax.designs._holding import held_by, trades
-from softcal_jax.designs._printing import Printing, design_goals
-from softcal_jax.designs._result import Alternative, DesignResult, error_of
+from softcal_jax.designs._peaks import (
+    KEPT,
+    MOST_TIGHTENED,
+    TIGHTER,
+    PeakLimits,
+    aimed,
+    peaks,
+)
+from softcal_jax.designs._printing import Change, Printing, design_goals, specimens
+from softcal_jax.designs._result import (
+    Alternative,
+    DesignResult,
+    error_of,
+    expected_of,
+)
 from softcal_jax.equilibrium import Model, NewtonSettings
 from softcal_jax.fields import (
     ControlPointParameters,
     ControlPoints,
     Entry,
-    Parameter,
     ParameterSpace,
     SetupParameter,
     as_space,
-    command,
     exactly_known,
 )
-from softcal_jax.unknowns import held_nodes
 
 LOOP = CalibrationSettings(damping=1e-4, least_fall=1e-4, least_cost=1.0)
 """Settings of the loop: of the many fields that come as near, a close one is taken.
@@ -60,6 +63,8 @@ class _Asked(NamedTuple):
     configurations: tuple[Configuration, ...]
     commands: tuple[Entry, ...]
     foam: FoamTable | None
+    largest: PeakLimits
+    change: Change | None
     seed: int
     settings: CalibrationSettings
     newton: NewtonSettings | None
@@ -74,7 +79,10 @@ def design(
     *,
     limits: Mapping[str, Limits] | None = None,
     foam: FoamTable | None = None,
+    largest: PeakLimits | None = None,
+    change: Change | None = None,
     printing: Printing | None = None,
+    robust: bool = False,
     starts: int | None = None,
     seed: int = 0,
     settings: CalibrationSettings | None = None,
@@ -99,7 +107,13 @@ def design(
             their value in the `actuation` of each configuration. Others keep theirs.
         foam: What can be printed: E_l and E_t, or E, stay within what it reaches. Their
             fields need scale and interpolation "log".
+        largest: Limits of the stretch and the stress anywhere in the body.
+        change: Change between neighbouring control points that costs as much as a goal
+            that is a tolerance off; by default it costs nothing.
         printing: Errors of printing.
+        robust: Whether to go on from the design of least error as ordered to one of
+            least expected error, over `specimens` of prints; with as many equilibria
+            per goal as there are uncertain parameters, and two more.
         starts: Most starts of the search, as in `calibrate`.
         seed: Seed of the random starts.
         settings: Settings of the loop.
@@ -117,24 +131,33 @@ def design(
     Raises:
         ValueError: If nothing may be designed, no effector has a goal, a goal is
             farther away than the body is long or of an effector that nothing moves,
-            limits clash or have no ends, or the foam has none of the moduli.
+            limits clash or have no ends, the foam has none of the moduli, or `robust`
+            or `change` have nothing to act on.
         RuntimeError: If a configuration has no equilibrium at the start.
     """
-    goals = as_sequence(configurations)
+    # Configurations of one recording would share a command.
+    goals = tuple(replace(c, recording=None) for c in as_sequence(configurations))
     space = None if parameters is None else as_space(parameters)
-    commands = _commands(model, goals, limits or {})
-    if space is None and not commands:
+    entries = commands(model, goals, limits or {})
+    if space is None and not entries:
         raise ValueError(
             "nothing may be designed: give parameters of the material, or limits of "
             "actuators."
         )
-    _check_goals(model, goals)
-    loop = settings or LOOP
-    calls = progress, search_progress
-    asked = _Asked(model, goals, commands, foam, seed, loop, newton, *calls)
-    fit = _fit(asked, space, starts)
+    check_goals(model, goals)
+    printing, largest = printing or Printing(), largest or PeakLimits()
+    if robust and not (space and printing.touches(model, space)):
+        raise ValueError(
+            "robust: nothing that is designed has errors of printing; leave it out."
+        )
+    options = seed, settings or LOOP, newton, progress, search_progress
+    asked = _Asked(model, goals, entries, foam, largest, change, *options)
+    fit = nominal = _fit(asked, space, starts)
     asked = asked._replace(progress=None)
-    reached = design_goals(fit, printing or Printing())
+    if robust and not fit.interrupted:
+        stage("the least expected error of prints")
+        fit = _robust(asked, space, fit, printing)
+    reached = design_goals(fit, printing)
     missed = any(not goal.met for goal in reached)
     result = DesignResult(
         goals=reached,
@@ -143,103 +166,88 @@ def design(
         held_by=held_by(fit, reached) if missed else (),
         trades=trades(fit, reached) if missed else (),
         alternatives=(),
+        peaks=peaks(fit, largest),
+        robust=fit is not nominal,
         foam=foam,
         material=() if space is None else tuple(space.names),
     )
     if space is None or fit.interrupted:
         return result
     answer(result)
-    return replace(result, alternatives=tuple(_alternatives(asked, space, stage)))
-
-
-def _commands(
-    model: Model, goals: Sequence[Configuration], limits: Mapping[str, Limits]
-) -> tuple[SetupParameter, ...]:
-    """Make what is imposed on the actuators parameters, each by configuration."""
-    used = [name for goal in goals for name in goal.actuation]
-    check_known("actuator with limits, in the actuation of a goal,", used, *limits)
-    actuators, entries = model.mechanism.actuators, []
-    in_each = [
-        limit_arrays(
-            model.mechanism,
-            goal,
-            {name: given for name, given in limits.items() if name in goal.actuation},
-        )
-        for goal in goals
-    ]
-    for name in limits:
-        a = actuators.names.index(name)
-        kind, start, ends, unit = actuators.kinds[a], {}, {}, ""
-        for goal, allowed in zip(goals, in_each, strict=True):
-            if name not in goal.actuation:
-                continue
-            imposed = goal.actuation[name]
-            by_displacement = isinstance(imposed, ImposedDisplacement)
-            unit = kind.displacement_unit if by_displacement else kind.force_unit
-            low, high = map(float, allowed.inputs[:, a])
-            if not np.isfinite([low, high]).all() or low >= high:
-                what = "displacement" if by_displacement else "force"
-                raise ValueError(
-                    f"limits of the {what} of {kind.noun} {name!r} are {low:g} to "
-                    f"{high:g} {unit}, and a design needs two finite ends that differ."
-                )
-            other = "force" if by_displacement else "displacement"
-            if np.isfinite([*getattr(limits[name], other), limits[name].step]).any():
-                raise ValueError(
-                    f"{kind.noun} {name!r}: a design limits what is imposed on it, not "
-                    f"its {other} or its steps: leave those limits out, or impose the "
-                    "quantity that has limits."
-                )
-            start[goal.name], ends[goal.name] = imposed.value, (low, high)
-        entries.append(command(name, start, ends, unit=unit or ""))
-    return tuple(entries)
-
-
-def _check_goals(model: Model, goals: Sequence[Configuration]) -> None:
-    """Raise ValueError for goals that are probably mistakes."""
-    lanes = configuration_lanes(model.mesh, goals, model.mechanism)
-    show = lambda value: readable(float(f"{value:.3g}"), "m")
-    for goal, records in zip(goals, lanes.effectors, strict=True):
-        if not goal.is_measured or not any(r.seen.any() for r in records):
-            raise ValueError(
-                f"configuration {goal.name!r} has no goal: give markers or effectors "
-                "measured values, which are its goals."
-            )
-        for name, moved in motions(records).items():
-            distance, size = float(np.linalg.norm(moved)), model.mesh.size
-            if distance > size:
-                raise ValueError(
-                    f"the goal of {name!r} in {goal.name!r} is {show(distance)} from "
-                    f"its place at rest, and the body is {show(size)} long: check the "
-                    "unit of length and the frame."
-                )
-    _check_movable(model, goals, lanes)
-
-
-def _check_movable(
-    model: Model, goals: Sequence[Configuration], lanes: ConfigurationLanes
-) -> None:
-    """Raise ValueError for the goal of a point that is held."""
-    held = held_nodes(model, lanes.arrays)
-    arrays = lanes.arrays.effectors
-    for c, (goal, records) in enumerate(zip(goals, lanes.effectors, strict=True)):
-        for record in records:
-            if record.quantity != "point" or not record.seen.any():
-                continue
-            nodes = np.asarray(arrays.nodes)[c, record.index]
-            acts = np.asarray(arrays.weights)[c, record.index] != 0.0
-            mine = nodes[acts]
-            if (mine < model.mesh.n_nodes).all() and held[c, mine].all():
-                raise ValueError(
-                    f"nothing can move {record.name!r} in {goal.name!r}: its place is "
-                    "held. Take its goal out, or free it."
-                )
+    others = [*_alternatives(asked, space, stage)]
+    if result.robust:
+        before = design_goals(nominal, printing)
+        name, errors = "the design of least error as ordered", error_of(before)
+        others.insert(0, Alternative(name, errors, expected_of(before), nominal))
+    return replace(result, alternatives=tuple(others))
 
 
 def _fit(
     asked: _Asked, space: ParameterSpace | None, starts: int | None
 ) -> CalibrationResult:
     """Fit the goals, by the loop of the calibration."""
+    first = {"starts": starts}
+    return _keeping(
+        asked, lambda goals, more: _calibrated(asked, space, goals, **(more or first))
+    )
+
+
+def _keeping(
+    asked: _Asked,
+    fit_of: Callable[[tuple[Configuration, ...], dict[str, Any]], CalibrationResult],
+) -> CalibrationResult:
+    """Fit goals, and again with more weight on limits of peaks that are not kept."""
+    fit = fit_of(_with_limits(asked, KEPT), {})
+    for tighter in range(1, MOST_TIGHTENED + 1):
+        if fit.interrupted or all(peak.kept for peak in peaks(fit, asked.largest)):
+            break
+        goals = _with_limits(asked, KEPT / TIGHTER**tighter)
+        fit = fit_of(goals, {"start": jnp.asarray(fit.z)})
+    return fit
+
+
+def _with_limits(asked: _Asked, kept: float) -> tuple[Configuration, ...]:
+    """Return the goals with readings of what has a limit."""
+    more = asked.largest.readings(kept)
+    return tuple(
+        replace(goal, effectors=(*goal.effectors, *more))
+        for goal in asked.configurations
+    )
+
+
+def _robust(
+    asked: _Asked,
+    space: ParameterSpace | None,
+    nominal: CalibrationResult,
+    printing: Printing,
+) -> CalibrationResult:
+    """Go on to the least error over prints, with one command for all of a goal."""
+    off = specimens(printing.deviations(nominal), asked.seed)
+    n = len(asked.configurations)
+    prints = [
+        replace(goal, name=f"{goal.name}, print {k}", recording=goal.name)
+        for k in range(1, len(off))
+        for goal in asked.configurations
+    ]
+    known = {"deviations": jnp.asarray(np.repeat(off, n, axis=0))}
+    first = {"start": jnp.asarray(nominal.z)}
+
+    def fit_of(goals, more) -> CalibrationResult:
+        start = known | first | more
+        fit = _calibrated(asked, space, (*goals, *prints), **start)
+        linear = fit.linear.only(fit.linear.pose < n)
+        return replace(fit, configurations=fit.configurations[:n], linear=linear)
+
+    return _keeping(asked, fit_of)
+
+
+def _calibrated(
+    asked: _Asked,
+    space: ParameterSpace | None,
+    goals: Sequence[Configuration],
+    **more: Any,
+) -> CalibrationResult:
+    """Fit some goals."""
     entries = () if space is None else space.entries
     whole = (
         ParameterSpace(asked.commands)
@@ -247,59 +255,26 @@ def _fit(
         else replace(space, entries=(*entries, *asked.commands))
     )
     if asked.foam is not None:
-        whole = _within(asked.foam, whole)
+        whole = within(asked.foam, whole)
+    if asked.change is not None:
+        whole = replace(whole, likeness=asked.change.likeness(asked.model, whole))
     with warnings.catch_warnings():
         # That goals are fewer than parameters is the rule here.
         warnings.simplefilter("ignore", CalibrationWarning)
         return calibrate(
             asked.model,
             whole,
-            asked.configurations,
+            goals,
             noise="stated",
             uncertain=exactly_known(),
             settings=asked.settings,
             newton=asked.newton,
-            starts=starts,
             seed=asked.seed,
             intervals=None,
             progress=asked.progress,
             search_progress=asked.search_progress,
+            **more,
         )
-
-
-def _within(foam: FoamTable, space: ParameterSpace) -> ParameterSpace:
-    """Limit the moduli of a design to those of a foam."""
-    names = {field.rpartition(".")[2]: field for field in space.field_names}
-    if {"E_l", "E_t"} <= {*names}:
-        fading = any(getattr(entry, "core", 0.0) > 0.0 for entry in space.entries)
-        region = foam_region(foam, names["E_l"], names["E_t"], fading=fading)
-        # The region also says which of the two is the larger one.
-        return replace(space, regions=(region,), tensor_steps=False)
-    if "E" not in names:
-        raise ValueError(
-            f"{foam.infill} limits E_l and E_t together, or E of an isotropic body, "
-            f"and the design has {listed(space.field_names) or 'no field'}: design "
-            "both moduli, or leave the foam out."
-        )
-    ends = isotropic_range(foam)
-    entries = [
-        _narrowed(entry, *ends, foam.infill) if names["E"] in entry.fields else entry
-        for entry in space.entries
-    ]
-    return replace(space, entries=entries)
-
-
-def _narrowed(entry: Entry, low: float, high: float, infill: str) -> Entry:
-    """Return a field with bounds within two ends [Pa]."""
-    assert isinstance(entry, Parameter | ControlPointParameters)
-    lower, upper = np.maximum(entry.lower, low), np.minimum(entry.upper, high)
-    if np.any(lower >= upper):
-        raise ValueError(
-            f"{entry.label}: isotropic {infill} has {readable(low, 'Pa')} to "
-            f"{readable(high, 'Pa')}, outside of the bounds of the design."
-        )
-    start = np.clip(entry.start, lower, upper)
-    return replace(entry, start=start, lower=lower, upper=upper)
 
 
 def _alternatives(
@@ -308,28 +283,26 @@ def _alternatives(
     """Fit the same goals with less that may be designed, until interrupted."""
     if any(len(entry.parameters) > 1 for entry in space.entries if entry.fields):
         stage("the same goals with the best homogeneous material")
-        fit = _fit(asked, _homogeneous(asked.model, space), None)
+        one = asked._replace(change=None)
+        fit = _fit(one, _homogeneous(asked.model, space), None)
         if fit.interrupted:
             return
         yield _alternative("the best homogeneous material", fit)
     if asked.commands:
         stage("the same goals with actuation alone")
         z = space.start()
-        fit = _fit(
-            asked._replace(model=space.model_at(asked.model, z), foam=None), None, 1
-        )
+        known = space.model_at(asked.model, z)
+        alone = asked._replace(model=known, foam=None, change=None)
+        fit = _fit(alone, None, 1)
         if not fit.interrupted:
             yield _alternative("actuation alone", fit)
 
 
 def _alternative(name: str, fit: CalibrationResult) -> Alternative:
     goals = tuple(
-        GoalFit(effector)
-        for pose in fit.configurations
-        for effector in pose.effectors
-        if effector.seen.any()
+        GoalFit(effector) for pose in fit.configurations for effector in aimed(pose)
     )
-    return Alternative(name, error_of(goals), fit)
+    return Alternative(name, error_of(goals), np.nan, fit)
 
 
 def _homogeneous(model: Model, space: ParameterSpace) -> ParameterSpace:

@@ -6,6 +6,7 @@ import numpy as np
 from softcal_jax._typing import Float, HostArray, Int
 from softcal_jax.calibration import CalibrationResult, bounded_step
 from softcal_jax.control import strongest_limits
+from softcal_jax.designs._peaks import limits_reached
 from softcal_jax.designs._result import DesignGoal, Trade
 from softcal_jax.fields import ParameterSpace
 
@@ -26,7 +27,9 @@ def held_by(
     """
     W, r, _ = _rows(result, goals)
     A, names = _reached(result.space, np.asarray(result.z))
-    order = strongest_limits(W, r, A)
+    slopes = limits_reached(result)
+    A = np.concatenate([A, *(row[None] for row in slopes.values())])
+    order, names = strongest_limits(W, r, A), [*names, *slopes]
     return tuple(dict.fromkeys(names[i] for i in order))
 
 
@@ -67,7 +70,10 @@ def trades(
 def _rows(
     result: CalibrationResult, goals: tuple[DesignGoal, ...]
 ) -> tuple[Float[HostArray, "n n_p"], Float[HostArray, " n"], Int[HostArray, " n"]]:
-    """Stack compliances and errors in tolerances, and the index of each row's goal."""
+    """Stack compliances and errors in tolerances, and the index of each row's goal.
+
+    Differences of neighbours that count stand behind, with the index -1.
+    """
     W_ep = {pose.name: pose.W_ep for pose in result.configurations}
     W, r, of_goal = [], [], []
     for k, goal in enumerate(goals):
@@ -76,6 +82,11 @@ def _rows(
         W.append((of_pose[e.index, : len(e.std)] / e.std[:, None])[e.seen])
         r.append(goal.in_std[e.seen])
         of_goal += [k] * int(e.seen.sum())
+    if result.space.likeness is not None:
+        differences, A = map(np.asarray, result.space.likeness.rows(result.z))
+        W.append(A)
+        r.append(differences)
+        of_goal += [-1] * len(A)
     return np.concatenate(W), np.concatenate(r), np.array(of_goal)
 
 

@@ -1,5 +1,7 @@
 """What a design returns, and its verdict."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from softcal_jax._module import Module, Result
@@ -10,6 +12,7 @@ from softcal_jax.calibration import CalibrationResult
 from softcal_jax.configurations import Configuration
 from softcal_jax.control import GoalFit
 from softcal_jax.designs._foam import FoamTable
+from softcal_jax.designs._peaks import Peak
 
 LISTED = 4  # missed goals that a message lists
 
@@ -24,6 +27,7 @@ class DesignGoal(GoalFit):
         configuration: The configuration of the goal.
         met: Whether every coordinate is within its tolerance, as ordered.
         expected: Root mean square of the error of prints, in the unit of the effector.
+        expected_in_std: The same of each coordinate with a goal, in tolerances [-].
         interval: Ends of the interval that has the error of `LEVEL` of all prints.
         hangs_on: The control point whose errors of printing count most; empty where
             none counts.
@@ -33,6 +37,7 @@ class DesignGoal(GoalFit):
     configuration: str
     met: bool
     expected: float
+    expected_in_std: Float[HostArray, " k"]
     interval: tuple[float, float]
     hangs_on: str
     share: float
@@ -91,11 +96,13 @@ class Alternative(Module):
     Attributes:
         name: What it is.
         error: Root mean square of the errors over all goals, in tolerances [-].
+        expected: The same as printed; nan where its material is not that of a design.
         result: Its fit.
     """
 
     name: str
     error: float
+    expected: float
     result: CalibrationResult
 
 
@@ -108,7 +115,10 @@ class DesignResult(Result):
         configurations: The configurations with the actuation found.
         held_by: Limits that keep missed goals away, in words, the strongest first.
         trades: Goals that compete.
-        alternatives: The best homogeneous material, and actuation alone.
+        alternatives: The design of least nominal error if this one is robust, the best
+            homogeneous material, and actuation alone.
+        peaks: What is largest in the body at each goal, where it has a limit.
+        robust: Whether it has the least expected error, not the least nominal one.
         foam: The foam that limits the moduli; None without.
         material: Names of the parameters of the material, in the order of the fit.
     """
@@ -119,13 +129,16 @@ class DesignResult(Result):
     held_by: tuple[str, ...]
     trades: tuple[Trade, ...]
     alternatives: tuple[Alternative, ...]
+    peaks: tuple[Peak, ...]
+    robust: bool
     foam: FoamTable | None
     material: tuple[str, ...]
 
     @property
     def met(self) -> bool:
-        """Whether the search ended at an optimum that meets all goals."""
-        return self.fit.converged and all(goal.met for goal in self.goals)
+        """Whether the search ended at an optimum that meets all goals in all limits."""
+        good = all(goal.met for goal in self.goals) and all(p.kept for p in self.peaks)
+        return self.fit.converged and good
 
     @property
     def unmet(self) -> tuple[DesignGoal, ...]:
@@ -140,6 +153,11 @@ class DesignResult(Result):
         return error_of(self.goals)
 
     @property
+    def expected(self) -> float:
+        """The same as printed, to first order [-]."""
+        return expected_of(self.goals)
+
+    @property
     def values(self) -> dict[str, float]:
         """Values of the material as ordered, by parameter, in SI units."""
         return {name: self.fit.value(name) for name in self.material}
@@ -152,6 +170,8 @@ class DesignResult(Result):
             return "Not designed: the search did not converge."
         if missed:
             return f"Not designed: {len(missed)} of {n} goals are missed."
+        if not self.met:
+            return "Not designed: a limit is exceeded."
         return f"Designed: all {n} goals are met." if n > 1 else "Designed: it is met."
 
     @property
@@ -160,6 +180,7 @@ class DesignResult(Result):
         reasons = [f"{g.label} is off by {g.off}." for g in self.unmet[:LISTED]]
         if len(self.unmet) > LISTED:
             reasons.append(f"{len(self.unmet) - LISTED} more are off by less.")
+        reasons += [f"{peak}." for peak in self.peaks if not peak.kept]
         if self.held_by:
             reasons.append(f"They are held by {listed(self.held_by)}.")
         return (*reasons, *(f"{trade}." for trade in self.trades))
@@ -167,11 +188,15 @@ class DesignResult(Result):
     @property
     def worth(self) -> tuple[str, ...]:
         """What the design is worth, one sentence for each alternative."""
-        return tuple(
-            f"With {a.name} the goals are {a.error:.3g} tolerances off, with this "
-            f"design {self.error:.3g}."
-            for a in self.alternatives
-        )
+
+        def sentence(a: Alternative) -> str:
+            missed, error = f"{a.error:.3g} tolerances off", f"{self.error:.3g}"
+            if np.isfinite(a.expected):
+                missed += f", {a.expected:.3g} as printed"
+                error += f" and {self.expected:.3g}"
+            return f"With {a.name} the goals are {missed}, with this design {error}."
+
+        return tuple(map(sentence, self.alternatives))
 
     def _words(self) -> str:
         return self.headline
@@ -182,8 +207,14 @@ class DesignResult(Result):
         lines += [
             f"  {p.name} = {readable(p.value, p.unit)}" for p in self.fit.parameters
         ]
-        lines += [f"  {goal}" for goal in self.goals]
+        lines += [f"  {line}" for line in (*self.goals, *self.peaks)]
         return "\n".join([*lines, *(f"  {sentence}" for sentence in self.worth)])
+
+
+def expected_of(goals: Sequence[DesignGoal]) -> float:
+    """Return the root mean square of all errors as printed, in tolerances [-]."""
+    squares = sum(float(np.sum(goal.expected_in_std**2)) for goal in goals)
+    return float(np.sqrt(squares / sum(goal.effector.seen.sum() for goal in goals)))
 
 
 def error_of(goals: tuple[GoalFit, ...]) -> float:

@@ -12,6 +12,7 @@ from softcal_jax.equilibrium._assembly import (
     tangent_values as tangent_values,
     tet_states as tet_states,
     tet_stresses as tet_stresses,
+    traced_tet_states as traced_tet_states,
 )
 from softcal_jax.equilibrium._batch import (
     EquilibriumProgress as EquilibriumProgress,

@@ -73,11 +73,12 @@ def _mapped(how, u, arrays, nodes, *of_tets):
 
 def tet_states(model: Model, u: Nodal) -> TetStates:
     """Compute energy, stress and deformation of each tet; zero energy if rigid."""
-    return jax.tree.map(np.asarray, _states(model, u))
+    return jax.tree.map(np.asarray, traced_tet_states(model, u))
 
 
 @eqx.filter_jit
-def _states(model: Model, u: Nodal) -> TetStates:
+def traced_tet_states(model: Model, u: Nodal) -> TetStates:
+    """Compute the same as `tet_states`, as arrays that can be differentiated."""
     return _by_tet(model, _map_blocks(model, u, element_state))
 
 

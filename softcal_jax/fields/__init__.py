@@ -4,7 +4,7 @@ from softcal_jax.fields._control_points import (
     ControlPointParameters as ControlPointParameters,
     ControlPoints as ControlPoints,
 )
-from softcal_jax.fields._order import Region as Region
+from softcal_jax.fields._order import Likeness as Likeness, Region as Region
 from softcal_jax.fields._parameters import (
     AbstractEntry as AbstractEntry,
     AbstractFieldEntry as AbstractFieldEntry,

@@ -276,6 +276,14 @@ class ControlPointParameters(AbstractFieldEntry):
             centroids = centroids[mesh.tets_of(self.region)]
         return self.control_points.weights(centroids)
 
+    def neighbours(self, mesh: TetMesh) -> list[tuple[str, str]]:
+        """List pairs of control points that are the strongest two in some tet."""
+        names, weights = self.control_points.names, np.asarray(self._weights(mesh))
+        strongest = np.sort(np.argsort(weights, axis=1)[:, -2:], axis=1)
+        if len(names) == 1:
+            return []
+        return [(names[i], names[j]) for i, j in np.unique(strongest, axis=0)]
+
     def _at_points(self, values: Values) -> Float[Array, " n_cp"]:
         """Return the values at the control points, known ones included."""
         of = lambda n: values[self.parameter_name(n)]

@@ -125,6 +125,33 @@ class Region(Module):
     name: str = eqx.field(static=True, default="region")
 
 
+class Likeness(Module):
+    """Differences of values at neighbouring control points that count like errors.
+
+    Attributes:
+        A: Differences of scaled parameters, one row for each pair [-].
+        b: The known one of two values, 0 if both are unknown [-].
+        turn: Difference after which an angle is the same again; infinite for others.
+        std: Difference that counts as much as an error of one standard deviation [-].
+    """
+
+    A: Float[Array, "n_pairs n_p"]
+    b: Float[Array, " n_pairs"]
+    turn: Float[Array, " n_pairs"]
+    std: Float[Array, " n_pairs"]
+
+    def rows(
+        self, z: Scaled
+    ) -> tuple[Float[Array, " n_pairs"], Float[Array, "n_pairs n_p"]]:
+        """Return the differences over their `std`, and their derivatives by z [-]."""
+        gap = self.A @ z - self.b
+        finite = jnp.where(jnp.isinf(self.turn), 1.0, self.turn)
+        gap = gap - jnp.where(
+            jnp.isinf(self.turn), 0.0, finite * jnp.round(gap / finite)
+        )
+        return gap / self.std, self.A / self.std[:, None]
+
+
 def region_terms(entries: Entries, region: Region) -> list[tuple[Term, ...]]:
     """Collect the terms of the fields of a region, for each control point."""
     sides = [_sides(entries, field, "regions") for field in region.fields]

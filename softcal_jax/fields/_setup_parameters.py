@@ -301,7 +301,8 @@ def command(
     """Make what is imposed on an actuator a parameter of each configuration.
 
     `start` has its value by configuration, and `limits` the smallest and the largest
-    one, in the SI `unit` of its force or displacement.
+    one, in the SI `unit` of its force or displacement. Configurations of one recording
+    share it, under the name of that.
     """
     unknowns = [
         Parameter(
@@ -314,7 +315,7 @@ def command(
         of=actuator,
         unknowns=unknowns,
         each=tuple(start),
-        by="configuration",
+        by="recording",
     )
 
 

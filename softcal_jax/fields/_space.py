@@ -16,6 +16,7 @@ from softcal_jax.fields._control_points import ControlPointParameters
 from softcal_jax.fields._order import (
     AxisChart,
     Groups,
+    Likeness,
     Region,
     Scaled,
     Term,
@@ -68,6 +69,7 @@ class ParameterSpace(Module):
         tensor_steps: Whether steps of axes are taken as tensors; if not, as moduli and
             angles, which need `order`.
         regions: Values that fields may have together, which need steps of moduli.
+        likeness: Differences of neighbouring control points that count like errors.
         pin: A parameter held at a value, for a profile of the likelihood.
     """
 
@@ -76,6 +78,7 @@ class ParameterSpace(Module):
     axes: Groups = eqx.field(static=True, default=(), converter=_groups)
     tensor_steps: bool = eqx.field(static=True, default=True)
     regions: tuple[Region, ...] = eqx.field(default=(), converter=tuple)
+    likeness: Likeness | None = None
     pin: Pin | None = None
 
     def __check_init__(self):

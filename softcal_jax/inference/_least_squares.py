@@ -111,7 +111,7 @@ def whitened_rows(
     error: OneKind,
     W: OneKind,
     from_prior: OneKind,
-    prior_weights: OneKind,
+    prior_rows: OneKind,
 ) -> Whitened:
     """Whiten errors of data, and put those of priors behind them.
 
@@ -120,11 +120,11 @@ def whitened_rows(
         error: Errors in stated standard deviations [-].
         W: Their change per unit of lambda_p [-].
         from_prior: Distances from the priors, in the same unit [-].
-        prior_weights: Their change per unit of lambda_p [-].
+        prior_rows: Their change per unit of lambda_p [-].
     """
     xp: Any = jnp if isinstance(B, jax.Array) else np
     both = whitened(B, xp.concatenate([error[:, None], W], axis=1))
     return Whitened(
         xp.concatenate([both[:, 0], from_prior]),
-        xp.concatenate([both[:, 1:], xp.diag(prior_weights)]),
+        xp.concatenate([both[:, 1:], prior_rows]),
     )

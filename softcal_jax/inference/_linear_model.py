@@ -168,7 +168,7 @@ class LinearModel(Module):
             error=fit.r,
             W=fit.W,
             from_prior=self.scale * self.from_prior,
-            prior_weights=self.scale * self.prior_weights,
+            prior_rows=self.scale * np.diag(self.prior_weights),
         )
 
     def squares(self) -> float:

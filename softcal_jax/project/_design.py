@@ -17,8 +17,10 @@ from softcal_jax.configurations import AbstractEffector, Configuration, ImposedF
 from softcal_jax.control import Limits
 from softcal_jax.designs import (
     TPU,
+    Change,
     FoamTable,
     Infill,
+    PeakLimits,
     Printing,
     foam_table,
     published_foam,
@@ -40,7 +42,9 @@ FREE = "-"
 class DesignTable(Table):
     """What may be designed beside [[parameters]], and how it is printed.
 
-    Without a foam the moduli are free within their bounds.
+    Without a foam the moduli are free within their bounds. A change between
+    neighbouring control points of `modulus_change` or `angle_change` costs as much as a
+    goal that is a tolerance off.
     """
 
     foam: Infill | Literal["none"] = "none"
@@ -50,6 +54,17 @@ class DesignTable(Table):
     solid_modulus: typed.Modulus = TPU
     modulus_error: Share = Printing().moduli
     angle_error: typed.Angle = Printing().angle
+    robust: typed.Flag = Field(
+        default=False, description="least error as printed instead of as ordered"
+    )
+    modulus_change: Share | None = None
+    angle_change: typed.Angle | None = None
+    largest_stretch: typed.Number | None = Field(
+        default=None, description="length over length at rest, anywhere in the body"
+    )
+    largest_stress: typed.Modulus | None = Field(
+        default=None, description="von Mises stress anywhere in the body"
+    )
     limits: dict[str, str] = Field(default_factory=dict)
 
 
@@ -60,13 +75,19 @@ class DesignTask(Module):
         goals: Configurations with goals.
         limits: Limits of the actuators that are commanded, by name.
         foam: What can be printed; None for moduli within their bounds.
+        largest: Limits of stretch and stress anywhere in the body.
+        change: Change between neighbouring control points that costs; None for none.
         printing: Errors of printing.
+        robust: Whether the error as printed is to be least.
     """
 
     goals: tuple[Configuration, ...]
     limits: dict[str, Limits]
     foam: FoamTable | None
+    largest: PeakLimits
+    change: Change | None
     printing: Printing
+    robust: bool
 
 
 def build_design(
@@ -93,8 +114,18 @@ def build_design(
         with under("table"):
             path = None if asked.table is None else folder / asked.table
             foam = foam_table(asked.foam, path)
-    printing = Printing(asked.modulus_error, asked.angle_error)
-    return DesignTask(goals, limits, foam, printing)
+    changes = {"moduli": asked.modulus_change, "angle": asked.angle_change}
+    peaks = {"stretch": asked.largest_stretch, "stress": asked.largest_stress}
+    given = lambda values: {k: v for k, v in values.items() if v is not None}
+    return DesignTask(
+        goals,
+        limits,
+        foam,
+        PeakLimits(**given(peaks)),
+        Change(**given(changes)) if given(changes) else None,
+        Printing(asked.modulus_error, asked.angle_error),
+        asked.robust,
+    )
 
 
 def with_goals(

@@ -20,8 +20,10 @@ def design_verdict(result: DesignResult) -> RunVerdict:
 
 
 def design_tables(result: DesignResult) -> list[TextTable]:
-    """Tabulate fields as ordered, goals, commands and what less could do."""
-    return [ordered_table(result), _goals(result), _commands(result), _worth(result)]
+    """Tabulate fields as ordered, goals, commands, limits, and what less could do."""
+    limits = [_limits(result)] if result.peaks else []
+    goals = [_goals(result), _commands(result), *limits]
+    return [ordered_table(result), *goals, _worth(result)]
 
 
 def ordered_table(result: DesignResult) -> TextTable:
@@ -88,10 +90,26 @@ def _commands(result: DesignResult) -> TextTable:
     return text_table("Commands", ("configuration", "actuator", "imposed"), rows)
 
 
+def _limits(result: DesignResult) -> TextTable:
+    """Tabulate what is largest anywhere in the body, where it has a limit."""
+    rows = []
+    for peak in result.peaks:
+        unit = "" if peak.unit == "-" else peak.unit
+        show = lambda value, u=unit: readable(float(f"{value:.4g}"), u).strip()
+        kept = Cell("kept", "good") if peak.kept else Cell("exceeded", "bad")
+        values = show(peak.value), show(peak.limit), kept
+        rows.append((peak.configuration, peak.name, *values))
+    columns = ("configuration", "anywhere in the body", "value", "limit", "")
+    return text_table("Limits", columns, rows)
+
+
 def _worth(result: DesignResult) -> TextTable:
-    rows = [("this design", f"{result.error:.3g}")]
-    rows += [(a.name, f"{a.error:.3g}") for a in result.alternatives]
-    columns = "with", "error over all goals, in tolerances"
+    rows = [("this design", f"{result.error:.3g}", f"{result.expected:.3g}")]
+    rows += [
+        (a.name, f"{a.error:.3g}", f"{a.expected:.3g}" if a.expected > 0.0 else "-")
+        for a in result.alternatives
+    ]
+    columns = "with", "error over all goals, in tolerances", "as printed"
     return text_table("What the design is worth", columns, rows)
 
 
@@ -112,7 +130,10 @@ def design_dict(result: DesignResult) -> dict[str, Any]:
             "goals": [
                 {key: getattr(g, key) for key in goal.split()} for g in result.goals
             ],
+            "peaks": [vars(peak) for peak in result.peaks],
+            "robust": result.robust,
             "error": result.error,
+            "expected": result.expected,
             "alternatives": {a.name: a.error for a in result.alternatives},
         }
     )

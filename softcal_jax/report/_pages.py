@@ -104,10 +104,10 @@ def design_page(
     result: DesignResult, data: Mapping[str, Any], folder: Path, view: PageView | None
 ) -> str:
     """Write the page of a design."""
-    ordered, goals, commands, worth = design_tables(result)
+    ordered, *goals, worth = design_tables(result)
     sections = [
         Section("notes", "Notes", [bullets(data["notes"])]),
-        Section("goals", "Goals", [goals, commands]),
+        Section("goals", "Goals", goals),
         Section("ordered", "As ordered", [ordered]),
         Section("worth", "What it is worth", [worth]),
         *pictures_of(data, folder, view),

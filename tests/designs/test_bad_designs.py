@@ -9,7 +9,13 @@ from wording import saying
 
 from softcal_jax.configurations import ImposedForce, Markers
 from softcal_jax.control import Limits
-from softcal_jax.designs import Printing, design, published_foam
+from softcal_jax.designs import (
+    Change,
+    PeakLimits,
+    Printing,
+    design,
+    published_foam,
+)
 from softcal_jax.fields import Parameter, ParameterSpace
 
 GOAL = pose("bent", 0.5, [HALF, np.array(TIP) - [0.0, 0.0, 0.004]])
@@ -70,6 +76,33 @@ def test_a_foam_without_any_of_the_moduli():
     stiff = Parameter("E", "E", 3e6, 2e6, 4e6, unit="Pa")
     with pytest.raises(ValueError, match=saying("1.4928 MPa", "outside of", "bounds")):
         design(MODEL, stiff, GOAL, foam=published_foam())
+
+
+def test_a_robust_design_needs_errors():
+    with pytest.raises(ValueError, match=saying("robust", "errors of printing")):
+        design(MODEL, moduli(), GOAL, printing=Printing(moduli=0.0), robust=True)
+    with pytest.raises(ValueError, match=saying("robust", "errors of printing")):
+        design(MODEL, None, GOAL, limits=RANGE, robust=True)
+
+
+def test_a_change_needs_neighbours():
+    with pytest.raises(ValueError, match=saying("moduli", "positive", "got 0")):
+        Change(moduli=0.0)
+    # No modulus changes, and there is no angle.
+    with pytest.raises(ValueError, match=saying("change", "two control points")):
+        design(MODEL, moduli(), GOAL, change=Change(angle=0.5))
+
+
+@pytest.mark.parametrize(
+    ("limits", "message"),
+    [
+        ({"stretch": 1.0}, ("largest stretch", "above 1", "got 1")),
+        ({"stress": -3e3}, ("largest stress", "above 0", "got -3000")),
+    ],
+)
+def test_limits_of_peaks(limits, message):
+    with pytest.raises(ValueError, match=saying(*message)):
+        PeakLimits(**limits)
 
 
 def test_errors_of_printing():

@@ -18,7 +18,7 @@ from softcal_jax.configurations import (
     configuration_arrays,
 )
 from softcal_jax.control import Limits
-from softcal_jax.designs import Printing, design, published_foam
+from softcal_jax.designs import Change, Printing, design, published_foam
 from softcal_jax.equilibrium import build_model, marker_positions, solve_equilibrium
 from softcal_jax.fields import (
     ControlPointParameters,
@@ -163,6 +163,30 @@ def test_two_goals_compete():
         std = np.sqrt(goal.expected**2 - off**2)
         ends = foldnorm(off / std, scale=std).ppf([0.025, 0.975])
         np.testing.assert_allclose(goal.interval, ends, rtol=0.1)
+
+
+def test_a_change_that_costs(wanted, made, monkeypatch):
+    """Control points become alike as far as the tolerances allow, and say the balance.
+
+    At the minimum the differences hold what the goals pull at: W^T r + A^T d = 0.
+    """
+    monkeypatch.setattr("softcal_jax.designs._design._alternatives", lambda *_: [])
+    alike = design(MODEL, moduli(), wanted, limits=RANGE, change=Change(0.1), starts=1)
+    graded = lambda of: np.log(of.fit.value("E_t of root") / of.fit.value("E_t of tip"))
+    assert 0.0 < graded(alike) < 0.2 * graded(made)
+    assert alike.error > made.error
+    d, A = alike.fit.space.likeness.rows(jnp.asarray(alike.fit.z))
+    assert float(d[0]) == pytest.approx(graded(alike) / 0.1)
+    W, r = [], []
+    poses = {pose.name: pose for pose in alike.fit.configurations}
+    for goal in alike.goals:
+        e = goal.effector
+        rows = poses[goal.configuration].W_ep[e.index, : len(e.std)][e.seen]
+        W.append(rows / TOLERANCE)
+        r.append(goal.residual[e.seen] / TOLERANCE)
+    W, r = np.concatenate(W), np.concatenate(r)
+    slope = W.T @ r + np.asarray(A).T @ np.asarray(d)
+    assert np.all(np.abs(slope) < 1e-2 * (np.abs(W).T @ np.abs(r)))
 
 
 def test_actuation_alone(wanted):

@@ -1,0 +1,148 @@
+"""What a design is asked for: commands as parameters, goals, and the foam's limits."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from softcal_jax._names import check_known, listed
+from softcal_jax._units import readable
+from softcal_jax.configurations import (
+    Configuration,
+    ConfigurationLanes,
+    ImposedDisplacement,
+    configuration_lanes,
+    motions,
+)
+from softcal_jax.control import Limits, limit_arrays
+from softcal_jax.designs._foam import FoamTable
+from softcal_jax.designs._foam_region import foam_region, isotropic_range
+from softcal_jax.equilibrium import Model
+from softcal_jax.fields import (
+    ControlPointParameters,
+    Entry,
+    Parameter,
+    ParameterSpace,
+    SetupParameter,
+    command,
+)
+from softcal_jax.unknowns import held_nodes
+
+
+def commands(
+    model: Model, goals: Sequence[Configuration], limits: Mapping[str, Limits]
+) -> tuple[SetupParameter, ...]:
+    """Make what is imposed on the actuators parameters, each by configuration."""
+    used = [name for goal in goals for name in goal.actuation]
+    check_known("actuator with limits, in the actuation of a goal,", used, *limits)
+    actuators, entries = model.mechanism.actuators, []
+    in_each = [
+        limit_arrays(
+            model.mechanism,
+            goal,
+            {name: given for name, given in limits.items() if name in goal.actuation},
+        )
+        for goal in goals
+    ]
+    for name in limits:
+        a = actuators.names.index(name)
+        kind, start, ends, unit = actuators.kinds[a], {}, {}, ""
+        for goal, allowed in zip(goals, in_each, strict=True):
+            if name not in goal.actuation:
+                continue
+            imposed = goal.actuation[name]
+            by_displacement = isinstance(imposed, ImposedDisplacement)
+            unit = kind.displacement_unit if by_displacement else kind.force_unit
+            low, high = map(float, allowed.inputs[:, a])
+            if not np.isfinite([low, high]).all() or low >= high:
+                what = "displacement" if by_displacement else "force"
+                raise ValueError(
+                    f"limits of the {what} of {kind.noun} {name!r} are {low:g} to "
+                    f"{high:g} {unit}, and a design needs two finite ends that differ."
+                )
+            other = "force" if by_displacement else "displacement"
+            if np.isfinite([*getattr(limits[name], other), limits[name].step]).any():
+                raise ValueError(
+                    f"{kind.noun} {name!r}: a design limits what is imposed on it, not "
+                    f"its {other} or its steps: leave those limits out, or impose the "
+                    "quantity that has limits."
+                )
+            start[goal.name], ends[goal.name] = imposed.value, (low, high)
+        entries.append(command(name, start, ends, unit=unit or ""))
+    return tuple(entries)
+
+
+def check_goals(model: Model, goals: Sequence[Configuration]) -> None:
+    """Raise ValueError for goals that are probably mistakes."""
+    lanes = configuration_lanes(model.mesh, goals, model.mechanism)
+    show = lambda value: readable(float(f"{value:.3g}"), "m")
+    for goal, records in zip(goals, lanes.effectors, strict=True):
+        if not goal.is_measured or not any(r.seen.any() for r in records):
+            raise ValueError(
+                f"configuration {goal.name!r} has no goal: give markers or effectors "
+                "measured values, which are its goals."
+            )
+        for name, moved in motions(records).items():
+            distance, size = float(np.linalg.norm(moved)), model.mesh.size
+            if distance > size:
+                raise ValueError(
+                    f"the goal of {name!r} in {goal.name!r} is {show(distance)} from "
+                    f"its place at rest, and the body is {show(size)} long: check the "
+                    "unit of length and the frame."
+                )
+    _check_movable(model, goals, lanes)
+
+
+def _check_movable(
+    model: Model, goals: Sequence[Configuration], lanes: ConfigurationLanes
+) -> None:
+    """Raise ValueError for the goal of a point that is held."""
+    held = held_nodes(model, lanes.arrays)
+    arrays = lanes.arrays.effectors
+    for c, (goal, records) in enumerate(zip(goals, lanes.effectors, strict=True)):
+        for record in records:
+            if record.quantity != "point" or not record.seen.any():
+                continue
+            nodes = np.asarray(arrays.nodes)[c, record.index]
+            acts = np.asarray(arrays.weights)[c, record.index] != 0.0
+            mine = nodes[acts]
+            if (mine < model.mesh.n_nodes).all() and held[c, mine].all():
+                raise ValueError(
+                    f"nothing can move {record.name!r} in {goal.name!r}: its place is "
+                    "held. Take its goal out, or free it."
+                )
+
+
+def within(foam: FoamTable, space: ParameterSpace) -> ParameterSpace:
+    """Limit the moduli of a design to those of a foam."""
+    names = {field.rpartition(".")[2]: field for field in space.field_names}
+    if {"E_l", "E_t"} <= {*names}:
+        fading = any(getattr(entry, "core", 0.0) > 0.0 for entry in space.entries)
+        region = foam_region(foam, names["E_l"], names["E_t"], fading=fading)
+        # The region also says which of the two is the larger one.
+        return replace(space, regions=(region,), tensor_steps=False)
+    if "E" not in names:
+        raise ValueError(
+            f"{foam.infill} limits E_l and E_t together, or E of an isotropic body, "
+            f"and the design has {listed(space.field_names) or 'no field'}: design "
+            "both moduli, or leave the foam out."
+        )
+    ends = isotropic_range(foam)
+    entries = [
+        _narrowed(entry, *ends, foam.infill) if names["E"] in entry.fields else entry
+        for entry in space.entries
+    ]
+    return replace(space, entries=entries)
+
+
+def _narrowed(entry: Entry, low: float, high: float, infill: str) -> Entry:
+    """Return a field with bounds within two ends [Pa]."""
+    assert isinstance(entry, Parameter | ControlPointParameters)
+    lower, upper = np.maximum(entry.lower, low), np.minimum(entry.upper, high)
+    if np.any(lower >= upper):
+        raise ValueError(
+            f"{entry.label}: isotropic {infill} has {readable(low, 'Pa')} to "
+            f"{readable(high, 'Pa')}, outside of the bounds of the design."
+        )
+    start = np.clip(entry.start, lower, upper)
+    return replace(entry, start=start, lower=lower, upper=upper)
