@@ -191,8 +191,9 @@ def test_a_missed_goal_is_exit_code_one(project, tmp_path, capsys):
     args = ["design", str(tmp_path / "project.toml"), "-o", str(tmp_path / "out")]
     assert main([*args, "--no-pictures"]) == 1
     out = capsys.readouterr().out
-    assert says(out, "Not designed", "goals are missed", "held by", "largest stretch")
+    assert says(out, "Not designed", "goals are missed", "held by")
     found = json.loads((tmp_path / "out" / "design.json").read_text())["design"]
+    assert "largest stretch" in out
     peaks = [(p["configuration"], p["limit"]) for p in found["peaks"]]
     assert peaks == [("bent", 1.5), ("curled", 1.5)]
     assert all(1.0 < p["value"] < 1.5 for p in found["peaks"])

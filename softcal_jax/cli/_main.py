@@ -61,7 +61,7 @@ A configuration has a goal in place of `measured`, and [design] says what limits
   foam = "Polyfoam"
   limits = { cable = "0 N to 5 N" }
 
-exit codes: 0 all goals and limits are met, 1 some are not, or no equilibrium, 2 bad input
+exit codes: 0 all goals and limits met, 1 some not, or no equilibrium, 2 bad input
 """
 
 _IDENTIFY = """\

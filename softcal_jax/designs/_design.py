@@ -30,7 +30,13 @@ from softcal_jax.designs._peaks import (
     aimed,
     peaks,
 )
-from softcal_jax.designs._printing import Change, Printing, design_goals, specimens
+from softcal_jax.designs._printing import (
+    Change,
+    Printing,
+    design_goals,
+    over_specimens,
+    specimens,
+)
 from softcal_jax.designs._result import (
     Alternative,
     DesignResult,
@@ -152,13 +158,21 @@ def design(
         )
     options = seed, settings or LOOP, newton, progress, search_progress
     asked = _Asked(model, goals, entries, foam, largest, change, *options)
-    fit = nominal = _fit(asked, space, starts)
+    fit = _fit(asked, space, starts)
+    reached, others = design_goals(fit, printing), []
     asked = asked._replace(progress=None)
-    if robust and not fit.interrupted:
+    robust = robust and not fit.interrupted
+    if robust:
         stage("the least expected error of prints")
-        fit = _robust(asked, space, fit, printing)
-    reached = design_goals(fit, printing)
-    missed = any(not goal.met for goal in reached)
+        nominal, of_prints = fit, _robust(asked, space, fit, printing)
+        poses, n = of_prints.configurations, len(goals)
+        before = over_specimens(reached, poses, n, before=True)
+        fit = _first(of_prints, n)
+        reached = over_specimens(design_goals(fit, printing), poses, n)
+        name, errors = "the design of least error as ordered", error_of(before)
+        others = [Alternative(name, errors, expected_of(before), nominal)]
+    # What holds a robust design is its prints.
+    missed = not robust and any(not goal.met for goal in reached)
     result = DesignResult(
         goals=reached,
         fit=fit,
@@ -167,18 +181,14 @@ def design(
         trades=trades(fit, reached) if missed else (),
         alternatives=(),
         peaks=peaks(fit, largest),
-        robust=fit is not nominal,
+        robust=robust,
         foam=foam,
         material=() if space is None else tuple(space.names),
     )
     if space is None or fit.interrupted:
         return result
     answer(result)
-    others = [*_alternatives(asked, space, stage)]
-    if result.robust:
-        before = design_goals(nominal, printing)
-        name, errors = "the design of least error as ordered", error_of(before)
-        others.insert(0, Alternative(name, errors, expected_of(before), nominal))
+    others += _alternatives(asked, space, stage)
     return replace(result, alternatives=tuple(others))
 
 
@@ -232,13 +242,18 @@ def _robust(
     known = {"deviations": jnp.asarray(np.repeat(off, n, axis=0))}
     first = {"start": jnp.asarray(nominal.z)}
 
-    def fit_of(goals, more) -> CalibrationResult:
-        start = known | first | more
-        fit = _calibrated(asked, space, (*goals, *prints), **start)
-        linear = fit.linear.only(fit.linear.pose < n)
-        return replace(fit, configurations=fit.configurations[:n], linear=linear)
+    return _keeping(
+        asked,
+        lambda goals, more: _calibrated(
+            asked, space, (*goals, *prints), **(known | first | more)
+        ),
+    )
 
-    return _keeping(asked, fit_of)
+
+def _first(fit: CalibrationResult, n: int) -> CalibrationResult:
+    """Return a fit to prints as that of the first few, which are as ordered."""
+    linear = fit.linear.only(fit.linear.pose < n)
+    return replace(fit, configurations=fit.configurations[:n], linear=linear)
 
 
 def _calibrated(

@@ -176,8 +176,10 @@ def peaks(result: CalibrationResult, limits: PeakLimits) -> tuple[Peak, ...]:
     """Compute what is largest in the body at each goal, where it has a limit."""
     found = []
     for pose in result.configurations:
-        u = jnp.asarray(pose.displacement)
+        u, read = jnp.asarray(pose.displacement), [e.name for e in pose.effectors]
         for name, limit in limits.given.items():
+            if name not in read:  # a print, of which none is kept
+                continue
             value = float(_KINDS[name].largest(result.model, u))
             found.append(Peak(name, pose.name, value, limit, _KINDS[name].unit))
     return tuple(found)

@@ -1,6 +1,7 @@
 """What errors of printing do to a design, to first order."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -167,6 +168,33 @@ def design_goals(
         for pose in result.configurations
         for effector in aimed(pose)
     )
+
+
+def over_specimens(
+    goals: tuple[DesignGoal, ...],
+    poses: Sequence[ConfigurationResult],
+    n: int,
+    *,
+    before: bool = False,
+) -> tuple[DesignGoal, ...]:
+    """Take what is expected of each goal from the specimens that were solved.
+
+    There are `n` poses of each specimen; `before` takes them at the start of the fit.
+    """
+    errors: dict[tuple, list[HostArray]] = {}
+    for c, pose in enumerate(poses):
+        for e in aimed(pose):
+            key = poses[c % n].name, e.name, e.quantity
+            values = e.simulated_before if before else e.simulated
+            errors.setdefault(key, []).append(e.error(values)[e.seen])
+    found = []
+    for goal in goals:
+        e = goal.effector
+        of_goal = errors[goal.configuration, e.name, e.quantity]
+        rms = np.sqrt(np.mean(np.square(of_goal), axis=0))
+        in_std, size = rms / e.std[e.seen], float(np.linalg.norm(rms))
+        found.append(replace(goal, expected=size, expected_in_std=in_std))
+    return tuple(found)
 
 
 def _owners(space: ParameterSpace) -> tuple[str, ...]:

@@ -26,7 +26,8 @@ class DesignGoal(GoalFit):
     Attributes:
         configuration: The configuration of the goal.
         met: Whether every coordinate is within its tolerance, as ordered.
-        expected: Root mean square of the error of prints, in the unit of the effector.
+        expected: Root mean square of the error of prints, in the unit of the effector:
+            to first order, or over the specimens of a robust design.
         expected_in_std: The same of each coordinate with a goal, in tolerances [-].
         interval: Ends of the interval that has the error of `LEVEL` of all prints.
         hangs_on: The control point whose errors of printing count most; empty where
@@ -154,7 +155,7 @@ class DesignResult(Result):
 
     @property
     def expected(self) -> float:
-        """The same as printed, to first order [-]."""
+        """The same as printed, see `DesignGoal.expected` [-]."""
         return expected_of(self.goals)
 
     @property
@@ -180,6 +181,8 @@ class DesignResult(Result):
         reasons = [f"{g.label} is off by {g.off}." for g in self.unmet[:LISTED]]
         if len(self.unmet) > LISTED:
             reasons.append(f"{len(self.unmet) - LISTED} more are off by less.")
+        if self.robust and self.unmet:
+            reasons.append("As ordered it is farther off, to be closer as printed.")
         reasons += [f"{peak}." for peak in self.peaks if not peak.kept]
         if self.held_by:
             reasons.append(f"They are held by {listed(self.held_by)}.")

@@ -36,7 +36,7 @@ def test_an_even_pull_has_its_stretch_and_stress():
 
 @pytest.mark.parametrize("name", ["largest stretch", "largest stress"])
 def test_the_smooth_maximum(name):
-    """Above the exact one, by a fifth near its limit, and its slope is the derivative."""
+    """Above the exact one, by a fifth near its limit; its slope is the derivative."""
     kind = _KINDS[name]
     bent = pulled(1.2).at[:, 2].add(-2.0 * BLOCK.mesh.points[:, 0] ** 2)
     exact = float(kind.largest(BLOCK, bent))
