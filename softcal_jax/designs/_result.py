@@ -61,13 +61,15 @@ class DesignGoal(GoalFit):
         show = lambda value: readable(float(f"{value:.2g}"), self.effector.unit).strip()
         low, high = map(show, self.interval)
         text = (
-            f"{self.label}: {'met' if self.met else 'MISSED'}, {show(self.error)} off "
-            f"as ordered; as printed {show(self.expected)}, {100 * LEVEL:g} % between "
-            f"{low} and {high}"
+            f"{self.label}: {'met' if self.met else 'MISSED'}, {show(self.error)} off"
         )
-        if self.hangs_on:
-            text += f", {100 * self.share:.0f} % of it by {self.hangs_on}"
-        return text
+        if not self.hangs_on:  # nothing that is printed moves it
+            return text
+        return (
+            f"{text} as ordered; as printed {show(self.expected)}, {100 * LEVEL:g} % "
+            f"between {low} and {high}, {100 * self.share:.0f} % of it by "
+            f"{self.hangs_on}"
+        )
 
 
 class Trade(Module):

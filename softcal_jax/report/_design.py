@@ -65,11 +65,13 @@ def _goals(result: DesignResult) -> TextTable:
         unit = goal.effector.unit
         show = lambda value, unit=unit: readable(float(f"{value:.2g}"), unit).strip()
         low, high = map(show, goal.interval)
-        hangs = f"{goal.hangs_on} ({100 * goal.share:.0f} %)" if goal.hangs_on else "-"
+        hangs = f"{goal.hangs_on} ({100 * goal.share:.0f} %)"
+        printed = show(goal.expected), f"{low} to {high}", hangs
+        if not goal.hangs_on:  # nothing that is printed moves it
+            printed = "-", "-", "-"
         name = f"{goal.name}{' (turn)' if goal.effector.is_turn else ''}"
         met = Cell("met", "good") if goal.met else Cell("missed", "bad")
-        off = show(goal.error), show(goal.expected), f"{low} to {high}"
-        rows.append((goal.configuration, name, met, *off, hangs))
+        rows.append((goal.configuration, name, met, show(goal.error), *printed))
     columns = (
         *("configuration", "effector", "goal", "off by", "printed, rms"),
         *(f"{100 * LEVEL:g} % of prints", "hangs on"),
