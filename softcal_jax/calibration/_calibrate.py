@@ -110,8 +110,9 @@ def calibrate(
         seed: Seed of the random starts.
         start: Scaled parameters to start from, instead of the start of the parameters;
             priors stay centred on the latter [-].
-        deviations: Known deviations of scaled parameters, a row per configuration, the
-            fitted ones first: specimens of one design, each with errors of its own [-].
+        deviations: Known deviations of scaled parameters, a row per configuration:
+            specimens of one design, each with errors of its own. They need everything
+            else `exactly_known`, and take neither `validation` nor `intervals` [-].
         intervals: Confidence of the intervals of the parameters, or None for none [-].
             They take two evaluations for each parameter, and a few fits for each end
             where its standard error does not hold.
@@ -170,6 +171,8 @@ def calibrate(
         deviations=deviations,
         quick=quick,
     )
+    if deviations is not None and intervals is not None:
+        raise ValueError("specimens that deviate have no intervals: intervals=None.")
     batch = _batch(task)
     watch = Watch(
         checkpoint, progress, search_progress, equilibrium_progress, answer, stage
@@ -224,8 +227,11 @@ def _deviations(task: Task) -> Float[Array, "n_c n_p"] | None:
             f"and a column for each of the {len(task.space.names)} parameters; got "
             f"shape {given.shape}."
         )
-    if task.held_out:
-        raise ValueError("deviations are of fitted specimens: leave out `validation`.")
+    if task.held_out or task.uncertain != exactly_known():
+        raise ValueError(
+            "deviations are of fitted specimens, and everything else must be known: "
+            "leave out `validation`, and give uncertain=exactly_known()."
+        )
     return given
 
 

@@ -84,7 +84,7 @@ class Printing(Deviations):
 class Change(Deviations):
     """Change between neighbouring control points that costs as much as a tolerance.
 
-    Neighbours are the two control points that count most in some tet.
+    Neighbours are the two control points that are the nearest to some tet.
     """
 
     moduli: float = np.inf

@@ -277,12 +277,16 @@ class ControlPointParameters(AbstractFieldEntry):
         return self.control_points.weights(centroids)
 
     def neighbours(self, mesh: TetMesh) -> list[tuple[str, str]]:
-        """List pairs of control points that are the strongest two in some tet."""
-        names, weights = self.control_points.names, np.asarray(self._weights(mesh))
-        strongest = np.sort(np.argsort(weights, axis=1)[:, -2:], axis=1)
+        """List pairs of control points that are the nearest two of some tet."""
+        points = self.control_points
+        names, columns = points.names, points.columns
         if len(names) == 1:
             return []
-        return [(names[i], names[j]) for i, j in np.unique(strongest, axis=0)]
+        where = np.asarray(points.positions)[:, columns]
+        centroids = np.asarray(mesh.centroids)[region_tets(mesh, self.region)]
+        away = np.linalg.norm(centroids[:, None, columns] - where, axis=2)
+        nearest = np.sort(np.argsort(away, axis=1)[:, :2], axis=1)
+        return [(names[i], names[j]) for i, j in np.unique(nearest, axis=0)]
 
     def _at_points(self, values: Values) -> Float[Array, " n_cp"]:
         """Return the values at the control points, known ones included."""

@@ -98,9 +98,12 @@ def test_deviations_that_do_not_fit():
             {"deviations": jnp.zeros((2, 3)), "validation": more},
             "leave out `validation`",
         ),
+        ({"deviations": jnp.zeros((1, 3)), "uncertain": None}, "exactly_known"),
+        ({"deviations": jnp.zeros((1, 3)), "intervals": 0.95}, "intervals=None"),
     ):
+        known = {"uncertain": exactly_known(), "intervals": None}
         with pytest.raises(ValueError, match=message):
-            calibrate(MODEL, SPACE, measured, **options)
+            calibrate(MODEL, SPACE, measured, **(known | options))
 
 
 def test_a_robust_design_turns_to_a_material_that_forgives():
