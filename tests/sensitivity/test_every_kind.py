@@ -117,8 +117,8 @@ SPACE = ParameterSpace(
         clamp_stiffness("x_max", 2e6, **KNOWN),
         *marker_offset("a", limit=5e-3, **KNOWN),
         *marker_offset("sensor", limit=5e-3, **KNOWN),
-        command("c", {"pose": 0.5}, {"pose": (0.0, 2.0)}, unit="N"),
-        command("m", {"pose": 0.2}, {"pose": (-0.5, 0.6)}, unit="rad"),
+        command("c", {"tuesday": 0.5}, {"tuesday": (0.0, 2.0)}, unit="N"),
+        command("m", {"tuesday": 0.2}, {"tuesday": (-0.5, 0.6)}, unit="rad"),
     )
 )
 LANES = configuration_arrays(MESH, [POSE], MODEL.mechanism)
