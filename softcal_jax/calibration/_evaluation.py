@@ -273,17 +273,25 @@ class Evaluator:
         lanes: Sequence[int] | None,
         guess: Float[Array, "n_lanes n_points 3"] | None = None,
     ) -> EquilibriumSolution:
-        """Solve the equilibria of each specimen in turn."""
+        """Solve the equilibria of each specimen, the least deviating one first.
+
+        Without a guess the others start from its equilibria.
+        """
         every = range(len(self.lanes)) if lanes is None else lanes
         off = np.asarray(self.problem.deviations)
         one, solved = copy(self), dict[int, EquilibriumSolution]()
         one.problem = replace(self.problem, deviations=None)
-        for row in np.unique(off[[*every]], axis=0):
+        rows = np.unique(off[[*every]], axis=0)
+        first = None
+        for row in rows[np.argsort(np.linalg.norm(rows, axis=1))]:
             of_row = [k for k, c in enumerate(every) if np.array_equal(off[c], row)]
             more: Any = {"lanes": [every[k] for k in of_row]}
             if guess is not None:
                 more["guess"] = lane_of(guess, np.array(of_row))
+            elif first is not None and len(first.displacement) == len(of_row):
+                more["guess"] = first.displacement
             solution = one.equilibria(z + row, report, **more)
+            first = first or solution
             solved |= {k: lane_of(solution, i) for i, k in enumerate(of_row)}
         return stacked([solved[k] for k in range(len(every))])
 

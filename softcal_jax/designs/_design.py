@@ -159,13 +159,17 @@ def design(
     options = seed, settings or LOOP, newton, progress, search_progress
     asked = _Asked(model, goals, entries, foam, largest, change, *options)
     fit = _fit(asked, space, starts)
-    reached, others = design_goals(fit, printing), []
-    asked = asked._replace(progress=None)
-    robust = robust and not fit.interrupted
-    if robust:
+    reached, others, lost = design_goals(fit, printing), [], ""
+    asked, of_prints = asked._replace(progress=None), None
+    if robust and not fit.interrupted:
         stage("the least expected error of prints")
-        nominal, of_prints = fit, _robust(asked, space, fit, printing)
-        poses, n = of_prints.configurations, len(goals)
+        try:
+            of_prints = _robust(asked, space, fit, printing)
+        except RuntimeError as error:  # the design so far must not be lost
+            lost = str(error)
+    robust = of_prints is not None
+    if of_prints is not None:
+        nominal, poses, n = fit, of_prints.configurations, len(goals)
         before = over_specimens(reached, poses, n, before=True)
         fit = _first(of_prints, n)
         reached = over_specimens(design_goals(fit, printing), poses, n)
@@ -182,6 +186,7 @@ def design(
         alternatives=(),
         peaks=peaks(fit, largest),
         robust=robust,
+        lost=lost,
         foam=foam,
         material=() if space is None else tuple(space.names),
     )

@@ -122,6 +122,7 @@ class DesignResult(Result):
             homogeneous material, and actuation alone.
         peaks: What is largest in the body at each goal, where it has a limit.
         robust: Whether it has the least expected error, not the least nominal one.
+        lost: Why a robust design was not found; empty otherwise.
         foam: The foam that limits the moduli; None without.
         material: Names of the parameters of the material, in the order of the fit.
     """
@@ -134,6 +135,7 @@ class DesignResult(Result):
     alternatives: tuple[Alternative, ...]
     peaks: tuple[Peak, ...]
     robust: bool
+    lost: str
     foam: FoamTable | None
     material: tuple[str, ...]
 
@@ -141,7 +143,7 @@ class DesignResult(Result):
     def met(self) -> bool:
         """Whether the search ended at an optimum that meets all goals in all limits."""
         good = all(goal.met for goal in self.goals) and all(p.kept for p in self.peaks)
-        return self.fit.converged and good
+        return self.fit.converged and good and not self.lost
 
     @property
     def unmet(self) -> tuple[DesignGoal, ...]:
@@ -173,6 +175,8 @@ class DesignResult(Result):
             return "Not designed: the search did not converge."
         if missed:
             return f"Not designed: {len(missed)} of {n} goals are missed."
+        if self.lost:
+            return "Not designed: a robust design was not found."
         if not self.met:
             return "Not designed: a limit is exceeded."
         return f"Designed: all {n} goals are met." if n > 1 else "Designed: it is met."
@@ -183,6 +187,8 @@ class DesignResult(Result):
         reasons = [f"{g.label} is off by {g.off}." for g in self.unmet[:LISTED]]
         if len(self.unmet) > LISTED:
             reasons.append(f"{len(self.unmet) - LISTED} more are off by less.")
+        if self.lost:
+            reasons.append(f"This is the one of least error as ordered: {self.lost}")
         if self.robust and self.unmet:
             reasons.append("As ordered it is farther off, to be closer as printed.")
         reasons += [f"{peak}." for peak in self.peaks if not peak.kept]

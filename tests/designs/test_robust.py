@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from wording import says
 
 from softcal_jax.calibration import calibrate
 from softcal_jax.configurations import Configuration, Markers, SurfaceForce
@@ -104,6 +105,20 @@ def test_deviations_that_do_not_fit():
         known = {"uncertain": exactly_known(), "intervals": None}
         with pytest.raises(ValueError, match=message):
             calibrate(MODEL, SPACE, measured, **(known | options))
+
+
+def test_a_print_without_an_equilibrium_does_not_lose_the_design(monkeypatch):
+    def without(*_):
+        raise RuntimeError("no equilibrium found: configuration 'bent, print 2'")
+
+    monkeypatch.setattr("softcal_jax.designs._design._robust", without)
+    monkeypatch.setattr("softcal_jax.designs._design._alternatives", lambda *_: [])
+    (goal,) = read(values(8e5, 3e5, 0.15), pose())
+    made = design(MODEL, SPACE, goal, robust=True, starts=1)
+    assert all(goal.met for goal in made.goals)
+    assert not made.met
+    assert says(made.headline, "Not designed", "robust")
+    assert says(made.reasons, "least error as ordered", "'bent, print 2'")
 
 
 def test_a_robust_design_turns_to_a_material_that_forgives():
