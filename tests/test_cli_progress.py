@@ -169,7 +169,9 @@ def test_no_text_of_jax_or_xla_reaches_the_user(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, env=clean
     )
-    assert (done.returncode, done.stdout, done.stderr) == (0, "3\n", "")
+    # A slow machine says that it is importing.
+    lines = [x for x in done.stdout.splitlines() if not x.startswith("  importing; ")]
+    assert (done.returncode, lines, done.stderr) == (0, ["3"], "")
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
