@@ -1,6 +1,12 @@
 """Design: fields and actuation that bring a robot to its goals, and can be printed."""
 
 from softcal_jax.designs._design import design as design
+from softcal_jax.designs._deviations import (
+    Change as Change,
+    Deviations as Deviations,
+    Printing as Printing,
+    specimens as specimens,
+)
 from softcal_jax.designs._foam import (
     TPU as TPU,
     FoamTable as FoamTable,
@@ -18,12 +24,6 @@ from softcal_jax.designs._foam_region import (
     isotropic_range as isotropic_range,
 )
 from softcal_jax.designs._peaks import Peak as Peak, PeakLimits as PeakLimits
-from softcal_jax.designs._printing import (
-    Change as Change,
-    Deviations as Deviations,
-    Printing as Printing,
-    specimens as specimens,
-)
 from softcal_jax.designs._result import (
     LEVEL as LEVEL,
     Alternative as Alternative,

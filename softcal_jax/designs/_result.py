@@ -205,6 +205,8 @@ class DesignResult(Result):
             if np.isfinite(a.expected):
                 missed += f", {a.expected:.3g} as printed"
                 error += f" and {self.expected:.3g}"
+            if not a.result.converged:
+                missed += " or less (its search did not converge)"
             return f"With {a.name} the goals are {missed}, with this design {error}."
 
         return tuple(map(sentence, self.alternatives))

@@ -116,13 +116,13 @@ def build_design(
             foam = foam_table(asked.foam, path)
     changes = {"moduli": asked.modulus_change, "angle": asked.angle_change}
     peaks = {"stretch": asked.largest_stretch, "stress": asked.largest_stress}
-    given = lambda values: {k: v for k, v in values.items() if v is not None}
+    stated = lambda values: {k: v for k, v in values.items() if v is not None}
     return DesignTask(
         goals,
         limits,
         foam,
-        PeakLimits(**given(peaks)),
-        Change(**given(changes)) if given(changes) else None,
+        PeakLimits(**stated(peaks)),
+        Change(**stated(changes)) if stated(changes) else None,
         Printing(asked.modulus_error, asked.angle_error),
         asked.robust,
     )

@@ -107,10 +107,10 @@ def _limits(result: DesignResult) -> TextTable:
 
 def _worth(result: DesignResult) -> TextTable:
     rows = [("this design", f"{result.error:.3g}", f"{result.expected:.3g}")]
-    rows += [
-        (a.name, f"{a.error:.3g}", f"{a.expected:.3g}" if a.expected > 0.0 else "-")
-        for a in result.alternatives
-    ]
+    for a in result.alternatives:
+        name = a.name if a.result.converged else f"{a.name} (not converged)"
+        printed = f"{a.expected:.3g}" if np.isfinite(a.expected) else "-"
+        rows.append((name, f"{a.error:.3g}", printed))
     columns = "with", "error over all goals, in tolerances", "as printed"
     return text_table("What the design is worth", columns, rows)
 

@@ -126,6 +126,9 @@ def test_what_less_could_do(made):
     assert made.error < 0.2 * homogeneous.error
     assert homogeneous.error <= alone.error * (1.0 + 1e-6)
     assert says(made.worth, "homogeneous", "tolerances off", "with this design")
+    unfinished = replace(homogeneous, result=replace(made.fit, converged=False))
+    again = replace(made, alternatives=(unfinished,))
+    assert says(again.worth, "homogeneous", "or less", "did not converge")
 
 
 def test_a_limit_holds_a_goal(wanted):
